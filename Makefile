@@ -1,0 +1,57 @@
+# make demo, make test, make check: each sets up its own environment first.
+# It needs Python 3.11 or newer, pip and make; a second run installs nothing.
+
+VENV ?= .venv
+TESTFLAGS ?=
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+# The first Python that is new enough; say `make PYTHON=...` for another.
+PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
+	python3.11 python,$(if $(shell $(name) -c 'import sys; \
+	sys.version_info >= (3, 11) and print("ok")' 2>/dev/null),$(name))))
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test slow notebooks check picture clean
+
+help:
+	@echo "make demo     the whole method on the bundled example, into demo/"
+	@echo "make test     the tests; make slow for those over ten seconds, notebooks too"
+	@echo "make notebooks  runs the notebooks"
+	@echo "make check    format, lint, types, layers"
+	@echo "make picture  the README's picture, docs/overview.png"
+	@echo "make clean    removes what the other targets made"
+
+demo: $(STAMP)
+	$(BIN)/ttus-opt demo -o demo
+
+test: $(STAMP)
+	$(BIN)/python -m pytest -m "not slow" $(TESTFLAGS)
+
+slow: $(STAMP) notebooks
+	$(BIN)/python -m pytest -m slow $(TESTFLAGS)
+
+notebooks: $(STAMP)
+	$(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks
+
+check: $(STAMP)
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+picture: demo
+	mkdir -p docs
+	cp demo/overview.png docs/overview.png
+
+clean:
+	rm -rf $(VENV) demo
+
+$(STAMP): pyproject.toml constraints.txt
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
+		echo "error: '$(PYTHON)' is no Python 3.11 or newer: install one, or name \
+	it: make PYTHON=/path/to/python3" >&2; exit 2; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--constraint constraints.txt --editable '.[dev]'
+	@touch $@

@@ -1,0 +1,44 @@
+"""Eq. 10 with Coulomb drag of a voxel field q, the friction coefficient times p.
+
+min_{p,q} ‖L p - b‖² + α ‖(L q)_free‖² + λ_f ‖N p - F q - f‖² + λ_τ ‖(W p - G q - τ)/ℓ‖²
+s.t.  0 ≤ q ≤ μ_max p inside, q = 0 on the skin, μ_max p ≤ q ≤ 0 outside
+
+F q = t̂ (n̂ᵀ N q) with t̂ the direction of sliding, n̂ the contact's normal; jointly
+convex in (p, q). Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
+"""
+
+from ttus_opt.constraints.drag_limit import DragLimit
+from ttus_opt.constraints.drag_sign import DragSign
+from ttus_opt.drag_estimate import estimate_drag
+from ttus_opt.friction import DEADBAND
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+from ttus_opt.terms.drag import CoulombField
+from ttus_opt.terms.drag_force import DragForceTerm
+from ttus_opt.terms.drag_smoothness import DragSmoothnessTerm
+from ttus_opt.terms.drag_torque import DragTorqueTerm
+from ttus_opt.terms.laplace import LaplaceTerm
+
+
+def build(
+    scene: Scene,
+    force_weight: float = 1e-4,
+    torque_weight: float = 1e-4,
+    torque_length: float | None = None,
+    smoothness: float = 1.0,
+    largest_friction: float = 1.0,
+    acts_at: str = "auto",
+    deadband: float = DEADBAND,
+) -> Formulation:
+    """Weights λ_f, λ_τ, α, μ_max [–], ℓ [m], where drag acts, deadband v₀ [m/s]."""
+    where = estimate_drag(scene, acts_at, deadband).acts_at
+    drag = CoulombField(scene, where, deadband)
+    return Formulation(
+        terms=[
+            LaplaceTerm(scene),
+            DragSmoothnessTerm(scene, smoothness),
+            DragForceTerm(scene, force_weight, drag=drag),
+            DragTorqueTerm(scene, torque_weight, torque_length, drag=drag),
+        ],
+        constraints=[DragSign(scene), DragLimit(scene, largest_friction)],
+    )

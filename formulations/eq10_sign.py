@@ -1,0 +1,31 @@
+"""Eq. 10 with the sign of the field: pushing inside, pulling outside.
+
+min_p ‖L p - b‖² + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
+s.t.  p ≥ 0 inside, p ≤ 0 outside
+
+Source: Yeung, Black, Salcudean (2025), eq. 10; the sign is that of eqs. 6-8.
+"""
+
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.torque import TorqueTerm
+
+
+def build(
+    scene: Scene,
+    force_weight: float = 1e-4,
+    torque_weight: float = 1e-4,
+    torque_length: float | None = None,
+) -> Formulation:
+    """Eq. 10 with weights λ_f, λ_τ [–], torque length ℓ [m] and the field's sign."""
+    return Formulation(
+        terms=[
+            LaplaceTerm(scene),
+            ForceTerm(scene, force_weight),
+            TorqueTerm(scene, torque_weight, torque_length),
+        ],
+        constraints=[Sign(scene)],
+    )

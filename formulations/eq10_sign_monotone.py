@@ -1,0 +1,33 @@
+"""Eq. 10 with the field's sign and growth with depth.
+
+min_p ‖L p - b‖² + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
+s.t.  p(r) - p(r + Δr) ≥ s Δr inside, p ≥ 0 inside, p ≤ 0 outside
+
+Source: Yeung, Black, Salcudean (2025), eq. 10; who presses deeper feels no less.
+"""
+
+from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.torque import TorqueTerm
+
+
+def build(
+    scene: Scene,
+    force_weight: float = 1e-4,
+    torque_weight: float = 1e-4,
+    torque_length: float | None = None,
+    least_slope: float = 0.0,
+) -> Formulation:
+    """Eq. 10 with weights λ_f, λ_τ [–], length ℓ [m] and least slope s [unit/m]."""
+    return Formulation(
+        terms=[
+            LaplaceTerm(scene),
+            ForceTerm(scene, force_weight),
+            TorqueTerm(scene, torque_weight, torque_length),
+        ],
+        constraints=[Sign(scene), Monotone(scene, least_slope)],
+    )

@@ -1,0 +1,33 @@
+"""No p = 0 on the skin, only p ≥ 0 from the skin inwards; the same prior inside.
+
+min_p ‖L p - b‖² without the skin's rows + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
+s.t.  p ≥ 0 inside and on the skin
+
+With p = 0 on the skin a round tip's force grows like depth², that of real tissue like
+depth¹ to depth^1.5. Source: eq. 10 of Yeung, Black, Salcudean (2025), freed there.
+"""
+
+from ttus_opt.constraints.nonnegative import NonNegative
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.laplace_free_surface import LaplaceFreeSurfaceTerm
+from ttus_opt.terms.torque import TorqueTerm
+
+
+def build(
+    scene: Scene,
+    force_weight: float = 1e-4,
+    torque_weight: float = 1e-4,
+    torque_length: float | None = None,
+    skin: float = 1e-3,
+) -> Formulation:
+    """Weights λ_f, λ_τ [–], length ℓ [m]; ``skin``: what is left of the skin's rows."""
+    return Formulation(
+        terms=[
+            LaplaceFreeSurfaceTerm(scene, skin=skin),
+            ForceTerm(scene, force_weight),
+            TorqueTerm(scene, torque_weight, torque_length),
+        ],
+        constraints=[NonNegative(scene)],
+    )

@@ -1,0 +1,34 @@
+"""Few sources between the boundaries: absolute values of L p - b instead of squares.
+
+min_p α Σ|L p - b|_free + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
+s.t.  (p - b)_boundary = 0
+
+Source: eq. 10 of Yeung, Black, Salcudean (2025) with the penalty of R. Tibshirani,
+Regression Shrinkage and Selection via the Lasso (1996).
+"""
+
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.terms.torque import TorqueTerm
+
+
+def build(
+    scene: Scene,
+    force_weight: float = 1e-4,
+    torque_weight: float = 1e-4,
+    torque_length: float | None = None,
+    sparsity: float | None = None,
+) -> Formulation:
+    """Weights λ_f, λ_τ, α (by default 3 λ_f) [–] and torque length ℓ [m]."""
+    weight = 3.0 * force_weight if sparsity is None else sparsity
+    return Formulation(
+        terms=[
+            SparseSourcesTerm(scene, weight),
+            ForceTerm(scene, force_weight),
+            TorqueTerm(scene, torque_weight, torque_length),
+        ],
+        constraints=[HardBoundary(scene)],
+    )

@@ -1,0 +1,35 @@
+"""Departures from the Laplace field in plateaus: total variation of p - p₀.
+
+min_p α Σ|D (p - p₀)| + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
+s.t.  (p - b)_boundary = 0
+
+p₀ = L⁻¹b. Source: L. Rudin, S. Osher, E. Fatemi, Nonlinear Total Variation Based Noise
+Removal Algorithms (1992), around eq. 8 of Yeung, Black, Salcudean (2025).
+"""
+
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.terms.total_variation import TotalVariationTerm
+
+
+def build(
+    scene: Scene,
+    force_weight: float = 1e-4,
+    torque_weight: float = 1e-4,
+    torque_length: float | None = None,
+    variation: float | None = None,
+    isotropic: bool = False,
+) -> Formulation:
+    """Weights λ_f, λ_τ, α (by default 3 λ_f) [–], ℓ [m]; ``isotropic`` needs cones."""
+    weight = 3.0 * force_weight if variation is None else variation
+    return Formulation(
+        terms=[
+            TotalVariationTerm(scene, weight, isotropic),
+            ForceTerm(scene, force_weight),
+            TorqueTerm(scene, torque_weight, torque_length),
+        ],
+        constraints=[HardBoundary(scene)],
+    )

@@ -1,0 +1,38 @@
+"""Eq. 10 with viscous drag of the skin, one coefficient or one per region.
+
+min_{p,c} ‖L p - b‖² + λ_f ‖N p - v c - f‖² + λ_τ ‖(W p - a×v c - τ)/ℓ‖²  s.t.  c ≥ 0
+
+v is the sliding velocity along the contact and a the arm of drag. Source: eq. 10 of
+Yeung, Black, Salcudean (2025), with a column for the drag it leaves out.
+"""
+
+from ttus_opt.constraints.viscous_sign import ViscousSign
+from ttus_opt.drag_estimate import estimate_drag
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+from ttus_opt.terms.drag import Viscous
+from ttus_opt.terms.drag_force import DragForceTerm
+from ttus_opt.terms.drag_torque import DragTorqueTerm
+from ttus_opt.terms.laplace import LaplaceTerm
+
+
+def build(
+    scene: Scene,
+    force_weight: float = 1e-4,
+    torque_weight: float = 1e-4,
+    torque_length: float | None = None,
+    sectors: int = 1,
+    bands: int = 1,
+    acts_at: str = "auto",
+) -> Formulation:
+    """Weights λ [–], length ℓ [m], regions around and along, where drag acts."""
+    where = estimate_drag(scene, acts_at).acts_at
+    drag = Viscous(scene, where, sectors=sectors, bands=bands)
+    return Formulation(
+        terms=[
+            LaplaceTerm(scene),
+            DragForceTerm(scene, force_weight, drag=drag),
+            DragTorqueTerm(scene, torque_weight, torque_length, drag=drag),
+        ],
+        constraints=[ViscousSign(scene, sectors * bands)],
+    )

@@ -1,0 +1,32 @@
+"""Eq. 10 whose weights mean the same on every grid.
+
+min_p ∫ (ℓ₁²∇²p)² dV/ℓ₁³ + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
+s.t.  (p - b)_boundary = 0
+
+ℓ₁ = 1 cm. With the ``trilinear`` sampling refining the grid leaves the answer. Source:
+the integral that eq. 10 of Yeung, Black, Salcudean (2025) stands for.
+"""
+
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.terms.volume_weighted import VolumeWeightedTerm
+
+
+def build(
+    scene: Scene,
+    force_weight: float = 1e-4,
+    torque_weight: float = 1e-4,
+    torque_length: float | None = None,
+) -> Formulation:
+    """Weights λ_f, λ_τ [–] and torque length ℓ [m]."""
+    return Formulation(
+        terms=[
+            VolumeWeightedTerm(scene),
+            ForceTerm(scene, force_weight),
+            TorqueTerm(scene, torque_weight, torque_length),
+        ],
+        constraints=[HardBoundary(scene)],
+    )

@@ -1,0 +1,99 @@
+"""What every command's test needs: a way to run it and a small torso's files."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.conftest import presses, torso
+from ttus_opt.cli import main
+
+PROBE = "ellipsoid:0.02,0.015,0.015"
+
+
+@dataclass(frozen=True)
+class Answer:
+    status: int
+    out: str
+    err: str
+
+    @property
+    def errors(self) -> list[str]:
+        """Lines on stderr without progress bars."""
+        return [line for line in self.err.splitlines() if line and "|" not in line]
+
+
+Run = Callable[[str], Answer]
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    """Runs ``ttus-opt <words>`` in this process."""
+
+    def call(words: str) -> Answer:
+        with pytest.raises(SystemExit) as stop:
+            main(shlex.split(words))
+        told = capsys.readouterr()
+        return Answer(int(stop.value.code or 0), told.out, told.err)
+
+    return call
+
+
+@pytest.fixture(scope="session")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small torso's surface, its scan and a recording of presses."""
+    folder = tmp_path_factory.mktemp("files")
+    surface = torso()
+    surface.save(folder / "surface.nc")
+    rng = np.random.default_rng(0)
+    presses(surface, 30, rng).save(folder / "press.csv")
+    theta, z = rng.uniform(0, 2 * np.pi, 20_000), rng.uniform(0, 0.2, 20_000)
+    r = surface.radius_at(theta, z) + rng.normal(0, 5e-4, theta.shape)
+    np.save(
+        folder / "scan.npy",
+        np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=1),
+    )
+    return folder
+
+
+def fit_words(files: Path, output: Path, more: str = "") -> str:
+    return (
+        f"fit --surface {files / 'surface.nc'} --probe {PROBE} "
+        f"--trajectory {files / 'press.csv'} --shape 16,24,12 --points 300 "
+        f"--inner fit --sampling trilinear -o {output} {more}"
+    )
+
+
+@pytest.fixture(scope="session")
+def field(files: Path) -> Path:
+    """A field file, fitted by the command itself."""
+    with pytest.raises(SystemExit) as stop:
+        main(shlex.split(fit_words(files, files / "field.nc")))
+    assert not stop.value.code
+    return files / "field.nc"
+
+
+def refused(answer: Answer, *words: str) -> None:
+    """One line ``error: …`` with these words, status 2, nothing on stdout."""
+    assert answer.status == 2
+    assert answer.out == ""
+    assert len(answer.errors) == 1, answer.err
+    line = answer.errors[0]
+    assert line.startswith("error: ")
+    for word in words:
+        assert word in line
+
+
+def empty(folder: Path) -> bool:
+    return not list(folder.iterdir())
+
+
+@pytest.fixture
+def output(tmp_path: Path) -> Path:
+    (tmp_path / "output").mkdir()
+    return tmp_path / "output"

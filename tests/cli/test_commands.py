@@ -1,0 +1,219 @@
+"""The commands do what they say."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.conftest import PROBE, Run, fit_words
+from tests.conftest import torso
+from ttus_opt.contact import contact_rows
+from ttus_opt.field import PotentialField
+from ttus_opt.point_shell import PointShell
+from ttus_opt.surface import Surface
+from ttus_opt.trajectory import Trajectory, read_trajectory
+
+
+def test_surface_writes_what_it_says(run: Run, files: Path, tmp_path: Path) -> None:
+    output, picture = tmp_path / "s.nc", tmp_path / "s.png"
+    answer = run(
+        f"surface {files / 'scan.npy'} -o {output} --n-theta 90 --n-z 20 --no-support "
+        "--axis-origin 0,0,0 --axis-direction 0,0,2 "
+        f"--picture {picture} --json"
+    )
+    assert answer.status == 0, answer.err
+    told = json.loads(answer.out)
+    found = Surface.load(output)
+    assert told["n_theta"] == 90 and found.radius.shape == (90, 20)
+    np.testing.assert_array_equal(found.axis.rotation, np.eye(3))
+    theta, z = np.meshgrid(found.theta, found.z, indexing="ij")
+    assert np.abs(found.radius - torso().radius_at(theta, z)).max() < 3e-3
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_axis_from_takes_the_frame_of_a_file(
+    run: Run, files: Path, tmp_path: Path
+) -> None:
+    answer = run(
+        f"surface {files / 'scan.npy'} -o {tmp_path / 's.nc'} --no-support --n-z 20 "
+        f"--axis-from {files / 'surface.nc'}"
+    )
+    assert answer.status == 0, answer.err
+    assert "180 x 20 radii" in answer.out
+
+
+def test_fit_json_has_the_stable_keys(run: Run, files: Path, tmp_path: Path) -> None:
+    output = tmp_path / "field.nc"
+    answer = run(fit_words(files, output, "--force-weight 1e-2 --json"))
+    assert answer.status == 0, answer.err
+    told = json.loads(answer.out)
+    assert told["status"] == "solved"
+    assert told["formulation"] == "eq10"
+    assert told["voxels"] == 16 * 24 * 12
+    assert set(told["seconds"]) == {"assembly", "setup", "solve"}
+    assert set(told["costs"]) == {"laplace", "force", "torque"}
+    assert told["objective"] == pytest.approx(sum(told["costs"].values()))
+    assert told["kkt"]["dual_relative"] < 1e-6
+    assert told["parameters"]["boundary_scale"] > 0
+    found = PotentialField.load(output)
+    assert found.provenance["probe"] == PROBE
+    assert found.provenance["trajectories"] == "press.csv"
+
+
+def test_options_reach_the_formulation(run: Run, files: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(
+        "from formulations.eq10 import build as eq10\n"
+        "def build(scene, strength=1.0, label=''):\n"
+        "    assert label == 'soft'\n"
+        "    return eq10(scene, force_weight=strength, torque_weight=0.0)\n"
+    )
+    a = run(
+        fit_words(
+            files,
+            tmp_path / "a.nc",
+            f"--formulation {own} --option strength=0.5 --option label=soft --json",
+        )
+    )
+    b = run(
+        fit_words(
+            files,
+            tmp_path / "b.nc",
+            "--force-weight 0.5 --torque-weight 0 --json",
+        )
+    )
+    assert a.status == 0 and b.status == 0, a.err + b.err
+    assert json.loads(a.out)["formulation"] == "own"
+    assert json.loads(a.out)["objective"] == pytest.approx(
+        json.loads(b.out)["objective"], rel=1e-9
+    )
+
+
+def test_evaluate_matches_the_rows_of_the_fit(
+    run: Run, files: Path, field: Path, tmp_path: Path
+) -> None:
+    picture = tmp_path / "force.png"
+    words = f"--field {field} --probe {PROBE} --trajectory {files / 'press.csv'}"
+    answer = run(f"evaluate {words} --points 300 --json --picture {picture}")
+    assert answer.status == 0, answer.err
+    told = json.loads(answer.out)
+    loaded, recorded = PotentialField.load(field), read_trajectory(files / "press.csv")
+    rows = contact_rows(
+        loaded.voxmap,
+        PointShell.from_spec(PROBE, 300),
+        recorded.rotation,
+        recorded.position,
+        sampling="trilinear",
+    )
+    rendered = (rows.N @ loaded.values.reshape(-1)).reshape(-1, 3)
+    measured = recorded.force
+    assert measured is not None
+    expected = np.abs(
+        np.linalg.norm(rendered, axis=1) - np.linalg.norm(measured, axis=1)
+    ).mean()
+    assert told["force_magnitude_error_N"] == pytest.approx(expected)
+    assert told["frames"] == 30
+    assert picture.exists()
+
+
+def test_evaluate_writes_null_for_what_is_not_defined(
+    run: Run, field: Path, tmp_path: Path
+) -> None:
+    still = Trajectory(
+        np.arange(3.0),
+        np.tile([0.0, 0.14, 0.1], (3, 1)),
+        np.tile(np.eye(3), (3, 1, 1)),
+        np.zeros((3, 3)),
+        np.zeros((3, 3)),
+    )
+    still.save(tmp_path / "still.csv")
+    answer = run(
+        f"evaluate --field {field} --probe {PROBE} --json "
+        f"--trajectory {tmp_path / 'still.csv'}"
+    )
+    assert answer.status == 0, answer.err
+    assert json.loads(answer.out)["force_angle_error_deg"] is None
+
+
+def test_render_gives_what_evaluate_compares(
+    run: Run, files: Path, field: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "rendered.csv"
+    words = f"--field {field} --probe {PROBE} --points 300"
+    answer = run(
+        f"render {words} --trajectory {files / 'press.csv'} -o {output} --json"
+    )
+    assert answer.status == 0, answer.err
+    assert json.loads(answer.out)["frames"] == 30
+    again = run(f"evaluate {words} --trajectory {output} --json")
+    assert json.loads(again.out)["force_vector_rmse_N"] < 1e-12
+
+
+def test_render_outside_the_grid_gives_zero_and_says_so(
+    run: Run, field: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "poses.csv").write_text("t,px,py,pz,qw,qx,qy,qz\n0,5,5,5,1,0,0,0\n")
+    answer = run(
+        f"render --field {field} --probe {PROBE} --trajectory {tmp_path / 'poses.csv'} "
+        f"-o {tmp_path / 'out.csv'}"
+    )
+    assert answer.status == 0
+    assert answer.errors[0].startswith("warning: 1 of 1 poses lie outside")
+    force = read_trajectory(tmp_path / "out.csv").force
+    assert force is not None and not force.any()
+
+
+@pytest.mark.parametrize("command", ["solvers", "formulations"])
+def test_lists(run: Run, command: str) -> None:
+    text, told = run(command), run(f"{command} --json")
+    assert text.status == 0 and told.status == 0
+    names = {row["name"] for row in json.loads(told.out)[command]}
+    expected = {"solvers": {"structured", "closed_form"}, "formulations": {"eq10"}}
+    assert names >= expected[command]
+    assert all(name in text.out for name in names)
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["surface", "fit", "evaluate", "render", "demo", "solvers", "formulations"],
+)
+def test_help_shows_an_example(run: Run, command: str) -> None:
+    answer = run(f"{command} --help")
+    assert answer.status == 0
+    assert f"Example: ttus-opt {command}" in answer.out
+    assert "--json" in answer.out
+
+
+def test_module_runs_as_a_process(tmp_path: Path) -> None:
+    process = subprocess.run(
+        [sys.executable, "-c", "from ttus_opt.cli import main; main()", "surface"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert process.returncode == 2
+    assert process.stdout == ""
+    assert len(process.stderr.splitlines()) == 1
+    assert process.stderr.startswith("error: Missing argument")
+
+
+def test_rendering_path_loads_no_modelling_package() -> None:
+    code = (
+        "import sys, ttus_opt; ttus_opt.Renderer; ttus_opt.PotentialField; "
+        "print([m for m in ('cvxpy', 'qpsolvers', 'cv2', 'matplotlib') "
+        "if m in sys.modules])"
+    )
+    told = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert told.stdout.strip() == "[]"

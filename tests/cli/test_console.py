@@ -1,0 +1,82 @@
+"""One-line messages, JSON and the stage bar."""
+
+from __future__ import annotations
+
+import json
+import time
+import warnings
+
+import numpy as np
+import pytest
+
+from ttus_opt.cli import console
+from ttus_opt.errors import TtusWarning
+
+
+def test_json_holds_numbers_and_null(capsys: pytest.CaptureFixture[str]) -> None:
+    content = {
+        "nan": float("nan"),
+        "inf": np.float64("inf"),
+        "count": np.int64(3),
+        "rows": np.eye(2),
+        "nested": {"x": (1, None)},
+    }
+    console.print_json(content)
+    assert json.loads(capsys.readouterr().out) == {
+        "nan": None,
+        "inf": None,
+        "count": 3,
+        "rows": [[1.0, 0.0], [0.0, 1.0]],
+        "nested": {"x": [1, None]},
+    }
+
+
+@pytest.mark.parametrize(
+    ("message", "told"),
+    [
+        ("leave them out: pass drop_nan=True", "leave them out: pass --drop-nan"),
+        ('choose another or solver="auto"', "choose another or --solver auto"),
+        ("use surface='hull'", "use --probe-surface hull"),
+        ("the unit is m", "the unit is m"),
+    ],
+)
+def test_messages_are_told_as_options(message: str, told: str) -> None:
+    assert console.as_options(message) == told
+
+
+def test_a_warning_is_one_line_and_told_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with console.warnings_in_one_line():
+        for _ in range(2):
+            warnings.warn("two\n  lines", TtusWarning, stacklevel=1)
+    assert capsys.readouterr().err == "warning: two lines\n"
+
+
+def test_stages_are_shown_only_for_long_work(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with console.Stages(1) as begin:
+        begin("quick work")
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(console, "PATIENCE", 0.02)
+    with console.Stages(2) as begin:
+        begin("first part")
+        time.sleep(0.3)
+        begin("second part")
+    shown = capsys.readouterr().err
+    assert "first part" in shown
+    assert "2/2" in shown
+
+
+def test_a_failure_leaves_the_bar_where_it_was(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(console, "PATIENCE", 0.02)
+    with pytest.raises(ValueError, match="broken"), console.Stages(3) as begin:
+        begin("first part")
+        time.sleep(0.3)
+        raise ValueError("broken")
+    shown = capsys.readouterr().err
+    assert "0/3" in shown
+    assert "3/3" not in shown

@@ -1,0 +1,79 @@
+"""Scenes shared by many tests: a small bumpy torso, a probe and random presses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.point_shell import PointShell
+from ttus_opt.scene import Scene
+from ttus_opt.surface import Surface
+from ttus_opt.trajectory import Trajectory
+from ttus_opt.voxmap import Voxmap
+
+SHARED = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder of the real and independent data, or a skip."""
+    if not SHARED.is_dir():
+        pytest.skip(f"real data not here: {SHARED}")
+    return SHARED
+
+
+def torso(n_theta: int = 90, n_z: int = 31) -> Surface:
+    """An elliptical torso of 0.12 × 0.09 m half axes, waisted, 0.2 m long."""
+    theta = np.arange(n_theta)[:, None] * 2 * np.pi / n_theta
+    z = np.linspace(0.0, 0.2, n_z)
+    waist = 1.0 - 0.08 * np.sin(np.pi * z / 0.2)
+    radius = waist / np.sqrt((np.cos(theta) / 0.12) ** 2 + (np.sin(theta) / 0.09) ** 2)
+    return Surface.from_radius(radius, z)
+
+
+def presses(
+    surface: Surface, n_poses: int, rng: np.random.Generator, depth: float = 0.008
+) -> Trajectory:
+    """Random presses around the front of a surface, with made-up wrenches."""
+    angle = rng.uniform(0.3, 2.8, n_poses)
+    z = rng.uniform(0.06, 0.14, n_poses)
+    r = surface.radius_at(angle, z) + 0.012 - rng.uniform(0.0, depth, n_poses)
+    position = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    rotation = Rotation.from_rotvec(rng.normal(0.0, 0.4, (n_poses, 3))).as_matrix()
+    outward = position / np.linalg.norm(position, axis=1, keepdims=True)
+    force = outward * rng.uniform(0.5, 6.0, (n_poses, 1))
+    return Trajectory(
+        np.arange(n_poses) * 0.05,
+        position,
+        rotation,
+        force + rng.normal(0.0, 0.3, force.shape),
+        rng.normal(0.0, 0.02, force.shape),
+    )
+
+
+def small_scene(
+    sampling: str = "voxel-mean",
+    shape: tuple[int, int, int] = (9, 20, 10),
+    n_poses: int = 12,
+    seed: int = 0,
+) -> Scene:
+    """A scene of a couple of thousand voxels, for brute force."""
+    rng = np.random.default_rng(seed)
+    surface = torso()
+    return Scene.assemble(
+        Voxmap.from_surface(surface, shape=shape, r_inner=0.03),
+        PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=300),
+        presses(surface, n_poses, rng),
+        inner=2.0,
+        outer=1.5,
+        sampling=sampling,
+    )
+
+
+@pytest.fixture(scope="session", params=["voxel-mean", "trilinear"])
+def scene(request: pytest.FixtureRequest) -> Scene:
+    """A small scene in each sampling."""
+    return small_scene(request.param)

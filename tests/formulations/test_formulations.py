@@ -1,0 +1,96 @@
+"""The shelf of formulations: what every file there says and takes."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+from pathlib import Path
+
+import pytest
+
+import formulations
+from tests.conftest import small_scene
+from ttus_opt.problem.formulation import available, load
+
+SCENE = small_scene("trilinear", shape=(6, 10, 6), n_poses=6)
+NAMES = [info.name for info in available()]
+EXPECTED = {
+    "anisotropic": ("anisotropic", "force", "torque"),
+    "coulomb_drag": (
+        "laplace",
+        "drag_smoothness",
+        "force",
+        "torque",
+        "drag_sign",
+        "drag_limit",
+    ),
+    "coulomb_global": ("laplace", "force", "torque"),
+    "eq10": ("laplace", "force", "torque"),
+    "eq10_hard_boundary": ("laplace", "force", "torque", "boundary"),
+    "eq10_monotone": ("laplace", "force", "torque", "monotone"),
+    "eq10_sign": ("laplace", "force", "torque", "sign"),
+    "eq10_sign_monotone": ("laplace", "force", "torque", "sign", "monotone"),
+    "free_surface": ("laplace_free_surface", "force", "torque", "nonnegative"),
+    "laplace_only": ("laplace",),
+    "robust": ("laplace", "robust_force", "torque"),
+    "screened": ("screened", "force", "torque"),
+    "sparse_sources": ("sparse_sources", "force", "torque", "boundary"),
+    "tikhonov": ("laplace", "tikhonov", "force", "torque"),
+    "total_variation": ("total_variation", "force", "torque", "boundary"),
+    "viscous_drag": ("laplace", "force", "torque", "viscous_sign"),
+    "volume_weighted": ("volume_weighted", "force", "torque", "boundary"),
+}
+
+
+def members(name: str, **options: float) -> tuple[str, ...]:
+    declared = load(name, SCENE, **options)
+    return (
+        *(term.name for term in declared.terms),
+        *(constraint.name for constraint in declared.constraints),
+    )
+
+
+def test_the_shelf_has_these_at_least() -> None:
+    assert set(EXPECTED) <= set(NAMES)
+
+
+@pytest.mark.parametrize("name", sorted(EXPECTED))
+def test_a_formulation_is_made_of(name: str) -> None:
+    assert members(name) == EXPECTED[name]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_file_states_the_mathematics_and_its_source(name: str) -> None:
+    module = importlib.import_module(f"formulations.{name}")
+    doc = inspect.getdoc(module)
+    assert doc is not None
+    assert "min_" in doc
+    assert "Source" in doc or name == "laplace_only"
+    assert inspect.getdoc(module.build)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_file_is_short_and_knows_no_solver(name: str) -> None:
+    path = Path(formulations.__path__[0]) / f"{name}.py"
+    text = path.read_text()
+    assert len(text.splitlines()) < 70
+    imported = [
+        node.module or ""
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.ImportFrom)
+    ]
+    assert not [m for m in imported if "solvers" in m or "fitting" in m]
+
+
+@pytest.mark.parametrize("name", sorted(set(NAMES) - {"laplace_only"}))
+def test_weights_reach_the_measured_rows(name: str) -> None:
+    declared = load(
+        name, SCENE, force_weight=0.25, torque_weight=0.125, torque_length=0.02
+    )
+    weights = {term.name: term.weight for term in declared.terms}
+    force = "robust_force" if name == "robust" else "force"
+    assert (weights[force], weights["torque"]) == (0.25, 0.125)
+    torque = next(term for term in declared.terms if term.name == "torque")
+    assert torque.length == 0.02  # type: ignore[attr-defined]
+    assert "0.25" in repr(declared)

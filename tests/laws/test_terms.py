@@ -1,0 +1,192 @@
+"""Laws of every term on the shelf: a new file there is tested by existing."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import ttus_opt.terms
+from tests.conftest import small_scene
+from ttus_opt.errors import InputError
+from ttus_opt.problem.members import QUADRATIC
+from ttus_opt.problem.program import Program
+from ttus_opt.terms.base import Penalty, Term
+from ttus_opt.terms.drag import CoulombField, GlobalCoulomb, Viscous
+
+SCENE = small_scene("trilinear", n_poses=8)
+
+#: What a term needs beyond a scene and a weight, and variants worth testing
+OPTIONS: dict[str, list[dict[str, object]]] = {
+    "DragForceTerm": [
+        {"drag": GlobalCoulomb(SCENE, coefficient=0.3)},
+        {"drag": CoulombField(SCENE)},
+        {"drag": Viscous(SCENE, sectors=3, bands=2)},
+    ],
+    "DragTorqueTerm": [{"drag": CoulombField(SCENE)}],
+    "TotalVariationTerm": [{}, {"isotropic": True}],
+    "AnisotropicTerm": [{}, {"conductivities": (1.0, 0.3, 2.0)}],
+    "TikhonovTerm": [{}, {"reference": "zero"}],
+}
+
+
+def members() -> list[type[Term]]:
+    found = []
+    for info in pkgutil.iter_modules(ttus_opt.terms.__path__):
+        module = importlib.import_module(f"ttus_opt.terms.{info.name}")
+        for member in vars(module).values():
+            own = inspect.isclass(member) and member.__module__ == module.__name__
+            if own and issubclass(member, Term) and member is not Term:
+                found.append(member)
+    return found
+
+
+CASES = [
+    pytest.param(kind, options, id=f"{kind.__name__}-{i}")
+    for kind in members()
+    for i, options in enumerate(OPTIONS.get(kind.__name__, [{}]))
+]
+each_term = pytest.mark.parametrize(("kind", "options"), CASES)
+
+
+def made(kind: type[Term], options: dict[str, object], weight: float = 0.7) -> Term:
+    return kind(SCENE, weight, **options)  # type: ignore[arg-type]
+
+
+def program_of(term: Term) -> Program:
+    return Program.build(SCENE, [term], [])
+
+
+def test_the_shelf_is_found() -> None:
+    names = {kind.__name__ for kind in members()}
+    assert {"LaplaceTerm", "ForceTerm", "TorqueTerm", "RobustForceTerm"} <= names
+    assert len(names) >= 14
+
+
+@each_term
+def test_rows_are_well_formed(kind: type[Term], options: dict[str, object]) -> None:
+    term = made(kind, options)
+    rows = term.rows()
+    assert "p" in rows.blocks or kind.__name__ == "DragSmoothnessTerm"
+    for name, matrix in rows.blocks.items():
+        assert isinstance(matrix, sp.csr_array)
+        assert matrix.shape[0] == len(rows.target)
+        assert np.isfinite(matrix.data).all()
+        if name != "c":
+            assert matrix.shape[1] == SCENE.n_voxels
+    assert np.isfinite(rows.target).all()
+    assert len(rows.target) % term.group_size == 0
+    assert term.name
+    assert term.formula
+    assert inspect.getdoc(inspect.getmodule(kind))
+
+
+@each_term
+def test_gradient_is_the_finite_difference(
+    kind: type[Term], options: dict[str, object]
+) -> None:
+    """At a random point every penalty is smooth along a random direction."""
+    rng = np.random.default_rng(1)
+    program = program_of(made(kind, options))
+    (term,) = program.terms
+    x, d = rng.normal(size=(2, program.n_variables))
+    slope = term.weight * float(
+        term.subgradient(term.residual(x)) @ np.asarray(term.matrix @ d)
+    )
+    h = 1e-6
+    difference = (term.cost(x + h * d) - term.cost(x - h * d)) / (2 * h)
+    size = abs(slope) + term.cost(x) * 1e-6
+    assert difference == pytest.approx(slope, rel=1e-4, abs=1e-3 * size)
+
+
+@each_term
+def test_map_and_adjoint(kind: type[Term], options: dict[str, object]) -> None:
+    rng = np.random.default_rng(2)
+    (term,) = program_of(made(kind, options)).terms
+    x, y = rng.normal(size=term.matrix.shape[1]), rng.normal(size=term.matrix.shape[0])
+    there, back = float((term.matrix @ x) @ y), float(x @ (term.matrix.T @ y))
+    assert there == pytest.approx(back, rel=1e-9, abs=1e-9)
+
+
+@each_term
+def test_cost_is_convex_and_not_negative(
+    kind: type[Term], options: dict[str, object]
+) -> None:
+    rng = np.random.default_rng(3)
+    program = program_of(made(kind, options))
+    for _ in range(5):
+        x, y = rng.normal(size=(2, program.n_variables))
+        share = rng.uniform()
+        between = program.objective(share * x + (1 - share) * y)
+        chord = share * program.objective(x) + (1 - share) * program.objective(y)
+        assert 0.0 <= between <= chord * (1 + 1e-12)
+
+
+@each_term
+def test_conjugate_meets_the_penalty_at_its_subgradient(
+    kind: type[Term], options: dict[str, object]
+) -> None:
+    """φ(r) + φ*(g) ≥ gᵀr for admissible g, equal when g belongs to r (Fenchel)."""
+    rng = np.random.default_rng(4)
+    (term,) = program_of(made(kind, options)).terms
+    m = len(term.target)
+    r = rng.normal(size=m)
+    own = term.subgradient(r)
+    np.testing.assert_allclose(term.admissible(own), own, rtol=1e-12)
+    assert term.value(r) + term.conjugate(own) == pytest.approx(float(own @ r))
+    other = term.admissible(rng.normal(size=m) * 3)
+    assert term.value(r) + term.conjugate(other) >= float(other @ r) * (1 - 1e-12)
+
+
+@each_term
+def test_quadratic_form_is_positive_semidefinite(
+    kind: type[Term], options: dict[str, object]
+) -> None:
+    program = program_of(made(kind, options))
+    if program.terms[0].penalty not in QUADRATIC:
+        pytest.skip("no quadratic form of its own")
+    Q, d = program.normal_equations()
+    assert abs(Q - Q.T).max() <= 1e-12 * max(abs(Q).max(), 1e-300)
+    rng = np.random.default_rng(5)
+    for _ in range(5):
+        x = rng.normal(size=program.n_variables)
+        assert float(x @ (Q @ x)) >= 0.0
+        constant = program.objective(np.zeros_like(x))
+        value = float(x @ (Q @ x) - 2 * d @ x) + constant
+        assert value == pytest.approx(program.objective(x), rel=1e-9)
+
+
+@each_term
+def test_a_weight_scales_the_cost_and_assembles_nothing(
+    kind: type[Term], options: dict[str, object]
+) -> None:
+    term = made(kind, options)
+    rows = term.assembled
+    heavier = term.with_weight(7.0)
+    assert heavier.assembled is rows
+    assert (term.weight, heavier.weight) == (0.7, 7.0)
+    x = np.ones(program_of(term).n_variables)
+    light, heavy = program_of(term).objective(x), program_of(heavier).objective(x)
+    assert heavy == pytest.approx(10.0 * light)
+
+
+@each_term
+@pytest.mark.parametrize("weight", [-1e-3, float("nan"), float("inf")])
+def test_a_weight_that_is_none_is_refused(
+    kind: type[Term], options: dict[str, object], weight: float
+) -> None:
+    with pytest.raises(InputError, match="weight must be finite and not negative"):
+        made(kind, options, weight)
+    with pytest.raises(InputError, match="weight must be finite"):
+        made(kind, options).with_weight(weight)
+
+
+def test_every_penalty_is_met() -> None:
+    """The laws above have seen every way of charging a residual but the plain sum."""
+    kinds = [case.values for case in CASES]
+    met = {made(kind, options).penalty for kind, options in kinds}  # type: ignore[arg-type]
+    assert met == set(Penalty) - {Penalty.LINEAR}

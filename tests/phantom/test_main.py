@@ -1,0 +1,29 @@
+import numpy as np
+from typer import Typer
+from typer.testing import CliRunner
+
+from ttus_opt.phantom.__main__ import main
+
+
+def run(*arguments):
+    app = Typer()
+    app.command()(main)
+    return CliRunner().invoke(app, list(arguments))
+
+
+def test_writes_the_example_from_a_stored_compliance(coarse_patch, tmp_path):
+    stored, folder = tmp_path / "skin.npz", tmp_path / "made"
+    coarse_patch.save(stored)
+    result = run("--folder", str(folder), "--compliance", str(stored))
+    assert result.exit_code == 0, result.output
+    table = np.loadtxt(folder / "press_fit.csv", delimiter=",", skiprows=1)
+    assert table.shape == (400, 14)
+
+
+def test_a_bad_compliance_is_one_line_and_status_two(tmp_path):
+    stored = tmp_path / "skin.npz"
+    stored.write_bytes(b"no")
+    result = run("--folder", str(tmp_path / "made"), "--compliance", str(stored))
+    assert result.exit_code == 2
+    assert result.stderr.startswith("error: ") and result.stderr.count("\n") == 1
+    assert not (tmp_path / "made").exists()

@@ -1,0 +1,141 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.phantom import Drag, EllipsoidProbe, Motion, press
+from ttus_opt.phantom.example_data import PROBE, poses
+
+
+@pytest.fixture(scope="module")
+def pose():
+    """A tilted push of several newtons."""
+    path = poses("press_fit")
+    reach = path.position @ np.array([0.0, 1.0, 0.0])
+    m = int(np.argmin(reach))
+    return path.rotation[m], path.position[m]
+
+
+def test_energy_gradient_is_the_wrench(coarse_patch, pose):
+    rotation, position = pose
+    contact = press(coarse_patch, PROBE, rotation, position)
+    assert np.linalg.norm(contact.force) > 2.0
+    h = 1e-7
+
+    def energy(turn, shift):
+        turned = Rotation.from_rotvec(turn).as_matrix() @ rotation
+        return press(coarse_patch, PROBE, turned, position + shift).energy
+
+    none = np.zeros(3)
+    for axis in range(3):
+        step = np.eye(3)[axis] * h
+        force = (energy(none, -step) - energy(none, step)) / (2 * h)
+        torque = (energy(-100 * step, none) - energy(100 * step, none)) / (200 * h)
+        assert force == pytest.approx(contact.force[axis], abs=1e-4)
+        assert torque == pytest.approx(contact.torque[axis], abs=1e-6)
+
+
+def test_nothing_is_pulled_and_nothing_interpenetrates(coarse_patch, pose):
+    contact = press(coarse_patch, PROBE, *pose)
+    assert (contact.normal_forces > 0.0).all()
+    nodal = np.zeros(len(coarse_patch.points))
+    inward = -coarse_patch.normals[contact.nodes]
+    cosine = np.einsum("ij,ij->i", contact.probe_normals, inward)
+    nodal[contact.nodes] = contact.normal_forces * cosine
+    moved = coarse_patch.points - (
+        (coarse_patch.compliance @ nodal)[:, None] * coarse_patch.normals
+    )
+    rotation, position = pose
+    level = np.linalg.norm((moved - position) @ rotation / PROBE.semi_axes, axis=1)
+    assert level.min() > 1.0 - 1e-9
+    assert level[contact.nodes] == pytest.approx(1.0, abs=1e-9)
+
+
+def test_no_force_out_of_contact_and_a_small_one_just_in_it(coarse_patch):
+    up = np.array([0.0, 1.0, 0.0])
+    top = coarse_patch.points[np.argmin(np.abs(coarse_patch.points[:, 0]))]
+    sphere = EllipsoidProbe((0.02, 0.02, 0.02))
+    base = np.array([0.0, top[1], 0.15])
+    clear = press(coarse_patch, sphere, np.eye(3), base + 0.03 * up)
+    assert not clear.force.any() and not clear.torque.any() and clear.energy == 0.0
+    forces = [
+        press(coarse_patch, sphere, np.eye(3), base + (0.02 - d) * up).force[1]
+        for d in (0.004, 0.008, 0.012)
+    ]
+    assert forces[0] > 0.0
+    assert (np.diff(forces) > 0.0).all()
+    assert (np.diff(forces, 2) > 0.0).all()  # a growing contact stiffens
+
+
+def test_a_guess_changes_nothing(coarse_patch, pose):
+    cold = press(coarse_patch, PROBE, *pose)
+    warm = press(coarse_patch, PROBE, *pose, guess=cold.nodes[::2])
+    assert warm.force == pytest.approx(cold.force, rel=1e-10)
+    assert np.array_equal(warm.nodes, cold.nodes)
+
+
+def test_drag_is_mu_times_normal_force_against_the_motion(coarse_patch, pose):
+    rotation, position = pose
+    smooth = press(coarse_patch, PROBE, rotation, position)
+    motion = Motion(np.array([0.004, 0.0, 0.01]), np.array([0.1, 0.2, -0.1]))
+    rough = press(
+        coarse_patch, PROBE, rotation, position, motion=motion, drag=Drag(0.25)
+    )
+    assert np.array_equal(rough.normal_forces, smooth.normal_forces)
+    lever = rough.points - position
+    slide = motion.velocity + np.cross(motion.angular_velocity, lever)
+    normal = rough.probe_normals
+    slide -= np.einsum("ij,ij->i", slide, normal)[:, None] * normal
+    unit = slide / np.linalg.norm(slide, axis=1, keepdims=True)
+    drag = -0.25 * rough.normal_forces[:, None] * unit
+    assert rough.force - smooth.force == pytest.approx(drag.sum(axis=0), abs=1e-12)
+    assert rough.torque - smooth.torque == pytest.approx(
+        np.cross(lever, drag).sum(axis=0), abs=1e-12
+    )
+    assert (rough.force - smooth.force) @ motion.velocity < 0.0
+
+
+def test_drag_ratio_on_a_level_push_is_mu(coarse_patch):
+    # A sphere moved along the ridge of a nearly flat patch: forces almost parallel.
+    top = coarse_patch.points[np.argmin(np.abs(coarse_patch.points[:, 0]))]
+    sphere = EllipsoidProbe((0.06, 0.06, 0.06))
+    position = np.array([0.0, top[1] + 0.058, 0.10])
+    motion = Motion(np.array([0.0, 0.0, 0.02]), np.zeros(3))
+    smooth = press(coarse_patch, sphere, np.eye(3), position)
+    rough = press(
+        coarse_patch, sphere, np.eye(3), position, motion=motion, drag=Drag(0.3)
+    )
+    ratio = (smooth.force - rough.force)[2] / np.linalg.norm(smooth.force)
+    assert ratio == pytest.approx(0.3, rel=0.02)
+
+
+def test_no_drag_at_rest_nor_within_the_deadband(coarse_patch, pose):
+    smooth = press(coarse_patch, PROBE, *pose)
+    drag = Drag(0.25, deadband=1e-3)
+    slow = Motion(np.array([0.0, 0.0, 0.9e-3]), np.zeros(3))
+    for motion in (None, Motion.rest(), slow):
+        rough = press(coarse_patch, PROBE, *pose, motion=motion, drag=drag)
+        assert np.array_equal(rough.force, smooth.force)
+    fast = Motion(np.array([0.0, 0.0, 1e-2]), np.zeros(3))
+    rough = press(coarse_patch, PROBE, *pose, motion=fast, drag=drag)
+    assert rough.force[2] < smooth.force[2] - 0.1
+
+
+def test_refuses_poses_the_patch_says_nothing_about(coarse_patch, pose):
+    rotation, position = pose
+    with pytest.raises(GeometryError, match="not above the skin patch"):
+        press(coarse_patch, PROBE, rotation, position + np.array([0.0, 0.0, 0.2]))
+    with pytest.raises(GeometryError, match="below the undeformed skin"):
+        press(coarse_patch, PROBE, rotation, position - np.array([0.0, 0.04, 0.0]))
+    along = Rotation.from_euler("y", 90, degrees=True).as_matrix() @ rotation
+    with pytest.raises(GeometryError, match="border"):
+        press(coarse_patch, PROBE, along, position + np.array([0.0, 0.0, 0.085]))
+
+
+def test_refuses_negative_drag():
+    with pytest.raises(InputError, match="must not be negative"):
+        Drag(-0.1)
+    with pytest.raises(InputError, match="must not be negative"):
+        dataclasses.replace(Drag(0.1), deadband=-1.0)

@@ -1,0 +1,156 @@
+"""Residuals on problems solved by hand, with the signs of their multipliers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from ttus_opt.problem.kkt import KKT, Duals, bound_duals, kkt_residuals
+from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.terms.base import Penalty
+
+LAPLACE = small_scene(shape=(5, 6, 4), n_poses=2).laplace
+
+
+def program(
+    n: int,
+    terms: list[ProgramTerm],
+    constraints: tuple[ProgramConstraint, ...] = (),
+    bounds: tuple[ProgramBounds, ...] = (),
+) -> Program:
+    return Program({"p": slice(0, n)}, tuple(terms), constraints, bounds, LAPLACE)
+
+
+def squares(target: list[float], weight: float = 1.0) -> ProgramTerm:
+    eye = sp.csr_array(sp.eye_array(len(target)))
+    return ProgramTerm("squares", weight, eye, np.array(target))
+
+
+def rows(name: str, A: list[list[float]], low: float, high: float) -> ProgramConstraint:
+    m = len(A)
+    return ProgramConstraint(
+        name, sp.csr_array(np.array(A)), np.full(m, low), np.full(m, high)
+    )
+
+
+def assert_optimal(kkt: KKT, tolerance: float = 1e-12) -> None:
+    assert kkt.worst_relative <= tolerance
+    assert max(kkt.primal, kkt.dual, kkt.gap) <= 10 * tolerance
+
+
+def test_upper_row_has_a_positive_multiplier() -> None:
+    """min (x-2)² + (y-2)², x + y ≤ 2: x = y = 1, y = 2."""
+    problem = program(2, [squares([2, 2])], (rows("sum", [[1, 1]], -np.inf, 2.0),))
+    x = np.array([1.0, 1.0])
+    assert_optimal(kkt_residuals(problem, x, Duals({"sum": np.array([2.0])})))
+    wrong_sign = kkt_residuals(problem, x, Duals({"sum": np.array([-2.0])}))
+    assert wrong_sign.dual_relative > 0.5
+
+
+def test_lower_row_has_a_negative_multiplier() -> None:
+    """min x² + y², x + y ≥ 2: x = y = 1, y = -2."""
+    problem = program(2, [squares([0, 0])], (rows("sum", [[1, 1]], 2.0, np.inf),))
+    x = np.array([1.0, 1.0])
+    assert_optimal(kkt_residuals(problem, x, Duals({"sum": np.array([-2.0])})))
+
+
+def test_equality_row_has_a_multiplier_of_either_sign() -> None:
+    """min x² + y², x - y = ±2: x = -y = ±1, y = ∓2."""
+    for value in (2.0, -2.0):
+        problem = program(2, [squares([0, 0])], (rows("tie", [[1, -1]], value, value),))
+        x = np.array([value / 2, -value / 2])
+        assert_optimal(kkt_residuals(problem, x, Duals({"tie": np.array([-value])})))
+
+
+def test_bounds_have_multipliers_of_their_own() -> None:
+    """min (x-2)² + (y+2)² + z², x ≤ 1, y ≥ -1, z free: duals 2, -2, 0."""
+    box = ProgramBounds("box", np.array([-9, -1.0, -9]), np.array([1.0, 9, 9]))
+    problem = program(3, [squares([2, -2, 0])], (), (box,))
+    x, z = np.array([1.0, -1.0, 0.0]), np.array([2.0, -2.0, 0.0])
+    assert_optimal(kkt_residuals(problem, x, Duals({}, z)))
+    assert kkt_residuals(problem, x, Duals()).dual == pytest.approx(np.sqrt(8))
+
+
+def test_a_point_outside_is_measured_by_its_violation() -> None:
+    problem = program(2, [squares([2, 2])], (rows("sum", [[1, 1]], -np.inf, 2.0),))
+    kkt = kkt_residuals(problem, np.array([2.0, 2.0]), Duals())
+    assert kkt.primal == 2.0
+    assert kkt.primal_relative == pytest.approx(0.5)
+    assert kkt.dual == 0.0
+
+
+def test_a_multiplier_of_an_absent_limit_is_an_error() -> None:
+    problem = program(1, [squares([0])], (rows("high", [[1.0]], -np.inf, 5.0),))
+    kkt = kkt_residuals(problem, np.zeros(1), Duals({"high": np.array([-1.0])}))
+    assert kkt.worst_relative >= 1.0
+
+
+def test_what_is_not_finite_is_infinitely_wrong() -> None:
+    problem = program(2, [squares([0, 0])])
+    kkt = kkt_residuals(problem, np.array([np.nan, 0.0]), Duals())
+    assert kkt.worst_relative == np.inf
+    assert set(kkt.as_dict()) >= {"primal", "dual", "gap", "gap_relative"}
+
+
+def test_absolute_penalty_has_a_multiplier_within_one() -> None:
+    """min ½·2|x| + (x - 0.3)²: x = 0 with g = 0.6; (x - 3)²: x = 2.5 with g = 1."""
+    eye = sp.csr_array(sp.eye_array(1))
+    for target, solution, g in ((0.3, 0.0, 0.6), (3.0, 2.5, 1.0)):
+        terms = [
+            squares([target]),
+            ProgramTerm("size", 1.0, eye, np.zeros(1), Penalty.ABSOLUTE),
+        ]
+        problem = program(1, terms)
+        x = np.array([solution])
+        duals = Duals(terms={"size": np.array([g])})
+        assert_optimal(kkt_residuals(problem, x, duals))
+        # a multiplier outside [-1, 1] is brought back, and then cannot pass
+        too_far = Duals(terms={"size": np.array([-5.0])})
+        assert kkt_residuals(problem, x, too_far).dual > 0.1
+    missing = kkt_residuals(
+        program(1, [squares([0.3]), terms[1]]), np.zeros(1), Duals()
+    )
+    assert missing.dual == pytest.approx(0.6)
+
+
+def test_huber_penalty_needs_no_multiplier() -> None:
+    """min huber(x - 4; 1) + x²: slope 2 beyond the limit, so x = 1."""
+    eye = sp.csr_array(sp.eye_array(1))
+    bent = ProgramTerm("bent", 1.0, eye, np.array([4.0]), Penalty.HUBER, 1.0)
+    problem = program(1, [squares([0]), bent])
+    assert problem.objective(np.ones(1)) == pytest.approx(1.0 + 2 * 3 - 1)
+    assert_optimal(kkt_residuals(problem, np.ones(1), Duals()))
+    assert kkt_residuals(problem, np.full(1, 1.1), Duals()).dual_relative > 0.01
+
+
+def test_group_norm_shrinks_a_group_by_its_length() -> None:
+    """min ‖x - (3, 4)‖² + 2‖x‖: shrinks the length 5 by 1; near zero to zero."""
+    eye = sp.csr_array(sp.eye_array(2))
+    length = ProgramTerm("length", 2.0, eye, np.zeros(2), Penalty.GROUPS, group_size=2)
+    x = 0.8 * np.array([3.0, 4.0])
+    problem = program(2, [squares([3, 4]), length])
+    assert_optimal(kkt_residuals(problem, x, Duals(terms={"length": x / 4.0})))
+    near = program(2, [squares([0.3, 0.4]), length])
+    duals = Duals(terms={"length": np.array([0.3, 0.4])})
+    assert_optimal(kkt_residuals(near, np.zeros(2), duals))
+
+
+def test_bound_duals_go_to_the_bound_that_holds() -> None:
+    first = ProgramBounds("first", np.array([0.0, -np.inf]), np.array([np.inf, 3.0]))
+    second = ProgramBounds("second", np.array([-1.0, -2.0]), np.array([5.0, 1.0]))
+    problem = program(2, [squares([0, 0])], (), (first, second))
+    split = bound_duals(problem, np.array([-4.0, 2.0]))
+    np.testing.assert_array_equal(split["first"], [-4.0, 0.0])
+    np.testing.assert_array_equal(split["second"], [0.0, 2.0])
+    np.testing.assert_array_equal(split["first"] + split["second"], [-4.0, 2.0])
+    assert not bound_duals(problem, None)["first"].any()
+
+
+def test_equal_bounds_share_no_multiplier() -> None:
+    both = [ProgramBounds(n, np.zeros(1), np.ones(1)) for n in ("one", "two")]
+    problem = program(1, [squares([9.0])], (), (both[0], both[1]))
+    split = bound_duals(problem, np.array([16.0]))
+    assert (split["one"].item(), split["two"].item()) == (16.0, 0.0)

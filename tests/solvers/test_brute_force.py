@@ -1,0 +1,143 @@
+"""Solvers against enumeration of all active sets and against dense linear algebra."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from tests.conftest import small_scene
+from tests.solvers.problems import bounds, program, rows, term
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import Request, Solver
+from ttus_opt.solvers.registry import solvers
+
+Array = NDArray[np.float64]
+
+INSTALLED = [solver for solver in solvers().values() if solver.installed]
+every_solver = pytest.mark.parametrize("solver", INSTALLED, ids=lambda s: s.name)
+
+
+#: Asked of every solver
+TOLERANCE = 1e-9
+
+
+def enumerated(M: Array, t: Array, A: Array, b: Array) -> Array:
+    """The minimiser of ‖M x - t‖² over A x ≤ b: the best of all active sets."""
+    n = M.shape[1]
+    Q, d = M.T @ M, M.T @ t
+    best, least = np.zeros(n), np.inf
+    for count in range(n + 1):
+        for active in itertools.combinations(range(len(b)), count):
+            picked = list(active)
+            zero = np.zeros((count, count))
+            system = np.block([[2.0 * Q, A[picked].T], [A[picked], zero]])
+            if np.linalg.matrix_rank(system) < n + count:
+                continue
+            x = np.linalg.solve(system, np.concatenate([2.0 * d, b[picked]]))[:n]
+            cost = float(np.sum((M @ x - t) ** 2))
+            if (A @ x <= b + 1e-10).all() and cost < least:
+                best, least = x, cost
+    return best
+
+
+def random_case(seed: int) -> tuple[Program, Array]:
+    """Five variables with a box, two rows, and the answer by enumeration."""
+    rng = np.random.default_rng(seed)
+    n = 5
+    M, t = rng.normal(size=(8, n)), rng.normal(size=8) * 3.0
+    lower, upper = -rng.uniform(0.1, 1.0, n), rng.uniform(0.1, 1.0, n)
+    R = rng.normal(size=(2, n))
+    limit = rng.uniform(0.05, 0.4, 2)
+    eye = np.eye(n)
+    answer = enumerated(
+        M, t, np.vstack([eye, -eye, R]), np.concatenate([upper, -lower, limit])
+    )
+    case = program(
+        [term(M, t)],
+        [rows("cap", R, [-np.inf, -np.inf], limit)],
+        [bounds("box", lower, upper)],
+    )
+    return case, answer
+
+
+@pytest.mark.parametrize("seed", range(4))
+@every_solver
+def test_enumeration_of_active_sets(solver: Solver, seed: int) -> None:
+    case, answer = random_case(seed)
+    if solver.refusal(case):
+        pytest.skip(solver.refusal(case))
+    candidate = solver.prepare(case, Request(TOLERANCE, 60.0)).solve()
+    assert candidate.x is not None
+    np.testing.assert_allclose(candidate.x, answer, atol=1e-5)
+
+
+@pytest.fixture(scope="module")
+def tiny() -> Formulation:
+    """Eq. 10 on a grid small enough for dense algebra, with forces that pull."""
+    scene = small_scene("trilinear", shape=(5, 10, 6), n_poses=6, seed=2)
+    trajectory = scene.trajectory
+    assert trajectory.force is not None
+    pulled = replace(trajectory, force=-4.0 * trajectory.force)
+    scene = replace(scene, trajectory=pulled)
+    return shelf.load("eq10", scene, force_weight=1.0, torque_weight=1.0)
+
+
+def stacked(problem: Program) -> tuple[Array, Array]:
+    """All weighted rows, dense."""
+    root = [np.sqrt(t.weight) for t in problem.terms]
+    M = [r * t.matrix.toarray() for r, t in zip(root, problem.terms, strict=True)]
+    target = [r * t.target for r, t in zip(root, problem.terms, strict=True)]
+    return np.vstack(M), np.concatenate(target)
+
+
+@every_solver
+def test_eq10_is_dense_least_squares(solver: Solver, tiny: Formulation) -> None:
+    problem = tiny.compile()
+    if solver.refusal(problem):
+        pytest.skip(solver.refusal(problem))
+    M, t = stacked(problem)
+    answer = np.linalg.lstsq(M, t, rcond=None)[0]
+    candidate = solver.prepare(problem, Request(TOLERANCE, 60.0)).solve()
+    assert candidate.x is not None
+    assert np.linalg.norm(candidate.x - answer) <= 1e-6 * np.linalg.norm(answer)
+
+
+@every_solver
+def test_sign_is_dense_bounded_least_squares(solver: Solver, tiny: Formulation) -> None:
+    problem = tiny.with_constraints(Sign(tiny.scene)).compile()
+    if solver.refusal(problem):
+        pytest.skip(solver.refusal(problem))
+    M, t = stacked(problem)
+    answer = lsq_linear(M, t, problem.box, method="bvls", tol=1e-14).x
+    held = np.isclose(answer, 0.0, atol=1e-12) & np.isfinite(problem.box).any(axis=0)
+    assert held.any(), "no bound holds: the test would show nothing"
+    candidate = solver.prepare(problem, Request(TOLERANCE, 60.0)).solve()
+    assert candidate.x is not None
+    assert np.linalg.norm(candidate.x - answer) <= 1e-4 * np.linalg.norm(answer)
+
+
+@every_solver
+def test_hard_boundary_is_dense_elimination(solver: Solver, tiny: Formulation) -> None:
+    problem = tiny.with_constraints(HardBoundary(tiny.scene)).compile()
+    if solver.refusal(problem):
+        pytest.skip(solver.refusal(problem))
+    M, t = stacked(problem)
+    fixed = ~tiny.scene.laplace.free
+    answer = np.where(fixed, tiny.scene.b, 0.0)
+    answer[~fixed] = np.linalg.lstsq(M[:, ~fixed], t - M @ answer, rcond=None)[0]
+    candidate = solver.prepare(problem, Request(TOLERANCE, 60.0)).solve()
+    assert candidate.x is not None
+    assert np.linalg.norm(candidate.x - answer) <= 1e-6 * np.linalg.norm(answer)
+    # the multiplier is minus the gradient of the objective on the fixed voxels
+    pull = 2.0 * M.T @ (M @ answer - t)
+    got = candidate.duals.rows["boundary"]
+    assert np.linalg.norm(got + pull[fixed]) <= 1e-5 * np.linalg.norm(pull)

@@ -1,0 +1,139 @@
+"""Finding, refusing and choosing solvers; what a backend says of itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from tests.solvers.problems import bounds, program, rows, term
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.errors import InputError, SolverUnavailableError
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers import registry
+from ttus_opt.solvers.base import Claim, Request, Solver
+from ttus_opt.solvers.qpsolvers_base import claim_from
+from ttus_opt.terms.base import Penalty
+
+ALL = list(registry.solvers().values())
+
+
+@pytest.mark.parametrize("solver", ALL, ids=lambda s: s.name)
+def test_says_who_it_is(solver: Solver) -> None:
+    assert solver.summary
+    assert bool(solver.module) == bool(solver.pip_name)
+
+
+def test_every_preference_exists_and_has_a_reason() -> None:
+    for name, reason in registry.PREFERENCE:
+        assert name in registry.solvers()
+        assert len(reason) > 20
+
+
+def bounded(n: int) -> Program:
+    """A box over n variables."""
+    zero, one = np.zeros(n), np.ones(n)
+    fit = ProgramTerm("fit", 1.0, sp.eye_array(n, format="csr"), one)
+    return program([fit], (), [bounds("box", zero, one)])
+
+
+def test_auto_takes_interior_point_when_small_and_splitting_when_large() -> None:
+    assert registry.choose("auto", bounded(10)).name == "clarabel"
+    large = registry.choose("auto", bounded(registry.LARGEST["clarabel"] + 1)).name
+    assert large == ("scs" if registry.solvers()["scs"].installed else "clarabel")
+
+
+def test_auto_takes_the_structured_solver_on_eq10() -> None:
+    scene = small_scene("trilinear", shape=(5, 10, 6), n_poses=6)
+    assert registry.choose("auto", shelf.load("eq10", scene).compile()).name == (
+        "structured"
+    )
+
+
+def test_auto_takes_cones_for_group_norms() -> None:
+    bent = program([term(np.eye(2), [1, 1], 1.0, Penalty.GROUPS, group_size=2)])
+    assert registry.choose("auto", bent).name == "cvxpy_clarabel"
+
+
+def test_unknown_name_gets_the_nearest() -> None:
+    plain = program([term(np.eye(1), [1])])
+    with pytest.raises(InputError, match="did you mean clarabel"):
+        registry.choose("clarabell", plain)
+
+
+def test_solver_that_is_not_installed_gives_its_pip_name() -> None:
+    missing = [solver for solver in ALL if not solver.installed]
+    if not missing:
+        pytest.skip("every solver is installed")
+    plain = program([term(np.eye(1), [1])])
+    for solver in missing:
+        with pytest.raises(SolverUnavailableError, match="pip install"):
+            registry.choose(solver.name, plain)
+
+
+@pytest.mark.parametrize(
+    ("what", "refusing"),
+    [
+        (
+            program([term(np.eye(1), [1])], (), [bounds("box", [0], [1])]),
+            ["closed_form", "structured"],
+        ),
+        (
+            program([term(np.eye(1), [1])], [rows("equal", [[1]], [1], [1])]),
+            ["closed_form", "highs"],
+        ),
+        (program([term(np.eye(1), [1])]), ["structured", "highs"]),
+        (
+            program([term(np.eye(1), [1], 1.0, Penalty.GROUPS)]),
+            ["clarabel", "osqp", "closed_form"],
+        ),
+    ],
+    ids=["bounds", "equality", "no laplace", "group norm"],
+)
+def test_refusals(what: object, refusing: list[str]) -> None:
+    for name in refusing:
+        solver = registry.solvers()[name]
+        assert solver.refusal(what)  # type: ignore[arg-type]
+        if solver.installed:
+            with pytest.raises(InputError, match=f"solver {name} cannot take"):
+                registry.choose(name, what)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "solver",
+    [s for s in ALL if s.installed and s.capabilities.time_limit],
+    ids=lambda s: s.name,
+)
+def test_time_limit_strikes(solver: Solver) -> None:
+    scene = small_scene("trilinear", shape=(9, 20, 10))
+    declared = shelf.load("eq10", scene, force_weight=1.0, torque_weight=1.0)
+    problem = declared.compile()
+    if not solver.refusal(declared.with_constraints(Sign(scene)).compile()):
+        problem = declared.with_constraints(Sign(scene)).compile()
+    candidate = solver.prepare(problem, Request(1e-12, 1e-4)).solve()
+    assert candidate.claim is Claim.TIME_LIMIT
+
+
+@pytest.mark.parametrize(
+    ("words", "found", "claim"),
+    [
+        ("Solved", True, Claim.DONE),
+        ("PrimalInfeasible", False, Claim.INFEASIBLE),
+        ("DualInfeasible", False, Claim.UNBOUNDED),
+        ("MaxTime", False, Claim.TIME_LIMIT),
+        ("Status.PIQP_NUMERICS", False, Claim.GAVE_UP),
+        ("", False, Claim.GAVE_UP),
+    ],
+)
+def test_claims_from_words(words: str, found: bool, claim: Claim) -> None:
+    assert claim_from(words, found) is claim
+
+
+def test_request_refuses_what_cannot_be_asked() -> None:
+    with pytest.raises(InputError, match="tolerance"):
+        Request(0.0)
+    with pytest.raises(InputError, match="time_limit"):
+        Request(1e-6, -1.0)

@@ -1,0 +1,92 @@
+"""Re-solving: ``update`` gives what a fresh ``prepare`` gives and keeps its factor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import small_scene
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers import closed_form
+from ttus_opt.solvers.base import Request, Solver
+from ttus_opt.solvers.registry import solvers
+
+INSTALLED = [solver for solver in solvers().values() if solver.installed]
+SHAPE = (6, 14, 7)
+
+
+def compiled(signed: bool, factor: float = 1.0, weight: float = 1.0) -> Program:
+    """Eq. 10 with all measured forces scaled and another weight."""
+    scene = small_scene("trilinear", shape=SHAPE, n_poses=8, seed=3)
+    trajectory = scene.trajectory
+    assert trajectory.force is not None
+    other = replace(trajectory, force=trajectory.force * factor)
+    scene = replace(scene, trajectory=other)
+    declared = shelf.load("eq10", scene, force_weight=weight, torque_weight=1.0)
+    if signed:
+        declared = declared.with_constraints(Sign(scene))
+    return declared.compile()
+
+
+@pytest.mark.parametrize("signed", [False, True], ids=["free", "signed"])
+@pytest.mark.parametrize("solver", INSTALLED, ids=lambda s: s.name)
+def test_update_equals_fresh(solver: Solver, signed: bool) -> None:
+    first = compiled(signed)
+    if solver.refusal(first):
+        pytest.skip(solver.refusal(first))
+    if solver.name == "highs":
+        pytest.skip("nothing is kept, and each solve takes seconds")
+    tolerance = 1e-8
+    prepared = solver.prepare(first, Request(tolerance, 60.0))
+    prepared.solve()
+    for changed in (
+        compiled(signed, factor=1.1),  # new measured values
+        compiled(signed, factor=1.1, weight=3.0),  # a new weight
+        compiled(signed),  # and back
+    ):
+        prepared.update(changed)
+        again = prepared.solve()
+        fresh = solver.prepare(changed, Request(tolerance, 60.0)).solve()
+        assert again.x is not None
+        assert fresh.x is not None
+        residuals = kkt_residuals(changed, again.x, again.duals)
+        assert residuals.worst_relative <= tolerance
+        apart = np.linalg.norm(again.x - fresh.x) / np.linalg.norm(fresh.x)
+        assert apart <= 1e-4
+
+
+@pytest.mark.parametrize("name", ["osqp", "scs"])
+def test_splitting_starts_from_its_last_answer(name: str) -> None:
+    solver = solvers()[name]
+    if not solver.installed:
+        pytest.skip(f"{name} is not installed")
+    prepared = solver.prepare(compiled(True, factor=-2.0), Request(1e-7))
+    cold = prepared.solve().iterations
+    prepared.update(compiled(True, factor=-2.0001))
+    assert prepared.solve().iterations < cold
+
+
+def test_closed_form_factorises_once_per_matrix(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = []
+    original = closed_form.ClosedForm.factorise
+
+    def counting(self: closed_form.ClosedForm, Q: object) -> object:
+        made.append(Q)
+        return original(self, Q)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(closed_form.ClosedForm, "factorise", counting)
+    prepared = solvers()["closed_form"].prepare(compiled(False), Request())
+    prepared.solve()
+    prepared.update(compiled(False, factor=1.5))
+    prepared.solve()
+    assert len(made) == 1
+    prepared.update(compiled(False, weight=2.0))
+    prepared.solve()
+    assert len(made) == 2

@@ -1,0 +1,193 @@
+"""The structured solver against a direct factorisation and the closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
+
+import ttus_opt as tt
+from tests.conftest import presses, small_scene, torso
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.laplace import LaplaceSystem
+from ttus_opt.point_shell import PointShell
+from ttus_opt.problem import formulation
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.scene import Scene
+from ttus_opt.solvers import registry
+from ttus_opt.solvers.base import Candidate, Request
+from ttus_opt.surface import Surface
+from ttus_opt.voxmap import Voxmap
+
+STRUCTURED = registry.solvers()["structured"]
+TIGHT = Request(tolerance=1e-8)
+
+
+def program(scene: Scene, weight: float, hard: bool = False) -> Program:
+    declared = formulation.load(
+        "eq10", scene, force_weight=weight, torque_weight=0.5 * weight
+    )
+    if hard:
+        declared = declared.with_constraints(HardBoundary(scene))
+    return declared.compile()
+
+
+def direct_answer(scene: Scene, weight: float, hard: bool) -> np.ndarray:
+    """The minimiser from the augmented system, no code shared with the solver."""
+    scale = 1.0 / scene.torque_length
+    root_force, root_torque = np.sqrt(weight), np.sqrt(0.5 * weight) * scale
+    M = sp.vstack([scene.L, root_force * scene.N, root_torque * scene.W])
+    t = np.concatenate([scene.b, root_force * scene.f, root_torque * scene.tau])
+    M = sp.csc_array(M)
+    free = scene.laplace.free if hard else np.ones(scene.n_voxels, dtype=bool)
+    p = np.where(free, 0.0, scene.b)
+    M, t = M[:, free], t - M @ p
+    augmented = sp.block_array([[sp.eye_array(len(t)), M], [M.T, None]])
+    side = np.concatenate([t, np.zeros(M.shape[1])])
+    p[free] = spsolve(sp.csc_array(augmented), side)[len(t) :]
+    return p
+
+
+def relative(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.linalg.norm(a - b) / np.linalg.norm(b))
+
+
+def solved(loaded: Program) -> Candidate:
+    return STRUCTURED.prepare(loaded, TIGHT).solve()
+
+
+@pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
+@pytest.mark.parametrize("weight", [1e-6, 1e-2, 1e2])
+def test_equals_direct_least_squares(scene: Scene, weight: float, hard: bool) -> None:
+    x = solved(program(scene, weight, hard)).x
+    assert relative(x, direct_answer(scene, weight, hard)) < 1e-8
+
+
+def test_hard_boundary_is_kept_and_its_dual_closes_the_kkt(scene: Scene) -> None:
+    loaded = program(scene, 1e-2, hard=True)
+    candidate = solved(loaded)
+    fixed = ~scene.laplace.free
+    np.testing.assert_array_equal(candidate.x[fixed], scene.b[fixed])
+    assert kkt_residuals(loaded, candidate.x, candidate.duals).worst_relative < 1e-8
+
+
+def test_weight_zero_is_laplace_only(scene: Scene) -> None:
+    x = solved(program(scene, 0.0)).x
+    np.testing.assert_allclose(x, scene.laplace.solve(scene.b), atol=1e-12)
+
+
+def test_a_new_solve_reuses_and_agrees_with_a_fresh_one() -> None:
+    """New values, boundary and weights need few or no new directions."""
+    scene = small_scene("trilinear", (16, 32, 20), n_poses=40)
+    prepared = STRUCTURED.prepare(program(scene, 1.0), TIGHT)
+    first = prepared.solve().iterations
+    rng = np.random.default_rng(5)
+    louder = replace(
+        scene.trajectory, force=scene.trajectory.force + rng.normal(size=(40, 3))
+    )
+    changes = {
+        "the same again": scene,
+        "boundary": scene.with_boundary(3.0, 1.0),
+        "measured values": replace(scene, trajectory=louder),
+    }
+    for what, other in changes.items():
+        for weight in (1.0, 0.3):
+            loaded = program(other, weight)
+            prepared.update(loaded)
+            again = prepared.solve()
+            fresh = solved(loaded)
+            assert relative(again.x, fresh.x) < 1e-8, what
+            assert again.iterations <= max(fresh.iterations, 2), what
+    prepared.update(program(scene, 1.0))
+    assert prepared.solve().iterations < first / 2
+
+
+def test_another_trajectory_is_taken(scene: Scene) -> None:
+    prepared = STRUCTURED.prepare(program(scene, 1e-2), TIGHT)
+    prepared.solve()
+    longer = Scene.assemble(
+        scene.voxmap,
+        scene.shell,
+        presses(scene.voxmap.surface, 20, np.random.default_rng(9)),
+        sampling=scene.sampling,
+    )
+    prepared.update(program(longer, 1e-2))
+    assert relative(prepared.solve().x, direct_answer(longer, 1e-2, False)) < 1e-8
+
+
+def test_directions_grow_slowly_with_the_weight() -> None:
+    """1e-6 to 1e2 are eight decades; plain CG would need hundreds of steps."""
+    scene = small_scene("trilinear", (16, 32, 20), n_poses=40)
+    steps = {w: solved(program(scene, w)).iterations for w in (1e-6, 1e-2, 1e2)}
+    rows = 6 * 40
+    assert steps[1e-6] <= steps[1e-2] <= steps[1e2] < rows / 2
+
+
+def rough_surface(seed: int) -> Surface:
+    """Spikes and dents from voxel to voxel: pockets, necks, slices one voxel thin."""
+    rng = np.random.default_rng(seed)
+    radius = rng.uniform(0.05, 0.1, (24, 12))
+    return Surface.from_radius(radius, np.linspace(0.0, 0.2, 12))
+
+
+@pytest.mark.parametrize(
+    ("surface", "shape", "r_outer"),
+    [
+        (torso(), (9, 20, 10), float(torso().radius.max())),
+        (rough_surface(0), (10, 24, 12), None),
+        (rough_surface(1), (12, 24, 12), float(rough_surface(1).radius.max())),
+        (torso(), (9, 21, 3), None),
+        (torso(), (4, 4, 3), None),
+    ],
+    ids=["touches the edge", "pockets", "pockets at the edge", "one slice", "tiny"],
+)
+def test_geometry_that_breaks_careless_solvers(
+    surface: Surface, shape: tuple[int, int, int], r_outer: float | None
+) -> None:
+    voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=0.03, r_outer=r_outer)
+    shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=300)
+    trajectory = presses(surface, 10, np.random.default_rng(2), depth=0.015)
+    scene = Scene.assemble(voxmap, shell, trajectory, sampling="trilinear")
+    for hard in (False, True):
+        x = solved(program(scene, 1e-1, hard)).x
+        assert relative(x, direct_answer(scene, 1e-1, hard)) < 1e-8
+
+
+def test_refuses_what_it_cannot_take(scene: Scene) -> None:
+    signed = formulation.load("eq10_sign", scene).compile()
+    with pytest.raises(tt.TtusError, match="structured cannot take this problem"):
+        STRUCTURED.prepare(signed, TIGHT)
+
+
+def test_never_forms_q() -> None:
+    """Peak size: nothing with more entries than L and the measured rows have."""
+    scene = small_scene("trilinear", (16, 32, 20), n_poses=40)
+    assert isinstance(scene.laplace, LaplaceSystem)
+    Q, _ = program(scene, 1.0).normal_equations()
+    prepared = STRUCTURED.prepare(program(scene, 1.0), TIGHT)
+    prepared.solve()
+    held = [v for v in vars(prepared._directions.system).values() if sp.issparse(v)]
+    assert max(M.nnz for M in held) < Q.nnz / 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+def test_case_s_equals_the_closed_form(sampling: str) -> None:
+    """24×72×30 with 200 poses, against SuperLU on Q; about a minute each."""
+    scene = small_scene(sampling, (24, 72, 30), n_poses=200)
+    loaded = program(scene, 1e-2)
+    reference = registry.solvers()["closed_form"].prepare(loaded, TIGHT).solve()
+    assert relative(solved(loaded).x, reference.x) < 1e-8
+
+
+def test_auto_leaves_terms_over_all_voxels_to_others() -> None:
+    scene = small_scene("trilinear")
+    few = formulation.load("eq10", scene).compile()
+    many = formulation.load("tikhonov", scene).compile()
+    assert registry.choose("auto", few).name == "structured"
+    assert registry.choose("auto", many).name == "clarabel"
+    assert not STRUCTURED.refusal(many)  # it can, when asked by name

@@ -1,0 +1,94 @@
+"""``ttus-opt benchmark`` as it is typed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ttus_opt import example
+from ttus_opt.cli import main
+
+
+def own_scene() -> list[str]:
+    return [
+        "--surface",
+        str(example.path("surface.nc")),
+        "--probe",
+        "ellipsoid:0.030,0.0125,0.018",
+        "--trajectory",
+        str(example.path("press_fit.csv")),
+        "--shape",
+        "8,18,8",
+        "--inner",
+        "17",
+    ]
+
+
+def typed(*words: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        main(["benchmark", *words])
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+def test_own_scene_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [*own_scene(), "--solvers", "osqp", "-o", str(tmp_path), "--json"]
+    assert typed(*words) == 0
+    told = json.loads(capsys.readouterr().out)
+    by = {row["solver"]: row for row in told["rows"]}
+    assert set(by) == {"closed_form", "osqp"}
+    for row in by.values():
+        assert row["status"] == "solved"
+        assert row["case"] == "user"
+        assert row["formulation"] == "eq10"
+        for key in (
+            "seconds_assembly",
+            "seconds_first",
+            "seconds_again",
+            "peak_memory_bytes",
+            "objective",
+        ):
+            assert row[key] > 0.0, key
+        assert row["kkt"]["dual_relative"] < 1e-6
+    assert by["closed_form"]["difference_from_closed_form"] == 0.0
+    assert by["osqp"]["difference_from_closed_form"] < 1e-5
+    assert "Against the closed form" in Path(told["report"]).read_text("utf-8")
+
+
+def test_export_runs_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [*own_scene(), "--export", str(tmp_path / "files"), "--json"]
+    assert typed(*words, "-o", str(tmp_path / "results")) == 0
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert [Path(file).name for file in files] == ["user_eq10.mat", "user_eq10.npz"]
+    assert all(Path(file).stat().st_size > 1000 for file in files)
+    assert not (tmp_path / "results").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--case", "XL"], "unknown case 'XL'"),
+        (["--solvers", "clarabell"], "did you mean clarabel"),
+        (["--formulations", "eq_10"], "unknown formulation 'eq_10', did you mean"),
+        (["--closed-form", "osqp"], "reference must be a closed form"),
+        (["--time-limit", "-3"], "time_limit must be positive"),
+        (["--probe", "sphere:0.02"], "--surface, --probe and --trajectory together"),
+        (["--tolerance", "2"], "tolerance must lie between 0 and 1"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    words: list[str],
+    told: str,
+) -> None:
+    assert typed(*words, "-o", str(tmp_path / "out")) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1
+    assert lines[0].startswith("error: ")
+    assert told in lines[0]
+    assert not (tmp_path / "out").exists()

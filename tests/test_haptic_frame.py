@@ -1,0 +1,52 @@
+"""The culled, vectorised search against the definition, point by point."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.conftest import torso
+from ttus_opt.grid import cylindrical
+from ttus_opt.haptic_frame import touch
+from ttus_opt.haptic_stage import Stage
+from ttus_opt.point_shell import PointShell
+from ttus_opt.shell_blocks import ShellBlocks
+from ttus_opt.voxmap import Voxmap
+
+SURFACE = torso()
+VOXMAP = Voxmap.from_surface(SURFACE, shape=(24, 40, 21), r_inner=0.04)
+SHELL = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=1500)
+STAGES = {
+    sampling: Stage.of(VOXMAP, SHELL, trilinear=sampling == "trilinear")
+    for sampling in ("voxel-mean", "trilinear")
+}
+
+
+def inside_and_in_grid(R: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, bool]:
+    grid = VOXMAP.grid
+    r, theta, z = cylindrical(SHELL.points @ R.T + at)
+    within = (r >= grid.r_inner) & (r <= grid.r_outer)
+    within &= (z >= grid.z_min) & (z <= grid.z_max)
+    return np.flatnonzero(within & (r < SURFACE.radius_at(theta, z))), bool(
+        within.any()
+    )
+
+
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_touches_exactly_the_points_inside(sampling: str, seed: int) -> None:
+    """Anywhere: pressed, sunk, across the axis, at the ends, in the air."""
+    rng = np.random.default_rng(seed)
+    stage = STAGES[sampling]
+    R = Rotation.random(rng=rng).as_matrix()
+    at = rng.uniform([-0.16, -0.14, -0.05], [0.16, 0.14, 0.25])
+    contact, in_grid = touch(R, at, stage)
+    expected, meets = inside_and_in_grid(R, at)
+    order = ShellBlocks.of(SHELL).order
+    assert sorted(order[stage.touched[:contact]]) == expected.tolist()
+    assert in_grid == meets
+    assert not stage.hits.any()  # nothing left for the next frame

@@ -1,0 +1,99 @@
+"""The notebooks' form; `make notebooks` runs them."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+EXPECTED = [
+    "01_scan_to_field_to_force",
+    "02_regularisers",
+    "03_solvers",
+    "04_friction",
+    "05_own_term_and_formulation",
+]
+
+#: A path of one machine: /home/…, C:\…, file://…
+ABSOLUTE = re.compile(r"(?<![\w.)/])/(?:[\w.-]+/)+[\w.-]*|\b[A-Z]:\\\\|file://")
+
+every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+
+
+def cells(path: Path, kind: str) -> list[dict[str, Any]]:
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    return [cell for cell in notebook["cells"] if cell["cell_type"] == kind]
+
+
+def source(cell: dict[str, Any]) -> str:
+    return "".join(cell["source"])
+
+
+def python(cell: dict[str, Any]) -> ast.Module:
+    """The cell without the notebook's own % lines."""
+    lines = source(cell).splitlines()
+    return ast.parse("\n".join(line for line in lines if not line.startswith("%")))
+
+
+def numbers(tree: ast.AST) -> list[float]:
+    values = (n.value for n in ast.walk(tree) if isinstance(n, ast.Constant))
+    return [v for v in values if isinstance(v, (int, float))]
+
+
+def test_the_five_are_there() -> None:
+    assert [path.stem for path in NOTEBOOKS] == EXPECTED
+
+
+@every_notebook
+def test_no_outputs_are_stored(path: Path) -> None:
+    for cell in cells(path, "code"):
+        assert cell["outputs"] == []
+        assert cell["execution_count"] is None
+
+
+@every_notebook
+def test_no_path_of_a_machine_is_stored(path: Path) -> None:
+    assert ABSOLUTE.findall(path.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize(
+    "text", ["'/home/me/scan.ply'", '"C:\\\\scan.ply"', "file://x"]
+)
+def test_such_a_path_would_be_seen(text: str) -> None:
+    assert ABSOLUTE.search(text)
+
+
+@every_notebook
+def test_it_begins_with_a_title(path: Path) -> None:
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    first = notebook["cells"][0]
+    assert first["cell_type"] == "markdown"
+    assert source(first).startswith("# ")
+
+
+@every_notebook
+def test_the_first_code_cell_only_imports(path: Path) -> None:
+    body = python(cells(path, "code")[0]).body
+    assert body
+    assert all(isinstance(node, (ast.Import, ast.ImportFrom)) for node in body)
+
+
+@every_notebook
+def test_nothing_is_imported_later(path: Path) -> None:
+    for cell in cells(path, "code")[1:]:
+        nodes = ast.walk(python(cell))
+        assert not [n for n in nodes if isinstance(n, (ast.Import, ast.ImportFrom))]
+
+
+@every_notebook
+def test_it_ends_by_checking_a_number(path: Path) -> None:
+    last = python(cells(path, "code")[-1]).body[-1]
+    assert isinstance(last, ast.Assert)
+    assert any(isinstance(node, ast.Compare) for node in ast.walk(last.test))
+    assert numbers(last.test)

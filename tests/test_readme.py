@@ -1,0 +1,68 @@
+"""What the README shows is what happens."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from ttus_opt.cli import main
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def readme() -> str:
+    return (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def numbers(text: str) -> list[float]:
+    return [float(n) for n in re.findall(r"-?\d+\.\d+", text)]
+
+
+def test_the_python_lines_print_what_is_said(readme: str) -> None:
+    found = re.search(r"```python\n(.*?)```\n\nprints\n\n```\n(.*?)\n```", readme, re.S)
+    assert found is not None
+    code, said = found.groups()
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        exec(compile(code, "README.md", "exec"), {})
+    assert printed.getvalue().startswith("SOLVED, unseen pushes: ")
+    # to the digits that are printed, give or take one
+    assert numbers(printed.getvalue()) == pytest.approx(numbers(said), abs=0.15)
+
+
+def test_the_shown_commands_have_these_options(
+    readme: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    joined = readme.replace("\\\n", " ")
+    commands = re.findall(r"^ttus-opt (\w+) (.*)$", joined, re.M)
+    assert [name for name, _ in commands] == [
+        "surface",
+        "fit",
+        "evaluate",
+        "render",
+        "benchmark",
+    ]
+    for name, words in commands:
+        with pytest.raises(SystemExit):
+            main([name, "--help"])
+        told = capsys.readouterr().out
+        for word in shlex.split(words):
+            assert not word.startswith("-") or word in told
+
+
+def test_files_and_folders_it_names_are_there(readme: str) -> None:
+    paths = re.findall(r"\]\(([\w./]+)\)", readme)
+    paths += re.findall(r"`(ttus_opt/[\w./]+|formulations/)`", readme)
+    assert len(paths) > 8
+    for path in paths:
+        assert (ROOT / path).exists(), path
+
+
+def test_the_picture_is_small() -> None:
+    assert (ROOT / "docs" / "overview.png").stat().st_size < 100_000

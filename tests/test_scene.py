@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import presses, small_scene, torso
+from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.point_shell import PointShell
+from ttus_opt.scene import Scene
+from ttus_opt.trajectory import Trajectory
+from ttus_opt.voxmap import Voxmap
+
+SURFACE = torso()
+VOXMAP = Voxmap.from_surface(SURFACE, shape=(9, 20, 10))
+SHELL = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=300)
+TRAJECTORY = presses(SURFACE, 12, np.random.default_rng(0))
+
+
+def test_shapes(scene: Scene) -> None:
+    V, T = scene.n_voxels, len(scene.trajectory)
+    assert scene.L.shape == (V, V)
+    assert scene.b.shape == (V,)
+    assert scene.N.shape == scene.W.shape == (3 * T, V)
+    assert scene.f.shape == scene.tau.shape == (3 * T,)
+    np.testing.assert_array_equal(scene.f[3:6], scene.trajectory.force[1])
+    assert scene.torque_length == scene.shell.rms_radius
+
+
+def test_boundary_values_reach_b(scene: Scene) -> None:
+    b = scene.voxmap.grid.unflatten(scene.b)
+    skin = scene.voxmap.on_surface
+    assert b[0, 0, 3] == 2.0
+    assert b[-1, 0, 3] == -1.5
+    assert not b[skin].any()
+
+
+def test_inner_fit_is_the_least_squares_scale() -> None:
+    """The fitted scale equals a brute-force search over p_in."""
+    scene = Scene.assemble(VOXMAP, SHELL, TRAJECTORY, inner="fit", outer=0.5)
+    scale = scene.parameters["boundary_scale"]
+    assert scene.inner == scale
+    assert scene.outer == 0.5 * scale
+
+    def misfit(s: float) -> float:
+        trial = scene.with_boundary(s, 0.5 * s)
+        r = trial.N @ trial.laplace.solve(trial.b) - trial.f
+        return float(r @ r)
+
+    around = scale * np.array([0.99, 1.0, 1.01])
+    values = [misfit(s) for s in around]
+    assert values[1] < values[0]
+    assert values[1] < values[2]
+
+
+def test_with_boundary_assembles_nothing(scene: Scene) -> None:
+    other = scene.with_boundary(4.0, 3.0)
+    assert other.rows is scene.rows
+    assert other.laplace is scene.laplace
+    np.testing.assert_allclose(other.b, 2.0 * scene.b)
+
+
+def test_no_contact_warns_that_the_fit_is_laplace_only() -> None:
+    away = replace(TRAJECTORY, position=TRAJECTORY.position * [1.3, 1.3, 1.0])
+    with pytest.warns(TtusWarning, match="Laplace only"):
+        Scene.assemble(VOXMAP, SHELL, away)
+    with (
+        pytest.warns(TtusWarning),
+        pytest.raises(InputError, match="never touches"),
+    ):
+        Scene.assemble(VOXMAP, SHELL, away, inner="fit")
+
+
+def test_poses_off_the_grid_are_counted() -> None:
+    position = TRAJECTORY.position.copy()
+    position[:3, 2] += 5.0
+    with pytest.warns(TtusWarning, match="3 of 12 poses lie outside"):
+        Scene.assemble(VOXMAP, SHELL, replace(TRAJECTORY, position=position))
+
+
+def test_a_good_scene_warns_of_nothing() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        small_scene()
+
+
+def test_pulling_forces_are_refused_by_inner_fit() -> None:
+    pulled = replace(TRAJECTORY, force=-TRAJECTORY.force)
+    with pytest.raises(InputError, match="force ON the probe"):
+        Scene.assemble(VOXMAP, SHELL, pulled, inner="fit")
+
+
+@pytest.mark.parametrize("inner", ["auto", float("nan")])
+def test_bad_inner(inner: object) -> None:
+    with pytest.raises(InputError):
+        Scene.assemble(VOXMAP, SHELL, TRAJECTORY, inner=inner)
+
+
+def test_poses_without_wrench_have_rows_but_no_measurements() -> None:
+    bare = Trajectory(TRAJECTORY.time, TRAJECTORY.position, TRAJECTORY.rotation)
+    scene = Scene.assemble(VOXMAP, SHELL, bare)
+    assert scene.N.nnz > 0
+    with pytest.raises(InputError, match="fx, fy, fz"):
+        _ = scene.f

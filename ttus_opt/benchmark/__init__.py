@@ -1,0 +1,7 @@
+"""The benchmark: every solver on every formulation, each run in its own process."""
+
+from ttus_opt.benchmark.cases import CaseSpec as CaseSpec
+from ttus_opt.benchmark.cases import reference_cases as reference_cases
+from ttus_opt.benchmark.row import Row as Row
+from ttus_opt.benchmark.row import RunSpec as RunSpec
+from ttus_opt.benchmark.suite import Suite as Suite

@@ -1,0 +1,200 @@
+"""What is benchmarked: reference cases of growing size, and a user's own scene.
+
+The reference cases S, M and L (design §4) are built from the bundled example: its
+true surface, and its recordings of presses and sweeps, thinned evenly to the number
+of poses. A case is plain data, so that it can be handed to another process.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from ttus_opt import example
+from ttus_opt.errors import InputError
+from ttus_opt.point_shell import PointShell
+from ttus_opt.scene import Scene
+from ttus_opt.surface import Surface
+from ttus_opt.trajectory import Trajectory, read_trajectory
+from ttus_opt.voxmap import Voxmap
+
+#: Voxels in r, θ, z and number of poses
+REFERENCE = {
+    "S": ((24, 72, 30), 200),
+    "M": ((48, 120, 60), 400),
+    "L": ((100, 180, 60), 400),
+}
+
+#: Value on the inner layer, and minus that on the outer one: what scaling to the
+#: example's forces gives in trilinear sampling [N/cm²]
+EXAMPLE_BOUNDARY = 17.0
+
+#: Grid and poses of the small stand-in on which a run is tried out first
+SMALL_SHAPE, SMALL_POSES = (8, 18, 8), 6
+
+#: Size of the change between two solves of the same structure, as a part of the
+#: measured values
+CHANGE = 0.05
+
+
+@dataclass(frozen=True)
+class CaseSpec:
+    """A scene to build.
+
+    Attributes:
+        name: For the tables.
+        surface: Surface file.
+        probe: Primitive or mesh file, as every command takes it.
+        trajectories: Recordings with wrenches.
+        shape: Voxels in r, θ, z.
+        n_poses: Frames taken, evenly spread; None for all.
+        r_inner: Radius of the innermost layer [m].
+        inner: Value on the inner layer, or "fit".
+        outer: Minus the outer layer's value; a ratio with "fit".
+        sampling: ``voxel-mean`` or ``trilinear``.
+        n_points: Points of the probe's shell.
+        probe_unit: Unit of a mesh file.
+    """
+
+    name: str
+    surface: str
+    probe: str
+    trajectories: tuple[str, ...]
+    shape: tuple[int, int, int]
+    n_poses: int | None = None
+    r_inner: float = 0.03
+    inner: float | Literal["fit"] = 1.0
+    outer: float = 1.0
+    sampling: str = "trilinear"
+    n_points: int = 1500
+    probe_unit: str = "mm"
+
+    @property
+    def n_voxels(self) -> int:
+        """Number of voxels V [–]."""
+        return int(np.prod(self.shape))
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything, for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> CaseSpec:
+        """Read back what `as_dict` gave."""
+        lists = {key: tuple(values[key]) for key in ("trajectories", "shape")}
+        return cls(**{**values, **lists})
+
+    def build(self) -> Scene:
+        """Read the files and assemble the scene.
+
+        Raises:
+            InputError: A file or a number is not usable.
+        """
+        voxmap = Voxmap.from_surface(
+            Surface.load(self.surface), shape=self.shape, r_inner=self.r_inner
+        )
+        shell = PointShell.from_spec(
+            self.probe, n_points=self.n_points, unit=self.probe_unit
+        )
+        return Scene.assemble(
+            voxmap,
+            shell,
+            self._thinned(),
+            inner=self.inner,
+            outer=self.outer,
+            sampling=self.sampling,
+        )
+
+    def small(self) -> CaseSpec:
+        """The same on a handful of voxels: to try a run out, or to warm up for it."""
+        n_r, n_theta, n_z = (
+            min(a, b) for a, b in zip(self.shape, SMALL_SHAPE, strict=True)
+        )
+        return replace(
+            self, shape=(n_r, n_theta, n_z), n_poses=SMALL_POSES, n_points=300
+        )
+
+    def _thinned(self) -> Trajectory:
+        whole = Trajectory.concatenate([read_trajectory(p) for p in self.trajectories])
+        if self.n_poses is None or self.n_poses >= len(whole):
+            return whole
+        picked = np.linspace(0, len(whole) - 1, self.n_poses).round().astype(np.int64)
+        return whole.select(picked)
+
+
+def reference_cases(name: str = "all") -> list[CaseSpec]:
+    """The reference cases of that name, or all of them.
+
+    Args:
+        name: "S", "M", "L" or "all".
+
+    Returns:
+        The cases, smallest first.
+
+    Raises:
+        InputError: There is no such case.
+    """
+    if name != "all" and name not in REFERENCE:
+        raise InputError(
+            f"unknown case {name!r}: choose {', '.join(REFERENCE)} or all, or give "
+            "a scene of your own with --surface, --probe and --trajectory"
+        )
+    return [
+        CaseSpec(
+            case,
+            str(example.path("surface.nc")),
+            example.PROBE,
+            (str(example.path("press_fit.csv")), str(example.path("sweep_fit.csv"))),
+            shape,
+            poses,
+            inner=EXAMPLE_BOUNDARY,
+            outer=EXAMPLE_BOUNDARY,
+        )
+        for case, (shape, poses) in REFERENCE.items()
+        if name in (case, "all")
+    ]
+
+
+def with_new_values(scene: Scene, seed: int) -> Scene:
+    """The same scene with other measured values, as a second recording would give.
+
+    Args:
+        scene: A scene with measured wrenches.
+        seed: Of the change.
+
+    Returns:
+        A scene of the same matrices, forces and torques changed by `CHANGE`.
+    """
+    rng = np.random.default_rng(seed)
+    told = scene.trajectory
+    changed = {
+        name: values * (1.0 + CHANGE * rng.standard_normal(values.shape))
+        for name in ("force", "torque")
+        if (values := getattr(told, name)) is not None
+    }
+    return replace(scene, trajectory=replace(told, **changed))
+
+
+def existing(case: CaseSpec) -> CaseSpec:
+    """The case with absolute paths, every file being there.
+
+    Raises:
+        FileError: One is missing or empty.
+    """
+    from ttus_opt.io import existing_file
+
+    probe = case.probe
+    if ":" not in probe:
+        probe = str(existing_file(probe, "probe").resolve())
+    return replace(
+        case,
+        surface=str(existing_file(case.surface, "surface").resolve()),
+        probe=probe,
+        trajectories=tuple(
+            str(Path(existing_file(p, "trajectory")).resolve())
+            for p in case.trajectories
+        ),
+    )

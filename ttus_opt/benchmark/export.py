@@ -1,0 +1,93 @@
+"""The problems as files other tools can read.
+
+One file per case and formulation, in the layout the Maros-Meszaros collection has in
+MATLAB files: minimise ½ xᵀP x + qᵀx + r subject to l ≤ A x ≤ u, bounds as rows at the
+end, 1e20 for no limit. The same as NumPy's .npz for who has no reader of the other.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.io
+import scipy.sparse as sp
+
+from ttus_opt import io
+from ttus_opt.errors import InputError
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import reduce
+from ttus_opt.solvers.quadratic import TwoSided
+
+#: Stands for "no limit" in such files
+NO_LIMIT = 1e20
+
+
+@dataclass(frozen=True)
+class Exported:
+    """The files one program became.
+
+    Attributes:
+        matlab: MATLAB file.
+        numpy: NumPy archive, matrices in compressed columns.
+    """
+
+    matlab: Path
+    numpy: Path
+
+
+def export_program(program: Program, folder: Path, name: str) -> Exported:
+    """Write a program's sparse least-squares form.
+
+    Args:
+        program: Any program that can be stated as a QP.
+        folder: Where to.
+        name: Stem of the files.
+
+    Returns:
+        The files.
+
+    Raises:
+        InputError: A penalty needs cones.
+        FileError: The folder cannot be written to.
+    """
+    reduced = reduce(program).program
+    if not reduced.is_quadratic:
+        raise InputError(
+            f"{name} has a group norm, which is no QP: leave it out of the export"
+        )
+    rows = TwoSided.of(reduced.least_squares_qp())
+    # ½ ‖√2 u‖² is the whole objective: no constant beside it
+    lower = np.maximum(rows.lower, -NO_LIMIT)
+    upper = np.minimum(rows.upper, NO_LIMIT)
+    files = Exported(folder / f"{name}.mat", folder / f"{name}.npz")
+    content = {
+        "P": sp.csc_matrix(rows.P),
+        "q": rows.q.reshape(-1, 1),
+        "r": 0.0,
+        "A": rows.A,
+        "l": lower.reshape(-1, 1),
+        "u": upper.reshape(-1, 1),
+        "n": rows.A.shape[1],
+        "m": rows.A.shape[0],
+        "n_original": program.n_variables,
+    }
+    with io.replacing(files.matlab) as temporary:
+        scipy.io.savemat(temporary, content, do_compression=True)
+    with io.replacing(files.numpy) as temporary:
+        np.savez_compressed(
+            temporary,
+            q=rows.q,
+            l=rows.lower,
+            u=rows.upper,
+            **{
+                f"{letter}_{part}": getattr(matrix, part)
+                for letter, matrix in (("P", rows.P), ("A", rows.A))
+                for part in ("data", "indices", "indptr")
+            },
+            n=rows.A.shape[1],
+            m=rows.A.shape[0],
+            n_original=program.n_variables,
+        )
+    return files

@@ -1,0 +1,63 @@
+"""The machine and the packages a table was measured with."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+from pathlib import Path
+
+from ttus_opt.benchmark.memory import available_bytes
+
+#: Packages whose version decides a figure
+PACKAGES = (
+    "ttus-opt",
+    "numpy",
+    "scipy",
+    "numba",
+    "qpsolvers",
+    "cvxpy",
+    "clarabel",
+    "osqp",
+    "scs",
+    "piqp",
+    "proxsuite",
+    "qpalm",
+    "highspy",
+    "pypardiso",
+    "mkl",
+    "scikit-sparse",
+)
+
+
+def describe() -> dict[str, str]:
+    """Processor, memory, system and versions, by name."""
+    available = available_bytes()
+    facts = {
+        "processor": _processor(),
+        "cores": str(len(os.sched_getaffinity(0)))
+        if hasattr(os, "sched_getaffinity")
+        else str(os.cpu_count()),
+        "load at the start": f"{os.getloadavg()[0]:.1f}",
+        "memory available": "unknown"
+        if available is None
+        else f"{available / 2**30:.1f} GiB",
+        "system": f"{platform.system()} {platform.release()}",
+        "Python": platform.python_version(),
+    }
+    for package in PACKAGES:
+        try:
+            facts[package] = importlib.metadata.version(package)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return facts
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or platform.machine()

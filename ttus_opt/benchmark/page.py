@@ -1,0 +1,108 @@
+"""The benchmark's report: tables, pictures and the machine, in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from ttus_opt import io
+from ttus_opt.benchmark.pictures import residual_against_time, time_against_size
+from ttus_opt.benchmark.row import Row
+from ttus_opt.benchmark.summary import (
+    SHIFT,
+    closed_form_table,
+    memory_table,
+    row_table,
+    score_table,
+)
+from ttus_opt.plots.canvas import save_picture
+
+#: File names in the output folder
+REPORT, TIME_PICTURE, RESIDUAL_PICTURE = "report.md", "time.png", "residual.png"
+
+
+def write_page(
+    folder: Path,
+    rows: Sequence[Row],
+    *,
+    closed_form: str,
+    command: str,
+    machine: Mapping[str, str],
+    memory: bool = False,
+) -> Path:
+    """Write report and pictures.
+
+    Args:
+        folder: Where to.
+        rows: All rows, finished.
+        closed_form: Name of the reference solver.
+        command: What was typed.
+        machine: From `ttus_opt.benchmark.machine.describe`.
+        memory: Add the table of memory by stage.
+
+    Returns:
+        The report's path.
+
+    Raises:
+        FileError: The folder cannot be written to.
+    """
+    save_picture(time_against_size(rows), folder / TIME_PICTURE)
+    save_picture(residual_against_time(rows), folder / RESIDUAL_PICTURE)
+    lines = ["# Benchmark", "", f"`{command}`", ""]
+    against = closed_form_table(rows, closed_form)
+    lines += ["## Against the closed form Q p = d", ""]
+    lines += (
+        [
+            f"`{closed_form}` forms Q and factorises it. Difference is the Euclidean "
+            "norm of the difference of the fields over that of the reference; times "
+            "and the memory that set-up and solve add to the process are ratios to "
+            "the reference's own, given in s and MiB.",
+            "",
+            against,
+        ]
+        if against
+        else [f"`{closed_form or 'no closed form'}` has no answer here."]
+    )
+    for case, formulation in dict.fromkeys((r.case, r.formulation) for r in rows):
+        own = [r for r in rows if (r.case, r.formulation) == (case, formulation)]
+        size = f"{own[0].voxels:,} voxels, {own[0].poses or 'all'} poses"
+        assembly = [r.seconds_assembly for r in own if r.seconds_assembly is not None]
+        made = f", assembly {min(assembly):.2g} s" if assembly else ""
+        lines += ["", f"## {case} ({size}{made}): {formulation}", "", row_table(own)]
+    lines += [
+        "",
+        "## Over all",
+        "",
+        f"Shifted geometric means (shift {SHIFT:g} s) over the problems a solver "
+        "takes, a failure counted as its time limit.",
+        "",
+        score_table(rows),
+        "",
+        "Every answer is checked here: KKT is the largest relative residual of the "
+        "original problem, whatever the solver says of itself. *First* includes "
+        "set-up; *again* is taking in other measured values of the same structure "
+        "and solving. Imports and compilation are done before on a small problem. "
+        "*Gap* is the objective over the best verified one. *Peak* is the largest "
+        "size of the process, *solver* what set-up and solve added at most.",
+    ]
+    if memory:
+        lines += ["", "## Memory by stage [MiB]", "", memory_table(rows)]
+    lines += [
+        "",
+        "## Time against size",
+        "",
+        f"![time against voxels]({TIME_PICTURE})",
+        "",
+        "## Residual against time",
+        "",
+        f"![residual against time]({RESIDUAL_PICTURE})",
+        "",
+        "## Machine",
+        "",
+        *(f"- {name}: {what}" for name, what in machine.items()),
+        "",
+    ]
+    report = folder / REPORT
+    with io.replacing(report) as temporary:
+        temporary.write_text("\n".join(lines), encoding="utf-8")
+    return report

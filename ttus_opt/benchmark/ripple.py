@@ -1,0 +1,161 @@
+"""Ripple: how steady the force is while a probe slides where nothing changes.
+
+A probe slides at constant depth on a cylinder whose field depends on depth alone. The
+force should not change; what it changes by, peak to peak over mean, is the voxels
+showing through. The cylinder stands off the grid's axis and leans, because on one that
+does not, layers are skins and trilinear values are exact. Skin and field have the same
+step. Pressure-field contact with fine meshes shows 0.07 %, with coarse ones 6.5 %.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.errors import InputError
+from ttus_opt.field import PotentialField
+from ttus_opt.grid import CylindricalGrid
+from ttus_opt.point_shell import PointShell
+from ttus_opt.renderer import Renderer
+from ttus_opt.surface import Surface
+from ttus_opt.voxmap import Voxmap
+
+Array = NDArray[np.float64]
+Direction = Literal["along", "around"]
+
+#: The cylinder's radius, and how far it stands off the grid's axis [m]
+RADIUS, OFFSET = 0.1, 0.01
+
+#: How far the cylinder leans in the direction of its offset [rad]
+LEAN = math.radians(10.0)
+
+#: The innermost layer's radius, and half the grid's height [m]
+INNER, HALF = 0.06, 0.055
+
+#: How far the probe slides [m]
+SLIDE = 0.012
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """Unsteadiness of the force in one slide.
+
+    Attributes:
+        sampling: ``voxel-mean`` or ``trilinear``.
+        voxel: Step of the grid in r, z, and in θ at the skin [m].
+        direction: ``along`` the cylinder or ``around`` it.
+        depth: Of the probe's tip [m].
+        mean_force: [field's unit times cm², or times voxels].
+        ripple: Peak to peak over mean of the force's magnitude [–].
+    """
+
+    sampling: str
+    voxel: float
+    direction: str
+    depth: float
+    mean_force: float
+    ripple: float
+
+
+def ripple(
+    sampling: str,
+    voxel: float,
+    *,
+    direction: Direction = "along",
+    depth: float = 0.008,
+    n_points: int = 5000,
+    n_poses: int = 400,
+    seed: int = 0,
+) -> Ripple:
+    """Slide a probe of 30 × 12.5 × 18 mm half axes over a cylinder.
+
+    Args:
+        sampling: ``voxel-mean`` or ``trilinear``.
+        voxel: Step of the grid [m].
+        direction: ``along`` the cylinder or ``around`` it.
+        depth: Of the probe's tip below the skin [m].
+        n_points: Points of the probe's shell.
+        n_poses: Places on the slide.
+        seed: Of the shell.
+
+    Returns:
+        The ripple.
+
+    Raises:
+        InputError: Unknown direction, a depth or voxel that makes no contact.
+    """
+    if direction not in get_args(Direction):
+        raise InputError(f"direction must be along or around, got {direction!r}")
+    if not (0.0 < depth < 0.02 and 0.0 < voxel < 0.02):
+        raise InputError(
+            f"depth and voxel must be within 0 to 0.02 m, got {depth} and {voxel}"
+        )
+    semi_axes = (0.030, 0.0125, 0.018)
+    shell = PointShell.ellipsoid(semi_axes=semi_axes, n_points=n_points, seed=seed)
+    renderer = Renderer(cylinder_field(sampling, voxel), shell)
+    frame = _cylinder_axes()
+    force = np.empty(n_poses)
+    for t, way in enumerate(np.linspace(-SLIDE / 2, SLIDE / 2, n_poses)):
+        angle = 0.37 + (way / RADIUS if direction == "around" else 0.0)
+        z = way if direction == "along" else 0.0
+        out = np.array([math.cos(angle), math.sin(angle), 0.0])
+        # long axis along the cylinder, 18 mm axis towards it
+        along = np.array([0.0, 0.0, 1.0])
+        rotation = np.stack([along, np.cross(-out, along), -out], axis=1)
+        position = (RADIUS + semi_axes[2] - depth) * out + z * along
+        wrench = renderer.render(
+            frame @ rotation, frame @ position + [OFFSET, 0.0, 0.0]
+        )
+        force[t] = np.linalg.norm(wrench.force)
+    mean = float(force.mean())
+    return Ripple(sampling, voxel, direction, depth, mean, float(np.ptp(force)) / mean)
+
+
+def _cylinder_axes() -> Array:
+    """Rotation from the cylinder's frame to the grid's, shape (3, 3)."""
+    s, c = math.sin(LEAN), math.cos(LEAN)
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def cylinder_field(sampling: str, voxel: float) -> PotentialField:
+    """The harmonic field log(R/d) about a leaning cylinder, R = `RADIUS`.
+
+    Args:
+        sampling: ``voxel-mean`` or ``trilinear``.
+        voxel: Step in r, z, and in θ at the skin, of skin and field [m].
+    """
+    n_theta = round(2.0 * math.pi * RADIUS / voxel)
+    n_z = math.ceil(2.0 * HALF / voxel) + 1
+    z: Array = np.linspace(-HALF, -HALF + (n_z - 1) * voxel, n_z)
+    theta: Array = np.linspace(0.0, 2.0 * math.pi, n_theta, endpoint=False)
+    radius = _skin_radius(theta[:, None], z)
+    n_r = math.ceil((float(radius.max()) + voxel - INNER) / voxel) + 1
+    grid = CylindricalGrid(
+        INNER,
+        INNER + (n_r - 1) * voxel,
+        float(z[0]),
+        float(z[-1]),
+        (n_r, n_theta, n_z),
+    )
+    r = grid.r[:, None, None]
+    x, y = r * np.cos(theta)[:, None] - OFFSET, r * np.sin(theta)[:, None]
+    across = x * math.cos(LEAN) - z * math.sin(LEAN)
+    values = np.log(RADIUS / np.hypot(across, y))
+    region = np.sign(np.round((radius - r) / voxel)).astype(np.int8)
+    surface = Surface.from_radius(radius, z)
+    return PotentialField(Voxmap(grid, surface, region), values, sampling)
+
+
+def _skin_radius(theta: Array, z: Array) -> Array:
+    """Where a ray from the grid's axis leaves the cylinder [m]."""
+    s, c = math.sin(LEAN), math.cos(LEAN)
+    # (c (R cos θ − x0) − s z)² + (R sin θ)² = RADIUS², for R
+    shift = -c * OFFSET - s * z
+    a = (c * np.cos(theta)) ** 2 + np.sin(theta) ** 2
+    b = c * np.cos(theta) * shift
+    root = np.sqrt(b * b - a * (shift**2 - RADIUS**2))
+    return np.asarray((root - b) / a)

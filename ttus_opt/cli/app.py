@@ -1,0 +1,98 @@
+"""The commands put together, and the one place where errors become exit statuses."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import NoReturn
+
+import typer
+
+from ttus_opt.cli import (
+    benchmark_command,
+    demo_command,
+    evaluate_command,
+    fit_command,
+    list_commands,
+    render_command,
+    surface_command,
+)
+from ttus_opt.cli.console import as_options, one_line, warnings_in_one_line
+from ttus_opt.errors import TtusError
+
+BAD_INPUT, INTERRUPTED = 2, 130
+
+app = typer.Typer(
+    name="ttus-opt",
+    help="Patient models for haptic tele-ultrasound: scan, fit, evaluate, render.",
+    epilog="Example: ttus-opt demo",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+for module in (
+    demo_command,
+    surface_command,
+    fit_command,
+    evaluate_command,
+    render_command,
+    benchmark_command,
+    list_commands,
+):
+    module.register(app)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line; the entry point ``ttus-opt``.
+
+    Args:
+        arguments: Words after the program's name; the process's own when not given.
+
+    Raises:
+        SystemExit: Always: 0, or 2 after one line on stderr, or 130 when interrupted.
+    """
+    try:
+        with warnings_in_one_line():
+            status = app(
+                args=None if arguments is None else list(arguments),
+                prog_name="ttus-opt",
+                standalone_mode=False,
+            )
+    except (KeyboardInterrupt, typer.Abort):
+        status = INTERRUPTED
+    except typer.Exit as stop:
+        status = stop.exit_code
+    except MemoryError as error:
+        _end(f"out of memory: {error}: choose a smaller shape", BAD_INPUT)
+    except (TtusError, OSError) as error:
+        _end(as_options(str(error)), BAD_INPUT)
+    except Exception as error:
+        # what the parser raises when an option is unknown, missing or of another type
+        told = getattr(error, "format_message", None)
+        if told is None:
+            notes = getattr(error, "__notes__", [])
+            if not notes:
+                raise
+            _show_own_part(error)
+            _end(f"{type(error).__name__}: {error}: {notes[-1]}", BAD_INPUT)
+        _end(f"{told()}" or "see ttus-opt --help", BAD_INPUT)
+    if status == INTERRUPTED:  # typer may have turned the interrupt into a status
+        _end("interrupted: nothing further was written", INTERRUPTED)
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _show_own_part(error: Exception) -> None:
+    """The traceback of a user's formulation file, without the way that led there."""
+    from ttus_opt.problem import formulation
+
+    frames = traceback.extract_tb(error.__traceback__)
+    last = max(n for n, f in enumerate(frames) if f.filename == formulation.__file__)
+    own = [f for f in frames[last + 1 :] if not f.filename.startswith("<frozen")]
+    typer.echo("".join(traceback.format_list(own)).rstrip(), err=True)
+
+
+def _end(message: str, status: int) -> NoReturn:
+    typer.echo(f"error: {one_line(message)}", err=True)
+    sys.exit(status)

@@ -1,0 +1,98 @@
+"""``ttus-opt evaluate``: errors of a field on recorded wrenches."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.options import (
+    Field,
+    Json,
+    Points,
+    Probe,
+    ProbeSurface,
+    ProbeUnit,
+    Trajectories,
+    read_probe,
+    read_trajectories,
+)
+from ttus_opt.errors import TtusWarning
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+EXAMPLE = (
+    "ttus-opt evaluate --field field.nc --probe ellipsoid:0.030,0.0125,0.018 "
+    "--trajectory press_test.csv --json"
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("evaluate", epilog=f"Example: {EXAMPLE}")(evaluate)
+
+
+def evaluate(
+    field: Field,
+    probe: Probe,
+    trajectory: Trajectories,
+    points: Points = 1500,
+    probe_unit: ProbeUnit = "mm",
+    probe_surface: ProbeSurface = "outer",
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw measured and rendered force here.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Compare rendered with measured force and torque."""
+    from ttus_opt import metrics
+    from ttus_opt.field import PotentialField
+
+    if picture is not None:
+        from ttus_opt import plots
+
+        plots.require_picture_suffix(picture)
+    with Stages(2 if picture is None else 3) as begin:
+        begin("reading field and recordings")
+        recorded = read_trajectories(trajectory)
+        potential = PotentialField.load(field)
+        shell = read_probe(probe, points, probe_unit, probe_surface)
+        begin("rendering")
+        found = metrics.evaluate(potential, shell, recorded)
+        warn_off_grid(found.in_grid)
+        if picture is not None:
+            begin("drawing")
+            plots.save_picture(plots.force_over_time({"rendered": found}), picture)
+    errors = found.errors
+    if json:
+        print_json(errors.as_dict())
+        return
+    typer.echo(
+        f"force   {errors.force_magnitude_error_N:.3f} N mean, "
+        f"{errors.force_magnitude_rmse_N:.3f} N rmse, "
+        f"{errors.force_angle_error_deg:.1f}° over {errors.frames_in_contact} of "
+        f"{errors.frames} frames in contact"
+    )
+    typer.echo(
+        f"torque  {1e3 * errors.torque_magnitude_error_Nm:.1f} mN m mean, "
+        f"{1e3 * errors.torque_magnitude_rmse_Nm:.1f} mN m rmse, "
+        f"{errors.torque_angle_error_deg:.1f}° over {errors.frames_with_torque} "
+        "frames with a torque"
+    )
+
+
+def warn_off_grid(in_grid: NDArray[np.bool_]) -> None:
+    """Say when poses lie outside the field's grid, where nothing is rendered."""
+    off = int(in_grid.size - in_grid.sum())
+    if off:
+        warnings.warn(
+            f"{off} of {in_grid.size} poses lie outside the field's grid and give "
+            "zero: check the trajectory's frame and unit",
+            TtusWarning,
+            stacklevel=2,
+        )

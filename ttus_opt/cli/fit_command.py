@@ -1,0 +1,207 @@
+"""``ttus-opt fit``: from surface, probe and recorded wrenches to a field."""
+
+from __future__ import annotations
+
+import json as json_module
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.options import (
+    Json,
+    Points,
+    Probe,
+    ProbeSurface,
+    ProbeUnit,
+    Trajectories,
+    read_probe,
+    read_trajectories,
+    whole_numbers,
+)
+from ttus_opt.errors import InputError
+
+if TYPE_CHECKING:
+    from ttus_opt.problem.solution import Solution
+
+EXAMPLE = (
+    "ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
+    "--trajectory press_fit.csv --inner fit --sampling trilinear "
+    "--force-weight 1e-2 --torque-weight 1e-2 -o field.nc"
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("fit", epilog=f"Example: {EXAMPLE}")(fit)
+
+
+def fit(
+    surface: Annotated[Path, typer.Option(help="Surface file (.nc).")],
+    probe: Probe,
+    trajectory: Trajectories,
+    output: Annotated[Path, typer.Option("-o", "--output", help="Field file (.nc).")],
+    formulation: Annotated[
+        str, typer.Option(help="A formulation's name, or the path of your own file.")
+    ] = "eq10",
+    solver: Annotated[
+        str, typer.Option(help="A solver's name, or auto; see ttus-opt solvers.")
+    ] = "auto",
+    shape: Annotated[
+        str, typer.Option(help="Voxels in r, θ, z: n_r,n_theta,n_z.")
+    ] = "48,120,60",
+    r_inner: Annotated[
+        float, typer.Option(help="Radius of the innermost layer [m].")
+    ] = 0.03,
+    r_outer: Annotated[
+        float | None,
+        typer.Option(help="Radius of the outermost layer [m]; by default 2 cm beyond."),
+    ] = None,
+    inner: Annotated[
+        str,
+        typer.Option(help="Value on the inner layer, or fit: scaled to the forces."),
+    ] = "1.0",
+    outer: Annotated[
+        float,
+        typer.Option(help="Minus the outer layer's value; a ratio with --inner fit."),
+    ] = 1.0,
+    sampling: Annotated[
+        str, typer.Option(help="How contact samples p: voxel-mean or trilinear.")
+    ] = "voxel-mean",
+    force_weight: Annotated[
+        float | None, typer.Option(help="λ_f; the formulation's own by default.")
+    ] = None,
+    torque_weight: Annotated[
+        float | None, typer.Option(help="λ_τ; the formulation's own by default.")
+    ] = None,
+    torque_length: Annotated[
+        float | None,
+        typer.Option(help="ℓ that makes torque a force [m]; by default the probe's."),
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="A further option; may be repeated."),
+    ] = None,
+    points: Points = 1500,
+    probe_unit: ProbeUnit = "mm",
+    probe_surface: ProbeSurface = "outer",
+    tolerance: Annotated[
+        float, typer.Option(help="Largest relative residual of a solution.")
+    ] = 1e-6,
+    time_limit: Annotated[
+        float | None, typer.Option(help="Most seconds the solver may take.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Fit a potential field to measured forces and torques."""
+    from ttus_opt.fitting import fit as fit_scene
+    from ttus_opt.scene import Scene
+    from ttus_opt.surface import Surface
+    from ttus_opt.voxmap import Voxmap
+
+    given = {
+        "force_weight": force_weight,
+        "torque_weight": torque_weight,
+        "torque_length": torque_length,
+    }
+    options = {name: value for name, value in given.items() if value is not None}
+    options |= _options(option or ())
+    counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
+    with Stages(4) as begin:
+        begin("reading surface and recordings")
+        skin = Surface.load(surface)
+        recorded = read_trajectories(trajectory)
+        voxmap = Voxmap.from_surface(
+            skin, shape=counts, r_inner=r_inner, r_outer=r_outer
+        )
+        shell = read_probe(probe, points, probe_unit, probe_surface)
+        begin("assembling (first run compiles)")
+        scene = Scene.assemble(
+            voxmap, shell, recorded, inner=boundary, outer=outer, sampling=sampling
+        )
+        begin("solving")
+        solution = fit_scene(
+            scene,
+            formulation,
+            solver=solver,
+            tolerance=tolerance,
+            time_limit=time_limit,
+            **options,
+        )
+        begin("writing the field")
+        if solution.verified_field is not None:
+            found = solution.field
+            sources = {
+                "probe": probe if ":" in probe else Path(probe).name,
+                "trajectories": ", ".join(path.name for path in trajectory),
+            }
+            kept = {**found.provenance, **sources}
+            replace(found, provenance=kept).save(output)
+    if json:
+        print_json(_summary(solution, output))
+    solution.field  # noqa: B018  raises what is wrong when nothing was verified
+    if not json:
+        _tell(solution, output)
+
+
+def _inner(text: str) -> float | Literal["fit"]:
+    if text == "fit":
+        return "fit"
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"--inner takes a number or fit, got {text!r}") from None
+
+
+def _options(pairs: Sequence[str]) -> dict[str, Any]:
+    """Options written key=value; a value is JSON where it can be read as that."""
+    options: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not (equals and key.isidentifier()):
+            raise InputError(f"--option takes key=value, got {pair!r}")
+        try:
+            options[key] = json_module.loads(value)
+        except json_module.JSONDecodeError:
+            options[key] = value
+    return options
+
+
+def _summary(solution: Solution, output: Path) -> dict[str, Any]:
+    solved = solution.verified_field is not None
+    return {
+        "status": solution.status.name.lower(),
+        "advice": "" if solved else solution.status.value,
+        "formulation": solution.formulation,
+        "solver": solution.solver,
+        "voxels": _n_voxels(solution),
+        "objective": solution.objective,
+        "costs": solution.costs,
+        "kkt": None if solution.kkt is None else solution.kkt.as_dict(),
+        "iterations": solution.iterations,
+        "parameters": solution.parameters,
+        "seconds": solution.timings.as_dict(),
+        "output": str(output) if solved else None,
+    }
+
+
+def _n_voxels(solution: Solution) -> int:
+    p = solution.program.variables["p"]
+    return int(p.stop - p.start)
+
+
+def _tell(solution: Solution, output: Path) -> None:
+    worst = float("nan") if solution.kkt is None else solution.kkt.worst_relative
+    times = solution.timings
+    costs = ", ".join(f"{name} {cost:.4g}" for name, cost in solution.costs.items())
+    typer.echo(
+        f"{output}: {solution.formulation} by {solution.solver}, "
+        f"{_n_voxels(solution):,} voxels, KKT {worst:.1e}, "
+        f"{times.assembly:.1f} s assembly, {times.setup + times.solve:.1f} s solve"
+    )
+    typer.echo(f"objective {solution.objective:.4g} ({costs})")
+    for name, value in solution.parameters.items():
+        typer.echo(f"{name} {value:.6g}")

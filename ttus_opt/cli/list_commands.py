@@ -1,0 +1,99 @@
+"""``ttus-opt solvers`` and ``ttus-opt formulations``: what there is to choose from."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import typer
+
+from ttus_opt.cli.console import print_json
+from ttus_opt.cli.options import Json
+
+if TYPE_CHECKING:
+    from ttus_opt.solvers.base import Solver
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("solvers", epilog="Example: ttus-opt solvers --json")(solvers)
+    app.command("formulations", epilog="Example: ttus-opt formulations --json")(
+        formulations
+    )
+
+
+def solvers(json: Json = False) -> None:
+    """List the solvers, installed or not, and what each can take."""
+    from ttus_opt.report import table
+    from ttus_opt.solvers import registry
+
+    known = registry.solvers()
+    if json:
+        order = [name for name, _reason in registry.PREFERENCE]
+        rows = [_solver(solver) for solver in known.values()]
+        print_json({"solvers": rows, "auto_tries": order})
+        return
+    header = ["solver", "installed", "takes", "a re-solve keeps", "about"]
+    body = [
+        [
+            name,
+            _installed(solver),
+            ", ".join(_takes(solver)),
+            solver.capabilities.keeps or "nothing",
+            solver.summary,
+        ]
+        for name, solver in known.items()
+    ]
+    typer.echo(table(header, body))
+    typer.echo("\nauto takes the first of these that is installed and fits:")
+    for name, reason in registry.PREFERENCE:
+        typer.echo(f"  {name}: {reason}")
+
+
+def formulations(json: Json = False) -> None:
+    """List the formulations that come with the package, and their options."""
+    from ttus_opt.problem import formulation
+    from ttus_opt.report import table
+
+    known = formulation.available()
+    if json:
+        rows = [
+            {"name": f.name, "summary": f.summary, "options": f.options} for f in known
+        ]
+        print_json({"formulations": rows})
+        return
+    body = [[f.name, f.summary, ", ".join(map(str, f.options)) or "–"] for f in known]
+    typer.echo(table(["formulation", "about", "options"], body))
+    typer.echo("\nA file of your own with build(scene, **options) goes by its path.")
+
+
+def _takes(solver: Solver) -> list[str]:
+    can = solver.capabilities
+    takes = {
+        "any terms": can.any_terms,
+        "equalities": can.equalities,
+        "inequalities": can.inequalities,
+        "penalties beside squares": can.nonquadratic,
+        "time limit": can.time_limit,
+    }
+    listed = [what for what, able in takes.items() if able]
+    return listed if can.any_terms else ["Laplace and measured rows", *listed]
+
+
+def _installed(solver: Solver) -> str:
+    return "yes" if solver.installed else f"no: pip install {solver.pip_name}"
+
+
+def _solver(solver: Solver) -> dict[str, object]:
+    can = solver.capabilities
+    return {
+        "name": solver.name,
+        "installed": solver.installed,
+        "install": solver.pip_name,
+        "summary": solver.summary,
+        "any_terms": can.any_terms,
+        "equalities": can.equalities,
+        "inequalities": can.inequalities,
+        "nonquadratic": can.nonquadratic,
+        "keeps": can.keeps,
+        "time_limit": can.time_limit,
+    }

@@ -1,0 +1,112 @@
+"""Options several commands share, and reading what they name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ttus_opt.cli.console import as_options
+from ttus_opt.errors import InputError, TtusError
+
+if TYPE_CHECKING:
+    from ttus_opt.point_shell import PointShell
+    from ttus_opt.trajectory import Trajectory
+
+Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, for machines.")]
+Field = Annotated[Path, typer.Option("--field", help="Field file (.nc).")]
+Probe = Annotated[
+    str,
+    typer.Option(
+        "--probe",
+        help="ellipsoid:a,b,c (semi-axes), sphere:r, box:a,b,c (edges) in metres, "
+        "or a mesh file (STL, PLY, OBJ).",
+    ),
+]
+ProbeUnit = Annotated[
+    str, typer.Option("--probe-unit", help="Unit of a mesh file: m, cm, mm, in.")
+]
+ProbeSurface = Annotated[
+    str,
+    typer.Option("--probe-surface", help="What to keep of a mesh: outer, all, hull."),
+]
+Points = Annotated[int, typer.Option("--points", help="Points of the probe's shell.")]
+Trajectories = Annotated[
+    list[Path],
+    typer.Option(
+        "--trajectory", metavar="PATH", help="Trajectory CSV; may be repeated."
+    ),
+]
+
+
+def numbers(text: str, count: int, option: str) -> tuple[float, ...]:
+    """Numbers separated by commas.
+
+    Args:
+        text: As typed.
+        count: How many there must be.
+        option: For the message.
+
+    Returns:
+        The numbers.
+
+    Raises:
+        InputError: Another count, or no numbers.
+
+    >>> numbers("0,0.5,1", 3, "--axis-origin")
+    (0.0, 0.5, 1.0)
+    """
+    try:
+        values = tuple(float(v) for v in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != count:
+        raise InputError(
+            f"{option} takes {count} numbers separated by commas, got {text!r}"
+        )
+    return values
+
+
+def whole_numbers(text: str, count: int, option: str) -> tuple[int, ...]:
+    """Whole numbers separated by commas; see `numbers`.
+
+    Raises:
+        InputError: Another count, or numbers with a fraction.
+    """
+    values = numbers(text, count, option)
+    if any(not v.is_integer() for v in values):
+        raise InputError(f"{option} takes whole numbers, got {text!r}")
+    return tuple(int(v) for v in values)
+
+
+def read_probe(spec: str, n_points: int, unit: str, surface: str) -> PointShell:
+    """The point shell of ``--probe``.
+
+    Raises:
+        InputError: Whatever is wrong with it, in the words of the command line.
+    """
+    from ttus_opt.point_shell import PointShell
+
+    try:
+        return PointShell.from_spec(
+            spec,
+            n_points=n_points,
+            unit=unit,
+            surface=surface,  # type: ignore[arg-type]  # checked there
+        )
+    except TtusError as error:
+        raise InputError(as_options(str(error), unit="--probe-unit")) from error
+
+
+def read_trajectories(paths: Sequence[Path]) -> Trajectory:
+    """All recordings as one trajectory.
+
+    Raises:
+        FileError: A file is not a usable trajectory.
+        InputError: Only some of them have wrenches.
+    """
+    from ttus_opt.trajectory import Trajectory, read_trajectory
+
+    return Trajectory.concatenate([read_trajectory(path) for path in paths])

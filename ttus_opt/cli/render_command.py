@@ -1,0 +1,88 @@
+"""``ttus-opt render``: the wrenches a field gives along a trajectory."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.evaluate_command import warn_off_grid
+from ttus_opt.cli.options import (
+    Field,
+    Json,
+    Points,
+    Probe,
+    ProbeSurface,
+    ProbeUnit,
+    Trajectories,
+    read_probe,
+    read_trajectories,
+)
+
+EXAMPLE = (
+    "ttus-opt render --field field.nc --probe ellipsoid:0.030,0.0125,0.018 "
+    "--trajectory poses.csv -o rendered.csv"
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("render", epilog=f"Example: {EXAMPLE}")(render)
+
+
+def render(
+    field: Field,
+    probe: Probe,
+    trajectory: Trajectories,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Trajectory CSV with wrenches.")
+    ],
+    points: Points = 1500,
+    probe_unit: ProbeUnit = "mm",
+    probe_surface: ProbeSurface = "outer",
+    json: Json = False,
+) -> None:
+    """Render force and torque for every pose of a trajectory."""
+    import numpy as np
+
+    from ttus_opt.field import PotentialField
+    from ttus_opt.renderer import Renderer
+
+    with Stages(3) as begin:
+        begin("reading field and poses")
+        poses = read_trajectories(trajectory)
+        potential = PotentialField.load(field)
+        shell = read_probe(probe, points, probe_unit, probe_surface)
+        begin("rendering")
+        renderer = Renderer(potential, shell)
+        start = time.perf_counter()
+        wrenches = [
+            renderer.render(rotation, position)
+            for rotation, position in zip(poses.rotation, poses.position, strict=True)
+        ]
+        seconds = time.perf_counter() - start
+        warn_off_grid(np.array([w.in_grid for w in wrenches]))
+        begin("writing")
+        rendered = replace(
+            poses,
+            force=np.array([w.force for w in wrenches]),
+            torque=np.array([w.torque for w in wrenches]),
+        )
+        rendered.save(output)
+    told = {
+        "output": str(output),
+        "frames": len(poses),
+        "frames_touching": sum(w.contact_points > 0 for w in wrenches),
+        "seconds_per_frame": seconds / len(poses),
+    }
+    if json:
+        print_json(told)
+        return
+    typer.echo(
+        f"{output}: {told['frames']} frames, {told['frames_touching']} touching, "
+        f"{1e6 * seconds / len(poses):.0f} µs per frame"
+    )

@@ -1,0 +1,29 @@
+"""Dirichlet values as equalities, p = b on the boundary voxels (design §3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.constraints.base import Constraint, LinearRows
+
+
+@dataclass(frozen=True)
+class HardBoundary(Constraint):
+    """Boundary voxels keep their given values exactly, not in least squares."""
+
+    name = "boundary"
+    formula = "p = b on inner, outer and surface layer and both ends"
+
+    def rows(self) -> LinearRows:
+        """Identity rows of the Dirichlet voxels."""
+        fixed = np.flatnonzero(~self.scene.laplace.free)
+        n = self.scene.n_voxels
+        rows = sp.csr_array(
+            (np.ones(len(fixed)), fixed, np.arange(len(fixed) + 1)),
+            shape=(len(fixed), n),
+        )
+        values = self.scene.b[fixed]
+        return LinearRows({"p": rows}, values, values)

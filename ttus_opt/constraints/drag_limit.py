@@ -1,0 +1,51 @@
+"""Coulomb's limit of a drag field, |q| ≤ μ_max |p| with one sign (design §3)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.constraints.base import Constraint, LinearRows
+from ttus_opt.errors import InputError
+
+
+@dataclass(frozen=True)
+class DragLimit(Constraint):
+    """The drag field is at most μ_max times the field, here and there of the skin.
+
+    Attributes:
+        largest: μ_max [–].
+    """
+
+    largest: float = 1.0
+
+    name = "drag_limit"
+    formula = "q ≤ μ_max p inside, q ≥ μ_max p outside"
+
+    def __post_init__(self) -> None:
+        """Refuse a coefficient that is none.
+
+        Raises:
+            InputError: μ_max is not positive.
+        """
+        if not (math.isfinite(self.largest) and self.largest > 0.0):
+            raise InputError(f"largest friction must be positive, got {self.largest}")
+
+    def rows(self) -> LinearRows:
+        """μ_max p − q, at least 0 inside and at most 0 outside."""
+        region = self.scene.voxmap.grid.flatten(self.scene.voxmap.region)
+        at = np.flatnonzero(region != 0)
+        m = len(at)
+        blocks = {
+            name: sp.csr_array(
+                (np.full(m, value), at, np.arange(m + 1)),
+                shape=(m, self.scene.n_voxels),
+            )
+            for name, value in (("p", self.largest), ("q", -1.0))
+        }
+        inside = region[at] > 0
+        lower = np.where(inside, 0.0, -np.inf)
+        return LinearRows(blocks, lower, np.where(inside, np.inf, 0.0))

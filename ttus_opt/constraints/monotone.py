@@ -1,0 +1,65 @@
+"""Growth with depth along every spoke (design §3).
+
+The deeper voxel of two neighbours on a spoke has at least the value of the shallower
+one, and ``least_slope`` times their distance more. Pairs lie inside or between
+inside and the skin; pairs of two given boundary values are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.constraints.base import Constraint, LinearRows
+from ttus_opt.errors import InputError
+from ttus_opt.voxmap import INSIDE, SURFACE
+
+
+@dataclass(frozen=True)
+class Monotone(Constraint):
+    """The field does not decrease towards the inside along a spoke.
+
+    Attributes:
+        least_slope: s, least growth with depth [unit of p per m].
+    """
+
+    least_slope: float = 0.0
+
+    name = "monotone"
+    formula = "p_deeper − p_shallower ≥ s Δr along spokes, inside"
+
+    def __post_init__(self) -> None:
+        """Refuse a slope that is none.
+
+        Raises:
+            InputError: The slope is negative or not finite.
+        """
+        if not (math.isfinite(self.least_slope) and self.least_slope >= 0.0):
+            raise InputError(
+                f"least_slope must not be negative [unit/m], got {self.least_slope}"
+            )
+        least = "0" if self.least_slope == 0.0 else f"{self.least_slope:g}/m · Δr"
+        object.__setattr__(
+            self, "formula", f"p_deeper − p_shallower ≥ {least} along spokes, inside"
+        )
+
+    def rows(self) -> LinearRows:
+        """One row per pair, sorted by the deeper voxel."""
+        voxmap = self.scene.voxmap
+        grid, region = voxmap.grid, voxmap.region
+        fixed = voxmap.dirichlet
+        deep, shallow = region[:-1], region[1:]
+        pair = (deep == INSIDE) & ((shallow == INSIDE) | (shallow == SURFACE))
+        pair &= ~(fixed[:-1] & fixed[1:])
+        deeper = np.flatnonzero(pair)  # rows of r[:-1] keep their flat index
+        m = len(deeper)
+        columns = np.stack([deeper, deeper + grid.strides[0]], axis=1).reshape(-1)
+        rows = sp.csr_array(
+            (np.tile([1.0, -1.0], m), columns, 2 * np.arange(m + 1)),
+            shape=(m, grid.n_voxels),
+        )
+        lower = np.full(m, self.least_slope * grid.r_step)
+        return LinearRows({"p": rows}, lower, np.full(m, np.inf))

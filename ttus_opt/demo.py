@@ -1,0 +1,249 @@
+"""The whole method on the bundled example: scan to surface to field to errors.
+
+Fitted to two recordings (pushes and lines along the body), judged on both and on two
+others of the same kind. Laplace prior alone against eq. 10 with force and torque.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt import example
+from ttus_opt.contour import extract_surface
+from ttus_opt.field import PotentialField
+from ttus_opt.fitting import fit
+from ttus_opt.metrics import evaluate
+from ttus_opt.point_shell import PointShell
+from ttus_opt.problem.solution import Solution
+from ttus_opt.report import Comparison, write_report
+from ttus_opt.scan import read_cloud
+from ttus_opt.scene import Scene
+from ttus_opt.surface import Surface
+from ttus_opt.trajectory import Trajectory, read_trajectory
+from ttus_opt.voxmap import Voxmap
+
+Array = NDArray[np.float64]
+
+#: How often `run` reports progress.
+N_STAGES = 7
+
+#: λ_f = λ_τ, as the trilinear sampling needs it.
+WEIGHT = 1e-2
+
+FITTED, UNSEEN = ("press_fit", "sweep_fit"), ("press_test", "sweep_test")
+
+PICTURES = {
+    "surface.png": "Surface from the scan, seen and filled",
+    "potential.png": "Potential before and after fitting",
+    "force_press_test.png": "Pushes the field has not seen",
+    "force_sweep_test.png": "Lines along the body the field has not seen",
+    "residuals.png": "Residuals on unseen motion",
+    "overview.png": "The method in one picture",
+}
+
+
+@dataclass(frozen=True)
+class SurfaceError:
+    """Extracted against true radius where the scan saw the skin.
+
+    Attributes:
+        mean: Mean of |R - R_true| [m].
+        p95: Its 95th percentile [m].
+        observed: Share of the radii that were seen [–].
+    """
+
+    mean: float
+    p95: float
+    observed: float
+
+
+@dataclass(frozen=True)
+class DemoResult:
+    """What the demo found.
+
+    Attributes:
+        comparisons: Errors before and after, per recording.
+        before: The Laplace field's solution.
+        after: Eq. 10's.
+        surface_error: How well the scan gave the skin.
+        seconds: The whole run [s].
+    """
+
+    comparisons: tuple[Comparison, ...]
+    before: Solution = field(repr=False)
+    after: Solution = field(repr=False)
+    surface_error: SurfaceError
+    seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures by name, for JSON."""
+        kkt = self.after.kkt
+        return {
+            "status": self.after.status.name.lower(),
+            "kkt": None if kkt is None else kkt.as_dict(),
+            "parameters": dict(self.after.parameters),
+            "surface_error_mean_m": self.surface_error.mean,
+            "surface_error_p95_m": self.surface_error.p95,
+            "surface_observed": self.surface_error.observed,
+            "seconds": self.seconds,
+            "errors": [
+                {
+                    "recording": case.recording,
+                    "seen": case.seen,
+                    "before": case.before.errors.as_dict(),
+                    "after": case.after.errors.as_dict(),
+                }
+                for case in self.comparisons
+            ],
+        }
+
+
+def run(
+    folder: str | os.PathLike[str],
+    *,
+    shape: tuple[int, int, int] = (48, 120, 60),
+    progress: Callable[[str], None] | None = None,
+) -> DemoResult:
+    """Run the method and write fields, pictures and report.
+
+    Args:
+        folder: Where to write; made when missing.
+        shape: Voxels in r, θ and z [–].
+        progress: Called with what begins, `N_STAGES` times.
+
+    Returns:
+        Errors and solutions.
+
+    Raises:
+        InputError: A grid that cannot be used.
+        NoSolutionError: A fit failed its own check.
+        FileError: The folder cannot be written to.
+    """
+    start = time.perf_counter()
+    begin = progress or (lambda stage: None)
+    begin("reading the example")
+    truth = Surface.load(example.path("surface.nc"))
+    cloud = read_cloud(example.path("scan.ply"), unit="m")
+    recordings = {
+        name: read_trajectory(example.path(f"{name}.csv"))
+        for name in (*FITTED, *UNSEEN)
+    }
+    shell = PointShell.from_spec(example.PROBE)
+    begin("scan to surface")
+    surface = extract_surface(cloud, axis=truth.axis)
+    begin("assembling (first run compiles)")
+    scene = Scene.assemble(
+        Voxmap.from_surface(surface, shape=shape),
+        shell,
+        Trajectory.concatenate([recordings[name] for name in FITTED]),
+        inner="fit",
+        sampling="trilinear",
+    )
+    begin("Laplace prior alone")
+    before = fit(scene, "laplace_only")
+    begin("with forces and torques")
+    after = fit(scene, "eq10", force_weight=WEIGHT, torque_weight=WEIGHT)
+    begin("evaluating")
+    comparisons = tuple(
+        Comparison(
+            name,
+            name in FITTED,
+            evaluate(before.field, shell, recording),
+            evaluate(after.field, shell, recording),
+        )
+        for name, recording in recordings.items()
+    )
+    begin("pictures and report")
+    error = surface_error(surface, truth)
+    out = Path(folder)
+    surface.save(out / "surface.nc")
+    after.field.save(out / "field.nc")
+    _draw(out, cloud, before.field, after.field, comparisons)
+    result = DemoResult(comparisons, before, after, error, time.perf_counter() - start)
+    write_report(
+        out / "report.md",
+        comparisons,
+        facts=_facts(scene, result),
+        pictures=PICTURES,
+    )
+    return result
+
+
+def surface_error(surface: Surface, truth: Surface) -> SurfaceError:
+    """Compare an extracted surface with the true one where it was seen.
+
+    Args:
+        surface: From a scan.
+        truth: In the same patient frame.
+
+    Returns:
+        The error of the radius.
+    """
+    theta, z = np.meshgrid(surface.theta, surface.z, indexing="ij")
+    known = surface.observed & (z >= truth.z[0]) & (z <= truth.z[-1])
+    wrong = np.abs(surface.radius - truth.radius_at(theta, z))[known]
+    return SurfaceError(
+        float(wrong.mean()),
+        float(np.percentile(wrong, 95)),
+        float(surface.observed.mean()),
+    )
+
+
+def _draw(
+    out: Path,
+    cloud: Array,
+    before: PotentialField,
+    after: PotentialField,
+    comparisons: tuple[Comparison, ...],
+) -> None:
+    from ttus_opt import plots
+
+    unseen = {case.recording: case for case in comparisons if not case.seen}
+    pair = {
+        name: {"Laplace alone": case.before, "fitted": case.after}
+        for name, case in unseen.items()
+    }
+    figures = {
+        "surface.png": plots.surface_picture(after.voxmap.surface, cloud),
+        "potential.png": plots.potential_slices(before, after),
+        "residuals.png": plots.residual_histogram(
+            [case.before for case in unseen.values()],
+            [case.after for case in unseen.values()],
+        ),
+        "overview.png": plots.overview(after, cloud, pair["press_test"]),
+    }
+    for name, evaluations in pair.items():
+        figures[f"force_{name}.png"] = plots.force_over_time(
+            evaluations, PICTURES[f"force_{name}.png"]
+        )
+    for name, figure in figures.items():
+        plots.save_picture(figure, out / name)
+
+
+def _facts(scene: Scene, result: DemoResult) -> dict[str, str]:
+    after, error = result.after, result.surface_error
+    kkt = after.kkt
+    shape = " x ".join(map(str, scene.voxmap.grid.shape))
+    return {
+        "Surface": f"{100 * error.observed:.0f} % of the radii seen; where seen, off "
+        f"by {1e3 * error.mean:.1f} mm in the mean and {1e3 * error.p95:.1f} mm at "
+        "the 95th percentile",
+        "Grid": f"{shape} = {scene.n_voxels:,} voxels, trilinear sampling",
+        "Fit": f"{after.formulation} with λ_f = λ_τ = {WEIGHT:g} and ℓ = "
+        f"{1e3 * scene.torque_length:.1f} mm to {len(scene.trajectory)} poses "
+        f"({', '.join(FITTED)}), by {after.solver}",
+        "Check": "worst relative KKT residual "
+        + ("unknown" if kkt is None else f"{kkt.worst_relative:.1e}"),
+        "Identified": ", ".join(f"{k} {v:.4g}" for k, v in after.parameters.items()),
+        "Time": f"{after.timings.assembly:.1f} s assembly, "
+        f"{after.timings.setup + after.timings.solve:.1f} s solve, "
+        f"{result.seconds:.0f} s in all",
+    }

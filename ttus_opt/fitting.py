@@ -1,0 +1,271 @@
+"""Fit: formulation and solver in, verified solution out."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.errors import InputError
+from ttus_opt.field import PotentialField
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.conflict import conflicting
+from ttus_opt.problem.formulation import Formulation, Search
+from ttus_opt.problem.kkt import KKT, kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import Reduction, reduce
+from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.scene import Scene
+from ttus_opt.solvers import registry
+from ttus_opt.solvers.base import Candidate, Claim, Request
+
+Array = NDArray[np.float64]
+
+#: Seconds spent on naming the constraints in conflict, when no limit is given
+CONFLICT_SECONDS = 30.0
+
+#: Accuracy of a searched parameter, as a part of its range, and most fits for it
+SEARCH_ACCURACY, SEARCH_FITS = 1e-3, 25
+
+#: KKT tolerance of the fits along a search; the last one has the tolerance asked for
+SEARCH_TOLERANCE = 1e-4
+
+_FROM_CLAIM = {
+    Claim.INFEASIBLE: Status.INFEASIBLE,
+    Claim.UNBOUNDED: Status.UNBOUNDED,
+    Claim.TIME_LIMIT: Status.TIME_LIMIT,
+}
+
+
+def fit(
+    scene: Scene,
+    formulation: str | Path | Formulation = "eq10",
+    *,
+    solver: str = "auto",
+    tolerance: float = 1e-6,
+    time_limit: float | None = None,
+    **options: Any,
+) -> Solution:
+    """Fit a field to a scene.
+
+    Args:
+        scene: Patient, probe and measurements.
+        formulation: A name, a path to a file with ``build``, or a Formulation.
+        solver: A solver's name, or "auto".
+        tolerance: Largest relative KKT residual of a solution [–].
+        time_limit: Most seconds the solver may take, each time it is called [s].
+        options: The formulation's own (``force_weight``, ``torque_weight``, …).
+
+    Returns:
+        The solution; its ``field`` is there only when its residuals, computed here,
+        hold to the tolerance.
+
+    Raises:
+        InputError: Unknown formulation, option or solver, or a solver that cannot
+            take the problem.
+        SolverUnavailableError: The solver's package is not installed.
+    """
+    start = time.perf_counter()
+    declared = shelf.load(formulation, scene, **options)
+    if declared.scene is not scene:
+        raise InputError("the formulation speaks of another scene: build it anew")
+    request = Request(tolerance, time_limit)
+    if declared.search is None:
+        return Fitter(declared, solver=solver, request=request, started=start).solve()
+    best = _searched(declared.search, declared, solver, request)
+    searched = time.perf_counter() - start
+    last = Fitter(best.named(declared.name), solver=solver, request=request).solve()
+    return replace(last, timings=replace(last.timings, search=searched))
+
+
+class Fitter:
+    """A formulation with a solver loaded, for solving again with other data.
+
+    ``update(declared.with_weights(force=1e-2))`` and ``solve()`` give the solution for
+    other weights from what the solver has kept.
+
+    Args:
+        declared: The formulation.
+        solver: A solver's name, or "auto".
+        request: Tolerance and time limit.
+        started: When declaring it began, of `time.perf_counter` [s].
+    """
+
+    def __init__(
+        self,
+        declared: Formulation,
+        *,
+        solver: str = "auto",
+        request: Request | None = None,
+        started: float | None = None,
+    ) -> None:
+        """Compile the formulation and prepare the solver.
+
+        Raises:
+            InputError: Unknown solver, or one that cannot take the problem.
+            SolverUnavailableError: The solver's package is not installed.
+        """
+        start = time.perf_counter() if started is None else started
+        self._request = request or Request()
+        self._declared = declared
+        self._reduction = reduce(declared.compile())
+        self._backend = registry.choose(solver, self._reduction.program)
+        compiled = time.perf_counter()
+        self._prepared = self._backend.prepare(self._reduction.program, self._request)
+        self._assembly = declared.scene.seconds + compiled - start
+        self._setup = time.perf_counter() - compiled
+        self._first: float | None = None
+        self._taken_in = 0.0
+
+    @property
+    def solver_name(self) -> str:
+        """The solver that was chosen."""
+        return self._backend.name
+
+    def update(self, declared: Formulation) -> None:
+        """Take other weights or data; the solver keeps what it can."""
+        start = time.perf_counter()
+        self._declared = declared
+        self._reduction = reduce(declared.compile())
+        self._prepared.update(self._reduction.program)
+        self._taken_in = time.perf_counter() - start
+
+    def solve(self) -> Solution:
+        """Solve what is loaded and verify the answer."""
+        start = time.perf_counter()
+        candidate = self._prepared.solve()
+        spent = time.perf_counter() - start
+        again = None
+        if self._first is None:
+            self._first = spent
+        else:
+            again = self._taken_in + spent
+        self._taken_in = 0.0
+        timings = Timings(self._assembly, self._setup, self._first, again)
+        return judged(
+            self._declared,
+            self._reduction,
+            self._backend.name,
+            candidate,
+            self._request,
+            timings,
+        )
+
+
+def _searched(
+    search: Search, declared: Formulation, solver: str, request: Request
+) -> Formulation:
+    """The formulation at the value of its parameter with the least objective."""
+    from scipy.optimize import minimize_scalar
+
+    loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
+    fitter = Fitter(declared, solver=solver, request=loose)
+
+    def objective(value: float) -> float:
+        fitter.update(search.build(float(value)))
+        solution = fitter.solve()
+        # an unsolved fit is no place to stop at
+        return solution.objective if solution.status is Status.SOLVED else np.inf
+
+    span = search.high - search.low
+    found = minimize_scalar(
+        objective,
+        bounds=(search.low, search.high),
+        method="bounded",
+        options={"xatol": SEARCH_ACCURACY * span, "maxiter": SEARCH_FITS},
+    )
+    return search.build(float(found.x))
+
+
+def judged(
+    declared: Formulation,
+    reduction: Reduction,
+    solver: str,
+    candidate: Candidate,
+    request: Request,
+    timings: Timings,
+) -> Solution:
+    """Turn a candidate into a solution by its own residuals.
+
+    Args:
+        declared: The formulation.
+        reduction: Its program, and the one the solver was given.
+        solver: The solver's name.
+        candidate: The solver's answer.
+        request: Tolerance and time limit.
+        timings: Where the time went.
+
+    Returns:
+        The solution of the original program.
+    """
+    scene, program = declared.scene, reduction.original
+    x, duals = candidate.x, candidate.duals
+    if x is not None:
+        point = reduction.restore(x, duals)
+        x, duals = point.x, point.duals
+    kkt = None if x is None else kkt_residuals(program, x, duals)
+    status = _status(candidate, kkt, request)
+    conflict = _conflict(reduction.original, status, kkt, request)
+    if conflict:
+        status = Status.INFEASIBLE
+    parameters = dict(scene.parameters)
+    if x is not None and np.isfinite(x).all():
+        parameters = declared.parameters(program.split(x))
+    verified = None
+    if status is Status.SOLVED and x is not None:
+        verified = PotentialField(
+            scene.voxmap,
+            scene.voxmap.grid.unflatten(x[program.variables["p"]]).copy(),
+            scene.sampling,
+            parameters,
+            {"formulation": repr(declared), "solver": solver},
+        )
+    return Solution(
+        status=status,
+        solver=solver,
+        formulation=declared.name,
+        kkt=kkt,
+        objective=float("nan") if x is None else program.objective(x),
+        costs={} if x is None else program.costs(x),
+        slacks={} if x is None else _slacks(program, x),
+        duals=duals,
+        timings=timings,
+        iterations=candidate.iterations,
+        parameters=parameters,
+        program=program,
+        candidate=x,
+        detail=candidate.detail,
+        verified_field=verified,
+        conflict=conflict,
+    )
+
+
+def _status(candidate: Candidate, kkt: KKT | None, request: Request) -> Status:
+    if kkt is not None and kkt.worst_relative <= request.tolerance:
+        return Status.SOLVED
+    if candidate.claim in _FROM_CLAIM:
+        return _FROM_CLAIM[candidate.claim]
+    return Status.FAILED if kkt is None else Status.INACCURATE
+
+
+def _conflict(
+    program: Program, status: Status, kkt: KKT | None, request: Request
+) -> tuple[str, ...]:
+    """Names in conflict where the constraints may be to blame for the failure."""
+    broken = kkt is None or kkt.primal_relative > request.tolerance
+    suspect = status is Status.INFEASIBLE or (
+        status in (Status.FAILED, Status.INACCURATE) and broken
+    )
+    if not suspect or program.is_unconstrained:
+        return ()
+    return conflicting(program, time_limit=request.time_limit or CONFLICT_SECONDS)
+
+
+def _slacks(program: Program, x: Array) -> dict[str, Array]:
+    """Distance of every constraint row to its nearer limit, negative when broken."""
+    slacks = {member.name: member.slack(x) for member in program.constraints}
+    return slacks | {member.name: member.slack(x) for member in program.bounds}

@@ -1,0 +1,406 @@
+"""Geometric multigrid for the symmetric block A of Laplace's equation (design §3).
+
+On the free voxels of a cylindrical grid, A is r times the negative stencil of
+`laplace`: symmetric positive definite. A solve is iterative refinement: residuals
+and x in double precision, each correction by conjugate gradients in single
+precision, preconditioned by a V-cycle whose smoother solves radial lines exactly,
+one colour of a chessboard over (θ, z) after the other (`kernels`), on
+levels that keep the surface closed (`levels`). As colour 0 follows exactly
+from colour 1, the conjugate gradients run on colour 1 alone (the Schur complement),
+unless an odd number of spokes spoils the chessboard.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.errors import InputError, NumericalError
+from ttus_opt.grid import CylindricalGrid
+from ttus_opt.multigrid import double, kernels
+from ttus_opt.multigrid.cycle import Hierarchy, Workspace, cycle
+from ttus_opt.multigrid.kernels import Single
+from ttus_opt.multigrid.levels import conductances
+
+Array = NDArray[np.float64]
+
+#: By how much one correction reduces the residual; single precision gives no more.
+REDUCTION = 1e-4
+#: Corrections in a row that may fail to halve the residual.
+PATIENCE = 3
+
+
+@dataclass(frozen=True)
+class MultigridResult:
+    """Answer of one solve.
+
+    Attributes:
+        x: Solution, zero at fixed voxels, shape (V,).
+        iterations: V-cycles spent on it [–].
+        relative_residual: ‖b - A x‖ / ‖b‖, in double precision [–].
+    """
+
+    x: Array = field(repr=False)
+    iterations: int
+    relative_residual: float
+
+
+class _Vectors(Workspace):
+    """What one solve writes to: conjugate gradients beside the V-cycle."""
+
+    def __init__(self, hierarchy: Hierarchy) -> None:
+        super().__init__(hierarchy)
+        shape = hierarchy.levels[0].shape
+        colours = (2 if hierarchy.levels[0].is_odd else 1, *shape[1:])
+        self.p = np.zeros(colours, np.float32)
+        self.q = np.zeros(colours, np.float32)
+        self.r = np.zeros(colours, np.float32)
+        self.answer = np.zeros(shape, np.float32)
+
+    @property
+    def memory_bytes(self) -> int:
+        vectors = (self.p, self.q, self.r, self.answer)
+        return super().memory_bytes + sum(v.nbytes for v in vectors)
+
+
+class Multigrid:
+    """Solver of A x = b on the free voxels of a grid.
+
+    (A x)_v = r_i · Σ c (x_v - x_neighbour) over the six neighbours, with the weights
+    c of `laplace` and x = 0 at fixed voxels; b and x are full vectors (V,), zero at
+    fixed voxels. Setting up costs about as much as one solve.
+
+    An instance may be used by several threads at once: each call works in arrays of
+    its own, and compiled code releases the interpreter's lock. One solve runs on one
+    core. Equal calls give equal bits.
+    """
+
+    def __init__(self, grid: CylindricalGrid, free: NDArray[np.bool_]) -> None:
+        """Build the levels.
+
+        Args:
+            grid: The grid.
+            free: Unknown voxels, shape ``grid.shape``; none in the first and last
+                layer and slice.
+
+        Raises:
+            InputError: The mask has another shape, or frees a voxel on the rim.
+        """
+        free = np.ascontiguousarray(free)
+        if free.shape != grid.shape or free.dtype != np.bool_:
+            raise InputError(
+                f"free must be a boolean array of shape {grid.shape}, got "
+                f"{free.dtype} {free.shape}"
+            )
+        if free[[0, -1]].any() or free[:, :, [0, -1]].any():
+            raise InputError(
+                "free voxels in the first or last layer or slice: these have no "
+                "neighbour beyond, mark them False"
+            )
+        self.grid = grid
+        self.free = grid.flatten(free)
+        self._conductances = conductances(grid)
+        r, t, z = self._conductances
+        #: Bound of the operator's norm (Gershgorin) [m].
+        self.norm_bound = float(np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z)))
+        self._hierarchy = Hierarchy.build(grid, free)
+        self._idle: deque[_Vectors] = deque()
+
+    def __reduce__(self) -> tuple[type[Multigrid], tuple[object, ...]]:
+        """Pickle as what it was built from."""
+        return (Multigrid, (self.grid, self.grid.unflatten(self.free)))
+
+    @property
+    def memory_bytes(self) -> int:
+        """Size of the levels and of the scratch arrays kept for the next solve."""
+        return (
+            self._hierarchy.memory_bytes
+            + self.free.nbytes
+            + sum(work.memory_bytes for work in list(self._idle))
+        )
+
+    @property
+    def level_shapes(self) -> tuple[tuple[int, int, int], ...]:
+        """Nodes (n_r, n_theta, n_z) of every level, from fine to coarse [–]."""
+        return tuple(level.layout.shape for level in self._hierarchy.levels)
+
+    def apply(self, x: Array) -> Array:
+        """A x.
+
+        Args:
+            x: Values, shape (V,); those at fixed voxels count as zero.
+
+        Returns:
+            A x, zero at fixed voxels, shape (V,).
+
+        Raises:
+            InputError: x has another shape or is not finite.
+        """
+        x = self._vector(x, "x")
+        out = np.zeros_like(x)
+        double.operate(out, x, self.free, *self._conductances, self.grid.shape)
+        return out
+
+    def v_cycle(self, rhs: Array) -> Array:
+        """Approximate A⁻¹ b by one V-cycle.
+
+        It is linear, symmetric and positive definite up to single precision, so that
+        plain conjugate gradients may be preconditioned with it.
+
+        Args:
+            rhs: b, shape (V,).
+
+        Returns:
+            Approximate solution, zero at fixed voxels, shape (V,).
+
+        Raises:
+            InputError: b has another shape or is not finite.
+        """
+        rhs = self._vector(rhs, "the right-hand side")
+        x = np.zeros_like(rhs)
+        size = _largest(rhs)
+        if size == 0.0:
+            return x
+        work = self._borrow()
+        rhs /= size
+        self._residual(work, None, rhs, 1.0)
+        cycle(self._hierarchy, work, (work.b[0][0], work.b[0][1]))
+        self._add(x, work.x[0], size)
+        self._idle.append(work)
+        return x
+
+    def solve(
+        self,
+        rhs: Array,
+        *,
+        rtol: float = 1e-12,
+        x0: Array | None = None,
+        max_iterations: int = 500,
+    ) -> MultigridResult:
+        """Solve A x = b.
+
+        Done when ‖b - A x‖ ≤ rtol ‖b‖, or when the residual is down to rounding:
+        ‖b - A x‖ ≤ ε (‖A‖ ‖x‖ + ‖b‖) with ε = 2.2e-16 and a bound for ‖A‖. The
+        result says which residual was reached.
+
+        Args:
+            rhs: b, shape (V,); values at fixed voxels are left out.
+            rtol: Relative residual asked for; 0 for what rounding allows [–].
+            x0: Where to start, shape (V,); by default zero.
+            max_iterations: Most V-cycles [–].
+
+        Returns:
+            Solution, V-cycles and relative residual.
+
+        Raises:
+            InputError: A vector has another shape or is not finite, rtol is negative,
+                or x0 is out of all proportion.
+            NumericalError: The residual was not reached.
+        """
+        if not 0.0 <= rtol < 1.0:
+            raise InputError(f"rtol must be at least 0 and below 1, got {rtol}")
+        b = self._vector(rhs, "the right-hand side")
+        x = None if x0 is None else self._vector(x0, "x0")
+        largest = _largest(b)
+        if largest == 0.0:
+            return MultigridResult(b, 0, 0.0)
+        unit = math.ldexp(1.0, math.frexp(largest)[1] - 1)
+        b /= unit  # squares neither overflow nor vanish
+        if x is not None:
+            x /= unit
+            if not _largest(x) < 1e150:
+                raise InputError(
+                    f"x0 is {_largest(x):.1e} times the right-hand side: start nearer "
+                    "or from zero"
+                )
+        result = self._refine(b, x, rtol, max_iterations)
+        return replace(result, x=result.x * unit)
+
+    def solve_many(
+        self, rhs: Array, *, rtol: float = 1e-12, threads: int | None = None
+    ) -> tuple[MultigridResult, ...]:
+        """Solve for several right-hand sides, one per core at a time.
+
+        Args:
+            rhs: One b per row, shape (k, V).
+            rtol: As in `solve`.
+            threads: Solves side by side; by default the machine's cores.
+
+        Returns:
+            One result per row.
+
+        Raises:
+            InputError: As in `solve`.
+            NumericalError: As in `solve`.
+        """
+        rows = np.asarray(rhs)
+        if rows.ndim != 2:
+            raise InputError(
+                f"right-hand sides must have shape (k, {self.grid.n_voxels}), got "
+                f"{rows.shape}"
+            )
+        count = min(len(rows), threads or len(os.sched_getaffinity(0)))
+        if count <= 1:
+            return tuple(self.solve(row, rtol=rtol) for row in rows)
+        with ThreadPoolExecutor(count) as pool:
+            return tuple(pool.map(lambda row: self.solve(row, rtol=rtol), rows))
+
+    def _refine(
+        self, b: Array, x: Array | None, rtol: float, limit: int
+    ) -> MultigridResult:
+        """Iterative refinement for a right-hand side of moderate size.
+
+        Args:
+            b: Right-hand side, zero at fixed voxels, shape (V,).
+            x: Where to start, shape (V,); None for zero. Overwritten.
+            rtol: As in `solve`.
+            limit: Most V-cycles [–].
+        """
+        work = self._borrow()
+        now = size = self._residual(work, None, b, 1.0)
+        scale, norm_x = 1.0, 0.0
+        if x is None:
+            x = np.zeros_like(b)
+        else:
+            norm_x = math.sqrt(float(np.sum(x * x)))
+            scale = 1.0 / max(self.norm_bound * norm_x, size)
+            now = self._residual(work, x, b, scale)
+        iterations, failures = 0, 0
+        while True:
+            floor = np.finfo(float).eps * (self.norm_bound * norm_x + size)
+            target = max(rtol * size, floor)
+            if now <= target:
+                break
+            if failures == PATIENCE or iterations >= limit:
+                raise NumericalError(
+                    f"multigrid reached a relative residual of {now / size:.1e} after "
+                    f"{iterations} cycles, {rtol:.1e} was asked for: allow more "
+                    "cycles or a larger rtol"
+                )
+            goal = max(REDUCTION, 0.5 * target / now)
+            iterations += self._correct(work, goal, limit - iterations)
+            norm_x = math.sqrt(self._add(x, work.answer, 1.0 / scale))
+            before, scale = now, 1.0 / now
+            now = self._residual(work, x, b, scale)
+            failures = failures + 1 if now > 0.5 * before else 0
+        self._idle.append(work)
+        return MultigridResult(x, iterations, now / size)
+
+    def _vector(self, values: Array, name: str) -> Array:
+        """A copy with zeros at fixed voxels; refuses what is no such vector."""
+        vector = np.asarray(values, dtype=float)
+        if vector.shape != self.free.shape:
+            raise InputError(
+                f"{name} must have shape {self.free.shape}, got {vector.shape}"
+            )
+        kept = np.where(self.free, vector, 0.0)
+        if not math.isfinite(_largest(kept)):
+            raise InputError(f"{name} must be finite at free voxels, got NaN or inf")
+        return kept
+
+    def _borrow(self) -> _Vectors:
+        """Scratch arrays no other thread has."""
+        try:
+            return self._idle.pop()
+        except IndexError:
+            return _Vectors(self._hierarchy)
+
+    def _residual(
+        self, work: _Vectors, x: Array | None, b: Array, scale: float
+    ) -> float:
+        """‖b - A x‖; leaves its scaled halves in ``work.b[0]``."""
+        pitch, shape = self._hierarchy.levels[0].layout.pitch, self.grid.shape
+        r, t, z = self._conductances
+        return math.sqrt(
+            double.residual(work.b[0], x, b, self.free, r, t, z, scale, pitch, shape)
+        )
+
+    def _add(self, x: Array, halves: Single, scale: float) -> float:
+        """Correct x by scale · halves; returns ‖x‖²."""
+        pitch = self._hierarchy.levels[0].layout.pitch
+        return float(double.add(x, halves, scale, pitch, self.grid.shape))
+
+    def _correct(self, work: _Vectors, goal: float, limit: int) -> int:
+        """Solve A e = work.b[0] roughly, in single precision, into ``work.answer``.
+
+        Args:
+            work: Scratch arrays.
+            goal: Relative residual to reach [–].
+            limit: Most V-cycles [–].
+
+        Returns:
+            V-cycles spent.
+        """
+        level = self._hierarchy.levels[0]
+        b, x, e = work.b[0], work.x[0], work.answer
+        e.fill(0)
+        if level.is_odd:
+            work.r[:] = b
+            return self._gradients(work, (0, 1), goal, limit)
+        level.sweep(0, x, None, b[0])
+        level.couple(work.r[0], x[0])
+        work.r[0] += b[1]
+        spent = self._gradients(work, (1,), goal, limit)
+        kernels.close_circle(e, 1, level.layout.numbers)
+        level.sweep(0, e, e[1], b[0])
+        return spent
+
+    def _gradients(
+        self, work: _Vectors, colours: tuple[int, ...], goal: float, limit: int
+    ) -> int:
+        """Conjugate gradients for work.r on one or both colours."""
+        numbers = self._hierarchy.levels[0].layout.numbers
+        x, e, p, q, r = work.x[0], work.answer, work.p, work.q, work.r
+        parts = tuple(enumerate(colours))
+        first = sum(kernels.dot(r[n], r[n], c, numbers) for n, c in parts)
+        rz_before = math.inf
+        p.fill(0)
+        for iteration in range(limit):
+            if first == 0.0:
+                return iteration
+            cycle(self._hierarchy, work, (r[0] if len(r) == 2 else None, r[-1]))
+            rz = sum(kernels.dot(r[n], x[c], c, numbers) for n, c in parts)
+            for n, c in parts:
+                kernels.turn(p[n], x[c], np.float32(rz / rz_before))
+            pq = self._operate(work, colours)
+            if not (pq > 0.0 and rz > 0.0):  # down to rounding
+                return iteration + 1
+            alpha = np.float32(rz / pq)
+            now = sum(
+                kernels.step(e[c], r[n], p[n], q[n], alpha, c, numbers)
+                for n, c in parts
+            )
+            if now <= goal**2 * first:
+                return iteration + 1
+            rz_before = rz
+        return limit
+
+    def _operate(self, work: _Vectors, colours: tuple[int, ...]) -> float:
+        """Put A p, or the Schur complement's, into q; returns p · q."""
+        level = self._hierarchy.levels[0]
+        p, q, x = work.p, work.q, work.x[0]
+        rest = (level.R, level.T, level.Z)
+        numbers = level.layout.numbers
+        if len(colours) == 1:
+            level.sweep(0, x, p[0], None)
+            inverse = level.inverse[1]
+            return float(kernels.operate(q[0], p[0], x[0], inverse, *rest, 1, numbers))
+        return float(
+            sum(
+                kernels.operate(
+                    q[c], p[c], p[1 - c], level.inverse[c], *rest, c, numbers
+                )
+                for c in colours
+            )
+        )
+
+
+def _largest(values: Array) -> float:
+    """Largest absolute value; NaN if there is one."""
+    return max(float(values.max()), -float(values.min()))

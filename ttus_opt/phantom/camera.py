@@ -1,0 +1,171 @@
+"""Depth cameras above a torso on a table: a noisy, one-sided cloud with holes."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt import io
+from ttus_opt.errors import InputError
+from ttus_opt.phantom.torso import Torso
+
+Array = NDArray[np.float64]
+
+#: Steps of the coarse search along a ray, and of the bisection after it.
+MARCH, BISECT = 160, 30
+
+
+@dataclass(frozen=True)
+class View:
+    """One depth camera, patient frame.
+
+    Attributes:
+        eye: Where it stands, shape (3,) [m].
+        target: What it looks at, shape (3,) [m].
+        opening: Half of the field of view, in both directions [rad].
+        pixels: Rows and columns of its square picture [–].
+    """
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float] = (0.0, 0.0, 0.15)
+    opening: float = 0.34
+    pixels: int = 72
+
+    def rays(self) -> Array:
+        """Unit directions of all pixels, shape (pixels², 3) [–]."""
+        ahead = np.asarray(self.target) - np.asarray(self.eye)
+        ahead /= np.linalg.norm(ahead)
+        right = np.cross(ahead, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        up = np.cross(right, ahead)
+        step = np.tan(self.opening) * np.linspace(-1.0, 1.0, self.pixels)
+        u, v = (g.reshape(-1, 1) for g in np.meshgrid(step, step))
+        rays = ahead + u * right + v * up
+        return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What stands before the cameras, patient frame.
+
+    Attributes:
+        torso: The body, seen between both its ends.
+        table: Height of the table, y [m]; it is wider and longer than the body.
+        table_margin: How far it reaches beyond the body on every side [m].
+        holes: Places on the skin where nothing is measured: θ [rad], z and radius
+            [m], shape (n, 3).
+    """
+
+    torso: Torso
+    table: float = -0.121
+    table_margin: float = 0.08
+    holes: tuple[tuple[float, float, float], ...] = (
+        (np.radians(140.0), 0.215, 0.018),
+        (np.radians(50.0), 0.050, 0.022),
+    )
+
+
+def scan(
+    scene: Scene,
+    views: tuple[View, ...],
+    rng: np.random.Generator,
+    *,
+    noise: float = 0.002,
+    dropout: float = 0.05,
+) -> Array:
+    """Take one cloud with several cameras.
+
+    Args:
+        scene: Body and table.
+        views: The cameras.
+        rng: Source of noise and dropouts.
+        noise: Standard deviation along each ray [m].
+        dropout: Share of pixels without a measurement [–].
+
+    Returns:
+        Points, patient frame, shape (n, 3) [m].
+
+    Raises:
+        InputError: No camera, or a camera that sees nothing.
+    """
+    if not views:
+        raise InputError("a scan needs at least one view, got none")
+    clouds = []
+    for view in views:
+        eye, rays = np.asarray(view.eye), view.rays()
+        far = 2.0 * float(np.linalg.norm(eye - np.asarray(view.target)))
+        distance = np.minimum(
+            _to_skin(scene, eye, rays, far), _to_table(scene, eye, rays)
+        )
+        seen = np.isfinite(distance) & (rng.random(len(rays)) >= dropout)
+        noisy = distance + noise * rng.standard_normal(len(rays))
+        seen[seen] &= ~_in_hole(scene, eye + distance[seen, None] * rays[seen])
+        if not seen.any():
+            raise InputError(f"the view from {view.eye} sees nothing: turn it around")
+        clouds.append(eye + noisy[seen, None] * rays[seen])
+    return np.concatenate(clouds)
+
+
+def _to_skin(scene: Scene, eye: Array, rays: Array, far: float) -> Array:
+    """Distance to the skin along rays, inf where they miss, NaN at cut ends [m]."""
+
+    def outside(distance: Array) -> NDArray[np.bool_]:
+        x, y, z = (eye + distance[:, None] * rays).T
+        reach = scene.torso.radius(np.arctan2(y, x), z)
+        beyond = (z < 0.0) | (z > scene.torso.length)
+        return np.asarray((np.hypot(x, y) > reach) | beyond)
+
+    first = np.full(len(rays), np.inf)
+    steps = np.linspace(0.0, far, MARCH)
+    for distance in steps[::-1]:
+        inside = ~outside(np.full(len(rays), distance))
+        first[inside] = distance
+    hit = np.isfinite(first)
+    high = np.where(hit, first, 0.0)
+    low = high - steps[1]
+    for _ in range(BISECT):
+        middle = 0.5 * (low + high)
+        out = outside(middle)
+        low, high = np.where(out, middle, low), np.where(out, high, middle)
+    # The real body goes on beyond its ends: a ray that enters there saw nothing of it,
+    # nor of the table behind.
+    z = eye[2] + high * rays[:, 2]
+    end = 1e-4
+    cut = (z < end) | (z > scene.torso.length - end)
+    return np.where(hit, np.where(cut, np.nan, high), np.inf)
+
+
+def _to_table(scene: Scene, eye: Array, rays: Array) -> Array:
+    """Distance to the table along rays, inf beside it and under the body [m]."""
+    with np.errstate(divide="ignore"):
+        distance = (scene.table - eye[1]) / rays[:, 1]
+    distance = np.where(distance > 0.0, distance, np.inf)
+    reached = np.isfinite(distance)
+    margin = scene.table_margin
+    x, _, z = (eye + np.where(reached, distance, 0.0)[:, None] * rays).T
+    wide = scene.torso.half_axes[0] + margin
+    on = (np.abs(x) < wide) & (z > -margin) & (z < scene.torso.length + margin)
+    return np.where(reached & on, distance, np.inf)
+
+
+def _in_hole(scene: Scene, points: Array) -> NDArray[np.bool_]:
+    """Points that fall into a hole, shape (n,)."""
+    inside = np.zeros(len(points), dtype=bool)
+    for theta, z, radius in scene.holes:
+        middle = scene.torso.skin(np.array(theta), np.array(z))
+        inside |= np.linalg.norm(points - middle, axis=1) < radius
+    return inside
+
+
+def write_cloud(points: Array, path: str | os.PathLike[str]) -> None:
+    """Write points (n, 3) [m] as a binary PLY of 32-bit floats."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment metres\n"
+        f"element vertex {len(points)}\n"
+        "property float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    with io.replacing(path) as temporary:
+        temporary.write_bytes(header.encode() + points.astype("<f4").tobytes())

@@ -1,0 +1,250 @@
+"""Linear elasticity on hexahedra and the compliance of a patch of skin.
+
+The body obeys div σ = 0 with Hooke's law σ = 2μ ε(u) + λ tr ε(u) I. Trilinear
+elements lock when λ/μ grows (ν → ½), so the volumetric part is integrated with one
+point per element (selective reduced integration, Hughes 1980), the deviatoric part
+with eight. The stiffness is factored once; the answer kept is
+
+    C[i, j] = inward displacement of skin node i per inward unit force on node j,
+
+symmetric positive definite, so that a contact needs neither mesh nor stiffness.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from ttus_opt import io
+from ttus_opt.errors import FileError, InputError
+
+Array = NDArray[np.float64]
+
+#: Unit loads solved at once: enough for matrix-matrix speed, little memory.
+BATCH = 64
+#: Parts of the dissection below this many nodes are not cut any further.
+LEAF = 60
+
+
+@dataclass(frozen=True)
+class ElasticBody:
+    """A meshed elastic body, held somewhere, with a patch of skin to press on.
+
+    Attributes:
+        mesh: Hexahedra (`skfem.MeshHex`), nodes in metres, n nodes.
+        young: Young's modulus [Pa] at points of shape (3, ...) [m], shape (...).
+        poisson: Poisson's ratio, below ½ [–].
+        fixed: Displacement components held at zero, shape (n, 3).
+        patch: Skin nodes whose response is wanted, shape (k,).
+        normals: Outward unit normals of the skin there, shape (k, 3) [–].
+        rim: Patch nodes on the patch's border, shape (k,).
+    """
+
+    mesh: Any = field(repr=False)
+    young: Callable[[Array], Array]
+    poisson: float
+    fixed: NDArray[np.bool_] = field(repr=False)
+    patch: NDArray[np.intp] = field(repr=False)
+    normals: Array = field(repr=False)
+    rim: NDArray[np.bool_] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        """Refuse a body without a unique answer.
+
+        Raises:
+            InputError: Poisson's ratio out of range, nothing held, or shapes that
+                disagree.
+        """
+        if not 0.0 <= self.poisson < 0.5:
+            raise InputError(
+                f"Poisson's ratio must be in [0, 0.5), got {self.poisson}: use 0.45 "
+                "for soft tissue"
+            )
+        n_nodes = self.mesh.p.shape[1]
+        if self.fixed.shape != (n_nodes, 3):
+            raise InputError(
+                f"fixed must have shape ({n_nodes}, 3), got {self.fixed.shape}"
+            )
+        if self.fixed.sum() < 6:
+            raise InputError(
+                "fewer than 6 displacements are held: the body would float, fix more"
+            )
+        k = len(self.patch)
+        if self.normals.shape != (k, 3) or self.rim.shape != (k,):
+            raise InputError(
+                f"{k} patch nodes need normals ({k}, 3) and rim ({k},), got "
+                f"{self.normals.shape} and {self.rim.shape}"
+            )
+
+
+@dataclass(frozen=True)
+class SkinPatch:
+    """What a contact needs to know of a body: skin nodes and their compliance.
+
+    Attributes:
+        points: Undeformed skin nodes, shape (k, 3) [m].
+        normals: Outward unit normals, shape (k, 3) [–].
+        rim: Nodes on the patch's border, where the patch's answer ends, shape (k,).
+        compliance: Inward displacement per inward nodal force, (k, k) [m/N].
+    """
+
+    points: Array = field(repr=False)
+    normals: Array = field(repr=False)
+    rim: NDArray[np.bool_] = field(repr=False)
+    compliance: Array = field(repr=False)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Store the patch as ``.npz``, replacing only on success."""
+        with io.replacing(path) as temporary, temporary.open("wb") as file:
+            np.savez(
+                file,
+                points=self.points,
+                normals=self.normals,
+                rim=self.rim,
+                compliance=self.compliance,
+            )
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> SkinPatch:
+        """Read what `save` wrote.
+
+        Raises:
+            FileError: Missing, truncated, or not a stored patch.
+        """
+        file = io.existing_file(path, "compliance")
+        try:
+            with np.load(file) as stored:
+                return cls(
+                    stored["points"],
+                    stored["normals"],
+                    stored["rim"],
+                    stored["compliance"],
+                )
+        except (OSError, ValueError, KeyError, EOFError) as error:
+            raise FileError(
+                f"{file} is not a stored compliance: delete it and compute it again"
+            ) from error
+
+
+def skin_compliance(
+    body: ElasticBody, progress: Callable[[int, int], None] | None = None
+) -> SkinPatch:
+    """Factor the body's stiffness and solve for a unit load on every patch node.
+
+    Args:
+        body: The body.
+        progress: Called with (loads solved, loads in all) now and then.
+
+    Returns:
+        The patch and its compliance.
+    """
+    basis, stiffness = _assemble(body)
+    order = _dissection(stiffness, basis, np.asarray(body.mesh.p.T))
+    dofs = np.asarray(basis.nodal_dofs)[:, order].T.reshape(-1)
+    held = np.zeros(stiffness.shape[0], dtype=bool)
+    held[np.asarray(basis.nodal_dofs)[body.fixed.T]] = True
+    dofs = dofs[~held[dofs]]
+    # The order keeps the fill low and the matrix is definite: no pivoting needed.
+    factor = splu(
+        stiffness[dofs][:, dofs].tocsc(),
+        permc_spec="NATURAL",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    k = len(body.patch)
+    rows = np.asarray(basis.nodal_dofs)[:, body.patch].T.reshape(-1)
+    inward = sp.csr_array(
+        (
+            -body.normals.reshape(-1),
+            (rows, np.repeat(np.arange(k), 3)),
+        ),
+        shape=(stiffness.shape[0], k),
+    )[dofs].tocsc()
+    compliance = np.empty((k, k))
+    for start in range(0, k, BATCH):
+        loads = inward[:, start : start + BATCH].toarray()
+        compliance[:, start : start + BATCH] = inward.T @ factor.solve(loads)
+        if progress is not None:
+            progress(min(start + BATCH, k), k)
+    points = np.ascontiguousarray(body.mesh.p.T[body.patch])
+    return SkinPatch(points, body.normals, body.rim, compliance)
+
+
+def _assemble(body: ElasticBody) -> tuple[Any, sp.csr_array]:
+    """The vector basis of the body and its stiffness over all nodes [N/m]."""
+    from skfem import Basis, BilinearForm, ElementHex1, ElementVector
+    from skfem.helpers import ddot, div, sym_grad
+
+    nu = body.poisson
+
+    @BilinearForm  # type: ignore[untyped-decorator, unused-ignore]
+    def shear(u: Any, v: Any, w: Any) -> Any:
+        mu = w["young"] / (2.0 * (1.0 + nu))
+        return 2.0 * mu * ddot(sym_grad(u), sym_grad(v))
+
+    @BilinearForm  # type: ignore[untyped-decorator, unused-ignore]
+    def volume(u: Any, v: Any, w: Any) -> Any:
+        lam = w["young"] * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+        return lam * div(u) * div(v)
+
+    element = ElementVector(ElementHex1())
+    full = Basis(body.mesh, element, intorder=3)
+    reduced = Basis(body.mesh, element, quadrature=_centre_rule())
+    # The modulus is evaluated once here: a form is called for every pair of shapes.
+    stiffness = sum(
+        form.assemble(basis, young=body.young(np.asarray(basis.global_coordinates())))
+        for form, basis in ((shear, full), (volume, reduced))
+    )
+    return full, sp.csr_array(stiffness)
+
+
+def _centre_rule() -> tuple[Array, Array]:
+    """One-point quadrature of the unit cube: points (3, 1), weights (1,)."""
+    return np.full((3, 1), 0.5), np.ones(1)
+
+
+def _dissection(stiffness: sp.csr_array, basis: Any, points: Array) -> NDArray[Any]:
+    """Nodes in nested-dissection order: halves first, what separates them last.
+
+    Cuts at the median node across the axis that leaves the cheapest separator. On
+    the torso's mesh it has four fifths of minimum degree's fill, in half its time.
+    """
+    first = np.asarray(basis.nodal_dofs)[0]
+    graph = sp.csr_array(stiffness[first][:, first] != 0).astype(np.int8)
+
+    def cut(nodes: NDArray[Any]) -> list[NDArray[Any]]:
+        halves = [_halve(graph, nodes, points[nodes, axis]) for axis in range(3)]
+        best = min(halves, key=lambda half: half.cost)
+        if len(nodes) <= LEAF or not np.isfinite(best.cost):
+            return [nodes]
+        return [
+            *cut(nodes[best.low]),
+            *cut(nodes[~best.low & ~best.between]),
+            nodes[best.between],
+        ]
+
+    return np.concatenate(cut(np.arange(len(points))))
+
+
+@dataclass(frozen=True)
+class _Halves:
+    """A cut: the lower half, what separates it from the rest, how costly that is."""
+
+    low: NDArray[np.bool_]
+    between: NDArray[np.bool_]
+    cost: float
+
+
+def _halve(graph: sp.csr_array, nodes: NDArray[Any], along: Array) -> _Halves:
+    """Cut at the median; the separator is what touches the lower half."""
+    low = along < np.median(along)
+    between = ~low & (graph[nodes[low]].sum(axis=0) > 0)[nodes]
+    smaller = min(low.sum(), (~low & ~between).sum())
+    return _Halves(low, between, between.sum() / smaller if smaller else np.inf)

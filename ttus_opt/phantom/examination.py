@@ -1,0 +1,161 @@
+"""Paths of a probe over a torso: pushes at several places, and sweeps along the body.
+
+A pose is given by a place on the skin, a depth and two tilts. At zero tilt the
+probe's z axis points into the skin, its x axis (the long one) lies across the body;
+the depth is how far the probe reaches below the skin's tangent plane there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.errors import InputError
+from ttus_opt.phantom.probe import EllipsoidProbe
+from ttus_opt.phantom.torso import Torso
+from ttus_opt.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+#: Frames per second [Hz].
+RATE = 20.0
+
+
+@dataclass(frozen=True)
+class Handling:
+    """What an examiner's hand does over time.
+
+    Attributes:
+        time: Shape (T,) [s].
+        across: Place on the skin: arc from the front's middle, shape (T,) [m].
+        along: Place on the skin: height z, shape (T,) [m].
+        depth: Below the skin's tangent plane; negative is lifted, shape (T,) [m].
+        rock: Tilt about the body's z, shape (T,) [rad].
+        fan: Tilt about the probe's long axis, shape (T,) [rad].
+        turn: Turn about the skin's normal, shape (T,) [rad].
+    """
+
+    time: Array
+    across: Array
+    along: Array
+    depth: Array
+    rock: Array
+    fan: Array
+    turn: Array
+
+    def poses(self, torso: Torso, probe: EllipsoidProbe) -> Trajectory:
+        """The probe's poses over a torso, as a trajectory without a wrench."""
+        front = float(torso.radius(np.array(np.pi / 2), np.array(torso.length / 2)))
+        theta = np.pi / 2 - self.across / front
+        skin = torso.skin(theta, self.along)
+        normal = torso.normals(theta, self.along)
+        inward = -normal
+        long_axis = np.cross(inward, [0.0, 0.0, 1.0])
+        long_axis /= np.linalg.norm(long_axis, axis=1, keepdims=True)
+        short_axis = np.cross(inward, long_axis)
+        level = np.stack([long_axis, short_axis, inward], axis=-1)
+        tilt = Rotation.from_euler(
+            "zyx", np.column_stack([self.turn, self.rock, self.fan])
+        ).as_matrix()
+        rotation = level @ tilt
+        height = [probe.support(r, n) for r, n in zip(rotation, inward, strict=True)]
+        position = skin + normal * (np.asarray(height) - self.depth)[:, None]
+        return Trajectory(self.time, position, rotation)
+
+
+def push_handling(
+    rng: np.random.Generator,
+    *,
+    centre: tuple[float, float] = (0.0, 0.13),
+    spread: float = 0.015,
+    n_pushes: int = 8,
+    deepest: float = 0.013,
+    seconds: float = 20.0,
+) -> Handling:
+    """Pushes at several places, with lift-offs, tilting and turning.
+
+    Args:
+        rng: Chooses places, depths and tilts.
+        centre: Middle of the places: across, along [m].
+        spread: Half width of the square they lie in [m].
+        n_pushes: How many.
+        deepest: Depth of the deepest push [m]; the others reach at least 60 %.
+        seconds: Duration [s].
+
+    Returns:
+        The handling at 20 Hz.
+
+    Raises:
+        InputError: Fewer than two pushes.
+    """
+    if n_pushes < 2:
+        raise InputError(f"n_pushes must be at least 2, got {n_pushes}")
+    time = np.arange(round(seconds * RATE)) / RATE
+    phase = time / seconds * n_pushes
+    number = np.minimum(phase.astype(int), n_pushes - 1)
+    peak = deepest * rng.uniform(0.6, 1.0, n_pushes)
+    peak[rng.integers(n_pushes)] = deepest
+    lift = -0.002
+    depth = lift + (peak[number] - lift) * np.sin(np.pi * (phase - number)) ** 2
+    # Two stops per push, so that the hand rests while it presses and moves when up.
+    stops = np.repeat(np.arange(n_pushes), 2) + np.tile([0.15, 0.85], n_pushes)
+    places = [
+        np.repeat(c + spread * rng.uniform(-1.0, 1.0, n_pushes), 2) for c in centre
+    ]
+    drift = [rng.uniform(-0.0015, 0.0015, 2 * n_pushes) for _ in centre]
+    across, along = (
+        PchipInterpolator(stops, p + d)(np.clip(phase, stops[0], stops[-1]))
+        for p, d in zip(places, drift, strict=True)
+    )
+    return Handling(time, across, along, depth, *_tilts(rng, time, 0.25))
+
+
+def sweep_handling(
+    rng: np.random.Generator,
+    *,
+    across: float = 0.0,
+    along: tuple[float, float] = (0.095, 0.205),
+    depth: tuple[float, float] = (0.004, 0.010),
+    seconds: float = 20.0,
+) -> Handling:
+    """One line up the body and one back beside it, depth and tilt varying.
+
+    Args:
+        rng: Chooses phases and frequencies.
+        across: Middle of the two lines, which lie 5 mm on either side of it [m].
+        along: From which height to which [m].
+        depth: Smallest and largest [m].
+        seconds: Duration [s].
+
+    Returns:
+        The handling at 20 Hz.
+    """
+    time = np.arange(round(seconds * RATE)) / RATE
+    phase = time / seconds
+    way = 0.5 * (1.0 - np.cos(2.0 * np.pi * phase))
+    height = along[0] + (along[1] - along[0]) * way
+    side = across + 0.005 * np.cos(np.pi * phase)
+    side = side + 0.003 * np.sin(_wave(rng, time, 0.25))
+    middle, half = sum(depth) / 2, (depth[1] - depth[0]) / 2
+    wave = np.sin(_wave(rng, time, 0.17)) + 0.5 * np.sin(_wave(rng, time, 0.41))
+    return Handling(
+        time, side, height, middle + half * wave / 1.5, *_tilts(rng, time, 0.25)
+    )
+
+
+def _tilts(
+    rng: np.random.Generator, time: Array, largest: float
+) -> tuple[Array, Array, Array]:
+    """Rock, fan and turn over time, each a slow wave [rad]."""
+    rock, fan = (largest * np.sin(_wave(rng, time, 0.3)) for _ in range(2))
+    return rock, fan, 2.0 * largest * np.sin(_wave(rng, time, 0.07))
+
+
+def _wave(rng: np.random.Generator, time: Array, frequency: float) -> Array:
+    """Phase of a wave of about that frequency [Hz], random start [rad]."""
+    around = frequency * rng.uniform(0.8, 1.2)
+    return np.asarray(2.0 * np.pi * (around * time + rng.uniform()))

@@ -1,0 +1,115 @@
+"""What the bundled example is made of: its torso, cameras, paths and seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.axis import Axis
+from ttus_opt.phantom.camera import Scene, View, scan, write_cloud
+from ttus_opt.phantom.elasticity import SkinPatch
+from ttus_opt.phantom.examination import push_handling, sweep_handling
+from ttus_opt.phantom.press import Drag
+from ttus_opt.phantom.probe import EllipsoidProbe
+from ttus_opt.phantom.recording import add_noise, record, write_compact
+from ttus_opt.phantom.torso import Torso
+from ttus_opt.surface import Surface
+from ttus_opt.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+
+TORSO = Torso()
+PROBE = EllipsoidProbe((0.030, 0.0125, 0.018))
+VIEWS = (
+    View((-0.55, 0.75, 0.15), opening=0.30, pixels=96),
+    View((0.55, 0.75, 0.15), opening=0.30, pixels=96),
+)
+#: Coulomb coefficient of the recordings with drag [–].
+DRAG = 0.25
+#: Seeds: of the scan, and of every recording's path; its noise has the next one.
+SCAN_SEED = 7
+RECORDINGS = {
+    "press_fit": 100,
+    "press_test": 200,
+    "sweep_fit": 300,
+    "sweep_test": 400,
+    "sweep_drag_fit": 500,
+    "sweep_drag_test": 600,
+}
+
+
+def frame() -> Axis:
+    """Where the patient frame lies in the scan, which a camera above would give."""
+    rotation = Rotation.from_euler("xyz", [100.0, 12.0, -75.0], degrees=True)
+    return Axis(np.array([0.06, -0.04, 0.82]), np.asarray(rotation.as_matrix()))
+
+
+def true_surface() -> Surface:
+    """The torso's skin, 3° by 10 mm; bilinear between nodes it is true to 0.1 mm."""
+    theta = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
+    z = np.linspace(0.0, TORSO.length, 31)
+    return Surface.from_radius(TORSO.radius(theta[:, None], z), z, axis=frame())
+
+
+def cloud() -> Array:
+    """The scan of torso and table, scan frame, shape (n, 3) [m]."""
+    rng = np.random.default_rng(SCAN_SEED)
+    return frame().to_scan(scan(Scene(TORSO), VIEWS, rng))
+
+
+def poses(name: str) -> Trajectory:
+    """The path of one of `RECORDINGS`, without a wrench."""
+    rng = np.random.default_rng(RECORDINGS[name])
+    test = name.endswith("test")
+    if name.startswith("press"):
+        return push_handling(rng).poses(TORSO, PROBE)
+    across = 0.006 if test else -0.006
+    return sweep_handling(rng, across=across).poses(TORSO, PROBE)
+
+
+def recording(
+    name: str,
+    patch: SkinPatch,
+    *,
+    n_frames: int | None = None,
+    progress: Callable[[], None] | None = None,
+) -> Trajectory:
+    """One of `RECORDINGS` with its noisy wrench.
+
+    Args:
+        name: Which one.
+        patch: The torso's skin.
+        n_frames: Only the first frames; their drag and noise are those of the whole
+            recording except for the velocity of the last.
+        progress: Called after every pose.
+
+    Returns:
+        The recording.
+    """
+    path = poses(name)
+    if n_frames is not None:
+        path = path.select(slice(n_frames))
+    drag = Drag(DRAG) if "drag" in name else None
+    true = record(patch, PROBE, path, drag=drag, progress=progress)
+    return add_noise(true, np.random.default_rng(RECORDINGS[name] + 1))
+
+
+def write_example(
+    folder: Path, patch: SkinPatch, progress: Callable[[], None] | None = None
+) -> None:
+    """Write every file of the example.
+
+    Args:
+        folder: Where to; made when missing.
+        patch: The torso's skin.
+        progress: Called after every pose.
+    """
+    write_cloud(cloud(), folder / "scan.ply")
+    true_surface().save(folder / "surface.nc")
+    for name in RECORDINGS:
+        recorded = recording(name, patch, progress=progress)
+        write_compact(recorded, folder / f"{name}.csv")

@@ -1,0 +1,191 @@
+"""A rigid probe pressed into a patch of skin: its wrench, drag and sensor noise.
+
+Skin nodes move along their own normals. A node at x whose inward ray leaves the
+probe at depth s must be pushed in by at least s; the nodal forces f_i along the
+inward normals d_i solve the unilateral problem (`ttus_opt.phantom.unilateral`) on
+C f ≥ s. The probe is smooth: its contact force stands on the PROBE's outward normal
+n_i at that place, with the component f_i along d_i, so the probe feels
+
+    F = −Σ N_i n_i,   N_i = f_i / (n_i · d_i),   τ = Σ (x_i + s_i d_i − p) × (−N_i n_i).
+
+This is minus the gradient of the stored energy E = ½ f·C f with respect to the pose:
+without drag the contact gives back what was put in. Coulomb drag adds −μ N_i t_i at
+every node, t_i the direction in which the probe slides there; it leaves N_i as it is.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.phantom.elasticity import SkinPatch
+from ttus_opt.phantom.probe import EllipsoidProbe
+from ttus_opt.phantom.unilateral import solve_unilateral
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drag:
+    """Coulomb drag.
+
+    Attributes:
+        coefficient: μ, tangential over normal force while sliding [–].
+        deadband: A place that slides slower than this is at rest: no drag [m/s].
+    """
+
+    coefficient: float = 0.0
+    deadband: float = 5e-4
+
+    def __post_init__(self) -> None:
+        """Refuse negative numbers.
+
+        Raises:
+            InputError: A negative coefficient or deadband.
+        """
+        if not (self.coefficient >= 0.0 and self.deadband >= 0.0):
+            raise InputError(
+                "drag coefficient and deadband must not be negative, got "
+                f"{self.coefficient} and {self.deadband} m/s"
+            )
+
+
+@dataclass(frozen=True)
+class Motion:
+    """How a pose moves.
+
+    Attributes:
+        velocity: Of the probe's centre, patient frame, shape (3,) [m/s].
+        angular_velocity: Patient axes, shape (3,) [rad/s].
+    """
+
+    velocity: Array
+    angular_velocity: Array
+
+    @classmethod
+    def rest(cls) -> Motion:
+        """No motion."""
+        return cls(np.zeros(3), np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Contact:
+    """What one pose gives.
+
+    Attributes:
+        force: On the probe, patient frame, shape (3,) [N].
+        torque: About the probe's centre, patient axes, shape (3,) [N m].
+        energy: Stored in the body [J].
+        normal_forces: N_i of the touching nodes, all positive, shape (k,) [N].
+        nodes: Their numbers in the patch, shape (k,).
+        points: Where they touch the probe, patient frame, shape (k, 3) [m].
+        probe_normals: The probe's outward normals there, shape (k, 3) [–].
+    """
+
+    force: Array
+    torque: Array
+    energy: float
+    normal_forces: Array = field(repr=False)
+    nodes: NDArray[np.intp] = field(repr=False)
+    points: Array = field(repr=False)
+    probe_normals: Array = field(repr=False)
+
+
+def press(
+    patch: SkinPatch,
+    probe: EllipsoidProbe,
+    rotation: Array,
+    position: Array,
+    *,
+    motion: Motion | None = None,
+    drag: Drag | None = None,
+    guess: NDArray[np.intp] | None = None,
+) -> Contact:
+    """Press a probe into the skin.
+
+    Args:
+        patch: Skin and its compliance.
+        probe: The rigid probe.
+        rotation: Probe to patient, shape (3, 3) [–].
+        position: The probe's centre, shape (3,) [m].
+        motion: How it moves; at rest when not given. Only drag asks for it.
+        drag: Coulomb drag; none when not given.
+        guess: Patch nodes that touched at the pose before, to start from.
+
+    Returns:
+        The wrench on the probe and where it comes from.
+
+    Raises:
+        GeometryError: The probe is not above the patch, its centre is below the
+            undeformed skin, or it touches the patch's border.
+    """
+    _check_above(patch, position)
+    reach = probe.reach(patch.points, -patch.normals, rotation, position)
+    under = np.flatnonzero(np.isfinite(reach.depth))
+    if not (under.size and (reach.depth[under] > 0.0).any()):
+        nothing = np.empty((0, 3))
+        return Contact(
+            np.zeros(3), np.zeros(3), 0.0, np.empty(0), under[:0], nothing, nothing
+        )
+    depth = reach.depth[under]
+    compliance = patch.compliance[np.ix_(under, under)]
+    known = guess is not None and guess.size > 0
+    start = np.isin(under, guess) if known and guess is not None else None
+    answer = solve_unilateral(compliance, depth, start)
+    touch = answer.forces > 0.0
+    nodes = under[touch]
+    if patch.rim[nodes].any():
+        raise GeometryError(
+            "the probe touches the border of the skin patch, where the patch's answer "
+            "ends: keep it further inside or mesh a larger patch"
+        )
+    inward, outward = -patch.normals[nodes], reach.normals[nodes]
+    normal_forces = answer.forces[touch] / np.einsum("ij,ij->i", outward, inward)
+    points = patch.points[nodes] + reach.depth[nodes, None] * inward
+    on_probe = -normal_forces[:, None] * outward
+    if drag is not None and motion is not None and drag.coefficient > 0.0:
+        slide = _sliding_directions(points - position, outward, motion, drag.deadband)
+        on_probe = on_probe - drag.coefficient * normal_forces[:, None] * slide
+    return Contact(
+        on_probe.sum(axis=0),
+        np.cross(points - position, on_probe).sum(axis=0),
+        0.5 * float(answer.forces @ answer.displacements),
+        normal_forces,
+        nodes,
+        points,
+        outward,
+    )
+
+
+def _check_above(patch: SkinPatch, position: Array) -> None:
+    """Refuse a centre that the patch says nothing about."""
+    away = position - patch.points
+    nearest = int(np.argmin(np.einsum("ij,ij->i", away, away)))
+    place = ", ".join(f"{v:.3f}" for v in position)
+    if patch.rim[nearest]:
+        raise GeometryError(
+            f"probe centre ({place}) m is not above the skin patch: move it inside or "
+            "mesh a larger patch"
+        )
+    if away[nearest] @ patch.normals[nearest] <= 0.0:
+        raise GeometryError(
+            f"probe centre ({place}) m is below the undeformed skin: linear elasticity "
+            "does not go that far, press less deep"
+        )
+
+
+def _sliding_directions(
+    levers: Array, normals: Array, motion: Motion, deadband: float
+) -> Array:
+    """Unit directions in which the probe slides, zero at rest, shape (k, 3) [–]."""
+    velocity = motion.velocity + np.cross(motion.angular_velocity, levers)
+    along = np.einsum("ij,ij->i", velocity, normals)
+    tangential = velocity - along[:, None] * normals
+    speed = np.linalg.norm(tangential, axis=1)
+    moving = speed > deadband
+    direction: Array = np.zeros_like(tangential)
+    direction[moving] = tangential[moving] / speed[moving, None]
+    return direction

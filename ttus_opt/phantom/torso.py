@@ -1,0 +1,188 @@
+"""A torso of soft tissue with ribs and a stiff lump, held at its spine and back.
+
+Cross-sections are superellipses scaled along z. The tissue's stiffness is a smooth
+function of place, so that it means the same on every mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.errors import GeometryError
+from ttus_opt.phantom.elasticity import ElasticBody
+from ttus_opt.phantom.mesh import graded, ring_mesh
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Torso:
+    """Shape and tissue; patient frame, y towards the front, z along the body.
+
+    Attributes:
+        half_axes: Of the mean cross-section, along x and y [m].
+        exponent: Of the superellipse; 2 is an ellipse [–].
+        swell: Relative change of the cross-section along z, ± [–].
+        length: From z = 0 to here [m].
+        core_radius: Of the rigid inner core [m].
+        back_height: Skin lower than this is held by the table, y [m].
+        soft: Young's modulus of the tissue [Pa].
+        rib: Of the ribs [Pa].
+        lump: Of the lump [Pa].
+        poisson: Poisson's ratio of everything [–].
+        rib_pitch: Distance of the ribs along z [m].
+        rib_width: Their width along z [m].
+        rib_depth: Between these depths below the skin [m].
+        rib_from: There are none below this height, z [m].
+        lump_centre: Patient frame [m].
+        lump_radius: [m].
+    """
+
+    half_axes: tuple[float, float] = (0.160, 0.115)
+    exponent: float = 2.3
+    swell: float = 0.04
+    length: float = 0.30
+    core_radius: float = 0.035
+    back_height: float = -0.105
+    soft: float = 20e3
+    rib: float = 200e3
+    lump: float = 120e3
+    poisson: float = 0.45
+    rib_pitch: float = 0.034
+    rib_width: float = 0.012
+    rib_depth: tuple[float, float] = (0.012, 0.022)
+    rib_from: float = 0.14
+    lump_centre: tuple[float, float, float] = (0.012, 0.093, 0.105)
+    lump_radius: float = 0.012
+
+    def radius(self, theta: Array, z: Array) -> Array:
+        """Radius of the skin [m] at angles [rad] and heights [m], broadcast."""
+        a, b = self.half_axes
+        p = self.exponent
+        rim = np.abs(np.cos(theta) / a) ** p + np.abs(np.sin(theta) / b) ** p
+        scale = 1.0 + self.swell * np.cos(2.0 * np.pi * (z - 0.21) / 0.36)
+        return np.asarray(scale * rim ** (-1.0 / p))
+
+    def skin(self, theta: Array, z: Array) -> Array:
+        """Points of the skin, shape (..., 3) [m]."""
+        theta, z = np.broadcast_arrays(theta, z)
+        r = self.radius(theta, z)
+        return np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1)
+
+    def normals(self, theta: Array, z: Array) -> Array:
+        """Outward unit normals of the skin, shape (..., 3) [–]."""
+        h = 1e-5  # central differences of a smooth function: good to 1e-9
+        around = self.skin(theta + h, z) - self.skin(theta - h, z)
+        along = self.skin(theta, z + h) - self.skin(theta, z - h)
+        normal = np.cross(around, along)
+        return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
+
+    def young(self, points: Array) -> Array:
+        """Young's modulus [Pa] at points of shape (3, ...) [m], shape (...)."""
+        x, y, z = points
+        theta = np.arctan2(y, x)
+        depth = self.radius(theta, z) - np.hypot(x, y)
+        # Ribs run down towards the sides.
+        height = z + 0.03 * np.abs(np.sin(theta - np.pi / 2)) - self.rib_from
+        off = np.abs((height / self.rib_pitch) % 1.0 - 0.5) * self.rib_pitch
+        rib = (
+            _inside(off - self.rib_width / 2)
+            * _inside(self.rib_depth[0] - depth)
+            * _inside(depth - self.rib_depth[1])
+            * _inside(-height)
+            * _inside(self.back_height - y)
+        )
+        centre = np.asarray(self.lump_centre).reshape((3,) + (1,) * (points.ndim - 1))
+        away = np.sqrt(((points - centre) ** 2).sum(axis=0))
+        lump = _inside(away - self.lump_radius)
+        return np.asarray(
+            self.soft + (self.rib - self.soft) * rib + (self.lump - self.soft) * lump
+        )
+
+
+def _inside(distance: Array) -> Array:
+    """1 inside (negative distance), 0 outside, 1 mm soft on either side."""
+    return np.asarray(0.5 * (1.0 - np.tanh(distance / 1e-3)))
+
+
+@dataclass(frozen=True)
+class TorsoMesh:
+    """How finely a torso is meshed and which part of its skin may be pressed.
+
+    Attributes:
+        resolution: Multiplies every node spacing; 2 is coarse, 1 the example's [–].
+        theta: The patch's angles [rad].
+        z: The patch's heights [m].
+        pitch: Spacing in the patch: into the body, around it, along it [m].
+    """
+
+    resolution: float = 1.0
+    theta: tuple[float, float] = (np.radians(65.0), np.radians(115.0))
+    z: tuple[float, float] = (0.070, 0.230)
+    pitch: tuple[float, float, float] = (0.0035, 0.004, 0.003)
+
+
+def torso_body(torso: Torso, mesh: TorsoMesh | None = None) -> ElasticBody:
+    """Mesh a torso.
+
+    Args:
+        torso: Shape and tissue.
+        mesh: Spacing and patch; the example's when not given.
+
+    Returns:
+        The body: core held, back held where it lies on the table, both ends free to
+        slide in their planes, as if the body went on.
+
+    Raises:
+        GeometryError: The core reaches the skin.
+    """
+    spec = mesh or TorsoMesh()
+    into, around, along = (spec.resolution * p for p in spec.pitch)
+    front = float(torso.radius(np.array(np.pi / 2), np.array(sum(spec.z) / 2)))
+    if torso.core_radius >= 0.8 * min(torso.half_axes):
+        raise GeometryError(
+            f"core_radius {torso.core_radius} m leaves no tissue below a skin at "
+            f"{min(torso.half_axes)} m: make it smaller"
+        )
+    thick = front - torso.core_radius
+    fraction = graded(0.0, 1.0, (1.0 - 7e-3 / thick, 1.0), into / thick, growth=1.4)
+    middle = sum(spec.theta) / 2
+    theta = graded(
+        middle - np.pi,
+        middle + np.pi,
+        spec.theta,
+        around / front,
+        growth=1.5,
+        largest=0.4,
+    )
+    z = graded(0.0, torso.length, spec.z, along, growth=1.5, largest=0.03)
+
+    def place(f: Array, angle: Array, height: Array) -> Array:
+        core = torso.core_radius
+        r = core + f * (torso.radius(angle, height) - core)
+        return np.stack([r * np.cos(angle), r * np.sin(angle), height], axis=-1)
+
+    hexahedra = ring_mesh(fraction, theta, z, place)
+    layers = np.meshgrid(fraction, theta[:-1], z, indexing="ij")
+    f, angle, height = (layer.reshape(-1) for layer in layers)
+    held = (f == 0.0) | ((f == 1.0) & (hexahedra.p[1] < torso.back_height))
+    fixed = np.repeat(held[:, None], 3, axis=1)
+    fixed[:, 2] |= (height == 0.0) | (height == torso.length)
+    tiny = 1e-9
+    patch = np.flatnonzero(
+        (f == 1.0)
+        & (np.abs(angle - middle) < (spec.theta[1] - spec.theta[0]) / 2 + tiny)
+        & (height > spec.z[0] - tiny)
+        & (height < spec.z[1] + tiny)
+    )
+    angle, height = angle[patch], height[patch]
+    rim = np.zeros(len(patch), dtype=bool)
+    for value in (angle, height):
+        rim |= (value < value.min() + tiny) | (value > value.max() - tiny)
+    normals = torso.normals(angle, height)
+    return ElasticBody(
+        hexahedra, torso.young, torso.poisson, fixed, patch, normals, rim
+    )

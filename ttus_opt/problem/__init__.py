@@ -1,0 +1,1 @@
+"""The declared problem: formulation, program (matrices), solution."""

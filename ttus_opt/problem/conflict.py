@@ -1,0 +1,113 @@
+"""Which constraints contradict each other, by name.
+
+The elastic problem: all rows may give way, at a price of their give,
+
+    minimise Σ (s⁺ + s⁻)  over  lower ≤ A x + s⁺ − s⁻ ≤ upper,  lb ≤ x ≤ ub.
+
+Its optimum is zero exactly when the constraints can hold together; otherwise its
+multipliers are a certificate (Farkas) that they cannot, and the constraints with a
+multiplier are those in conflict.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.problem.kkt import bound_duals
+from ttus_opt.problem.members import ProgramBounds
+from ttus_opt.problem.program import Program
+
+Array = NDArray[np.float64]
+
+#: Multipliers below this part of the largest (which is at most 1) are rounding
+NEGLIGIBLE = 1e-6
+
+#: Give below this part of the largest limit is rounding
+FEASIBLE = 1e-7
+
+
+def conflicting(
+    program: Program, *, time_limit: float | None = None
+) -> tuple[str, ...]:
+    """Names of the constraints that contradict each other.
+
+    Args:
+        program: Whose constraints are looked at; the objective has no part in it.
+        time_limit: Most seconds for the elastic problem [s].
+
+    Returns:
+        The names in the order of the program; empty when the constraints can hold
+        together, or when the time did not suffice to tell.
+    """
+    lower, upper = program.box
+    crossed = lower > upper
+    if crossed.any():
+        return tuple(b.name for b in program.bounds if _holds(b, crossed, program))
+    if not program.constraints:
+        return ()
+    return _elastic(program, lower, upper, time_limit)
+
+
+def _holds(bound: ProgramBounds, crossed: NDArray[np.bool_], program: Program) -> bool:
+    """Whether a bound gives one of the limits that cross."""
+    lower, upper = program.box
+    low = np.isfinite(bound.lower) & (bound.lower == lower)
+    high = np.isfinite(bound.upper) & (bound.upper == upper)
+    return bool((crossed & (low | high)).any())
+
+
+def _elastic(
+    program: Program, lower: Array, upper: Array, time_limit: float | None
+) -> tuple[str, ...]:
+    from scipy.optimize import linprog
+
+    A = sp.csr_array(sp.vstack([c.matrix for c in program.constraints]))
+    low = np.concatenate([c.lower for c in program.constraints])
+    high = np.concatenate([c.upper for c in program.constraints])
+    m, n = A.shape
+    unit = sp.eye_array(m, format="csr")
+    full = sp.csr_array(sp.hstack([A, unit, -unit]))
+    equal = low == high
+    above, below = ~equal & np.isfinite(high), ~equal & np.isfinite(low)
+    cost = np.concatenate([np.zeros(n), np.ones(2 * m)])
+    box = np.stack(
+        [
+            np.concatenate([lower, np.zeros(2 * m)]),
+            np.concatenate([upper, np.full(2 * m, np.inf)]),
+        ],
+        axis=1,
+    )
+    answer = linprog(  # type: ignore[call-overload]  # it does take sparse rows
+        cost,
+        A_ub=sp.csc_array(sp.vstack([full[above], -full[below]])),
+        b_ub=np.concatenate([high[above], -low[below]]),
+        A_eq=sp.csc_array(full[equal]),
+        b_eq=low[equal],
+        bounds=box,
+        method="highs",
+        options={} if time_limit is None else {"time_limit": time_limit},
+    )
+    finite = np.concatenate([low[np.isfinite(low)], high[np.isfinite(high)], [0.0]])
+    if answer.x is None or answer.fun <= FEASIBLE * max(np.abs(finite).max(), 1e-300):
+        return ()
+    y = np.zeros(m)
+    y[equal] = answer.eqlin.marginals
+    n_above = int(above.sum())
+    y[above] += answer.ineqlin.marginals[:n_above]
+    y[below] -= answer.ineqlin.marginals[n_above:]
+    z = answer.lower.marginals[:n] + answer.upper.marginals[:n]
+    found, at = set(), 0
+    for constraint in program.constraints:
+        size = len(constraint.lower)
+        if np.abs(y[at : at + size]).max(initial=0.0) > NEGLIGIBLE:
+            found.add(constraint.name)
+        at += size
+    # marginals are positive at lower limits, multipliers here negative
+    for name, dual in bound_duals(program, -z).items():
+        if np.abs(dual).max(initial=0.0) > NEGLIGIBLE:
+            found.add(name)
+    names = [member.name for member in program.constraints]
+    names += [member.name for member in program.bounds]
+    return tuple(name for name in names if name in found)

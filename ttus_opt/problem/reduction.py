@@ -1,0 +1,172 @@
+"""Huber's and absolute penalties as a quadratic program with auxiliary variables.
+
+With above, below ≥ 0 per row (r = M x - t):
+
+    Huber     φ(r) = min  ‖r − above + below‖² + 2δ Σ (above + below)
+    absolute  φ(r) = min  Σ (above + below)   over   r = above − below
+
+What goes down comes back up: `Reduction.restore` gives x, its duals by the names of
+the original program, and the multipliers of the absolute terms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.members import (
+    LIFTABLE,
+    ProgramBounds,
+    ProgramConstraint,
+    ProgramTerm,
+)
+from ttus_opt.problem.program import Program
+from ttus_opt.terms.base import Penalty
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point of the original program.
+
+    Attributes:
+        x: All its variables, shape (n,).
+        duals: Its multipliers.
+    """
+
+    x: Array
+    duals: Duals
+
+
+@dataclass(frozen=True)
+class Reduction:
+    """A program and an equal one that solvers take.
+
+    Attributes:
+        original: As it was declared.
+        program: Without Huber's and absolute penalties; the original itself where
+            there are none.
+    """
+
+    original: Program
+    program: Program
+
+    def restore(self, x: Array, duals: Duals) -> Point:
+        """A point of the reduced program as one of the original.
+
+        Args:
+            x: The reduced program's variables.
+            duals: Its multipliers.
+
+        Returns:
+            The original's variables and multipliers.
+        """
+        if self.program is self.original:
+            return Point(x, duals)
+        n = self.original.n_variables
+        own = {constraint.name for constraint in self.original.constraints}
+        rows = {name: y for name, y in duals.rows.items() if name in own}
+        terms = dict(duals.terms)
+        for term in self.original.terms:
+            y = duals.rows.get(_split_name(term.name))
+            if y is not None and term.weight > 0.0:
+                terms[term.name] = term.admissible(y / term.weight)
+        bounds = None
+        if self.original.bounds and duals.bounds is not None:
+            bounds = duals.bounds[:n]
+        return Point(x[:n], Duals(rows, bounds, terms))
+
+
+def reduce(program: Program) -> Reduction:
+    """State Huber's and absolute penalties with auxiliary variables.
+
+    Args:
+        program: Any program; group norms stay as they are.
+
+    Returns:
+        The program and its reduced form. New members are called after their term:
+        variables ``term:above`` and ``term:below``, bound ``term:excess`` and, for
+        an absolute penalty, the rows ``term:split``.
+    """
+    lifted = [term for term in program.terms if term.penalty in LIFTABLE]
+    if not lifted:
+        return Reduction(program, program)
+    variables = dict(program.variables)
+    n = program.n_variables
+    for term in lifted:
+        m = len(term.target)
+        for side in ("above", "below"):
+            variables[f"{term.name}:{side}"] = slice(n, n + m)
+            n += m
+    terms: list[ProgramTerm] = []
+    rows = [replace(c, matrix=_widened(c.matrix, n)) for c in program.constraints]
+    bounds = [
+        replace(
+            b, lower=_padded(b.lower, -np.inf, n), upper=_padded(b.upper, np.inf, n)
+        )
+        for b in program.bounds
+    ]
+    for term in program.terms:
+        if term.penalty not in LIFTABLE:
+            terms.append(replace(term, matrix=_widened(term.matrix, n)))
+            continue
+        start = variables[f"{term.name}:above"].start
+        m = len(term.target)
+        split = _split_rows(term.matrix, start, n)
+        excess = sp.csr_array(
+            (np.ones(2 * m), np.arange(start, start + 2 * m), np.arange(2 * m + 1)),
+            shape=(2 * m, n),
+        )
+        if term.penalty is Penalty.HUBER:
+            terms.append(ProgramTerm(term.name, term.weight, split, term.target))
+            name, weight = f"{term.name}:excess", 2.0 * term.threshold * term.weight
+        else:
+            rows.append(
+                ProgramConstraint(
+                    _split_name(term.name), split, term.target, term.target
+                )
+            )
+            name, weight = term.name, term.weight
+        terms.append(ProgramTerm(name, weight, excess, np.zeros(2 * m), Penalty.LINEAR))
+        lower = np.full(n, -np.inf)
+        part = slice(start, start + 2 * m)
+        lower[part] = 0.0
+        bounds.append(
+            ProgramBounds(f"{term.name}:excess", lower, np.full(n, np.inf), part)
+        )
+    reduced = replace(
+        program,
+        variables=variables,
+        terms=tuple(terms),
+        constraints=tuple(rows),
+        bounds=tuple(bounds),
+    )
+    return Reduction(program, reduced)
+
+
+def _split_name(term: str) -> str:
+    return f"{term}:split"
+
+
+def _widened(matrix: sp.csr_array, n: int) -> sp.csr_array:
+    """The same rows with empty columns at the end; no copy."""
+    shape = (matrix.shape[0], n)
+    return sp.csr_array((matrix.data, matrix.indices, matrix.indptr), shape=shape)
+
+
+def _padded(values: Array, fill: float, n: int) -> Array:
+    return np.concatenate([values, np.full(n - len(values), fill)])
+
+
+def _split_rows(matrix: sp.csr_array, start: int, n: int) -> sp.csr_array:
+    """Rows M x − above + below."""
+    m, width = matrix.shape
+    unit = sp.eye_array(m, format="csr")
+    before = sp.csr_array((m, start - width))
+    after = sp.csr_array((m, n - start - 2 * m))
+    return sp.csr_array(sp.hstack([matrix, before, -unit, unit, after]))

@@ -1,0 +1,141 @@
+"""A solution: a verified field, or a status that says what to do next."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.errors import TtusError
+from ttus_opt.field import PotentialField
+from ttus_opt.problem.kkt import KKT, Duals, bound_duals
+from ttus_opt.problem.program import Program
+
+Array = NDArray[np.float64]
+
+
+class Status(enum.Enum):
+    """What came of a solve; the value is advice."""
+
+    SOLVED = "the optimality conditions hold to the tolerance asked for"
+    INACCURATE = (
+        "the answer fails its own check: loosen the tolerance, allow more iterations "
+        "or take another solver"
+    )
+    INFEASIBLE = "the constraints contradict each other: drop or soften one"
+    UNBOUNDED = "the objective has no minimum: add a term that ties every variable"
+    TIME_LIMIT = "the time limit struck: allow more time or take a faster solver"
+    FAILED = "the solver gave up: take another solver"
+
+
+@dataclass(frozen=True)
+class Timings:
+    """Where the time went.
+
+    Attributes:
+        assembly: Scene and program [s].
+        setup: The solver's preparation (factorisation, scaling) [s].
+        solve: The first solve after it [s].
+        again: The latest solve with other data, taking them in included; None when
+            there was none [s].
+        search: All fits of a search over a parameter; None without one [s].
+    """
+
+    assembly: float
+    setup: float
+    solve: float
+    again: float | None = None
+    search: float | None = None
+
+    def as_dict(self) -> dict[str, float]:
+        """All times there were, by name, for JSON."""
+        return {name: v for name, v in asdict(self).items() if v is not None}
+
+
+class NoSolutionError(TtusError, RuntimeError):
+    """No verified solution; carries what there is.
+
+    Attributes:
+        solution: Status, program, candidate and residuals.
+    """
+
+    def __init__(self, message: str, solution: Solution) -> None:
+        super().__init__(message)
+        self.solution = solution
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a fit gives.
+
+    Attributes:
+        status: Decided by the residuals computed here.
+        solver: Which solver answered.
+        formulation: Which formulation was solved.
+        kkt: Residuals of the optimality conditions; None without a candidate.
+        objective: Value at the candidate.
+        costs: Weighted cost per term, by name.
+        slacks: Distance to the nearer limit per constraint row, by name.
+        duals: Multipliers as the KKT conditions take them; by name in `duals_by_name`.
+        timings: Where the time went.
+        iterations: Of the solver's main loop [–].
+        parameters: What was identified beside the field, by name.
+        program: The matrices.
+        candidate: x as the solver gave it, verified or not; None without one.
+        detail: What the solver itself said.
+        conflict: Names of the constraints that contradict each other, when infeasible.
+    """
+
+    status: Status
+    solver: str
+    formulation: str
+    kkt: KKT | None
+    objective: float
+    costs: Mapping[str, float]
+    slacks: Mapping[str, Array] = field(repr=False)
+    duals: Duals = field(repr=False)
+    timings: Timings
+    iterations: int
+    parameters: Mapping[str, float]
+    program: Program = field(repr=False)
+    candidate: Array | None = field(repr=False)
+    detail: str = field(default="", repr=False)
+    verified_field: PotentialField | None = field(default=None, repr=False)
+    conflict: tuple[str, ...] = ()
+
+    @property
+    def field(self) -> PotentialField:
+        """The fitted field.
+
+        Raises:
+            NoSolutionError: There is none that passed its own check.
+        """
+        if self.verified_field is None:
+            raise NoSolutionError(self.advice, self)
+        return self.verified_field
+
+    @property
+    def advice(self) -> str:
+        """What came of the solve and what to do, in one line."""
+        residual = "" if self.kkt is None else f", KKT {self.kkt.worst_relative:.1e}"
+        between = f" ({' against '.join(self.conflict)})" if self.conflict else ""
+        return (
+            f"{self.solver} on {self.formulation}: {self.status.name.lower()}"
+            f"{residual}{between}: {self.status.value}"
+        )
+
+    @property
+    def variables(self) -> Mapping[str, Array]:
+        """The candidate's variables by name, verified or not; empty without one."""
+        return {} if self.candidate is None else self.program.split(self.candidate)
+
+    @property
+    def duals_by_name(self) -> Mapping[str, Array]:
+        """Multipliers of every constraint and every bound, by name.
+
+        Positive where an upper limit holds the field back, negative at a lower one.
+        """
+        return dict(self.duals.rows) | bound_duals(self.program, self.duals.bounds)

@@ -1,0 +1,222 @@
+"""A scene: everything a formulation speaks of, assembled once.
+
+Patient (voxmap, L, b), probe (point shell) and measurements (trajectory, N, f, W, τ),
+all measurements linear in the field: f = N p, τ = W p.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.contact import ContactRows, checked_sampling, contact_rows
+from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.laplace import LaplaceSystem
+from ttus_opt.point_shell import PointShell
+from ttus_opt.trajectory import Trajectory
+from ttus_opt.voxmap import Voxmap
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Matrices and measurements of one fit.
+
+    Attributes:
+        voxmap: Grid and surface.
+        shell: The probe.
+        trajectory: Poses and wrenches, T frames.
+        sampling: ``voxel-mean`` or ``trilinear``.
+        laplace: L, the parts of b, and solves with L.
+        rows: N and W of the trajectory.
+        inner: p_in on the inner layer [N or N/cm²].
+        outer: p_out; the outer layer has -p_out [N or N/cm²].
+        b: Right side of L p = b, shape (V,) [N or N/cm²].
+        parameters: What assembling identified, by name (``boundary_scale``).
+        seconds: Time the assembly took [s].
+    """
+
+    voxmap: Voxmap
+    shell: PointShell = field(repr=False)
+    trajectory: Trajectory = field(repr=False)
+    sampling: str
+    laplace: LaplaceSystem = field(repr=False)
+    rows: ContactRows = field(repr=False)
+    inner: float
+    outer: float
+    b: Array = field(repr=False)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    seconds: float = field(default=0.0, compare=False)
+
+    @classmethod
+    def assemble(
+        cls,
+        voxmap: Voxmap,
+        shell: PointShell,
+        trajectory: Trajectory,
+        *,
+        inner: float | Literal["fit"] = 1.0,
+        outer: float = 1.0,
+        sampling: str = "voxel-mean",
+    ) -> Scene:
+        """Assemble L, b, N, f, W and τ.
+
+        Args:
+            voxmap: Grid and surface.
+            shell: The probe.
+            trajectory: Poses, and wrenches where they were measured.
+            inner: p_in, or "fit": the one scale for which the Laplace field alone
+                matches the measured forces best in least squares.
+            outer: p_out; with ``inner="fit"`` the ratio p_out / p_in.
+            sampling: ``voxel-mean`` (the paper) or ``trilinear``.
+
+        Returns:
+            The scene. Poses off the grid or without contact are reported as a
+            `TtusWarning`.
+
+        Raises:
+            InputError: Unknown sampling, boundary values that are not finite, or
+                "fit" without a measured force in contact.
+        """
+        start = time.perf_counter()
+        checked_sampling(sampling)
+        if isinstance(inner, str) and inner != "fit":
+            raise InputError(f'inner must be a number or "fit", got {inner!r}')
+        laplace = LaplaceSystem.assemble(voxmap)
+        rows = contact_rows(
+            voxmap,
+            shell,
+            trajectory.rotation,
+            trajectory.position,
+            sampling=sampling,
+        )
+        _report_contact(rows)
+        if isinstance(inner, str):
+            scale = _boundary_scale(laplace, rows, trajectory, outer)
+            values = (scale, scale * outer)
+            parameters = {"boundary_scale": scale}
+        else:
+            values, parameters = (float(inner), float(outer)), {}
+        b = laplace.right_side(*values)
+        return cls(
+            voxmap,
+            shell,
+            trajectory,
+            sampling,
+            laplace,
+            rows,
+            *values,
+            b,
+            parameters,
+            time.perf_counter() - start,
+        )
+
+    def with_boundary(self, inner: float, outer: float) -> Scene:
+        """The same scene with other boundary values; nothing is assembled again."""
+        return replace(
+            self,
+            inner=inner,
+            outer=outer,
+            b=self.laplace.right_side(inner, outer),
+            parameters={},
+        )
+
+    @property
+    def n_voxels(self) -> int:
+        """Number of voxels V [–]."""
+        return self.voxmap.grid.n_voxels
+
+    @property
+    def L(self) -> sp.csr_array:
+        """Laplace operator, (V, V) [–]."""
+        return self.laplace.L
+
+    @property
+    def N(self) -> sp.csr_array:
+        """Force rows, (3T, V)."""
+        return self.rows.N
+
+    @property
+    def W(self) -> sp.csr_array:
+        """Torque rows, (3T, V) [m]."""
+        return self.rows.W
+
+    @property
+    def f(self) -> Array:
+        """Measured forces, frame by frame, shape (3T,) [N].
+
+        Raises:
+            InputError: The trajectory carries no wrench.
+        """
+        return _measured(self.trajectory.force, "forces (columns fx, fy, fz)")
+
+    @property
+    def tau(self) -> Array:
+        """Measured torques, frame by frame, shape (3T,) [N·m].
+
+        Raises:
+            InputError: The trajectory carries no wrench.
+        """
+        return _measured(self.trajectory.torque, "torques (columns tx, ty, tz)")
+
+    @property
+    def torque_length(self) -> float:
+        """Default length ℓ that makes torque rows comparable with force rows [m]."""
+        return self.shell.rms_radius
+
+
+def _measured(values: Array | None, what: str) -> Array:
+    if values is None:
+        raise InputError(
+            f"the trajectory has no measured {what}: add them, or fit laplace_only"
+        )
+    return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
+
+
+def _report_contact(rows: ContactRows) -> None:
+    """Warn of poses that measure nothing."""
+    n_poses = len(rows.in_grid)
+    off = int(n_poses - rows.in_grid.sum())
+    if off:
+        warnings.warn(
+            f"{off} of {n_poses} poses lie outside the grid and give zero: check the "
+            "trajectory's frame and unit",
+            TtusWarning,
+            stacklevel=3,
+        )
+    if not (rows.contact_points > 0).any():
+        warnings.warn(
+            f"the probe touches the patient in none of {n_poses} poses: the fit is "
+            "Laplace only",
+            TtusWarning,
+            stacklevel=3,
+        )
+
+
+def _boundary_scale(
+    laplace: LaplaceSystem, rows: ContactRows, trajectory: Trajectory, outer: float
+) -> float:
+    """Scale s that minimises ‖s N p₁ - f‖² with p₁ the Laplace field of unit p_in."""
+    unit = rows.N @ laplace.solve(laplace.right_side(1.0, outer))
+    force = _measured(trajectory.force, "forces (columns fx, fy, fz)")
+    square = float(unit @ unit)
+    if square == 0.0:
+        raise InputError(
+            'inner="fit" needs measured forces in contact, the probe never touches '
+            "the patient: give inner as a number"
+        )
+    scale = float(unit @ force) / square
+    if scale <= 0.0:
+        raise InputError(
+            f'inner="fit" found a boundary scale of {scale:.3g}: the measured forces '
+            "push into the patient: give the force ON the probe in patient axes"
+        )
+    return scale

@@ -1,0 +1,1 @@
+"""Solvers: one file per backend, each with a list ``SOLVERS``; see `registry`."""

@@ -1,0 +1,150 @@
+"""The closed form Q p = d (paper eqs. 11-13): form Q, factorise, solve.
+
+The reference every other solver is compared with. SciPy's SuperLU is always there;
+other factorisations have names and files of their own (``closed_form_…``) and use
+what is here.
+"""
+
+from __future__ import annotations
+
+import abc
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
+
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import (
+    Candidate,
+    Capabilities,
+    Claim,
+    Prepared,
+    Request,
+    Solver,
+)
+
+Array = NDArray[np.float64]
+
+#: Rounds of iterative refinement: Q squares the condition of L, one round repairs
+#: what the factorisation lost
+REFINEMENTS = 2
+
+
+class Factor(abc.ABC):
+    """A factorisation of a symmetric positive definite Q."""
+
+    @abc.abstractmethod
+    def solve(self, d: Array) -> Array:
+        """Solve Q x = d."""
+
+    def refactorise(self, Q: sp.csc_array) -> bool:
+        """Take other numbers in the same pattern, where the package keeps an analysis.
+
+        Args:
+            Q: The new matrix.
+
+        Returns:
+            Whether that was possible; False asks for a new factor.
+        """
+        return False
+
+    def release(self) -> None:
+        """Give memory back that is not Python's."""
+        return None
+
+
+class ClosedFormSolver(Solver):
+    """Forms Q and d; a subclass says who factorises."""
+
+    capabilities = Capabilities(
+        inequalities=False,
+        equalities=False,
+        keeps="the factor of Q for new values; forms and factorises Q for new weights",
+        time_limit=False,
+    )
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        """Form Q and d and factorise Q."""
+        self.require(program)
+        return _Factorised(self, program)
+
+    @abc.abstractmethod
+    def factorise(self, Q: sp.csc_array) -> Factor:
+        """Factorise a symmetric positive definite matrix, all of it stored."""
+
+
+class ClosedForm(ClosedFormSolver):
+    """SuperLU on Q in its symmetric mode."""
+
+    name = "closed_form"
+    summary = "forms Q and d and factorises Q (SciPy SuperLU): the reference"
+
+    def factorise(self, Q: sp.csc_array) -> Factor:
+        """Order Q itself and do not pivot: it is symmetric positive definite."""
+        return _SuperLU(
+            splu(
+                Q,
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        )
+
+
+class _SuperLU(Factor):
+    def __init__(self, factor: Any) -> None:
+        self._factor = factor
+
+    def solve(self, d: Array) -> Array:
+        return np.asarray(self._factor.solve(d))
+
+
+class _Factorised(Prepared):
+    """Q, d and a factor of Q."""
+
+    def __init__(self, solver: ClosedFormSolver, program: Program) -> None:
+        self._solver = solver
+        self._Q, self._d = program.normal_equations()
+        self._factor = _attempted(solver, self._Q)
+
+    def update(self, program: Program) -> None:
+        """Take other data; the factor is kept while Q stays the same."""
+        Q, self._d = program.normal_equations()
+        before, self._Q = self._Q, Q
+        pattern = (
+            Q.shape == before.shape
+            and Q.nnz == before.nnz
+            and np.array_equal(Q.indptr, before.indptr)
+            and np.array_equal(Q.indices, before.indices)
+        )
+        factor = self._factor
+        if isinstance(factor, Factor):
+            same = pattern and np.array_equal(Q.data, before.data)
+            if same or (pattern and factor.refactorise(Q)):
+                return
+            factor.release()  # before the next one asks for as much again
+        self._factor = _attempted(self._solver, Q)
+
+    def solve(self) -> Candidate:
+        """Solve Q x = d and refine."""
+        if isinstance(self._factor, str):
+            return Candidate(None, claim=Claim.GAVE_UP, detail=self._factor)
+        x = self._factor.solve(self._d)
+        for _ in range(REFINEMENTS):
+            x = x + self._factor.solve(self._d - self._Q @ x)
+        if not np.isfinite(x).all():
+            return Candidate(None, claim=Claim.GAVE_UP, detail="Q is singular")
+        return Candidate(x, iterations=1)
+
+
+def _attempted(solver: ClosedFormSolver, Q: sp.csc_array) -> Factor | str:
+    """A factor, or in words why there is none."""
+    try:
+        return solver.factorise(Q)
+    except (RuntimeError, ValueError, ArithmeticError) as error:
+        return f"Q cannot be factorised: {error}"
+
+
+SOLVERS = [ClosedForm()]

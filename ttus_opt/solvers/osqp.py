@@ -1,0 +1,124 @@
+"""OSQP: operator splitting (ADMM) with one factor kept over all iterations, in C.
+
+Used directly, not through qpsolvers, because the loaded object is worth keeping: new
+measured values change only limits (the factor stays, the last answer is the start),
+new weights change numbers in A (one refactorisation, no new ordering).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import (
+    Candidate,
+    Capabilities,
+    Claim,
+    Prepared,
+    Request,
+    Solver,
+)
+from ttus_opt.solvers.qpsolvers_base import claim_from
+from ttus_opt.solvers.quadratic import TwoSided, read_back
+from ttus_opt.solvers.verified import Verified
+
+#: Iterations between two checks of the answer, and most checks
+ITERATIONS, CHECKS = 5_000, 40
+
+
+class Osqp(Solver):
+    """OSQP on the least-squares form, its object kept."""
+
+    name = "osqp"
+    summary = "operator splitting (OSQP), keeps its factor and its last answer"
+    capabilities = Capabilities(
+        inequalities=True,
+        equalities=True,
+        keeps="factor and last answer for new values; the ordering for new weights",
+    )
+    module = "osqp"
+    pip_name = "osqp"
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        """Load, scale and factorise."""
+        self.require(program)
+        return _Loaded(program, request)
+
+
+class _Loaded(Verified):
+    """A live OSQP object."""
+
+    margin = 0.1
+    floor = 1e-12
+    continuations = CHECKS
+
+    def __init__(self, program: Program, request: Request) -> None:
+        self._rows: TwoSided | None = None
+        self._solver: Any = None
+        super().__init__(program, request)
+
+    def _load(self, program: Program) -> None:
+        self._form = program.least_squares_qp()
+        rows = TwoSided.of(self._form)
+        if self._rows is not None and rows.same_structure(self._rows):
+            changed: dict[str, Any] = {}
+            if not np.array_equal(rows.A.data, self._rows.A.data):
+                changed["Ax"] = rows.A.data
+            if not np.array_equal(rows.P.data, self._rows.P.data):
+                changed["Px"] = sp.triu(rows.P, format="csc").data
+            self._solver.update(q=rows.q, l=rows.lower, u=rows.upper, **changed)
+        else:
+            self._solver = self._set_up(rows)
+        self._rows = rows
+
+    def _set_up(self, rows: TwoSided) -> Any:
+        import osqp
+
+        solver = osqp.OSQP()
+        solver.setup(
+            sp.csc_matrix(sp.triu(rows.P)),
+            rows.q,
+            rows.A,
+            rows.lower,
+            rows.upper,
+            verbose=False,
+            eps_abs=self._eps * 1e-2,
+            eps_rel=self._eps,
+            max_iter=ITERATIONS,
+            polishing=False,
+        )
+        return solver
+
+    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+        assert self._rows is not None
+        # an absolute tolerance as well: residuals here are often far below one. Its
+        # default would accept a dual residual of 1e-2
+        self._solver.update_settings(
+            eps_abs=eps * 1e-2,
+            eps_rel=eps,
+            time_limit=1e10 if seconds is None else seconds,
+        )
+        answer = self._solver.solve(raise_error=False)
+        words = str(answer.info.status)
+        y = np.nan_to_num(np.asarray(answer.y, dtype=np.float64))
+        rows, box = self._rows.split(y)
+        x = np.asarray(answer.x, dtype=np.float64)
+        claim = claim_from(words, words == "solved")
+        if claim in (Claim.INFEASIBLE, Claim.UNBOUNDED):
+            return Candidate(None, claim=claim, detail=words)
+        return read_back(
+            self._program,
+            self._form,
+            x,
+            rows,
+            box,
+            iterations=int(answer.info.iter),
+            claim=claim,
+            detail=words,
+        )
+
+
+SOLVERS = [Osqp()]

@@ -1,0 +1,153 @@
+"""SCS: splitting with a homogeneous embedding and Anderson acceleration, in C.
+
+Used directly, because the loaded object is worth keeping: new measured values change
+only its vectors b and c, the factor stays and the last answer is the start.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import (
+    Candidate,
+    Capabilities,
+    Claim,
+    Prepared,
+    Request,
+    Solver,
+)
+from ttus_opt.solvers.qpsolvers_base import claim_from
+from ttus_opt.solvers.quadratic import TwoSided, read_back
+from ttus_opt.solvers.verified import Verified
+
+Array = NDArray[np.float64]
+
+#: Iterations between two checks of the answer, and most checks
+ITERATIONS, CHECKS = 5_000, 40
+
+
+class Scs(Solver):
+    """SCS on the least-squares form, its object kept."""
+
+    name = "scs"
+    summary = "splitting (SCS), keeps its factor and its last answer"
+    capabilities = Capabilities(
+        inequalities=True,
+        equalities=True,
+        keeps="factor and last answer for new values; nothing for new weights",
+    )
+    module = "scs"
+    pip_name = "scs"
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        """Load, scale and factorise."""
+        self.require(program)
+        return _Loaded(program, request)
+
+
+class _Loaded(Verified):
+    """A live SCS object over A x + s = b with s in zero and nonnegative cones."""
+
+    margin = 0.1
+    floor = 1e-12
+    continuations = CHECKS
+
+    def __init__(self, program: Program, request: Request) -> None:
+        self._rows: TwoSided | None = None
+        self._solver: Any = None
+        self._set_with: tuple[float, float | None] | None = None
+        self._last: dict[str, Array] | None = None
+        super().__init__(program, request)
+
+    def _load(self, program: Program) -> None:
+        self._form = program.least_squares_qp()
+        rows = TwoSided.of(self._form)
+        before = self._rows
+        same = (
+            before is not None
+            and rows.same_structure(before)
+            and np.array_equal(rows.A.data, before.A.data)
+            and np.array_equal(rows.P.data, before.P.data)
+        )
+        self._rows = rows
+        self._equal = rows.lower == rows.upper
+        self._above = ~self._equal & np.isfinite(rows.upper)
+        self._below = ~self._equal & np.isfinite(rows.lower)
+        self._b = np.concatenate(
+            [
+                rows.upper[self._equal],
+                rows.upper[self._above],
+                -rows.lower[self._below],
+            ]
+        )
+        if same:
+            self._solver.update(self._b, rows.q)
+        else:
+            self._last = None
+            self._solver = self._set_up(self._eps, self._request.time_limit)
+
+    def _set_up(self, eps: float, seconds: float | None) -> Any:
+        import scs  # type: ignore[import-untyped,unused-ignore]
+
+        assert self._rows is not None
+        A = sp.csr_matrix(self._rows.A)
+        stacked = sp.vstack([A[self._equal], A[self._above], -A[self._below]])
+        cone = {
+            "z": int(self._equal.sum()),
+            "l": int(self._above.sum() + self._below.sum()),
+        }
+        self._set_with = (eps, seconds)
+        return scs.SCS(
+            {
+                "P": sp.csc_matrix(sp.triu(self._rows.P)),
+                "A": sp.csc_matrix(stacked),
+                "b": self._b,
+                "c": self._rows.q,
+            },
+            cone,
+            verbose=False,
+            eps_abs=eps * 1e-2,
+            eps_rel=eps,
+            max_iters=ITERATIONS,
+            time_limit_secs=0.0 if seconds is None else seconds,
+        )
+
+    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+        assert self._rows is not None
+        if self._set_with is None or self._set_with[0] != eps:
+            # its tolerance is fixed at set-up: a tighter one costs a new factor
+            self._solver = self._set_up(eps, seconds)
+        if self._last is None:
+            answer = self._solver.solve(warm_start=False)
+        else:
+            answer = self._solver.solve(warm_start=True, **self._last)
+        words = str(answer["info"]["status"])
+        claim = claim_from(words, words == "solved")
+        if claim in (Claim.INFEASIBLE, Claim.UNBOUNDED):
+            self._last = None
+            return Candidate(None, claim=claim, detail=words)
+        self._last = {key: np.array(answer[key]) for key in ("x", "y", "s")}
+        y = np.zeros(len(self._equal))
+        n_equal, n_above = int(self._equal.sum()), int(self._above.sum())
+        y[self._equal] = answer["y"][:n_equal]
+        y[self._above] += answer["y"][n_equal : n_equal + n_above]
+        y[self._below] -= answer["y"][n_equal + n_above :]
+        rows, box = self._rows.split(y)
+        return read_back(
+            self._program,
+            self._form,
+            np.asarray(answer["x"]),
+            rows,
+            box,
+            iterations=int(answer["info"]["iter"]),
+            claim=claim,
+            detail=words,
+        )
+
+
+SOLVERS = [Scs()]

@@ -1,0 +1,43 @@
+"""Measured forces with drag, λ_f ‖N p − drag − f‖² (design §3, friction)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.drag import DragModel
+
+
+@dataclass(frozen=True)
+class DragForceTerm(Term):
+    """Squares of the force residuals with drag, of every frame [N²].
+
+    Attributes:
+        drag: How the skin drags.
+    """
+
+    drag: DragModel = field(kw_only=True, repr=False)
+
+    name = "force"
+    formula = "‖N p − drag − f‖²"
+
+    def __post_init__(self) -> None:
+        """Say which drag it is.
+
+        Raises:
+            InputError: The weight is not usable.
+        """
+        super().__post_init__()
+        object.__setattr__(self, "formula", f"‖N p − {self.drag.formula} − f‖²")
+
+    def rows(self) -> AffineRows:
+        """N and drag's rows by variable, and f."""
+        return AffineRows(self.drag.force_blocks(), self.scene.f)
+
+    def parameters(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
+        """Drag's coefficients."""
+        return self.drag.parameters(values)

@@ -1,0 +1,39 @@
+"""Measured torques with drag, λ_τ ‖(W p − torque of drag − τ)/ℓ‖² (design §3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ttus_opt.terms.base import AffineRows
+from ttus_opt.terms.drag import DragModel
+from ttus_opt.terms.torque import TorqueTerm
+
+
+@dataclass(frozen=True)
+class DragTorqueTerm(TorqueTerm):
+    """Squares of the torque residuals over ℓ with drag, of every frame [N²].
+
+    Attributes:
+        drag: How the skin drags.
+    """
+
+    drag: DragModel = field(kw_only=True, repr=False)
+
+    name = "torque"
+    formula = "‖(W p − torque of drag − τ)/ℓ‖²"
+
+    def __post_init__(self) -> None:
+        """Say which drag it is.
+
+        Raises:
+            InputError: The weight or the length is not usable.
+        """
+        super().__post_init__()
+        drag = self.drag.formula.replace("F", "G")
+        object.__setattr__(self, "formula", f"‖(W p − {drag} − τ)/ℓ‖²")
+
+    def rows(self) -> AffineRows:
+        """W/ℓ and drag's rows by variable, and τ/ℓ."""
+        scale = 1.0 / (self.length or self.scene.torque_length)
+        blocks = {k: M * scale for k, M in self.drag.torque_blocks().items()}
+        return AffineRows(blocks, self.scene.tau * scale)

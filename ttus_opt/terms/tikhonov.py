@@ -1,0 +1,53 @@
+"""Tikhonov's term ‖p − p_ref‖², over the free voxels (design §3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.errors import InputError
+from ttus_opt.terms.base import AffineRows, Term
+
+REFERENCES = ("laplace", "zero")
+
+
+@dataclass(frozen=True)
+class TikhonovTerm(Term):
+    """Squares of the departure from a reference field [unit of p, squared].
+
+    Attributes:
+        reference: "laplace" for the Laplace field p₀ = L⁻¹b, or "zero".
+    """
+
+    reference: str = "laplace"
+
+    name = "tikhonov"
+    formula = "‖p − p_ref‖² over free voxels"
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown reference.
+
+        Raises:
+            InputError: The weight or the reference is not usable.
+        """
+        super().__post_init__()
+        if self.reference not in REFERENCES:
+            raise InputError(
+                f"tikhonov reference must be one of {', '.join(REFERENCES)}, got "
+                f"{self.reference!r}"
+            )
+
+    def rows(self) -> AffineRows:
+        """Identity rows of the free voxels."""
+        scene = self.scene
+        free = np.flatnonzero(scene.laplace.free)
+        rows = sp.csr_array(
+            (np.ones(len(free)), free, np.arange(len(free) + 1)),
+            shape=(len(free), scene.n_voxels),
+        )
+        target = np.zeros(len(free))
+        if self.reference == "laplace":
+            target = scene.laplace.solve(scene.b)[free]
+        return AffineRows({"p": rows}, target)

@@ -1,0 +1,45 @@
+"""Measured torques, λ_τ ‖(W p - τ)/ℓ‖² (paper eqs. 7, 10; design §3).
+
+N and N·m differ by a length: rows are divided by a characteristic length ℓ, by
+default the shell's root-mean-square radius, so that λ_τ is comparable with λ_f.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ttus_opt.errors import InputError
+from ttus_opt.terms.base import AffineRows, Term
+
+
+@dataclass(frozen=True)
+class TorqueTerm(Term):
+    """Squares of the torque residuals over ℓ, of every frame [N²].
+
+    Attributes:
+        length: ℓ [m]; None takes the shell's root-mean-square radius, 1.0 is the
+            literal SI form, in which torque has practically no weight.
+    """
+
+    length: float | None = None
+
+    name = "torque"
+    formula = "‖(W p − τ)/ℓ‖²"
+
+    def __post_init__(self) -> None:
+        """Refuse a length that is no length.
+
+        Raises:
+            InputError: The weight or the length is not usable.
+        """
+        super().__post_init__()
+        if self.length is not None and not (
+            math.isfinite(self.length) and self.length > 0.0
+        ):
+            raise InputError(f"torque_length must be positive [m], got {self.length}")
+
+    def rows(self) -> AffineRows:
+        """W/ℓ and τ/ℓ of the scene."""
+        scale = 1.0 / (self.length or self.scene.torque_length)
+        return AffineRows({"p": self.scene.W * scale}, self.scene.tau * scale)

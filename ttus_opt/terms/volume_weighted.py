@@ -1,0 +1,46 @@
+"""Laplace prior that does not depend on the grid, ∫ (ℓ² ∇²p)² dV/ℓ³ (design §3).
+
+Eq. 10 sums squares of Δr² ∇²p over voxels: with every step halved that sum is half
+as large (2⁻⁴ each, 2³ times as many), so that λ means something else on every grid.
+Here each free row is weighted by its voxel's volume, ℓ = 1 cm being the unit of
+length. Boundary values are no part of the integral: they belong into a constraint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.terms.base import AffineRows, Term
+
+Array = NDArray[np.float64]
+
+#: Unit of length of the integral, ℓ [m]
+LENGTH = 0.01
+
+
+@dataclass(frozen=True)
+class VolumeWeightedTerm(Term):
+    """Squares of ∇²p over the free voxels, times their volume."""
+
+    name = "volume_weighted"
+    formula = "∫ (ℓ²∇²p)² dV/ℓ³"
+
+    @property
+    def laplace_scale(self) -> Array:
+        """√(volume/ℓ³)·(ℓ/Δr)² of every voxel, shape (V,) [–]."""
+        grid = self.scene.laplace.grid
+        step = grid.r_step * grid.theta_step * grid.z_step
+        volume = self.scene.laplace.radii * step
+        return np.asarray(np.sqrt(volume / LENGTH**3) * (LENGTH / grid.r_step) ** 2)
+
+    def rows(self) -> AffineRows:
+        """Free rows of L, each times √(volume/ℓ³)·(ℓ/Δr)²."""
+        laplace = self.scene.laplace
+        free = np.flatnonzero(laplace.free)
+        scale = self.laplace_scale[free]
+        rows = sp.diags_array(scale) @ laplace.L[free]
+        return AffineRows({"p": sp.csr_array(rows)}, scale * self.scene.b[free])
