@@ -272,6 +272,24 @@ def test_v_cycle_is_linear_symmetric_and_positive(
     )
 
 
+def test_a_cycle_in_halves_is_the_same_cycle(
+    case: tuple[CylindricalGrid, Mask, Multigrid],
+) -> None:
+    _, free, solver = case
+    b = noise(free, 3)
+    at = np.flatnonzero(free)
+    rough = solver.rough()
+    places = rough.places(at)
+    for _ in range(2):  # nothing is left over from the first
+        rough.b.fill(0.0)
+        rough.b[places] = b[at]
+        rough.run()
+    expected = solver.v_cycle(b)
+    np.testing.assert_allclose(
+        rough.x[places], expected[at], atol=1e-5 * np.abs(expected).max()
+    )
+
+
 @pytest.mark.parametrize("name", ["even", "odd", "core"])
 def test_v_cycle_is_close_to_the_inverse(name: str) -> None:
     grid = GRIDS[name]

@@ -23,7 +23,7 @@ from scipy.sparse.linalg import splu
 from ttus_opt.compiled import compiled
 from ttus_opt.errors import InputError
 from ttus_opt.grid import CylindricalGrid, flat_index
-from ttus_opt.multigrid import Multigrid
+from ttus_opt.multigrid import Multigrid, VCycle
 from ttus_opt.voxmap import Voxmap
 
 Array = NDArray[np.float64]
@@ -147,6 +147,10 @@ class LaplaceSystem:
             )
         return Multigrid(self.grid, self.grid.unflatten(self.free))
 
+    def v_cycle(self) -> VCycle:
+        """A⁻¹ roughly, for those who need it many times over."""
+        return self.multigrid.rough()
+
     def solve(self, right_side: Array, *, rtol: float = RTOL) -> Array:
         """Solve L p = g.
 
@@ -161,7 +165,7 @@ class LaplaceSystem:
             NumericalError: The residual was not reached.
         """
         p = np.where(self.free, 0.0, right_side)
-        rest = self.radii * (self._coupling[0] @ p - right_side)
+        rest = self.radii * (self.coupling[0] @ p - right_side)
         rest[~self.free] = 0.0
         p += self.multigrid.solve(rest, rtol=rtol).x
         return p
@@ -171,10 +175,10 @@ class LaplaceSystem:
         rest = np.where(self.free, -right_side, 0.0)
         q = self.radii * self.multigrid.solve(rest, rtol=rtol).x
         # the adjoint of the identity rows: what flows from free to fixed voxels
-        return np.where(self.free, q, right_side - self._coupling[1] @ q)
+        return np.where(self.free, q, right_side - self.coupling[1] @ q)
 
     @cached_property
-    def _coupling(self) -> tuple[sp.csr_array, sp.csr_array]:
+    def coupling(self) -> tuple[sp.csr_array, sp.csr_array]:
         """L's entries from fixed voxels to free rows, and their adjoint, (V, V)."""
         row = np.repeat(np.arange(self.L.shape[0]), np.diff(self.L.indptr))
         keep = self.free[row] & ~self.free[self.L.indices]

@@ -170,7 +170,7 @@ def test_never_forms_q() -> None:
     Q, _ = program(scene, 1.0).normal_equations()
     prepared = STRUCTURED.prepare(program(scene, 1.0), TIGHT)
     prepared.solve()
-    held = [v for v in vars(prepared._directions.system).values() if sp.issparse(v)]
+    held = [v for v in vars(prepared._solver.system).values() if sp.issparse(v)]
     assert max(M.nnz for M in held) < Q.nnz / 2
 
 

@@ -27,6 +27,7 @@ from ttus_opt.multigrid import double, kernels
 from ttus_opt.multigrid.cycle import Hierarchy, Workspace, cycle
 from ttus_opt.multigrid.kernels import Single
 from ttus_opt.multigrid.levels import conductances
+from ttus_opt.multigrid.v_cycle import VCycle
 
 Array = NDArray[np.float64]
 
@@ -174,6 +175,10 @@ class Multigrid:
         self._add(x, work.x[0], size)
         self._idle.append(work)
         return x
+
+    def rough(self) -> VCycle:
+        """One V-cycle at a time, in arrays of its own and without copies."""
+        return VCycle(self._hierarchy, self.grid.shape)
 
     def solve(
         self,

@@ -14,12 +14,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.compiled import compiled
 from ttus_opt.laplace import RTOL
-from ttus_opt.solvers.dual_system import DualSystem
 
 Array = NDArray[np.float64]
 
@@ -30,41 +31,108 @@ LOOSEST = 1e-6
 DEPENDENT = 1e-12
 
 
-class Directions:
+# Products with all directions are compiled here, on one core: a threaded BLAS that
+# waits for a busy core takes ten times as long for vectors as short as these.
+
+
+@compiled(nogil=True, fastmath={"contract", "reassoc"})
+def _products(rows: Array, vector: Array) -> Array:
+    """Rows @ vector (compiled)."""
+    out = np.zeros(len(rows))
+    for k in range(len(rows)):
+        row, total = rows[k], 0.0
+        for n in range(row.size):
+            total += row[n] * vector[n]
+        out[k] = total
+    return out
+
+
+@compiled(nogil=True, fastmath={"contract", "reassoc"})
+def _combination(parts: Array, rows: Array) -> Array:
+    """Parts @ rows (compiled)."""
+    out = np.zeros(rows.shape[1])
+    for k in range(len(rows)):
+        row, part = rows[k], parts[k]
+        for n in range(row.size):
+            out[n] += part * row[n]
+    return out
+
+
+class DualOperator(Protocol):
+    """A symmetric positive definite I + K."""
+
+    @property
+    def root_weights(self) -> Array:
+        """Roots c of the weights, shape (m,) [–]."""
+
+    def apply(self, y: Array, rtol: float) -> Array:
+        """(I + K) y to a relative accuracy, shape (m,)."""
+
+
+Operator = TypeVar("Operator", bound=DualOperator)
+
+
+class _Rows:
+    """Rows of equal length that grow in number without being copied each time."""
+
+    def __init__(self, length: int) -> None:
+        self._store = np.empty((16, length))
+        self._count = 0
+
+    @property
+    def all(self) -> Array:
+        """All rows so far, shape (k, length)."""
+        return self._store[: self._count]
+
+    def append(self, row: Array) -> None:
+        """Add one row."""
+        if self._count == len(self._store):
+            longer = np.empty((2 * self._count, self._store.shape[1]))
+            longer[: self._count] = self._store
+            self._store = longer
+        self._store[self._count] = row
+        self._count += 1
+
+    def replace(self, rows: Array) -> None:
+        """Put others in their place, shape (k, length)."""
+        self._store, self._count = rows, len(rows)
+
+
+class Directions(Generic[Operator]):
     """Conjugate directions of one dual system, growing as right sides ask for them.
 
-    Directions are kept without weights (c·d and c⁻¹·K d), so that a change of the
-    weights makes them conjugate again without a solve.
+    With d normalised, (I + K) d is kept beside it. A change of the weights c makes
+    the directions conjugate again without a solve, as c·d and c⁻¹·K d do not know
+    the weights.
     """
 
-    def __init__(self, system: DualSystem) -> None:
+    def __init__(self, system: Operator) -> None:
         m = len(system.root_weights)
         self.system = system
-        self._bare = np.zeros((0, m))  # c · d
-        self._bare_image = np.zeros((0, m))  # K d / c
-        self._d = np.zeros((0, m))  # conjugate, normalised
-        self._image = np.zeros((0, m))  # (I + K) d
+        self._directions = _Rows(m)
+        self._images = _Rows(m)
 
     def __len__(self) -> int:
         """Number of directions."""
-        return len(self._d)
+        return len(self._directions.all)
 
-    def adopt(self, system: DualSystem) -> None:
+    def adopt(self, system: Operator) -> None:
         """Take a system that differs by its weights; no solve is spent.
 
         Args:
-            system: A system for which ``same_rows`` holds.
+            system: The same K but for the weights of its rows.
         """
+        ratio = system.root_weights / self.system.root_weights
         self.system = system
-        c = system.root_weights
-        d = self._bare / c
-        image = d + self._bare_image * c
+        bare = self._images.all - self._directions.all
+        d = self._directions.all / ratio
+        image = d + bare * ratio
         gram = d @ image.T
         size, turn = np.linalg.eigh((gram + gram.T) / 2.0)
         keep = size > DEPENDENT * size.max(initial=0.0)
         mix = (turn[:, keep] / np.sqrt(size[keep])).T
-        self._d, self._image = mix @ d, mix @ image
-        self._bare, self._bare_image = mix @ self._bare, mix @ self._bare_image
+        self._directions.replace(mix @ d)
+        self._images.replace(mix @ image)
 
     def project(self, right_side: Array) -> tuple[Array, Array]:
         """Best y in the span of what is kept, and the residual it leaves.
@@ -75,30 +143,35 @@ class Directions:
         Returns:
             y and right_side - (I + K) y, shape (m,) each.
         """
-        parts = self._d @ right_side
-        return parts @ self._d, right_side - parts @ self._image
+        d, images = self._directions.all, self._images.all
+        parts = _products(d, right_side)
+        return _combination(parts, d), right_side - _combination(parts, images)
 
-    def extend(self, direction: Array, rtol: float) -> None:
+    def step(self, right_side: Array) -> tuple[Array, Array]:
+        """`project` onto the last direction alone."""
+        d, image = self._directions.all[-1], self._images.all[-1]
+        part = float(d @ right_side)
+        return part * d, right_side - part * image
+
+    def extend(self, direction: Array, rtol: float, *, passes: int = 2) -> None:
         """Make a direction conjugate to the others, normalise and keep it.
 
         Args:
             direction: Shape (m,).
             rtol: Relative residual of the solves in its product.
+            passes: How often it is made conjugate: twice is to rounding [–].
         """
-        for _ in range(2):  # twice is enough
-            direction = direction - (self._image @ direction) @ self._d
+        for _ in range(passes):
+            parts = _products(self._images.all, direction)
+            direction = direction - _combination(parts, self._directions.all)
         image = self.system.apply(direction, rtol)
         size = float(np.sqrt(direction @ image))
-        direction, image = direction / size, image / size
-        c = self.system.root_weights
-        self._d = np.vstack([self._d, direction])
-        self._image = np.vstack([self._image, image])
-        self._bare = np.vstack([self._bare, c * direction])
-        self._bare_image = np.vstack([self._bare_image, (image - direction) / c])
+        self._directions.append(direction / size)
+        self._images.append(image / size)
 
 
 def solve_dual(
-    directions: Directions,
+    directions: Directions[Any],
     right_side: Array,
     goal: float,
     precondition: Callable[[Array], Array],

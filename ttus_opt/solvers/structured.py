@@ -1,7 +1,7 @@
 """The structured solver: eq. 10 without ever forming Q (design §3, structures a-d).
 
 The dual system (`dual_system`) is solved by conjugate directions that are all kept
-(`conjugate_directions`), preconditioned from a coarser grid (`coarse_dual`); L⁻¹ is a
+(`conjugate_directions`), preconditioned by a rough dual (`rough_dual`); L⁻¹ is a
 multigrid (`ttus_opt.multigrid`). What a new solve costs, in solves with L or Lᵀ:
 
     new measured values     2 for p, and 2 per direction the old ones lack
@@ -13,7 +13,6 @@ multigrid (`ttus_opt.multigrid`). What a new solve costs, in solves with L or L�
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,21 +30,14 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.coarse_dual import coarse_preconditioner
-from ttus_opt.solvers.conjugate_directions import Directions, solve_dual
+from ttus_opt.solvers.dual_solver import DualSolver
 from ttus_opt.solvers.dual_system import DualSystem
 from ttus_opt.terms.base import Penalty
 
 Array = NDArray[np.float64]
 
-#: Most directions
-MAX_STEPS = 2000
-
 #: How far below the KKT tolerance the dual system is solved, and its floor
-MARGIN, FLOOR = 1e-3, 1e-12
-
-#: Rounds of solving for the residual that inexact products left
-ROUNDS = 3
+MARGIN, FLOOR = 1e-2, 1e-12
 
 
 class Structured(Solver):
@@ -93,9 +85,7 @@ class Structured(Solver):
 class _Loaded(Prepared):
     def __init__(self, program: Program, request: Request) -> None:
         self._request = request
-        self._directions: Directions | None = None
-        self._precondition: Callable[[Array], Array] | None = None
-        self._prior_field: tuple[Array, Array] | None = None
+        self._solver: DualSolver | None = None
         self.update(program)
 
     def update(self, program: Program) -> None:
@@ -106,56 +96,23 @@ class _Loaded(Prepared):
         self._b = _right_side(program, prior)
         program.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
         system, self._t = _dual_system(program, prior)
-        if self._directions is not None and system.same_rows(self._directions.system):
-            if not np.array_equal(
-                system.root_weights, self._directions.system.root_weights
-            ):
-                self._directions.adopt(system)
-                self._precondition = None
-        else:
-            self._directions = Directions(system)
-            self._precondition = None
+        if self._solver is None or not system.same_rows(self._solver.system):
+            self._solver = DualSolver(system)
+        elif not np.array_equal(system.root_weights, self._solver.system.root_weights):
+            self._solver.adopt(system)
 
     def solve(self) -> Candidate:
         """Solve the dual system, then one response for the field."""
         limit = self._request.time_limit
-        deadline = None if limit is None else time.perf_counter() + limit
-        assert self._directions is not None
-        system = self._directions.system
-        base = self._laplace_field()
-        right_side = self._t - system.measure(base)
-        goal = max(self._request.tolerance * MARGIN, FLOOR) * float(
-            np.linalg.norm(right_side)
+        assert self._solver is not None
+        answer = self._solver.solve(
+            self._b,
+            self._t,
+            rtol=max(self._request.tolerance * MARGIN, FLOOR),
+            deadline=None if limit is None else time.perf_counter() + limit,
         )
-        y, p = np.zeros_like(right_side), base
-        residual, steps = right_side, 0
-        for _ in range(ROUNDS):
-            if np.linalg.norm(residual) <= goal:
-                break
-            if self._precondition is None:
-                self._precondition = coarse_preconditioner(system, residual)
-            step, taken = solve_dual(
-                self._directions,
-                residual,
-                goal,
-                self._precondition,
-                max_steps=MAX_STEPS - steps,
-                deadline=deadline,
-            )
-            y, steps = y + step, steps + taken
-            p = base + system.response(y)
-            if deadline is not None and time.perf_counter() > deadline:
-                return Candidate(p, self._duals(p), steps, Claim.TIME_LIMIT)
-            residual = right_side - y - system.measure(p - base)
-        return Candidate(p, self._duals(p), steps)
-
-    def _laplace_field(self) -> Array:
-        """p₀ = L⁻¹b, kept while b stays."""
-        if self._prior_field is None or not np.array_equal(
-            self._prior_field[0], self._b
-        ):
-            self._prior_field = (self._b, self._program.laplace.solve(self._b))
-        return self._prior_field[1]
+        claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
+        return Candidate(answer.p, self._duals(answer.p), answer.steps, claim)
 
     def _duals(self, p: Array) -> Duals:
         """Multipliers of hard Dirichlet values: minus the objective's gradient."""

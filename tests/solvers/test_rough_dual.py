@@ -1,0 +1,49 @@
+"""The rough dual against the exact one, written down as matrices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from tests.conftest import small_scene
+from ttus_opt.problem import formulation
+from ttus_opt.solvers.dual_system import DualSystem
+from ttus_opt.solvers.rough_dual import RoughDual, rough_preconditioner
+from ttus_opt.solvers.structured import _dual_system, _prior
+
+
+def dual_system(sampling: str, weight: float, name: str = "eq10") -> DualSystem:
+    scene = small_scene(sampling, (12, 24, 16), n_poses=12)
+    program = formulation.load(
+        name, scene, force_weight=weight, torque_weight=weight
+    ).compile()
+    prior = _prior(program)
+    assert prior is not None
+    return _dual_system(program, prior)[0]
+
+
+@pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary"])
+@pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean"])
+def test_is_spectrally_equivalent_at_light_and_heavy_weights(
+    sampling: str, name: str
+) -> None:
+    """Ratios of (I + K̃) to (I + K) stay in one band, whatever the weight."""
+    for weight in (1e-4, 1.0, 1e2):
+        system = dual_system(sampling, weight, name)
+        unit = np.eye(len(system.root_weights))
+        exact = np.array([system.apply(e) for e in unit])
+        rough = np.array([RoughDual(system).apply(e) for e in unit])
+        assert np.abs(rough - rough.T).max() < 1e-5 * np.abs(rough).max()
+        ratios = scipy.linalg.eigh((rough + rough.T) / 2, exact, eigvals_only=True)
+        assert 0.4 < ratios.min() <= ratios.max() < 1.3
+
+
+def test_preconditioner_nearly_inverts() -> None:
+    system = dual_system("voxel-mean", 1e2)
+    right_side = np.random.default_rng(0).normal(size=len(system.root_weights))
+    precondition = rough_preconditioner(system)
+    rest = right_side - system.apply(precondition(right_side))
+    exact = np.array([system.apply(e) for e in np.eye(len(right_side))])
+    inverse = np.linalg.inv(exact)
+    assert rest @ inverse @ rest < 0.3**2 * (right_side @ inverse @ right_side)

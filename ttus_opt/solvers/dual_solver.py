@@ -1,0 +1,118 @@
+"""The minimiser of Σ (L p - b)²/ω + ‖D p - t‖² through its dual.
+
+Conjugate directions, all kept (`conjugate_directions`), preconditioned by a rough
+dual (`rough_dual`), and rounds of refinement for what inexact products left.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.solvers.conjugate_directions import Directions, solve_dual
+from ttus_opt.solvers.dual_system import DualSystem
+from ttus_opt.solvers.rough_dual import rough_preconditioner
+
+Array = NDArray[np.float64]
+
+#: Most directions
+MAX_STEPS = 2000
+
+#: Rounds of solving for the residual that inexact products left
+ROUNDS = 3
+
+
+@dataclass(frozen=True)
+class DualAnswer:
+    """Result of one solve.
+
+    Attributes:
+        p: The minimiser, shape (V,).
+        steps: New directions [–].
+        late: Whether the deadline cut it short.
+    """
+
+    p: Array = field(repr=False)
+    steps: int
+    late: bool
+
+
+class DualSolver:
+    """One dual system, its directions and its preconditioner."""
+
+    def __init__(self, system: DualSystem) -> None:
+        self._directions = Directions(system)
+        self._precondition: Callable[[Array], Array] | None = None
+        self._base: tuple[Array, Array] | None = None
+
+    @property
+    def system(self) -> DualSystem:
+        """The system."""
+        return self._directions.system
+
+    def adopt(self, system: DualSystem) -> None:
+        """Take a system with other weights of the same rows; no solve is spent."""
+        self._directions.adopt(system)
+        self._precondition = None
+
+    def solve(
+        self,
+        b: Array,
+        t: Array,
+        *,
+        rtol: float,
+        deadline: float | None = None,
+        guess: Array | None = None,
+    ) -> DualAnswer:
+        """Solve for one right-hand side.
+
+        Args:
+            b: Of L p = b, shape (V,).
+            t: Weighted targets, shape (m,).
+            rtol: Residual of the dual, relative to t - D p₀ [–].
+            deadline: `time.perf_counter` at which to stop; None for never [s].
+            guess: A field near the answer, shape (V,).
+
+        Returns:
+            The answer; whether it is exact is for the caller to verify.
+        """
+        system = self.system
+        base = self._prior_field(b)
+        right_side = t - system.measure(base)
+        goal = rtol * float(np.linalg.norm(right_side))
+        if guess is None:
+            y, p, residual = np.zeros_like(right_side), base, right_side
+        else:
+            y = t - system.measure(guess)
+            p = base + system.response(y)
+            residual = right_side - y - system.measure(p - base)
+        steps = 0
+        for _ in range(ROUNDS):
+            if np.linalg.norm(residual) <= goal:
+                break
+            if self._precondition is None:
+                self._precondition = rough_preconditioner(system)
+            step, taken = solve_dual(
+                self._directions,
+                residual,
+                goal,
+                self._precondition,
+                max_steps=MAX_STEPS - steps,
+                deadline=deadline,
+            )
+            y, steps = y + step, steps + taken
+            p = base + system.response(y)
+            if deadline is not None and time.perf_counter() > deadline:
+                return DualAnswer(p, steps, late=True)
+            residual = right_side - y - system.measure(p - base)
+        return DualAnswer(p, steps, late=False)
+
+    def _prior_field(self, b: Array) -> Array:
+        """p₀ = L⁻¹b, kept while b stays."""
+        if self._base is None or not np.array_equal(self._base[0], b):
+            self._base = (b, self.system.laplace.solve(b))
+        return self._base[1]
