@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,7 +24,7 @@ from scipy.sparse.linalg import splu
 from ttus_opt.compiled import compiled
 from ttus_opt.errors import InputError
 from ttus_opt.grid import CylindricalGrid, flat_index
-from ttus_opt.multigrid import Multigrid, VCycle
+from ttus_opt.multigrid import Multigrid, MultigridResult, VCycle
 from ttus_opt.voxmap import Voxmap
 
 Array = NDArray[np.float64]
@@ -32,8 +33,80 @@ Array = NDArray[np.float64]
 RTOL = 1e-12
 
 
+class BlockSolver(Protocol):
+    """A solver of the symmetric block A."""
+
+    def solve(self, rhs: Array, *, rtol: float) -> MultigridResult:
+        """Its answer to one right-hand side."""
+
+    def rough(self) -> VCycle:
+        """One V-cycle at a time."""
+
+
+class SquareSystem(Protocol):
+    """L of some problem: what solves with it need, and the solves.
+
+    Voxels are free, or fixed with an identity row, or take no part: these have no
+    row and no column, and right-hand sides are zero there.
+    """
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Voxels with an unknown of their own, shape (V,)."""
+
+    @property
+    def radii(self) -> Array:
+        """What turns a row of A into minus one of L, shape (V,) [m]."""
+
+    @property
+    def coupling(self) -> tuple[sp.csr_array, sp.csr_array]:
+        """L's entries from fixed voxels to free rows, and their adjoint, (V, V)."""
+
+    @property
+    def multigrid(self) -> BlockSolver:
+        """Solver of A on the free voxels."""
+
+    def solve(self, right_side: Array, *, rtol: float = RTOL) -> Array:
+        """Solve L p = g."""
+
+    def solve_adjoint(self, right_side: Array, *, rtol: float = RTOL) -> Array:
+        """Solve Lᵀ q = g."""
+
+
+class BlockSolves:
+    """The solves of a `SquareSystem`."""
+
+    def solve(self: SquareSystem, right_side: Array, *, rtol: float = RTOL) -> Array:
+        """Solve L p = g.
+
+        Args:
+            right_side: g, shape (V,).
+            rtol: Relative residual of the symmetric block.
+
+        Returns:
+            p, shape (V,).
+
+        Raises:
+            NumericalError: The residual was not reached.
+        """
+        p = np.where(self.free, 0.0, right_side)
+        rest = self.radii * (self.coupling[0] @ p - right_side)
+        rest[~self.free] = 0.0
+        p += self.multigrid.solve(rest, rtol=rtol).x
+        return p
+
+    def solve_adjoint(
+        self: SquareSystem, right_side: Array, *, rtol: float = RTOL
+    ) -> Array:
+        """Solve Lᵀ q = g; arguments as `solve`."""
+        rest = np.where(self.free, -right_side, 0.0)
+        q = self.radii * self.multigrid.solve(rest, rtol=rtol).x
+        # the adjoint of the identity rows: what flows from free to fixed voxels
+        return np.where(self.free, q, right_side - self.coupling[1] @ q)
+
+
 @dataclass(frozen=True)
-class LaplaceSystem:
+class LaplaceSystem(BlockSolves):
     """L and b of one voxmap, and solves with L and its adjoint.
 
     b is linear in the boundary values: b = p_in · inner_part + p_out · outer_part.
@@ -146,36 +219,6 @@ class LaplaceSystem:
                 "with a solver that factorises"
             )
         return Multigrid(self.grid, self.grid.unflatten(self.free))
-
-    def v_cycle(self) -> VCycle:
-        """A⁻¹ roughly, for those who need it many times over."""
-        return self.multigrid.rough()
-
-    def solve(self, right_side: Array, *, rtol: float = RTOL) -> Array:
-        """Solve L p = g.
-
-        Args:
-            right_side: g, shape (V,).
-            rtol: Relative residual of the symmetric block.
-
-        Returns:
-            p, shape (V,).
-
-        Raises:
-            NumericalError: The residual was not reached.
-        """
-        p = np.where(self.free, 0.0, right_side)
-        rest = self.radii * (self.coupling[0] @ p - right_side)
-        rest[~self.free] = 0.0
-        p += self.multigrid.solve(rest, rtol=rtol).x
-        return p
-
-    def solve_adjoint(self, right_side: Array, *, rtol: float = RTOL) -> Array:
-        """Solve Lᵀ q = g; arguments as `solve`."""
-        rest = np.where(self.free, -right_side, 0.0)
-        q = self.radii * self.multigrid.solve(rest, rtol=rtol).x
-        # the adjoint of the identity rows: what flows from free to fixed voxels
-        return np.where(self.free, q, right_side - self.coupling[1] @ q)
 
     @cached_property
     def coupling(self) -> tuple[sp.csr_array, sp.csr_array]:

@@ -8,9 +8,9 @@ import scipy.linalg
 
 from tests.conftest import small_scene
 from ttus_opt.problem import formulation
+from ttus_opt.solvers.dual_data import DualData
 from ttus_opt.solvers.dual_system import DualSystem
 from ttus_opt.solvers.rough_dual import RoughDual, rough_preconditioner
-from ttus_opt.solvers.structured import _dual_system, _prior
 
 
 def dual_system(sampling: str, weight: float, name: str = "eq10") -> DualSystem:
@@ -18,9 +18,7 @@ def dual_system(sampling: str, weight: float, name: str = "eq10") -> DualSystem:
     program = formulation.load(
         name, scene, force_weight=weight, torque_weight=weight
     ).compile()
-    prior = _prior(program)
-    assert prior is not None
-    return _dual_system(program, prior)[0]
+    return DualData.of(program).system
 
 
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary"])

@@ -146,16 +146,30 @@ class Hierarchy:
     inverse: Single = field(repr=False)
 
     @classmethod
-    def build(cls, grid: CylindricalGrid, free: NDArray[np.bool_]) -> Hierarchy:
-        """Coarsen until the rest is small."""
+    def build(
+        cls,
+        grid: CylindricalGrid,
+        free: NDArray[np.bool_],
+        stiffness: Single | None = None,
+    ) -> Hierarchy:
+        """Coarsen until the rest is small.
+
+        Args:
+            grid: The grid.
+            free: Unknown voxels, shape ``grid.shape``.
+            stiffness: Factor of every conductance to the next layer, same shape;
+                None for 1.
+        """
         network = finest(grid, free)
+        if stiffness is not None:
+            network = network.stiffened(stiffness)
         levels: list[Level] = []
         for flags in (*plan(grid), (False, False, False)):
             if network.n_free <= DIRECT_NODES:
                 flags = (False, False, False)
             levels.append(
                 Level.coarse(network, flags)
-                if levels
+                if levels or stiffness is not None
                 else Level.finest(grid, network, flags)
             )
             if not any(flags):

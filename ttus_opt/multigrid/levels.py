@@ -131,6 +131,11 @@ class Network:
             total += self.grounds[axis]
         return total
 
+    def stiffened(self, factor: Single) -> Network:
+        """The same with other conductances to the next layer."""
+        along, *across = self.links
+        return replace(self, links=(along * factor, *across))
+
     def weights(self, axis: int) -> tuple[Single, Single]:
         """Weights of the node before and the node after, if a node is dropped."""
         after = self.links[axis]

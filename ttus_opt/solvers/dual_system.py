@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.laplace import RTOL, LaplaceSystem
+from ttus_opt.laplace import RTOL, SquareSystem
 
 Array = NDArray[np.float64]
 
@@ -34,7 +34,7 @@ class DualSystem:
         root_weights: c, shape (m,) [–].
     """
 
-    laplace: LaplaceSystem
+    laplace: SquareSystem
     softness: Array = field(repr=False)
     rows: sp.csr_array = field(repr=False)
     root_weights: Array = field(repr=False)

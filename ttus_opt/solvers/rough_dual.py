@@ -53,7 +53,7 @@ class RoughDual:
         fixed = fixed[softness[fixed] > 0.0]
         rim = np.flatnonzero(np.diff(inward.indptr))
         self.root_weights = system.root_weights
-        self._cycle = laplace.v_cycle()
+        self._cycle = laplace.multigrid.rough()
         self._own, self._rim = self._cycle.places(own), self._cycle.places(rim)
         self._rows = system.rows[:, own].astype(np.float32)
         self._rows_fixed = sp.csr_array(system.rows[:, fixed])

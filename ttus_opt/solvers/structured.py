@@ -15,13 +15,12 @@ from __future__ import annotations
 import time
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.kkt import Duals
-from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
+from ttus_opt.solvers.active_set import no_limits_active, search
 from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,
@@ -30,8 +29,10 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual_solver import DualSolver
-from ttus_opt.solvers.dual_system import DualSystem
+from ttus_opt.solvers.dual_data import DualData, hard_values, laplace_prior
+from ttus_opt.solvers.dual_solver import DualAnswer, DualSolver
+from ttus_opt.solvers.face import Activity
+from ttus_opt.solvers.spoke_limits import SpokeLimits
 from ttus_opt.terms.base import Penalty
 
 Array = NDArray[np.float64]
@@ -44,36 +45,42 @@ class Structured(Solver):
     """Kept conjugate directions on the dual system, L⁻¹ by multigrid."""
 
     name = "structured"
-    summary = "never forms Q: multigrid solves with L, conjugate directions in the dual"
+    summary = "never forms Q: multigrid, conjugate directions in the dual, active sets"
     capabilities = Capabilities(
-        inequalities=False,
+        inequalities=True,
         equalities=True,
         any_terms=False,
         keeps="the multigrid, and every conjugate direction while the rows stay",
     )
 
     def refusal(self, program: Program) -> str:
-        """Only a Laplace term, measured rows and hard Dirichlet values."""
+        """A Laplace term, measured rows, bounds and growth along spokes."""
         base = super().refusal(program)
         if base:
             return base
-        prior = _prior(program)
+        prior = laplace_prior(program)
         if prior is None or prior.weight == 0.0:
             return "it needs a Laplace term"
-        if prior.laplace_scale is not None and not program.constraints:
+        if prior.laplace_scale is not None and hard_values(program) is None:
             return f"it takes {prior.name} with hard boundary values only"
         bent = [t.name for t in program.terms if t.penalty is not Penalty.SQUARES]
         if bent:
             return f"it takes sums of squares only, {bent[0]} is none"
         if set(program.variables) != {"p"}:
             return "it knows no variables beside the field"
-        if any(c.name != HardBoundary.name for c in program.constraints):
-            return "it takes no constraint beside hard boundary values"
+        try:
+            limits = SpokeLimits.of(program)
+        except ValueError as error:
+            return f"it takes bounds and growth along spokes: {error}"
+        if limits.binding and prior.laplace_scale is not None:
+            return f"it takes {prior.name} without bounds only"
         return ""
 
     def suits(self, program: Program) -> bool:
         """Few measured rows: a term over all voxels makes the dual as large as p."""
-        rows = sum(len(t.target) for t in program.terms if t is not _prior(program))
+        rows = sum(
+            len(t.target) for t in program.terms if t is not laplace_prior(program)
+        )
         return rows <= program.n_variables / 2
 
     def prepare(self, program: Program, request: Request) -> Prepared:
@@ -86,81 +93,86 @@ class _Loaded(Prepared):
     def __init__(self, program: Program, request: Request) -> None:
         self._request = request
         self._solver: DualSolver | None = None
+        self._last: tuple[Array, Activity] | None = None
         self.update(program)
 
     def update(self, program: Program) -> None:
         """Take other data; keeps what the module's docstring says."""
-        prior = _prior(program)
-        assert prior is not None
         self._program = program
-        self._b = _right_side(program, prior)
+        self._data = DualData.of(program)
+        self._limits = SpokeLimits.of(program)
         program.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
-        system, self._t = _dual_system(program, prior)
+        system = self._data.system
         if self._solver is None or not system.same_rows(self._solver.system):
             self._solver = DualSolver(system)
         elif not np.array_equal(system.root_weights, self._solver.system.root_weights):
             self._solver.adopt(system)
 
     def solve(self) -> Candidate:
-        """Solve the dual system, then one response for the field."""
+        """Solve without limits; then, if there are any, on face after face."""
         limit = self._request.time_limit
-        assert self._solver is not None
-        answer = self._solver.solve(
-            self._b,
-            self._t,
-            rtol=max(self._request.tolerance * MARGIN, FLOOR),
-            deadline=None if limit is None else time.perf_counter() + limit,
-        )
+        deadline = None if limit is None else time.perf_counter() + limit
+        limits = self._limits
+        if limits.binding:
+            worst = limits.contradiction()
+            if worst > self._request.tolerance * _largest_limit(limits):
+                detail = f"limits along a spoke contradict each other by {worst:.2g}"
+                return Candidate(None, claim=Claim.INFEASIBLE, detail=detail)
+            if self._last is not None:
+                return self._search(self._last, deadline, 0)
+        answer = self._unlimited(deadline)
+        if limits.binding and not answer.late:
+            start = answer.p, no_limits_active(limits)
+            return self._search(start, deadline, answer.steps)
         claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
         return Candidate(answer.p, self._duals(answer.p), answer.steps, claim)
 
+    @property
+    def _rtol(self) -> float:
+        return max(self._request.tolerance * MARGIN, FLOOR)
+
+    def _unlimited(self, deadline: float | None) -> DualAnswer:
+        assert self._solver is not None
+        return self._solver.solve(
+            self._data.b, self._data.t, rtol=self._rtol, deadline=deadline
+        )
+
+    def _search(
+        self, start: tuple[Array, Activity], deadline: float | None, steps: int
+    ) -> Candidate:
+        """Face after face."""
+        answer = search(
+            self._program,
+            self._limits,
+            self._data,
+            start,
+            tolerance=self._request.tolerance,
+            rtol=self._rtol,
+            deadline=deadline,
+        )
+        duals = self._limits.duals(answer.pull, answer.push)
+        detail = f"{answer.faces} faces, {answer.active.count} limits active"
+        if answer.settled:
+            self._last, claim = (answer.p, answer.active), Claim.DONE
+        else:
+            claim = Claim.TIME_LIMIT if answer.late else Claim.GAVE_UP
+        return Candidate(answer.p, duals, steps + answer.steps, claim, detail)
+
     def _duals(self, p: Array) -> Duals:
         """Multipliers of hard Dirichlet values: minus the objective's gradient."""
-        if not self._program.constraints:
+        if hard_values(self._program) is None:
             return Duals()
         gradient = np.add(*self._program.gradient(p))
-        constraint = self._program.constraints[0]
-        return Duals({constraint.name: -gradient[~self._program.laplace.free]})
+        return Duals({HardBoundary.name: -gradient[~self._program.laplace.free]})
 
 
-def _prior(program: Program) -> ProgramTerm | None:
-    """The Laplace term, or the one whose rows are L's times numbers."""
-    scaled = [t for t in program.terms if t.laplace_scale is not None]
-    return program.laplace_term or (scaled[0] if scaled else None)
-
-
-def _right_side(program: Program, prior: ProgramTerm) -> Array:
-    """Vector b of L p = b, from scaled free rows and hard boundary values."""
-    free = program.laplace.free
-    if prior.laplace_scale is None:
-        b = prior.target
-        if program.constraints:
-            b = b.copy()
-            b[~free] = program.constraints[0].lower
-        return b
-    b = np.empty(len(free))
-    b[free] = prior.target / prior.laplace_scale[free]
-    b[~free] = program.constraints[0].lower
-    return b
-
-
-def _dual_system(program: Program, prior: ProgramTerm) -> tuple[DualSystem, Array]:
-    """The dual system of a program and its weighted targets."""
-    measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
-    softness = np.ones(program.n_variables)
-    if prior.laplace_scale is not None:
-        softness /= prior.laplace_scale**2
-    if program.constraints:
-        softness[~program.laplace.free] = 0.0
-    if not measured:
-        rows = sp.csr_array((0, program.n_variables))
-        return DualSystem(program.laplace, softness, rows, np.zeros(0)), np.zeros(0)
-    roots = np.concatenate(
-        [np.full(len(t.target), np.sqrt(t.weight / prior.weight)) for t in measured]
-    )
-    rows = sp.csr_array(sp.vstack([t.matrix for t in measured], format="csr"))
-    targets = roots * np.concatenate([t.target for t in measured])
-    return DualSystem(program.laplace, softness, rows, roots), targets
+def _largest_limit(limits: SpokeLimits) -> float:
+    """The largest finite limit, 1 where all are zero."""
+    finite = [
+        np.abs(values[np.isfinite(values)]).max(initial=0.0)
+        for values in (limits.lower, limits.upper, limits.least)
+    ]
+    return float(max(finite)) or 1.0
 
 
 SOLVERS = [Structured()]

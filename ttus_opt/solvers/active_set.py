@@ -1,0 +1,253 @@
+"""Primal-dual active sets: from face to face until all limits and signs hold.
+
+On each face (`face`) the problem without limits is solved. Limits that are violated
+become active, active ones whose multiplier has the wrong sign are let go, all at
+once (Bergounioux, Ito and Kunisch, SIAM J. Control Optim. 37, 1999; a semismooth
+Newton method). That needs 3 to 10 faces. As nothing proves that it cannot go round
+in circles here, changes that stop becoming fewer are made by halves, worst first.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.dual_data import DualData
+from ttus_opt.solvers.dual_solver import DualSolver
+from ttus_opt.solvers.face import Activity, face_of
+from ttus_opt.solvers.spoke_limits import SpokeLimits
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Most faces
+MAX_FACES = 100
+
+#: Residual of the dual on faces that are not the last, relative [–]
+ROUGH = 1e-5
+
+#: Changes few enough that a face may be the last
+FEW = 3
+
+#: Faces without fewer changes before changes are made by halves
+PATIENCE = 4
+
+#: What counts as a violation or a wrong sign, over the KKT tolerance [–]
+MARGIN = 1e-3
+
+
+@dataclass(frozen=True)
+class FaceAnswer:
+    """What the search ended with.
+
+    Attributes:
+        p: The field, shape (V,).
+        pull: Multipliers of bounds and given values, positive at upper limits, (V,).
+        push: Multipliers of links, at their deeper voxel, not negative, (V,).
+        active: The face.
+        faces: How many were solved [–].
+        steps: Directions of all their solves [–].
+        late: Whether the deadline cut it short.
+        settled: Whether the last face is its own successor.
+    """
+
+    p: Array = field(repr=False)
+    pull: Array = field(repr=False)
+    push: Array = field(repr=False)
+    active: Activity
+    faces: int
+    steps: int
+    late: bool
+    settled: bool
+
+
+@dataclass(frozen=True)
+class _Wrong:
+    """By how much limits are violated or multipliers have the wrong sign; > 0 is.
+
+    Attributes:
+        pins: By voxel, shape (V,).
+        side: Which bound a violation is of, -1 or +1, shape (V,).
+        ties: By link, shape (V,).
+    """
+
+    pins: Array
+    side: NDArray[np.int8]
+    ties: Array
+
+
+def no_limits_active(limits: SpokeLimits) -> Activity:
+    """The face that is the whole problem."""
+    n = len(limits.lower)
+    return Activity(np.zeros(n, dtype=np.int8), np.zeros(n, dtype=bool))
+
+
+def search(
+    program: Program,
+    limits: SpokeLimits,
+    data: DualData,
+    start: tuple[Array, Activity],
+    *,
+    tolerance: float,
+    rtol: float,
+    deadline: float | None,
+) -> FaceAnswer:
+    """Find the face on which the minimiser lies, and the minimiser.
+
+    Args:
+        program: The problem: its gradient is what multipliers come from.
+        limits: Its limits.
+        data: The dual of its objective alone.
+        start: A field, (V,), and the face to begin with.
+        tolerance: KKT tolerance [–].
+        rtol: Residual of the dual on the last face, relative [–].
+        deadline: `time.perf_counter` at which to stop; None for never [s].
+    """
+    p, active = start
+    active = _one_pin_each(limits, active)
+    steps, fewest, patience = 0, np.inf, PATIENCE
+    few = False
+    solver, solved = None, None
+    faces = 0
+    while faces < MAX_FACES:
+        faces += 1
+        if solver is None or active is not solved:
+            face = face_of(program.laplace, limits, active, data)
+            solver, solved = DualSolver(face.system), active
+        answer = solver.solve(
+            face.b,
+            face.t,
+            rtol=rtol if few else max(rtol, ROUGH),
+            deadline=deadline,
+            guess=face.unknowns_of(p),
+        )
+        p, steps = face.field_of(answer.p), steps + answer.steps
+        gradient = np.add(*program.gradient(p))
+        pull, push = multipliers(limits, active, gradient)
+        late = deadline is not None and time.perf_counter() > deadline
+        wrong = _wrong(limits, active, p, pull, push, gradient, MARGIN * tolerance)
+        changes = int(np.count_nonzero(wrong.pins > 0.0))
+        changes += int(np.count_nonzero(wrong.ties > 0.0))
+        if late or (changes == 0 and few):
+            break
+        if changes < fewest:
+            fewest, patience = changes, PATIENCE
+        else:
+            patience -= 1
+        few = changes <= FEW
+        if changes:
+            active = _changed(limits, active, wrong, all_of_them=patience > 0)
+    pull, push = _right_signs(limits, active, pull, push)
+    settled = changes == 0 and few
+    return FaceAnswer(p, pull, push, active, faces, steps, late, settled)
+
+
+def multipliers(
+    limits: SpokeLimits, active: Activity, gradient: Array
+) -> tuple[Array, Array]:
+    """Multipliers of active limits that balance the objective's gradient.
+
+    Along a chain the links carry what pulls at the voxels, from its ends to where it
+    is pinned; a chain that is not pinned balances by itself.
+
+    Args:
+        limits: The limits; at most one pin a chain.
+        active: Which are active.
+        gradient: Of the objective, shape (V,).
+
+    Returns:
+        Pull, of bounds and given values, and push, of links, (V,) each.
+    """
+    g = limits.by_layer(gradient)
+    ties = limits.by_layer(active.ties)
+    pinned = limits.by_layer((active.pins != 0) | limits.given)
+    inner, outer = g.copy(), g.copy()
+    deeper = pinned.copy()  # whether the pin is here or deeper
+    for i in range(1, len(g)):
+        deeper[i] |= ties[i - 1] & deeper[i - 1]
+        inner[i] += np.where(ties[i - 1] & ~deeper[i - 1], inner[i - 1], 0.0)
+    for i in range(len(g) - 2, -1, -1):
+        outer[i] += np.where(ties[i], outer[i + 1], 0.0)
+    push = np.zeros_like(g)
+    push[:-1] = np.where(deeper[:-1], -outer[1:], inner[:-1])
+    push = np.where(ties, push, 0.0)
+    pull = np.where(pinned, -(inner + outer - g), 0.0)
+    return pull.reshape(-1), push.reshape(-1)
+
+
+def _wrong(
+    limits: SpokeLimits,
+    active: Activity,
+    p: Array,
+    pull: Array,
+    push: Array,
+    gradient: Array,
+    margin: float,
+) -> _Wrong:
+    """Violations over the field's size, wrong signs over the gradient's."""
+    size = max(float(np.abs(p).max()), np.finfo(float).tiny)
+    force = max(float(np.abs(gradient).max()), np.finfo(float).tiny)
+    held = (active.pins != 0) | limits.given
+    below, above = limits.lower - p, p - limits.upper
+    violated = np.where(held, -np.inf, np.maximum(below, above) / size)
+    backwards = np.where(active.pins != 0, -pull * active.pins / force, -np.inf)
+    growth = np.full(len(p), np.inf)
+    growth[: -limits.stride] = p[: -limits.stride] - p[limits.stride :]
+    short = np.where(active.ties, -push / force, (limits.least - growth) / size)
+    short[~np.isfinite(limits.least)] = -np.inf
+    return _Wrong(
+        np.maximum(violated, backwards) - margin,
+        np.where(below > above, -1, 1).astype(np.int8),
+        short - margin,
+    )
+
+
+def _changed(
+    limits: SpokeLimits, active: Activity, wrong: _Wrong, *, all_of_them: bool
+) -> Activity:
+    """The next face."""
+    pins, ties = wrong.pins > 0.0, wrong.ties > 0.0
+    if not all_of_them:
+        sizes = np.concatenate([wrong.pins[pins], wrong.ties[ties]])
+        least = float(np.median(sizes))
+        pins &= wrong.pins >= least
+        ties &= wrong.ties >= least
+    released = np.where(active.pins != 0, 0, wrong.side).astype(np.int8)
+    changed = replace(
+        active,
+        pins=np.where(pins, released, active.pins).astype(np.int8),
+        ties=active.ties ^ ties,
+    )
+    return _one_pin_each(limits, changed)
+
+
+def _one_pin_each(limits: SpokeLimits, active: Activity) -> Activity:
+    """Without pins that a chain's other pin implies, and ties between given values."""
+    ties, pins = active.ties.copy(), active.pins.copy()
+    tied, pin = limits.by_layer(ties), limits.by_layer(pins)
+    given = limits.by_layer(limits.given)
+    holds = given.copy()  # whether the chain has a given value here or deeper
+    for i in range(1, len(tied)):
+        tied[i - 1] &= ~(given[i] & holds[i - 1])
+        holds[i] |= tied[i - 1] & holds[i - 1]
+    for i in range(len(tied) - 2, -1, -1):
+        holds[i] |= tied[i] & holds[i + 1]
+    pin[holds] = 0
+    seen = pin != 0
+    for i in range(1, len(tied)):
+        repeated = tied[i - 1] & seen[i - 1]
+        pin[i][repeated] = 0
+        seen[i] |= repeated
+    return Activity(pins, ties)
+
+
+def _right_signs(
+    limits: SpokeLimits, active: Activity, pull: Array, push: Array
+) -> tuple[Array, Array]:
+    """Multipliers without what is wrong in sign by less than counts."""
+    low = np.where(active.pins < 0, np.minimum(pull, 0.0), np.maximum(pull, 0.0))
+    return np.where(limits.given, pull, low), np.maximum(push, 0.0)

@@ -1,0 +1,85 @@
+"""What the dual of eq. 10 needs of a program: the system, b and weighted targets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.dual_system import DualSystem
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DualData:
+    """A program without its limits, seen from its dual.
+
+    Attributes:
+        system: The dual system of its terms and hard boundary values.
+        b: Of L p = b, shape (V,).
+        t: Weighted targets of the measured rows, shape (m,).
+    """
+
+    system: DualSystem
+    b: Array = field(repr=False)
+    t: Array = field(repr=False)
+
+    @classmethod
+    def of(cls, program: Program) -> DualData:
+        """Read a program whose terms are a Laplace term and measured rows."""
+        prior = laplace_prior(program)
+        assert prior is not None
+        system, t = _dual_system(program, prior)
+        return cls(system, _right_side(program, prior), t)
+
+
+def laplace_prior(program: Program) -> ProgramTerm | None:
+    """The Laplace term, or the one whose rows are L's times numbers."""
+    scaled = [t for t in program.terms if t.laplace_scale is not None]
+    return program.laplace_term or (scaled[0] if scaled else None)
+
+
+def hard_values(program: Program) -> Array | None:
+    """Hard Dirichlet values in the order of the fixed voxels; None where soft."""
+    for constraint in program.constraints:
+        if constraint.name == HardBoundary.name:
+            return constraint.lower
+    return None
+
+
+def _right_side(program: Program, prior: ProgramTerm) -> Array:
+    """Vector b of L p = b, from scaled free rows and hard boundary values."""
+    free, hard = program.laplace.free, hard_values(program)
+    if prior.laplace_scale is None:
+        b = prior.target.copy()
+    else:  # such a term has free rows only, its boundary values are hard
+        b = np.empty(len(free))
+        b[free] = prior.target / prior.laplace_scale[free]
+    if hard is not None:
+        b[~free] = hard
+    return b
+
+
+def _dual_system(program: Program, prior: ProgramTerm) -> tuple[DualSystem, Array]:
+    """The dual system of a program and its weighted targets."""
+    measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
+    softness = np.ones(program.n_variables)
+    if prior.laplace_scale is not None:
+        softness /= prior.laplace_scale**2
+    if hard_values(program) is not None:
+        softness[~program.laplace.free] = 0.0
+    if not measured:
+        rows = sp.csr_array((0, program.n_variables))
+        return DualSystem(program.laplace, softness, rows, np.zeros(0)), np.zeros(0)
+    roots = np.concatenate(
+        [np.full(len(t.target), np.sqrt(t.weight / prior.weight)) for t in measured]
+    )
+    rows = sp.csr_array(sp.vstack([t.matrix for t in measured], format="csr"))
+    targets = roots * np.concatenate([t.target for t in measured])
+    return DualSystem(program.laplace, softness, rows, roots), targets

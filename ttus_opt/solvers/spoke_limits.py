@@ -1,0 +1,150 @@
+"""Bounds on voxels and least growth along spokes, read off a program.
+
+What `structured` can hold exactly: lower ≤ p ≤ upper voxel by voxel, p_v - p_w ≥ s
+for a voxel v and the next one outwards w, and given values (hard Dirichlet voxels).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.members import ProgramConstraint
+from ttus_opt.problem.program import Program
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SpokeLimits:
+    """Limits of one field; -inf and inf where there are none.
+
+    Attributes:
+        shape: Of the grid, (n_r, n_θ, n_z).
+        lower: Shape (V,).
+        upper: Shape (V,).
+        given: Voxels whose value is given: lower = upper there, shape (V,).
+        least: s of the link from a voxel to the next one outwards, shape (V,).
+        links: Per constraint, by name: the deeper voxel of every row, shape (m,), and
+            the row's sign, +1 for p_v - p_w ≥ s, -1 for p_w - p_v ≤ -s.
+    """
+
+    shape: tuple[int, int, int]
+    lower: Array = field(repr=False)
+    upper: Array = field(repr=False)
+    given: NDArray[np.bool_] = field(repr=False)
+    least: Array = field(repr=False)
+    links: dict[str, tuple[Index, Array]] = field(repr=False)
+
+    @classmethod
+    def of(cls, program: Program) -> SpokeLimits:
+        """Read a program's constraints and bounds.
+
+        Raises:
+            ValueError: A row is no such limit; the message names the constraint.
+        """
+        shape = program.laplace.grid.shape
+        lower, upper = (limit.copy() for limit in program.box)
+        given = np.zeros(len(lower), dtype=bool)
+        least = np.full(len(lower), -np.inf)
+        links = {}
+        for constraint in program.constraints:
+            if constraint.name == HardBoundary.name:
+                given[~program.laplace.free] = True
+                lower[given] = upper[given] = constraint.lower
+                continue
+            deeper, sign = _links(constraint, shape)
+            bound = np.where(sign > 0.0, constraint.lower, -constraint.upper)
+            least[deeper] = np.maximum(least[deeper], bound)
+            links[constraint.name] = (deeper, sign)
+        return cls(shape, lower, upper, given, least, links)
+
+    @property
+    def stride(self) -> int:
+        """From a voxel to the next one outwards, in flat indices [–]."""
+        return self.shape[1] * self.shape[2]
+
+    @property
+    def binding(self) -> bool:
+        """Whether there is any limit beside given values."""
+        open_ = ~self.given
+        return bool(
+            np.isfinite(self.lower[open_]).any()
+            or np.isfinite(self.upper[open_]).any()
+            or np.isfinite(self.least).any()
+        )
+
+    def by_layer(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Voxel values as one row per layer, shape (n_r, n_θ·n_z)."""
+        return values.reshape(self.shape[0], -1)
+
+    def contradiction(self) -> float:
+        """By how much the limits contradict each other at worst; 0 for not at all.
+
+        Links along a spoke carry bounds from voxel to voxel: what comes out of both
+        sweeps is what the limits leave of every voxel.
+        """
+        lower, upper = self.lower.copy(), self.upper.copy()
+        low, up = self.by_layer(lower), self.by_layer(upper)
+        least = self.by_layer(self.least)
+        for i in range(len(low) - 2, -1, -1):
+            np.maximum(low[i], low[i + 1] + least[i], out=low[i])
+        for i in range(len(up) - 1):
+            np.minimum(up[i + 1], up[i] - least[i], out=up[i + 1])
+        with np.errstate(invalid="ignore"):
+            gap = lower - upper
+        return float(np.max(np.nan_to_num(gap, nan=0.0, neginf=0.0), initial=0.0))
+
+    def duals(self, pull: Array, push: Array) -> Duals:
+        """Multipliers by name.
+
+        Args:
+            pull: Of bounds and given values: positive at an upper limit, (V,).
+            push: Of links, at their deeper voxel, not negative, (V,).
+
+        Returns:
+            Signs as in `ttus_opt.problem.kkt`.
+        """
+        left = push.copy()
+        rows = {}
+        for name, (deeper, sign) in self.links.items():
+            rows[name] = -sign * left[deeper]
+            left[deeper] = 0.0  # of two constraints on one link the first carries it
+        if self.given.any():
+            rows[HardBoundary.name] = pull[self.given]
+        bounds = np.where(self.given, 0.0, pull)
+        return Duals(rows, bounds)
+
+
+def _links(
+    constraint: ProgramConstraint, shape: tuple[int, int, int]
+) -> tuple[Index, Array]:
+    """Deeper voxels and signs of rows ±(p_v - p_w), limited on one side."""
+    M, stride = constraint.matrix, shape[1] * shape[2]
+    refusal = f"{constraint.name} is no bound and no growth along spokes"
+    if M.shape[1] != stride * shape[0] or (np.diff(M.indptr) != 2).any():
+        raise ValueError(refusal)
+    columns = M.indices.reshape(-1, 2).astype(np.int64)
+    values = M.data.reshape(-1, 2)
+    order = np.argsort(columns, axis=1)
+    columns = np.take_along_axis(columns, order, axis=1)
+    values = np.take_along_axis(values, order, axis=1)
+    sign = values[:, 0]
+    one_sided = np.where(sign > 0.0, constraint.upper == np.inf, True)
+    one_sided &= np.where(sign < 0.0, constraint.lower == -np.inf, True)
+    neighbours = columns[:, 1] - columns[:, 0] == stride
+    if not (
+        neighbours.all()
+        and (values[:, 1] == -sign).all()
+        and (np.abs(sign) == 1.0).all()
+        and one_sided.all()
+        and len(np.unique(columns[:, 0])) == len(columns)
+    ):
+        raise ValueError(refusal)
+    return columns[:, 0], sign
