@@ -7,8 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from ttus_opt import io
+from ttus_opt.benchmark.growth import growth_table
 from ttus_opt.benchmark.parts import registry
-from ttus_opt.benchmark.pictures import residual_against_time, time_against_size
+from ttus_opt.benchmark.pictures import (
+    memory_against_size,
+    residual_against_time,
+    time_against_size,
+)
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.summary import (
     SHIFT,
@@ -21,6 +26,7 @@ from ttus_opt.plots.canvas import save_picture
 
 #: File names in the output folder
 REPORT, TIME_PICTURE, RESIDUAL_PICTURE = "report.md", "time.png", "residual.png"
+MEMORY_PICTURE = "memory.png"
 
 
 def write_page(
@@ -70,6 +76,7 @@ def _solvers(
 ) -> list[str]:
     """Lines of the solvers' sections; writes their pictures."""
     save_picture(time_against_size(rows), folder / TIME_PICTURE)
+    save_picture(memory_against_size(rows), folder / MEMORY_PICTURE)
     save_picture(residual_against_time(rows), folder / RESIDUAL_PICTURE)
     against = closed_form_table(rows, closed_form)
     lines = ["## Against the closed form Q p = d", ""]
@@ -112,12 +119,30 @@ def _solvers(
     return [
         *lines,
         "",
-        "## Time against size",
+        "## Time and memory against size",
         "",
+        *_grown(rows),
         f"![time against voxels]({TIME_PICTURE})",
+        "",
+        f"![memory against voxels]({MEMORY_PICTURE})",
         "",
         "## Residual against time",
         "",
         f"![residual against time]({RESIDUAL_PICTURE})",
+        "",
+    ]
+
+
+def _grown(rows: Sequence[Row]) -> list[str]:
+    """Lines of the exponents, where there are two sizes."""
+    laws = growth_table(rows)
+    if not laws:
+        return []
+    return [
+        "A power of V fitted by least squares to the verified answers, logarithm "
+        "against logarithm; the number of cases in brackets, which may differ in "
+        "poses as well.",
+        "",
+        laws,
         "",
     ]
