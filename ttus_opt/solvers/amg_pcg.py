@@ -71,7 +71,7 @@ class AmgPcg(Solver):
 
 
 class _Loaded(Verified):
-    margin, floor = 1e-2, 1e-12
+    margin, floor = 1e-1, 1e-12
     _laplace: LaplaceSystem | None = None
     _u: Array | None = None
 
