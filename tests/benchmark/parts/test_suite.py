@@ -54,6 +54,12 @@ def test_failures_are_rows(tmp_path: Path) -> None:
     assert "memory limit: ended during" in parts()["assembly"].table([row])
 
 
+def test_failures_say_which_run_they_are(tmp_path: Path) -> None:
+    gone = replace(TINY, name="gone", surface=str(tmp_path / "no.nc"))
+    rows = PartSuite(["rendering"], [gone], tmp_path).run()["rendering"]
+    assert [row["sampling"] for row in rows] == ["voxel-mean", "trilinear"]
+
+
 def test_names() -> None:
     assert chosen("all") == [SOLVERS, "assembly", "recursion", "rendering", "ripple"]
     assert chosen("ripple, solvers,ripple") == ["ripple", SOLVERS]

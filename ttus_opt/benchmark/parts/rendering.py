@@ -24,6 +24,9 @@ from ttus_opt.errors import InputError
 from ttus_opt.field import PotentialField
 from ttus_opt.scene import Scene
 
+#: Times every pose is rendered
+PASSES = 50
+
 #: Ways to render: their name in the table, and in `RenderingFigures`
 WAYS = {
     "numpy": "numpy",
@@ -68,7 +71,7 @@ class RenderingPart(Part):
             PartSpec(
                 self.name,
                 replace(case, sampling=sampling, n_points=SHELL_POINTS),
-                {"passes": 50},
+                {"passes": PASSES, "sampling": sampling},
                 time_limit,
             )
             for case in cases

@@ -40,6 +40,7 @@ def main(arguments: list[str]) -> None:
             status, detail, rows = "refused", str(error), [{}]
     begin.end()
     same = {
+        **spec.options,
         "key": spec.key,
         "case": spec.case_name,
         "status": status,
