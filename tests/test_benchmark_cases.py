@@ -67,6 +67,49 @@ def test_small_case_touches_and_new_values_change_values_only() -> None:
     np.testing.assert_array_equal(other.tau, again.tau)
 
 
+WARM_UP_PROGRAM = """
+import gc
+import numpy as np
+from numba.core.dispatcher import Dispatcher
+from ttus_opt.benchmark.cases import reference_cases
+from ttus_opt.laplace import LaplaceSystem
+from ttus_opt.surface import Surface
+from ttus_opt.voxmap import Voxmap
+
+def ready():
+    return {
+        f"{each.py_func.__module__}.{each.py_func.__name__} {signature}"
+        for each in gc.get_objects() if isinstance(each, Dispatcher)
+        for signature in each.signatures
+    }
+
+def solve(case):
+    surface = Surface.load(case.surface)
+    voxmap = Voxmap.from_surface(surface, shape=case.shape, r_inner=case.r_inner)
+    laplace = LaplaceSystem.assemble(voxmap)
+    laplace.solve(laplace.solve_adjoint(np.ones(case.n_voxels)))
+
+(case,) = reference_cases("S")
+solve(case.small())
+before = ready()
+solve(case)
+print(len(before), *sorted(ready() - before), sep="\\n")
+"""
+
+
+def test_small_case_compiles_all_that_a_case_calls() -> None:
+    # in a process of its own: in this one other tests have compiled much already
+    told = subprocess.run(
+        [sys.executable, "-c", WARM_UP_PROGRAM],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    count, *late = told.stdout.split("\n")[:-1]
+    assert int(count) > 20
+    assert not late
+
+
 def test_existing_makes_paths_absolute(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from ttus_opt.benchmark import isolation, suite
-from ttus_opt.benchmark.cases import CaseSpec, reference_cases
+from ttus_opt.benchmark.cases import SMALL_SHAPE, CaseSpec, reference_cases
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.suite import Suite
 from ttus_opt.errors import InputError
@@ -19,20 +19,27 @@ TINY = replace(
     reference_cases("S")[0], name="tiny", shape=(9, 20, 9), n_poses=10, n_points=300
 )
 
-#: A formulation that behaves on the small stand-in and does something else on a case
+#: A case whose small stand-in is smaller, whatever that is
+TRAPPED = replace(
+    TINY, name="trapped", shape=tuple(n + 1 for n in SMALL_SHAPE), n_poses=10
+)
+
+#: A formulation that behaves on the small stand-in and does something else on the case
 TRAP = """
 from formulations import eq10
 
 def build(scene):
-    if scene.n_voxels > 1200:
+    if scene.n_voxels == {size}:
         {deed}
     return eq10.build(scene)
 """
 
 
 def trap(folder: Path, deed: str) -> str:
+    assert TRAPPED.small().n_voxels != TRAPPED.n_voxels
     file = folder / "trap.py"
-    file.write_text(TRAP.format(deed=textwrap.indent(deed, " " * 8).strip()))
+    indented = textwrap.indent(deed, " " * 8).strip()
+    file.write_text(TRAP.format(size=TRAPPED.n_voxels, deed=indented))
     return str(file)
 
 
@@ -81,6 +88,7 @@ def test_answers_agree_with_the_closed_form_and_are_not_run_twice(
 def test_crash_is_a_row(tmp_path: Path) -> None:
     asked = small_suite(
         tmp_path / "out",
+        cases=[TRAPPED],
         formulations=[trap(tmp_path, "import os\nos.abort()")],
         solvers=["osqp"],
         closed_form="",
@@ -94,6 +102,7 @@ def test_crash_is_a_row(tmp_path: Path) -> None:
 def test_exception_is_a_row_with_its_last_line(tmp_path: Path) -> None:
     asked = small_suite(
         tmp_path / "out",
+        cases=[TRAPPED],
         formulations=[trap(tmp_path, "raise KeyError('my own mistake')")],
         solvers=["osqp"],
         closed_form="",
@@ -108,6 +117,7 @@ def test_memory_limit_is_a_row(tmp_path: Path) -> None:
     deed = "import time\nimport numpy\nkeep = numpy.ones(2**28)\ntime.sleep(60)"
     asked = small_suite(
         tmp_path / "out",
+        cases=[TRAPPED],
         formulations=[trap(tmp_path, deed)],
         solvers=["osqp"],
         closed_form="",
@@ -129,6 +139,7 @@ from ttus_opt.solvers import closed_form
 closed_form._Factorised.solve = lambda self: time.sleep(60)"""
     asked = small_suite(
         tmp_path / "out",
+        cases=[TRAPPED],
         formulations=[trap(tmp_path, deed)],
         solvers=["closed_form"],
         time_limit=1.0,

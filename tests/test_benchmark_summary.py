@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from tests.conftest import small_scene
 from ttus_opt.benchmark.cases import reference_cases
 from ttus_opt.benchmark.export import export_program
+from ttus_opt.benchmark.growth import growth_table, growths
 from ttus_opt.benchmark.page import write_page
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.suite import finished
@@ -138,9 +139,32 @@ def test_page_has_the_closed_form_first_and_pictures(tmp_path: Path) -> None:
     headings = [line for line in text.splitlines() if line.startswith("## ")]
     assert headings[0] == "## Against the closed form Q p = d"
     assert headings[-1] == "## Machine"
-    for picture in ("time.png", "residual.png"):
+    assert "| eq10        | other  | S to M (2) | time ∝ V^0.63 |" in text
+    for picture in ("time.png", "memory.png", "residual.png"):
         assert picture in text
         assert (tmp_path / picture).stat().st_size > 5_000
+
+
+def test_growth_is_the_slope_of_verified_answers() -> None:
+    def sized(solver: str, case: str, voxels: int, seconds: float) -> Row:
+        return replace(row(solver, seconds, 1.0), case=case, voxels=voxels)
+
+    rows = [
+        sized("cube", "L", 100_000, 8.0e3),
+        sized("cube", "S", 1_000, 8.0e-3),
+        sized("cube", "M", 10_000, 8.0),
+        replace(sized("cube", "XL", 10**6, 1.0), status="inaccurate"),
+        sized("flat", "S", 1_000, 2.0),
+        replace(sized("flat", "M", 10_000, 2.0), seconds_again=None),
+        sized("alone", "S", 1_000, 2.0),
+    ]
+    flat, cube = growths(rows)
+    assert (flat.solver, flat.again) == ("flat", None)
+    assert flat.first == pytest.approx(0.0, abs=1e-12)
+    assert cube.cases == ("S", "M", "L")
+    assert cube.first == pytest.approx(3.0)
+    assert cube.again == pytest.approx(3.0)
+    assert growth_table(rows[-1:]) == ""
 
 
 def signed_program() -> Program:

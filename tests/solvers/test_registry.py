@@ -53,6 +53,11 @@ def test_auto_takes_the_structured_solver_on_eq10() -> None:
     )
 
 
+def test_auto_never_takes_a_reference() -> None:
+    assert "amg_pcg" in registry.solvers()
+    assert "amg_pcg" not in dict(registry.PREFERENCE)
+
+
 def test_auto_takes_cones_for_group_norms() -> None:
     bent = program([term(np.eye(2), [1, 1], 1.0, Penalty.GROUPS, group_size=2)])
     assert registry.choose("auto", bent).name == "cvxpy_clarabel"
@@ -79,13 +84,13 @@ def test_solver_that_is_not_installed_gives_its_pip_name() -> None:
     [
         (
             program([term(np.eye(1), [1])], (), [bounds("box", [0], [1])]),
-            ["closed_form", "structured"],
+            ["closed_form", "structured", "amg_pcg"],
         ),
         (
             program([term(np.eye(1), [1])], [rows("equal", [[1]], [1], [1])]),
             ["closed_form", "highs"],
         ),
-        (program([term(np.eye(1), [1])]), ["structured", "highs"]),
+        (program([term(np.eye(1), [1])]), ["structured", "highs", "amg_pcg"]),
         (
             program([term(np.eye(1), [1], 1.0, Penalty.GROUPS)]),
             ["clarabel", "osqp", "closed_form"],

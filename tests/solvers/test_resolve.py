@@ -90,3 +90,27 @@ def test_closed_form_factorises_once_per_matrix(
     prepared.update(compiled(False, weight=2.0))
     prepared.solve()
     assert len(made) == 2
+
+
+def test_amg_pcg_keeps_its_multigrid_and_starts_from_its_last_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    solver = solvers()["amg_pcg"]
+    if not solver.installed:
+        pytest.skip("pyamg is not installed")
+    import pyamg
+
+    made = []
+    original = pyamg.ruge_stuben_solver
+
+    def counting(A: object) -> object:
+        made.append(A)
+        return original(A)
+
+    monkeypatch.setattr(pyamg, "ruge_stuben_solver", counting)
+    program = compiled(False)
+    prepared = solver.prepare(program, Request(1e-8))
+    cold = prepared.solve().iterations
+    prepared.update(program.with_weights(force=1.001))
+    assert prepared.solve().iterations < cold
+    assert len(made) == 1

@@ -32,8 +32,10 @@ REFERENCE = {
 #: example's forces gives in trilinear sampling [N/cm²]
 EXAMPLE_BOUNDARY = 17.0
 
-#: Grid and poses of the small stand-in on which a run is tried out first
-SMALL_SHAPE, SMALL_POSES = (8, 18, 8), 6
+#: Grid and poses of the small stand-in on which a run is tried out first: large enough
+#: for a multigrid level between the finest and the coarsest, so that trying it out
+#: compiles all that a case will call
+SMALL_SHAPE, SMALL_POSES = (12, 32, 16), 6
 
 #: Size of the change between two solves of the same structure, as a part of the
 #: measured values
@@ -109,7 +111,7 @@ class CaseSpec:
         )
 
     def small(self) -> CaseSpec:
-        """The same on a handful of voxels: to try a run out, or to warm up for it."""
+        """The same on few voxels: to try a run out, or to warm up for it."""
         n_r, n_theta, n_z = (
             min(a, b) for a, b in zip(self.shape, SMALL_SHAPE, strict=True)
         )

@@ -27,6 +27,7 @@ PACKAGES = (
     "pypardiso",
     "mkl",
     "scikit-sparse",
+    "pyamg",
 )
 
 

@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ttus_opt import io
-from ttus_opt.benchmark.pictures import residual_against_time, time_against_size
+from ttus_opt.benchmark.growth import growth_table
+from ttus_opt.benchmark.parts import registry
+from ttus_opt.benchmark.pictures import (
+    memory_against_size,
+    residual_against_time,
+    time_against_size,
+)
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.summary import (
     SHIFT,
@@ -19,6 +26,7 @@ from ttus_opt.plots.canvas import save_picture
 
 #: File names in the output folder
 REPORT, TIME_PICTURE, RESIDUAL_PICTURE = "report.md", "time.png", "residual.png"
+MEMORY_PICTURE = "memory.png"
 
 
 def write_page(
@@ -29,16 +37,18 @@ def write_page(
     command: str,
     machine: Mapping[str, str],
     memory: bool = False,
+    parts: Mapping[str, Sequence[Mapping[str, Any]]] | None = None,
 ) -> Path:
     """Write report and pictures.
 
     Args:
         folder: Where to.
-        rows: All rows, finished.
+        rows: All rows of solvers, finished; none leaves their sections out.
         closed_form: Name of the reference solver.
         command: What was typed.
         machine: From `ttus_opt.benchmark.machine.describe`.
         memory: Add the table of memory by stage.
+        parts: Rows of the other parts by name.
 
     Returns:
         The report's path.
@@ -46,11 +56,30 @@ def write_page(
     Raises:
         FileError: The folder cannot be written to.
     """
-    save_picture(time_against_size(rows), folder / TIME_PICTURE)
-    save_picture(residual_against_time(rows), folder / RESIDUAL_PICTURE)
     lines = ["# Benchmark", "", f"`{command}`", ""]
+    if rows:
+        lines += _solvers(folder, rows, closed_form, memory)
+    for name, found in (parts or {}).items():
+        if found:
+            part = registry.parts()[name]
+            lines += [f"## {part.title}", "", part.legend, "", part.table(found), ""]
+    lines += ["## Machine", "", *(f"- {name}: {it}" for name, it in machine.items())]
+    lines.append("")
+    report = folder / REPORT
+    with io.replacing(report) as temporary:
+        temporary.write_text("\n".join(lines), encoding="utf-8")
+    return report
+
+
+def _solvers(
+    folder: Path, rows: Sequence[Row], closed_form: str, memory: bool
+) -> list[str]:
+    """Lines of the solvers' sections; writes their pictures."""
+    save_picture(time_against_size(rows), folder / TIME_PICTURE)
+    save_picture(memory_against_size(rows), folder / MEMORY_PICTURE)
+    save_picture(residual_against_time(rows), folder / RESIDUAL_PICTURE)
     against = closed_form_table(rows, closed_form)
-    lines += ["## Against the closed form Q p = d", ""]
+    lines = ["## Against the closed form Q p = d", ""]
     lines += (
         [
             f"`{closed_form}` forms Q and factorises it. Difference is the Euclidean "
@@ -87,22 +116,33 @@ def write_page(
     ]
     if memory:
         lines += ["", "## Memory by stage [MiB]", "", memory_table(rows)]
-    lines += [
+    return [
+        *lines,
         "",
-        "## Time against size",
+        "## Time and memory against size",
         "",
+        *_grown(rows),
         f"![time against voxels]({TIME_PICTURE})",
+        "",
+        f"![memory against voxels]({MEMORY_PICTURE})",
         "",
         "## Residual against time",
         "",
         f"![residual against time]({RESIDUAL_PICTURE})",
         "",
-        "## Machine",
+    ]
+
+
+def _grown(rows: Sequence[Row]) -> list[str]:
+    """Lines of the exponents, where there are two sizes."""
+    laws = growth_table(rows)
+    if not laws:
+        return []
+    return [
+        "A power of V fitted by least squares to the verified answers, logarithm "
+        "against logarithm; the number of cases in brackets, which may differ in "
+        "poses as well.",
         "",
-        *(f"- {name}: {what}" for name, what in machine.items()),
+        laws,
         "",
     ]
-    report = folder / REPORT
-    with io.replacing(report) as temporary:
-        temporary.write_text("\n".join(lines), encoding="utf-8")
-    return report

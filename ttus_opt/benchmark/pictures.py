@@ -1,11 +1,12 @@
-"""The benchmark's pictures: time against size, residual against time."""
+"""The benchmark's pictures: time and memory against size, residual against time."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 from ttus_opt.benchmark.row import Row
+from ttus_opt.benchmark.summary import MIB
 from ttus_opt.plots.canvas import look, new_figure
 
 if TYPE_CHECKING:
@@ -20,6 +21,10 @@ STYLES = ("-", "--", ":", "-.")
 SPREAD = 0.04
 
 
+#: What a row stands for in a picture; None where it has no such figure
+Figured = Callable[[Row], float | None]
+
+
 def time_against_size(rows: Sequence[Row]) -> Figure:
     """Seconds to the first verified answer against the number of voxels.
 
@@ -29,6 +34,31 @@ def time_against_size(rows: Sequence[Row]) -> Figure:
     Returns:
         One axis per formulation; a failure stands at its time limit, unfilled.
     """
+    return _against_size(
+        rows,
+        "first solve, set-up included [s]",
+        lambda row: row.seconds_first if row.solved else row.time_limit,
+    )
+
+
+def memory_against_size(rows: Sequence[Row]) -> Figure:
+    """Largest size of the process against the number of voxels.
+
+    Args:
+        rows: All rows.
+
+    Returns:
+        One axis per formulation; a failure stands at what it had taken, unfilled.
+    """
+    return _against_size(
+        rows,
+        "largest size of the process [MiB]",
+        lambda row: (row.peak_memory_bytes or 0) / MIB or None,
+    )
+
+
+def _against_size(rows: Sequence[Row], label: str, figured: Figured) -> Figure:
+    """One axis per formulation, a curve per solver."""
     formulations = list(dict.fromkeys(r.formulation for r in rows if r.was_run))
     with look():
         figure = new_figure(1.0 + 3.4 * max(len(formulations), 1), 3.6)
@@ -36,7 +66,7 @@ def time_against_size(rows: Sequence[Row]) -> Figure:
         for axis, formulation in zip(axes[0], formulations, strict=False):
             own = [r for r in rows if r.formulation == formulation and r.was_run]
             for index, solver in enumerate(_solvers(rows)):
-                _curve(axis, [r for r in own if r.solver == solver], index)
+                _curve(axis, [r for r in own if r.solver == solver], index, figured)
             axis.set_xscale("log")
             axis.set_yscale("log")
             sizes = sorted({row.voxels for row in rows if row.was_run})
@@ -45,7 +75,7 @@ def time_against_size(rows: Sequence[Row]) -> Figure:
             axis.set_xticks([], minor=True)
             axis.set_title(formulation)
             axis.set_xlabel("voxels V")
-        axes[0][0].set_ylabel("first solve, set-up included [s]")
+        axes[0][0].set_ylabel(label)
         _legend(figure, rows)
     return figure
 
@@ -97,26 +127,26 @@ def _ink(index: int) -> str:
     return "#0b4f9c" if index % 2 else f"{0.15 + 0.45 * (index % 4) / 2:.2f}"
 
 
-def _curve(axis: Axes, rows: list[Row], index: int) -> None:
-    if not rows:
-        return
-    rows = sorted(rows, key=lambda row: row.voxels)
-    solved = [row for row in rows if row.solved and row.seconds_first]
-    failed = [row for row in rows if not row.solved]
+def _curve(axis: Axes, rows: list[Row], index: int, figured: Figured) -> None:
+    told = [
+        (row.voxels, value, row.solved)
+        for row in sorted(rows, key=lambda row: row.voxels)
+        if (value := figured(row))
+    ]
     style: dict[str, Any] = {
         "color": _ink(index),
         "marker": MARKERS[index % len(MARKERS)],
     }
     axis.plot(
-        [row.voxels for row in solved],
-        [row.seconds_first or 0.0 for row in solved],
+        [voxels for voxels, _, solved in told if solved],
+        [value for _, value, solved in told if solved],
         linestyle=STYLES[index % len(STYLES)],
         **style,
     )
     # failures of one case stand at the same limit: side by side
     axis.plot(
-        [row.voxels * (1.0 + SPREAD * index) for row in failed],
-        [row.time_limit for row in failed],
+        [voxels * (1.0 + SPREAD * index) for voxels, _, solved in told if not solved],
+        [value for _, value, solved in told if not solved],
         linestyle="none",
         fillstyle="none",
         **style,

@@ -36,6 +36,7 @@ class FrameTimes:
 
     Attributes:
         median: Wall time [s].
+        percentile_99: Wall time [s].
         percentile_99_9: Wall time [s].
         longest: Wall time [s].
         processor: Median over poses of the least processor time in any pass [s].
@@ -43,6 +44,7 @@ class FrameTimes:
     """
 
     median: float
+    percentile_99: float
     percentile_99_9: float
     longest: float
     processor: float
@@ -193,6 +195,7 @@ def frame_times(
     wall *= 1e-9
     return FrameTimes(
         float(np.median(wall)),
+        float(np.percentile(wall, 99.0)),
         float(np.percentile(wall, 99.9)),
         float(wall.max()),
         float(np.median(1e-9 * own.min(axis=0))),

@@ -77,6 +77,16 @@ class Suite:
         """Folder of the fields."""
         return self.output / "fields"
 
+    @property
+    def allowance(self) -> int | None:
+        """Largest size of one run's process now; None for no limit [byte]."""
+        if self.memory_limit is not None or self.dask:
+            return self.memory_limit
+        available = available_bytes()
+        if available is None:
+            return None
+        return int(MEMORY_PART * available / max(self.jobs, 1))
+
     def plan(self) -> list[RunSpec]:
         """Every run, the reference of a formulation before the others.
 
@@ -154,11 +164,7 @@ class Suite:
 
     def _results(self, known: list[Row], runs: list[RunSpec]) -> Iterator[Row]:
         yield from known
-        limit = self.memory_limit
-        if limit is None and not self.dask:
-            available = available_bytes()
-            if available is not None:
-                limit = int(MEMORY_PART * available / max(self.jobs, 1))
+        limit = self.allowance
         if self.jobs == 1 and not self.dask:
             for spec in runs:
                 yield run_isolated(spec, self.fields, limit)

@@ -233,7 +233,13 @@ def ratio(value: float | None, reference: float | None) -> str:
     """``value`` over ``reference``, in words that say which way."""
     if value is None or not reference:
         return "–"
-    quotient = value / reference
+    return times(value / reference)
+
+
+def times(quotient: float | None) -> str:
+    """A quotient of two figures, in words that say which way."""
+    if quotient is None:
+        return "–"
     return f"× {quotient:.2g}" if quotient < 100 else f"× {quotient:.0f}"
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import json
 import statistics
 import sys
-import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,9 @@ import numpy as np
 
 from ttus_opt.benchmark import memory
 from ttus_opt.benchmark.cases import with_new_values
+from ttus_opt.benchmark.isolation import ANSWER, QUESTION
 from ttus_opt.benchmark.row import Row, RunSpec
+from ttus_opt.benchmark.stages import STAGES, Stages
 from ttus_opt.errors import SolverUnavailableError, TtusError
 from ttus_opt.fitting import Fitter
 from ttus_opt.problem import formulation as shelf
@@ -28,29 +29,6 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Solution
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
-
-
-class Stages:
-    """Tells the parent what begins, and measures the memory of what ended."""
-
-    def __init__(self, file: Path) -> None:
-        self._file = file
-        self._current = ""
-        self.peaks: dict[str, int] = {}
-
-    def __call__(self, stage: str) -> None:
-        """A stage begins; the one before is done."""
-        self.end()
-        self._current = stage
-        with self._file.open("a", encoding="utf-8") as file:
-            file.write(json.dumps({"stage": stage, "time": time.time()}) + "\n")
-        memory.reset_peak()
-
-    def end(self) -> None:
-        """Note the peak of the stage that is running."""
-        if self._current:
-            before = self.peaks.get(self._current, 0)
-            self.peaks[self._current] = max(before, memory.peak_bytes())
 
 
 def run(spec: RunSpec, folder: Path) -> Row:
@@ -63,7 +41,7 @@ def run(spec: RunSpec, folder: Path) -> Row:
     Returns:
         The row.
     """
-    begin = Stages(folder / "stages.jsonl")
+    begin = Stages(folder / STAGES)
     begin("warm-up")
     request = Request(spec.tolerance, spec.time_limit)
     _warm_up(spec, request)
@@ -167,7 +145,7 @@ def main(arguments: list[str]) -> None:
     """
     memory.volunteer()
     folder = Path(arguments[0])
-    spec = RunSpec.from_dict(json.loads((folder / "run.json").read_text("utf-8")))
+    spec = RunSpec.from_dict(json.loads((folder / QUESTION).read_text("utf-8")))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -179,7 +157,7 @@ def main(arguments: list[str]) -> None:
         except TtusError as error:
             row = Row.failed(spec, "refused", str(error))
     content: dict[str, Any] = row.as_dict()
-    (folder / "row.json").write_text(json.dumps(content), "utf-8")
+    (folder / ANSWER).write_text(json.dumps(content), "utf-8")
 
 
 if __name__ == "__main__":

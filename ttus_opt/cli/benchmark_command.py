@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -16,6 +16,8 @@ from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
     from ttus_opt.benchmark import CaseSpec, Row, Suite
+    from ttus_opt.benchmark.parts.base import Figures, PartSpec
+    from ttus_opt.benchmark.parts.suite import PartSuite
 
 EXAMPLE = (
     "ttus-opt benchmark --case S --formulations eq10,eq10_sign "
@@ -92,11 +94,22 @@ def benchmark(
         Path | None,
         typer.Option(help="Write the problems as .mat and .npz here, run nothing."),
     ] = None,
+    parts: Annotated[
+        str,
+        typer.Option(
+            help="What is measured: solvers, assembly, recursion, rendering, ripple, "
+            "separated by commas, or all. All but solvers run one at a time."
+        ),
+    ] = "solvers",
     json: Json = False,
 ) -> None:
     """Compare solvers by time, memory and verified residual, one process a run."""
     from ttus_opt.benchmark import Suite
+    from ttus_opt.benchmark.machine import describe
+    from ttus_opt.benchmark.parts.registry import SOLVERS, chosen
+    from ttus_opt.benchmark.parts.suite import PartSuite
 
+    names = chosen(parts)
     cases = _cases(
         case, surface, probe, trajectory or (), shape, r_inner, inner, sampling
     )
@@ -116,12 +129,19 @@ def benchmark(
     if export is not None:
         _export(suite, export, json)
         return
-    rows = _run(suite)
-    report = _report(suite, rows, memory)
+    machine = describe()  # its load is that at the start
+    suite.plan()  # tells what is wrong before anything runs
+    rows = _run(suite) if SOLVERS in names else []
+    others = PartSuite(names, cases, output, time_limit, suite.allowance)
+    found = _run_parts(others)
+    report = _report(suite, rows, found, machine, memory)
     if json:
-        print_json({"rows": [row.as_dict() for row in rows], "report": str(report)})
+        solved = {"rows": [row.as_dict() for row in rows]}
+        print_json({**solved, **found, "report": str(report)})
     else:
-        _tell(suite, rows, memory)
+        if rows:
+            _tell(suite, rows, memory)
+        _tell_parts(found)
         typer.echo(f"\n{report}")
 
 
@@ -188,8 +208,29 @@ def _run(suite: Suite) -> list[Row]:
         return suite.run(told)
 
 
-def _report(suite: Suite, rows: Sequence[Row], memory: bool) -> Path:
-    from ttus_opt.benchmark.machine import describe
+def _run_parts(suite: PartSuite) -> dict[str, list[Figures]]:
+    """The same for the parts beside the solvers."""
+    from tqdm import tqdm
+
+    plan = suite.plan()
+    if not plan:
+        return suite.run()
+    with tqdm(total=len(plan), file=sys.stderr, unit="run", dynamic_ncols=True) as bar:
+
+        def told(spec: PartSpec, rows: list[Figures]) -> None:
+            bar.set_postfix_str(f"{spec.case_name} {spec.part}: {rows[0]['status']}")
+            bar.update()
+
+        return suite.run(told)
+
+
+def _report(
+    suite: Suite,
+    rows: Sequence[Row],
+    found: Mapping[str, Sequence[Figures]],
+    machine: Mapping[str, str],
+    memory: bool,
+) -> Path:
     from ttus_opt.benchmark.page import write_page
 
     return write_page(
@@ -197,8 +238,9 @@ def _report(suite: Suite, rows: Sequence[Row], memory: bool) -> Path:
         rows,
         closed_form=suite.closed_form,
         command=shlex.join(["ttus-opt", *sys.argv[1:]]),
-        machine=describe(),
+        machine=machine,
         memory=memory,
+        parts=found,
     )
 
 
@@ -221,6 +263,15 @@ def _tell(suite: Suite, rows: Sequence[Row], memory: bool) -> None:
     typer.echo(f"Shifted geometric means:\n{score_table(rows)}")
     if memory:
         typer.echo(f"\nMemory by stage [MiB]:\n{memory_table(rows)}")
+
+
+def _tell_parts(found: Mapping[str, Sequence[Figures]]) -> None:
+    from ttus_opt.benchmark.parts.registry import parts
+
+    for name, rows in found.items():
+        if rows:
+            part = parts()[name]
+            typer.echo(f"\n{part.title}:\n{part.table(rows)}")
 
 
 def _export(suite: Suite, folder: Path, json: bool) -> None:

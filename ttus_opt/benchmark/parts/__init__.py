@@ -1,0 +1,1 @@
+"""Parts of the benchmark beside the solvers, one file each with a ``PART``."""

@@ -1,0 +1,51 @@
+"""The parts there are, found by looking into this folder."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import pkgutil
+
+import ttus_opt.benchmark.parts
+from ttus_opt.benchmark.parts.base import Part
+from ttus_opt.errors import InputError
+
+#: The part that is no file here: solvers on formulations (`ttus_opt.benchmark.suite`)
+SOLVERS = "solvers"
+
+
+@functools.cache
+def parts() -> dict[str, Part]:
+    """Every part by name, beside the solvers."""
+    found: dict[str, Part] = {}
+    for module in pkgutil.iter_modules(ttus_opt.benchmark.parts.__path__):
+        loaded = importlib.import_module(f"ttus_opt.benchmark.parts.{module.name}")
+        part = getattr(loaded, "PART", None)
+        if part is not None:
+            found[part.name] = part
+    return dict(sorted(found.items()))
+
+
+def chosen(text: str) -> list[str]:
+    """Names of parts separated by commas, or "all".
+
+    Args:
+        text: As it was typed.
+
+    Returns:
+        The names, each once.
+
+    Raises:
+        InputError: None, or one there is not.
+    """
+    known = [SOLVERS, *parts()]
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if names == ["all"]:
+        return known
+    unknown = [name for name in names if name not in known]
+    if unknown or not names:
+        raise InputError(
+            f"unknown part {', '.join(unknown) or text!r}: choose from "
+            f"{', '.join(known)}, or all"
+        )
+    return list(dict.fromkeys(names))

@@ -1,0 +1,147 @@
+"""L, b, N and W written straightforwardly: what the compiled assembly is measured by.
+
+`plain_laplace` is Kronecker products of scipy, `plain_rows` whole-array numpy pose by
+pose; both are references for `ttus_opt.laplace` and `ttus_opt.contact`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import spsolve
+
+from ttus_opt.contact import REFERENCE_AREA
+from ttus_opt.grid import cylindrical
+from ttus_opt.point_shell import PointShell
+from ttus_opt.voxmap import Voxmap
+
+Array = NDArray[np.float64]
+
+
+def plain_laplace(
+    voxmap: Voxmap, inner: float, outer: float
+) -> tuple[sp.csr_array, Array]:
+    """L and b of paper eq. 8.
+
+    Args:
+        voxmap: Grid and regions.
+        inner: p_in.
+        outer: p_out; the outer layer has minus that.
+
+    Returns:
+        L, shape (V, V), and b, shape (V,).
+    """
+    grid = voxmap.grid
+    n_r, n_theta, n_z = grid.shape
+    half = grid.r_step / (2.0 * grid.r)
+    around = sp.diags_array((grid.r_step / (grid.r * grid.theta_step)) ** 2)
+    radial = (
+        sp.diags_array((1.0 - half)[1:], offsets=-1)
+        + sp.diags_array(np.full(n_r, -2.0))
+        + sp.diags_array((1.0 + half)[:-1], offsets=1)
+    )
+    ring = sp.diags_array(
+        [1.0, 1.0, -2.0, 1.0, 1.0],
+        offsets=[1 - n_theta, -1, 0, 1, n_theta - 1],
+        shape=(n_theta, n_theta),
+    )
+    chain = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n_z, n_z))
+    slices = sp.csr_array(
+        sp.kron(radial, sp.eye_array(n_theta)) + sp.kron(around, ring)
+    )
+    along = (grid.r_step / grid.z_step) ** 2 * chain
+    full = sp.csr_array(
+        sp.kron(slices, sp.eye_array(n_z)) + sp.kron(sp.eye_array(n_r * n_theta), along)
+    )
+    b = np.zeros(grid.shape)
+    b[0], b[-1] = inner, -outer
+    for k in (0, -1):
+        skin = voxmap.on_surface[:, :, k]
+        edge = skin.copy()
+        edge[[0, -1]] = True
+        side = np.where(skin, 0.0, b[:, :, k] * edge).reshape(-1)
+        polar = spsolve(sp.csc_array(_with_identity(slices, edge.reshape(-1))), side)
+        b[:, :, k] = polar.reshape(n_r, n_theta)
+    b[voxmap.on_surface] = 0.0
+    return _with_identity(full, voxmap.dirichlet.reshape(-1)), b.reshape(-1)
+
+
+def _with_identity(M: sp.csr_array, fixed: NDArray[np.bool_]) -> sp.csr_array:
+    """The matrix with identity rows where a value is given."""
+    keep = sp.diags_array((~fixed).astype(float))
+    return sp.csr_array(keep @ M + sp.diags_array(fixed.astype(float)))
+
+
+def plain_rows(
+    voxmap: Voxmap,
+    shell: PointShell,
+    rotation: Array,
+    position: Array,
+    sampling: str,
+) -> tuple[sp.csr_array, sp.csr_array]:
+    """N and W of paper eqs. 6 and 7.
+
+    Args:
+        voxmap: Grid and surface.
+        shell: The probe.
+        rotation: Probe to patient, shape (T, 3, 3) [–].
+        position: Of the probe frame's origin, shape (T, 3) [m].
+        sampling: ``voxel-mean`` or ``trilinear``.
+
+    Returns:
+        N and W, shape (3T, V) each.
+    """
+    rows, columns, force, torque = [], [], [], []
+    for t, (R, at) in enumerate(zip(rotation, position, strict=True)):
+        points = shell.points @ R.T + at
+        inside, voxel, share = _sampled(voxmap, points, sampling)
+        if sampling == "trilinear":
+            share = share * (shell.areas[inside] / REFERENCE_AREA)[:, None]
+        normals = shell.normals[inside] @ R.T
+        moments = np.cross((shell.points[inside] - shell.reference) @ R.T, normals)
+        for axis in range(3):
+            rows.append(np.full(voxel.size, 3 * t + axis))
+            columns.append(voxel.reshape(-1))
+            force.append((share * normals[:, axis, None]).reshape(-1))
+            torque.append((share * moments[:, axis, None]).reshape(-1))
+    shape = (3 * len(position), voxmap.grid.n_voxels)
+    at_entries = (np.concatenate(rows), np.concatenate(columns))
+    # a voxel that several points sample is summed when the rows are compressed
+    return (
+        sp.csr_array(sp.coo_array((np.concatenate(force), at_entries), shape=shape)),
+        sp.csr_array(sp.coo_array((np.concatenate(torque), at_entries), shape=shape)),
+    )
+
+
+def _sampled(
+    voxmap: Voxmap, points: Array, sampling: str
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], Array]:
+    """Which of (M, 3) points are inside; their voxels and shares, (m, c) each."""
+    grid = voxmap.grid
+    r, theta, z = cylindrical(points)
+    inside = (r >= grid.r_inner) & (r <= grid.r_outer)
+    inside &= (z >= grid.z_min) & (z <= grid.z_max)
+    inside[inside] = r[inside] < voxmap.surface.radius_at(theta[inside], z[inside])
+    u = (r[inside] - grid.r_inner) / grid.r_step
+    v = theta[inside] / grid.theta_step
+    w = (z[inside] - grid.z_min) / grid.z_step
+    if sampling == "voxel-mean":
+        i, j, k = (np.floor(x + 0.5).astype(int) for x in (u, v, w))
+        voxel = np.ravel_multi_index((i, j % grid.shape[1], k), grid.shape)
+        _, place, counts = np.unique(voxel, return_inverse=True, return_counts=True)
+        return inside, voxel[:, None], 1.0 / counts[place][:, None]
+    i = np.minimum(u.astype(int), grid.shape[0] - 2)
+    j = np.minimum(v.astype(int), grid.shape[1] - 1)
+    k = np.minimum(w.astype(int), grid.shape[2] - 2)
+    a, b, c = u - i, v - j, w - k
+    corners = [(di, dj, dk) for di in (0, 1) for dj in (0, 1) for dk in (0, 1)]
+    voxels = [
+        np.ravel_multi_index((i + di, (j + dj) % grid.shape[1], k + dk), grid.shape)
+        for di, dj, dk in corners
+    ]
+    shares = [
+        np.abs(1 - di - a) * np.abs(1 - dj - b) * np.abs(1 - dk - c)
+        for di, dj, dk in corners
+    ]
+    return inside, np.stack(voxels, axis=1), np.stack(shares, axis=1)
