@@ -30,6 +30,9 @@ MAX_FACES = 100
 #: Residual of the dual on a face, relative, while more limits change than that [–]
 ACCURACY = ((100, 1e-3), (3, 1e-5))
 
+#: By how much it is tightened where changes do not become fewer: it may be why [–]
+TIGHTER = 1.0 / 30.0
+
 #: Faces without fewer changes before changes are made by halves
 PATIENCE = 4
 
@@ -110,7 +113,8 @@ def search(
     active = no_limits_active(len(limits.lower)) if start is None else start[1]
     active = _one_pin_each(limits, active)
     guess = None if start is None else start[0]
-    accuracy, fewest, patience = max(rtol, ACCURACY[-1][1]), np.inf, PATIENCE
+    accuracy, ceiling = max(rtol, ACCURACY[-1][1]), np.inf
+    fewest, patience = np.inf, PATIENCE
     solver, face, solved = whole, Face.whole(data), no_limits_active(len(limits.lower))
     faces, steps, changes, late = 0, 0, -1, False
     while faces < MAX_FACES:
@@ -133,11 +137,13 @@ def search(
         changes = wrong.count
         if late or (changes == 0 and accuracy == rtol):
             break
-        if changes < fewest:
+        if changes < 0.8 * fewest:
             fewest, patience = changes, PATIENCE
         else:
             patience -= 1
-        accuracy = max([rtol, *(goal for many, goal in ACCURACY if changes > many)])
+            ceiling = max(rtol, TIGHTER * min(ceiling, accuracy))
+        goals = (goal for many, goal in ACCURACY if changes > many)
+        accuracy = min(ceiling, max([rtol, *goals]))
         active = _changed(limits, active, wrong, all_of_them=patience > 0)
     pull, push = _right_signs(limits, active, pull, push)
     settled = changes == 0 and accuracy == rtol
