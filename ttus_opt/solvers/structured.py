@@ -2,12 +2,15 @@
 
 The dual system (`dual_system`) is solved by conjugate directions that are all kept
 (`conjugate_directions`), preconditioned by a rough dual (`rough_dual`); L⁻¹ is a
-multigrid (`ttus_opt.multigrid`). What a new solve costs, in solves with L or Lᵀ:
+multigrid (`ttus_opt.multigrid`). Where the field has bounds or must grow along
+spokes, this is done on one face of the feasible set after the other (`active_set`,
+`face`). What a new solve costs, in solves with L or Lᵀ:
 
     new measured values     2 for p, and 2 per direction the old ones lack
     new boundary values     1 for p₀ more
     new weights             the same: kept directions are made conjugate again
     another trajectory      all directions anew, the multigrid is kept
+    any, with limits        starts from the last face; its directions are made anew
 """
 
 from __future__ import annotations
