@@ -50,7 +50,8 @@ class SpokeLimits:
             ValueError: A row is no such limit; the message names the constraint.
         """
         shape = program.laplace.grid.shape
-        lower, upper = (limit.copy() for limit in program.box)
+        own = program.variables["p"]
+        lower, upper = (limit[own].copy() for limit in program.box)
         given = np.zeros(len(lower), dtype=bool)
         least = np.full(len(lower), -np.inf)
         links = {}
@@ -147,7 +148,7 @@ def _links(
     """Deeper voxels and signs of rows ±(p_v - p_w), limited on one side."""
     M, stride = constraint.matrix, shape[1] * shape[2]
     refusal = f"{constraint.name} is no bound and no growth along spokes"
-    if M.shape[1] != stride * shape[0] or (np.diff(M.indptr) != 2).any():
+    if M.indices.max(initial=0) >= stride * shape[0] or (np.diff(M.indptr) != 2).any():
         raise ValueError(refusal)
     columns = M.indices.reshape(-1, 2).astype(np.int64)
     values = M.data.reshape(-1, 2)
