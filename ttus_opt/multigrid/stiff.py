@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.compiled import compiled
@@ -19,13 +18,14 @@ from ttus_opt.errors import NumericalError
 from ttus_opt.grid import CylindricalGrid
 from ttus_opt.multigrid import double
 from ttus_opt.multigrid.cycle import Hierarchy
-from ttus_opt.multigrid.kernels import FAST
+from ttus_opt.multigrid.kernels import FAST, Single
 from ttus_opt.multigrid.levels import conductances
 from ttus_opt.multigrid.solver import MultigridResult
 from ttus_opt.multigrid.v_cycle import VCycle
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+Index = NDArray[np.int64]
 
 #: Conductance of a tie over that of its link: near enough to none, and far enough
 #: from where single precision loses the rest
@@ -61,6 +61,33 @@ def _step(x: Array, r: Array, direction: Array, image: Array, length: float) -> 
     return total
 
 
+@compiled(nogil=True)
+def _spread(p: Array, z: Array, unknown: Index) -> None:
+    """P z (compiled)."""
+    for n in range(p.size):
+        p[n] = z[unknown[n]] if unknown[n] >= 0 else 0.0
+
+
+@compiled(nogil=True)
+def _gather(z: Array, p: Array, unknown: Index) -> None:
+    """Add Pᵀp (compiled)."""
+    for n in range(p.size):
+        if unknown[n] >= 0:
+            z[unknown[n]] += p[n]
+
+
+@compiled(nogil=True)
+def _load(b: Single, r: Array, places: Index, voxels: Index) -> None:
+    for n in range(places.size):
+        b[places[n]] = r[voxels[n]]
+
+
+@compiled(nogil=True)
+def _unload(z: Array, x: Single, places: Index, voxels: Index) -> None:
+    for n in range(places.size):
+        z[voxels[n]] = x[places[n]]
+
+
 class StiffMultigrid:
     """Solver of PᵀA P z = b; z and b stand at one voxel of every chain.
 
@@ -86,10 +113,10 @@ class StiffMultigrid:
             grid.unflatten(free),
             np.where(grid.unflatten(ties), np.float32(STIFFNESS), np.float32(1.0)),
         )
-        self._spread = _spread(free, ties, representative, grid.strides[0])
-        self._gather = sp.csr_array(self._spread.T)
+        self._unknown = _unknown(free, ties, representative, grid.strides[0])
         self._cycle = self.rough()
-        self._places = self._cycle.places(np.flatnonzero(representative))
+        self._voxels = np.flatnonzero(representative)
+        self._places = self._cycle.places(self._voxels)
 
     def rough(self) -> VCycle:
         """One V-cycle at a time, in arrays of its own and without copies."""
@@ -97,9 +124,11 @@ class StiffMultigrid:
 
     def apply(self, z: Array) -> Array:
         """PᵀA P z, shape (V,)."""
-        p, out = self._spread @ z, np.zeros_like(z)
-        double.operate(out, p, self._free, *self._conductances, self.grid.shape)
-        return np.asarray(self._gather @ out)
+        p, image, out = np.empty_like(z), np.empty_like(z), np.zeros_like(z)
+        _spread(p, z, self._unknown)
+        double.operate(image, p, self._free, *self._conductances, self.grid.shape)
+        _gather(out, image, self._unknown)
+        return out
 
     def solve(
         self, rhs: Array, *, rtol: float = 1e-12, max_iterations: int = 500
@@ -119,12 +148,15 @@ class StiffMultigrid:
         """
         r = np.where(self._shown, rhs, 0.0)
         size = math.sqrt(_dot(r, r))
-        x = np.zeros_like(r)
+        x, z = np.zeros_like(r), np.zeros_like(r)
         if size == 0.0:
             return MultigridResult(x, 0, 0.0)
+        r /= size  # single precision takes it as it is
         before, direction, old = math.inf, np.zeros_like(r), np.zeros_like(r)
         for iteration in range(1, max_iterations + 1):
-            z = self._roughly(r)
+            _load(self._cycle.b, r, self._places, self._voxels)
+            self._cycle.run()
+            _unload(z, self._cycle.x, self._places, self._voxels)
             # Polak and Ribière's β: the V-cycle is symmetric to single precision only
             now = _dot(z, r)
             _turn(direction, z, (now - _dot(z, old)) / before)
@@ -134,26 +166,19 @@ class StiffMultigrid:
             left = math.sqrt(
                 _step(x, r, direction, image, now / _dot(direction, image))
             )
-            if left <= rtol * size:
-                return MultigridResult(x, iteration, left / size)
+            if left <= rtol:
+                x *= size
+                return MultigridResult(x, iteration, left)
         raise NumericalError(
-            f"multigrid reached a relative residual of {left / size:.1e} in "
+            f"multigrid reached a relative residual of {left:.1e} in "
             f"{max_iterations} cycles where {rtol:.1e} was asked for"
         )
 
-    def _roughly(self, r: Array) -> Array:
-        """One V-cycle for r."""
-        largest = float(np.abs(r).max())
-        self._cycle.b[self._places] = r[self._shown] / largest
-        self._cycle.run()
-        z = np.zeros_like(r)
-        z[self._shown] = self._cycle.x[self._places]
-        z *= largest
-        return z
 
-
-def _spread(free: Mask, ties: Mask, representative: Mask, stride: int) -> sp.csr_array:
-    """P, from representatives to all free voxels, shape (V, V)."""
+def _unknown(
+    free: Mask, ties: Mask, representative: Mask, stride: int
+) -> NDArray[np.int64]:
+    """The voxel at which each free voxel's unknown stands, -1 at others, (V,)."""
     n = len(free)
     head = np.arange(n)
     for start in range(stride, n, stride):  # a layer takes over what it is tied to
@@ -161,6 +186,4 @@ def _spread(free: Mask, ties: Mask, representative: Mask, stride: int) -> sp.csr
         head[own] = np.where(ties[inner], head[inner], head[own])
     shown = np.full(n, -1)
     shown[head[representative]] = np.flatnonzero(representative)
-    rows = np.flatnonzero(free)
-    columns = shown[head[rows]]
-    return sp.csr_array((np.ones(len(rows)), (rows, columns)), shape=(n, n))
+    return np.where(free, shown[head], -1)

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual_data import DualData
 from ttus_opt.solvers.dual_solver import DualSolver
-from ttus_opt.solvers.face import Activity, face_of
+from ttus_opt.solvers.face import Activity, Face, face_of, no_limits_active
 from ttus_opt.solvers.spoke_limits import SpokeLimits
 
 Array = NDArray[np.float64]
@@ -27,11 +27,11 @@ Mask = NDArray[np.bool_]
 #: Most faces
 MAX_FACES = 100
 
-#: Residual of the dual on faces that are not the last, relative [–]
-ROUGH = 1e-5
+#: Residual of the dual on a face, relative, while more limits change than that [–]
+ACCURACY = ((100, 1e-3), (3, 1e-5))
 
-#: Changes few enough that a face may be the last
-FEW = 3
+#: By how much it is tightened where changes do not become fewer: it may be why [–]
+TIGHTER = 1.0 / 30.0
 
 #: Faces without fewer changes before changes are made by halves
 PATIENCE = 4
@@ -79,18 +79,19 @@ class _Wrong:
     side: NDArray[np.int8]
     ties: Array
 
-
-def no_limits_active(limits: SpokeLimits) -> Activity:
-    """The face that is the whole problem."""
-    n = len(limits.lower)
-    return Activity(np.zeros(n, dtype=np.int8), np.zeros(n, dtype=bool))
+    @property
+    def count(self) -> int:
+        """How many [–]."""
+        pins = int(np.count_nonzero(self.pins > 0.0))
+        return pins + int(np.count_nonzero(self.ties > 0.0))
 
 
 def search(
     program: Program,
     limits: SpokeLimits,
     data: DualData,
-    start: tuple[Array, Activity],
+    whole: DualSolver,
+    start: tuple[Array, Activity] | None = None,
     *,
     tolerance: float,
     rtol: float,
@@ -102,47 +103,50 @@ def search(
         program: The problem: its gradient is what multipliers come from.
         limits: Its limits.
         data: The dual of its objective alone.
-        start: A field, (V,), and the face to begin with.
+        whole: Solver of that.
+        start: A field, (V,), and the face to begin with; None for no limit active.
         tolerance: KKT tolerance [–].
         rtol: Residual of the dual on the last face, relative [–].
         deadline: `time.perf_counter` at which to stop; None for never [s].
     """
-    p, active = start
+    limits = limits.without_implied()
+    active = no_limits_active(len(limits.lower)) if start is None else start[1]
     active = _one_pin_each(limits, active)
-    steps, fewest, patience = 0, np.inf, PATIENCE
-    few = False
-    solver, solved = None, None
-    faces = 0
+    guess = None if start is None else start[0]
+    accuracy, ceiling = max(rtol, ACCURACY[-1][1]), np.inf
+    fewest, patience = np.inf, PATIENCE
+    solver, face, solved = whole, Face.whole(data), no_limits_active(len(limits.lower))
+    faces, steps, changes, late = 0, 0, -1, False
     while faces < MAX_FACES:
-        faces += 1
-        if solver is None or active is not solved:
+        if active.differs(solved):
             face = face_of(program.laplace, limits, active, data)
             solver, solved = DualSolver(face.system), active
         answer = solver.solve(
             face.b,
             face.t,
-            rtol=rtol if few else max(rtol, ROUGH),
+            rtol=accuracy,
             deadline=deadline,
-            guess=face.unknowns_of(p),
+            guess=None if guess is None else face.unknowns_of(guess),
         )
-        p, steps = face.field_of(answer.p), steps + answer.steps
+        guess = p = face.field_of(answer.p)
+        faces, steps = faces + 1, steps + answer.steps
         gradient = np.add(*program.gradient(p))
         pull, push = multipliers(limits, active, gradient)
         late = deadline is not None and time.perf_counter() > deadline
         wrong = _wrong(limits, active, p, pull, push, gradient, MARGIN * tolerance)
-        changes = int(np.count_nonzero(wrong.pins > 0.0))
-        changes += int(np.count_nonzero(wrong.ties > 0.0))
-        if late or (changes == 0 and few):
+        changes = wrong.count
+        if late or (changes == 0 and accuracy == rtol):
             break
-        if changes < fewest:
+        if changes < 0.8 * fewest:
             fewest, patience = changes, PATIENCE
         else:
             patience -= 1
-        few = changes <= FEW
-        if changes:
-            active = _changed(limits, active, wrong, all_of_them=patience > 0)
+            ceiling = max(rtol, TIGHTER * min(ceiling, accuracy))
+        goals = (goal for many, goal in ACCURACY if changes > many)
+        accuracy = min(ceiling, max([rtol, *goals]))
+        active = _changed(limits, active, wrong, all_of_them=patience > 0)
     pull, push = _right_signs(limits, active, pull, push)
-    settled = changes == 0 and few
+    settled = changes == 0 and accuracy == rtol
     return FaceAnswer(p, pull, push, active, faces, steps, late, settled)
 
 
@@ -211,7 +215,7 @@ def _changed(
 ) -> Activity:
     """The next face."""
     pins, ties = wrong.pins > 0.0, wrong.ties > 0.0
-    if not all_of_them:
+    if not (all_of_them or wrong.count < 2):
         sizes = np.concatenate([wrong.pins[pins], wrong.ties[ties]])
         least = float(np.median(sizes))
         pins &= wrong.pins >= least

@@ -57,6 +57,11 @@ class Activity:
         return int(np.count_nonzero(self.pins) + np.count_nonzero(self.ties))
 
 
+def no_limits_active(n_voxels: int) -> Activity:
+    """The face that is the whole problem."""
+    return Activity(np.zeros(n_voxels, dtype=np.int8), np.zeros(n_voxels, dtype=bool))
+
+
 @dataclass(frozen=True)
 class ReducedLaplace(BlockSolves):
     """Square system of a face, as `LaplaceSystem` is the whole problem's.
@@ -103,6 +108,13 @@ class Face:
     t: Array = field(repr=False)
     spread: sp.csr_array = field(repr=False)
     offset: Array = field(repr=False)
+
+    @classmethod
+    def whole(cls, data: DualData) -> Face:
+        """The problem itself, no limit being active."""
+        n = len(data.b)
+        one = sp.csr_array(sp.eye_array(n, format="csr"))
+        return cls(data.system, data.b, data.t, one, np.zeros(n))
 
     def field_of(self, z: Array) -> Array:
         """P = P z + o."""

@@ -6,7 +6,7 @@ for a voxel v and the next one outwards w, and given values (hard Dirichlet voxe
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -100,6 +100,25 @@ class SpokeLimits:
         with np.errstate(invalid="ignore"):
             gap = lower - upper
         return float(np.max(np.nan_to_num(gap, nan=0.0, neginf=0.0), initial=0.0))
+
+    def without_implied(self) -> SpokeLimits:
+        """The same feasible set without bounds that others imply along links.
+
+        What grows inwards and is at least 0 at the skin is at least 0 everywhere: that
+        all these bounds touch at once where one does would leave multipliers open, and
+        a search over active sets going round in circles.
+        """
+        lower, upper = self.lower.copy(), self.upper.copy()
+        low, up = self.by_layer(self.lower), self.by_layer(self.upper)
+        least, given = self.by_layer(self.least), self.by_layer(self.given)
+        by_outer = np.zeros(low.shape, dtype=bool)
+        by_inner = np.zeros(low.shape, dtype=bool)
+        with np.errstate(invalid="ignore"):
+            by_outer[:-1] = low[1:] + least[:-1] >= low[:-1]
+            by_inner[1:] = up[:-1] - least[:-1] <= up[1:]
+        lower[(by_outer & ~given).reshape(-1)] = -np.inf
+        upper[(by_inner & ~given).reshape(-1)] = np.inf
+        return replace(self, lower=lower, upper=upper)
 
     def duals(self, pull: Array, push: Array) -> Duals:
         """Multipliers by name.

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.active_set import no_limits_active, search
+from ttus_opt.solvers.active_set import search
 from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,
@@ -30,7 +30,7 @@ from ttus_opt.solvers.base import (
     Solver,
 )
 from ttus_opt.solvers.dual_data import DualData, hard_values, laplace_prior
-from ttus_opt.solvers.dual_solver import DualAnswer, DualSolver
+from ttus_opt.solvers.dual_solver import DualSolver
 from ttus_opt.solvers.face import Activity
 from ttus_opt.solvers.spoke_limits import SpokeLimits
 from ttus_opt.terms.base import Penalty
@@ -109,7 +109,7 @@ class _Loaded(Prepared):
             self._solver.adopt(system)
 
     def solve(self) -> Candidate:
-        """Solve without limits; then, if there are any, on face after face."""
+        """Solve the dual, or where there are limits the duals of faces."""
         limit = self._request.time_limit
         deadline = None if limit is None else time.perf_counter() + limit
         limits = self._limits
@@ -118,12 +118,11 @@ class _Loaded(Prepared):
             if worst > self._request.tolerance * _largest_limit(limits):
                 detail = f"limits along a spoke contradict each other by {worst:.2g}"
                 return Candidate(None, claim=Claim.INFEASIBLE, detail=detail)
-            if self._last is not None:
-                return self._search(self._last, deadline, 0)
-        answer = self._unlimited(deadline)
-        if limits.binding and not answer.late:
-            start = answer.p, no_limits_active(limits)
-            return self._search(start, deadline, answer.steps)
+            return self._search(deadline)
+        assert self._solver is not None
+        answer = self._solver.solve(
+            self._data.b, self._data.t, rtol=self._rtol, deadline=deadline
+        )
         claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
         return Candidate(answer.p, self._duals(answer.p), answer.steps, claim)
 
@@ -131,21 +130,15 @@ class _Loaded(Prepared):
     def _rtol(self) -> float:
         return max(self._request.tolerance * MARGIN, FLOOR)
 
-    def _unlimited(self, deadline: float | None) -> DualAnswer:
+    def _search(self, deadline: float | None) -> Candidate:
+        """Face after face, from the last one of an earlier solve."""
         assert self._solver is not None
-        return self._solver.solve(
-            self._data.b, self._data.t, rtol=self._rtol, deadline=deadline
-        )
-
-    def _search(
-        self, start: tuple[Array, Activity], deadline: float | None, steps: int
-    ) -> Candidate:
-        """Face after face."""
         answer = search(
             self._program,
             self._limits,
             self._data,
-            start,
+            self._solver,
+            self._last,
             tolerance=self._request.tolerance,
             rtol=self._rtol,
             deadline=deadline,
@@ -156,7 +149,7 @@ class _Loaded(Prepared):
             self._last, claim = (answer.p, answer.active), Claim.DONE
         else:
             claim = Claim.TIME_LIMIT if answer.late else Claim.GAVE_UP
-        return Candidate(answer.p, duals, steps + answer.steps, claim, detail)
+        return Candidate(answer.p, duals, answer.steps, claim, detail)
 
     def _duals(self, p: Array) -> Duals:
         """Multipliers of hard Dirichlet values: minus the objective's gradient."""
