@@ -158,9 +158,9 @@ def test_geometry_that_breaks_careless_solvers(
 
 
 def test_refuses_what_it_cannot_take(scene: Scene) -> None:
-    signed = formulation.load("eq10_sign", scene).compile()
+    bent = formulation.load("robust", scene).compile()
     with pytest.raises(tt.TtusError, match="structured cannot take this problem"):
-        STRUCTURED.prepare(signed, TIGHT)
+        STRUCTURED.prepare(bent, TIGHT)
 
 
 def test_never_forms_q() -> None:
