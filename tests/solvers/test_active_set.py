@@ -14,7 +14,7 @@ import ttus_opt as tt
 from tests.conftest import torso
 from tests.solvers.test_face import shaped
 from tests.solvers.test_structured import rough_surface
-from tests.solvers.user_limits import INF, Within, contested, eq10
+from tests.solvers.user_limits import INF, Steeper, Within, contested, eq10, louder
 from ttus_opt.constraints.base import Constraint
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone
@@ -22,7 +22,7 @@ from ttus_opt.constraints.sign import Sign
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.solution import Status
+from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.registry import solvers
@@ -60,7 +60,8 @@ def check(declared: Formulation, least_active: int = 1, close: float = 1e-5) -> 
     assert candidate.claim is Claim.DONE, candidate.detail
     residuals = kkt_residuals(program, candidate.x, candidate.duals)
     assert residuals.worst_relative <= TOLERANCE, residuals
-    reference = CLARABEL.prepare(program, Request(1e-8, 60.0)).solve()
+    # at 1e-8 its field is further off than ours where weights are large
+    reference = CLARABEL.prepare(program, Request(1e-10, 60.0)).solve()
     assert reference.x is not None
     assert active_limits(program, candidate.x) >= least_active, "nothing is contested"
     apart = np.linalg.norm(candidate.x - reference.x)
@@ -220,9 +221,12 @@ def test_geometry_that_breaks_careless_solvers(
     check(eq10(scene, 1.0, *more, *limits_of(scene, kind)), least_active=0)
 
 
-def enumerated(program: Program, names: list[str]) -> Array:
-    """The best of all active sets, by dense algebra; inequalities G p ≤ h."""
-    n = program.n_variables
+def enumerated(program: Program) -> Array | None:
+    """The minimiser, from all active sets by dense algebra; None if none will do.
+
+    The first set whose point holds all limits, with multipliers of the right sign, is
+    the answer: the problem is strictly convex.
+    """
     roots = [np.sqrt(t.weight) for t in program.terms]
     M = np.vstack(
         [r * t.matrix.toarray() for r, t in zip(roots, program.terms, strict=True)]
@@ -230,61 +234,60 @@ def enumerated(program: Program, names: list[str]) -> Array:
     target = np.concatenate(
         [r * t.target for r, t in zip(roots, program.terms, strict=True)]
     )
-    G, h = [], []
+    n = program.n_variables
     lower, upper = program.box
-    eye = np.eye(n)
-    for side, limit in ((-1.0, lower), (1.0, upper)):
-        held = np.isfinite(limit)
-        G.append(side * eye[held])
-        h.append(side * limit[held])
-    E, e = np.zeros((0, n)), np.zeros(0)
+    low, high = np.isfinite(lower), np.isfinite(upper)
+    G, h = [-np.eye(n)[low], np.eye(n)[high]], [-lower[low], upper[high]]
+    p, open_ = np.zeros(n), np.ones(n, dtype=bool)
     for constraint in program.constraints:
-        A = constraint.matrix.toarray()
-        if constraint.name in names:
-            G.append(-A)
-            h.append(-constraint.lower)
+        if constraint.name == HardBoundary.name:
+            open_[constraint.matrix.indices] = False
+            p[constraint.matrix.indices] = constraint.lower
         else:
-            E, e = np.vstack([E, A]), np.concatenate([e, constraint.lower])
-    rows, sides = np.vstack(G), np.concatenate(h)
-    best, least = np.full(n, np.nan), np.inf
-    Q, d = M.T @ M, M.T @ target
-    for count in range(len(rows) + 1):
+            G.append(-constraint.matrix.toarray())
+            h.append(-constraint.lower)
+    rows, sides = np.vstack(G), np.concatenate(h) - np.vstack(G) @ p
+    M, target, rows = M[:, open_], target - M @ p, rows[:, open_]
+    assert len(rows) <= 14, "too many active sets"
+    inverse = np.linalg.inv(M.T @ M)
+    best = inverse @ (M.T @ target)
+    gap, K = rows @ best - sides, rows @ inverse @ rows.T
+    for count in range(min(len(rows), open_.sum()) + 1):
         for picked in itertools.combinations(range(len(rows)), count):
-            C = np.vstack([E, rows[list(picked)]])
-            side = np.concatenate([e, sides[list(picked)]])
-            zero = np.zeros((len(C), len(C)))
-            system = np.block([[Q, C.T], [C, zero]])
-            if np.linalg.matrix_rank(C) < len(C):
+            own = np.array(picked, dtype=int)
+            try:
+                mu = np.linalg.solve(K[np.ix_(own, own)], gap[own])
+            except np.linalg.LinAlgError:
                 continue
-            p = np.linalg.solve(system, np.concatenate([d, side]))[:n]
-            cost = float(np.sum((M @ p - target) ** 2))
-            if (rows @ p <= sides + 1e-9).all() and cost < least:
-                best, least = p, cost
-    return best
+            left = gap - K[:, own] @ mu
+            if (mu >= 0.0).all() and (left <= 1e-9).all():
+                p[open_] = best - inverse @ rows[own].T @ mu
+                return p
+    return None
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(8))
 def test_all_active_sets_of_a_tiny_problem(seed: int, hard: bool) -> None:
-    """Four by four by three voxels, 8 bounds and links: 256 active sets."""
-    scene = shaped(torso(), (5, 4, 3), None)
+    """Sixty voxels, four bounds and all links; where no set will do, none is found."""
     rng = np.random.default_rng(seed)
-    V, free = scene.n_voxels, scene.laplace.free
-    loose = rng.permutation(np.flatnonzero(free & inside(scene)))
-    lower, upper = np.full(V, -INF), np.full(V, INF)
+    scene = louder(shaped(torso(), (5, 4, 3), None), seed, [1.0, -3.0][seed % 2])
+    V = scene.n_voxels
+    loose = rng.permutation(np.flatnonzero(scene.laplace.free & inside(scene)))
     plain = solved(eq10(scene, 1.0).compile()).x
-    size = np.abs(plain).max()
-    lower[loose[:2]] = plain[loose[:2]] + rng.uniform(-0.2, 0.5, 2) * size
-    upper[loose[2:4]] = plain[loose[2:4]] - rng.uniform(-0.2, 0.5, 2) * size
+    size = np.abs(plain[loose]).max()
+    lower, upper = np.full(V, -INF), np.full(V, INF)
+    lower[loose[:2]] = plain[loose[:2]] + rng.uniform(-0.1, 0.5, 2) * size
+    upper[loose[2:4]] = plain[loose[2:4]] - rng.uniform(-0.1, 0.5, 2) * size
     more: list[Constraint] = [HardBoundary(scene)] if hard else []
-    links = Monotone(scene, 5.0)
-    declared = eq10(scene, 1.0, Within(scene, lower, upper), links, *more)
-    program = declared.compile()
-    rows = sum(len(c.lower) for c in program.constraints if c.name == "monotone")
-    assert rows + 4 <= 14, rows
+    within = Within(scene, lower, upper)
+    program = eq10(scene, 1.0, within, Monotone(scene, 2.0), *more).compile()
+    expected = enumerated(program)
     candidate = solved(program)
-    assert candidate.claim is Claim.DONE
-    expected = enumerated(program, ["monotone"])
+    if expected is None:
+        assert candidate.claim is Claim.INFEASIBLE
+        return
+    assert candidate.claim is Claim.DONE, candidate.detail
     apart = np.linalg.norm(candidate.x - expected)
     assert apart <= 1e-7 * np.linalg.norm(expected)
 
@@ -297,7 +300,8 @@ def test_contradictions_are_named() -> None:
     )
     solution = tt.fit(scene, declared, solver="structured")
     assert solution.status is Status.INFEASIBLE
-    assert solution.field is None
+    with pytest.raises(NoSolutionError, match="monotone against boundary"):
+        solution.field  # noqa: B018
     assert set(solution.conflict) == {"monotone", "boundary"}
     assert "contradict" in solution.detail
 
@@ -305,7 +309,6 @@ def test_contradictions_are_named() -> None:
 def test_bounds_against_growth_are_named() -> None:
     scene = contested()
     where = inside(scene) & scene.laplace.free
-    V = scene.n_voxels
     growing = np.where(where, 0.1 * layer(scene), -INF)  # lower bounds rise outwards
     within = Within(scene, growing, np.where(where, 0.15, INF))
     solution = tt.fit(scene, eq10(scene, 1.0, within), solver="structured")
@@ -315,7 +318,6 @@ def test_bounds_against_growth_are_named() -> None:
     lower = np.where(where & (layer(scene) == 2), 0.05, -INF)
     within = Within(scene, lower, upper)
     declared = eq10(scene, 1.0, within, Monotone(scene, 50.0))
-    assert len(lower) == V
     solution = tt.fit(scene, declared, solver="structured")
     assert solution.status is Status.INFEASIBLE
     assert set(solution.conflict) == {"monotone", "within"}
@@ -347,7 +349,8 @@ def test_stops_when_the_time_is_up() -> None:
         time_limit=1e-6,
     )
     assert solution.status is Status.TIME_LIMIT
-    assert solution.field is None
+    with pytest.raises(NoSolutionError):
+        solution.field  # noqa: B018
 
 
 def updated(first: Formulation, second: Formulation) -> None:
@@ -377,8 +380,6 @@ def test_other_values_weights_and_slopes_agree_with_a_fresh_solve() -> None:
     updated(first, limited(scene, slope=0.0))
     updated(first, limited(scene.with_boundary(1.0, 2.0)))
     updated(first, limited(contested(0, n_poses=14)))
-    updated(first, eq10(scene, 1.0, *first.constraints, HardBoundary(scene)))
-    updated(first, eq10(scene, 1.0))
 
 
 def test_an_update_after_too_little_time_agrees_with_a_fresh_solve() -> None:
@@ -388,3 +389,102 @@ def test_an_update_after_too_little_time_agrees_with_a_fresh_solve() -> None:
     prepared._request = Request(1e-8)
     again, fresh = prepared.solve(), solved(program, 1e-8)
     assert np.linalg.norm(again.x - fresh.x) <= 1e-6 * np.linalg.norm(fresh.x)
+
+
+_DOUBLY_HELD = (
+    "a chain that is tied keeps its given value, or its deepest pin, whatever other "
+    "bound is violated: that pin is taken and dropped again on every face"
+)
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason=_DOUBLY_HELD)
+def test_a_bound_parts_a_voxel_from_the_given_value_it_is_tied_to() -> None:
+    """Forces pull below the skin's 0 what has a bound above it: bound, not tie."""
+    scene = contested(scale=-3.0)
+    where = inside(scene) & scene.laplace.free
+    lower = np.where(where, 0.05, -INF)
+    within = Within(scene, lower, np.full(scene.n_voxels, INF))
+    check(eq10(scene, 1.0, within, Monotone(scene), HardBoundary(scene)))
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason=_DOUBLY_HELD)
+@pytest.mark.parametrize(("seed", "hard"), [(1, True), (5, False)])
+def test_of_two_bounds_on_a_chain_the_tighter_one_holds(seed: int, hard: bool) -> None:
+    """Random bounds and links together."""
+    scene = contested(seed, (6, 9, 5), n_poses=6, scale=[1.0, -3.0][seed % 2])
+    more = [HardBoundary(scene)] if hard else []
+    check(eq10(scene, 1.0, random_box(scene, seed, hard), Monotone(scene), *more))
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason=_DOUBLY_HELD)
+def test_of_two_upper_bounds_on_a_chain_the_tighter_one_holds() -> None:
+    """Tight outside, loose inside, and all of the spoke is pulled up."""
+    scene = contested(2, (6, 9, 5), n_poses=6)
+    rng = np.random.default_rng(2)
+    V = scene.n_voxels
+    upper = np.where(inside(scene) & (rng.random(V) < 0.5), rng.uniform(0.2, 2, V), INF)
+    within = Within(scene, np.full(V, -INF), upper)
+    check(eq10(scene, 1.0, within, Monotone(scene, 3.0)))
+
+
+@pytest.mark.xfail(
+    strict=True,
+    raises=AssertionError,
+    reason="of two constraints on one link the first carries it, tighter or not: the "
+    "field is right and its multipliers leave a gap",
+)
+def test_two_growths_on_one_link() -> None:
+    scene = contested()
+    check(eq10(scene, 1.0, Monotone(scene), Steeper(scene, 30.0)))
+
+
+def test_two_growths_on_one_link_the_steeper_first() -> None:
+    scene = contested()
+    check(eq10(scene, 1.0, Steeper(scene, 30.0), Monotone(scene)))
+
+
+_STALE = "pins and ties of the last solve are kept where there is no such limit now"
+
+
+@pytest.mark.xfail(
+    strict=True, raises=tt.TtusError, reason=_STALE + ", being implied by another"
+)
+def test_an_update_whose_bound_has_become_implied() -> None:
+    """The same constraints; the second layer's bound now implies the first one's."""
+    scene = contested()
+    V, i = scene.n_voxels, layer(scene)
+    where = inside(scene) & scene.laplace.free
+
+    def bounded(first: float) -> Formulation:
+        lower = np.where(where & (i == 1), first, np.where(where & (i == 2), 5.0, -INF))
+        within = Within(scene, lower, np.full(V, INF))
+        return eq10(scene, 1.0, within, Monotone(scene))
+
+    updated(bounded(6.0), bounded(4.0))
+
+
+@pytest.mark.xfail(strict=True, raises=(tt.TtusError, RuntimeWarning), reason=_STALE)
+@pytest.mark.parametrize("what", ["no growth", "no sign", "hard"])
+def test_an_update_with_other_constraints(what: str) -> None:
+    scene = contested()
+    sign, monotone, hard = Sign(scene), Monotone(scene, 5.0), HardBoundary(scene)
+    left: dict[str, list[Constraint]] = {
+        "no growth": [sign],
+        "no sign": [monotone],
+        "hard": [sign, monotone, hard],
+    }
+    updated(limited(scene), eq10(scene, 1.0, *left[what]))
+
+
+def test_an_update_without_limits() -> None:
+    scene = contested()
+    updated(limited(scene), eq10(scene, 1.0))
+
+
+@pytest.mark.xfail(
+    strict=True,
+    raises=ValueError,
+    reason="pins and ties of the last solve are kept on a grid of another size",
+)
+def test_an_update_with_another_grid() -> None:
+    updated(limited(contested()), limited(contested(shape=(6, 10, 6))))
