@@ -1,0 +1,84 @@
+"""Constraints as users make them, and scenes whose measurements contest them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from tests.conftest import small_scene
+from ttus_opt.constraints.base import Bounds, Constraint, LinearRows
+from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+
+Array = NDArray[np.float64]
+INF = np.inf
+
+
+@dataclass(frozen=True)
+class Within(Constraint):
+    """Bounds made by a user."""
+
+    lower: Array = field(repr=False)
+    upper: Array = field(repr=False)
+
+    name = "within"
+    formula = "l ≤ p ≤ u"
+
+    def rows(self) -> Bounds:
+        return Bounds("p", self.lower, self.upper)
+
+
+@dataclass(frozen=True)
+class Rows(Constraint):
+    """Rows made by a user."""
+
+    matrix: sp.csr_array = field(repr=False)
+    lower: Array = field(repr=False)
+    upper: Array = field(repr=False)
+
+    name = "mine"
+    formula = "l ≤ M p ≤ u"
+
+    def rows(self) -> LinearRows:
+        return LinearRows({"p": self.matrix}, self.lower, self.upper)
+
+
+@dataclass(frozen=True)
+class Steeper(Monotone):
+    """A second growth along the same spokes."""
+
+    name = "steeper"
+
+
+def contested(
+    seed: int = 0,
+    shape: tuple[int, int, int] = (7, 14, 7),
+    *,
+    sampling: str = "trilinear",
+    scale: float = 1.0,
+    noise: float = 2.0,
+    n_poses: int = 10,
+) -> Scene:
+    """A scene with forces scaled (or reversed) and noise on them [N]."""
+    return louder(small_scene(sampling, shape, n_poses, seed), seed, scale, noise)
+
+
+def louder(scene: Scene, seed: int, scale: float = 1.0, noise: float = 2.0) -> Scene:
+    """A scene with its forces scaled and noise on them [N]."""
+    rng = np.random.default_rng(seed + 100)
+    trajectory = scene.trajectory
+    assert trajectory.force is not None
+    force = scale * trajectory.force
+    force = force + rng.normal(0.0, noise, force.shape)
+    return replace(scene, trajectory=replace(trajectory, force=force))
+
+
+def eq10(scene: Scene, weight: float, *constraints: Constraint) -> Formulation:
+    """Eq. 10 under constraints, both weights the same."""
+    declared = shelf.load("eq10", scene, force_weight=weight, torque_weight=weight)
+    return declared.with_constraints(*constraints)
