@@ -64,6 +64,7 @@ def write_page(
         if found:
             part = registry.parts()[name]
             lines += [f"## {part.title}", "", part.legend, "", part.table(found), ""]
+            lines += part.below(found, folder)
     lines += ["## Machine", "", *(f"- {name}: {it}" for name, it in machine.items())]
     lines.append("")
     report = folder / REPORT

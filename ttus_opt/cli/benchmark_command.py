@@ -108,8 +108,8 @@ def benchmark(
     parts: Annotated[
         str,
         typer.Option(
-            help="What is measured: solvers, assembly, recursion, rendering, ripple, "
-            "separated by commas, or all. All but solvers run one at a time."
+            help="What is measured: solvers, assembly, profile, recursion, rendering, "
+            "ripple, separated by commas, or all. All but solvers run one at a time."
         ),
     ] = "solvers",
     json: Json = False,
