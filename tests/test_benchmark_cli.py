@@ -77,6 +77,8 @@ def test_export_runs_nothing(
         (["--closed-form", "osqp"], "reference must be a closed form"),
         (["--time-limit", "-3"], "time_limit must be positive"),
         (["--probe", "sphere:0.02"], "--surface, --probe and --trajectory together"),
+        (["--contest", "loud"], "unknown contest 'loud': choose noise or reversed"),
+        (["--weight", "-1"], "weight must be positive"),
         (["--tolerance", "2"], "tolerance must lie between 0 and 1"),
     ],
 )

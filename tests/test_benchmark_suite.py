@@ -171,6 +171,30 @@ def test_weights_go_where_they_are_known(tmp_path: Path) -> None:
     assert [spec.solver for spec in plan[:2]] == ["closed_form", "osqp"]
 
 
+def test_weight_is_everyones(tmp_path: Path) -> None:
+    asked = small_suite(tmp_path, formulations=["eq10", "laplace_only"], weight=3.0)
+    options = {spec.formulation: dict(spec.options) for spec in asked.plan()}
+    assert options["eq10"] == {"force_weight": 3.0, "torque_weight": 3.0}
+    assert options["laplace_only"] == {}
+
+
+def test_contested_rows_say_how_many_limits_are_active(tmp_path: Path) -> None:
+    case = replace(TINY, n_poses=24).contested("reversed")
+    (row,) = small_suite(
+        tmp_path,
+        cases=[case],
+        formulations=["eq10_sign"],
+        solvers=["structured"],
+        closed_form="",
+        weight=100.0,
+    ).run()
+    assert row.solved
+    assert row.case == "tiny-reversed"
+    assert row.active_limits
+    # the active set says by itself how large it is
+    assert f"{row.active_limits} limits active" in row.detail
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -179,6 +203,7 @@ def test_weights_go_where_they_are_known(tmp_path: Path) -> None:
         ({"closed_form": "osqp"}, "reference must be a closed form"),
         ({"repeat": 0}, "repeat must be at least 1"),
         ({"time_limit": 0.0}, "time_limit must be positive"),
+        ({"weight": 0.0}, "weight must be positive"),
         ({"options": {"weight": 1.0}}, "has no option 'weight'"),
     ],
 )

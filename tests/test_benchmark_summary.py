@@ -116,6 +116,13 @@ def test_tables_say_ratios_and_reasons(tmp_path: Path) -> None:
     assert ratio(1.0, None) == "–"
 
 
+def test_table_tells_active_limits() -> None:
+    lines = row_table([row("a", 1.0, 1.0, active_limits=37), failed("b")]).splitlines()
+    assert lines[0].rstrip("| ").endswith("active limits")
+    assert lines[2].rstrip("| ").endswith("37")
+    assert lines[3].rstrip("| ").endswith("–")
+
+
 def test_page_has_the_closed_form_first_and_pictures(tmp_path: Path) -> None:
     rows = finished(
         [

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from ttus_opt import example
+from ttus_opt.benchmark.contest import checked_contest, contested
 from ttus_opt.errors import InputError
 from ttus_opt.point_shell import PointShell
 from ttus_opt.scene import Scene
@@ -59,6 +60,8 @@ class CaseSpec:
         sampling: ``voxel-mean`` or ``trilinear``.
         n_points: Points of the probe's shell.
         probe_unit: Unit of a mesh file.
+        contest: How the measured wrenches are contested, one of `contest.CONTESTS`;
+            "" for not at all.
     """
 
     name: str
@@ -73,6 +76,7 @@ class CaseSpec:
     sampling: str = "trilinear"
     n_points: int = 1500
     probe_unit: str = "mm"
+    contest: str = ""
 
     @property
     def n_voxels(self) -> int:
@@ -104,7 +108,7 @@ class CaseSpec:
         return Scene.assemble(
             voxmap,
             shell,
-            self._thinned(),
+            contested(self._thinned(), self.contest),
             inner=self.inner,
             outer=self.outer,
             sampling=self.sampling,
@@ -118,6 +122,19 @@ class CaseSpec:
         return replace(
             self, shape=(n_r, n_theta, n_z), n_poses=SMALL_POSES, n_points=300
         )
+
+    def contested(self, contest: str) -> CaseSpec:
+        """The same with contested wrenches, and a name that says so.
+
+        Args:
+            contest: One of `contest.CONTESTS`; "" leaves all as it is.
+
+        Raises:
+            InputError: There is no such contest.
+        """
+        if not checked_contest(contest):
+            return self
+        return replace(self, name=f"{self.name}-{contest}", contest=contest)
 
     def _thinned(self) -> Trajectory:
         whole = Trajectory.concatenate([read_trajectory(p) for p in self.trajectories])

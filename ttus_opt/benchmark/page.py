@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ttus_opt import io
+from ttus_opt.benchmark.active_limits import NONZERO
 from ttus_opt.benchmark.growth import growth_table
 from ttus_opt.benchmark.parts import registry
 from ttus_opt.benchmark.pictures import (
@@ -63,6 +64,7 @@ def write_page(
         if found:
             part = registry.parts()[name]
             lines += [f"## {part.title}", "", part.legend, "", part.table(found), ""]
+            lines += part.below(found, folder)
     lines += ["## Machine", "", *(f"- {name}: {it}" for name, it in machine.items())]
     lines.append("")
     report = folder / REPORT
@@ -112,7 +114,9 @@ def _solvers(
         "set-up; *again* is taking in other measured values of the same structure "
         "and solving. Imports and compilation are done before on a small problem. "
         "*Gap* is the objective over the best verified one. *Peak* is the largest "
-        "size of the process, *solver* what set-up and solve added at most.",
+        "size of the process, *solver* what set-up and solve added at most. *Active "
+        f"limits* are the bounds and inequality rows whose multiplier is above "
+        f"{NONZERO:g} of the largest.",
     ]
     if memory:
         lines += ["", "## Memory by stage [MiB]", "", memory_table(rows)]

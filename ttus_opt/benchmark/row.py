@@ -82,6 +82,8 @@ class Row:
         kkt: Residuals verified here, absolute and relative.
         objective: At the answer.
         iterations: Of the first solve.
+        active_limits: Bounds and inequality rows with a multiplier that is not zero;
+            None without a verified answer [–].
         objective_gap: Over the best verified objective, relative; None before all
             rows are there.
         difference_from_closed_form: Euclidean norm of the difference of the fields
@@ -108,6 +110,7 @@ class Row:
     kkt: Mapping[str, float] | None = None
     objective: float | None = None
     iterations: int | None = None
+    active_limits: int | None = None
     objective_gap: float | None = None
     difference_from_closed_form: float | None = None
     detail: str = ""

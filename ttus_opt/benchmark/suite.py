@@ -27,8 +27,11 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.registry import solvers
 
-#: Weights of the reference cases, given to every formulation that has them [–]
-WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}
+#: Weight of force and torque rows by default [–]
+WEIGHT = 1e-2
+
+#: The same by option, as it is given to every formulation that has them
+WEIGHTS = {"force_weight": WEIGHT, "torque_weight": WEIGHT}
 
 #: Part of the memory available at the start that one run may take
 MEMORY_PART = 0.8
@@ -44,7 +47,7 @@ class Suite:
         solvers: Names; empty for every one installed.
         output: Folder of the results.
         closed_form: Name of the solver whose answer is the reference; "" for none.
-        options: Formulation options beside `WEIGHTS`.
+        options: Formulation options beside the weights.
         tolerance: Largest relative KKT residual of a solution [–].
         time_limit: Most seconds of one solve [s].
         repeat: How many times each is measured.
@@ -52,6 +55,7 @@ class Suite:
         dask: Address of a dask scheduler; "" for this machine.
         memory_limit: Largest size of one run's process [byte]; None for a part of
             what is available.
+        weight: Of force and torque rows in every formulation that has them [–].
     """
 
     cases: Sequence[CaseSpec]
@@ -66,6 +70,7 @@ class Suite:
     jobs: int = 1
     dask: str = ""
     memory_limit: int | None = None
+    weight: float = WEIGHT
 
     @property
     def rows_file(self) -> Path:
@@ -104,7 +109,8 @@ class Suite:
         for case in self.cases:
             small = _small_scene(case)
             for formulation in self.formulations:
-                options = _accepted(formulation, self.options, small)
+                weights = dict.fromkeys(WEIGHTS, self.weight)
+                options = _accepted(formulation, weights, self.options, small)
                 runs += [
                     RunSpec(
                         case,
@@ -201,6 +207,8 @@ class Suite:
         for name, value in (("repeat", self.repeat), ("jobs", self.jobs)):
             if value < 1:
                 raise InputError(f"{name} must be at least 1, got {value}")
+        if not 0.0 < self.weight < np.inf:
+            raise InputError(f"weight must be positive, got {self.weight}")
 
 
 def finished(rows: Sequence[Row], closed_form: str, fields: Path) -> list[Row]:
@@ -254,17 +262,20 @@ def _small_scene(case: CaseSpec) -> Scene:
 
 
 def _accepted(
-    formulation: str, options: Mapping[str, Any], small: Scene
+    formulation: str,
+    weights: Mapping[str, float],
+    options: Mapping[str, Any],
+    small: Scene,
 ) -> dict[str, Any]:
-    """`WEIGHTS` where the formulation has them, and what was asked for.
+    """Weights where the formulation has them, and what was asked for.
 
     Raises:
         InputError: The formulation is unknown, or has no such option.
     """
     known = {info.name: info.options for info in shelf.available()}
-    weights = dict(WEIGHTS)
+    weights = dict(weights)
     if formulation in known:
-        weights = {k: v for k, v in WEIGHTS.items() if k in known[formulation]}
+        weights = {k: v for k, v in weights.items() if k in known[formulation]}
     else:
         try:
             shelf.load(formulation, small, **weights)

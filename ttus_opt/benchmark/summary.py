@@ -150,6 +150,7 @@ def row_table(rows: Sequence[Row]) -> str:
         "objective",
         "gap",
         "iterations",
+        "active limits",
     ]
     order = sorted(
         rows,
@@ -171,6 +172,7 @@ def row_table(rows: Sequence[Row]) -> str:
             "–" if row.objective is None else f"{row.objective:.8g}",
             number(row.objective_gap),
             str(row.iterations) if row.iterations else "–",
+            "–" if row.active_limits is None else str(row.active_limits),
         ]
         for row in order
     ]

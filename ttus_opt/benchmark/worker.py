@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.benchmark import memory
+from ttus_opt.benchmark.active_limits import active_limits
 from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.benchmark.isolation import ANSWER, QUESTION
 from ttus_opt.benchmark.row import Row, RunSpec
@@ -103,10 +104,11 @@ def _row(
     folder: Path,
 ) -> Row:
     (first, again), (base, stages) = seconds, measured
-    name = ""
+    name, active = "", None
     if solution.verified_field is not None and solution.candidate is not None:
         name = f"{spec.key}.npy"
         np.save(folder / name, solution.variables["p"])
+        active = active_limits(solution.program, solution.candidate, solution.duals)
     status = solution.status.name.lower().replace("_", " ")
     detail = solution.detail
     if second is not None and second.verified_field is None:
@@ -132,6 +134,7 @@ def _row(
         kkt=None if solution.kkt is None else solution.kkt.as_dict(),
         objective=solution.objective,
         iterations=solution.iterations,
+        active_limits=active,
         detail=" ".join(detail.split()),
         field_file=name,
     )

@@ -77,6 +77,17 @@ def benchmark(
     sampling: Annotated[
         str, typer.Option(help="Its sampling: voxel-mean or trilinear.")
     ] = "trilinear",
+    contest: Annotated[
+        str,
+        typer.Option(
+            help="Contest the measured wrenches, so that limits become active: noise "
+            "(with --weight 1 and more) or reversed (a fifth; with --weight 100)."
+        ),
+    ] = "",
+    weight: Annotated[
+        float,
+        typer.Option(help="Weight of force and torque rows; not of --parts' own fits."),
+    ] = 1e-2,
     jobs: Annotated[
         int, typer.Option(help="Runs at a time; times compare with one only.")
     ] = 1,
@@ -97,8 +108,8 @@ def benchmark(
     parts: Annotated[
         str,
         typer.Option(
-            help="What is measured: solvers, assembly, recursion, rendering, ripple, "
-            "separated by commas, or all. All but solvers run one at a time."
+            help="What is measured: solvers, assembly, profile, recursion, rendering, "
+            "ripple, separated by commas, or all. All but solvers run one at a time."
         ),
     ] = "solvers",
     json: Json = False,
@@ -110,9 +121,12 @@ def benchmark(
     from ttus_opt.benchmark.parts.suite import PartSuite
 
     names = chosen(parts)
-    cases = _cases(
-        case, surface, probe, trajectory or (), shape, r_inner, inner, sampling
-    )
+    cases = [
+        each.contested(contest)
+        for each in _cases(
+            case, surface, probe, trajectory or (), shape, r_inner, inner, sampling
+        )
+    ]
     suite = Suite(
         cases,
         _listed(formulations),
@@ -125,6 +139,7 @@ def benchmark(
         jobs=jobs,
         dask=dask,
         memory_limit=None if memory_limit is None else int(memory_limit * 2**30),
+        weight=weight,
     )
     if export is not None:
         _export(suite, export, json)

@@ -127,6 +127,11 @@ class Multigrid:
         )
 
     @property
+    def hierarchy(self) -> Hierarchy:
+        """The levels, for who counts what they hold."""
+        return self._hierarchy
+
+    @property
     def level_shapes(self) -> tuple[tuple[int, int, int], ...]:
         """Nodes (n_r, n_theta, n_z) of every level, from fine to coarse [–]."""
         return tuple(level.layout.shape for level in self._hierarchy.levels)

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from ttus_opt.benchmark import spans
 from ttus_opt.benchmark.cases import reference_cases
 from ttus_opt.benchmark.parts import recursion
 from ttus_opt.benchmark.parts.base import MEASURED, Figures, Part, PartSpec
@@ -25,6 +26,7 @@ TINY = replace(reference_cases("S")[0], name="tiny", shape=(9, 20, 9), n_poses=2
 #: Options with which a part is quick
 QUICK: dict[str, dict[str, Any]] = {
     "assembly": {"repeats": 1},
+    "profile": {"largest_copy": 2**22},
     "recursion": {"updates": 30, "compared": 20},
     "rendering": {"passes": 2},
     "ripple": {"voxel": 0.004, "n_points": 600, "n_poses": 20},
@@ -74,6 +76,48 @@ def test_assembly_and_rendering_do_the_same_as_their_references(
     for name in ("assembly", "rendering"):
         for row in measured(parts()[name], tmp_path):
             assert row["largest_difference"] < 1e-11, row
+
+
+def test_profile_adds_up_and_has_all_there_is(tmp_path: Path) -> None:
+    rows = measured(parts()["profile"], tmp_path)
+    root, *others = rows
+    by = {tuple(row["path"]): row for row in rows}
+    assert len(by) == len(rows)
+    for row in rows:
+        path = tuple(row["path"])
+        children = [r for p, r in by.items() if p[:-1] == path]
+        inside = sum(r["total"] for r in children)
+        assert row["total"] == pytest.approx(row["own"] + inside, rel=1e-9)
+        assert row["own"] >= 0.0
+    assert sum(row["own_share"] for row in rows) == pytest.approx(1.0)
+    assert root["ratio_to_fit"] == 1.0
+    assert {row["path"][-1] for row in others} == {
+        value
+        for key, value in vars(spans).items()
+        if key.isupper() and value != spans.FIT
+    }
+    # two solves with A per product, for the field too, and one for p₀
+    calls = dict.fromkeys((spans.SOLVE, spans.EXACT, spans.RESPONSE, spans.ROUGH), 0)
+    for row in others:
+        if row["path"][-1] in calls:
+            calls[row["path"][-1]] += row["calls"]
+    products = calls[spans.EXACT] + calls[spans.RESPONSE]
+    assert calls[spans.SOLVE] == 2 * products + 1
+    rough = next(
+        row for row in rows if tuple(row["path"][-2:]) == (spans.ROUGH, spans.CYCLE)
+    )
+    assert rough["calls"] == 2 * calls[spans.ROUGH]
+
+
+def test_profile_is_told_below_its_table(tmp_path: Path) -> None:
+    part = parts()["profile"]
+    rows = measured(part, tmp_path)
+    rows.append({"case": "gone", "status": "refused", "detail": "no file"})
+    text = "\n".join(part.below(rows, tmp_path))
+    assert "GB/s" in text
+    assert "V-cycle, every array once" in text
+    assert "gone" not in text
+    assert (tmp_path / "profile-tiny.png").stat().st_size > 5_000
 
 
 def test_recursion_equals_the_batch_fit(tmp_path: Path) -> None:

@@ -61,7 +61,8 @@ def test_failures_say_which_run_they_are(tmp_path: Path) -> None:
 
 
 def test_names() -> None:
-    assert chosen("all") == [SOLVERS, "assembly", "recursion", "rendering", "ripple"]
+    named = ["assembly", "profile", "recursion", "rendering", "ripple"]
+    assert chosen("all") == [SOLVERS, *named]
     assert chosen("ripple, solvers,ripple") == ["ripple", SOLVERS]
     for text in ("riple", "", "solvers,all"):
         with pytest.raises(InputError, match="choose from solvers, assembly"):

@@ -10,6 +10,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 from ttus_opt.benchmark.cases import CaseSpec
@@ -138,6 +139,18 @@ class Part(abc.ABC):
             for row in rows
         ]
         return table(header, body)
+
+    def below(self, rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
+        """What the report says below the table; pictures it names are written.
+
+        Args:
+            rows: Of all its runs, those that failed as well.
+            folder: Where pictures go.
+
+        Returns:
+            Lines of Markdown; none by default.
+        """
+        return []
 
 
 def scene_case(spec: PartSpec) -> CaseSpec:

@@ -1,0 +1,49 @@
+"""How many limits hold a solution back, counted from its multipliers."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.program import Program
+
+#: A multiplier counts above this part of the largest; none does where the largest is
+#: below this part of the gradient that multipliers are to balance: it is rounding [–]
+NONZERO = 1e-6
+
+
+Array = NDArray[np.float64]
+
+
+def active_limits(program: Program, x: Array, duals: Duals) -> int:
+    """Number of bounds and inequality rows with a multiplier that is not zero [–].
+
+    Equality rows are no limits: they hold whatever is measured. Interior points leave
+    a small multiplier at every limit, so that they may count a few more.
+
+    Args:
+        program: The problem as it was declared.
+        x: A verified solution, shape (n,).
+        duals: Its multipliers.
+    """
+    found = [
+        np.abs(duals.rows[member.name])[member.lower < member.upper]
+        for member in program.constraints
+        if member.name in duals.rows
+    ]
+    if program.bounds and duals.bounds is not None:
+        lower, upper = program.box
+        found.append(np.abs(duals.bounds)[lower < upper])
+    sizes = np.concatenate([*found, np.zeros(0)])
+    largest = float(sizes.max(initial=0.0))
+    if largest <= NONZERO * _steepest(program, x):
+        return 0
+    return int(np.count_nonzero(sizes > NONZERO * largest))
+
+
+def _steepest(program: Program, x: Array) -> float:
+    """Largest entry of a summand of the objective's gradient."""
+    return max(
+        float(np.abs(part).max(initial=0.0)) for part in program.quadratic_gradient(x)
+    )

@@ -1,0 +1,75 @@
+"""Measurements that contradict what a formulation demands, so that limits hold back.
+
+The example's recordings agree with sign and growth along spokes: no bound is active,
+and a solver is never seen at work on them. Contested values make tens to hundreds of
+limits active, at weights high enough for the field to follow them (``--weight``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ttus_opt.errors import InputError
+from ttus_opt.trajectory import Trajectory
+
+#: Ways to contest a recording
+CONTESTS = ("noise", "reversed")
+
+#: Standard deviation per axis of the noise added, force [N] and torque [N·m]
+FORCE_NOISE, TORQUE_NOISE = 2.0, 0.03
+
+#: Part of the frames whose wrench is turned round [–]
+REVERSED_PART = 0.2
+
+#: Of the noise and of the choice of frames: the same for every solver
+SEED = 0
+
+
+def contested(trajectory: Trajectory, contest: str) -> Trajectory:
+    """A recording with contested wrenches, the same at every call.
+
+    Args:
+        trajectory: A recording of T frames with wrenches.
+        contest: ``noise`` adds Gaussian noise to every force and torque, ``reversed``
+            turns the sign of force and torque of a fifth of the frames; "" leaves all
+            as it is.
+
+    Returns:
+        The same poses; what was given when nothing is contested.
+
+    Raises:
+        InputError: There is no such contest, or nothing was measured.
+    """
+    checked_contest(contest)
+    if not contest:
+        return trajectory
+    force, torque = trajectory.force, trajectory.torque
+    if force is None or torque is None:
+        raise InputError(
+            f"contest {contest!r} changes measured wrenches, the trajectory has none: "
+            "add columns fx, fy, fz, tx, ty, tz"
+        )
+    rng = np.random.default_rng(SEED)
+    if contest == "noise":
+        return replace(
+            trajectory,
+            force=force + rng.normal(0.0, FORCE_NOISE, force.shape),
+            torque=torque + rng.normal(0.0, TORQUE_NOISE, torque.shape),
+        )
+    count = max(1, round(REVERSED_PART * len(trajectory)))
+    sign = np.ones((len(trajectory), 1))
+    sign[rng.choice(len(trajectory), count, replace=False)] = -1.0
+    return replace(trajectory, force=sign * force, torque=sign * torque)
+
+
+def checked_contest(contest: str) -> str:
+    """The contest, if there is one of that name or none is asked for.
+
+    Raises:
+        InputError: There is none.
+    """
+    if contest and contest not in CONTESTS:
+        raise InputError(f"unknown contest {contest!r}: choose {' or '.join(CONTESTS)}")
+    return contest
