@@ -191,19 +191,20 @@ def _least_pull(program: Program, largest: float) -> float:
     for term in program.terms:
         if term.penalty is Penalty.LINEAR:
             continue
-        row = term.weight * _longest_row(term.matrix)
+        longest = _longest_row(term.matrix)
+        row = term.weight * longest
         if term.penalty in (Penalty.SQUARES, Penalty.HUBER):
-            row *= 2.0 * _longest_row(term.matrix) * largest * _ROUNDING
+            row *= 2.0 * longest * largest * _ROUNDING
         least = max(least, row)
     return least
 
 
 def _longest_row(matrix: sp.csr_array) -> float:
     """Euclidean length of the longest row."""
-    squares = np.add.reduceat(
-        np.append(matrix.data**2, 0.0), np.minimum(matrix.indptr[:-1], matrix.nnz)
-    )
-    return float(np.sqrt(squares[np.diff(matrix.indptr) > 0].max(initial=0.0)))
+    starts = matrix.indptr[:-1][np.diff(matrix.indptr) > 0]
+    if not len(starts):
+        return 0.0
+    return float(np.sqrt(np.add.reduceat(matrix.data**2, starts).max()))
 
 
 def _violation(value: Array, lower: Array, upper: Array) -> float:
