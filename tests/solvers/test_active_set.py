@@ -488,3 +488,28 @@ def test_an_update_without_limits() -> None:
 )
 def test_an_update_with_another_grid() -> None:
     updated(limited(contested()), limited(contested(shape=(6, 10, 6))))
+
+
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason=_DOUBLY_HELD)
+def test_random_limits_of_all_kinds_are_settled() -> None:
+    """Bounds, links, given values, weights and slopes drawn at random; KKT hold."""
+    unsettled = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        shape = [(6, 9, 5), (7, 8, 6), (5, 4, 3)][seed % 3]
+        scale, hard = rng.choice([1.0, -3.0, 5.0]), bool(rng.random() < 0.5)
+        scene = contested(seed, shape, n_poses=6, scale=scale)
+        constraints: list[Constraint] = [
+            random_box(scene, seed, hard),
+            Monotone(scene, rng.choice([0.0, 3.0])),
+        ]
+        if hard:
+            constraints.append(HardBoundary(scene))
+        program = eq10(scene, rng.choice([1e-2, 1.0, 100.0]), *constraints).compile()
+        candidate = solved(program)
+        if candidate.x is None:  # contradictions have tests of their own
+            continue
+        kkt = kkt_residuals(program, candidate.x, candidate.duals)
+        if candidate.claim is not Claim.DONE or kkt.worst_relative > TOLERANCE:
+            unsettled.append((seed, candidate.detail, kkt.worst_relative))
+    assert not unsettled
