@@ -397,7 +397,6 @@ _DOUBLY_HELD = (
 )
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason=_DOUBLY_HELD)
 def test_a_bound_parts_a_voxel_from_the_given_value_it_is_tied_to() -> None:
     """Forces pull below the skin's 0 what has a bound above it: bound, not tie."""
     scene = contested(scale=-3.0)
@@ -407,7 +406,6 @@ def test_a_bound_parts_a_voxel_from_the_given_value_it_is_tied_to() -> None:
     check(eq10(scene, 1.0, within, Monotone(scene), HardBoundary(scene)))
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason=_DOUBLY_HELD)
 @pytest.mark.parametrize(("seed", "hard"), [(1, True), (5, False)])
 def test_of_two_bounds_on_a_chain_the_tighter_one_holds(seed: int, hard: bool) -> None:
     """Random bounds and links together."""
@@ -416,7 +414,6 @@ def test_of_two_bounds_on_a_chain_the_tighter_one_holds(seed: int, hard: bool) -
     check(eq10(scene, 1.0, random_box(scene, seed, hard), Monotone(scene), *more))
 
 
-@pytest.mark.xfail(strict=True, raises=AssertionError, reason=_DOUBLY_HELD)
 def test_of_two_upper_bounds_on_a_chain_the_tighter_one_holds() -> None:
     """Tight outside, loose inside, and all of the spoke is pulled up."""
     scene = contested(2, (6, 9, 5), n_poses=6)
@@ -427,12 +424,6 @@ def test_of_two_upper_bounds_on_a_chain_the_tighter_one_holds() -> None:
     check(eq10(scene, 1.0, within, Monotone(scene, 3.0)))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="of two constraints on one link the first carries it, tighter or not: the "
-    "field is right and its multipliers leave a gap",
-)
 def test_two_growths_on_one_link() -> None:
     scene = contested()
     check(eq10(scene, 1.0, Monotone(scene), Steeper(scene, 30.0)))
@@ -446,9 +437,6 @@ def test_two_growths_on_one_link_the_steeper_first() -> None:
 _STALE = "pins and ties of the last solve are kept where there is no such limit now"
 
 
-@pytest.mark.xfail(
-    strict=True, raises=tt.TtusError, reason=_STALE + ", being implied by another"
-)
 def test_an_update_whose_bound_has_become_implied() -> None:
     """The same constraints; the second layer's bound now implies the first one's."""
     scene = contested()
@@ -463,7 +451,6 @@ def test_an_update_whose_bound_has_become_implied() -> None:
     updated(bounded(6.0), bounded(4.0))
 
 
-@pytest.mark.xfail(strict=True, raises=(tt.TtusError, RuntimeWarning), reason=_STALE)
 @pytest.mark.parametrize("what", ["no growth", "no sign", "hard"])
 def test_an_update_with_other_constraints(what: str) -> None:
     scene = contested()
@@ -481,11 +468,6 @@ def test_an_update_without_limits() -> None:
     updated(limited(scene), eq10(scene, 1.0))
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=ValueError,
-    reason="pins and ties of the last solve are kept on a grid of another size",
-)
 def test_an_update_with_another_grid() -> None:
     updated(limited(contested()), limited(contested(shape=(6, 10, 6))))
 

@@ -243,11 +243,6 @@ def test_duals_have_names_signs_and_balance_the_gradient(small: Scene) -> None:
     np.testing.assert_allclose(total, expected, atol=1e-14)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="of two constraints on one link the first carries it, tighter or not",
-)
 def test_of_two_constraints_on_a_link_the_tighter_one_carries_it(small: Scene) -> None:
     loaded = (
         shelf.load("eq10", small)
@@ -261,11 +256,6 @@ def test_of_two_constraints_on_a_link_the_tighter_one_carries_it(small: Scene) -
     np.testing.assert_array_equal(duals.rows["steeper"], -1.0)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    raises=AssertionError,
-    reason="a given value replaces a bound that contradicts it",
-)
 def test_a_given_value_outside_its_bound_is_a_contradiction(small: Scene) -> None:
     """The inner layer is given as -1 N where the sign says it is not negative."""
     scene = small.with_boundary(-1.0, 1.0)

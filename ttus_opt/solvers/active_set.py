@@ -36,6 +36,12 @@ TIGHTER = 1.0 / 30.0
 #: Faces without fewer changes before changes are made by halves
 PATIENCE = 4
 
+#: Beside -1 and +1 for its bounds: what holds a voxel whose value is given
+GIVEN = 2
+
+#: Two pins of a chain agree when they differ by less, relative [–]
+SAME = 1e-12
+
 #: What counts as a violation or a wrong sign, over the KKT tolerance [–]
 MARGIN = 1e-3
 
@@ -110,12 +116,12 @@ def search(
         deadline: `time.perf_counter` at which to stop; None for never [s].
     """
     limits = limits.without_implied()
-    active = no_limits_active(len(limits.lower)) if start is None else start[1]
-    active = _one_pin_each(limits, active)
-    guess = None if start is None else start[0]
+    active, guess = no_limits_active(len(data.b)), None
+    if start is not None and start[0].shape == data.b.shape:
+        guess, active = start[0], _one_pin_each(limits, _possible(limits, start[1]))
     accuracy, ceiling = max(rtol, ACCURACY[-1][1]), np.inf
     fewest, patience = np.inf, PATIENCE
-    solver, face, solved = whole, Face.whole(data), no_limits_active(len(limits.lower))
+    solver, face, solved = whole, Face.whole(data), no_limits_active(len(data.b))
     faces, steps, changes, late = 0, 0, -1, False
     while faces < MAX_FACES:
         if active.differs(solved):
@@ -229,23 +235,49 @@ def _changed(
     return _one_pin_each(limits, changed)
 
 
+def _possible(limits: SpokeLimits, active: Activity) -> Activity:
+    """Without limits that are not, or no longer, there."""
+    bound = np.where(active.pins < 0, limits.lower, limits.upper)
+    there = np.isfinite(bound) & ~limits.given
+    pins = np.where(there, active.pins, 0).astype(np.int8)
+    return Activity(pins, active.ties & np.isfinite(limits.least))
+
+
 def _one_pin_each(limits: SpokeLimits, active: Activity) -> Activity:
-    """Without pins that a chain's other pin implies, and ties between given values."""
-    ties, pins = active.ties.copy(), active.pins.copy()
-    tied, pin = limits.by_layer(ties), limits.by_layer(pins)
-    given = limits.by_layer(limits.given)
-    holds = given.copy()  # whether the chain has a given value here or deeper
-    for i in range(1, len(tied)):
-        tied[i - 1] &= ~(given[i] & holds[i - 1])
-        holds[i] |= tied[i - 1] & holds[i - 1]
-    for i in range(len(tied) - 2, -1, -1):
-        holds[i] |= tied[i] & holds[i + 1]
-    pin[holds] = 0
-    seen = pin != 0
-    for i in range(1, len(tied)):
-        repeated = tied[i - 1] & seen[i - 1]
-        pin[i][repeated] = 0
-        seen[i] |= repeated
+    """The same with at most one pinned or given voxel a chain.
+
+    Where a chain has a second pin, either one of the two follows from the other and
+    the ties between them, or it leaves them slack; then the chain is cut.
+    """
+    pins, ties = active.pins.copy(), active.ties.copy()
+    tied, least = limits.by_layer(ties), limits.by_layer(limits.least)
+    held = np.where(limits.given, np.int8(GIVEN), pins)
+    values = limits.by_layer(np.where(held > 0, limits.upper, limits.lower))
+    kinds = limits.by_layer(held)
+    flat = limits.by_layer(np.arange(len(pins)))
+    # of the chain so far: what holds it, at which voxel, and its value here
+    kind, place, value = kinds[0].copy(), flat[0].copy(), values[0].copy()
+    for i in range(1, len(kinds)):
+        goes_on = tied[i - 1] & (kind != 0)
+        value = np.where(goes_on, value - np.where(goes_on, least[i - 1], 0.0), 0.0)
+        kind = np.where(goes_on, kind, 0)
+        own = kinds[i]
+        both = (kind != 0) & (own != 0)
+        slack = np.where(both, value - np.where(own != 0, values[i], 0.0), 0.0)
+        near = SAME * (np.abs(value) + np.abs(np.where(both, values[i], 0.0)))
+        wide, short = both & (slack > near), both & (slack < -near)
+        even = both & ~wide & ~short
+        drop_own = (wide & (kind == -1) & (own == -1)) | (even & (own != GIVEN))
+        drop_own |= short & (kind != -1) & (own == 1)
+        drop_old = (wide & (kind == 1) & (own == 1)) | (short & (kind == -1))
+        drop_old |= even & (own == GIVEN) & (kind != GIVEN)
+        tied[i - 1] &= ~(both & ~drop_own & ~drop_old)
+        pins[flat[i][drop_own]] = 0
+        pins[place[drop_old]] = 0
+        takes = (own != 0) & ~drop_own
+        kind = np.where(takes, own, kind)
+        place = np.where(takes, flat[i], place)
+        value = np.where(takes, values[i], value)
     return Activity(pins, ties)
 
 

@@ -24,19 +24,20 @@ class DualData:
         system: The dual system of its terms and hard boundary values.
         b: Of L p = b, shape (V,).
         t: Weighted targets of the measured rows, shape (m,).
+        columns: Weighted columns of the unknowns beside the field, shape (m, k).
     """
 
     system: DualSystem
     b: Array = field(repr=False)
     t: Array = field(repr=False)
+    columns: Array = field(repr=False)
 
     @classmethod
     def of(cls, program: Program) -> DualData:
         """Read a program whose terms are a Laplace term and measured rows."""
         prior = laplace_prior(program)
         assert prior is not None
-        system, t = _dual_system(program, prior)
-        return cls(system, _right_side(program, prior), t)
+        return cls(*_dual_system(program, prior))
 
 
 def laplace_prior(program: Program) -> ProgramTerm | None:
@@ -66,20 +67,23 @@ def _right_side(program: Program, prior: ProgramTerm) -> Array:
     return b
 
 
-def _dual_system(program: Program, prior: ProgramTerm) -> tuple[DualSystem, Array]:
-    """The dual system of a program and its weighted targets."""
+def _dual_system(
+    program: Program, prior: ProgramTerm
+) -> tuple[DualSystem, Array, Array, Array]:
+    """The dual system of a program, b, weighted targets and weighted columns."""
     measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
-    softness = np.ones(program.n_variables)
+    V = len(program.laplace.free)
+    softness = np.ones(V)
     if prior.laplace_scale is not None:
         softness /= prior.laplace_scale**2
     if hard_values(program) is not None:
         softness[~program.laplace.free] = 0.0
-    if not measured:
-        rows = sp.csr_array((0, program.n_variables))
-        return DualSystem(program.laplace, softness, rows, np.zeros(0)), np.zeros(0)
-    roots = np.concatenate(
-        [np.full(len(t.target), np.sqrt(t.weight / prior.weight)) for t in measured]
-    )
-    rows = sp.csr_array(sp.vstack([t.matrix for t in measured], format="csr"))
-    targets = roots * np.concatenate([t.target for t in measured])
-    return DualSystem(program.laplace, softness, rows, roots), targets
+    roots = [np.full(len(t.target), np.sqrt(t.weight / prior.weight)) for t in measured]
+    root = np.concatenate([*roots, np.zeros(0)])
+    empty = sp.csr_array((0, program.n_variables))
+    rows = sp.csr_array(sp.vstack([empty, *(t.matrix for t in measured)], format="csr"))
+    target = root * np.concatenate([*(t.target for t in measured), np.zeros(0)])
+    columns = root[:, None] * rows[:, V:].toarray()
+    own = rows if rows.shape[1] == V else sp.csr_array(rows[:, :V])
+    system = DualSystem(program.laplace, softness, own, root)
+    return system, _right_side(program, prior), target, columns

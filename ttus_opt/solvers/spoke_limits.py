@@ -31,8 +31,8 @@ class SpokeLimits:
         upper: Shape (V,).
         given: Voxels whose value is given: lower = upper there, shape (V,).
         least: s of the link from a voxel to the next one outwards, shape (V,).
-        links: Per constraint, by name: the deeper voxel of every row, shape (m,), and
-            the row's sign, +1 for p_v - p_w ≥ s, -1 for p_w - p_v ≤ -s.
+        links: Per constraint, by name: the deeper voxel of every row, the row's sign,
+            +1 for p_v - p_w ≥ s and -1 for p_w - p_v ≤ -s, and s, shape (m,) each.
     """
 
     shape: tuple[int, int, int]
@@ -40,7 +40,7 @@ class SpokeLimits:
     upper: Array = field(repr=False)
     given: NDArray[np.bool_] = field(repr=False)
     least: Array = field(repr=False)
-    links: dict[str, tuple[Index, Array]] = field(repr=False)
+    links: dict[str, tuple[Index, Array, Array]] = field(repr=False)
 
     @classmethod
     def of(cls, program: Program) -> SpokeLimits:
@@ -50,19 +50,22 @@ class SpokeLimits:
             ValueError: A row is no such limit; the message names the constraint.
         """
         shape = program.laplace.grid.shape
-        lower, upper = (limit.copy() for limit in program.box)
+        own = program.variables["p"]
+        lower, upper = (limit[own].copy() for limit in program.box)
         given = np.zeros(len(lower), dtype=bool)
         least = np.full(len(lower), -np.inf)
         links = {}
         for constraint in program.constraints:
             if constraint.name == HardBoundary.name:
                 given[~program.laplace.free] = True
-                lower[given] = upper[given] = constraint.lower
+                # a value beyond its bound leaves nothing between the two limits
+                lower[given] = np.maximum(lower[given], constraint.lower)
+                upper[given] = np.minimum(upper[given], constraint.upper)
                 continue
             deeper, sign = _links(constraint, shape)
             bound = np.where(sign > 0.0, constraint.lower, -constraint.upper)
             least[deeper] = np.maximum(least[deeper], bound)
-            links[constraint.name] = (deeper, sign)
+            links[constraint.name] = (deeper, sign, bound)
         return cls(shape, lower, upper, given, least, links)
 
     @property
@@ -90,13 +93,7 @@ class SpokeLimits:
         Links along a spoke carry bounds from voxel to voxel: what comes out of both
         sweeps is what the limits leave of every voxel.
         """
-        lower, upper = self.lower.copy(), self.upper.copy()
-        low, up = self.by_layer(lower), self.by_layer(upper)
-        least = self.by_layer(self.least)
-        for i in range(len(low) - 2, -1, -1):
-            np.maximum(low[i], low[i + 1] + least[i], out=low[i])
-        for i in range(len(up) - 1):
-            np.minimum(up[i + 1], up[i] - least[i], out=up[i + 1])
+        lower, upper = self._carried()
         with np.errstate(invalid="ignore"):
             gap = lower - upper
         return float(np.max(np.nan_to_num(gap, nan=0.0, neginf=0.0), initial=0.0))
@@ -108,17 +105,28 @@ class SpokeLimits:
         all these bounds touch at once where one does would leave multipliers open, and
         a search over active sets going round in circles.
         """
-        lower, upper = self.lower.copy(), self.upper.copy()
-        low, up = self.by_layer(self.lower), self.by_layer(self.upper)
+        low, up = self._carried()
         least, given = self.by_layer(self.least), self.by_layer(self.given)
         by_outer = np.zeros(low.shape, dtype=bool)
         by_inner = np.zeros(low.shape, dtype=bool)
-        with np.errstate(invalid="ignore"):
-            by_outer[:-1] = low[1:] + least[:-1] >= low[:-1]
-            by_inner[1:] = up[:-1] - least[:-1] <= up[1:]
-        lower[(by_outer & ~given).reshape(-1)] = -np.inf
-        upper[(by_inner & ~given).reshape(-1)] = np.inf
-        return replace(self, lower=lower, upper=upper)
+        own_low, own_up = self.by_layer(self.lower), self.by_layer(self.upper)
+        by_outer[:-1] = low[1:] + least[:-1] >= own_low[:-1]
+        by_inner[1:] = up[:-1] - least[:-1] <= own_up[1:]
+        return replace(
+            self,
+            lower=np.where((by_outer & ~given).reshape(-1), -np.inf, self.lower),
+            upper=np.where((by_inner & ~given).reshape(-1), np.inf, self.upper),
+        )
+
+    def _carried(self) -> tuple[Array, Array]:
+        """Bounds with what links carry to them from voxel to voxel, by layer."""
+        low, up = self.by_layer(self.lower).copy(), self.by_layer(self.upper).copy()
+        least = self.by_layer(self.least)
+        for i in range(len(low) - 2, -1, -1):
+            np.maximum(low[i], low[i + 1] + least[i], out=low[i])
+        for i in range(len(up) - 1):
+            np.minimum(up[i + 1], up[i] - least[i], out=up[i + 1])
+        return low, up
 
     def duals(self, pull: Array, push: Array) -> Duals:
         """Multipliers by name.
@@ -132,9 +140,12 @@ class SpokeLimits:
         """
         left = push.copy()
         rows = {}
-        for name, (deeper, sign) in self.links.items():
-            rows[name] = -sign * left[deeper]
-            left[deeper] = 0.0  # of two constraints on one link the first carries it
+        for name, (deeper, sign, bound) in self.links.items():
+            # of several constraints on one link the tightest carries its multiplier,
+            # of equals the first
+            carried = np.where(bound >= self.least[deeper], left[deeper], 0.0)
+            rows[name] = -sign * carried
+            left[deeper] -= carried
         if self.given.any():
             rows[HardBoundary.name] = pull[self.given]
         bounds = np.where(self.given, 0.0, pull)
@@ -147,7 +158,7 @@ def _links(
     """Deeper voxels and signs of rows ±(p_v - p_w), limited on one side."""
     M, stride = constraint.matrix, shape[1] * shape[2]
     refusal = f"{constraint.name} is no bound and no growth along spokes"
-    if M.shape[1] != stride * shape[0] or (np.diff(M.indptr) != 2).any():
+    if M.indices.max(initial=0) >= stride * shape[0] or (np.diff(M.indptr) != 2).any():
         raise ValueError(refusal)
     columns = M.indices.reshape(-1, 2).astype(np.int64)
     values = M.data.reshape(-1, 2)

@@ -2,12 +2,15 @@
 
 The dual system (`dual_system`) is solved by conjugate directions that are all kept
 (`conjugate_directions`), preconditioned by a rough dual (`rough_dual`); L⁻¹ is a
-multigrid (`ttus_opt.multigrid`). What a new solve costs, in solves with L or Lᵀ:
+multigrid (`ttus_opt.multigrid`). Where the field has bounds or must grow along
+spokes, this is done on one face of the feasible set after the other (`active_set`,
+`face`). What a new solve costs, in solves with L or Lᵀ:
 
     new measured values     2 for p, and 2 per direction the old ones lack
     new boundary values     1 for p₀ more
     new weights             the same: kept directions are made conjugate again
     another trajectory      all directions anew, the multigrid is kept
+    any, with limits        starts from the last face; its directions are made anew
 """
 
 from __future__ import annotations
@@ -32,6 +35,7 @@ from ttus_opt.solvers.base import (
 from ttus_opt.solvers.dual_data import DualData, hard_values, laplace_prior
 from ttus_opt.solvers.dual_solver import DualSolver
 from ttus_opt.solvers.face import Activity
+from ttus_opt.solvers.few_columns import MOST, solve_with_columns
 from ttus_opt.solvers.spoke_limits import SpokeLimits
 from ttus_opt.terms.base import Penalty
 
@@ -66,14 +70,17 @@ class Structured(Solver):
         bent = [t.name for t in program.terms if t.penalty is not Penalty.SQUARES]
         if bent:
             return f"it takes sums of squares only, {bent[0]} is none"
-        if set(program.variables) != {"p"}:
-            return "it knows no variables beside the field"
+        others = program.n_variables - len(program.laplace.free)
+        if others > MOST:
+            return f"it takes {MOST} unknowns beside the field, these are {others}"
         try:
             limits = SpokeLimits.of(program)
         except ValueError as error:
             return f"it takes bounds and growth along spokes: {error}"
         if limits.binding and prior.laplace_scale is not None:
             return f"it takes {prior.name} without bounds only"
+        if limits.binding and others:
+            return "it takes no limits of the field where there are other unknowns"
         return ""
 
     def suits(self, program: Program) -> bool:
@@ -120,11 +127,13 @@ class _Loaded(Prepared):
                 return Candidate(None, claim=Claim.INFEASIBLE, detail=detail)
             return self._search(deadline)
         assert self._solver is not None
-        answer = self._solver.solve(
-            self._data.b, self._data.t, rtol=self._rtol, deadline=deadline
+        bounds = (limit[len(self._data.b) :] for limit in self._program.box)
+        answer = solve_with_columns(
+            self._solver, self._data, *bounds, rtol=self._rtol, deadline=deadline
         )
+        x = np.concatenate([answer.p, answer.c])
         claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
-        return Candidate(answer.p, self._duals(answer.p), answer.steps, claim)
+        return Candidate(x, self._duals(x), answer.steps, claim)
 
     @property
     def _rtol(self) -> float:
@@ -151,12 +160,19 @@ class _Loaded(Prepared):
             claim = Claim.TIME_LIMIT if answer.late else Claim.GAVE_UP
         return Candidate(answer.p, duals, answer.steps, claim, detail)
 
-    def _duals(self, p: Array) -> Duals:
-        """Multipliers of hard Dirichlet values: minus the objective's gradient."""
-        if hard_values(self._program) is None:
+    def _duals(self, x: Array) -> Duals:
+        """Multipliers of given values and of other unknowns' bounds."""
+        program, V = self._program, len(self._data.b)
+        hard = hard_values(program) is not None
+        if not (hard or program.bounds):
             return Duals()
-        gradient = np.add(*self._program.gradient(p))
-        return Duals({HardBoundary.name: -gradient[~self._program.laplace.free]})
+        pull = -np.add(*program.gradient(x))
+        rows = {HardBoundary.name: pull[:V][~program.laplace.free]} if hard else {}
+        lower, upper = program.box
+        z = np.where(x <= lower, np.minimum(pull, 0.0), 0.0)
+        z += np.where(x >= upper, np.maximum(pull, 0.0), 0.0)
+        z[:V] = 0.0
+        return Duals(rows, z if program.bounds else None)
 
 
 def _largest_limit(limits: SpokeLimits) -> float:
