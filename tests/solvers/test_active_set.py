@@ -428,9 +428,6 @@ def test_two_growths_on_one_link_the_steeper_first() -> None:
     check(eq10(scene, 1.0, Steeper(scene, 30.0), Monotone(scene)))
 
 
-_STALE = "pins and ties of the last solve are kept where there is no such limit now"
-
-
 def test_an_update_whose_bound_has_become_implied() -> None:
     """The same constraints; the second layer's bound now implies the first one's."""
     scene = contested()
