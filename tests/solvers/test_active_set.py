@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -332,16 +331,15 @@ def test_a_given_value_against_its_bound_is_named() -> None:
 
 
 def test_stops_when_the_time_is_up() -> None:
-    """At once with no time; else a long problem is cut short, late by one step."""
+    """Cut short it has taken fewer steps, and says so."""
     scene = contested(0, (16, 48, 20), n_poses=60, scale=-3.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene, 5.0)).compile()
-    for limit in (1e-6, 0.3):
-        prepared = STRUCTURED.prepare(program, Request(TOLERANCE, limit))
-        start = time.perf_counter()
-        candidate = prepared.solve()
-        assert candidate.claim is Claim.TIME_LIMIT
-        # a time is not the point: only that it did not go on to the end
-        assert time.perf_counter() - start < limit + 5.0
+    whole = solved(program)
+    assert whole.claim is Claim.DONE
+    for limit in (1e-6, 0.02):
+        cut = STRUCTURED.prepare(program, Request(TOLERANCE, limit)).solve()
+        assert cut.claim is Claim.TIME_LIMIT
+        assert cut.iterations < whole.iterations / 2
     solution = tt.fit(
         scene,
         eq10(scene, 100.0, Sign(scene), Monotone(scene, 5.0)),
