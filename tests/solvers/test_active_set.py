@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -332,16 +331,15 @@ def test_a_given_value_against_its_bound_is_named() -> None:
 
 
 def test_stops_when_the_time_is_up() -> None:
-    """At once with no time; else a long problem is cut short, late by one step."""
+    """Cut short it has taken fewer steps, and says so."""
     scene = contested(0, (16, 48, 20), n_poses=60, scale=-3.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene, 5.0)).compile()
-    for limit in (1e-6, 0.3):
-        prepared = STRUCTURED.prepare(program, Request(TOLERANCE, limit))
-        start = time.perf_counter()
-        candidate = prepared.solve()
-        assert candidate.claim is Claim.TIME_LIMIT
-        # a time is not the point: only that it did not go on to the end
-        assert time.perf_counter() - start < limit + 5.0
+    whole = solved(program)
+    assert whole.claim is Claim.DONE
+    for limit in (1e-6, 0.02):
+        cut = STRUCTURED.prepare(program, Request(TOLERANCE, limit)).solve()
+        assert cut.claim is Claim.TIME_LIMIT
+        assert cut.iterations < whole.iterations / 2
     solution = tt.fit(
         scene,
         eq10(scene, 100.0, Sign(scene), Monotone(scene, 5.0)),
@@ -391,12 +389,6 @@ def test_an_update_after_too_little_time_agrees_with_a_fresh_solve() -> None:
     assert np.linalg.norm(again.x - fresh.x) <= 1e-6 * np.linalg.norm(fresh.x)
 
 
-_DOUBLY_HELD = (
-    "a chain that is tied keeps its given value, or its deepest pin, whatever other "
-    "bound is violated: that pin is taken and dropped again on every face"
-)
-
-
 def test_a_bound_parts_a_voxel_from_the_given_value_it_is_tied_to() -> None:
     """Forces pull below the skin's 0 what has a bound above it: bound, not tie."""
     scene = contested(scale=-3.0)
@@ -434,9 +426,6 @@ def test_two_growths_on_one_link_the_steeper_first() -> None:
     check(eq10(scene, 1.0, Steeper(scene, 30.0), Monotone(scene)))
 
 
-_STALE = "pins and ties of the last solve are kept where there is no such limit now"
-
-
 def test_an_update_whose_bound_has_become_implied() -> None:
     """The same constraints; the second layer's bound now implies the first one's."""
     scene = contested()
@@ -470,3 +459,27 @@ def test_an_update_without_limits() -> None:
 
 def test_an_update_with_another_grid() -> None:
     updated(limited(contested()), limited(contested(shape=(6, 10, 6))))
+
+
+def test_random_limits_of_all_kinds_are_settled() -> None:
+    """Bounds, links, given values, weights and slopes drawn at random; KKT hold."""
+    unsettled = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        shape = [(6, 9, 5), (7, 8, 6), (5, 4, 3)][seed % 3]
+        scale, hard = rng.choice([1.0, -3.0, 5.0]), bool(rng.random() < 0.5)
+        scene = contested(seed, shape, n_poses=6, scale=scale)
+        constraints: list[Constraint] = [
+            random_box(scene, seed, hard),
+            Monotone(scene, rng.choice([0.0, 3.0])),
+        ]
+        if hard:
+            constraints.append(HardBoundary(scene))
+        program = eq10(scene, rng.choice([1e-2, 1.0, 100.0]), *constraints).compile()
+        candidate = solved(program)
+        if candidate.x is None:  # contradictions have tests of their own
+            continue
+        kkt = kkt_residuals(program, candidate.x, candidate.duals)
+        if candidate.claim is not Claim.DONE or kkt.worst_relative > TOLERANCE:
+            unsettled.append((seed, candidate.detail, kkt.worst_relative))
+    assert not unsettled

@@ -280,3 +280,52 @@ def test_the_sweeps_answer_is_a_field_that_holds(small: Scene) -> None:
     loaded = declared.compile()
     duals = limits.duals(np.zeros(p.size), np.zeros(p.size))
     assert kkt_residuals(loaded, p.reshape(-1), duals).primal <= 1e-15
+
+
+def least_value(limits: SpokeLimits, v: int, sign: float) -> float:
+    """The least value sign · p_v can have within limits, by a linear program."""
+    n, stride = len(limits.lower), limits.stride
+    linked = np.flatnonzero(np.isfinite(limits.least))
+    rows = np.zeros((len(linked), n))
+    rows[np.arange(len(linked)), linked] = -1.0
+    rows[np.arange(len(linked)), linked + stride] = 1.0
+    cost = np.zeros(n)
+    cost[v] = sign
+    result = linprog(
+        cost,
+        A_ub=rows,
+        b_ub=-limits.least[linked],
+        bounds=np.stack([limits.lower, limits.upper], axis=1),
+        method="highs",
+    )
+    return float(result.fun) if result.status == 0 else -INF
+
+
+def test_bounds_are_dropped_only_where_others_imply_them() -> None:
+    dropped = 0
+    for seed in range(60):
+        limits = random_limits(seed)
+        if limits.contradiction() > 0.0:
+            continue
+        fewer = limits.without_implied()
+        np.testing.assert_array_equal(
+            fewer.lower[limits.given], limits.lower[limits.given]
+        )
+        for sign, before, after in (
+            (1.0, limits.lower, fewer.lower),
+            (-1.0, limits.upper, fewer.upper),
+        ):
+            gone = np.flatnonzero(np.isfinite(before) & ~np.isfinite(after))
+            dropped += len(gone)
+            for v in gone:
+                assert least_value(fewer, int(v), sign) >= sign * before[v] - 1e-9
+    assert dropped > 20
+
+
+def test_of_bounds_along_a_spoke_those_next_to_the_skin_are_left(small: Scene) -> None:
+    """The skin itself has no bound; what grows inwards from 0 stays above 0."""
+    limits = read(small, Sign(small), Monotone(small)).without_implied()
+    left = np.flatnonzero(np.isfinite(limits.lower) & np.isfinite(limits.least))
+    assert len(left)
+    region = small.voxmap.region.reshape(-1)
+    assert (region[left + limits.stride] == 0).all()
