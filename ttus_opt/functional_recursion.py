@@ -36,7 +36,7 @@ from ttus_opt.posterior import Outlook, Posterior, warm_up
 Array = NDArray[np.float64]
 
 #: Most functionals that one block may add, two solves each
-BUDGET = 10
+BUDGET = 9
 
 #: Change of the field, in the norm of L and relative to what the data changed, at
 #: which it is no longer corrected, and most rounds
@@ -44,7 +44,7 @@ FIELD_RTOL, FIELD_ROUNDS = 1e-11, 12
 
 #: Largest relative residual of the solves behind a column of G, and the error of a
 #: block's prior covariance, in units of the noise's, that it may make
-COLUMN_RTOL, COLUMN_ERROR = 1e-8, 1e-7
+COLUMN_RTOL, COLUMN_ERROR = 1e-6, 1e-6
 
 #: Innovation covariances are at least one; below this, rounding has taken over
 LEAST_SCHUR = 0.9
@@ -100,7 +100,7 @@ class _Held:
 class FunctionalRecursion:
     """The blocks held, and the field they make.
 
-    Memory is three k × k arrays for k touched functionals, which grow by doubling, and
+    Memory is three k × k arrays for k touched functionals, with room to grow, and
     the sparse rows of the blocks, so that they can be taken out again, beside three
     vectors of V and a number per voxel.
 
@@ -124,8 +124,12 @@ class FunctionalRecursion:
         self._held: list[_Held] = []
         # tail of a block that was forecast and not taken in
         self._loose: Tail | None = None
-        # p - p₀; None when it must be made anew
-        self._shift: Array | None = None
+        # p - p₀, its LᵀL (p - p₀) = Φᵀu, and whether they are those of what is held
+        self._shift = np.zeros(laplace.grid.n_voxels)
+        self._source = np.zeros(laplace.grid.n_voxels)
+        self._is_current = True
+        # residual of the solves behind columns, smaller where weights are large
+        self._column_rtol = COLUMN_RTOL
         self.prior_field = laplace.solve(b)
         warm_up(height)
 
@@ -197,7 +201,7 @@ class FunctionalRecursion:
         self._posterior.append(forecast.combination, forecast.outlook, beyond)
         self._held.append(_Held(forecast.block, forecast.tail, 1.0, beyond))
         self._loose = None
-        self._shift = None
+        self._is_current = False
 
     def remove(self, start: int, count: int) -> None:
         """Take blocks start to start + count out; O(k²) each, at most O(k³) in all.
@@ -228,7 +232,7 @@ class FunctionalRecursion:
         for each in gone:
             if each.tail is not None:
                 self._drop(each.tail)
-        self._shift = None
+        self._is_current = False
 
     def fade(self, factor: float) -> None:
         """Multiply the weight of every row held; O(k³).
@@ -253,40 +257,53 @@ class FunctionalRecursion:
             )
             for h in self._held
         ]
-        self._shift = None
+        self._is_current = False
 
     def field(self) -> Array:
         """Make p, shape (V,).
 
-        Nothing but a copy if nothing changed, else two solves with A and O(k²), and
-        the same once more where the columns of G were not good enough.
+        Nothing but a copy if nothing changed, else two solves with A and O(k²) for what
+        changed, and quick ones once more where the columns of G were not good enough.
 
         Raises:
             NumericalError: `FIELD_RTOL` was not reached.
         """
-        if self._shift is None:
+        if not self._is_current:
             self._drop_loose()
-            self._shift = self._made_shift()
+            try:
+                self._move_shift()
+            except NumericalError:
+                # nothing that did not converge is built upon
+                self._shift, self._source = (np.zeros_like(self._shift) for _ in "ps")
+                raise
+            self._is_current = True
         out: Array = self.prior_field + self._shift
         return out
 
-    def _made_shift(self) -> Array:
-        """L⁻¹L⁻ᵀΦᵀ u, with u corrected until G u is what the solves say."""
+    def _move_shift(self) -> None:
+        """Bring L⁻¹L⁻ᵀΦᵀu up to date, u corrected until G u is what the solves say."""
         functionals, posterior = self._functionals, self._posterior
-        shift = np.zeros(self._laplace.grid.n_voxels)
         u = posterior.sources
-        step, now, size = u, 1.0, 1.0
         for _ in range(FIELD_ROUNDS):
-            # a small correction need not be known to as many digits
-            rtol = min(max(RTOL, 0.1 * FIELD_RTOL * size / now), 1e-4)
-            shift += self._inverse(functionals.adjoint(step), rtol)
-            x = functionals.of(shift)
+            source = functionals.adjoint(u)
+            more = source - self._source
+            size, change = _length(source), _length(more)
+            if change >= size:
+                # nothing is saved, and errors would stay: begin anew
+                self._shift = np.zeros_like(self._shift)
+                more, change = source, size
+            if change > 0.0:
+                # a small change need not be known to as many digits
+                rtol = min(max(RTOL, RTOL * size / change), 1e-4)
+                self._shift = self._shift + self._inverse(more, rtol)
+                self._source = source
+            x = functionals.of(self._shift)
             step = posterior.step(u, x)
             now = posterior.energy(step)
             size = float(np.sqrt(max(np.sum(u * x), 0.0)))
             if now <= FIELD_RTOL * size:
                 posterior.set_mean(x)
-                return shift
+                return
             u = u + step
         raise NumericalError(
             f"the field still changes by {now / size:.1e} after {FIELD_ROUNDS} rounds, "
@@ -315,19 +332,33 @@ class FunctionalRecursion:
         if len(left):
             new.append(Block(left, block.values[rest]))
         # the solves may fail: nothing has changed before them
-        cross, own = self._columns(new, block)
+        # rows at their largest: all voxels alike, and as uncertain as the worst, where
+        # a fixed one has variance 1
+        reach = float(np.max(np.sum(np.abs(block.values), axis=0))) ** 2
+        rtol = self._column_tolerance(reach)
+        cross, own = self._columns(new, rtol)
+        worst = np.diag(own)[: len(at)].max(initial=1.0)
+        needed = self._column_tolerance(max(reach * worst, np.diag(own).max()))
+        if needed < rtol:
+            cross, own = self._columns(new, needed)
         self._posterior.extend(cross, own)
         functionals.resolve(block.voxels[at])
         tail = functionals.add_tail(block, rest) if len(left) else None
         self._resolve_tails()
         return tail
 
-    def _columns(self, new: list[Block], block: Block) -> tuple[Array, Array]:
+    def _column_tolerance(self, variance: float) -> float:
+        """Residual of the solves for rows that vary so much; never larger again."""
+        needed = COLUMN_ERROR / max(variance, 1e-300)
+        self._column_rtol = min(self._column_rtol, max(needed, RTOL))
+        return self._column_rtol
+
+    def _columns(self, new: list[Block], rtol: float) -> tuple[Array, Array]:
         """Covariances of new functionals with those there are, and among them.
 
         Args:
             new: The functionals, as columns of blocks.
-            block: The rows for which they are wanted.
+            rtol: Relative residual of the solves [–].
 
         Returns:
             Shapes (n, k) and (n, n).
@@ -335,8 +366,6 @@ class FunctionalRecursion:
         n = sum(part.values.shape[1] for part in new)
         cross, own = np.empty((n, len(self._functionals))), np.empty((n, n))
         chains = [(part, c) for part in new for c in range(part.values.shape[1])]
-        # weights so large that these digits are not enough get what there is
-        largest = float(np.max(np.sum(np.abs(block.values), axis=0))) ** 2
 
         def chain(a: int) -> None:
             part, c = chains[a]
@@ -346,7 +375,6 @@ class FunctionalRecursion:
             cross[a] = self._functionals.of(x)
             own[a] = np.concatenate([x[p.voxels] @ p.values for p in new])
 
-        rtol = min(COLUMN_RTOL, max(RTOL, COLUMN_ERROR / max(largest, 1e-300)))
         with ThreadPoolExecutor(min(n, len(os.sched_getaffinity(0)))) as pool:
             list(pool.map(chain, range(n)))
         return cross, 0.5 * (own + own.T)
@@ -379,3 +407,8 @@ class FunctionalRecursion:
 
 def _is_sound(schur: Array) -> bool:
     return bool(np.linalg.eigvalsh(schur)[0] >= LEAST_SCHUR)
+
+
+def _length(x: Array) -> float:
+    """2-norm; the sum and not BLAS, whose threads wait on each other."""
+    return float(np.sqrt(np.sum(x * x)))

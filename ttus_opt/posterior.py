@@ -55,7 +55,7 @@ class Outlook:
 class Posterior:
     """G, M, Σ, h, m and s.
 
-    Memory is three k × k arrays with room to grow by doubling.
+    Memory is three k × k arrays with room to grow.
     """
 
     def __init__(self) -> None:
@@ -273,10 +273,11 @@ class Posterior:
         self._m[: self._size] += sign * ((inverse @ (d - seen.mean)) @ thin)
 
     def _grow(self, size: int) -> None:
-        """Make room for as many functionals, by doubling, and note their number."""
+        """Make room for as many functionals, and note their number."""
         k, room = self._size, len(self._h)
         if size > room:
-            room = max(2 * room, size)
+            # by a quarter: twice as many would be four times the memory
+            room = max(room + room // 4, size)
             # one after the other: only one of them is there twice
             self._G = _enlarged(self._G, k, room)
             self._M = _enlarged(self._M, k, room)

@@ -64,12 +64,12 @@ class Innovation:
 class RecursiveFit:
     """The field of all measurements so far, equal to the batch fit of eq. 10.
 
-    Memory is that of the k voxels touched so far, three k × k arrays that grow by
-    doubling, and not of the measurements, of which only the sparse rows are kept;
+    Memory is that of the k voxels touched so far, three k × k arrays with room
+    to grow, and not of the measurements, of which only the sparse rows are kept;
     beside them there are three vectors of V.
 
     Time per measurement: O(k²), and two solves with the block A for each voxel that no
-    measurement touched before, at most 20 in all, on all cores; a pose without
+    measurement touched before, at most 18 in all, on all cores; a pose without
     contact costs only the search for its points. An instance belongs to one thread at
     a time; the fields it gave stay as they are.
 
@@ -175,7 +175,7 @@ class RecursiveFit:
         """The current field, equal to the batch fit.
 
         Made when asked: nothing but a copy if nothing changed, else two solves with L
-        to full accuracy and O(k²), and as a rule two quick solves more.
+        for what changed and O(k²), and as a rule two quick solves more.
 
         Raises:
             NumericalError: The refinement did not converge.
