@@ -204,6 +204,27 @@ def test_poses_beyond_the_budget_resolve_little_by_little(
     assert solves.since() == 0
 
 
+def test_fading_blocks_that_have_tails(coarse: Scene) -> None:
+    problem = Problem(coarse, 3, 12, 1.0, size=40)
+    system = problem.start()
+    problem.fold(system, [0, 1])
+    system.fade(0.3)
+    problem.fold(system, [2])
+    held, weights = [0, 1, 2], np.array([0.3, 0.3, 1.0])
+    assert close(system.field(), problem.dense(held, weights)[1])
+    # one goes while it has its tail
+    system.remove(0, 1)
+    held, weights = held[1:], weights[1:]
+    assert close(system.field(), problem.dense(held, weights)[1])
+    # the other's tail goes first, and then it goes
+    again = -(-40 // (BUDGET - HEIGHT))
+    problem.fold(system, [1] * again)
+    held, weights = held + [1] * again, np.append(weights, np.ones(again))
+    assert close(system.field(), problem.dense(held, weights)[1])
+    system.remove(0, 1)
+    assert close(system.field(), problem.dense(held[1:], weights[1:])[1])
+
+
 def test_a_forecast_that_is_not_taken_in_leaves_no_trace(coarse: Scene) -> None:
     problem = Problem(coarse, 3, 10, 1.0, size=40)
     system = problem.start()
