@@ -1,10 +1,9 @@
 """The structured solver: eq. 10 without ever forming Q (design §3, structures a-d).
 
-The dual system (`dual_system`) is solved by conjugate directions that are all kept
-(`conjugate_directions`), preconditioned by a rough dual (`rough_dual`); L⁻¹ is a
-multigrid (`ttus_opt.multigrid`). Where the field has bounds or must grow along
-spokes, this is done on one face of the feasible set after the other (`active_set`,
-`face`). What a new solve costs, in solves with L or Lᵀ:
+The dual system is solved by conjugate directions that are all kept, preconditioned by
+a rough dual (`ttus_opt.solvers.dual`); L⁻¹ is a multigrid (`ttus_opt.multigrid`). Where
+the field has bounds or must grow along spokes, this is done on one face of the feasible
+set after the other. What a new solve costs, in solves with L or Lᵀ:
 
     new measured values     2 for p, and 2 per direction the old ones lack
     new boundary values     1 for p₀ more
@@ -23,7 +22,6 @@ from numpy.typing import NDArray
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.active_set import search
 from ttus_opt.solvers.base import (
     Candidate,
     Capabilities,
@@ -32,11 +30,12 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual_data import DualData, hard_values, laplace_prior
-from ttus_opt.solvers.dual_solver import DualSolver
-from ttus_opt.solvers.face import Activity
-from ttus_opt.solvers.few_columns import MOST, solve_with_columns
-from ttus_opt.solvers.spoke_limits import SpokeLimits
+from ttus_opt.solvers.dual.active_set import search
+from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
+from ttus_opt.solvers.dual.face import Activity
+from ttus_opt.solvers.dual.few_columns import MOST, solve_with_columns
+from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 from ttus_opt.terms.base import Penalty
 
 Array = NDArray[np.float64]

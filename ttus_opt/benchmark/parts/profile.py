@@ -34,12 +34,12 @@ from ttus_opt.multigrid import Multigrid, solver, v_cycle
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
-from ttus_opt.solvers import dual_solver
 from ttus_opt.solvers.base import Request
-from ttus_opt.solvers.conjugate_directions import Directions
-from ttus_opt.solvers.dual_solver import DualSolver
-from ttus_opt.solvers.dual_system import DualSystem
-from ttus_opt.solvers.rough_dual import RoughDual
+from ttus_opt.solvers.dual import solver as dual_solver
+from ttus_opt.solvers.dual.conjugate_directions import Directions
+from ttus_opt.solvers.dual.rough import RoughDual
+from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.structured import Structured
 
 #: KKT tolerance of the fit, as the solvers' rows have it

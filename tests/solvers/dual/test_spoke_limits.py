@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from tests.conftest import small_scene
-from tests.solvers.user_limits import Rows, Steeper, Within
+from tests.solvers.dual.user_limits import Rows, Steeper, Within
 from ttus_opt.constraints.base import Constraint
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone
@@ -17,7 +17,7 @@ from ttus_opt.constraints.sign import Sign
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.scene import Scene
-from ttus_opt.solvers.spoke_limits import SpokeLimits
+from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 
 Array = NDArray[np.float64]
 INF = np.inf

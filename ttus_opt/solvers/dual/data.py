@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.dual_system import DualSystem
+from ttus_opt.solvers.dual.system import DualSystem
 
 Array = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 import ttus_opt as tt
 from tests.conftest import torso
-from tests.solvers.test_face import shaped
+from tests.solvers.dual.test_face import shaped
+from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
-from tests.solvers.user_limits import INF, Steeper, Within, contested, eq10, louder
 from ttus_opt.constraints.base import Constraint
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.dual_data import DualData
-from ttus_opt.solvers.dual_solver import DualSolver
-from ttus_opt.solvers.face import Activity, Face, face_of, no_limits_active
-from ttus_opt.solvers.spoke_limits import SpokeLimits
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.face import Activity, Face, face_of, no_limits_active
+from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

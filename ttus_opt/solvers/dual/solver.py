@@ -1,7 +1,7 @@
 """The minimiser of Σ (L p - b)²/ω + ‖D p - t‖² through its dual.
 
 Conjugate directions, all kept (`conjugate_directions`), preconditioned by a rough
-dual (`rough_dual`), and rounds of refinement for what inexact products left.
+dual (`rough`), and rounds of refinement for what inexact products left.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.solvers.conjugate_directions import Directions, solve_dual
-from ttus_opt.solvers.dual_system import DualSystem
-from ttus_opt.solvers.rough_dual import rough_preconditioner
+from ttus_opt.solvers.dual.conjugate_directions import Directions, solve_dual
+from ttus_opt.solvers.dual.rough import rough_preconditioner
+from ttus_opt.solvers.dual.system import DualSystem
 
 Array = NDArray[np.float64]
 

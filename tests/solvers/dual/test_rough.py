@@ -8,9 +8,9 @@ import scipy.linalg
 
 from tests.conftest import small_scene
 from ttus_opt.problem import formulation
-from ttus_opt.solvers.dual_data import DualData
-from ttus_opt.solvers.dual_system import DualSystem
-from ttus_opt.solvers.rough_dual import RoughDual, rough_preconditioner
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.rough import RoughDual, rough_preconditioner
+from ttus_opt.solvers.dual.system import DualSystem
 
 
 def dual_system(sampling: str, weight: float, name: str = "eq10") -> DualSystem:

@@ -9,7 +9,7 @@ chain, what is left is a problem of the same structure, smaller and without limi
 - every other row, of pinned voxels, and across the chains, is a measured row like
   those of forces, of weight 1 and few entries.
 
-So the dual of `dual_system` solves it, with a multigrid that knows pins and ties.
+So the dual of `system` solves it, with a multigrid that knows pins and ties.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from ttus_opt.grid import CylindricalGrid
 from ttus_opt.laplace import BlockSolves, LaplaceSystem
 from ttus_opt.multigrid import Multigrid, StiffMultigrid
-from ttus_opt.solvers.dual_data import DualData
-from ttus_opt.solvers.dual_system import DualSystem
-from ttus_opt.solvers.spoke_limits import SpokeLimits
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
+from ttus_opt.solvers.dual.system import DualSystem
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

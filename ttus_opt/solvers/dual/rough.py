@@ -1,4 +1,4 @@
-"""The dual operator I + K roughly: one V-cycle where `dual_system` solves.
+"""The dual operator I + K roughly: one V-cycle where `system` solves.
 
 A V-cycle B ≈ A⁻¹ errs by a fixed part of every field, however small, so that the
 rough K̃ = D B ω B Dᵀ is spectrally equivalent to K: solving (I + K̃) z = r roughly
@@ -15,8 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.solvers.conjugate_directions import Directions
-from ttus_opt.solvers.dual_system import DualSystem
+from ttus_opt.solvers.dual.conjugate_directions import Directions
+from ttus_opt.solvers.dual.system import DualSystem
 
 Array = NDArray[np.float64]
 

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from ttus_opt.solvers.dual_data import DualData
-from ttus_opt.solvers.dual_solver import DualSolver
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.solver import DualSolver
 
 Array = NDArray[np.float64]
 

@@ -10,19 +10,19 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
 from tests.conftest import presses, torso
+from tests.solvers.dual.user_limits import INF, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
-from tests.solvers.user_limits import INF, Within, contested, eq10, louder
 from ttus_opt.constraints.base import Constraint
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.point_shell import PointShell
 from ttus_opt.problem.program import Program
 from ttus_opt.scene import Scene
-from ttus_opt.solvers.active_set import multipliers
-from ttus_opt.solvers.dual_data import DualData
-from ttus_opt.solvers.dual_solver import DualSolver
-from ttus_opt.solvers.face import Activity, Face, face_of
-from ttus_opt.solvers.spoke_limits import SpokeLimits
+from ttus_opt.solvers.dual.active_set import multipliers
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.face import Activity, Face, face_of
+from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 from ttus_opt.surface import Surface
 from ttus_opt.voxmap import Voxmap
 

@@ -13,9 +13,9 @@ from tests.conftest import small_scene
 from tests.dragging import dragged_scene
 from ttus_opt.fitting import fit
 from ttus_opt.problem import formulation
-from ttus_opt.solvers.dual_data import DualData
-from ttus_opt.solvers.dual_solver import DualSolver
-from ttus_opt.solvers.few_columns import solve_with_columns
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.few_columns import solve_with_columns
+from ttus_opt.solvers.dual.solver import DualSolver
 
 
 @pytest.mark.parametrize("weight", [1e-2, 1.0])
