@@ -3,7 +3,7 @@
 On each face (`face`) the problem without limits is solved. Limits that are violated
 become active, active ones whose multiplier has the wrong sign are let go, all at
 once (Bergounioux, Ito and Kunisch, SIAM J. Control Optim. 37, 1999; a semismooth
-Newton method). That needs 3 to 10 faces. As nothing proves that it cannot go round
+Newton method). That needs 3 to 20 faces. As nothing proves that it cannot go round
 in circles here, changes that stop becoming fewer are made by halves, worst first.
 """
 
