@@ -1,9 +1,9 @@
 """Eq. 10 one measurement at a time, equal to the batch fit (design §3).
 
-The linear algebra is `ttus_opt.functional_recursion`; here are poses and wrenches, the
-test for outliers, and which measurements are held. The test compares a measurement
-with what all earlier ones predict for its pose: with p ~ Normal(p₀, s (LᵀL)⁻¹) and
-noise variances s/λ_f and s ℓ²/λ_τ, νᵀS⁻¹ν of the innovation ν is χ² distributed.
+The linear algebra is `ttus_opt.dual_recursion`; here are poses and wrenches, the test
+for outliers, and which measurements are held. The test compares a measurement with
+what all earlier ones predict for its pose: with p ~ Normal(p₀, s (LᵀL)⁻¹) and noise
+variances s/λ_f and s ℓ²/λ_τ, νᵀS⁻¹ν of the innovation ν is χ² distributed.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from ttus_opt.contact import ContactRows, checked_poses, contact_rows
+from ttus_opt.dual_recursion import DualRecursion
 from ttus_opt.errors import InputError
 from ttus_opt.field import PotentialField
-from ttus_opt.functional_recursion import FunctionalRecursion
-from ttus_opt.functionals import Block
+from ttus_opt.measured_rows import Block
 from ttus_opt.scene import Scene
 
 Array = NDArray[np.float64]
@@ -64,14 +64,13 @@ class Innovation:
 class RecursiveFit:
     """The field of all measurements so far, equal to the batch fit of eq. 10.
 
-    Memory is that of the k voxels touched so far, three k × k arrays with room
-    to grow, and not of the measurements, of which only the sparse rows are kept;
-    beside them there are three vectors of V.
+    Memory grows with the measurements that touch the patient, and only with them:
+    n²/2 numbers for n = 6 rows each (n = 3 with one weight of zero), 215 MB at 1,200
+    and 590 MB at the default capacity, beside the sparse rows and three vectors of V.
 
-    Time per measurement: O(k²), and two solves with the block A for each voxel that no
-    measurement touched before, at most 18 in all, on all cores; a pose without
-    contact costs only the search for its points. An instance belongs to one thread at
-    a time; the fields it gave stay as they are.
+    Time per measurement: twelve solves with the block A on all cores and O(n²); a
+    pose without contact costs only the search for its points. An instance belongs to
+    one thread at a time; the fields it gave stay as they are.
 
     Attributes:
         scene: Patient and probe; its measurements were folded in first.
@@ -127,8 +126,8 @@ class RecursiveFit:
         self._threshold = math.inf
         if outlier_level is not None:
             self._threshold = float(chdtri(len(self._used), outlier_level))
-        self._system = FunctionalRecursion(
-            scene.laplace, scene.b, height=len(self._used)
+        self._system = DualRecursion(
+            scene.laplace, scene.b, height=len(self._used), capacity=capacity
         )
         # numbers of the measurements held, in contact (one block each) and not
         self._slots: list[int] = []
@@ -165,17 +164,17 @@ class RecursiveFit:
         1/√λ_f times the root mean square of the innovations over their predicted
         spread; NaN before the first. With λ_f = 0 it is that of torque over ℓ.
         """
-        rows = len(self._slots) * len(self._used)
-        if rows == 0:
+        z = self._system.whitened
+        if not len(z):
             return math.nan
-        return math.sqrt(self._system.misfit / rows / self._lead)
+        return math.sqrt(float(z @ z) / len(z) / self._lead)
 
     @property
     def field(self) -> PotentialField:
         """The current field, equal to the batch fit.
 
         Made when asked: nothing but a copy if nothing changed, else two solves with L
-        for what changed and O(k²), and as a rule two quick solves more.
+        to full accuracy and O(n²) per round of refinement, as a rule one or two.
 
         Raises:
             NumericalError: The refinement did not converge.
@@ -232,7 +231,7 @@ class RecursiveFit:
     def downdate(self, index: int) -> None:
         """Take one measurement out, as if it had never been made.
 
-        O(k²), whichever it is; O(k³) where it alone said what is known there.
+        O(n²) for the oldest in contact, nothing for the newest.
 
         Args:
             index: Its number, `Innovation.index`.
@@ -258,9 +257,9 @@ class RecursiveFit:
         Args:
             factor: Multiplies the weight of every measurement held, in (0, 1]; later
                 ones have full weight. The field is that of the batch fit with these
-                weights. Costs O(k³) [–].
-            window: How many of the newest measurements held to keep. Costs O(k²) for
-                each one removed, and at most O(k³) in all [–].
+                weights. Costs O(n³) and for a moment three full n × n matrices [–].
+            window: How many of the newest measurements held to keep. Costs O(n²) for
+                each one removed [–].
 
         Raises:
             InputError: None or both are given, or a value is out of range.

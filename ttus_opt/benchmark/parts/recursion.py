@@ -68,8 +68,6 @@ class RecursionPart(Part):
         Column("max", "early_max", seconds),
         Column("late: median [s]", "late_median", seconds),
         Column("max", "late_max", seconds),
-        Column("field: median [s]", "field_median", seconds),
-        Column("max", "field_max", seconds),
         Column("batch first [s]", "batch_first", seconds),
         Column("again", "batch_again", seconds),
         Column("late to first", "ratio_to_batch_first", times),
@@ -98,7 +96,7 @@ class RecursionPart(Part):
         scene = with_measurements(whole, _touching(whole, updates))
         begin("updates")
         # updates have the time limit as their budget, to end with what there is
-        taken, made, fields = _folded(scene, {compared}, spec.time_limit)
+        taken, fields = _folded(scene, {compared}, spec.time_limit)
         peak = memory.peak_bytes()
         held = len(taken)
         row = _windows(taken) | {
@@ -110,8 +108,6 @@ class RecursionPart(Part):
             if held == updates
             else f"stopped after {held:,} of {updates:,} updates by the time limit",
         }
-        if made:
-            row |= {"field_median": statistics.median(made), "field_max": max(made)}
         if held > 1:
             first, again = _batch(scene, held, begin)
             late = row["late_median"]
@@ -165,8 +161,8 @@ def _in_contact(scene: Scene) -> Trajectory:
 
 def _folded(
     scene: Scene, wanted: set[int], budget: float
-) -> tuple[list[float], list[float], list[Array]]:
-    """Seconds of every update and of the last fields, and the fields wanted."""
+) -> tuple[list[float], list[Array]]:
+    """Seconds of every update, and the fields after the numbers wanted."""
     told = scene.trajectory
     if told.force is None or told.torque is None:
         raise InputError("the recursion needs measured forces and torques")
@@ -178,7 +174,6 @@ def _folded(
         fold_scene=False,
     )
     taken: list[float] = []
-    made: list[float] = []
     fields = []
     begun = time.perf_counter()
     measured = zip(told.rotation, told.position, told.force, told.torque, strict=True)
@@ -186,15 +181,11 @@ def _folded(
         start = time.perf_counter()
         fit.update(*measurement)
         taken.append(time.perf_counter() - start)
-        if len(taken) > len(told) - WINDOW:
-            start = time.perf_counter()
-            _ = fit.field
-            made.append(time.perf_counter() - start)
         if len(taken) in wanted:
             fields.append(fit.field.values.reshape(-1).copy())
         if time.perf_counter() - begun > budget:
             break
-    return taken, made, fields
+    return taken, fields
 
 
 def _windows(taken: Sequence[float]) -> Figures:

@@ -1,0 +1,169 @@
+"""Weighted measured rows D that grow and shrink, one block of rows per measurement.
+
+The rows of one pose have the same voxels (`ttus_opt.contact`), so a block is a list
+of voxels with m numbers each: a third to a sixth of a sparse matrix's indices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.compiled import compiled
+from ttus_opt.errors import InputError
+
+Array = NDArray[np.float64]
+Voxels = NDArray[np.int32]
+
+#: Entries for which there is room at first
+ROOM = 4096
+
+
+@dataclass(frozen=True)
+class Block:
+    """Rows of one pose.
+
+    Attributes:
+        voxels: Flat indices, increasing, shape (j,).
+        values: The rows' columns at these voxels, shape (j, m).
+    """
+
+    voxels: Voxels
+    values: Array
+
+
+class MeasuredRows:
+    """D, of k blocks of m rows, over V voxels; row m·s + c is row c of block s.
+
+    Args:
+        n_voxels: V [–].
+        height: Rows per block, m [–].
+    """
+
+    def __init__(self, n_voxels: int, height: int) -> None:
+        self._n_voxels = n_voxels
+        self._height = height
+        self._starts = np.zeros(1, dtype=np.int64)
+        self._voxels = np.empty(ROOM, dtype=np.int32)
+        self._values = np.empty((ROOM, height))
+
+    def __len__(self) -> int:
+        """Number of blocks k [–]."""
+        return len(self._starts) - 1
+
+    @property
+    def memory_bytes(self) -> int:
+        """Size of the arrays, room to grow included."""
+        return self._starts.nbytes + self._voxels.nbytes + self._values.nbytes
+
+    def append(self, block: Block) -> None:
+        """Add a block.
+
+        Raises:
+            InputError: Shapes that do not fit, or a voxel that is not there.
+        """
+        voxels, values = block.voxels, block.values
+        if values.shape != (len(voxels), self._height):
+            raise InputError(
+                f"a block needs values of shape ({len(voxels)}, {self._height}), got "
+                f"{values.shape}"
+            )
+        if len(voxels) and not 0 <= voxels.min() <= voxels.max() < self._n_voxels:
+            raise InputError(f"voxels must lie in 0 to {self._n_voxels - 1}")
+        used = int(self._starts[-1])
+        end = used + len(voxels)
+        if end > len(self._voxels):
+            size = max(2 * len(self._voxels), end)
+            self._voxels = np.resize(self._voxels, size)
+            self._values = np.resize(self._values, (size, self._height))
+        self._voxels[used:end] = voxels
+        self._values[used:end] = values
+        self._starts = np.append(self._starts, end)
+
+    def keep(self, blocks: NDArray[np.int64]) -> None:
+        """Keep only these blocks, in their order.
+
+        Args:
+            blocks: Increasing block numbers.
+        """
+        counts = np.diff(self._starts)
+        mask = np.zeros(len(self), dtype=np.bool_)
+        mask[blocks] = True
+        entries = np.repeat(mask, counts)
+        used = int(self._starts[-1])
+        self._voxels = self._voxels[:used][entries]
+        self._values = self._values[:used][entries]
+        self._starts = np.concatenate([[0], np.cumsum(counts[mask])])
+
+    def scale(self, factor: float) -> None:
+        """Multiply every row by a number."""
+        self._values *= factor
+
+    def times(self, x: Array) -> Array:
+        """D x.
+
+        Args:
+            x: One number per voxel, shape (V,).
+
+        Returns:
+            D x, shape (k·m,).
+
+        Raises:
+            InputError: Another number of voxels.
+        """
+        if x.shape != (self._n_voxels,):
+            raise InputError(f"x must have shape ({self._n_voxels},), got {x.shape}")
+        out = np.zeros(len(self) * self._height)
+        _times(self._starts, self._voxels, self._values, x, out)
+        return out
+
+    def adjoint(self, y: Array) -> Array:
+        """Dᵀ y.
+
+        Args:
+            y: One number per row, shape (k·m,).
+
+        Returns:
+            Dᵀ y, shape (V,).
+
+        Raises:
+            InputError: Another number of rows.
+        """
+        if y.shape != (len(self) * self._height,):
+            raise InputError(
+                f"y must have shape ({len(self) * self._height},), got {y.shape}"
+            )
+        out = np.zeros(self._n_voxels)
+        _adjoint(self._starts, self._voxels, self._values, y, out)
+        return out
+
+
+@compiled(nogil=True)
+def _times(
+    starts: NDArray[np.int64], voxels: Voxels, values: Array, x: Array, out: Array
+) -> None:
+    """Add D x to out (compiled)."""
+    m = values.shape[1]
+    for s in range(len(starts) - 1):
+        sums = out[s * m : (s + 1) * m]
+        for e in range(starts[s], starts[s + 1]):
+            value = x[voxels[e]]
+            for c in range(m):
+                sums[c] += values[e, c] * value
+
+
+@compiled(nogil=True)
+def _adjoint(
+    starts: NDArray[np.int64], voxels: Voxels, values: Array, y: Array, out: Array
+) -> None:
+    """Add Dᵀ y to out (compiled)."""
+    m = values.shape[1]
+    for s in range(len(starts) - 1):
+        part = y[s * m : (s + 1) * m]
+        for e in range(starts[s], starts[s + 1]):
+            total = 0.0
+            for c in range(m):
+                total += values[e, c] * part[c]
+            out[voxels[e]] += total
