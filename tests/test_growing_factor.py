@@ -144,3 +144,19 @@ def test_refusals() -> None:
     with pytest.raises(NumericalError, match="not positive definite"):
         factor.append(np.zeros((1, 6)), -np.eye(1))
     assert len(factor) == 6
+
+
+def test_cores_share_a_long_forward_substitution() -> None:
+    """More rows than are worth sharing, and a last chunk that is no multiple of 4."""
+    n, m = 1551, 6
+    rng = np.random.default_rng(2)
+    B = rng.normal(size=(n, 40)) / 6.0
+    factor = GrowingFactor()
+    root = np.linalg.cholesky(np.eye(n) + B @ B.T)
+    for start in range(0, n, 3):
+        own = slice(start, start + 3)
+        corner = root[own, own] @ root[own, own].T
+        factor.append(root[own, :start], corner)
+    g = rng.normal(size=(m, n))
+    expected = solve_triangular(root, g.T, lower=True).T
+    np.testing.assert_allclose(factor.forward(g), expected, atol=1e-11)

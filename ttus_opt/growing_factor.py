@@ -5,12 +5,17 @@ a time; F Fᵀ = H with F lower triangular. Appending m rows to n costs one forw
 substitution, O(m n²); taking m rows out of the middle rotates what stands behind
 them, O(m n²) and without subtraction, so that it cannot break down. Both are exact
 to rounding. Everything here moves n²/2 numbers through the memory and computes
-little, hence plain compiled loops on one core instead of a threaded BLAS.
+little, hence plain compiled loops instead of a threaded BLAS; several right sides at
+once compute enough for every core to take a share of the rows.
 """
 
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +27,9 @@ Array = NDArray[np.float64]
 
 #: Rows per piece of memory; growing never copies what is there
 CHUNK = 256
+
+#: Cores that share a forward substitution, and known entries from which it pays
+CORES, WORTH_SHARING = len(os.sched_getaffinity(0)), 1024
 
 #: Columns of a row that are worked on together, so that they stay in the fast cache
 TILE = 512
@@ -59,8 +67,18 @@ class GrowingFactor:
             InputError: Another length than n.
         """
         x = self._checked(rows, 2)
-        for start, stop, chunk in self._pieces():
-            _forward(chunk, start, stop - start, x)
+        with ThreadPoolExecutor(CORES) as pool:
+            for start, stop, chunk in self._pieces():
+                whole = (stop - start) // 4 * 4
+                # rows do not know each other here: each core takes its share of them
+                shares = CORES if start >= WORTH_SHARING else 1
+                cuts = [whole * k // shares // 4 * 4 for k in range(shares)]
+                parts = list(pairwise([*cuts, whole]))
+                if shares == 1:
+                    _meet(chunk, start, *parts[0], x)
+                else:
+                    list(pool.map(partial(_meet_part, chunk, start, x), parts))
+                _finish(chunk, start, stop - start, x)
         return x
 
     def backward(self, right_side: Array) -> Array:
@@ -219,18 +237,28 @@ class GrowingFactor:
         return self._row(self._size)
 
 
+def _meet_part(chunk: Array, start: int, x: Array, rows: tuple[int, int]) -> None:
+    _meet(chunk, start, *rows, x)
+
+
 @compiled(nogil=True, fastmath={"reassoc", "contract"})
-def _forward(chunk: Array, start: int, count: int, x: Array) -> None:
-    """One chunk of F x = g, in place, all right sides (compiled).
+def _meet(chunk: Array, start: int, first: int, last: int, x: Array) -> None:
+    """Take what is known off the right sides of a chunk's rows (compiled).
 
     Slices instead of offsets let the compiler vectorise; four rows at a time halve
     what is read of x.
+
+    Args:
+        chunk: The chunk.
+        start: Its first row in F, and the number of known entries.
+        first: Of its rows, a multiple of 4.
+        last: The row after the last, a multiple of 4.
+        x: Known entries, then right sides, shape (m, n).
     """
     m = len(x)
-    whole = count - count % 4
     for low in range(0, start, TILE):
         high = min(low + TILE, start)
-        for j in range(0, whole, 4):
+        for j in range(first, last, 4):
             r0, r1 = chunk[j, low:high], chunk[j + 1, low:high]
             r2, r3 = chunk[j + 2, low:high], chunk[j + 3, low:high]
             for c in range(m):
@@ -247,6 +275,13 @@ def _forward(chunk: Array, start: int, count: int, x: Array) -> None:
                 x[c, at + 1] -= s1
                 x[c, at + 2] -= s2
                 x[c, at + 3] -= s3
+
+
+@compiled(nogil=True, fastmath={"reassoc", "contract"})
+def _finish(chunk: Array, start: int, count: int, x: Array) -> None:
+    """Solve a chunk's rows among themselves, in place (compiled)."""
+    m = len(x)
+    whole = count - count % 4
     for j in range(count):
         # the rows left over from the fours have not met the tiles yet
         low, at = start if j < whole else 0, start + j
