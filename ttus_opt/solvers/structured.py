@@ -53,7 +53,7 @@ class Structured(Solver):
         inequalities=True,
         equalities=True,
         any_terms=False,
-        keeps="the multigrid, and every conjugate direction while the rows stay",
+        keeps="the multigrid, every direction while the rows stay, the last face",
     )
 
     def refusal(self, program: Program) -> str:

@@ -152,7 +152,7 @@ def search(
         accuracy = min(ceiling, max([rtol, *goals]))
         active = _changed(limits, active, wrong, all_of_them=patience > 0)
     pull, push = _right_signs(limits, active, pull, push)
-    settled = changes == 0 and accuracy == rtol
+    settled = changes == 0 and accuracy == rtol and not answer.late
     return FaceAnswer(p, pull, push, active, faces, steps, late, settled)
 
 

@@ -117,7 +117,7 @@ class Face:
         return cls(data.system, data.b, data.t, one, np.zeros(n))
 
     def field_of(self, z: Array) -> Array:
-        """P = P z + o."""
+        """The field p = P z + o."""
         return np.asarray(self.spread @ z + self.offset)
 
     def unknowns_of(self, p: Array) -> Array:
