@@ -39,8 +39,8 @@ class BlockSolver(Protocol):
     def solve(self, rhs: Array, *, rtol: float) -> MultigridResult:
         """Its answer to one right-hand side."""
 
-    def rough(self) -> VCycle:
-        """One V-cycle at a time."""
+    def rough(self, near: NDArray[np.integer]) -> VCycle:
+        """One V-cycle at a time, of use near some voxels."""
 
 
 class SquareSystem(Protocol):

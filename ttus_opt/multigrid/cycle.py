@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.grid import CylindricalGrid
 from ttus_opt.multigrid import kernels, lines, transfer
 from ttus_opt.multigrid.kernels import Single
 from ttus_opt.multigrid.levels import (
     DIRECT_NODES,
+    Box,
     Layout,
     Network,
     coarsen,
@@ -50,7 +50,7 @@ class Level:
 
     @classmethod
     def finest(
-        cls, grid: CylindricalGrid, network: Network, flags: tuple[bool, bool, bool]
+        cls, grid: Box, network: Network, flags: tuple[bool, bool, bool]
     ) -> Level:
         """The grid itself: conductances depend on the layer alone."""
         layout = Layout.of(grid.shape)
@@ -148,7 +148,7 @@ class Hierarchy:
     @classmethod
     def build(
         cls,
-        grid: CylindricalGrid,
+        grid: Box,
         free: NDArray[np.bool_],
         stiffness: Single | None = None,
     ) -> Hierarchy:
@@ -212,11 +212,13 @@ def cycle(
     work: Workspace,
     b: tuple[Single | None, Single],
     number: int = 0,
+    *,
+    sweeps: int = 1,
 ) -> None:
     """One symmetric V-cycle from zero; the answer is ``work.x[number]``.
 
-    One sweep before and after on the finest level, two on the others, where they cost
-    little and keep the number of cycles from growing with the grid.
+    Two sweeps before and after on all levels but the finest, where they cost little
+    and keep the number of cycles from growing with the grid.
 
     Args:
         hierarchy: The levels.
@@ -224,6 +226,7 @@ def cycle(
         b: Right-hand side of both colours, each (n_r, width); that of colour 0 may
             be None for zero on the finest level, if there is more than one level.
         number: Level to start from.
+        sweeps: On the finest level before and after, 1 or 2 [–].
     """
     level, x = hierarchy.levels[number], work.x[number]
     if number == len(hierarchy.levels) - 1:
@@ -233,13 +236,13 @@ def cycle(
         return
     if level.is_odd:
         x.fill(0)  # where θ closes a sweep reads the old values of its own colour
-    residual = work.residual[number]
+    residual, twice = work.residual[number], number > 0 or sweeps == 2
     coarse = hierarchy.levels[number + 1].layout.numbers
     transfers = (level.weights, level.flags, level.layout.numbers, coarse)
     level.sweep(1, x, None, b[1])
     level.sweep(0, x, x[1], b[0])
     level.couple(residual, x[0])
-    if number:
+    if twice:
         level.sweep(1, x, x[0], b[1])
         level.sweep(0, x, x[1], b[0])
         level.couple(residual, x[0], since=True)
@@ -248,6 +251,6 @@ def cycle(
     cycle(hierarchy, work, (below[0], below[1]), number + 1)
     transfer.prolong(x[1], work.x[number + 1], *transfers)
     kernels.close_circle(x, 1, level.layout.numbers)
-    for _ in range(2 if number else 1):
+    for _ in range(2 if twice else 1):
         level.sweep(0, x, x[1], b[0])
         level.sweep(1, x, x[0], b[1])

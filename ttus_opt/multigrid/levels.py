@@ -28,23 +28,47 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.grid import CylindricalGrid
 from ttus_opt.multigrid.kernels import Single
 
 Double = NDArray[np.float64]
 
 #: A level with at most this many free nodes is solved directly.
-DIRECT_NODES = 300
+DIRECT_NODES = 100
 #: A direction is coarsened while its step is at most so many times that of θ and z.
 STEP_RATIO = 1.6
 #: Values per row of a half are rounded up to whole vector registers.
 LANES = 16
 
 R, THETA, Z = 0, 1, 2
+
+
+class Box(Protocol):
+    """What the levels need to know of a cylindrical grid, or of a part of one."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Counts (n_r, n_theta, n_z) [–]."""
+
+    @property
+    def r(self) -> Double:
+        """Radii of the layers, shape (n_r,) [m]."""
+
+    @property
+    def r_step(self) -> float:
+        """Radial step [m]."""
+
+    @property
+    def theta_step(self) -> float:
+        """Angular step [rad]."""
+
+    @property
+    def z_step(self) -> float:
+        """Step along the axis [m]."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +194,7 @@ class Network:
         return width
 
 
-def conductances(grid: CylindricalGrid) -> tuple[Double, Double, Double]:
+def conductances(grid: Box) -> tuple[Double, Double, Double]:
     """Conductances of the grid: A is r times the stencil of the free voxels.
 
     Args:
@@ -186,7 +210,7 @@ def conductances(grid: CylindricalGrid) -> tuple[Double, Double, Double]:
     )
 
 
-def finest(grid: CylindricalGrid, free: NDArray[np.bool_]) -> Network:
+def finest(grid: Box, free: NDArray[np.bool_]) -> Network:
     """The network of the grid itself.
 
     Args:
@@ -250,7 +274,7 @@ def coarsen(network: Network, axis: int) -> Network:
     return replace(coarse, free=free, links=tuple(links), grounds=tuple(grounds))
 
 
-def plan(grid: CylindricalGrid) -> Iterator[tuple[bool, bool, bool]]:
+def plan(grid: Box) -> Iterator[tuple[bool, bool, bool]]:
     """Which directions each step of coarsening takes, as long as any is left.
 
     Args:
@@ -261,7 +285,7 @@ def plan(grid: CylindricalGrid) -> Iterator[tuple[bool, bool, bool]]:
     """
     counts = list(grid.shape)
     # θ counts at the geometric mean radius: its step varies with r, the others' not
-    radius = float(np.sqrt(grid.r_inner * grid.r_outer))
+    radius = float(np.sqrt(grid.r[0] * grid.r[-1]))
     steps = np.array([grid.r_step, radius * grid.theta_step, grid.z_step])
     while True:
         able = np.array([counts[R] > 3, counts[THETA] > 5, counts[Z] > 3])

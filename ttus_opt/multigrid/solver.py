@@ -181,9 +181,14 @@ class Multigrid:
         self._idle.append(work)
         return x
 
-    def rough(self) -> VCycle:
-        """One V-cycle at a time, in arrays of its own and without copies."""
-        return VCycle(self._hierarchy, self.grid.shape)
+    def rough(self, near: NDArray[np.integer] | None = None) -> VCycle:
+        """One V-cycle at a time, in arrays of its own and without copies.
+
+        Args:
+            near: Flat indices of the voxels at which it matters, shape (k,): it may
+                know of a box around them only. None for all voxels.
+        """
+        return VCycle.near(near, self._hierarchy, self.grid, self.free)
 
     def solve(
         self,

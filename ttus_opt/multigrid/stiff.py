@@ -108,19 +108,23 @@ class StiffMultigrid:
         """
         self.grid, self._free, self._shown = grid, free, representative
         self._conductances = conductances(grid)
-        self._hierarchy = Hierarchy.build(
-            grid,
-            grid.unflatten(free),
-            np.where(grid.unflatten(ties), np.float32(STIFFNESS), np.float32(1.0)),
+        self._ties = ties
+        self._stiffness = np.where(
+            grid.unflatten(ties), np.float32(STIFFNESS), np.float32(1.0)
         )
+        self._hierarchy = Hierarchy.build(grid, grid.unflatten(free), self._stiffness)
         self._unknown = _unknown(free, ties, representative, grid.strides[0])
         self._cycle = self.rough()
         self._voxels = np.flatnonzero(representative)
         self._places = self._cycle.places(self._voxels)
 
-    def rough(self) -> VCycle:
-        """One V-cycle at a time, in arrays of its own and without copies."""
-        return VCycle(self._hierarchy, self.grid.shape)
+    def rough(self, near: NDArray[np.integer] | None = None) -> VCycle:
+        """One V-cycle at a time, as `Multigrid.rough`; it knows all chains."""
+        if near is not None:  # a chain that is cut would be held fixed
+            near = np.union1d(near, np.flatnonzero(self._ties))
+        return VCycle.near(
+            near, self._hierarchy, self.grid, self._free, self._stiffness
+        )
 
     def apply(self, z: Array) -> Array:
         """PᵀA P z, shape (V,)."""

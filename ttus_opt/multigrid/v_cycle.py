@@ -2,7 +2,8 @@
 
 A single V-cycle costs a tenth of a solve, as long as its right-hand side and answer
 are not copied to whole grids of double precision and back. Who needs A⁻¹ roughly at
-some voxels only, many times over, writes and reads these halves directly.
+some voxels only, many times over, writes and reads these halves directly, and may do
+with a part of the grid (`window`).
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.grid import CylindricalGrid
 from ttus_opt.multigrid.cycle import Hierarchy, Workspace, cycle
 from ttus_opt.multigrid.kernels import Single
+from ttus_opt.multigrid.window import Window
 
 
 class VCycle:
@@ -24,33 +27,69 @@ class VCycle:
         b: Right-hand side, to be written to; zero at fixed voxels and where the
             circle closes, shape (n,).
         x: Answer of the last `run`, shape (n,).
+        free: Unknown voxels that it knows of, shape (V,).
     """
 
-    def __init__(self, hierarchy: Hierarchy, shape: tuple[int, int, int]) -> None:
+    def __init__(
+        self,
+        hierarchy: Hierarchy,
+        window: Window,
+        free: NDArray[np.bool_],
+        *,
+        sweeps: int = 1,
+    ) -> None:
         """Take scratch arrays.
 
         Args:
-            hierarchy: The levels.
-            shape: Of the grid.
+            hierarchy: The levels of the window.
+            window: The grid, or a part of it.
+            free: Unknown voxels of the whole grid, shape (V,).
+            sweeps: On the finest level, see `cycle` [–].
         """
-        self._hierarchy, self._shape = hierarchy, shape
+        self._hierarchy, self._window, self._sweeps = hierarchy, window, sweeps
+        self.free = window.spread(window.free(window.grid.unflatten(free)))
         self._work = Workspace(hierarchy)
         self.b: Single = self._work.b[0].reshape(-1)
         self.x: Single = self._work.x[0].reshape(-1)
+
+    @classmethod
+    def near(
+        cls,
+        voxels: NDArray[np.integer] | None,
+        hierarchy: Hierarchy,
+        grid: CylindricalGrid,
+        free: NDArray[np.bool_],
+        stiffness: Single | None = None,
+    ) -> VCycle:
+        """As exact as one V-cycle can be at some voxels, and no larger than needed.
+
+        Args:
+            voxels: Flat indices, shape (k,); None for all, and the plain V-cycle.
+            hierarchy: The levels of the whole grid.
+            grid: The grid.
+            free: Its unknown voxels, shape (V,).
+            stiffness: As of `Hierarchy.build`.
+        """
+        window = Window.around(grid, voxels)
+        if not window.is_whole:
+            inside = window.free(grid.unflatten(free))
+            stiff = None if stiffness is None else window.cut(stiffness)
+            hierarchy = Hierarchy.build(window, inside, stiff)
+        return cls(hierarchy, window, free, sweeps=1 if voxels is None else 2)
 
     def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:
         """Where voxels lie in ``b`` and ``x``.
 
         Args:
-            voxels: Flat indices of free voxels, shape (k,).
+            voxels: Flat indices of voxels that are ``free`` here, shape (k,).
 
         Returns:
             Places, shape (k,).
         """
         layout = self._hierarchy.levels[0].layout
-        return layout.places(np.unravel_index(voxels, self._shape))
+        return layout.places(self._window.nodes(voxels))
 
     def run(self) -> None:
         """Set ``x`` to one V-cycle's answer for ``b``."""
         b = self._work.b[0]
-        cycle(self._hierarchy, self._work, (b[0], b[1]))
+        cycle(self._hierarchy, self._work, (b[0], b[1]), sweeps=self._sweeps)

@@ -220,9 +220,8 @@ def face_of(
     measured = t - system.measure(chains.offset)
 
     gather, radii = _gather(laplace, chains, shown, tied)
-    inward = sp.csr_array(
-        gather @ laplace.L @ spread @ sp.diags_array(kept_fixed.astype(float))
-    )
+    at_fixed = moving & kept_fixed[chains.unknown]
+    inward = sp.csr_array(gather @ _of_columns(laplace.L, at_fixed) @ spread)
     inward.eliminate_zeros()
     reduced = ReducedLaplace(
         laplace.grid,
@@ -244,6 +243,15 @@ def face_of(
         np.concatenate([measured, (rest @ target)[filled]]),
         spread,
         chains.offset,
+    )
+
+
+def _of_columns(matrix: sp.csr_array, kept: Mask) -> sp.csr_array:
+    """The entries of some columns, the others zero; same shape."""
+    own = kept[matrix.indices]
+    indptr = np.concatenate([[0], np.cumsum(own)])[matrix.indptr]
+    return sp.csr_array(
+        (matrix.data[own], matrix.indices[own], indptr), shape=matrix.shape
     )
 
 

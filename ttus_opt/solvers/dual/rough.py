@@ -2,9 +2,11 @@
 
 A V-cycle B ≈ A⁻¹ errs by a fixed part of every field, however small, so that the
 rough K̃ = D B ω B Dᵀ is spectrally equivalent to K: solving (I + K̃) z = r roughly
-preconditions (I + K) y = t at any weight, in a number of steps that hardly grows,
-and each of its own many steps costs a fifteenth of an exact one. A coarser grid's K
-has not got this: its error is small against K's largest eigenvalues only.
+preconditions (I + K) y = t at any weight, in a number of steps that hardly grows. It
+takes many steps of its own, but only a box of the grid around the contact matters to
+them (`multigrid.window`): on a million voxels hundreds cost as much as one exact
+product. A coarser grid's K is not equivalent: its error is small against K's largest
+eigenvalues only.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ Array = NDArray[np.float64]
 
 #: To which part the preconditioner reduces a residual, or the error in the energy
 #: norm: the residual's may stall in what single precision leaves of large K [–]
-RESIDUAL, ENERGY = 0.02, 0.1
+RESIDUAL, ENERGY = 0.002, 0.01
 
 #: Steps over which the error is estimated (Hestenes and Stiefel's rule)
 DELAY = 4
@@ -32,7 +34,7 @@ MAX_STEPS = 1500
 
 
 class RoughDual:
-    """y ↦ y + K̃ y, in single precision and on the voxels that matter alone.
+    """y ↦ y + K̃ y, in single precision and around the contact alone.
 
     Attributes:
         root_weights: As of `DualSystem`, shape (m,) [–].
@@ -46,14 +48,14 @@ class RoughDual:
         """
         laplace, softness = system.laplace, system.softness
         inward, outward = laplace.coupling
-        free = laplace.free
         touched = np.unique(system.rows.indices)
-        own = touched[free[touched]]
-        fixed = np.union1d(inward.indices, touched[~free[touched]])
-        fixed = fixed[softness[fixed] > 0.0]
-        rim = np.flatnonzero(np.diff(inward.indptr))
+        own = touched[laplace.free[touched]]
         self.root_weights = system.root_weights
-        self._cycle = laplace.multigrid.rough()
+        self._cycle = laplace.multigrid.rough(near=own)
+        free = self._cycle.free
+        rim = np.flatnonzero((np.diff(inward.indptr) > 0) & free)
+        fixed = np.union1d(inward[rim].indices, touched[~laplace.free[touched]])
+        fixed = fixed[softness[fixed] > 0.0]
         self._own, self._rim = self._cycle.places(own), self._cycle.places(rim)
         self._rows = system.rows[:, own].astype(np.float32)
         self._rows_fixed = sp.csr_array(system.rows[:, fixed])
