@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -93,7 +94,7 @@ class Layout:
         places = ((n_theta + 2) * pitch + 2) // 2
         return cls((n_r, n_theta, n_z), pitch, -(-places // LANES) * LANES)
 
-    @property
+    @cached_property
     def numbers(self) -> tuple[int, int, int]:
         """What kernels need: (n_theta, n_z, pitch)."""
         return self.shape[1], self.shape[2], self.pitch
