@@ -57,14 +57,12 @@ class RoughDual:
         fixed = np.union1d(inward[rim].indices, touched[~laplace.free[touched]])
         fixed = fixed[softness[fixed] > 0.0]
         self._own, self._rim = self._cycle.places(own), self._cycle.places(rim)
-        self._rows = system.rows[:, own].astype(np.float32)
-        self._rows_fixed = sp.csr_array(system.rows[:, fixed])
-        self._adjoint = sp.csr_array(self._rows.T)
-        self._adjoint_fixed = sp.csr_array(self._rows_fixed.T)
-        self._inward = sp.csr_array(inward[rim][:, fixed])
-        self._outward = sp.csr_array(outward[fixed][:, rim])
-        self._radii_rim = laplace.radii[rim]
-        self._softness_fixed = softness[fixed]
+        self._rows = _single(system.rows[:, np.concatenate([own, fixed])])
+        self._adjoint = _single(self._rows.T)
+        radii = sp.diags_array(laplace.radii[rim])
+        self._inward = _single(radii @ inward[rim][:, fixed])
+        self._outward = _single(outward[fixed][:, rim] @ radii)
+        self._softness_fixed = softness[fixed].astype(np.float32)
         every = np.flatnonzero(free)
         self._middle = np.zeros_like(self._cycle.b)
         self._middle[self._cycle.places(every)] = (softness * laplace.radii**2)[every]
@@ -79,20 +77,25 @@ class RoughDual:
         Returns:
             Shape (m,).
         """
-        cycle, load = self._cycle, self.root_weights * y
+        cycle, count = self._cycle, len(self._own)
+        load = self._adjoint @ (self.root_weights * y).astype(np.float32)
         # Lᵀ: A x = load, then q = -R x on free voxels, and what flows to fixed ones
         cycle.b.fill(0.0)
-        cycle.b[self._own] = self._adjoint @ load.astype(np.float32)
+        cycle.b[self._own] = load[:count]
         cycle.run()
-        q = self._radii_rim * cycle.x[self._rim]
-        p_fixed = self._adjoint_fixed @ load + self._outward @ q
+        p_fixed = load[count:] + self._outward @ cycle.x[self._rim]
         p_fixed *= self._softness_fixed
         # L: A p = R ω R x + what flows in from fixed voxels
         np.multiply(self._middle, cycle.x, out=cycle.b)
-        cycle.b[self._rim] += self._radii_rim * (self._inward @ p_fixed)
+        cycle.b[self._rim] += self._inward @ p_fixed
         cycle.run()
-        measured = self._rows @ cycle.x[self._own] + self._rows_fixed @ p_fixed
+        measured = self._rows @ np.concatenate([cycle.x[self._own], p_fixed])
         return np.asarray(y + self.root_weights * measured)
+
+
+def _single(matrix: sp.sparray) -> sp.csr_array:
+    """In single precision."""
+    return sp.csr_array(matrix).astype(np.float32)
 
 
 def rough_preconditioner(system: DualSystem) -> Callable[[Array], Array]:
