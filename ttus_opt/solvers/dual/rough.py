@@ -57,11 +57,11 @@ class RoughDual:
         fixed = np.union1d(inward[rim].indices, touched[~laplace.free[touched]])
         fixed = fixed[softness[fixed] > 0.0]
         self._own, self._rim = self._cycle.places(own), self._cycle.places(rim)
-        self._rows = _single(system.rows[:, np.concatenate([own, fixed])])
-        self._adjoint = _single(self._rows.T)
+        self._rows = system.rows[:, np.concatenate([own, fixed])].astype(np.float32)
+        self._adjoint = sp.csr_array(self._rows.T)
         radii = sp.diags_array(laplace.radii[rim])
-        self._inward = _single(radii @ inward[rim][:, fixed])
-        self._outward = _single(outward[fixed][:, rim] @ radii)
+        self._inward = sp.csr_array(radii @ inward[rim][:, fixed]).astype(np.float32)
+        self._outward = sp.csr_array(outward[fixed][:, rim] @ radii).astype(np.float32)
         self._softness_fixed = softness[fixed].astype(np.float32)
         every = np.flatnonzero(free)
         self._middle = np.zeros_like(self._cycle.b)
@@ -91,11 +91,6 @@ class RoughDual:
         cycle.run()
         measured = self._rows @ np.concatenate([cycle.x[self._own], p_fixed])
         return np.asarray(y + self.root_weights * measured)
-
-
-def _single(matrix: sp.sparray) -> sp.csr_array:
-    """In single precision."""
-    return sp.csr_array(matrix).astype(np.float32)
 
 
 def rough_preconditioner(system: DualSystem) -> Callable[[Array], Array]:
