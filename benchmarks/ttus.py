@@ -1,7 +1,7 @@
 """This problem class as a test set of qpbenchmark.
 
-    qpbenchmark benchmarks/ttus.py run --author NAME
-    qpbenchmark benchmarks/ttus.py report --author NAME
+    qpbenchmark benchmarks/ttus.py --results-path ttus.csv run --author NAME
+    qpbenchmark benchmarks/ttus.py --results-path ttus.csv report --author NAME
 
 Small scenes of the bundled example by default; ``TTUS_CASES=S`` (or ``S,M``) takes the
 reference cases instead. Run all settings once before asking for one of them: its

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import subprocess
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,9 @@ def test_set() -> Any:
         assert spec.loader is not None
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        return module.Ttus()
+        made = module.Ttus()
+        made.__doc_of_file__ = module.__doc__
+        return made
 
 
 def test_problems_are_sparse_named_and_solvable(test_set: Any) -> None:
@@ -42,6 +46,26 @@ def test_problems_are_sparse_named_and_solvable(test_set: Any) -> None:
     assert answer.dual_residual() < 1e-6
     assert abs(answer.duality_gap()) < 1e-6
     assert np.isfinite(answer.x).all()
+
+
+def test_its_documented_command_runs(test_set: Any, tmp_path: Path) -> None:
+    """As the test set's own docstring says it, for one problem and one solver."""
+    line = next(v for v in test_set.__doc_of_file__.splitlines() if " run " in v)
+    words = line.split()
+    words[words.index("benchmarks/ttus.py")] = str(FILE)
+    words[words.index("ttus.csv")] = str(tmp_path / "ttus.csv")
+    program = "from qpbenchmark.benchmark import main; main()"
+    limits = ["--problem", "XXS_eq10", "--solver", "osqp"]
+    subprocess.run(
+        [sys.executable, "-c", program, *words[1:], *limits],
+        check=True,
+        capture_output=True,
+        cwd=tmp_path,
+        timeout=300,
+    )
+    rows = (tmp_path / "ttus.csv").read_text().splitlines()
+    assert len(rows) == 1 + len(test_set.tolerances)
+    assert (tmp_path / "ttus.md").read_text().startswith("# ")
 
 
 def test_no_group_of_settings_passes_anything(test_set: Any) -> None:
