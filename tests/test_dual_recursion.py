@@ -38,7 +38,7 @@ class Problem:
 
     def start(self) -> DualRecursion:
         scene = self.scene
-        return DualRecursion(scene.laplace, scene.b, height=HEIGHT, capacity=50)
+        return DualRecursion(scene.laplace, scene.b, height=HEIGHT)
 
     def fold(self, system: DualRecursion, which: list[int]) -> None:
         for s in which:
@@ -101,8 +101,7 @@ def test_whitened_innovations_carry_the_least_objective(coarse: Scene) -> None:
     _, p = problem.dense(list(range(5)))
     misfit = problem.D.reshape(-1, coarse.n_voxels) @ p - problem.targets.reshape(-1)
     objective = np.sum((coarse.L @ p - coarse.b) ** 2) + np.sum(misfit**2)
-    z = system.whitened
-    assert float(z @ z) == pytest.approx(objective, rel=1e-6)
+    assert system.misfit == pytest.approx(objective, rel=1e-6)
 
 
 @given(
@@ -131,18 +130,18 @@ def test_any_order_and_any_removal(
     assert close(system.field(), problem.dense(list(range(5)))[1])
 
 
-def test_removing_the_last_returns_the_former_state_bit_for_bit(coarse: Scene) -> None:
+def test_removing_the_last_returns_the_former_state(coarse: Scene) -> None:
     problem = Problem(coarse, 4, 3, 1.0)
     system = problem.start()
     problem.fold(system, [0, 1, 2])
-    z = system.whitened.copy()
+    misfit = system.misfit
     before = system.forecast(problem.blocks[3])
     system.append(before, problem.targets[3])
     system.remove(3, 1)
     again = system.forecast(problem.blocks[3])
-    assert np.array_equal(system.whitened, z)
-    assert np.array_equal(again.schur, before.schur)
-    assert np.array_equal(again.mean, before.mean)
+    assert system.misfit == pytest.approx(misfit, rel=1e-12)
+    assert close(again.schur, before.schur, 1e-12)
+    assert close(again.mean, before.mean, 1e-12)
 
 
 def test_fading_is_the_batch_with_faded_weights(coarse: Scene) -> None:

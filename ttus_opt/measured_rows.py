@@ -101,20 +101,25 @@ class MeasuredRows:
         """Multiply every row by a number."""
         self._values *= factor
 
-    def times(self, x: Array) -> Array:
-        """D x.
+    def times(self, x: Array, rows: NDArray[np.int64] | None = None) -> Array:
+        """D x, or some of its rows.
 
         Args:
             x: One number per voxel, shape (V,).
+            rows: Their numbers, shape (n,); None for all.
 
         Returns:
-            D x, shape (k·m,).
+            D x, shape (k·m,) or (n,).
 
         Raises:
             InputError: Another number of voxels.
         """
         if x.shape != (self._n_voxels,):
             raise InputError(f"x must have shape ({self._n_voxels},), got {x.shape}")
+        if rows is not None:
+            some = np.empty(len(rows))
+            _some_times(self._starts, self._voxels, self._values, x, rows, some)
+            return some
         out = np.zeros(len(self) * self._height)
         _times(self._starts, self._voxels, self._values, x, out)
         return out
@@ -152,6 +157,25 @@ def _times(
             value = x[voxels[e]]
             for c in range(m):
                 sums[c] += values[e, c] * value
+
+
+@compiled(nogil=True)
+def _some_times(
+    starts: NDArray[np.int64],
+    voxels: Voxels,
+    values: Array,
+    x: Array,
+    rows: NDArray[np.int64],
+    out: Array,
+) -> None:
+    """Some rows of D x (compiled)."""
+    m = values.shape[1]
+    for i in range(len(rows)):
+        s, c = rows[i] // m, rows[i] % m
+        total = 0.0
+        for e in range(starts[s], starts[s + 1]):
+            total += values[e, c] * x[voxels[e]]
+        out[i] = total
 
 
 @compiled(nogil=True)

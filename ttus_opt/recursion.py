@@ -126,9 +126,7 @@ class RecursiveFit:
         self._threshold = math.inf
         if outlier_level is not None:
             self._threshold = float(chdtri(len(self._used), outlier_level))
-        self._system = DualRecursion(
-            scene.laplace, scene.b, height=len(self._used), capacity=capacity
-        )
+        self._system = DualRecursion(scene.laplace, scene.b, height=len(self._used))
         # numbers of the measurements held, in contact (one block each) and not
         self._slots: list[int] = []
         self._silent: list[int] = []
@@ -164,10 +162,10 @@ class RecursiveFit:
         1/√λ_f times the root mean square of the innovations over their predicted
         spread; NaN before the first. With λ_f = 0 it is that of torque over ℓ.
         """
-        z = self._system.whitened
-        if not len(z):
+        system = self._system
+        if not system.n_rows:
             return math.nan
-        return math.sqrt(float(z @ z) / len(z) / self._lead)
+        return math.sqrt(system.misfit / system.n_rows / self._lead)
 
     @property
     def field(self) -> PotentialField:

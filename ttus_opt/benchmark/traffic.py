@@ -119,7 +119,7 @@ def _passes(hierarchy: Hierarchy, number: int) -> Iterator[Pass]:
         return
     # the finest level is called with a right-hand side on colour 1 alone
     loaded = (True, True) if number or level.is_odd else (False, True)
-    if level.is_odd:
+    if number or level.is_odd:
         yield tuple(x)
     uneven = level.R.ndim > 1
     inverse = [("inverse", number, colour) for colour in range(2)]
@@ -138,7 +138,7 @@ def _passes(hierarchy: Hierarchy, number: int) -> Iterator[Pass]:
     couple: Pass = (x[0], *across, residual[1])
     if not uneven:
         couple = (*couple, inverse[1])
-    yield alone(1)
+    yield sweep(1) if number else alone(1)
     yield sweep(0)
     yield couple
     if number:

@@ -1,18 +1,23 @@
 """One V-cycle of the multigrid solver, and what it keeps.
 
 A `Hierarchy` is what a mask on a grid amounts to and never changes; a `Workspace`
-is what one solve writes to. Solves with a workspace each may run side by side.
+is what one solve writes to. Solves with a workspace each may run side by side; all
+coarser levels are one call of compiled code, so that small pieces of work do not wait
+for the interpreter's lock.
 """
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.compiled import compiled
 from ttus_opt.multigrid import kernels, lines, transfer
-from ttus_opt.multigrid.kernels import Single
+from ttus_opt.multigrid.kernels import Numbers, Single
 from ttus_opt.multigrid.levels import (
     DIRECT_NODES,
     Box,
@@ -23,6 +28,19 @@ from ttus_opt.multigrid.levels import (
     finest,
     plan,
 )
+
+#: Of a coarser level: conductances R, T, Z, inverse pivots, transfer weights,
+#: coarsened directions and sizes
+Coarser = tuple[
+    Single, Single, Single, Single, tuple[Single, ...], tuple[bool, ...], Numbers
+]
+
+#: Right-hand side, correction and residual of a level
+Work = tuple[Single, Single, Single]
+
+#: Coarser levels are filled up to a multiple of so many: code is compiled for each
+#: length of a tuple
+PADDED = 8
 
 
 @dataclass(frozen=True)
@@ -180,6 +198,16 @@ class Hierarchy:
         places = levels[-1].layout.places(np.nonzero(network.free))
         return cls(tuple(levels), places, inverse)
 
+    @functools.cached_property
+    def coarser(self) -> tuple[Coarser, ...]:
+        """All levels but the finest, for compiled code, filled up with the last."""
+        return _filled(
+            [
+                (v.R, v.T, v.Z, v.inverse, v.weights, v.flags, v.layout.numbers)
+                for v in self.levels[1:]
+            ]
+        )
+
     @property
     def memory_bytes(self) -> int:
         """Size of its arrays."""
@@ -201,21 +229,30 @@ class Workspace:
         self.x = [np.zeros(shape, np.float32) for shape in shapes]
         self.residual = [np.zeros(shape[1:], np.float32) for shape in shapes]
 
+    @functools.cached_property
+    def coarser(self) -> tuple[Work, ...]:
+        """What belongs to all levels but the finest, filled up as those."""
+        every = zip(self.b, self.x, self.residual, strict=True)
+        return _filled(list(every)[1:])
+
     @property
     def memory_bytes(self) -> int:
         """Size of its arrays."""
         return sum(a.nbytes for a in (*self.b, *self.x, *self.residual))
 
 
+def _filled(levels: list[Any]) -> tuple[Any, ...]:
+    return tuple(levels + levels[-1:] * (-len(levels) % PADDED))
+
+
 def cycle(
     hierarchy: Hierarchy,
     work: Workspace,
     b: tuple[Single | None, Single],
-    number: int = 0,
     *,
     sweeps: int = 1,
 ) -> None:
-    """One symmetric V-cycle from zero; the answer is ``work.x[number]``.
+    """One symmetric V-cycle from zero; the answer is ``work.x[0]``.
 
     Two sweeps before and after on all levels but the finest, where they cost little
     and keep the number of cycles from growing with the grid.
@@ -224,33 +261,91 @@ def cycle(
         hierarchy: The levels.
         work: Where it works.
         b: Right-hand side of both colours, each (n_r, width); that of colour 0 may
-            be None for zero on the finest level, if there is more than one level.
-        number: Level to start from.
+            be None for zero.
         sweeps: On the finest level before and after, 1 or 2 [–].
     """
-    level, x = hierarchy.levels[number], work.x[number]
-    if number == len(hierarchy.levels) - 1:
-        kernels.direct(x, b[0], b[1], hierarchy.places, hierarchy.inverse)
-        kernels.close_circle(x, 0, level.layout.numbers)
-        kernels.close_circle(x, 1, level.layout.numbers)
+    level, x, residual = hierarchy.levels[0], work.x[0], work.residual[0]
+    numbers, count = level.layout.numbers, len(hierarchy.levels) - 1
+    bottom = (hierarchy.places, hierarchy.inverse)
+    if count == 0:
+        _direct(x, *b, *bottom, numbers)
         return
     if level.is_odd:
         x.fill(0)  # where θ closes a sweep reads the old values of its own colour
-    residual, twice = work.residual[number], number > 0 or sweeps == 2
-    coarse = hierarchy.levels[number + 1].layout.numbers
-    transfers = (level.weights, level.flags, level.layout.numbers, coarse)
+    transfers = (level.weights, level.flags, numbers, hierarchy.coarser[0][-1])
     level.sweep(1, x, None, b[1])
     level.sweep(0, x, x[1], b[0])
     level.couple(residual, x[0])
-    if twice:
+    if sweeps == 2:
         level.sweep(1, x, x[0], b[1])
         level.sweep(0, x, x[1], b[0])
         level.couple(residual, x[0], since=True)
-    below = work.b[number + 1]
-    transfer.restrict(below, residual, *transfers)
-    cycle(hierarchy, work, (below[0], below[1]), number + 1)
-    transfer.prolong(x[1], work.x[number + 1], *transfers)
-    kernels.close_circle(x, 1, level.layout.numbers)
-    for _ in range(2 if twice else 1):
+    transfer.restrict(work.b[1], residual, *transfers)
+    _cycle_below(hierarchy.coarser, work.coarser, count, *bottom)
+    transfer.prolong(x[1], work.x[1], *transfers)
+    kernels.close_circle(x, 1, numbers)
+    for _ in range(sweeps):
         level.sweep(0, x, x[1], b[0])
         level.sweep(1, x, x[0], b[1])
+
+
+@compiled(nogil=True)
+def _direct(
+    x: Single,
+    b0: Single | None,
+    b1: Single,
+    places: NDArray[np.int64],
+    inverse: Single,
+    numbers: Numbers,
+) -> None:
+    """Solve the coarsest level (compiled)."""
+    kernels.direct(x, b0, b1, places, inverse)
+    for colour in range(2):
+        kernels.close_circle(x, colour, numbers)
+
+
+@compiled(nogil=True)
+def _smooth(level: Coarser, b: Single, x: Single, first: int, count: int) -> None:
+    """Solve the lines of one colour, then of the other, and so on (compiled)."""
+    R, T, Z, inverse, _, _, numbers = level
+    for n in range(first, first + count):
+        c = n % 2
+        lines.sweep(x, x[1 - c], b[c], inverse[c], R, T, Z, c, numbers)
+
+
+@compiled(nogil=True)
+def _cycle_below(
+    levels: tuple[Coarser, ...],
+    work: tuple[Work, ...],
+    count: int,
+    places: NDArray[np.int64],
+    bottom: Single,
+) -> None:
+    """The V-cycle on all levels but the finest, from its right-hand side (compiled).
+
+    Args:
+        levels: `Hierarchy.coarser`.
+        work: `Workspace.coarser`.
+        count: How many levels there are.
+        places: Of the coarsest level's unknowns.
+        bottom: Inverse of its matrix.
+    """
+    for n in range(count - 1):
+        _, T, Z, inverse, weights, flags, numbers = levels[n]
+        b, x, residual = work[n]
+        x[:] = 0
+        for half in range(2):
+            _smooth(levels[n], b, x, 1, 2)
+            less = np.float32(half)
+            kernels.couple(residual, x[0], less, inverse[1], T, Z, numbers)
+        below = work[n + 1][0]
+        transfer.restrict(below, residual, weights, flags, numbers, levels[n + 1][-1])
+    b, x, _ = work[count - 1]
+    _direct(x, b[0], b[1], places, bottom, levels[count - 1][-1])
+    for n in range(count - 2, -1, -1):
+        _, _, _, _, weights, flags, numbers = levels[n]
+        b, x, _ = work[n]
+        below = work[n + 1][1]
+        transfer.prolong(x[1], below, weights, flags, numbers, levels[n + 1][-1])
+        kernels.close_circle(x, 1, numbers)
+        _smooth(levels[n], b, x, 0, 4)
