@@ -6,11 +6,14 @@ F p = t̂ (n̂ᵀ N p) with t̂ the direction of sliding, n̂ the contact's norm
 for every μ. s rescales boundary values that the scene has fitted (``inner="fit"``), by
 the same objective and at the μ found; given ones stay, s = 1. The scene's own fit
 takes the residual of the Laplace field for noise, alike in all frames, where most of
-it is what the field is about to learn: its scale is some 3 % too large at λ = 1e-2.
+it is what the field is about to learn: its scale is 2 to 6 % too large at λ = 1e-2.
 
 What is left afterwards is the field's: forces with drag are fitted as well as eq. 10
-fits the same contacts without any. Drag lengthens a force by √(1 + μ²), which eq. 10
-does not know; where its field is too stiff anyway, its magnitudes gain by that.
+fits the same contacts without any. Drag lengthens a force by up to √(1 + μ²), which
+eq. 10 does not know; where its field is too stiff anyway, its magnitudes gain by that.
+Torque rows bend the field at the cost of force directions, by about 1° at λ = 1e-2,
+drag or not; with ℓ the ratio of the sensor's torque noise to its force noise
+(``torque_length``) by a third of that.
 
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """
