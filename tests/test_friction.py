@@ -19,11 +19,13 @@ from ttus_opt.friction import (
     Sliding,
     coulomb_rows,
     has_drag,
+    pressing_axis,
     rendered_drag,
     viscous_rows,
 )
-from ttus_opt.metrics import evaluate
+from ttus_opt.metrics import Errors, evaluate
 from ttus_opt.point_shell import PointShell
+from ttus_opt.scene import Scene
 from ttus_opt.surface import Surface
 from ttus_opt.trajectory import Trajectory
 from ttus_opt.voxmap import Voxmap
@@ -75,6 +77,30 @@ def test_sliding_is_along_the_patch() -> None:
     along = np.einsum("ti,ti->t", sliding.velocity, sliding.normal)
     np.testing.assert_allclose(along, 0.0, atol=1e-12)
     np.testing.assert_allclose(sliding.velocity[:, 1:], [[0.004, 0.003]] * 3, atol=1e-3)
+
+
+def test_a_plunge_along_the_probes_own_axis_is_no_sliding() -> None:
+    """However the probe leans on the skin; without an axis of its own, the mean."""
+    lean = np.deg2rad(25.0)
+    out = np.array([np.cos(lean), 0.0, np.sin(lean)])
+    own = np.stack([np.array([0.0, 1.0, 0.0]), np.cross(out, [0.0, 1.0, 0.0]), out], 1)
+    plunge = replace(slide(-0.01 * out), rotation=np.repeat(own[None], 9, axis=0))
+    probe = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=1500)
+    seen = Sliding.of(VOXMAP, probe, plunge, "reference")
+    mean = np.einsum("tij,ti->j", plunge.rotation, seen.normal)
+    assert mean[2] / np.linalg.norm(mean) < 0.99  # the mean normal leans
+    np.testing.assert_allclose(np.abs(seen.axis), [0.0, 0.0, 1.0], atol=2e-3)
+    assert np.abs(seen.velocity).max() < 2e-5
+    ball = Sliding.of(VOXMAP, SHELL, plunge, "reference")
+    mean = np.einsum("tij,ti->j", plunge.rotation, ball.normal)
+    np.testing.assert_allclose(ball.axis, mean / np.linalg.norm(mean), atol=1e-12)
+
+
+def test_the_axis_of_a_body_of_revolution_lies_in_its_plane() -> None:
+    disc = PointShell.ellipsoid(semi_axes=(0.01, 0.02, 0.02), n_points=1500)
+    normal = np.array([0.3, 0.6, -0.8])
+    np.testing.assert_allclose(pressing_axis(disc, normal), [0.0, 0.6, -0.8], atol=5e-3)
+    assert not pressing_axis(disc, np.zeros(3)).any()
 
 
 def test_no_contact_no_sliding() -> None:
@@ -145,6 +171,36 @@ def test_coulomb_global_finds_what_was_put_in(acts_at: str) -> None:
     without = tt.fit(scene, "eq10", force_weight=1e-2, torque_weight=1e-2)
     worse = evaluate(without.field, scene.shell, scene.trajectory).errors
     assert worse.force_angle_error_deg > 8.0
+
+
+def test_the_boundary_scale_is_the_objectives_own() -> None:
+    """Against dense least squares over (p, s): the scene's own fit is elsewhere."""
+    made = dragged_scene("contact", shape=(7, 14, 8))
+    assert made.trajectory.force is not None
+    lump = made.trajectory.position[:, 2:] > 0.11  # stiffer there, as over a rib
+    stiffer = made.trajectory.force * np.where(lump, 3.0, 1.0)
+    scene = Scene.assemble(
+        made.voxmap,
+        made.shell,
+        replace(made.trajectory, force=stiffer),
+        inner="fit",
+        sampling="trilinear",
+    )
+    solution = tt.fit(scene, "coulomb_global", force_weight=1.0, torque_weight=0.5)
+    rows, targets = [], []
+    for term in solution.program.terms:
+        boundary = -scene.b if term.name == "laplace" else np.zeros(len(term.target))
+        block = np.column_stack([term.matrix.toarray(), boundary])
+        rows.append(np.sqrt(term.weight) * block)
+        target = np.zeros(len(boundary)) if boundary.any() else term.target
+        targets.append(np.sqrt(term.weight) * target)
+    x, *_ = np.linalg.lstsq(np.vstack(rows), np.concatenate(targets), rcond=None)
+    found = solution.parameters["boundary_scale"] / scene.parameters["boundary_scale"]
+    assert found == pytest.approx(x[-1], abs=3e-3)
+    assert abs(found - 1.0) > 0.02
+    given = tt.fit(made, "coulomb_global", force_weight=1.0, torque_weight=0.5)
+    assert "boundary_scale" not in given.parameters  # given values stay
+    np.testing.assert_array_equal(given.program.term("laplace").target, made.b)
 
 
 def test_coulomb_drag_field_finds_what_was_put_in() -> None:
@@ -246,29 +302,78 @@ def test_rows_of_the_contact_are_used_as_they_are() -> None:
     assert drag.force.nnz <= rows.N.nnz
 
 
-@pytest.mark.slow
-def test_friction_of_the_independent_phantom(shared: Path) -> None:
-    """μ within 10 % of 0.25 on sweep; unseen angles from 12-14° to 3° and less."""
-    folder = shared / "phantom"
+WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}
+
+
+def phantom_scene(
+    folder: Path, kind: str, shape: tuple[int, int, int], n_points: int
+) -> Scene:
+    """The independent torso with a recording of it, boundary scale fitted."""
     surface = tt.Surface.load(folder / "surface.nc")
-    voxmap = tt.Voxmap.from_surface(surface, shape=(48, 120, 60), r_inner=0.03)
-    shell = tt.PointShell.ellipsoid(semi_axes=(0.030, 0.0125, 0.018), n_points=1500)
-    scene = tt.Scene.assemble(
-        voxmap,
-        shell,
-        tt.read_trajectory(folder / "sweep_fit.csv"),
+    return Scene.assemble(
+        Voxmap.from_surface(surface, shape=shape, r_inner=0.03),
+        PointShell.ellipsoid(semi_axes=(0.030, 0.0125, 0.018), n_points=n_points),
+        tt.read_trajectory(folder / f"{kind}_fit.csv"),
         inner="fit",
         sampling="trilinear",
     )
-    weights = {"force_weight": 1e-2, "torque_weight": 1e-2}
-    plain = tt.fit(scene, "eq10", **weights).field
-    solution = tt.fit(scene, "coulomb_global", **weights)
+
+
+def errors_on(field: PotentialField, shell: PointShell, path: Path) -> Errors:
+    """Errors on a recording."""
+    return evaluate(field, shell, tt.read_trajectory(path)).errors
+
+
+def test_friction_of_the_independent_phantom_on_a_coarse_grid(shared: Path) -> None:
+    """μ within 10 %, unseen angles to about 3° against true forces, nothing lost."""
+    folder = shared / "phantom"
+    scene = phantom_scene(folder, "sweep", (24, 60, 30), 800)
+    plain = tt.fit(scene, "eq10", **WEIGHTS).field
+    solution = tt.fit(scene, "coulomb_global", **WEIGHTS)
     assert solution.parameters["friction_coefficient"] == pytest.approx(0.25, rel=0.1)
+    np.testing.assert_allclose(
+        np.abs([solution.parameters[f"drag_axis_{a}"] for a in "xyz"]),
+        [0.0, 0.0, 1.0],
+        atol=1e-3,
+    )
     for name in ("press_test", "sweep_test"):
-        unseen = tt.read_trajectory(folder / f"{name}.csv")
-        before = evaluate(plain, shell, unseen).errors
-        after = evaluate(solution.field, shell, unseen).errors
+        true = errors_on(solution.field, scene.shell, folder / f"{name}_truth.csv")
+        assert true.force_angle_error_deg < 3.3
+        before, after = (
+            errors_on(field, scene.shell, folder / f"{name}.csv")
+            for field in (plain, solution.field)
+        )
         assert before.force_angle_error_deg > 12.0
-        assert after.force_angle_error_deg < 3.0
-        assert after.force_magnitude_error_N < before.force_magnitude_error_N * 1.03
+        assert after.force_magnitude_error_N < before.force_magnitude_error_N
         assert after.torque_magnitude_error_Nm < before.torque_magnitude_error_Nm * 1.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["press", "sweep"])
+def test_friction_of_the_independent_phantom(shared: Path, kind: str) -> None:
+    """Unseen angles from 12-14° to 3° and less, and nothing lost.
+
+    Against true forces, for sensor noise alone turns a force by 2°. The same contacts
+    are there without drag: eq. 10 fitted to those shows what is the field's, to which
+    drag adds next to nothing.
+    """
+    folder, without = shared / "phantom", shared / "phantom_frictionless"
+    scene = phantom_scene(folder, kind, (48, 120, 60), 1500)
+    plain = tt.fit(scene, "eq10", **WEIGHTS).field
+    solution = tt.fit(scene, "coulomb_global", **WEIGHTS)
+    assert solution.parameters["friction_coefficient"] == pytest.approx(0.25, rel=0.1)
+    smooth = phantom_scene(without, kind, (48, 120, 60), 1500)
+    ideal = tt.fit(smooth, "eq10", **WEIGHTS).field
+    for name in ("press_test", "sweep_test"):
+        before, after = (
+            errors_on(field, scene.shell, folder / f"{name}.csv")
+            for field in (plain, solution.field)
+        )
+        true = errors_on(solution.field, scene.shell, folder / f"{name}_truth.csv")
+        bare = errors_on(ideal, scene.shell, without / f"{name}_truth.csv")
+        assert before.force_angle_error_deg > 12.0
+        assert true.force_angle_error_deg < min(3.0, bare.force_angle_error_deg + 0.3)
+        assert after.force_magnitude_error_N < before.force_magnitude_error_N
+        assert true.force_magnitude_error_N < bare.force_magnitude_error_N * 1.03
+        assert after.torque_magnitude_error_Nm < before.torque_magnitude_error_Nm * 1.03
+        assert true.torque_magnitude_error_Nm < bare.torque_magnitude_error_Nm * 1.03

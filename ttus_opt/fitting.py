@@ -76,7 +76,9 @@ def fit(
     request = Request(tolerance, time_limit)
     if declared.search is None:
         return Fitter(declared, solver=solver, request=request, started=start).solve()
-    best = _searched(declared.search, declared, solver, request)
+    loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
+    fitter = Fitter(declared, solver=solver, request=loose)
+    best = _searched(declared.search, fitter)
     searched = time.perf_counter() - start
     last = Fitter(best.named(declared.name), solver=solver, request=request).solve()
     return replace(last, timings=replace(last.timings, search=searched))
@@ -156,14 +158,12 @@ class Fitter:
         )
 
 
-def _searched(
-    search: Search, declared: Formulation, solver: str, request: Request
-) -> Formulation:
-    """The formulation at the value of its parameter with the least objective."""
-    from scipy.optimize import minimize_scalar
+def _searched(search: Search, fitter: Fitter) -> Formulation:
+    """The formulation at the value of its parameter with the least objective.
 
-    loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
-    fitter = Fitter(declared, solver=solver, request=loose)
+    Where what is found names a search of its own, that one follows.
+    """
+    from scipy.optimize import minimize_scalar
 
     def objective(value: float) -> float:
         fitter.update(search.build(float(value)))
@@ -178,7 +178,8 @@ def _searched(
         method="bounded",
         options={"xatol": SEARCH_ACCURACY * span, "maxiter": SEARCH_FITS},
     )
-    return search.build(float(found.x))
+    best = search.build(float(found.x))
+    return best if best.search is None else _searched(best.search, fitter)
 
 
 def judged(

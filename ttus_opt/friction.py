@@ -13,8 +13,10 @@ is the deadband: below it drag shrinks in proportion, at rest there is none.
 
 Where drag acts: on the patch and along it (``contact``), where it has an arm about the
 shell's reference and slides with the probe's turning too; or as a tool sees it
-(``reference``), through the reference point and across the probe's pressing axis,
-which is the mean of n̂ in the probe frame.
+(``reference``), through the reference point and across the probe's pressing axis:
+its own axis of symmetry nearest to the mean of n̂. The mean alone leans as the probe
+was tilted while it was pressed, and by half a degree of that a plunge of 10 mm/s
+counts as sliding of 0.1 mm/s, which near rest turns t̂ by several degrees.
 """
 
 from __future__ import annotations
@@ -46,6 +48,9 @@ from ttus_opt.voxmap import Voxmap
 
 Array = NDArray[np.float64]
 ActsAt = Literal["contact", "reference"]
+
+#: Principal moments of a shell are equal to within this share [–]
+EQUAL_MOMENTS = 0.05
 
 #: Sliding slower than this is on its way to rest: differences of poses 0.1 mm apart by
 #: chance in frames of 50 ms are as fast [m/s]
@@ -93,7 +98,7 @@ class Sliding:
             trajectory: Poses over time; their differences give the velocity.
             acts_at: Where drag acts, ``contact`` or ``reference``.
             axis: The pressing axis in the probe frame, shape (3,); by default the
-                mean over the poses in contact.
+                shell's own, see `pressing_axis`.
 
         Raises:
             InputError: Unknown ``acts_at``, or unusable poses.
@@ -119,8 +124,7 @@ class Sliding:
         moved = trajectory.velocity() + turning
         moved[~touching] = 0.0
         if axis is None:
-            axis = np.einsum("tij,ti->j", rotation, normal)
-            axis = axis / max(float(np.linalg.norm(axis)), np.finfo(float).tiny)
+            axis = pressing_axis(shell, np.einsum("tij,ti->j", rotation, normal))
         across = normal if acts_at == "contact" else rotation @ axis
         along = moved - across * np.einsum("ti,ti->t", across, moved)[:, None]
         where = position + reference + centre
@@ -167,6 +171,27 @@ class Sliding:
         share = (z - grid.z_min) / (grid.z_max - grid.z_min)
         band = np.clip((share * n_z).astype(np.int64), 0, n_z - 1)
         return np.asarray(np.minimum(sector, n_theta - 1) * n_z + band)
+
+
+def pressing_axis(shell: PointShell, normal: Array) -> Array:
+    """The shell's principal axis nearest to a direction.
+
+    Where principal moments are equal, as a sphere's, there is a plane or a space of
+    such axes, and the nearest is the direction's projection.
+
+    Args:
+        shell: The probe.
+        normal: Mean normal of its contacts, probe frame, any length, shape (3,).
+
+    Returns:
+        Unit vector in the probe frame, shape (3,); zero for a normal of zero.
+    """
+    lever = shell.points - shell.reference
+    moments, axes = np.linalg.eigh(lever.T @ (shell.areas[:, None] * lever))
+    gaps = np.diff(moments) > EQUAL_MOMENTS * moments[1:]
+    spaces = np.split(axes.T, np.flatnonzero(gaps) + 1)
+    along = max((space.T @ (space @ normal) for space in spaces), key=np.linalg.norm)
+    return np.asarray(along / max(float(np.linalg.norm(along)), np.finfo(float).tiny))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import traceback
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,29 @@ def test_combining_reaches_into_a_search() -> None:
     assert [t.name for t in built.terms][-1] == "sparse_sources"
     assert built.terms[1].weight == 7.0
     assert built.constraints[0].name == "sign"
+
+
+def test_combining_reaches_into_the_search_after_a_search() -> None:
+    fitted = replace(SCENE, parameters={"boundary_scale": 2.0})
+    declared = load("coulomb_global", fitted).with_weights(force=7.0)
+    declared = declared.with_constraints(Sign(fitted))
+    assert declared.search is not None
+    found = declared.search.build(0.4)
+    assert found.search is not None
+    assert found.search.parameter == "boundary_scale"
+    built = found.search.build(1.5)
+    assert built.search is None
+    assert built.parameters({})["boundary_scale"] == 3.0
+    assert built.parameters({})["friction_coefficient"] == 0.4
+    assert built.terms[1].weight == 7.0
+    assert built.constraints[0].name == "sign"
+    # without forces nothing tells the scale, and a given one stays
+    for unknown in (
+        load("coulomb_global", fitted, force_weight=0.0),
+        load("coulomb_global", SCENE),
+    ):
+        assert unknown.search is not None
+        assert unknown.search.build(0.4).search is None
 
 
 @pytest.mark.parametrize("limits", [(0.0, 0.0), (1.0, 0.0), (0.0, float("inf"))])

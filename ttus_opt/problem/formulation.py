@@ -37,7 +37,8 @@ class Search:
         parameter: Its name.
         low: Least value.
         high: Largest value.
-        build: The formulation for a given value, convex in all the rest.
+        build: The formulation for a given value, convex in all the rest; one with
+            a search of its own is searched next, at the value found.
     """
 
     parameter: str

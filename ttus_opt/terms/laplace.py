@@ -1,19 +1,57 @@
-"""The Laplace prior ‖L p - b‖² (paper eq. 8, first term of eq. 10)."""
+"""The Laplace prior ‖L p - s b‖² (paper eq. 8, first term of eq. 10; there s = 1)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Self
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.errors import InputError
 from ttus_opt.terms.base import AffineRows, Term
+
+#: Name under which a scene and a solution carry the scale of boundary values
+BOUNDARY_SCALE = "boundary_scale"
 
 
 @dataclass(frozen=True)
 class LaplaceTerm(Term):
-    """Squares of the scaled Laplace rows, Dirichlet rows included (soft)."""
+    """Squares of the scaled Laplace rows, Dirichlet rows included (soft).
+
+    Attributes:
+        factor: s, on the scene's boundary values [–].
+    """
+
+    factor: float = 1.0
 
     name = "laplace"
     formula = "‖L p − b‖²"
 
+    def __post_init__(self) -> None:
+        """Say which boundary values it has.
+
+        Raises:
+            InputError: The weight or the factor is not usable.
+        """
+        super().__post_init__()
+        if not (math.isfinite(self.factor) and self.factor > 0.0):
+            raise InputError(f"factor on b must be positive, got {self.factor}")
+        if self.factor != 1.0:
+            object.__setattr__(self, "formula", f"‖L p − {self.factor:.4g} b‖²")
+
+    def with_factor(self, factor: float) -> Self:
+        """The same prior with its boundary values times a factor."""
+        return replace(self, factor=factor)
+
     def rows(self) -> AffineRows:
-        """L and b of the scene."""
-        return AffineRows({"p": self.scene.L}, self.scene.b)
+        """L and s b of the scene."""
+        return AffineRows({"p": self.scene.L}, self.factor * self.scene.b)
+
+    def parameters(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
+        """The boundary scale, where the scene has fitted one."""
+        if BOUNDARY_SCALE not in self.scene.parameters:
+            return {}
+        return {BOUNDARY_SCALE: self.factor * self.scene.parameters[BOUNDARY_SCALE]}
