@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.laplace import RTOL
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.face import Activity, Face, face_of, no_limits_active
@@ -29,6 +30,9 @@ MAX_FACES = 100
 
 #: Residual of the dual on a face, relative, while more limits change than that [–]
 ACCURACY = ((100, 1e-3), (3, 1e-5))
+
+#: Residual of the solves behind the fields of such faces, over that [–]
+FINER = 1e-3
 
 #: By how much it is tightened where changes do not become fewer: it may be why [–]
 TIGHTER = 1.0 / 30.0
@@ -133,6 +137,7 @@ def search(
             rtol=accuracy,
             deadline=deadline,
             guess=None if guess is None else face.unknowns_of(guess),
+            field_rtol=RTOL if accuracy == rtol else max(RTOL, FINER * accuracy),
         )
         guess = p = face.field_of(answer.p)
         faces, steps = faces + 1, steps + answer.steps

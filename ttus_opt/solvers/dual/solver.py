@@ -26,9 +26,6 @@ MAX_STEPS = 2000
 #: Rounds of solving for the residual that inexact products left
 ROUNDS = 3
 
-#: Relative residual of the solves behind a field, over that asked of the dual [–]
-FINER = 1e-3
-
 
 @dataclass(frozen=True)
 class DualAnswer:
@@ -71,6 +68,7 @@ class DualSolver:
         rtol: float,
         deadline: float | None = None,
         guess: Array | None = None,
+        field_rtol: float = RTOL,
     ) -> DualAnswer:
         """Solve for one right-hand side.
 
@@ -80,19 +78,20 @@ class DualSolver:
             rtol: Residual of the dual, relative to t - D p₀ [–].
             deadline: `time.perf_counter` at which to stop; None for never [s].
             guess: A field near the answer, shape (V,).
+            field_rtol: Residual of the solves behind the answer's field, relative [–].
 
         Returns:
             The answer; whether it is exact is for the caller to verify.
         """
-        system, finer = self.system, max(FINER * rtol, RTOL)
-        base = self._prior_field(b, finer)
+        system = self.system
+        base = self._prior_field(b, field_rtol)
         right_side = t - system.measure(base)
         goal = rtol * float(np.linalg.norm(right_side))
         if guess is None:
             y, p, residual = np.zeros_like(right_side), base, right_side
         else:
             y = t - system.measure(guess)
-            p = base + system.response(y, finer)
+            p = base + system.response(y, field_rtol)
             residual = right_side - y - system.measure(p - base)
         steps = 0
         for _ in range(ROUNDS):
@@ -109,7 +108,7 @@ class DualSolver:
                 deadline=deadline,
             )
             y, steps = y + step, steps + taken
-            p = base + system.response(y, finer)
+            p = base + system.response(y, field_rtol)
             if deadline is not None and time.perf_counter() > deadline:
                 return DualAnswer(p, steps, late=True)
             residual = right_side - y - system.measure(p - base)
