@@ -190,7 +190,7 @@ class DualRecursion:
         self._y = np.concatenate([self._y, np.zeros(len(target))])
 
     def remove(self, start: int, count: int) -> None:
-        """Take blocks start to start + count out; O(n k²).
+        """Take blocks start to start + count out; costs as `LowRankKernel.remove`.
 
         Raises:
             InputError: Blocks that are not there.

@@ -232,7 +232,8 @@ class RecursiveFit:
     def downdate(self, index: int) -> None:
         """Take one measurement out, as if it had never been made.
 
-        O(n k²).
+        O(n k + k²) for each of its rows at least, k times that where later ones have
+        to take over all that it said.
 
         Args:
             index: Its number, `Innovation.index`.
@@ -259,8 +260,8 @@ class RecursiveFit:
             factor: Multiplies the weight of every measurement held, in (0, 1]; later
                 ones have full weight. The field is that of the batch fit with these
                 weights. Costs O(n k²) and for a moment two full k × k matrices [–].
-            window: How many of the newest measurements held to keep. Costs O(n k²),
-                however many are removed [–].
+            window: How many of the newest measurements held to keep; the others are
+                removed as by `downdate` [–].
 
         Raises:
             InputError: None or both are given, or a value is out of range.
