@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from ttus_opt.errors import InputError
-from ttus_opt.low_rank_kernel import JITTER, LowRankKernel
+from ttus_opt.low_rank_kernel import JITTER, ROOM, LowRankKernel
 
 Array = NDArray[np.float64]
 
@@ -131,10 +131,12 @@ def test_what_is_no_variance_brings_no_column() -> None:
 def test_memory_is_that_of_the_columns() -> None:
     K = gram(2000, 10, np.random.default_rng(4))
     kernel = grown(K, 6)
-    assert kernel.memory_bytes < 8 * 2000 * (2 * 10 + 2) * 1.1 + 8 * 2**14
+    assert kernel.memory_bytes < 8 * 2000 * (2 * 10 + 2) * 1.1 + 8 * 2 * ROOM
     full = grown(np.eye(400), 6)
     assert full.rank == 400
-    assert full.memory_bytes < 1.1 * 8 * (400 * 401 + 3 * 400)
+    assert full.memory_bytes < 1.1 * 8 * (400 * 401 + 3 * 400) + 8 * 2 * ROOM
+    full.remove(0, 390, 1e-9)
+    assert full.memory_bytes < 8 * 4 * ROOM
 
 
 def test_refusals() -> None:

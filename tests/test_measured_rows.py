@@ -59,6 +59,8 @@ def test_equals_a_dense_matrix(
         x, y = rng.normal(size=V), rng.normal(size=len(dense))
         assert np.allclose(rows.times(x), dense @ x, atol=1e-12)
         assert np.allclose(rows.adjoint(y), dense.T @ y, atol=1e-12)
+        some = np.arange(0, len(dense), 2)
+        assert np.allclose(rows.times(x, some), dense[some] @ x, atol=1e-12)
 
 
 def test_grows_beyond_its_first_room() -> None:

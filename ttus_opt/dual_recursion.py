@@ -42,7 +42,7 @@ from ttus_opt.measured_rows import Block, MeasuredRows
 Array = NDArray[np.float64]
 
 #: Relative residual of (I + K) y = d₀ to which the field is refined, and most rounds
-FIELD_RTOL, FIELD_ROUNDS = 1e-10, 12
+FIELD_RTOL, FIELD_ROUNDS = 1e-9, 12
 
 #: Variance of a row, in units of its noise, that is none beyond what others span
 SPAN = 1e-6
@@ -190,7 +190,7 @@ class DualRecursion:
         self._y = np.concatenate([self._y, np.zeros(len(target))])
 
     def remove(self, start: int, count: int) -> None:
-        """Take blocks start to start + count out; O(n k²).
+        """Take blocks start to start + count out; costs as `LowRankKernel.remove`.
 
         Raises:
             InputError: Blocks that are not there.

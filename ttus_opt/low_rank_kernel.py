@@ -28,11 +28,14 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
 #: By how many numbers memory grows at a time, at least
-ROOM = 2**14
+ROOM = 2**12
 
 #: What a pivot's variance is raised by, over the tolerance: rows may nearly depend on
 #: each other, and C must stay far enough from singular for the error of its entries
 JITTER = 0.1
+
+#: A row that leaves less than this of what is known of it takes too many digits along
+LEAST_LEFT = 1e-6
 
 #: Rows of R that are dense at a time while M is made anew
 PIECE = 512
@@ -124,7 +127,7 @@ class LowRankKernel:
         """
         n, k = len(self), self.rank
         ends = self._starts[-1] + np.cumsum(outlook.widths)
-        self._R = _grown(self._R, int(ends[-1]))
+        self._R = _fitted(self._R, int(ends[-1]))
         for row, width, end in zip(outlook.rows, outlook.widths, ends, strict=True):
             self._R[end - width : end] = row[:width]
         before = np.concatenate([[k], outlook.widths[:-1]])
@@ -133,7 +136,7 @@ class LowRankKernel:
         self._widths = np.concatenate([self._widths, outlook.widths])
         self._starts = np.concatenate([self._starts, ends])
         rank = self.rank
-        self._E = _grown(self._E, rank * (rank + 1) // 2)
+        self._E = _fitted(self._E, rank * (rank + 1) // 2)
         for j in range(k, rank):
             self._E[j * (j + 1) // 2 : (j + 1) * (j + 2) // 2 - 1] = 0.0
             self._E[(j + 1) * (j + 2) // 2 - 1] = 1.0
@@ -184,7 +187,8 @@ class LowRankKernel:
         """Take rows start to start + count out.
 
         Where pivots go, later rows take over, and columns of R are turned so that it
-        is a staircase again.
+        is a staircase again. Costs O(n + k²) per row, O(n k) more for a row that was
+        a pivot, where no other row comes soon that takes its place.
 
         Args:
             start: First row.
@@ -197,16 +201,20 @@ class LowRankKernel:
         n = len(self)
         if start < 0 or count < 0 or start + count > n:
             raise InputError(f"rows {start} to {start + count} are not within 0 to {n}")
+        gone = self._dense(start, start + count)
         low, high = self._starts[start], self._starts[start + count]
         used = int(self._starts[-1])
         self._R[low : used - (high - low)] = self._R[high:used].copy()
-        self._widths = np.delete(self._widths, slice(start, start + count))
-        widths = self._widths.copy()
+        widths = np.delete(self._widths, slice(start, start + count))
         starts = np.concatenate([[0], np.cumsum(widths)])
-        self.pivots = _restored(self._R, starts, widths, tolerance)
+        sound = _downdate(self._E, gone)
+        self.pivots = _restored(self._R, self._E, starts, widths, tolerance)
         _compact(self._R, starts, widths)
         self._widths, self._starts = widths, np.concatenate([[0], np.cumsum(widths)])
-        self._refresh()
+        self._R = _fitted(self._R, int(self._starts[-1]))
+        self._E = _fitted(self._E, self.rank * (self.rank + 1) // 2)
+        if not sound:
+            self._refresh()
 
     def scale(self, factor: float) -> None:
         """Multiply R by a number."""
@@ -251,10 +259,10 @@ def _staircase(beyond: Array, tolerance: float) -> tuple[Array, Index]:
     return rows[:, :k], widths
 
 
-def _grown(values: Array, size: int) -> Array:
-    """The same memory, or more of it; large arrays are moved and not copied."""
-    if size > len(values):
-        values.resize(max(size, len(values) + len(values) // 16), refcheck=False)
+def _fitted(values: Array, size: int) -> Array:
+    """The same memory, or more or less of it; large arrays are moved, not copied."""
+    if not size <= len(values) <= 2 * size + ROOM:
+        values.resize(size + size // 16 + ROOM, refcheck=False)
     return values
 
 
@@ -345,11 +353,14 @@ def _update(E: Array, added: Array) -> None:
 
 
 @compiled(nogil=True, fastmath={"contract"})
-def _restored(R: Array, starts: Index, widths: Index, tolerance: float) -> Index:
+def _restored(
+    R: Array, E: Array, starts: Index, widths: Index, tolerance: float
+) -> Index:
     """Turn columns of R until it is a staircase again, in place (compiled).
 
     Args:
         R: Rows, one after the other.
+        E: Its factor of I + RᵀR, turned with it.
         starts: Where they start.
         widths: Columns of each, never less than those of the row before; set to how
             many it keeps.
@@ -359,26 +370,90 @@ def _restored(R: Array, starts: Index, widths: Index, tolerance: float) -> Index
         The pivots.
     """
     pivots = np.empty(len(widths), dtype=np.int64)
-    k = 0
+    k, last = 0, widths[-1] if len(widths) else 0
     for i in range(len(widths)):
         if widths[i] <= k:
             continue
         # what is beyond the columns so far is turned into the first one there
-        for q in range(k + 1, widths[i]):
-            a, b = R[starts[i] + k], R[starts[i] + q]
-            norm = math.sqrt(a * a + b * b)
+        for q in range(widths[i] - 2, k - 1, -1):
+            at = starts[i] + q
+            norm = math.hypot(R[at], R[at + 1])
             if norm > 0.0:
-                c, s = a / norm, b / norm
+                c, s = R[at] / norm, R[at + 1] / norm
                 for j in range(i, len(widths)):
-                    at = starts[j]
-                    a, b = R[at + k], R[at + q]
-                    R[at + k] = c * a + s * b
-                    R[at + q] = c * b - s * a
+                    at = starts[j] + q
+                    R[at], R[at + 1] = (
+                        c * R[at] + s * R[at + 1],
+                        c * R[at + 1] - s * R[at],
+                    )
+                _turn(E, q, c, s, last)
         if R[starts[i] + k] ** 2 > tolerance:
             pivots[k] = i
             k += 1
         widths[i] = k
     return pivots[:k].copy()
+
+
+@compiled(nogil=True)
+def _turn(E: Array, q: int, c: float, s: float, k: int) -> None:
+    """Turn rows q and q + 1 of E, and columns until it is triangular (compiled).
+
+    Args:
+        E: Rows of the factor, one after the other.
+        q: Number of the row.
+        c: Cosine.
+        s: Sine.
+        k: Rows of E that are of use.
+    """
+    top, low = q * (q + 1) // 2, (q + 1) * (q + 2) // 2
+    for i in range(q + 1):
+        a, b = E[top + i], E[low + i]
+        E[top + i], E[low + i] = c * a + s * b, c * b - s * a
+    # row q has got an entry beyond its diagonal
+    beyond, E[low + q + 1] = s * E[low + q + 1], c * E[low + q + 1]
+    norm = math.hypot(E[top + q], beyond)
+    c, s = E[top + q] / norm, beyond / norm
+    E[top + q] = norm
+    for i in range(q + 1, k):
+        at = i * (i + 1) // 2 + q
+        E[at], E[at + 1] = c * E[at] + s * E[at + 1], c * E[at + 1] - s * E[at]
+    if E[low + q + 1] < 0.0:
+        for i in range(q + 1, k):
+            E[i * (i + 1) // 2 + q + 1] *= -1.0
+
+
+@compiled(nogil=True, fastmath={"contract"})
+def _downdate(E: Array, gone: Array) -> bool:
+    """Make E the factor of E Eᵀ - Σ w wᵀ, row w after row, in place (compiled).
+
+    Args:
+        E: Rows of the factor, one after the other.
+        gone: Rows w, overwritten, shape (m, k).
+
+    Returns:
+        Whether enough digits are left; E is spoilt if not.
+    """
+    m, k = gone.shape
+    cosines, sines = np.empty(k), np.empty(k)
+    for a in range(m):
+        w = gone[a : a + 1]
+        _forward(E, w)
+        left = 1.0 - _dot(w[0], w[0])
+        if left < LEAST_LEFT:
+            return False
+        left = math.sqrt(left)
+        # rotations that turn (w, left) into (0, 1), from the last entry on
+        for j in range(k - 1, -1, -1):
+            norm = math.hypot(left, w[0, j])
+            cosines[j], sines[j] = left / norm, w[0, j] / norm
+            left = norm
+        for i in range(k):
+            start, rest = i * (i + 1) // 2, 0.0
+            for j in range(i, -1, -1):
+                value = E[start + j]
+                E[start + j] = cosines[j] * value - sines[j] * rest
+                rest = cosines[j] * rest + sines[j] * value
+    return True
 
 
 @compiled(nogil=True)

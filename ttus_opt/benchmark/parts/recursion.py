@@ -54,7 +54,8 @@ class RecursionPart(Part):
         f"`RecursiveFit` takes in up to {UPDATES:,} measurements that touch the "
         "patient, one by one; where the recordings have fewer, poses are taken again "
         f"{1e3 * MOVED:g} mm aside. Seconds per update, contact rows included, over "
-        f"the first and the last {WINDOW}, the latter with the number held. *Batch "
+        f"the first and the last {WINDOW}, the latter with the number held; *field* "
+        "is the current field, asked for after each of the last. *Batch "
         "first* is `structured` on as many measurements, set-up included, *again* "
         "the same fitter given one measurement more; both without contact rows. "
         f"Difference is that of the field after {COMPARED} updates from the batch "
@@ -68,6 +69,8 @@ class RecursionPart(Part):
         Column("max", "early_max", seconds),
         Column("late: median [s]", "late_median", seconds),
         Column("max", "late_max", seconds),
+        Column("field: median [s]", "field_median", seconds),
+        Column("max", "field_max", seconds),
         Column("batch first [s]", "batch_first", seconds),
         Column("again", "batch_again", seconds),
         Column("late to first", "ratio_to_batch_first", times),
@@ -96,7 +99,7 @@ class RecursionPart(Part):
         scene = with_measurements(whole, _touching(whole, updates))
         begin("updates")
         # updates have the time limit as their budget, to end with what there is
-        taken, fields = _folded(scene, {compared}, spec.time_limit)
+        taken, made, fields = _folded(scene, {compared}, spec.time_limit)
         peak = memory.peak_bytes()
         held = len(taken)
         row = _windows(taken) | {
@@ -108,6 +111,8 @@ class RecursionPart(Part):
             if held == updates
             else f"stopped after {held:,} of {updates:,} updates by the time limit",
         }
+        if made:
+            row |= {"field_median": statistics.median(made), "field_max": max(made)}
         if held > 1:
             first, again = _batch(scene, held, begin)
             late = row["late_median"]
@@ -161,8 +166,8 @@ def _in_contact(scene: Scene) -> Trajectory:
 
 def _folded(
     scene: Scene, wanted: set[int], budget: float
-) -> tuple[list[float], list[Array]]:
-    """Seconds of every update, and the fields after the numbers wanted."""
+) -> tuple[list[float], list[float], list[Array]]:
+    """Seconds of every update and of the last fields, and the fields wanted."""
     told = scene.trajectory
     if told.force is None or told.torque is None:
         raise InputError("the recursion needs measured forces and torques")
@@ -174,6 +179,7 @@ def _folded(
         fold_scene=False,
     )
     taken: list[float] = []
+    made: list[float] = []
     fields = []
     begun = time.perf_counter()
     measured = zip(told.rotation, told.position, told.force, told.torque, strict=True)
@@ -181,11 +187,15 @@ def _folded(
         start = time.perf_counter()
         fit.update(*measurement)
         taken.append(time.perf_counter() - start)
+        if len(taken) > len(told) - WINDOW:
+            start = time.perf_counter()
+            _ = fit.field
+            made.append(time.perf_counter() - start)
         if len(taken) in wanted:
             fields.append(fit.field.values.reshape(-1).copy())
         if time.perf_counter() - begun > budget:
             break
-    return taken, fields
+    return taken, made, fields
 
 
 def _windows(taken: Sequence[float]) -> Figures:
