@@ -54,3 +54,7 @@ class VCycle:
         """Set ``x`` to one V-cycle's answer for ``b``."""
         b = self._work.b[0]
         cycle(self._hierarchy, self._work, (b[0], b[1]))
+
+    def run_adjoint(self) -> None:
+        """The same, as the map is symmetric."""
+        self.run()

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.problem.program import Program
-from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.face import Activity, Face, face_of, no_limits_active
-from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.activity import Activity, no_limits_active
+from ttus_opt.solvers.dual.solver import DualAnswer
 from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 
 Array = NDArray[np.float64]
@@ -44,6 +43,25 @@ SAME = 1e-12
 
 #: What counts as a violation or a wrong sign, over the KKT tolerance [–]
 MARGIN = 1e-3
+
+
+class SolvableFace(Protocol):
+    """A face of the feasible set."""
+
+    def solve(
+        self, *, rtol: float, deadline: float | None, guess: Array | None
+    ) -> DualAnswer:
+        """The best field on it, near a guess, as `DualSolver.solve` gives it."""
+
+
+class LimitedProblem(Protocol):
+    """What the search needs of a problem beside its limits."""
+
+    def face(self, active: Activity) -> SolvableFace:
+        """The problem left when some limits are active."""
+
+    def gradient(self, p: Array) -> Array:
+        """Gradient of the objective, shape (V,)."""
 
 
 @dataclass(frozen=True)
@@ -93,10 +111,8 @@ class _Wrong:
 
 
 def search(
-    program: Program,
+    problem: LimitedProblem,
     limits: SpokeLimits,
-    data: DualData,
-    whole: DualSolver,
     start: tuple[Array, Activity] | None = None,
     *,
     tolerance: float,
@@ -106,37 +122,29 @@ def search(
     """Find the face on which the minimiser lies, and the minimiser.
 
     Args:
-        program: The problem: its gradient is what multipliers come from.
+        problem: Its faces, and its gradient, which multipliers come from.
         limits: Its limits.
-        data: The dual of its objective alone.
-        whole: Solver of that.
         start: A field, (V,), and the face to begin with; None for no limit active.
         tolerance: KKT tolerance [–].
         rtol: Residual of the dual on the last face, relative [–].
         deadline: `time.perf_counter` at which to stop; None for never [s].
     """
     limits = limits.without_implied()
-    active, guess = no_limits_active(len(data.b)), None
-    if start is not None and start[0].shape == data.b.shape:
+    size = len(limits.lower)
+    active, guess = no_limits_active(size), None
+    if start is not None and len(start[0]) == size:
         guess, active = start[0], _one_pin_each(limits, _possible(limits, start[1]))
     accuracy, ceiling = max(rtol, ACCURACY[-1][1]), np.inf
     fewest, patience = np.inf, PATIENCE
-    solver, face, solved = whole, Face.whole(data), no_limits_active(len(data.b))
+    face, solved = problem.face(active), active
     faces, steps, changes, late = 0, 0, -1, False
     while faces < MAX_FACES:
         if active.differs(solved):
-            face = face_of(program.laplace, limits, active, data)
-            solver, solved = DualSolver(face.system), active
-        answer = solver.solve(
-            face.b,
-            face.t,
-            rtol=accuracy,
-            deadline=deadline,
-            guess=None if guess is None else face.unknowns_of(guess),
-        )
-        guess = p = face.field_of(answer.p)
+            face, solved = problem.face(active), active
+        answer = face.solve(rtol=accuracy, deadline=deadline, guess=guess)
+        guess = p = answer.p
         faces, steps = faces + 1, steps + answer.steps
-        gradient = np.add(*program.gradient(p))
+        gradient = problem.gradient(p)
         pull, push = multipliers(limits, active, gradient)
         late = deadline is not None and time.perf_counter() > deadline
         wrong = _wrong(limits, active, p, pull, push, gradient, MARGIN * tolerance)

@@ -81,7 +81,7 @@ class RoughDual:
         # Lᵀ: A x = load, then q = -R x on free voxels, and what flows to fixed ones
         cycle.b.fill(0.0)
         cycle.b[self._own] = self._adjoint @ load.astype(np.float32)
-        cycle.run()
+        cycle.run_adjoint()
         q = self._radii_rim * cycle.x[self._rim]
         p_fixed = self._adjoint_fixed @ load + self._outward @ q
         p_fixed *= self._softness_fixed
