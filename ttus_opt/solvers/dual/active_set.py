@@ -90,7 +90,7 @@ class FaceAnswer:
 
 
 @dataclass(frozen=True)
-class _Wrong:
+class Wrong:
     """By how much limits are violated or multipliers have the wrong sign; > 0 is.
 
     Attributes:
@@ -108,6 +108,11 @@ class _Wrong:
         """How many [–]."""
         pins = int(np.count_nonzero(self.pins > 0.0))
         return pins + int(np.count_nonzero(self.ties > 0.0))
+
+    @property
+    def worst(self) -> float:
+        """The largest of all, relative [–]."""
+        return float(max(self.pins.max(), self.ties.max()))
 
 
 def search(
@@ -133,7 +138,7 @@ def search(
     size = len(limits.lower)
     active, guess = no_limits_active(size), None
     if start is not None and len(start[0]) == size:
-        guess, active = start[0], _one_pin_each(limits, _possible(limits, start[1]))
+        guess, active = start[0], _one_pin_each(limits, possible(limits, start[1]))
     accuracy, ceiling = max(rtol, ACCURACY[-1][1]), np.inf
     fewest, patience = np.inf, PATIENCE
     face, solved = problem.face(active), active
@@ -147,7 +152,7 @@ def search(
         gradient = problem.gradient(p)
         pull, push = multipliers(limits, active, gradient)
         late = deadline is not None and time.perf_counter() > deadline
-        wrong = _wrong(limits, active, p, pull, push, gradient, MARGIN * tolerance)
+        wrong = find_wrong(limits, active, p, pull, push, gradient, MARGIN * tolerance)
         changes = wrong.count
         if late or (changes == 0 and accuracy == rtol):
             break
@@ -158,8 +163,8 @@ def search(
             ceiling = max(rtol, TIGHTER * min(ceiling, accuracy))
         goals = (goal for many, goal in ACCURACY if changes > many)
         accuracy = min(ceiling, max([rtol, *goals]))
-        active = _changed(limits, active, wrong, all_of_them=patience > 0)
-    pull, push = _right_signs(limits, active, pull, push)
+        active = change(limits, active, wrong, all_of_them=patience > 0)
+    pull, push = right_signs(limits, active, pull, push)
     settled = changes == 0 and accuracy == rtol and not answer.late
     return FaceAnswer(p, pull, push, active, faces, steps, late, settled)
 
@@ -197,7 +202,7 @@ def multipliers(
     return pull.reshape(-1), push.reshape(-1)
 
 
-def _wrong(
+def find_wrong(
     limits: SpokeLimits,
     active: Activity,
     p: Array,
@@ -205,7 +210,7 @@ def _wrong(
     push: Array,
     gradient: Array,
     margin: float,
-) -> _Wrong:
+) -> Wrong:
     """Violations over the field's size, wrong signs over the gradient's."""
     size = max(float(np.abs(p).max()), np.finfo(float).tiny)
     force = max(float(np.abs(gradient).max()), np.finfo(float).tiny)
@@ -217,15 +222,15 @@ def _wrong(
     growth[: -limits.stride] = p[: -limits.stride] - p[limits.stride :]
     short = np.where(active.ties, -push / force, (limits.least - growth) / size)
     short[~np.isfinite(limits.least)] = -np.inf
-    return _Wrong(
+    return Wrong(
         np.maximum(violated, backwards) - margin,
         np.where(below > above, -1, 1).astype(np.int8),
         short - margin,
     )
 
 
-def _changed(
-    limits: SpokeLimits, active: Activity, wrong: _Wrong, *, all_of_them: bool
+def change(
+    limits: SpokeLimits, active: Activity, wrong: Wrong, *, all_of_them: bool
 ) -> Activity:
     """The next face."""
     pins, ties = wrong.pins > 0.0, wrong.ties > 0.0
@@ -243,7 +248,7 @@ def _changed(
     return _one_pin_each(limits, changed)
 
 
-def _possible(limits: SpokeLimits, active: Activity) -> Activity:
+def possible(limits: SpokeLimits, active: Activity) -> Activity:
     """Without limits that are not, or no longer, there."""
     bound = np.where(active.pins < 0, limits.lower, limits.upper)
     there = np.isfinite(bound) & ~limits.given
@@ -289,7 +294,7 @@ def _one_pin_each(limits: SpokeLimits, active: Activity) -> Activity:
     return Activity(pins, ties)
 
 
-def _right_signs(
+def right_signs(
     limits: SpokeLimits, active: Activity, pull: Array, push: Array
 ) -> tuple[Array, Array]:
     """Multipliers without what is wrong in sign by less than counts."""

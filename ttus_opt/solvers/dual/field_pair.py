@@ -111,6 +111,11 @@ class FieldPair:
         )
         return cls(program, prior, places, others, units, limits, links)
 
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of the grid."""
+        return self.program.laplace.grid.shape
+
     @cached_property
     def rows(self) -> PairRows:
         """The objective of x and y."""
