@@ -63,6 +63,9 @@ class LimitedProblem(Protocol):
     def gradient(self, p: Array) -> Array:
         """Gradient of the objective, shape (V,)."""
 
+    def objective(self, p: Array) -> float:
+        """The objective."""
+
 
 @dataclass(frozen=True)
 class FaceAnswer:

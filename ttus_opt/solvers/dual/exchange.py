@@ -5,6 +5,12 @@ away from its bound: a violated region needs a limit where it is violated worst,
 ever everywhere. To make all of it active (`active_set`) gives faces whose active
 regions shrink by one voxel at a time, 50 and more of them; to begin with none and to
 add the peaks of what is violated, as Remez' exchange does, needs 10 to 20.
+
+To let go of wrong signs and to add peaks at once is fast but may go round in circles.
+Where it does, peaks are added only to a face without wrong signs, as in Lawson and
+Hanson's method. Such a face is the minimum over its limits as inequalities, which with
+every limit that was missing can only rise: where it has not risen fewer were to be
+added, and no face without wrong signs comes twice.
 """
 
 from __future__ import annotations
@@ -36,8 +42,8 @@ Mask = NDArray[np.bool_]
 #: Residual of a face's dual over its worst violation, and at most, relative [–]
 ACCURACY, LOOSEST = 1e-2, 1e-3
 
-#: Faces whose worst limit is no better before changes are made by halves
-PATIENCE = 8
+#: Faces whose worst limit is no better before the exchange goes carefully
+PATIENCE = 5
 
 
 def exchange(
@@ -69,6 +75,7 @@ def exchange(
     face, solved = problem.face(active), active
     accuracy, best, patience = LOOSEST, np.inf, PATIENCE
     faces, steps = 0, 0
+    carefully = _Careful()
     while True:
         if active.differs(solved):
             face, solved = problem.face(active), active
@@ -82,29 +89,67 @@ def exchange(
         settled = wrong.count == 0 and accuracy == rtol and not answer.late
         if settled or late or faces == MAX_FACES:
             break
-        if wrong.count == 0:
+        if wrong.count == 0 or (patience == 0 and accuracy > rtol):
             accuracy = rtol
+            continue
+        peaks = _peaks(wrong, active, shape)
+        if patience == 0:
+            active = carefully.next(limits, active, peaks, problem.objective(p))
             continue
         worst = wrong.worst
         patience = PATIENCE if worst < 0.8 * best else patience - 1
         best = min(best, worst)
         accuracy = min(max(ACCURACY * worst, rtol), LOOSEST)
-        active = change(
-            limits, active, _peaks(wrong, active, shape), all_of_them=patience > 0
-        )
+        active = change(limits, active, peaks, all_of_them=True)
     pull, push = right_signs(limits, active, pull, push)
     return FaceAnswer(p, pull, push, active, faces, steps, late, settled)
 
 
-def _peaks(wrong: Wrong, active: Activity, shape: tuple[int, int, int]) -> Wrong:
-    """What is wrong, of violations only those at peaks."""
-    pins = (active.pins != 0) | _peak(wrong.pins, shape)
-    ties = active.ties | _peak(wrong.ties, shape)
+class _Careful:
+    """Exchange that cannot go round in circles."""
+
+    def __init__(self) -> None:
+        self._height = -np.inf
+
+    def next(
+        self, limits: SpokeLimits, active: Activity, peaks: Wrong, height: float
+    ) -> Activity:
+        """The next face.
+
+        Args:
+            limits: The limits.
+            active: The face.
+            peaks: What is wrong on it.
+            height: Its minimum.
+        """
+        pins, ties = peaks.pins > 0.0, peaks.ties > 0.0
+        backwards = pins & (active.pins != 0), ties & active.ties
+        if backwards[0].any() or backwards[1].any():
+            return change(limits, active, _only(peaks, *backwards), all_of_them=True)
+        if height > self._height:
+            self._height, self._base, self._peaks = height, active, peaks
+        else:
+            sizes = np.concatenate([self._peaks.pins, self._peaks.ties])
+            least = float(np.median(sizes[sizes > 0.0]))
+            self._peaks = _only(
+                self._peaks, self._peaks.pins > least, self._peaks.ties > least
+            )
+        return change(limits, self._base, self._peaks, all_of_them=True)
+
+
+def _only(wrong: Wrong, pins: Mask, ties: Mask) -> Wrong:
+    """Some of what is wrong."""
     return replace(
         wrong,
         pins=np.where(pins, wrong.pins, -np.inf),
         ties=np.where(ties, wrong.ties, -np.inf),
     )
+
+
+def _peaks(wrong: Wrong, active: Activity, shape: tuple[int, int, int]) -> Wrong:
+    """What is wrong, of violations only those at peaks."""
+    pins = (active.pins != 0) | _peak(wrong.pins, shape)
+    return _only(wrong, pins, active.ties | _peak(wrong.ties, shape))
 
 
 def _peak(size: Array, shape: tuple[int, int, int]) -> Mask:

@@ -40,6 +40,10 @@ class LimitedField:
         face = face_of(self.program.laplace, self.limits, active, self.data)
         return FieldFace(face, DualSolver(face.system))
 
+    def objective(self, p: Array) -> float:
+        """The objective."""
+        return self.program.objective(p)
+
     def gradient(self, p: Array) -> Array:
         """Gradient of the objective, shape (V,)."""
         return np.add(*self.program.gradient(p))

@@ -168,6 +168,10 @@ class FieldPair:
         lower, upper = self.program.box
         return lower[self.others], upper[self.others]
 
+    def objective(self, p: Array) -> float:
+        """The objective at the best of all other unknowns."""
+        return self.program.objective(self.variables(p))
+
     def gradient(self, p: Array) -> Array:
         """Gradient of the objective at the best of all other unknowns, shape (2V,)."""
         full = np.add(*self.program.gradient(self.variables(p)))
