@@ -74,7 +74,9 @@ class FieldPair:
             raise ValueError("a Laplace term of weight above zero for each field")
         every = np.arange(program.n_variables)
         places = np.concatenate([every[program.variables[k]] for k in ("p", name)])
-        others = np.setdiff1d(every, places)
+        beside = np.ones(len(every), dtype=bool)
+        beside[places] = False
+        others = np.flatnonzero(beside)
         V = len(places) // 2
         if len(others) > MOST:
             raise ValueError(f"{MOST} unknowns beside the fields, not {len(others)}")
@@ -254,7 +256,7 @@ def _links(
         at = columns[:, 0].astype(np.int64)
         pairs = (at < n_voxels) & (columns[:, 1] == at + start)
         opposed = values[:, 0] * values[:, 1] < 0.0
-        if pairs.all() and opposed.all() and len(np.unique(at)) == len(at):
+        if pairs.all() and opposed.all() and np.bincount(at).max(initial=0) <= 1:
             return at, values[:, 0], -values[:, 0] / values[:, 1]
     raise ValueError(f"{constraint.name} is no bound and no share of the field")
 

@@ -44,7 +44,7 @@ class PairCycle:
         self.b = np.zeros(first.b.size + second.b.size, first.b.dtype)
         self.x = np.zeros_like(self.b)
         rows = np.flatnonzero(np.diff(across.indptr))
-        columns = np.unique(across.indices)
+        columns = np.flatnonzero(np.bincount(across.indices, minlength=self._half))
         self._across = across[rows][:, columns].astype(np.float32)
         self._adjoint = sp.csr_array(self._across.T)
         self._to, self._from = second.places(rows), first.places(columns)
