@@ -2,8 +2,9 @@
 
 The dual system is solved by conjugate directions that are all kept, preconditioned by
 a rough dual (`ttus_opt.solvers.dual`); L⁻¹ is a multigrid (`ttus_opt.multigrid`). Where
-the field has bounds or must grow along spokes, this is done on one face of the feasible
-set after the other. What a new solve costs, in solves with L or Lᵀ:
+the field has bounds or must grow along spokes, or a second field may be at most a share
+of it, this is done on one face of the feasible set after the other. What a new solve
+costs, in solves with L or Lᵀ:
 
     new measured values     2 for p, and 2 per direction the old ones lack
     new boundary values     1 for p₀ more
@@ -61,7 +62,7 @@ class Structured(Solver):
     )
 
     def refusal(self, program: Program) -> str:
-        """A Laplace term, measured rows, bounds and growth along spokes."""
+        """A Laplace term, measured rows, limits as `SpokeLimits` or `FieldPair`."""
         base = super().refusal(program)
         if base:
             return base

@@ -42,7 +42,8 @@ Mask = NDArray[np.bool_]
 #: Residual of a face's dual over its worst violation, and at most, relative [–]
 ACCURACY, LOOSEST = 1e-2, 1e-3
 
-#: Faces whose worst limit is no better before the exchange goes carefully
+#: Faces on which neither the worst limit nor their number is better, before the
+#: exchange goes carefully
 PATIENCE = 5
 
 
@@ -73,7 +74,7 @@ def exchange(
     if start is not None and len(start[0]) == size:
         guess, active = start[0], possible(limits, start[1])
     face, solved = problem.face(active), active
-    accuracy, best, patience = LOOSEST, np.inf, PATIENCE
+    accuracy, best, fewest, patience = LOOSEST, np.inf, np.inf, PATIENCE
     faces, steps = 0, 0
     carefully = _Careful()
     while True:
@@ -92,13 +93,13 @@ def exchange(
         if wrong.count == 0 or (patience == 0 and accuracy > rtol):
             accuracy = rtol
             continue
-        peaks = _peaks(wrong, active, shape)
+        peaks, worst = _peaks(wrong, active, shape), wrong.worst
         if patience == 0:
             active = carefully.next(limits, active, peaks, problem.objective(p))
             continue
-        worst = wrong.worst
-        patience = PATIENCE if worst < 0.8 * best else patience - 1
-        best = min(best, worst)
+        better = worst < 0.8 * best or wrong.count < 0.8 * fewest
+        patience = PATIENCE if better else patience - 1
+        best, fewest = min(best, worst), min(fewest, wrong.count)
         accuracy = min(max(ACCURACY * worst, rtol), LOOSEST)
         active = change(limits, active, peaks, all_of_them=True)
     pull, push = right_signs(limits, active, pull, push)
@@ -126,13 +127,15 @@ class _Careful:
         backwards = pins & (active.pins != 0), ties & active.ties
         if backwards[0].any() or backwards[1].any():
             return change(limits, active, _only(peaks, *backwards), all_of_them=True)
-        if height > self._height:
+        # a single one that was missing cannot fail, but for rounding
+        if height > self._height or self._peaks.count == 1:
             self._height, self._base, self._peaks = height, active, peaks
         else:
             sizes = np.concatenate([self._peaks.pins, self._peaks.ties])
-            least = float(np.median(sizes[sizes > 0.0]))
+            sizes = np.sort(sizes[sizes > 0.0])
+            least = float(sizes[(len(sizes) + 1) // 2])
             self._peaks = _only(
-                self._peaks, self._peaks.pins > least, self._peaks.ties > least
+                self._peaks, self._peaks.pins >= least, self._peaks.ties >= least
             )
         return change(limits, self._base, self._peaks, all_of_them=True)
 

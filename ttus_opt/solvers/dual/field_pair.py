@@ -162,10 +162,10 @@ class FieldPair:
 
     def face(self, active: Activity) -> PairFace:
         """The problem left when some limits are active."""
-        return PairFace(self.rows, self.limits, active, self._box)
+        return PairFace(self.rows, self.limits, active, self.box)
 
     @property
-    def _box(self) -> tuple[Array, Array]:
+    def box(self) -> tuple[Array, Array]:
         """Bounds of unknowns beside the fields."""
         lower, upper = self.program.box
         return lower[self.others], upper[self.others]
@@ -196,7 +196,7 @@ class FieldPair:
             ]
         )
         x[self.others] = bounded_minimum(
-            columns.T @ columns, columns.T @ misfit, *self._box
+            columns.T @ columns, columns.T @ misfit, *self.box
         )
         return x
 
@@ -217,7 +217,7 @@ class FieldPair:
         z = np.zeros(self.program.n_variables)
         z[self.places] = pull / self.units
         pull = -np.add(*self.program.gradient(x))[self.others]
-        low, high = (x[self.others] == limit for limit in self._box)
+        low, high = (x[self.others] == limit for limit in self.box)
         z[self.others] = np.where(low, np.minimum(pull, 0.0), 0.0)
         z[self.others] += np.where(high, np.maximum(pull, 0.0), 0.0)
         if any(c.name == HardBoundary.name for c in self.program.constraints):

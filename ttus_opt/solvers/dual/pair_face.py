@@ -218,6 +218,11 @@ class PairFace:
         Q, R = np.linalg.qr(np.concatenate([matrix, np.zeros((k, k))]))
         return R, Q[: len(target)].T @ target
 
+    @property
+    def system(self) -> DualSystem:
+        """Its dual system."""
+        return self._data.system
+
     def solve(
         self, *, rtol: float, deadline: float | None, guess: Array | None
     ) -> DualAnswer:
