@@ -21,8 +21,8 @@ Array = NDArray[np.float64]
 
 @functools.cache
 def pair(weight: float, smoothness: float, share: float, hard: bool) -> FieldPair:
-    """Five hundred voxels, and measurements that do not fit the prior."""
-    scene = dragged_scene("contact", shape=(6, 12, 6))
+    """Three hundred voxels, and measurements that do not fit the prior."""
+    scene = dragged_scene("contact", shape=(6, 10, 5))
     rng = np.random.default_rng(1)
     trajectory = scene.trajectory
     assert trajectory.force is not None
@@ -87,11 +87,11 @@ def dense_answer(of: FieldPair, active: Activity) -> tuple[Array, Array]:
     M = np.vstack(
         [root[:, None] * (rows.L @ P), rows.root_weights[:, None] * (rows.rows @ P)]
     )
-    E = np.vstack([root[:, None] * rows.columns, rows.measured_columns])
+    E = np.vstack([root[:, None] * rows.column[:, None], rows.measured_column[:, None]])
     t = np.concatenate(
         [root * (rows.b - rows.L @ o), rows.t - rows.root_weights * (rows.rows @ o)]
     )
-    (low,), (high,) = of.box
+    low, high = of.bounds
     z = np.linalg.lstsq(np.hstack([M, E]), t)[0]
     c = np.clip(z[-1:], low, high)  # one number: clipped is best
     return P @ np.linalg.lstsq(M, t - E @ c)[0] + o, c

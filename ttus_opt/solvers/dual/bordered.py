@@ -74,7 +74,8 @@ class BorderedSolver:
         self._directions = Directions(system)
         self._across = True  # whether all directions are across E
         self._precondition: Callable[[Array], Array] | None = None
-        self._steps, self._deadline = 0, None
+        self._steps = 0
+        self._deadline: float | None = None
 
     def solve(
         self, b: Array, t: Array, *, near: float, rtol: float, deadline: float | None
@@ -116,7 +117,7 @@ class BorderedSolver:
         self, right_side: Array, c: float, start: _Multipliers, goal: float
     ) -> tuple[_Multipliers, float]:
         """Multipliers where c is given."""
-        self._across = self._across and not len(self._directions)
+        self._across = False
         rest = right_side - c * self._column
         return self._solved(rest, start, goal, lambda r: (0.0, r), self._rough)
 

@@ -111,6 +111,7 @@ class _Careful:
 
     def __init__(self) -> None:
         self._height = -np.inf
+        self._last: tuple[Activity, Wrong] | None = None
 
     def next(
         self, limits: SpokeLimits, active: Activity, peaks: Wrong, height: float
@@ -128,16 +129,19 @@ class _Careful:
         if backwards[0].any() or backwards[1].any():
             return change(limits, active, _only(peaks, *backwards), all_of_them=True)
         # a single one that was missing cannot fail, but for rounding
-        if height > self._height or self._peaks.count == 1:
-            self._height, self._base, self._peaks = height, active, peaks
+        if self._last is None or height > self._height or self._last[1].count == 1:
+            self._height, self._last = height, (active, peaks)
         else:
-            sizes = np.concatenate([self._peaks.pins, self._peaks.ties])
-            sizes = np.sort(sizes[sizes > 0.0])
-            least = float(sizes[(len(sizes) + 1) // 2])
-            self._peaks = _only(
-                self._peaks, self._peaks.pins >= least, self._peaks.ties >= least
-            )
-        return change(limits, self._base, self._peaks, all_of_them=True)
+            self._last = self._last[0], _worse_half(self._last[1])
+        return change(limits, *self._last, all_of_them=True)
+
+
+def _worse_half(wrong: Wrong) -> Wrong:
+    """The worse half of what is wrong."""
+    sizes = np.concatenate([wrong.pins, wrong.ties])
+    kept = np.zeros(len(sizes), dtype=bool)
+    kept[np.argsort(sizes)[len(sizes) - wrong.count // 2 :]] = True
+    return _only(wrong, *np.split(kept, 2))
 
 
 def _only(wrong: Wrong, pins: Mask, ties: Mask) -> Wrong:

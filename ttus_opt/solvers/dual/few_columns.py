@@ -75,22 +75,12 @@ def solve_with_columns(
         answer = solver.solve(nothing, column, rtol=rtol, deadline=deadline)
         fields[k], Y[:, k] = answer.p, column - measure(answer.p)
         steps, late = steps + answer.steps, late or answer.late
-    c = bounded_minimum(E.T @ Y, E.T @ (data.t - measure(first.p)), lower, upper)
+    c = _bounded(E.T @ Y, E.T @ (data.t - measure(first.p)), lower, upper)
     return ColumnsAnswer(first.p - c @ fields, c, steps, late)
 
 
-def bounded_minimum(S: Array, r: Array, lower: Array, upper: Array) -> Array:
-    """Minimise ½ cᵀS c - rᵀc between bounds.
-
-    Args:
-        S: Symmetric positive semidefinite, shape (k, k).
-        r: Shape (k,).
-        lower: Shape (k,).
-        upper: Shape (k,).
-
-    Returns:
-        c, shape (k,).
-    """
+def _bounded(S: Array, r: Array, lower: Array, upper: Array) -> Array:
+    """Minimise ½ cᵀS c - rᵀc between bounds."""
     size, turn = np.linalg.eigh((S + S.T) / 2.0)
     curved = size > FLAT * max(size.max(initial=0.0), np.finfo(float).tiny)
     root = np.sqrt(size[curved])

@@ -20,16 +20,12 @@ from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.activity import Activity
-from ttus_opt.solvers.dual.few_columns import bounded_minimum
 from ttus_opt.solvers.dual.pair_face import PairFace, PairRows
 from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 from ttus_opt.terms.base import Penalty
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
-
-#: Most unknowns beside the fields: each costs a dual solve on every face
-MOST = 4
 
 #: Relative difference of ratios that count as one [–]
 SAME = 1e-12
@@ -43,7 +39,7 @@ class FieldPair:
         program: The problem.
         prior: The second field's Laplace term.
         places: Where p and q lie in the program's unknowns, shape (2V,).
-        others: Where everything else does, shape (k,).
+        others: Where an unknown beside them does, shape (1,), or nothing.
         units: What turns x and y into p and q, shape (2V,).
         limits: Of x and y.
         links: Per constraint, by name: the voxel of every row, and by what the row is
@@ -78,8 +74,8 @@ class FieldPair:
         beside[places] = False
         others = np.flatnonzero(beside)
         V = len(places) // 2
-        if len(others) > MOST:
-            raise ValueError(f"{MOST} unknowns beside the fields, not {len(others)}")
+        if len(others) > 1:
+            raise ValueError(f"one unknown beside the fields, not {len(others)}")
         region = program.laplace.voxmap.grid.flatten(program.laplace.voxmap.region)
         sign = np.where(region < 0, -1.0, 1.0)
         linear = [c for c in program.constraints if c.name != HardBoundary.name]
@@ -130,10 +126,10 @@ class FieldPair:
         softness = np.ones(2 * V)
         softness[V:] = first.weight / prior.weight / units[V:] ** 2
         both = sp.vstack([first.matrix, prior.matrix], format="csr")
-        columns = both[:, self.others].toarray() / units[:, None]
+        column = both[:, self.others].sum(axis=1) / units
         b = np.concatenate([first.target, prior.target]) / units
         given = self.limits.given
-        softness[given], columns[given] = 0.0, 0.0
+        softness[given], column[given] = 0.0, 0.0
         b[given] = self.limits.lower[given]
         measured = [
             t
@@ -153,51 +149,38 @@ class FieldPair:
             sp.csr_array(sp.block_diag([L, L], format="csr")),
             softness,
             b,
-            columns,
+            column,
             sp.csr_array(matrix[:, self.places] @ sp.diags_array(units)),
             root,
             root * np.concatenate([t.target for t in measured]),
-            root[:, None] * matrix[:, self.others].toarray(),
+            root * matrix[:, self.others].sum(axis=1),
+            self.bounds,
         )
 
     def face(self, active: Activity) -> PairFace:
         """The problem left when some limits are active."""
-        return PairFace(self.rows, self.limits, active, self.box)
+        return PairFace(self.rows, self.limits, active)
 
     @property
-    def box(self) -> tuple[Array, Array]:
-        """Bounds of unknowns beside the fields."""
-        lower, upper = self.program.box
-        return lower[self.others], upper[self.others]
+    def bounds(self) -> tuple[float, float]:
+        """Of the unknown beside the fields."""
+        lower, upper = (limit[self.others] for limit in self.program.box)
+        return float(lower.max(initial=-np.inf)), float(upper.min(initial=np.inf))
 
     def objective(self, p: Array) -> float:
-        """The objective at the best of all other unknowns."""
+        """The objective at the best of the unknown beside the fields."""
         return self.program.objective(self.variables(p))
 
     def gradient(self, p: Array) -> Array:
-        """Gradient of the objective at the best of all other unknowns, shape (2V,)."""
+        """Its gradient, shape (2V,)."""
         full = np.add(*self.program.gradient(self.variables(p)))
         return np.asarray(self.units * full[self.places])
 
     def variables(self, p: Array) -> Array:
-        """The program's x: both fields, and the best of all other unknowns."""
-        rows = self.rows
+        """The program's x: both fields, and the best of the unknown beside them."""
         x = np.zeros(self.program.n_variables)
         x[self.places] = self.units * p
-        soft = rows.softness > 0.0
-        root = 1.0 / np.sqrt(rows.softness[soft])
-        columns = np.concatenate(
-            [root[:, None] * rows.columns[soft], rows.measured_columns]
-        )
-        misfit = np.concatenate(
-            [
-                root * (rows.b - rows.L @ p)[soft],
-                rows.t - rows.root_weights * (rows.rows @ p),
-            ]
-        )
-        x[self.others] = bounded_minimum(
-            columns.T @ columns, columns.T @ misfit, *self.box
-        )
+        x[self.others] = self.rows.beside(p)
         return x
 
     def duals(self, x: Array, pull: Array, push: Array) -> Duals:
@@ -217,7 +200,7 @@ class FieldPair:
         z = np.zeros(self.program.n_variables)
         z[self.places] = pull / self.units
         pull = -np.add(*self.program.gradient(x))[self.others]
-        low, high = (x[self.others] == limit for limit in self.box)
+        low, high = (x[self.others] == limit for limit in self.bounds)
         z[self.others] = np.where(low, np.minimum(pull, 0.0), 0.0)
         z[self.others] += np.where(high, np.maximum(pull, 0.0), 0.0)
         if any(c.name == HardBoundary.name for c in self.program.constraints):

@@ -23,10 +23,9 @@ from numpy.typing import NDArray
 from ttus_opt.laplace import LaplaceSystem
 from ttus_opt.multigrid import Multigrid
 from ttus_opt.solvers.dual.activity import Activity
-from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.few_columns import solve_with_columns
+from ttus_opt.solvers.dual.bordered import BorderedSolver
 from ttus_opt.solvers.dual.pair_laplace import PairBlock, PairLaplace
-from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
+from ttus_opt.solvers.dual.solver import DualAnswer
 from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 from ttus_opt.solvers.dual.system import DualSystem
 
@@ -36,29 +35,46 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class PairRows:
-    """The objective of two fields, Σ (L x + B c - b)²/ω + ‖c₀(D x + E c) - t‖².
+    """The objective of two fields, Σ (L x + B c - b)²/ω + ‖w (D x) + E c - t‖².
 
     Attributes:
         laplace: Of one field.
         L: Of both, shape (2V, 2V).
         softness: ω, 0 where a row must hold exactly, shape (2V,).
         b: Shape (2V,).
-        columns: B, of unknowns beside the fields, shape (2V, k).
+        column: B, of an unknown c beside the fields, shape (2V,).
         rows: D, measured rows without weights, shape (m, 2V).
-        root_weights: c₀, shape (m,).
+        root_weights: w, shape (m,).
         t: Weighted targets, shape (m,).
-        measured_columns: c₀E, shape (m, k).
+        measured_column: E, shape (m,).
+        bounds: Of c.
     """
 
     laplace: LaplaceSystem
     L: sp.csr_array = field(repr=False)
     softness: Array = field(repr=False)
     b: Array = field(repr=False)
-    columns: Array = field(repr=False)
+    column: Array = field(repr=False)
     rows: sp.csr_array = field(repr=False)
     root_weights: Array = field(repr=False)
     t: Array = field(repr=False)
-    measured_columns: Array = field(repr=False)
+    measured_column: Array = field(repr=False)
+    bounds: tuple[float, float]
+
+    def beside(self, x: Array) -> float:
+        """The best c between its bounds beside two fields, (2V,)."""
+        soft = self.softness > 0.0
+        root = 1.0 / np.sqrt(self.softness[soft])
+        column = np.concatenate([root * self.column[soft], self.measured_column])
+        misfit = np.concatenate(
+            [
+                root * (self.b - self.L @ x)[soft],
+                self.t - self.root_weights * (self.rows @ x),
+            ]
+        )
+        square = float(column @ column)
+        best = float(column @ misfit) / square if square > 0.0 else 0.0
+        return float(np.clip(best, *self.bounds))
 
 
 @dataclass(frozen=True)
@@ -115,25 +131,17 @@ class _Unknowns:
 class PairFace:
     """The problem on one face, and the solver of its dual."""
 
-    def __init__(
-        self,
-        whole: PairRows,
-        limits: SpokeLimits,
-        active: Activity,
-        box: tuple[Array, Array],
-    ) -> None:
+    def __init__(self, whole: PairRows, limits: SpokeLimits, active: Activity) -> None:
         """Reduce the problem.
 
         Args:
             whole: The objective.
             limits: Its limits; a pair is a spoke of two voxels.
             active: Which of them are active.
-            box: Bounds of unknowns beside the fields, shape (k,) each.
         """
-        self._box = box
         unknowns = _Unknowns.of(limits, active)
+        self._whole, self._unknowns = whole, unknowns
         V = len(unknowns.follows)
-        self._spread, self._offset = unknowns.spread, unknowns.offset
         L = sp.csr_array(whole.L @ unknowns.spread)
         joined = self._joined(whole, unknowns)
         # the rows of both in proportion to their weights
@@ -144,45 +152,32 @@ class PairFace:
             both = share * values[:V] + (1.0 - share) * values[V:]
             return np.where(unknowns.own, np.concatenate([both, values[V:]]), 0.0)
 
-        softness = whole.softness * np.concatenate([share, np.ones(V)])
         rest = whole.b - whole.L @ unknowns.offset
-        square = square_rows(rest)
         left = ~unknowns.own & (whole.softness > 0.0)
         left[V:] &= ~joined
         moved = np.diff(L.indptr) > 0
         alone = self._alone(whole, rest, left & ~moved, joined)
         left &= moved
         root = 1.0 / np.sqrt(whole.softness[left])
-        k = whole.columns.shape[1]
-        rows = sp.vstack(
-            [whole.rows @ unknowns.spread, L[left], sp.csr_array((k, 2 * V))],
-            format="csr",
-        )
-        t = whole.t - whole.root_weights * (whole.rows @ unknowns.offset)
+        rows = [whole.rows @ unknowns.spread, L[left], sp.csr_array((1, 2 * V))]
+        softness = whole.softness * np.concatenate([share, np.ones(V)])
         system = DualSystem(
             _laplace(whole, L, unknowns),
             np.where(unknowns.own, softness, 0.0),
-            sp.csr_array(rows),
-            np.concatenate([whole.root_weights, root, np.ones(k)]),
+            sp.csr_array(sp.vstack(rows, format="csr")),
+            np.concatenate([whole.root_weights, root, [1.0]]),
         )
-        # unknowns beside the fields: as columns of the measured rows alone, when the
-        # fields they make by themselves are taken off
-        made = np.zeros((k, 2 * V))
-        columns = np.concatenate(
-            [whole.measured_columns, root[:, None] * whole.columns[left], alone[0]]
+        measured = whole.t - whole.root_weights * (whole.rows @ unknowns.offset)
+        self._b = square_rows(rest)
+        self._t = np.concatenate([measured, root * rest[left], alone[1:]])
+        # c as a column of the measured rows alone, when the fields it makes by itself
+        # are taken off
+        column = np.concatenate(
+            [whole.measured_column, root * whole.column[left], alone[:1]]
         )
-        for k, column in enumerate(whole.columns.T):
-            if column.any():
-                made[k] = system.laplace.solve(square_rows(column))
-                columns[:, k] -= system.measure(made[k])
-        self._made = made
-        self._data = DualData(
-            system,
-            square,
-            np.concatenate([t, root * rest[left], alone[1]]),
-            columns,
-        )
-        self._solver = DualSolver(system)
+        self._made = system.laplace.solve(square_rows(whole.column))
+        column -= system.measure(self._made)
+        self._solver = BorderedSolver(system, column, whole.bounds)
 
     @staticmethod
     def _joined(whole: PairRows, unknowns: _Unknowns) -> Mask:
@@ -193,45 +188,37 @@ class PairFace:
         return np.asarray(unknowns.follows & (touched == 0.0))
 
     @staticmethod
-    def _alone(
-        whole: PairRows, rest: Array, still: Mask, joined: Mask
-    ) -> tuple[Array, Array]:
-        """Rows R c = t of what no field takes part in any more, as few as unknowns.
+    def _alone(whole: PairRows, rest: Array, still: Mask, joined: Mask) -> Array:
+        """One row for all those that no field takes part in any more: E and t of it.
 
         Rows of voxels that are held with all their neighbours, and the difference of
         two rows that were joined.
         """
-        first, second = np.split(whole.softness, 2)
+        V = len(joined)
         root = 1.0 / np.sqrt(whole.softness[still])
-        apart = 1.0 / np.sqrt(first + second)[joined]
-        matrix, target = (
-            np.concatenate(
-                [
-                    (root * values[still].T).T,
-                    (apart * np.subtract(*np.split(values, 2))[joined].T).T,
-                ]
-            )
-            for values in (whole.columns, rest)
+        apart = 1.0 / np.sqrt(whole.softness[:V] + whole.softness[V:])[joined]
+        column, target = (
+            np.concatenate([root * v[still], apart * (v[:V] - v[V:])[joined]])
+            for v in (whole.column, rest)
         )
-        k = matrix.shape[1]
-        # zeros below, so that there are k rows however few there were
-        Q, R = np.linalg.qr(np.concatenate([matrix, np.zeros((k, k))]))
-        return R, Q[: len(target)].T @ target
+        size = float(np.linalg.norm(column))
+        return np.array([size, float(column @ target) / size if size > 0.0 else 0.0])
 
     @property
     def system(self) -> DualSystem:
         """Its dual system."""
-        return self._data.system
+        return self._solver.system
 
     def solve(
         self, *, rtol: float, deadline: float | None, guess: Array | None
     ) -> DualAnswer:
-        """The best fields on it; a guess is of no use here."""
-        answer = solve_with_columns(
-            self._solver, self._data, *self._box, rtol=rtol, deadline=deadline
+        """The best fields on it; of a guess only the unknown beside it is of use."""
+        near = 0.0 if guess is None else self._whole.beside(guess)
+        answer = self._solver.solve(
+            self._b, self._t, near=near, rtol=rtol, deadline=deadline
         )
-        z = answer.p - answer.c @ self._made
-        p = np.asarray(self._spread @ z + self._offset)
+        z = answer.p - answer.c * self._made
+        p = np.asarray(self._unknowns.spread @ z + self._unknowns.offset)
         return DualAnswer(p, answer.steps, answer.late)
 
 
