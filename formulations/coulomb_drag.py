@@ -1,14 +1,18 @@
 """Eq. 10 with Coulomb drag of a voxel field q, the friction coefficient times p.
 
-min_{p,q} ‖L p - b‖² + α ‖(L q)_free‖² + λ_f ‖N p - F q - f‖² + λ_τ ‖(W p - G q - τ)/ℓ‖²
-s.t.  0 ≤ q ≤ μ_max p inside, q = 0 on the skin, μ_max p ≤ q ≤ 0 outside
+min_{p,q,m} ‖L p - b‖² + α ‖L q - m b‖²
+            + λ_f ‖N p - F q - f‖² + λ_τ ‖(W p - G q - τ)/ℓ‖²
+s.t.  0 ≤ q ≤ μ_max p inside, q = 0 on the skin, μ_max p ≤ q ≤ 0 outside,
+      0 ≤ m ≤ μ_max
 
 F q = t̂ (n̂ᵀ N q) with t̂ the direction of sliding, n̂ the contact's normal; jointly
-convex in (p, q). Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
+convex in (p, q, m). m is the mean friction coefficient: where it holds, q = m p.
+Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """
 
 from ttus_opt.constraints.drag_limit import DragLimit
 from ttus_opt.constraints.drag_sign import DragSign
+from ttus_opt.constraints.mean_friction import MeanFriction
 from ttus_opt.drag_estimate import estimate_drag
 from ttus_opt.friction import DEADBAND
 from ttus_opt.problem.formulation import Formulation
@@ -40,5 +44,9 @@ def build(
             DragForceTerm(scene, force_weight, drag=drag),
             DragTorqueTerm(scene, torque_weight, torque_length, drag=drag),
         ],
-        constraints=[DragSign(scene), DragLimit(scene, largest_friction)],
+        constraints=[
+            DragSign(scene),
+            DragLimit(scene, largest_friction),
+            MeanFriction(scene, largest_friction),
+        ],
     )

@@ -212,7 +212,8 @@ def test_coulomb_drag_field_finds_what_was_put_in() -> None:
     assert (q * region).min() > -1e-5
     assert ((p - q) * region).min() > -1e-5
     assert np.abs(q[region == 0]).max() < 1e-5
-    assert set(solution.duals_by_name) == {"drag_sign", "drag_limit"}
+    assert solution.parameters["mean_friction_coefficient"] == pytest.approx(0.3)
+    assert set(solution.duals_by_name) == {"drag_sign", "drag_limit", "mean_friction"}
     assert solution.duals_by_name["drag_sign"].shape == (scene.n_voxels,)
 
 

@@ -24,7 +24,7 @@ from scipy.sparse.linalg import splu
 from ttus_opt.compiled import compiled
 from ttus_opt.errors import InputError
 from ttus_opt.grid import CylindricalGrid, flat_index
-from ttus_opt.multigrid import Multigrid, MultigridResult, VCycle
+from ttus_opt.multigrid import Multigrid, MultigridResult
 from ttus_opt.voxmap import Voxmap
 
 Array = NDArray[np.float64]
@@ -33,14 +33,43 @@ Array = NDArray[np.float64]
 RTOL = 1e-12
 
 
-class BlockSolver(Protocol):
-    """A solver of the symmetric block A."""
+class RoughCycle(Protocol):
+    """A⁻¹ roughly, as `VCycle`; the block A need not be symmetric."""
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """Unknown voxels that it knows of."""
+
+    @property
+    def b(self) -> NDArray[np.float32]:
+        """Right-hand side, to be written to."""
+
+    @property
+    def x(self) -> NDArray[np.float32]:
+        """Answer of the last run."""
+
+    def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Where free voxels lie in both."""
+
+    def run(self) -> None:
+        """Set x to A⁻¹ b."""
+
+    def run_adjoint(self) -> None:
+        """Set x to A⁻ᵀ b."""
+
+
+class Block(Protocol):
+    """The square block A on free voxels."""
+
+    def rough(self, near: NDArray[np.integer]) -> RoughCycle:
+        """One V-cycle at a time, of use near some voxels."""
+
+
+class BlockSolver(Block, Protocol):
+    """A solver of a symmetric block A."""
 
     def solve(self, rhs: Array, *, rtol: float) -> MultigridResult:
         """Its answer to one right-hand side."""
-
-    def rough(self, near: NDArray[np.integer]) -> VCycle:
-        """One V-cycle at a time, of use near some voxels."""
 
 
 class SquareSystem(Protocol):
@@ -63,8 +92,8 @@ class SquareSystem(Protocol):
         """L's entries from fixed voxels to free rows, and their adjoint, (V, V)."""
 
     @property
-    def multigrid(self) -> BlockSolver:
-        """Solver of A on the free voxels."""
+    def multigrid(self) -> Block:
+        """What A is on the free voxels."""
 
     def solve(self, right_side: Array, *, rtol: float = RTOL) -> Array:
         """Solve L p = g."""
@@ -73,10 +102,18 @@ class SquareSystem(Protocol):
         """Solve Lᵀ q = g."""
 
 
-class BlockSolves:
-    """The solves of a `SquareSystem`."""
+class SymmetricSystem(SquareSystem, Protocol):
+    """A `SquareSystem` whose block A is symmetric."""
 
-    def solve(self: SquareSystem, right_side: Array, *, rtol: float = RTOL) -> Array:
+    @property
+    def multigrid(self) -> BlockSolver:
+        """Solver of A on the free voxels."""
+
+
+class BlockSolves:
+    """The solves of a `SymmetricSystem`."""
+
+    def solve(self: SymmetricSystem, right_side: Array, *, rtol: float = RTOL) -> Array:
         """Solve L p = g.
 
         Args:
@@ -96,7 +133,7 @@ class BlockSolves:
         return p
 
     def solve_adjoint(
-        self: SquareSystem, right_side: Array, *, rtol: float = RTOL
+        self: SymmetricSystem, right_side: Array, *, rtol: float = RTOL
     ) -> Array:
         """Solve Lᵀ q = g; arguments as `solve`."""
         rest = np.where(self.free, -right_side, 0.0)

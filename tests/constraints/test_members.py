@@ -12,6 +12,7 @@ from ttus_opt.constraints.base import Bounds, LinearRows
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.drag_limit import DragLimit
 from ttus_opt.constraints.drag_sign import DragSign
+from ttus_opt.constraints.mean_friction import MeanFriction
 from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.constraints.nonnegative import NonNegative
 from ttus_opt.constraints.sign import Sign
@@ -117,6 +118,8 @@ def test_bounds_by_region() -> None:
     np.testing.assert_array_equal(drag.lower == 0.0, flat != OUTSIDE)
     viscous = bounds(ViscousSign(SCENE, 6).rows())
     assert (viscous.variable, len(viscous.lower)) == ("c", 6)
+    mean = bounds(MeanFriction(SCENE, 0.4).rows())
+    assert (mean.variable, mean.lower, mean.upper) == ("m", [0.0], [0.4])
 
 
 def test_drag_limit_is_a_share_of_the_field() -> None:
@@ -135,3 +138,5 @@ def test_numbers_that_are_none() -> None:
         Monotone(SCENE, -1.0)
     with pytest.raises(InputError, match="largest friction must be positive"):
         DragLimit(SCENE, 0.0)
+    with pytest.raises(InputError, match="largest friction must be positive"):
+        MeanFriction(SCENE, -1.0)

@@ -24,6 +24,7 @@ EXPECTED = {
         "torque",
         "drag_sign",
         "drag_limit",
+        "mean_friction",
     ),
     "coulomb_global": ("laplace", "force", "torque"),
     "eq10": ("laplace", "force", "torque"),

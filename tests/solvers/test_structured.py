@@ -11,7 +11,6 @@ from scipy.sparse.linalg import spsolve
 
 import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
-from tests.dragging import dragged_scene
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.laplace import LaplaceSystem
 from ttus_opt.point_shell import PointShell
@@ -158,10 +157,8 @@ def test_geometry_that_breaks_careless_solvers(
         assert relative(x, direct_answer(scene, 1e-1, hard)) < 1e-8
 
 
-@pytest.mark.parametrize("name", ["free_surface", "coulomb_drag", "robust"])
+@pytest.mark.parametrize("name", ["free_surface", "robust"])
 def test_refuses_what_it_cannot_take(scene: Scene, name: str) -> None:
-    if name == "coulomb_drag":
-        scene = dragged_scene("contact")
     declared = formulation.load(name, scene).compile()
     with pytest.raises(tt.TtusError, match="structured cannot take this problem"):
         STRUCTURED.prepare(declared, TIGHT)

@@ -12,6 +12,16 @@ from ttus_opt.constraints.base import Constraint, LinearRows
 from ttus_opt.errors import InputError
 
 
+def check_coefficient(largest: float) -> None:
+    """Refuse a largest friction coefficient that is none.
+
+    Raises:
+        InputError: It is not positive.
+    """
+    if not (math.isfinite(largest) and largest > 0.0):
+        raise InputError(f"largest friction must be positive, got {largest}")
+
+
 @dataclass(frozen=True)
 class DragLimit(Constraint):
     """The drag field is at most μ_max times the field, here and there of the skin.
@@ -31,8 +41,7 @@ class DragLimit(Constraint):
         Raises:
             InputError: μ_max is not positive.
         """
-        if not (math.isfinite(self.largest) and self.largest > 0.0):
-            raise InputError(f"largest friction must be positive, got {self.largest}")
+        check_coefficient(self.largest)
 
     def rows(self) -> LinearRows:
         """μ_max p − q, at least 0 inside and at most 0 outside."""

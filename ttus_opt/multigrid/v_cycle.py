@@ -93,3 +93,7 @@ class VCycle:
         """Set ``x`` to one V-cycle's answer for ``b``."""
         b = self._work.b[0]
         cycle(self._hierarchy, self._work, (b[0], b[1]), sweeps=self._sweeps)
+
+    def run_adjoint(self) -> None:
+        """The same, as the map is symmetric."""
+        self.run()

@@ -2,8 +2,9 @@
 
 The dual system is solved by conjugate directions that are all kept, preconditioned by
 a rough dual (`ttus_opt.solvers.dual`); L⁻¹ is a multigrid (`ttus_opt.multigrid`). Where
-the field has bounds or must grow along spokes, this is done on one face of the feasible
-set after the other. What a new solve costs, in solves with L or Lᵀ:
+the field has bounds or must grow along spokes, or a second field may be at most a share
+of it, this is done on one face of the feasible set after the other. What a new solve
+costs, in solves with L or Lᵀ:
 
     new measured values     2 for p, and 2 per direction the old ones lack
     new boundary values     1 for p₀ more
@@ -15,6 +16,7 @@ set after the other. What a new solve costs, in solves with L or Lᵀ:
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +32,13 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual.active_set import search
+from ttus_opt.solvers.dual.active_set import FaceAnswer, search
+from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
-from ttus_opt.solvers.dual.face import Activity
+from ttus_opt.solvers.dual.exchange import exchange
 from ttus_opt.solvers.dual.few_columns import MOST, solve_with_columns
+from ttus_opt.solvers.dual.field_faces import LimitedField
+from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 from ttus_opt.terms.base import Penalty
@@ -57,7 +62,7 @@ class Structured(Solver):
     )
 
     def refusal(self, program: Program) -> str:
-        """A Laplace term, measured rows, bounds and growth along spokes."""
+        """A Laplace term, measured rows, limits as `SpokeLimits` or `FieldPair`."""
         base = super().refusal(program)
         if base:
             return base
@@ -69,6 +74,8 @@ class Structured(Solver):
         bent = [t.name for t in program.terms if t.penalty is not Penalty.SQUARES]
         if bent:
             return f"it takes sums of squares only, {bent[0]} is none"
+        if second_field(program) is not None:
+            return self._refusal_of_pair(program)
         others = program.n_variables - len(program.laplace.free)
         if others > MOST:
             return f"it takes {MOST} unknowns beside the field, these are {others}"
@@ -82,24 +89,105 @@ class Structured(Solver):
             return "it takes no limits of the field where there are other unknowns"
         return ""
 
+    def _refusal_of_pair(self, program: Program) -> str:
+        """Two fields with a Laplace term each, bounds, one at most a share."""
+        try:
+            FieldPair.of(program)
+        except ValueError as error:
+            return f"of two fields it takes bounds and a largest share: {error}"
+        return ""
+
     def suits(self, program: Program) -> bool:
         """Few measured rows: a term over all voxels makes the dual as large as p."""
+        second = second_field(program)
+        priors = [laplace_prior(program), second[1] if second else None]
         rows = sum(
-            len(t.target) for t in program.terms if t is not laplace_prior(program)
+            len(t.target) for t in program.terms if not any(t is k for k in priors)
         )
         return rows <= program.n_variables / 2
 
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Set up the multigrid and the dual system."""
         self.require(program)
+        if second_field(program) is not None:
+            return _LoadedPair(program, request)
         return _Loaded(program, request)
 
 
-class _Loaded(Prepared):
-    def __init__(self, program: Program, request: Request) -> None:
+class _Limited(Prepared):
+    """What is solved on one face of its feasible set after the other."""
+
+    def __init__(self, request: Request) -> None:
         self._request = request
-        self._solver: DualSolver | None = None
         self._last: tuple[Array, Activity] | None = None
+
+    def _contradiction(self, limits: SpokeLimits) -> Candidate | None:
+        """What to answer where limits leave nothing."""
+        worst = limits.contradiction()
+        if worst <= self._request.tolerance * _largest_limit(limits):
+            return None
+        detail = f"limits along a spoke contradict each other by {worst:.2g}"
+        return Candidate(None, claim=Claim.INFEASIBLE, detail=detail)
+
+    def _faces(self, search: Callable[..., FaceAnswer], *problem: object) -> FaceAnswer:
+        """Face after face, from the last one of an earlier solve."""
+        answer = search(
+            *problem,
+            self._last,
+            tolerance=self._request.tolerance,
+            rtol=self._rtol,
+            deadline=self._deadline(),
+        )
+        if answer.settled:
+            self._last = answer.p, answer.active
+        return answer
+
+    def _deadline(self) -> float | None:
+        limit = self._request.time_limit
+        return None if limit is None else time.perf_counter() + limit
+
+    @property
+    def _rtol(self) -> float:
+        return max(self._request.tolerance * MARGIN, FLOOR)
+
+
+def _candidate(answer: FaceAnswer, x: Array, duals: Duals) -> Candidate:
+    """A search's answer as a solver's."""
+    claim = Claim.TIME_LIMIT if answer.late else Claim.GAVE_UP
+    return Candidate(
+        x,
+        duals,
+        answer.steps,
+        Claim.DONE if answer.settled else claim,
+        f"{answer.faces} faces, {answer.active.count} limits active",
+    )
+
+
+class _LoadedPair(_Limited):
+    def __init__(self, program: Program, request: Request) -> None:
+        super().__init__(request)
+        self.update(program)
+
+    def update(self, program: Program) -> None:
+        """Take other data; the multigrid and the last face are kept."""
+        self._pair = FieldPair.of(program)
+        program.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
+
+    def solve(self) -> Candidate:
+        """Solve the duals of faces."""
+        pair = self._pair
+        answer = self._contradiction(pair.limits)
+        if answer is not None:
+            return answer
+        found = self._faces(exchange, pair, pair.limits, pair.shape)
+        x = pair.variables(found.p)
+        return _candidate(found, x, pair.duals(x, found.pull, found.push))
+
+
+class _Loaded(_Limited):
+    def __init__(self, program: Program, request: Request) -> None:
+        super().__init__(request)
+        self._solver: DualSolver | None = None
         self.update(program)
 
     def update(self, program: Program) -> None:
@@ -116,48 +204,26 @@ class _Loaded(Prepared):
 
     def solve(self) -> Candidate:
         """Solve the dual, or where there are limits the duals of faces."""
-        limit = self._request.time_limit
-        deadline = None if limit is None else time.perf_counter() + limit
+        assert self._solver is not None
         limits = self._limits
         if limits.binding:
-            worst = limits.contradiction()
-            if worst > self._request.tolerance * _largest_limit(limits):
-                detail = f"limits along a spoke contradict each other by {worst:.2g}"
-                return Candidate(None, claim=Claim.INFEASIBLE, detail=detail)
-            return self._search(deadline)
-        assert self._solver is not None
+            answer = self._contradiction(limits)
+            if answer is not None:
+                return answer
+            problem = LimitedField(self._program, limits, self._data, self._solver)
+            found = self._faces(search, problem, limits)
+            return _candidate(found, found.p, limits.duals(found.pull, found.push))
         bounds = (limit[len(self._data.b) :] for limit in self._program.box)
-        answer = solve_with_columns(
-            self._solver, self._data, *bounds, rtol=self._rtol, deadline=deadline
-        )
-        x = np.concatenate([answer.p, answer.c])
-        claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
-        return Candidate(x, self._duals(x), answer.steps, claim)
-
-    @property
-    def _rtol(self) -> float:
-        return max(self._request.tolerance * MARGIN, FLOOR)
-
-    def _search(self, deadline: float | None) -> Candidate:
-        """Face after face, from the last one of an earlier solve."""
-        assert self._solver is not None
-        answer = search(
-            self._program,
-            self._limits,
-            self._data,
+        fitted = solve_with_columns(
             self._solver,
-            self._last,
-            tolerance=self._request.tolerance,
+            self._data,
+            *bounds,
             rtol=self._rtol,
-            deadline=deadline,
+            deadline=self._deadline(),
         )
-        duals = self._limits.duals(answer.pull, answer.push)
-        detail = f"{answer.faces} faces, {answer.active.count} limits active"
-        if answer.settled:
-            self._last, claim = (answer.p, answer.active), Claim.DONE
-        else:
-            claim = Claim.TIME_LIMIT if answer.late else Claim.GAVE_UP
-        return Candidate(answer.p, duals, answer.steps, claim, detail)
+        x = np.concatenate([fitted.p, fitted.c])
+        claim = Claim.TIME_LIMIT if fitted.late else Claim.DONE
+        return Candidate(x, self._duals(x), fitted.steps, claim)
 
     def _duals(self, x: Array) -> Duals:
         """Multipliers of given values and of other unknowns' bounds."""

@@ -1,7 +1,8 @@
 """Eq. 10 through its dual: what the structured solver is made of.
 
-From top to bottom: `active_set` goes from face to face (`face`, `spoke_limits`),
-`few_columns` adds unknowns beside the field; each solves duals by `solver`, with
-`conjugate_directions` on the exact operator (`system`), preconditioned by `rough`.
-`data` reads the dual off a program.
+From top to bottom: `active_set` goes from face to face (`activity`) of one field
+(`field_faces`, `face`, `spoke_limits`), `exchange` from face to face of two
+(`field_pair`, `pair_face`, `pair_laplace`); `few_columns` adds unknowns beside the
+fields; each solves duals by `solver`, with `conjugate_directions` on the exact operator
+(`system`), preconditioned by `rough`. `data` reads the dual off a program.
 """

@@ -11,15 +11,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.laplace import RTOL
-from ttus_opt.problem.program import Program
-from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.face import Activity, Face, face_of, no_limits_active
-from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.activity import Activity, no_limits_active
+from ttus_opt.solvers.dual.solver import DualAnswer
 from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 
 Array = NDArray[np.float64]
@@ -50,6 +49,33 @@ SAME = 1e-12
 MARGIN = 1e-3
 
 
+class SolvableFace(Protocol):
+    """A face of the feasible set."""
+
+    def solve(
+        self,
+        *,
+        rtol: float,
+        field_rtol: float = RTOL,
+        deadline: float | None,
+        guess: Array | None,
+    ) -> DualAnswer:
+        """The best field on it, near a guess, as `DualSolver.solve` gives it."""
+
+
+class LimitedProblem(Protocol):
+    """What the search needs of a problem beside its limits."""
+
+    def face(self, active: Activity) -> SolvableFace:
+        """The problem left when some limits are active."""
+
+    def gradient(self, p: Array) -> Array:
+        """Gradient of the objective, shape (V,)."""
+
+    def objective(self, p: Array) -> float:
+        """The objective."""
+
+
 @dataclass(frozen=True)
 class FaceAnswer:
     """What the search ended with.
@@ -76,7 +102,7 @@ class FaceAnswer:
 
 
 @dataclass(frozen=True)
-class _Wrong:
+class Wrong:
     """By how much limits are violated or multipliers have the wrong sign; > 0 is.
 
     Attributes:
@@ -95,12 +121,25 @@ class _Wrong:
         pins = int(np.count_nonzero(self.pins > 0.0))
         return pins + int(np.count_nonzero(self.ties > 0.0))
 
+    @property
+    def worst(self) -> float:
+        """The largest of all, relative [–]."""
+        return float(max(self.pins.max(), self.ties.max()))
+
+
+def field_accuracy(accuracy: float, last: float) -> float:
+    """Residual of the solves behind the field of a face.
+
+    Args:
+        accuracy: Residual of its dual [–].
+        last: That of the last face [–].
+    """
+    return RTOL if accuracy == last else max(RTOL, FINER * accuracy)
+
 
 def search(
-    program: Program,
+    problem: LimitedProblem,
     limits: SpokeLimits,
-    data: DualData,
-    whole: DualSolver,
     start: tuple[Array, Activity] | None = None,
     *,
     tolerance: float,
@@ -110,41 +149,37 @@ def search(
     """Find the face on which the minimiser lies, and the minimiser.
 
     Args:
-        program: The problem: its gradient is what multipliers come from.
+        problem: Its faces, and its gradient, which multipliers come from.
         limits: Its limits.
-        data: The dual of its objective alone.
-        whole: Solver of that.
         start: A field, (V,), and the face to begin with; None for no limit active.
         tolerance: KKT tolerance [–].
         rtol: Residual of the dual on the last face, relative [–].
         deadline: `time.perf_counter` at which to stop; None for never [s].
     """
     limits = limits.without_implied()
-    active, guess = no_limits_active(len(data.b)), None
-    if start is not None and start[0].shape == data.b.shape:
-        guess, active = start[0], _one_pin_each(limits, _possible(limits, start[1]))
+    size = len(limits.lower)
+    active, guess = no_limits_active(size), None
+    if start is not None and len(start[0]) == size:
+        guess, active = start[0], _one_pin_each(limits, possible(limits, start[1]))
     accuracy, ceiling = max(rtol, ACCURACY[-1][1]), np.inf
     fewest, patience = np.inf, PATIENCE
-    solver, face, solved = whole, Face.whole(data), no_limits_active(len(data.b))
+    face, solved = problem.face(active), active
     faces, steps, changes, late = 0, 0, -1, False
     while faces < MAX_FACES:
         if active.differs(solved):
-            face = face_of(program.laplace, limits, active, data)
-            solver, solved = DualSolver(face.system), active
-        answer = solver.solve(
-            face.b,
-            face.t,
+            face, solved = problem.face(active), active
+        answer = face.solve(
             rtol=accuracy,
+            field_rtol=field_accuracy(accuracy, rtol),
             deadline=deadline,
-            guess=None if guess is None else face.unknowns_of(guess),
-            field_rtol=RTOL if accuracy == rtol else max(RTOL, FINER * accuracy),
+            guess=guess,
         )
-        guess = p = face.field_of(answer.p)
+        guess = p = answer.p
         faces, steps = faces + 1, steps + answer.steps
-        gradient = np.add(*program.gradient(p))
+        gradient = problem.gradient(p)
         pull, push = multipliers(limits, active, gradient)
         late = deadline is not None and time.perf_counter() > deadline
-        wrong = _wrong(limits, active, p, pull, push, gradient, MARGIN * tolerance)
+        wrong = find_wrong(limits, active, p, pull, push, gradient, MARGIN * tolerance)
         changes = wrong.count
         if late or (changes == 0 and accuracy == rtol):
             break
@@ -155,8 +190,8 @@ def search(
             ceiling = max(rtol, TIGHTER * min(ceiling, accuracy))
         goals = (goal for many, goal in ACCURACY if changes > many)
         accuracy = min(ceiling, max([rtol, *goals]))
-        active = _changed(limits, active, wrong, all_of_them=patience > 0)
-    pull, push = _right_signs(limits, active, pull, push)
+        active = change(limits, active, wrong, all_of_them=patience > 0)
+    pull, push = right_signs(limits, active, pull, push)
     settled = changes == 0 and accuracy == rtol and not answer.late
     return FaceAnswer(p, pull, push, active, faces, steps, late, settled)
 
@@ -194,7 +229,7 @@ def multipliers(
     return pull.reshape(-1), push.reshape(-1)
 
 
-def _wrong(
+def find_wrong(
     limits: SpokeLimits,
     active: Activity,
     p: Array,
@@ -202,7 +237,7 @@ def _wrong(
     push: Array,
     gradient: Array,
     margin: float,
-) -> _Wrong:
+) -> Wrong:
     """Violations over the field's size, wrong signs over the gradient's."""
     size = max(float(np.abs(p).max()), np.finfo(float).tiny)
     force = max(float(np.abs(gradient).max()), np.finfo(float).tiny)
@@ -214,15 +249,15 @@ def _wrong(
     growth[: -limits.stride] = p[: -limits.stride] - p[limits.stride :]
     short = np.where(active.ties, -push / force, (limits.least - growth) / size)
     short[~np.isfinite(limits.least)] = -np.inf
-    return _Wrong(
+    return Wrong(
         np.maximum(violated, backwards) - margin,
         np.where(below > above, -1, 1).astype(np.int8),
         short - margin,
     )
 
 
-def _changed(
-    limits: SpokeLimits, active: Activity, wrong: _Wrong, *, all_of_them: bool
+def change(
+    limits: SpokeLimits, active: Activity, wrong: Wrong, *, all_of_them: bool
 ) -> Activity:
     """The next face."""
     pins, ties = wrong.pins > 0.0, wrong.ties > 0.0
@@ -240,7 +275,7 @@ def _changed(
     return _one_pin_each(limits, changed)
 
 
-def _possible(limits: SpokeLimits, active: Activity) -> Activity:
+def possible(limits: SpokeLimits, active: Activity) -> Activity:
     """Without limits that are not, or no longer, there."""
     bound = np.where(active.pins < 0, limits.lower, limits.upper)
     there = np.isfinite(bound) & ~limits.given
@@ -286,7 +321,7 @@ def _one_pin_each(limits: SpokeLimits, active: Activity) -> Activity:
     return Activity(pins, ties)
 
 
-def _right_signs(
+def right_signs(
     limits: SpokeLimits, active: Activity, pull: Array, push: Array
 ) -> tuple[Array, Array]:
     """Multipliers without what is wrong in sign by less than counts."""

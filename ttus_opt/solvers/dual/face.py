@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from ttus_opt.grid import CylindricalGrid
 from ttus_opt.laplace import BlockSolves, LaplaceSystem
 from ttus_opt.multigrid import Multigrid, StiffMultigrid
+from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 from ttus_opt.solvers.dual.system import DualSystem
@@ -32,34 +33,6 @@ from ttus_opt.solvers.dual.system import DualSystem
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-
-
-@dataclass(frozen=True)
-class Activity:
-    """Which limits are active.
-
-    Attributes:
-        pins: -1 where the lower bound is, +1 where the upper one is, shape (V,).
-        ties: Voxels whose link outwards is, shape (V,).
-    """
-
-    pins: NDArray[np.int8]
-    ties: Mask
-
-    def differs(self, other: Activity) -> int:
-        """In how many limits two activities differ [–]."""
-        pins = int(np.count_nonzero(self.pins != other.pins))
-        return pins + int(np.count_nonzero(self.ties != other.ties))
-
-    @property
-    def count(self) -> int:
-        """Active limits [–]."""
-        return int(np.count_nonzero(self.pins) + np.count_nonzero(self.ties))
-
-
-def no_limits_active(n_voxels: int) -> Activity:
-    """The face that is the whole problem."""
-    return Activity(np.zeros(n_voxels, dtype=np.int8), np.zeros(n_voxels, dtype=bool))
 
 
 @dataclass(frozen=True)

@@ -82,7 +82,7 @@ class RoughDual:
         # Lᵀ: A x = load, then q = -R x on free voxels, and what flows to fixed ones
         cycle.b.fill(0.0)
         cycle.b[self._own] = load[:count]
-        cycle.run()
+        cycle.run_adjoint()
         p_fixed = load[count:] + self._outward @ cycle.x[self._rim]
         p_fixed *= self._softness_fixed
         # L: A p = R ω R x + what flows in from fixed voxels

@@ -1,0 +1,39 @@
+"""Limits of the mean friction coefficient m, 0 ≤ m ≤ μ_max (design §3, friction).
+
+The drag field is between 0 and μ_max p, so is what a mean coefficient makes of p.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttus_opt.constraints.base import Bounds, Constraint
+from ttus_opt.constraints.drag_limit import check_coefficient
+
+
+@dataclass(frozen=True)
+class MeanFriction(Constraint):
+    """The mean friction coefficient is one that the drag field may have.
+
+    Attributes:
+        largest: μ_max [–].
+    """
+
+    largest: float = 1.0
+
+    name = "mean_friction"
+    formula = "0 ≤ m ≤ μ_max"
+
+    def __post_init__(self) -> None:
+        """Refuse a coefficient that is none.
+
+        Raises:
+            InputError: μ_max is not positive.
+        """
+        check_coefficient(self.largest)
+
+    def rows(self) -> Bounds:
+        """Bounds on m."""
+        return Bounds("m", np.zeros(1), np.full(1, self.largest))

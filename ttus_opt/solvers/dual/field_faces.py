@@ -1,0 +1,78 @@
+"""The faces of one field with limits, for `active_set`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.laplace import RTOL
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.dual.activity import Activity
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.face import Face, face_of
+from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
+from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LimitedField:
+    """A program of the field alone.
+
+    Attributes:
+        program: The problem.
+        limits: Its limits.
+        data: The dual of its objective alone.
+        whole: Solver of that, kept from solve to solve.
+    """
+
+    program: Program
+    limits: SpokeLimits
+    data: DualData
+    whole: DualSolver
+
+    def face(self, active: Activity) -> FieldFace:
+        """The problem left when some limits are active."""
+        if active.count == 0:
+            return FieldFace(Face.whole(self.data), self.whole)
+        face = face_of(self.program.laplace, self.limits, active, self.data)
+        return FieldFace(face, DualSolver(face.system))
+
+    def objective(self, p: Array) -> float:
+        """The objective."""
+        return self.program.objective(p)
+
+    def gradient(self, p: Array) -> Array:
+        """Gradient of the objective, shape (V,)."""
+        return np.add(*self.program.gradient(p))
+
+
+@dataclass(frozen=True)
+class FieldFace:
+    """One face and the solver of its dual."""
+
+    face: Face
+    solver: DualSolver
+
+    def solve(
+        self,
+        *,
+        rtol: float,
+        field_rtol: float = RTOL,
+        deadline: float | None,
+        guess: Array | None,
+    ) -> DualAnswer:
+        """The best field on it."""
+        face = self.face
+        answer = self.solver.solve(
+            face.b,
+            face.t,
+            rtol=rtol,
+            deadline=deadline,
+            guess=None if guess is None else face.unknowns_of(guess),
+            field_rtol=field_rtol,
+        )
+        return replace(answer, p=face.field_of(answer.p))

@@ -1,0 +1,267 @@
+"""A second field that may not be larger than a share of the first.
+
+What `structured` can hold of two fields p and q with a Laplace prior each: bounds of
+both voxel by voxel, and Coulomb's limit, q between 0 and μ p. In x = σ p and
+y = σ q/μ, with σ = 1 inside and -1 outside (which no row of L couples), this is one
+link x - y ≥ s per voxel, and the pair of a voxel is a spoke of two (`spoke_limits`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.members import ProgramConstraint, ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.dual.activity import Activity
+from ttus_opt.solvers.dual.pair_face import PairFace, PairRows
+from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
+from ttus_opt.terms.base import Penalty
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+#: Relative difference of ratios that count as one [–]
+SAME = 1e-12
+
+
+@dataclass(frozen=True)
+class FieldPair:
+    """Two fields of a program in the units and signs of their limits.
+
+    Attributes:
+        program: The problem.
+        prior: The second field's Laplace term.
+        places: Where p and q lie in the program's unknowns, shape (2V,).
+        others: Where an unknown beside them does, shape (1,), or nothing.
+        units: What turns x and y into p and q, shape (2V,).
+        limits: Of x and y.
+        links: Per constraint, by name: the voxel of every row, and by what the row is
+            more than x - y, shape (m,) each.
+    """
+
+    program: Program
+    prior: ProgramTerm
+    places: Index = field(repr=False)
+    others: Index = field(repr=False)
+    units: Array = field(repr=False)
+    limits: SpokeLimits = field(repr=False)
+    links: dict[str, tuple[Index, Array]] = field(repr=False)
+
+    @classmethod
+    def of(cls, program: Program) -> FieldPair:
+        """Read a program.
+
+        Raises:
+            ValueError: It is no such problem; the message says why.
+        """
+        second = second_field(program)
+        if second is None:
+            raise ValueError("there is no second field with a Laplace term")
+        name, prior = second
+        first = program.laplace_term
+        if first is None or first.weight == 0.0 or prior.weight == 0.0:
+            raise ValueError("a Laplace term of weight above zero for each field")
+        every = np.arange(program.n_variables)
+        places = np.concatenate([every[program.variables[k]] for k in ("p", name)])
+        beside = np.ones(len(every), dtype=bool)
+        beside[places] = False
+        others = np.flatnonzero(beside)
+        V = len(places) // 2
+        if len(others) > 1:
+            raise ValueError(f"one unknown beside the fields, not {len(others)}")
+        region = program.laplace.voxmap.grid.flatten(program.laplace.voxmap.region)
+        sign = np.where(region < 0, -1.0, 1.0)
+        linear = [c for c in program.constraints if c.name != HardBoundary.name]
+        read = {c.name: _links(c, program.variables[name].start, V) for c in linear}
+        ratio = _common_ratio([r for _, _, r in read.values()])
+        units = np.concatenate([sign, ratio * sign])
+        links, least = {}, np.full(2 * V, -np.inf)
+        for member in linear:
+            at, factor, _ = read[member.name]
+            scale = factor * sign[at]
+            bound, other = (
+                np.where(scale > 0.0, a, b) / scale
+                for a, b in (
+                    (member.lower, member.upper),
+                    (member.upper, member.lower),
+                )
+            )
+            if np.isfinite(other).any():
+                raise ValueError(f"{member.name} limits {name} from the other side too")
+            least[at] = np.maximum(least[at], bound)
+            links[member.name] = (at, scale)
+        lower, upper, given = _box(program, places)
+        ends = lower / units, upper / units
+        limits = SpokeLimits(
+            (2, V, 1),
+            np.minimum(*ends),
+            np.maximum(*ends),
+            given,
+            least,
+            {},
+        )
+        return cls(program, prior, places, others, units, limits, links)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of the grid."""
+        return self.program.laplace.grid.shape
+
+    @cached_property
+    def rows(self) -> PairRows:
+        """The objective of x and y."""
+        program, prior, units = self.program, self.prior, self.units
+        first, laplace = program.laplace_term, program.laplace
+        assert first is not None
+        V = len(laplace.free)
+        L = laplace.L.copy()
+        L.data *= np.repeat(units[:V], np.diff(L.indptr)) * units[L.indices]
+        softness = np.ones(2 * V)
+        softness[V:] = first.weight / prior.weight / units[V:] ** 2
+        both = sp.vstack([first.matrix, prior.matrix], format="csr")
+        column = both[:, self.others].sum(axis=1) / units
+        b = np.concatenate([first.target, prior.target]) / units
+        given = self.limits.given
+        softness[given], column[given] = 0.0, 0.0
+        b[given] = self.limits.lower[given]
+        measured = [
+            t
+            for t in program.terms
+            if t is not first and t is not prior and t.weight > 0.0
+        ]
+        # with nothing measured at all there is still something to stack
+        nothing = ProgramTerm(
+            "", 0.0, sp.csr_array((0, program.n_variables)), np.zeros(0)
+        )
+        measured.append(nothing)
+        roots = [np.sqrt(t.weight / first.weight) for t in measured]
+        root = np.repeat(roots, [len(t.target) for t in measured])
+        matrix = sp.vstack([t.matrix for t in measured], format="csr")
+        return PairRows(
+            laplace,
+            sp.csr_array(sp.block_diag([L, L], format="csr")),
+            softness,
+            b,
+            column,
+            sp.csr_array(matrix[:, self.places] @ sp.diags_array(units)),
+            root,
+            root * np.concatenate([t.target for t in measured]),
+            root * matrix[:, self.others].sum(axis=1),
+            self.bounds,
+        )
+
+    def face(self, active: Activity) -> PairFace:
+        """The problem left when some limits are active."""
+        return PairFace(self.rows, self.limits, active)
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of the unknown beside the fields."""
+        lower, upper = (limit[self.others] for limit in self.program.box)
+        return float(lower.max(initial=-np.inf)), float(upper.min(initial=np.inf))
+
+    def objective(self, p: Array) -> float:
+        """The objective at the best of the unknown beside the fields."""
+        return self.program.objective(self.variables(p))
+
+    def gradient(self, p: Array) -> Array:
+        """Its gradient, shape (2V,)."""
+        full = np.add(*self.program.gradient(self.variables(p)))
+        return np.asarray(self.units * full[self.places])
+
+    def variables(self, p: Array) -> Array:
+        """The program's x: both fields, and the best of the unknown beside them."""
+        x = np.zeros(self.program.n_variables)
+        x[self.places] = self.units * p
+        x[self.others] = self.rows.beside(p)
+        return x
+
+    def duals(self, x: Array, pull: Array, push: Array) -> Duals:
+        """Multipliers by name.
+
+        Args:
+            x: The program's unknowns, shape (n,).
+            pull: As of `SpokeLimits.duals`.
+            push: As there.
+        """
+        V = len(pull) // 2
+        left = push[:V].copy()
+        named = {}
+        for name, (at, scale) in self.links.items():
+            named[name] = -left[at] / scale
+            left[at] = 0.0
+        z = np.zeros(self.program.n_variables)
+        z[self.places] = pull / self.units
+        pull = -np.add(*self.program.gradient(x))[self.others]
+        low, high = (x[self.others] == limit for limit in self.bounds)
+        z[self.others] = np.where(low, np.minimum(pull, 0.0), 0.0)
+        z[self.others] += np.where(high, np.maximum(pull, 0.0), 0.0)
+        if any(c.name == HardBoundary.name for c in self.program.constraints):
+            fixed = np.flatnonzero(~self.program.laplace.free)
+            named[HardBoundary.name] = z[fixed]
+            z[fixed] = 0.0
+        return Duals(named, z if self.program.bounds else None)
+
+
+def second_field(program: Program) -> tuple[str, ProgramTerm] | None:
+    """Name of a field beside p that has L's rows to itself, and the term of these."""
+    L = program.laplace.L
+    V = L.shape[0]
+    for name, part in program.variables.items():
+        if name == "p" or part.stop - part.start != V:
+            continue
+        for term in program.terms:
+            if len(term.target) == V and term.penalty is Penalty.SQUARES:
+                own = sp.csr_array(term.matrix[:, part])
+                alone = term.matrix[:, program.variables["p"]].nnz == 0
+                if alone and own.nnz == L.nnz and abs(own - L).max() == 0.0:
+                    return name, term
+    return None
+
+
+def _links(
+    constraint: ProgramConstraint, start: int, n_voxels: int
+) -> tuple[Index, Array, Array]:
+    """Voxels v of rows a (p_v - q_v/μ), with a and μ."""
+    M = constraint.matrix
+    columns, values = M.indices, M.data
+    if (np.diff(M.indptr) == 2).all():
+        order = np.argsort(columns.reshape(-1, 2), axis=1)
+        columns = np.take_along_axis(columns.reshape(-1, 2), order, axis=1)
+        values = np.take_along_axis(values.reshape(-1, 2), order, axis=1)
+        at = columns[:, 0].astype(np.int64)
+        pairs = (at < n_voxels) & (columns[:, 1] == at + start)
+        opposed = values[:, 0] * values[:, 1] < 0.0
+        if pairs.all() and opposed.all() and np.bincount(at).max(initial=0) <= 1:
+            return at, values[:, 0], -values[:, 0] / values[:, 1]
+    raise ValueError(f"{constraint.name} is no bound and no share of the field")
+
+
+def _common_ratio(ratios: list[Array]) -> float:
+    """The one μ of all rows, 1 where there is none."""
+    every = np.concatenate([*ratios, np.zeros(0)])
+    if not len(every):
+        return 1.0
+    if np.ptp(every) > SAME * every.max():
+        raise ValueError("one share of the field for all voxels")
+    return float(every[0])
+
+
+def _box(program: Program, places: Index) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Bounds of both fields, and where a Dirichlet value is given by them."""
+    lower, upper = (limit[places] for limit in program.box)
+    fixed = ~program.laplace.free
+    for constraint in program.constraints:
+        if constraint.name == HardBoundary.name:
+            own = np.flatnonzero(fixed)
+            # a value beyond its bound leaves nothing between the two limits
+            lower[own] = np.maximum(lower[own], constraint.lower)
+            upper[own] = np.minimum(upper[own], constraint.upper)
+    return lower, upper, np.tile(fixed, 2) & (lower >= upper)

@@ -1,0 +1,149 @@
+"""Two fields' Laplace operators as one square system.
+
+Both stand on one grid; entries are (2V,), the first field's before the second's. Each
+has free voxels of its own. Free voxels of the second may neighbour unknowns of the
+first (what stands for both, see `pair_face`), never the other way round, so that a
+solve is one with each field's A, the first before the second:
+
+    [A₁    ]
+    [X   A₂]
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.laplace import RTOL
+from ttus_opt.multigrid import Multigrid, VCycle
+
+Array = NDArray[np.float64]
+
+
+class PairCycle:
+    """`VCycle` of both fields: one V-cycle of each.
+
+    Attributes:
+        b: Right-hand side, that of the first field before the second's.
+        x: Answer of the last run, likewise.
+        free: Unknown voxels that it knows of, shape (2V,).
+    """
+
+    def __init__(self, first: VCycle, second: VCycle, across: sp.csr_array) -> None:
+        """Take scratch arrays.
+
+        Args:
+            first: Of the first field.
+            second: Of the second.
+            across: X over whole grids, shape (V, V).
+        """
+        self._first, self._second, self._half = first, second, across.shape[0]
+        self.b = np.zeros(first.b.size + second.b.size, first.b.dtype)
+        self.x = np.zeros_like(self.b)
+        self.free = np.concatenate([first.free, second.free])
+        left = np.bincount(across.indices, minlength=self._half)
+        rows = np.flatnonzero((np.diff(across.indptr) > 0) & second.free)
+        columns = np.flatnonzero((left > 0) & first.free)
+        self._across = across[rows][:, columns].astype(np.float32)
+        self._adjoint = sp.csr_array(self._across.T)
+        self._to, self._from = second.places(rows), first.places(columns)
+
+    def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:
+        """Where free voxels of either field lie in ``b`` and ``x``."""
+        half = self._half
+        own = voxels < half
+        at = np.empty(len(voxels), dtype=np.int64)
+        at[own] = self._first.places(voxels[own])
+        at[~own] = self._second.places(voxels[~own] - half) + self._first.b.size
+        return at
+
+    def run(self) -> None:
+        """Set ``x`` to A⁻¹ b roughly."""
+        n, first, second = self._first.b.size, self._first, self._second
+        first.b[:], second.b[:] = self.b[:n], self.b[n:]
+        first.run()
+        second.b[self._to] -= self._across @ first.x[self._from]
+        second.run()
+        self.x[:n], self.x[n:] = first.x, second.x
+
+    def run_adjoint(self) -> None:
+        """Set ``x`` to A⁻ᵀ b roughly."""
+        n, first, second = self._first.b.size, self._first, self._second
+        first.b[:], second.b[:] = self.b[:n], self.b[n:]
+        second.run()
+        first.b[self._from] -= self._adjoint @ second.x[self._to]
+        first.run()
+        self.x[:n], self.x[n:] = first.x, second.x
+
+
+@dataclass(frozen=True)
+class PairBlock:
+    """The block A of both fields.
+
+    Attributes:
+        first: Solver of A₁.
+        second: Solver of A₂.
+        across: X, shape (V, V).
+    """
+
+    first: Multigrid
+    second: Multigrid
+    across: sp.csr_array = field(repr=False)
+
+    @cached_property
+    def _adjoint(self) -> sp.csr_array:
+        return sp.csr_array(self.across.T)
+
+    def solve(self, rhs: Array, *, rtol: float) -> Array:
+        """A⁻¹ b, shape (2V,)."""
+        b, c = np.split(rhs, 2)
+        x = self.first.solve(b, rtol=rtol).x
+        y = self.second.solve(c - self.across @ x, rtol=rtol).x
+        return np.concatenate([x, y])
+
+    def solve_adjoint(self, rhs: Array, *, rtol: float) -> Array:
+        """A⁻ᵀ b, shape (2V,)."""
+        b, c = np.split(rhs, 2)
+        y = self.second.solve(c, rtol=rtol).x
+        x = self.first.solve(b - self._adjoint @ y, rtol=rtol).x
+        return np.concatenate([x, y])
+
+    def rough(self, near: NDArray[np.integer]) -> PairCycle:
+        """One V-cycle at a time, of use near some voxels of either field."""
+        places = np.unique(near % self.across.shape[0])
+        first, second = self.first.rough(places), self.second.rough(places)
+        return PairCycle(first, second, self.across)
+
+
+@dataclass(frozen=True)
+class PairLaplace:
+    """Square system of two fields; a `SquareSystem`.
+
+    Attributes:
+        free: Voxels with an unknown of their own, shape (2V,).
+        radii: What turns a row of A into minus one of L, shape (2V,) [m].
+        coupling: L's entries from fixed voxels to free rows, and their adjoint.
+        multigrid: Solver of the block A.
+    """
+
+    free: NDArray[np.bool_] = field(repr=False)
+    radii: Array = field(repr=False)
+    coupling: tuple[sp.csr_array, sp.csr_array] = field(repr=False)
+    multigrid: PairBlock = field(repr=False)
+
+    def solve(self, right_side: Array, *, rtol: float = RTOL) -> Array:
+        """Solve L x = g; as `BlockSolves.solve`."""
+        x = np.where(self.free, 0.0, right_side)
+        rest = self.radii * (self.coupling[0] @ x - right_side)
+        rest[~self.free] = 0.0
+        return x + self.multigrid.solve(rest, rtol=rtol)
+
+    def solve_adjoint(self, right_side: Array, *, rtol: float = RTOL) -> Array:
+        """Solve Lᵀ w = g."""
+        rest = np.where(self.free, -right_side, 0.0)
+        w = self.radii * self.multigrid.solve_adjoint(rest, rtol=rtol)
+        return np.where(self.free, w, right_side - self.coupling[1] @ w)
