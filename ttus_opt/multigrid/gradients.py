@@ -19,6 +19,7 @@ from ttus_opt.multigrid import kernels, lines, transfer
 from ttus_opt.multigrid.cycle import (
     Coarser,
     Hierarchy,
+    Work,
     Workspace,
     cycle_below,
     direct,
