@@ -268,7 +268,7 @@ def cycle(
     numbers, count = level.layout.numbers, len(hierarchy.levels) - 1
     bottom = (hierarchy.places, hierarchy.inverse)
     if count == 0:
-        _direct(x, *b, *bottom, numbers)
+        direct(x, *b, *bottom, numbers)
         return
     if level.is_odd:
         x.fill(0)  # where θ closes a sweep reads the old values of its own colour
@@ -281,7 +281,7 @@ def cycle(
         level.sweep(0, x, x[1], b[0])
         level.couple(residual, x[0], since=True)
     transfer.restrict(work.b[1], residual, *transfers)
-    _cycle_below(hierarchy.coarser, work.coarser, count, *bottom)
+    cycle_below(hierarchy.coarser, work.coarser, count, *bottom)
     transfer.prolong(x[1], work.x[1], *transfers)
     kernels.close_circle(x, 1, numbers)
     for _ in range(sweeps):
@@ -290,7 +290,7 @@ def cycle(
 
 
 @compiled(nogil=True)
-def _direct(
+def direct(
     x: Single,
     b0: Single | None,
     b1: Single,
@@ -314,7 +314,7 @@ def _smooth(level: Coarser, b: Single, x: Single, first: int, count: int) -> Non
 
 
 @compiled(nogil=True)
-def _cycle_below(
+def cycle_below(
     levels: tuple[Coarser, ...],
     work: tuple[Work, ...],
     count: int,
@@ -341,7 +341,7 @@ def _cycle_below(
         below = work[n + 1][0]
         transfer.restrict(below, residual, weights, flags, numbers, levels[n + 1][-1])
     b, x, _ = work[count - 1]
-    _direct(x, b[0], b[1], places, bottom, levels[count - 1][-1])
+    direct(x, b[0], b[1], places, bottom, levels[count - 1][-1])
     for n in range(count - 2, -1, -1):
         _, _, _, _, weights, flags, numbers = levels[n]
         b, x, _ = work[n]

@@ -4,10 +4,8 @@ On the free voxels of a cylindrical grid, A is r times the negative stencil of
 `laplace`: symmetric positive definite. A solve is iterative refinement: residuals
 and x in double precision, each correction by conjugate gradients in single
 precision, preconditioned by a V-cycle whose smoother solves radial lines exactly,
-one colour of a chessboard over (θ, z) after the other (`kernels`), on
-levels that keep the surface closed (`levels`). As colour 0 follows exactly
-from colour 1, the conjugate gradients run on colour 1 alone (the Schur complement),
-unless an odd number of spokes spoils the chessboard.
+one colour of a chessboard over (θ, z) after the other (`kernels`), on levels that
+keep the surface closed (`levels`).
 """
 
 from __future__ import annotations
@@ -23,8 +21,9 @@ from numpy.typing import NDArray
 
 from ttus_opt.errors import InputError, NumericalError
 from ttus_opt.grid import CylindricalGrid
-from ttus_opt.multigrid import double, kernels
-from ttus_opt.multigrid.cycle import Hierarchy, Workspace, cycle
+from ttus_opt.multigrid import double
+from ttus_opt.multigrid.cycle import Hierarchy, cycle
+from ttus_opt.multigrid.gradients import Vectors
 from ttus_opt.multigrid.kernels import Single
 from ttus_opt.multigrid.levels import conductances
 from ttus_opt.multigrid.v_cycle import VCycle
@@ -50,24 +49,6 @@ class MultigridResult:
     x: Array = field(repr=False)
     iterations: int
     relative_residual: float
-
-
-class _Vectors(Workspace):
-    """What one solve writes to: conjugate gradients beside the V-cycle."""
-
-    def __init__(self, hierarchy: Hierarchy) -> None:
-        super().__init__(hierarchy)
-        shape = hierarchy.levels[0].shape
-        colours = (2 if hierarchy.levels[0].is_odd else 1, *shape[1:])
-        self.p = np.zeros(colours, np.float32)
-        self.q = np.zeros(colours, np.float32)
-        self.r = np.zeros(colours, np.float32)
-        self.answer = np.zeros(shape, np.float32)
-
-    @property
-    def memory_bytes(self) -> int:
-        vectors = (self.p, self.q, self.r, self.answer)
-        return super().memory_bytes + sum(v.nbytes for v in vectors)
 
 
 class Multigrid:
@@ -111,7 +92,7 @@ class Multigrid:
         #: Bound of the operator's norm (Gershgorin) [m].
         self.norm_bound = float(np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z)))
         self._hierarchy = Hierarchy.build(grid, free)
-        self._idle: deque[_Vectors] = deque()
+        self._idle: deque[Vectors] = deque()
 
     def __reduce__(self) -> tuple[type[Multigrid], tuple[object, ...]]:
         """Pickle as what it was built from."""
@@ -299,7 +280,7 @@ class Multigrid:
                     "cycles or a larger rtol"
                 )
             goal = max(REDUCTION, 0.5 * target / now)
-            iterations += self._correct(work, goal, limit - iterations)
+            iterations += work.correct(goal, limit - iterations)
             norm_x = math.sqrt(self._add(x, work.answer, 1.0 / scale))
             before, scale = now, 1.0 / now
             now = self._residual(work, x, b, scale)
@@ -319,15 +300,15 @@ class Multigrid:
             raise InputError(f"{name} must be finite at free voxels, got NaN or inf")
         return kept
 
-    def _borrow(self) -> _Vectors:
+    def _borrow(self) -> Vectors:
         """Scratch arrays no other thread has."""
         try:
             return self._idle.pop()
         except IndexError:
-            return _Vectors(self._hierarchy)
+            return Vectors(self._hierarchy)
 
     def _residual(
-        self, work: _Vectors, x: Array | None, b: Array, scale: float
+        self, work: Vectors, x: Array | None, b: Array, scale: float
     ) -> float:
         """‖b - A x‖; leaves its scaled halves in ``work.b[0]``."""
         pitch, shape = self._hierarchy.levels[0].layout.pitch, self.grid.shape
@@ -340,80 +321,6 @@ class Multigrid:
         """Correct x by scale · halves; returns ‖x‖²."""
         pitch = self._hierarchy.levels[0].layout.pitch
         return float(double.add(x, halves, scale, pitch, self.grid.shape))
-
-    def _correct(self, work: _Vectors, goal: float, limit: int) -> int:
-        """Solve A e = work.b[0] roughly, in single precision, into ``work.answer``.
-
-        Args:
-            work: Scratch arrays.
-            goal: Relative residual to reach [–].
-            limit: Most V-cycles [–].
-
-        Returns:
-            V-cycles spent.
-        """
-        level = self._hierarchy.levels[0]
-        b, x, e = work.b[0], work.x[0], work.answer
-        e.fill(0)
-        if level.is_odd:
-            work.r[:] = b
-            return self._gradients(work, (0, 1), goal, limit)
-        level.sweep(0, x, None, b[0])
-        level.couple(work.r[0], x[0])
-        work.r[0] += b[1]
-        spent = self._gradients(work, (1,), goal, limit)
-        kernels.close_circle(e, 1, level.layout.numbers)
-        level.sweep(0, e, e[1], b[0])
-        return spent
-
-    def _gradients(
-        self, work: _Vectors, colours: tuple[int, ...], goal: float, limit: int
-    ) -> int:
-        """Conjugate gradients for work.r on one or both colours."""
-        numbers = self._hierarchy.levels[0].layout.numbers
-        x, e, p, q, r = work.x[0], work.answer, work.p, work.q, work.r
-        parts = tuple(enumerate(colours))
-        first = sum(kernels.dot(r[n], r[n], c, numbers) for n, c in parts)
-        rz_before = math.inf
-        p.fill(0)
-        for iteration in range(limit):
-            if first == 0.0:
-                return iteration
-            cycle(self._hierarchy, work, (r[0] if len(r) == 2 else None, r[-1]))
-            rz = sum(kernels.dot(r[n], x[c], c, numbers) for n, c in parts)
-            for n, c in parts:
-                kernels.turn(p[n], x[c], np.float32(rz / rz_before))
-            pq = self._operate(work, colours)
-            if not (pq > 0.0 and rz > 0.0):  # down to rounding
-                return iteration + 1
-            alpha = np.float32(rz / pq)
-            now = sum(
-                kernels.step(e[c], r[n], p[n], q[n], alpha, c, numbers)
-                for n, c in parts
-            )
-            if now <= goal**2 * first:
-                return iteration + 1
-            rz_before = rz
-        return limit
-
-    def _operate(self, work: _Vectors, colours: tuple[int, ...]) -> float:
-        """Put A p, or the Schur complement's, into q; returns p · q."""
-        level = self._hierarchy.levels[0]
-        p, q, x = work.p, work.q, work.x[0]
-        rest = (level.R, level.T, level.Z)
-        numbers = level.layout.numbers
-        if len(colours) == 1:
-            level.sweep(0, x, p[0], None)
-            inverse = level.inverse[1]
-            return float(kernels.operate(q[0], p[0], x[0], inverse, *rest, 1, numbers))
-        return float(
-            sum(
-                kernels.operate(
-                    q[c], p[c], p[1 - c], level.inverse[c], *rest, c, numbers
-                )
-                for c in colours
-            )
-        )
 
 
 def _largest(values: Array) -> float:
