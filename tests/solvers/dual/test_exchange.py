@@ -25,6 +25,7 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Status
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.dual import exchange
 from ttus_opt.solvers.registry import choose, solvers
 
 Array = NDArray[np.float64]
@@ -93,6 +94,17 @@ def active_limits(program: Program, candidate: Candidate) -> int:
 @pytest.mark.parametrize("forces", [(1.0, 2.0), (-3.0, 0.3), (-3.0, 2.0)])
 def test_contested(forces: tuple[float, float], weight: float, share: float) -> None:
     scene = contested(1, scale=forces[0], noise=forces[1])
+    check(coulomb(scene, weight, largest_friction=share), least_active=3)
+
+
+@pytest.mark.parametrize("weight", [1.0, 100.0])
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_carefully_from_the_first_face_on(
+    monkeypatch: pytest.MonkeyPatch, share: float, weight: float
+) -> None:
+    """What is kept for where the exchange goes round in circles finds the same."""
+    monkeypatch.setattr(exchange, "PATIENCE", 0)
+    scene = contested(4, scale=-3.0)
     check(coulomb(scene, weight, largest_friction=share), least_active=3)
 
 
@@ -309,3 +321,16 @@ class FewRows(Constraint):
 
     def rows(self) -> LinearRows:
         return self.some  # type: ignore[attr-defined,no-any-return]
+
+
+@pytest.mark.slow
+def test_case_s_with_a_share_below_what_was_put_in() -> None:
+    """24×72×30 with hundreds of limits active; no other solver returns in minutes."""
+    scene = contested(0, noise=0.3, shape=(24, 72, 30))
+    declared = coulomb(scene, 100.0, largest_friction=0.1)
+    solution = tt.fit(scene, declared, solver="structured")
+    assert solution.status is Status.SOLVED
+    assert solution.kkt is not None
+    assert solution.kkt.worst_relative <= TOLERANCE
+    found = np.abs(solution.duals_by_name["drag_limit"])
+    assert np.count_nonzero(found > 1e-6 * found.max()) > 300

@@ -43,8 +43,8 @@ Mask = NDArray[np.bool_]
 #: Residual of a face's dual over its worst violation, and at most, relative [–]
 ACCURACY, LOOSEST = 1e-2, 1e-3
 
-#: Faces on which neither the worst limit nor their number is better, before the
-#: exchange goes carefully
+#: Faces that are better in nothing, the worst limit, the number of wrong ones or that
+#: of active ones, before the exchange goes carefully
 PATIENCE = 5
 
 
@@ -76,7 +76,7 @@ def exchange(
         guess, active = start[0], possible(limits, start[1])
     face, solved = problem.face(active), active
     accuracy, best, fewest, patience = LOOSEST, np.inf, np.inf, PATIENCE
-    faces, steps = 0, 0
+    faces, steps, most = 0, 0, 0
     carefully = _Careful()
     while True:
         if active.differs(solved):
@@ -104,8 +104,10 @@ def exchange(
             active = carefully.next(limits, active, peaks, problem.objective(p))
             continue
         better = worst < 0.8 * best or wrong.count < 0.8 * fewest
+        better |= active.count > most  # circles do not grow
         patience = PATIENCE if better else patience - 1
         best, fewest = min(best, worst), min(fewest, wrong.count)
+        most = max(most, active.count)
         accuracy = min(max(ACCURACY * worst, rtol), LOOSEST)
         active = change(limits, active, peaks, all_of_them=True)
     pull, push = right_signs(limits, active, pull, push)
