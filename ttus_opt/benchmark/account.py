@@ -104,24 +104,26 @@ def _line(label: str, told: Mapping[str, Any], moved: str, measured: str) -> lis
 def _left(rows: Sequence[Row], told: Mapping[str, Any]) -> list[str]:
     """A sentence per group: what it takes, and how much faster a fit could be."""
     whole = rows[0]["total"]
-    cycles = own_seconds(rows, name.CYCLE)
-    vectors = own_seconds(rows, name.VECTORS) + own_seconds(rows, name.DOUBLE)
-    vectors += own_seconds(rows, name.SOLVE)
+    # a correction is one compiled call: its V-cycles and its vectors are not told apart
+    cycles = own_seconds(rows, name.CYCLE) + own_seconds(rows, name.CORRECTION)
+    vectors = own_seconds(rows, name.DOUBLE) + own_seconds(rows, name.SOLVE)
     limit = _limit(told, "bytes_cycle")
     vector_bytes = told["bytes_solve"] - told["cycles"] * told["bytes_cycle"]
     vector_limit = vector_bytes / told["bandwidth_level"]
     vector_taken = told["seconds_solve"] - told["cycles"] * told["seconds_cycle"]
     rough = own_seconds(rows, name.CYCLE, name.ROUGH)
     return [
-        f"V-cycles: {_part(cycles, whole)} in {_calls(rows, name.CYCLE):,} of them, "
-        f"{rough / cycles:.0%} of it in rough products. Each streams "
+        "V-cycles, and in solves the conjugate gradients around them: "
+        f"{_part(cycles, whole)}, {rough / cycles:.0%} of it in rough products. Each "
+        "V-cycle streams "
         f"{told['bytes_cycle'] / MB:.3g} MB, so that at the speed of a copy "
         f"{1e3 * limit:.3g} of its {1e3 * told['seconds_cycle']:.3g} ms would be left: "
         f"at that bound the fit would take "
         f"{_left_of(whole, cycles, limit / told['seconds_cycle'])}.",
-        f"Vectors and double-precision residuals around them: {_part(vectors, whole)}. "
-        f"In a solve they stream {vector_bytes / MB:.3g} MB in "
-        f"{1e3 * vector_taken:.3g} ms where a copy would take "
+        f"Double-precision residuals around them: {_part(vectors, whole)}. "
+        "With the gradients' vectors they stream in a solve "
+        f"{vector_bytes / MB:.3g} MB in {1e3 * vector_taken:.3g} ms where a copy would "
+        "take "
         f"{1e3 * vector_limit:.3g} ms: at that bound the fit would take "
         f"{_left_of(whole, vectors, vector_limit / max(vector_taken, 1e-12))}.",
         f"Products: {_calls(rows, name.EXACT):,} exact ones at "

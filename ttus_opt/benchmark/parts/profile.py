@@ -30,7 +30,8 @@ from ttus_opt.benchmark.traffic import Bandwidth, Traffic
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import Fitter
 from ttus_opt.laplace import RTOL, LaplaceSystem
-from ttus_opt.multigrid import Multigrid, solver, v_cycle
+from ttus_opt.multigrid import Multigrid, v_cycle
+from ttus_opt.multigrid.gradients import Vectors
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
@@ -66,10 +67,9 @@ WATCHES = (
     Watch(DualSystem, "apply", name.EXACT),
     Watch(DualSystem, "response", name.RESPONSE, outside=name.EXACT),
     Watch(Multigrid, "solve", name.SOLVE),
-    Watch(Multigrid, "_gradients", name.VECTORS, aside=True),
+    Watch(Vectors, "correct", name.CORRECTION),
     Watch(Multigrid, "_residual", name.DOUBLE),
     Watch(Multigrid, "_add", name.DOUBLE),
-    Watch(solver, "cycle", name.CYCLE),
     Watch(v_cycle, "cycle", name.CYCLE),
     Watch(fitting, "judged", name.VERIFY),
 )
@@ -209,7 +209,7 @@ def _traffic(laplace: LaplaceSystem, largest_copy: int | None) -> Figures:
         start = time.perf_counter()
         found = multigrid.solve(b, rtol=RTOL)
         taken.append(time.perf_counter() - start)
-    with profiler.watched([Watch(Multigrid, "_correct", "correction")]):
+    with profiler.watched([Watch(Vectors, "correct", name.CORRECTION)]):
         multigrid.solve(b, rtol=RTOL)
     corrections = sum(node.calls for node in profiler.nodes())
     speed = Bandwidth.measure(counted.level, largest_copy)
