@@ -32,10 +32,11 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual.active_set import FaceAnswer, search
+from ttus_opt.solvers.dual.active_set import search
 from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
 from ttus_opt.solvers.dual.exchange import exchange
+from ttus_opt.solvers.dual.face_walk import FaceAnswer
 from ttus_opt.solvers.dual.few_columns import MOST, solve_with_columns
 from ttus_opt.solvers.dual.field_faces import LimitedField
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field

@@ -18,9 +18,9 @@ from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.point_shell import PointShell
 from ttus_opt.problem.program import Program
 from ttus_opt.scene import Scene
-from ttus_opt.solvers.dual.active_set import multipliers
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.face import Activity, Face, face_of
+from ttus_opt.solvers.dual.optimality import multipliers
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 from ttus_opt.surface import Surface

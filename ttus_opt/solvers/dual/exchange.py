@@ -15,26 +15,14 @@ added, and no face without wrong signs comes twice.
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.solvers.dual.active_set import (
-    MARGIN,
-    MAX_FACES,
-    FaceAnswer,
-    LimitedProblem,
-    Wrong,
-    change,
-    field_accuracy,
-    find_wrong,
-    multipliers,
-    possible,
-    right_signs,
-)
-from ttus_opt.solvers.dual.activity import Activity, no_limits_active
+from ttus_opt.solvers.dual.activity import Activity
+from ttus_opt.solvers.dual.face_walk import FaceAnswer, FaceWalk, LimitedProblem
+from ttus_opt.solvers.dual.optimality import Wrong, change
 from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 
 Array = NDArray[np.float64]
@@ -69,49 +57,31 @@ def exchange(
         rtol: Residual of the dual on the last face, relative [–].
         deadline: `time.perf_counter` at which to stop; None for never [s].
     """
-    limits = limits.without_implied()
-    size = len(limits.lower)
-    active, guess = no_limits_active(size), None
-    if start is not None and len(start[0]) == size:
-        guess, active = start[0], possible(limits, start[1])
-    face, solved = problem.face(active), active
+    walk = FaceWalk(
+        problem, limits, start, tolerance=tolerance, rtol=rtol, deadline=deadline
+    )
     accuracy, best, fewest, patience = LOOSEST, np.inf, np.inf, PATIENCE
-    faces, steps, most = 0, 0, 0
-    carefully = _Careful()
-    while True:
-        if active.differs(solved):
-            face, solved = problem.face(active), active
-        answer = face.solve(
-            rtol=accuracy,
-            field_rtol=field_accuracy(accuracy, rtol),
-            deadline=deadline,
-            guess=guess,
-        )
-        guess = p = answer.p
-        faces, steps = faces + 1, steps + answer.steps
-        gradient = problem.gradient(p)
-        pull, push = multipliers(limits, active, gradient)
-        late = deadline is not None and time.perf_counter() > deadline
-        wrong = find_wrong(limits, active, p, pull, push, gradient, MARGIN * tolerance)
-        settled = wrong.count == 0 and accuracy == rtol and not answer.late
-        if settled or late or faces == MAX_FACES:
-            break
+    most, carefully = 0, _Careful()
+    wrong = walk.solve(walk.active, accuracy)
+    while not walk.over:
+        active = walk.active
         if wrong.count == 0 or (patience == 0 and accuracy > rtol):
             accuracy = rtol
-            continue
-        peaks, worst = _peaks(wrong, active, shape), wrong.worst
-        if patience == 0:
-            active = carefully.next(limits, active, peaks, problem.objective(p))
-            continue
-        better = worst < 0.8 * best or wrong.count < 0.8 * fewest
-        better |= active.count > most  # circles do not grow
-        patience = PATIENCE if better else patience - 1
-        best, fewest = min(best, worst), min(fewest, wrong.count)
-        most = max(most, active.count)
-        accuracy = min(max(ACCURACY * worst, rtol), LOOSEST)
-        active = change(limits, active, peaks, all_of_them=True)
-    pull, push = right_signs(limits, active, pull, push)
-    return FaceAnswer(p, pull, push, active, faces, steps, late, settled)
+        elif patience == 0:
+            height = problem.objective(walk.p)
+            peaks = _peaks(wrong, active, shape)
+            active = carefully.next(walk.limits, active, peaks, height)
+        else:
+            better = wrong.worst < 0.8 * best or wrong.count < 0.8 * fewest
+            better |= active.count > most  # circles do not grow
+            patience = PATIENCE if better else patience - 1
+            best, fewest = min(best, wrong.worst), min(fewest, wrong.count)
+            most = max(most, active.count)
+            accuracy = min(max(ACCURACY * wrong.worst, rtol), LOOSEST)
+            peaks = _peaks(wrong, active, shape)
+            active = change(walk.limits, active, peaks, all_of_them=True)
+        wrong = walk.solve(active, accuracy)
+    return walk.answer()
 
 
 class _Careful:
