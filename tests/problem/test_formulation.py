@@ -163,6 +163,13 @@ def test_unknown_names_and_options_say_what_there_is(tmp_path: Path) -> None:
         load(eq10(), SCENE, force_weight=1.0)
 
 
+@pytest.mark.parametrize("word", ["nan", "much", ""])
+def test_a_word_where_a_number_belongs(word: str) -> None:
+    """As `--option` hands on whatever is no JSON."""
+    with pytest.raises(InputError, match=rf"largest_friction .* number .*'{word}'"):
+        load("coulomb_drag", SCENE, largest_friction=word)
+
+
 def test_a_users_file_that_raises_keeps_its_traceback(tmp_path: Path) -> None:
     own = tmp_path / "broken.py"
     own.write_text("def build(scene):\n    return scene.nonsense\n")

@@ -243,7 +243,8 @@ def load(
         The formulation.
 
     Raises:
-        InputError: Unknown name or option, or a file without ``build``.
+        InputError: Unknown name or option, words for a number, or a file without
+            ``build``.
     """
     if isinstance(formulation, Formulation):
         if options:
@@ -254,11 +255,17 @@ def load(
         return formulation
     build, name = _find(formulation)
     known = _options(build)
-    for option in options:
+    for option, value in options.items():
         if known is not None and option not in known:
             raise InputError(
                 f"formulation {name} has no option {option!r}, it has "
                 f"{', '.join(known) or 'none'}"
+            )
+        usual = None if known is None else known[option]
+        if isinstance(value, str) and isinstance(usual, int | float):
+            raise InputError(
+                f"option {option} of formulation {name} takes a number such as "
+                f"{usual}, got {value!r}"
             )
     try:
         built = build(scene, **options)
