@@ -24,6 +24,7 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.dual import face_walk
 from ttus_opt.solvers.registry import solvers
 
 Array = NDArray[np.float64]
@@ -103,6 +104,22 @@ def test_contested(forces: str, weight: float, kind: str) -> None:
 def test_contested_with_hard_boundary(kind: str, sampling: str) -> None:
     scene = contested(2, sampling=sampling, scale=-3.0)
     check(eq10(scene, 1.0, HardBoundary(scene), *limits_of(scene, kind)))
+
+
+def test_too_few_faces_are_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it ended on is told as that, and not started from."""
+    scene = contested(1, scale=-3.0, noise=2.0)
+    program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
+    prepared = STRUCTURED.prepare(program, Request(TOLERANCE))
+    with monkeypatch.context() as few:
+        few.setattr(face_walk, "MAX_FACES", 2)
+        cut = prepared.solve()
+    assert cut.claim is not Claim.DONE
+    assert cut.detail.startswith("2 faces")
+    whole = prepared.solve()
+    assert whole.claim is Claim.DONE
+    assert kkt_residuals(program, whole.x, whole.duals).worst_relative <= TOLERANCE
+    assert np.linalg.norm(cut.x - whole.x) > 1e-6 * np.linalg.norm(whole.x)
 
 
 def inside(scene: Scene) -> NDArray[np.bool_]:
