@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.sparse.linalg import splu
 from tests.test_multigrid import box, explicit, make_grid, neck, pockets, torso
 from ttus_opt.errors import NumericalError
 from ttus_opt.grid import CylindricalGrid
-from ttus_opt.multigrid import StiffMultigrid
+from ttus_opt.multigrid import Multigrid, StiffMultigrid
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -106,8 +107,7 @@ def check(grid: CylindricalGrid, free: Mask, ties: Mask, seed: int = 0) -> None:
     error = np.linalg.norm(result.x[member] - expected)
     assert error <= 1e-9 * np.linalg.norm(expected)
     residual = b[member] - K @ result.x[member]
-    # carried along through all steps it may differ a little from the true one
-    assert np.linalg.norm(residual) <= 1e-11 * np.linalg.norm(b)
+    assert np.linalg.norm(residual) <= 2e-12 * np.linalg.norm(b)
 
 
 @pytest.mark.parametrize("name", GRIDS)
@@ -171,8 +171,8 @@ def test_is_linear_in_sizes_and_symmetric() -> None:
     x, y = solver.solve(a).x, solver.solve(b).x
     # what cancels in x @ b counts as well
     assert abs(x @ b - a @ y) <= 1e-10 * np.linalg.norm(x) * np.linalg.norm(b)
-    for size in (1e-100, 1e100):
-        np.testing.assert_allclose(solver.solve(size * a).x / size, x, rtol=1e-6)
+    for size in (1e-200, 1e200):
+        np.testing.assert_allclose(solver.solve(size * a).x / size, x, rtol=1e-9)
     assert not solver.solve(np.zeros(free.size)).x.any()
 
 
@@ -198,7 +198,33 @@ def test_a_residual_out_of_reach_is_an_error() -> None:
     shown[member] = True
     solver = StiffMultigrid(grid, free.reshape(-1), ties.reshape(-1), shown)
     b = np.where(shown, 1.0 + np.arange(free.size), 0.0)
-    with pytest.raises(NumericalError, match=r"residual of .* in 1 cycles"):
+    with pytest.raises(NumericalError, match=r"residual of .* after 1 cycles"):
         solver.solve(b, max_iterations=1)
-    with pytest.raises(NumericalError, match="was asked for"):
-        solver.solve(b, rtol=1e-30, max_iterations=20)
+    assert solver.solve(b, rtol=0.0).relative_residual <= 1e-13  # down to rounding
+
+
+def test_pickles() -> None:
+    grid = GRIDS["even"]
+    free = torso(grid)
+    ties = some_ties(free, 1)
+    _, member = spread(free, ties, np.random.default_rng(0))
+    shown = np.zeros(free.size, dtype=bool)
+    shown[member] = True
+    solver = StiffMultigrid(grid, free.reshape(-1), ties.reshape(-1), shown)
+    b = np.where(shown, np.random.default_rng(3).standard_normal(free.size), 0.0)
+    copy = pickle.loads(pickle.dumps(solver))
+    np.testing.assert_array_equal(copy.solve(b).x, solver.solve(b).x)
+
+
+def test_chains_cost_hardly_more_cycles_than_none() -> None:
+    grid = make_grid((24, 48, 24))
+    free = torso(grid)
+    b = np.where(free.reshape(-1), np.random.default_rng(3).standard_normal(free.size), 0)
+    plain = Multigrid(grid, free).solve(b).iterations
+    for ties in (some_ties, nearly_whole):
+        tied = ties(free, 1)
+        _, member = spread(free, tied, np.random.default_rng(0))
+        shown = np.zeros(free.size, dtype=bool)
+        shown[member] = True
+        solver = StiffMultigrid(grid, free.reshape(-1), tied.reshape(-1), shown)
+        assert solver.solve(b).iterations <= 1.5 * plain

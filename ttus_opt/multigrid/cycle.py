@@ -9,7 +9,7 @@ for the interpreter's lock.
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -50,9 +50,9 @@ class Level:
     Attributes:
         layout: Where nodes are stored.
         R: Conductances to the next layer; on the finest level one number per layer,
-            shape (n_r,), elsewhere in halves, shape (2, n_r, width) [m].
-        T: Conductances to the next spoke, same [m].
-        Z: Conductances to the next slice, same [m].
+            shape (n_r,), elsewhere and with ties in halves, (2, n_r, width) [m].
+        T: Conductances to the next spoke, likewise but for ties [m].
+        Z: Conductances to the next slice, likewise [m].
         inverse: Inverse pivots of the radial lines, in halves [1/m].
         weights: See `transfer`.
         flags: Which of r, θ, z the next level coarsens.
@@ -75,15 +75,23 @@ class Level:
         R, T, Z = (v.astype(np.float32) for v in conductances(grid))
         # a dropped node has equal neighbours, and none if it is fixed
         half = layout.split(network.free * np.float32(0.5))
-        inverse = lines.pivots(layout.split(network.diagonal), R)
+        inverse = lines.pivots(layout.split(network.aside), R)
         return cls(layout, R, T, Z, inverse, (half,) * 6, flags)
+
+    def tied(self, network: Network) -> Level:
+        """The grid itself with ties, of which links along spokes alone know."""
+        R = self.layout.split(network.links[0])
+        inverse = lines.pivots(self.layout.split(network.aside), R)
+        along = (self.layout.split(w) for w in network.weights(0))
+        weights = (*along, *self.weights[2:])
+        return replace(self, R=R, inverse=inverse, weights=weights)
 
     @classmethod
     def coarse(cls, network: Network, flags: tuple[bool, bool, bool]) -> Level:
         """A coarser level."""
         layout = Layout.of(network.shape)
         R, T, Z = (layout.split(v) for v in network.links)
-        inverse = lines.pivots(layout.split(network.diagonal), R)
+        inverse = lines.pivots(layout.split(network.aside), R)
         weights = tuple(
             layout.split(w) for axis in range(3) for w in network.weights(axis)
         )
@@ -168,28 +176,27 @@ class Hierarchy:
         cls,
         grid: Box,
         free: NDArray[np.bool_],
-        stiffness: Single | None = None,
+        ties: NDArray[np.bool_] | None = None,
     ) -> Hierarchy:
         """Coarsen until the rest is small.
 
         Args:
             grid: The grid.
             free: Unknown voxels, shape ``grid.shape``.
-            stiffness: Factor of every conductance to the next layer, same shape;
-                None for 1.
+            ties: Those that move with the next layer, same shape; None for none.
         """
         network = finest(grid, free)
-        if stiffness is not None:
-            network = network.stiffened(stiffness)
+        if ties is not None:
+            network = network.tied(ties)
         levels: list[Level] = []
         for flags in (*plan(grid), (False, False, False)):
             if network.n_free <= DIRECT_NODES:
                 flags = (False, False, False)
-            levels.append(
-                Level.coarse(network, flags)
-                if levels or stiffness is not None
-                else Level.finest(grid, network, flags)
-            )
+            if levels:
+                levels.append(Level.coarse(network, flags))
+            else:
+                level = Level.finest(grid, network, flags)
+                levels.append(level if ties is None else level.tied(network))
             if not any(flags):
                 break
             for axis in np.flatnonzero(flags):

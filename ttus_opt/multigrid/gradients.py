@@ -1,9 +1,11 @@
 """Conjugate gradients in single precision, preconditioned by a V-cycle (compiled).
 
 As colour 0 follows exactly from colour 1, they run on colour 1 alone (the Schur
-complement), unless an odd number of spokes spoils the chessboard. A correction is one
-call of compiled code: pieces of work on a small grid take microseconds, and solves
-side by side would spend their time waiting for the interpreter's lock.
+complement), unless an odd number of spokes spoils the chessboard; chains lie in lines
+of one colour, which are solved exactly with all their ties, so that this holds for
+them too. A correction is one call of compiled code: pieces of work on a small grid
+take microseconds, and solves side by side would spend their time waiting for the
+interpreter's lock.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.compiled import compiled
 from ttus_opt.multigrid import kernels, lines, transfer
+from ttus_opt.multigrid.chains import Chains, Places, gather_half
 from ttus_opt.multigrid.cycle import (
     Coarser,
     Hierarchy,
@@ -38,6 +41,9 @@ Works = Any
 #: Number of coarser levels, places of the coarsest one's unknowns, inverse matrix
 Bottom = tuple[int, NDArray[np.int64], Single]
 
+#: The places of chains in both colours; None if there are none
+Chained = tuple[Places, Places] | None
+
 #: Direction, its image and the residual of one colour
 Colour = tuple[Single, Single, Single]
 
@@ -49,9 +55,23 @@ class Vectors(Workspace):
         answer: Correction in halves, shape (2, n_r, width).
     """
 
-    def __init__(self, hierarchy: Hierarchy) -> None:
+    def __init__(
+        self,
+        hierarchy: Hierarchy,
+        ties: tuple[Single, Chains] | None = None,
+    ) -> None:
+        """Take scratch arrays.
+
+        Args:
+            hierarchy: The levels.
+            ties: Conductances to the next layer without ties, shape (n_r,), and who is
+                tied; None where nobody is.
+        """
         super().__init__(hierarchy)
         v = hierarchy.levels[0]
+        # of ties nothing flows: all voxels of a chain have one value
+        self._along = v.R if ties is None else ties[0]
+        self._chained = None if ties is None else ties[1].places(v.layout)
         self._finest = (
             (v.R, v.T, v.Z, v.inverse, v.weights, v.flags, v.layout.numbers),
             (self.b[0], self.x[0], self.residual[0]),
@@ -83,7 +103,7 @@ class Vectors(Workspace):
         Returns:
             V-cycles spent.
         """
-        vectors = (self.answer, self._zero, self._one)
+        vectors = (self._along, self._chained, self.answer, self._zero, self._one)
         # 0 and 1 as values: numba would compile for every constant
         colours = (0, 1)
         return int(
@@ -141,6 +161,8 @@ def _correct(
     levels: Levels,
     lower: Works,
     bottom: Bottom,
+    along: Single,
+    chained: Chained,
     e: Single,
     zero: Colour | None,
     one: Colour,
@@ -156,6 +178,8 @@ def _correct(
         levels: What is below.
         lower: Its work.
         bottom: Its last level.
+        along: Conductances to the next layer without ties, shape (n_r,).
+        chained: Who is tied to whom on the finest level.
         e: Answer in halves.
         zero: Vectors of colour 0; None where it follows from colour 1.
         one: Vectors of colour 1.
@@ -180,6 +204,10 @@ def _correct(
         zero[0][:] = 0
         zero[2][:] = b[0]
         r[:] = b[1]
+    if chained is not None:
+        gather_half(r, chained[1])
+        if zero is not None:
+            gather_half(zero[2], chained[0])
     first = kernels.dot(r, r, c1, numbers)
     if zero is not None:
         first += kernels.dot(zero[2], zero[2], c0, numbers)
@@ -191,7 +219,7 @@ def _correct(
             rz = kernels.dot(r, x[1], c1, numbers)
             kernels.turn(p, x[1], np.float32(rz / before))
             lines.sweep_unloaded(x, p, inverse[0], R, T, Z, c0, numbers)
-            pq = kernels.operate(q, p, x[0], inverse[1], R, T, Z, c1, numbers)
+            pq = kernels.operate(q, p, x[0], inverse[1], along, T, Z, c1, numbers)
         else:
             p0, q0, r0 = zero
             _cycle(finest, work, levels, lower, bottom, r0, r, colours)
@@ -199,14 +227,20 @@ def _correct(
             rz += kernels.dot(r, x[1], c1, numbers)
             kernels.turn(p0, x[0], np.float32(rz / before))
             kernels.turn(p, x[1], np.float32(rz / before))
-            pq = kernels.operate(q0, p0, p, inverse[0], R, T, Z, c0, numbers)
-            pq += kernels.operate(q, p, p0, inverse[1], R, T, Z, c1, numbers)
+            pq = kernels.operate(q0, p0, p, inverse[0], along, T, Z, c0, numbers)
+            pq += kernels.operate(q, p, p0, inverse[1], along, T, Z, c1, numbers)
         if not (pq > 0.0 and rz > 0.0):  # down to rounding
             break
         alpha = np.float32(rz / pq)
         now = kernels.step(e[1], r, p, q, alpha, c1, numbers)
         if zero is not None:
             now += kernels.step(e[0], zero[2], zero[0], zero[1], alpha, c0, numbers)
+        if chained is not None:
+            gather_half(r, chained[1])
+            now = kernels.dot(r, r, c1, numbers)
+            if zero is not None:
+                gather_half(zero[2], chained[0])
+                now += kernels.dot(zero[2], zero[2], c0, numbers)
         if now <= goal**2 * first:
             break
         before = rz

@@ -42,6 +42,8 @@ Double = NDArray[np.float64]
 DIRECT_NODES = 100
 #: A direction is coarsened while its step is at most so many times that of θ and z.
 STEP_RATIO = 1.6
+#: Conductance of a tie over that of its link: none moves in single precision [–]
+STIFFNESS = 1e7
 #: Values per row of a half are rounded up to whole vector registers.
 LANES = 16
 
@@ -147,19 +149,21 @@ class Network:
         return int(np.count_nonzero(self.free))
 
     @property
-    def diagonal(self) -> Single:
-        """Diagonal of the operator, same shape [m]."""
+    def aside(self) -> Single:
+        """The diagonal of the operator without links along r, same shape [m]."""
         total = np.zeros(self.free.shape, dtype=np.float32)
-        for axis in (R, THETA, Z):
+        for axis in (THETA, Z):
             total += self.links[axis]
             total += np.roll(self.links[axis], 1, axis)
-            total += self.grounds[axis]
+        for ground in self.grounds:
+            total += ground
         return total
 
-    def stiffened(self, factor: Single) -> Network:
-        """The same with other conductances to the next layer."""
+    def tied(self, ties: NDArray[np.bool_]) -> Network:
+        """The same with nodes that are tied to the next layer, same shape."""
         along, *across = self.links
-        return replace(self, links=(along * factor, *across))
+        stiff = np.where(ties, along * np.float32(STIFFNESS), along)
+        return replace(self, links=(stiff, *across))
 
     def weights(self, axis: int) -> tuple[Single, Single]:
         """Weights of the node before and the node after, if a node is dropped."""
@@ -174,7 +178,10 @@ class Network:
         nodes = np.nonzero(self.free)
         number = np.full(self.shape, -1)
         number[nodes] = np.arange(self.n_free)
-        A = np.diag(self.diagonal[nodes].astype(float))
+        # in double precision, where stiff links leave the others their digits
+        diagonal = self.aside.astype(float)
+        diagonal += self.links[R].astype(float) + np.roll(self.links[R], 1, R)
+        A = np.diag(diagonal[nodes])
         for axis in (R, THETA, Z):
             link = self.links[axis][nodes]
             here = np.flatnonzero(link)

@@ -18,24 +18,35 @@ TILE = 1024
 
 
 @compiled(nogil=True)
-def pivots(diagonal: Single, R: Single) -> Single:
+def pivots(aside: Single, R: Single) -> Single:
     """Inverse pivots of Thomas' algorithm for every line (compiled).
 
+    What a line so far holds its last node with is the node's own conductance aside
+    and, through their link, that of the line before: no differences are taken, so
+    that links of any stiffness leave the others their digits.
+
     Args:
-        diagonal: Diagonal of the operator in halves, zero at fixed nodes.
+        aside: Diagonal of the operator without links along lines, in halves; zero at
+            fixed nodes and nowhere else.
         R: Conductances to the next layer.
 
     Returns:
         The same shape; zero at fixed nodes.
     """
-    inverse = np.zeros_like(diagonal)
+    inverse = np.zeros_like(aside)
     for c in range(2):
+        held = np.zeros(inverse.shape[2])
         for i in range(1, inverse.shape[1] - 1):
             for h in range(inverse.shape[2]):
-                d = diagonal[c, i, h]
-                if d > 0:
-                    r = R[i - 1] if R.ndim == 1 else R[c, i - 1, h]
-                    inverse[c, i, h] = 1 / (d - r * r * inverse[c, i - 1, h])
+                own = np.float64(aside[c, i, h])
+                if own > 0.0 and held[h] > 0.0:
+                    r = np.float64(R[i - 1] if R.ndim == 1 else R[c, i - 1, h])
+                    own += r * held[h] / (r + held[h])
+                held[h] = own
+                if own > 0.0:
+                    if aside[c, i + 1, h] > 0.0:
+                        own += np.float64(R[i] if R.ndim == 1 else R[c, i, h])
+                    inverse[c, i, h] = 1.0 / own
     return inverse
 
 
@@ -76,6 +87,45 @@ def _row_even_unloaded(
     for n in range(out.size):
         load = z * (zl[n] + zr[n]) + t * (tl[n] + tr[n])
         out[n] = (load + r * below[n]) * inverse[n]
+
+
+@compiled(nogil=True, fastmath=FAST)
+def _row_tied(
+    out: Single,
+    below: Single,
+    b: Single,
+    zl: Single,
+    zr: Single,
+    tl: Single,
+    tr: Single,
+    r: Single,
+    z: np.float32,
+    t: np.float32,
+    inverse: Single,
+) -> None:
+    """Forward step of one layer, a conductance for every link inwards (compiled)."""
+    for n in range(out.size):
+        load = b[n] + z * (zl[n] + zr[n]) + t * (tl[n] + tr[n])
+        out[n] = (load + r[n] * below[n]) * inverse[n]
+
+
+@compiled(nogil=True, fastmath=FAST)
+def _row_tied_unloaded(
+    out: Single,
+    below: Single,
+    zl: Single,
+    zr: Single,
+    tl: Single,
+    tr: Single,
+    r: Single,
+    z: np.float32,
+    t: np.float32,
+    inverse: Single,
+) -> None:
+    """The same without a right-hand side (compiled)."""
+    for n in range(out.size):
+        load = z * (zl[n] + zr[n]) + t * (tl[n] + tr[n])
+        out[n] = (load + r[n] * below[n]) * inverse[n]
 
 
 @compiled(nogil=True, fastmath=FAST)
@@ -186,7 +236,11 @@ def sweep_unloaded(
             y = opposite[i]
             zl, zr = y[s - 1 + c : e - 1 + c], y[s + c : e + c]
             tl, tr = y[s - q - 1 + c : e - q - 1 + c], y[s + q + c : e + q + c]
-            _row_even_unloaded(own, below, zl, zr, tl, tr, R[i - 1], Z[i], T[i], d)
+            if R.ndim == 1:
+                _row_even_unloaded(own, below, zl, zr, tl, tr, R[i - 1], Z[i], T[i], d)
+            else:
+                r = R[c, i - 1, s:e]
+                _row_tied_unloaded(own, below, zl, zr, tl, tr, r, Z[i], T[i], d)
         _back(out, inverse, R, c, s, e)
     close_circle(x, c, numbers)
 
@@ -228,6 +282,9 @@ def sweep(
             tl, tr = y[s - q - 1 + c : e - q - 1 + c], y[s + q + c : e + q + c]
             if R.ndim == 1:
                 _row_even(own, below, load, zl, zr, tl, tr, R[i - 1], Z[i], T[i], d)
+            elif T.ndim == 1:
+                r = R[c, i - 1, s:e]
+                _row_tied(own, below, load, zl, zr, tl, tr, r, Z[i], T[i], d)
             else:
                 cl, cr = Z[1 - c, i, s - 1 + c : e - 1 + c], Z[c, i, s:e]
                 dl = T[1 - c, i, s - q - 1 + c : e - q - 1 + c]

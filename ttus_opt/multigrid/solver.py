@@ -63,13 +63,21 @@ class Multigrid:
     core. Equal calls give equal bits.
     """
 
-    def __init__(self, grid: CylindricalGrid, free: NDArray[np.bool_]) -> None:
+    def __init__(
+        self,
+        grid: CylindricalGrid,
+        free: NDArray[np.bool_],
+        *,
+        ties: NDArray[np.bool_] | None = None,
+    ) -> None:
         """Build the levels.
 
         Args:
             grid: The grid.
             free: Unknown voxels, shape ``grid.shape``; none in the first and last
                 layer and slice.
+            ties: Of those, the ones that move with the next one outwards, same shape:
+                for `StiffMultigrid`, which knows what that means for a residual.
 
         Raises:
             InputError: The mask has another shape, or frees a voxel on the rim.
@@ -91,7 +99,8 @@ class Multigrid:
         r, t, z = self._conductances
         #: Bound of the operator's norm (Gershgorin) [m].
         self.norm_bound = float(np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z)))
-        self._hierarchy = Hierarchy.build(grid, free)
+        self._ties = ties
+        self._hierarchy = Hierarchy.build(grid, free, ties)
         self._idle: deque[Vectors] = deque()
 
     def __reduce__(self) -> tuple[type[Multigrid], tuple[object, ...]]:
@@ -129,10 +138,7 @@ class Multigrid:
         Raises:
             InputError: x has another shape or is not finite.
         """
-        x = self._vector(x, "x")
-        out = np.zeros_like(x)
-        double.operate(out, x, self.free, *self._conductances, self.grid.shape)
-        return out
+        return self._operate(self._vector(x, "x"))
 
     def v_cycle(self, rhs: Array) -> Array:
         """Approximate A⁻¹ b by one V-cycle.
@@ -305,7 +311,17 @@ class Multigrid:
         try:
             return self._idle.pop()
         except IndexError:
-            return Vectors(self._hierarchy)
+            return self._vectors()
+
+    def _operate(self, x: Array) -> Array:
+        """A x for a vector that is zero at fixed voxels."""
+        out = np.zeros_like(x)
+        double.operate(out, x, self.free, *self._conductances, self.grid.shape)
+        return out
+
+    def _vectors(self) -> Vectors:
+        """New scratch arrays."""
+        return Vectors(self._hierarchy)
 
     def _residual(
         self, work: Vectors, x: Array | None, b: Array, scale: float

@@ -59,7 +59,7 @@ class VCycle:
         hierarchy: Hierarchy,
         grid: CylindricalGrid,
         free: NDArray[np.bool_],
-        stiffness: Single | None = None,
+        ties: NDArray[np.bool_] | None = None,
     ) -> VCycle:
         """As exact as one V-cycle can be at some voxels, and no larger than needed.
 
@@ -68,13 +68,13 @@ class VCycle:
             hierarchy: The levels of the whole grid.
             grid: The grid.
             free: Its unknown voxels, shape (V,).
-            stiffness: As of `Hierarchy.build`.
+            ties: Those that move with the next one outwards, shape (V,); None for none.
         """
         window = Window.around(grid, voxels)
         if not window.is_whole:
             inside = window.free(grid.unflatten(free))
-            stiff = None if stiffness is None else window.cut(stiffness)
-            hierarchy = Hierarchy.build(window, inside, stiff)
+            tied = None if ties is None else window.cut(grid.unflatten(ties))
+            hierarchy = Hierarchy.build(window, inside, tied)
         return cls(hierarchy, window, free, sweeps=1 if voxels is None else 2)
 
     def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:
