@@ -219,7 +219,9 @@ def test_pickles() -> None:
 def test_chains_cost_hardly_more_cycles_than_none() -> None:
     grid = make_grid((24, 48, 24))
     free = torso(grid)
-    b = np.where(free.reshape(-1), np.random.default_rng(3).standard_normal(free.size), 0)
+    b = np.where(
+        free.reshape(-1), np.random.default_rng(3).standard_normal(free.size), 0
+    )
     plain = Multigrid(grid, free).solve(b).iterations
     for ties in (some_ties, nearly_whole):
         tied = ties(free, 1)

@@ -16,7 +16,6 @@ costs, in solves with L or Lᵀ:
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +31,10 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual.active_set import search
 from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
 from ttus_opt.solvers.dual.exchange import exchange
-from ttus_opt.solvers.dual.face_walk import FaceAnswer
+from ttus_opt.solvers.dual.face_walk import FaceAnswer, LimitedProblem
 from ttus_opt.solvers.dual.few_columns import MOST, solve_with_columns
 from ttus_opt.solvers.dual.field_faces import LimitedField
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
@@ -130,10 +128,11 @@ class _Limited(Prepared):
         detail = f"limits along a spoke contradict each other by {worst:.2g}"
         return Candidate(None, claim=Claim.INFEASIBLE, detail=detail)
 
-    def _faces(self, search: Callable[..., FaceAnswer], *problem: object) -> FaceAnswer:
+    def _faces(self, problem: LimitedProblem, limits: SpokeLimits) -> FaceAnswer:
         """Face after face, from the last one of an earlier solve."""
-        answer = search(
-            *problem,
+        answer = exchange(
+            problem,
+            limits,
             self._last,
             tolerance=self._request.tolerance,
             rtol=self._rtol,
@@ -180,7 +179,7 @@ class _LoadedPair(_Limited):
         answer = self._contradiction(pair.limits)
         if answer is not None:
             return answer
-        found = self._faces(exchange, pair, pair.limits, pair.shape)
+        found = self._faces(pair, pair.limits)
         x = pair.variables(found.p)
         return _candidate(found, x, pair.duals(x, found.pull, found.push))
 
@@ -212,7 +211,7 @@ class _Loaded(_Limited):
             if answer is not None:
                 return answer
             problem = LimitedField(self._program, limits, self._data, self._solver)
-            found = self._faces(search, problem, limits)
+            found = self._faces(problem, limits)
             return _candidate(found, found.p, limits.duals(found.pull, found.push))
         bounds = (limit[len(self._data.b) :] for limit in self._program.box)
         fitted = solve_with_columns(

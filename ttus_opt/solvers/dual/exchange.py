@@ -1,10 +1,16 @@
-"""Exchange of active limits: from few to as many as are needed.
+"""Exchange of active limits, from face to face until all limits and signs hold.
 
-Where a prior of second order holds a field, few points of contact hold a whole region
-away from its bound: a violated region needs a limit where it is violated worst, hardly
-ever everywhere. To make all of it active (`active_set`) gives faces whose active
-regions shrink by one voxel at a time, 50 and more of them; to begin with none and to
-add the peaks of what is violated, as Remez' exchange does, needs 10 to 20.
+On each face the problem without limits is solved. Active limits whose multiplier has
+the wrong sign are let go, all at once (Bergounioux, Ito and Kunisch, SIAM J. Control
+Optim. 37, 1999). What becomes active of all that is violated depends on what it holds:
+
+- a value: where a prior of second order holds a field, few points of contact hold a
+  whole region away from its bound. Only the peaks of what is violated become active,
+  as in Remez' exchange. To add all of a region gives faces whose active regions shrink
+  by one voxel at a time, 50 and more of them; with peaks it takes 10 to 20;
+- a slope along spokes: what is active at last fills volumes. All that is violated by a
+  share of the worst around it becomes active, and the less there is left to mend the
+  smaller a share will do: by peaks alone a volume grows by one layer a face.
 
 To let go of wrong signs and to add peaks at once is fast but may go round in circles.
 Where it does, peaks are added only to a face without wrong signs, as in Lawson and
@@ -19,6 +25,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.face_walk import FaceAnswer, FaceWalk, LimitedProblem
@@ -31,6 +38,10 @@ Mask = NDArray[np.bool_]
 #: Residual of a face's dual over its worst violation, and at most, relative [–]
 ACCURACY, LOOSEST = 1e-2, 1e-3
 
+#: A slope becomes active where it is violated by this share of the worst so many voxels
+#: around it; by less where the worst violation of all, relative, is less than a tenth
+SHARE, AROUND = 0.3, 4
+
 #: Faces that are better in nothing, the worst limit, the number of wrong ones or that
 #: of active ones, before the exchange goes carefully
 PATIENCE = 5
@@ -39,7 +50,6 @@ PATIENCE = 5
 def exchange(
     problem: LimitedProblem,
     limits: SpokeLimits,
-    shape: tuple[int, int, int],
     start: tuple[Array, Activity] | None = None,
     *,
     tolerance: float,
@@ -49,9 +59,9 @@ def exchange(
     """Find the face on which the minimiser lies, and the minimiser.
 
     Args:
-        problem: Its faces, and its gradient, which multipliers come from.
+        problem: Its faces, its gradient, which multipliers come from, and what its
+            links hold.
         limits: Its limits.
-        shape: Of the grid on which every field lies, (n_r, n_θ, n_z).
         start: A field, (V,), and the face to begin with; None for no limit active.
         tolerance: KKT tolerance [–].
         rtol: Residual of the dual on the last face, relative [–].
@@ -69,8 +79,8 @@ def exchange(
             accuracy = rtol
         elif patience == 0:
             height = problem.objective(walk.p)
-            peaks = _peaks(wrong, active, shape)
-            active = carefully.next(walk.limits, active, peaks, height)
+            chosen = _chosen(wrong, active, problem)
+            active = carefully.next(walk.limits, active, chosen, height)
         else:
             better = wrong.worst < 0.8 * best or wrong.count < 0.8 * fewest
             better |= active.count > most  # circles do not grow
@@ -78,8 +88,8 @@ def exchange(
             best, fewest = min(best, wrong.worst), min(fewest, wrong.count)
             most = max(most, active.count)
             accuracy = min(max(ACCURACY * wrong.worst, rtol), LOOSEST)
-            peaks = _peaks(wrong, active, shape)
-            active = change(walk.limits, active, peaks, all_of_them=True)
+            chosen = _chosen(wrong, active, problem)
+            active = change(walk.limits, active, chosen, all_of_them=True)
         wrong = walk.solve(active, accuracy)
     return walk.answer()
 
@@ -92,23 +102,23 @@ class _Careful:
         self._last: tuple[Activity, Wrong] | None = None
 
     def next(
-        self, limits: SpokeLimits, active: Activity, peaks: Wrong, height: float
+        self, limits: SpokeLimits, active: Activity, wrong: Wrong, height: float
     ) -> Activity:
         """The next face.
 
         Args:
             limits: The limits.
             active: The face.
-            peaks: What is wrong on it.
+            wrong: What is to change of what is wrong on it.
             height: Its minimum.
         """
-        pins, ties = peaks.pins > 0.0, peaks.ties > 0.0
+        pins, ties = wrong.pins > 0.0, wrong.ties > 0.0
         backwards = pins & (active.pins != 0), ties & active.ties
         if backwards[0].any() or backwards[1].any():
-            return change(limits, active, _only(peaks, *backwards), all_of_them=True)
+            return change(limits, active, _only(wrong, *backwards), all_of_them=True)
         # a single one that was missing cannot fail, but for rounding
         if self._last is None or height > self._height or self._last[1].count == 1:
-            self._height, self._last = height, (active, peaks)
+            self._height, self._last = height, (active, wrong)
         else:
             self._last = self._last[0], _worse_half(self._last[1])
         return change(limits, *self._last, all_of_them=True)
@@ -131,15 +141,30 @@ def _only(wrong: Wrong, pins: Mask, ties: Mask) -> Wrong:
     )
 
 
-def _peaks(wrong: Wrong, active: Activity, shape: tuple[int, int, int]) -> Wrong:
-    """What is wrong, of violations only those at peaks."""
-    pins = (active.pins != 0) | _peak(wrong.pins, shape)
-    return _only(wrong, pins, active.ties | _peak(wrong.ties, shape))
+def _chosen(wrong: Wrong, active: Activity, problem: LimitedProblem) -> Wrong:
+    """What is to change of what is wrong: wrong signs, and some violations."""
+    pins, ties = (
+        np.maximum(size, 0.0).reshape(-1, *problem.shape)
+        for size in (wrong.pins, wrong.ties)
+    )
+    added = _strong(ties) if problem.links_hold_slopes else _peak(ties)
+    return _only(
+        wrong,
+        (active.pins != 0) | _peak(pins).reshape(-1),
+        active.ties | added.reshape(-1),
+    )
 
 
-def _peak(size: Array, shape: tuple[int, int, int]) -> Mask:
-    """Where a size is above zero and not below that of any of six neighbours."""
-    values = np.maximum(size, 0.0).reshape(-1, *shape)
+def _strong(values: Array) -> Mask:
+    """Where sizes, shape (fields, n_r, n_θ, n_z), are a share of the worst around."""
+    share = min(SHARE, SHARE / 0.1 * float(values.max()))
+    size = (1, *[2 * AROUND + 1] * 3)
+    worst = maximum_filter(values, size, mode=("nearest", "nearest", "wrap", "nearest"))
+    return np.asarray((values > 0.0) & (values >= share * worst))
+
+
+def _peak(values: Array) -> Mask:
+    """Where sizes, (fields, n_r, n_θ, n_z), are not below any of six neighbours'."""
     peak = values > 0.0
     peak[:, 1:] &= values[:, 1:] >= values[:, :-1]
     peak[:, :-1] &= values[:, :-1] >= values[:, 1:]
@@ -147,4 +172,4 @@ def _peak(size: Array, shape: tuple[int, int, int]) -> Mask:
         peak &= values >= np.roll(values, shift, axis=2)
     peak[..., 1:] &= values[..., 1:] >= values[..., :-1]
     peak[..., :-1] &= values[..., :-1] >= values[..., 1:]
-    return peak.reshape(-1)
+    return np.asarray(peak)

@@ -1,8 +1,4 @@
-"""Faces solved one after the other, whoever says which comes next.
-
-`active_set` and `exchange` differ in how they choose the next face and how exactly
-each is solved; what is done on one is the same and stands here.
-"""
+"""Faces solved one after the other; `exchange` says which comes next, how exactly."""
 
 from __future__ import annotations
 
@@ -34,8 +30,10 @@ MAX_FACES = 100
 #: Residual of the solves behind a field that is not yet the last, over its dual's [–]
 FINER = 1e-3
 
-#: What counts as a violation or a wrong sign, over the KKT tolerance [–]
-MARGIN = 1e-3
+#: What counts as a violation or a wrong sign, over the KKT tolerance; what may be left
+#: where that takes more than so many faces more: thousands of limits may lie so near
+#: to active that it hardly matters which of them are [–]
+MARGIN, ENOUGH, MORE = 1e-3, 0.1, 3
 
 
 class SolvableFace(Protocol):
@@ -54,6 +52,14 @@ class SolvableFace(Protocol):
 
 class LimitedProblem(Protocol):
     """What the search needs of a problem beside its limits."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of the grid on which every field lies, (n_r, n_θ, n_z)."""
+
+    @property
+    def links_hold_slopes(self) -> bool:
+        """Whether links are between neighbours of a field, not between two fields."""
 
     def face(self, active: Activity) -> SolvableFace:
         """The problem left when some limits are active."""
@@ -123,7 +129,7 @@ class FaceWalk:
         """
         self.problem, self.limits = problem, limits.without_implied()
         self.rtol, self.settled = rtol, False
-        self._margin, self._deadline = MARGIN * tolerance, deadline
+        self._tolerance, self._deadline = tolerance, deadline
         size = len(limits.lower)
         self.active = no_limits_active(size)
         self._p: Array | None = None
@@ -133,6 +139,7 @@ class FaceWalk:
         self._face: SolvableFace | None = None
         self._signs = np.zeros(size), np.zeros(size)
         self._faces, self._steps, self._late = 0, 0, False
+        self._near = 0  # faces with nothing wrong but what may be left
 
     @property
     def p(self) -> Array:
@@ -169,8 +176,11 @@ class FaceWalk:
         gradient = self.problem.gradient(p)
         self._signs = pull, push = multipliers(self.limits, active, gradient)
         self._late = self._deadline is not None and time.perf_counter() > self._deadline
-        wrong = find_wrong(self.limits, active, p, pull, push, gradient, self._margin)
-        self.settled = last and wrong.count == 0 and not answer.late
+        margin = MARGIN * self._tolerance
+        wrong = find_wrong(self.limits, active, p, pull, push, gradient, margin)
+        self._near += last and wrong.worst + margin <= ENOUGH * self._tolerance
+        done = wrong.count == 0 or self._near > MORE
+        self.settled = last and done and not answer.late
         return wrong
 
     def answer(self) -> FaceAnswer:

@@ -1,8 +1,9 @@
-"""The faces of one field with limits, for `active_set`."""
+"""The faces of one field with limits, for `exchange`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,12 @@ class LimitedField:
     limits: SpokeLimits
     data: DualData
     whole: DualSolver
+    links_hold_slopes: ClassVar[bool] = True
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of the grid."""
+        return self.limits.shape
 
     def face(self, active: Activity) -> FieldFace:
         """The problem left when some limits are active."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -53,6 +54,7 @@ class FieldPair:
     units: Array = field(repr=False)
     limits: SpokeLimits = field(repr=False)
     links: dict[str, tuple[Index, Array]] = field(repr=False)
+    links_hold_slopes: ClassVar[bool] = False
 
     @classmethod
     def of(cls, program: Program) -> FieldPair:
