@@ -38,9 +38,9 @@ DEPENDENT = 1e-12
 @compiled(nogil=True, fastmath={"contract", "reassoc"})
 def _products(rows: Array, vector: Array) -> Array:
     """Rows @ vector (compiled)."""
-    out = np.zeros(len(rows), dtype=rows.dtype)
+    out = np.zeros(len(rows))
     for k in range(len(rows)):
-        row, total = rows[k], out[k]  # of their type
+        row, total = rows[k], 0.0
         for n in range(row.size):
             total += row[n] * vector[n]
         out[k] = total
@@ -50,7 +50,7 @@ def _products(rows: Array, vector: Array) -> Array:
 @compiled(nogil=True, fastmath={"contract", "reassoc"})
 def _combination(parts: Array, rows: Array) -> Array:
     """Parts @ rows (compiled)."""
-    out = np.zeros(rows.shape[1], dtype=rows.dtype)
+    out = np.zeros(rows.shape[1])
     for k in range(len(rows)):
         row, part = rows[k], parts[k]
         for n in range(row.size):
@@ -75,8 +75,8 @@ Operator = TypeVar("Operator", bound=DualOperator)
 class _Rows:
     """Rows of equal length that grow in number without being copied each time."""
 
-    def __init__(self, length: int, dtype: type[np.floating]) -> None:
-        self._store = np.empty((16, length), dtype)
+    def __init__(self, length: int) -> None:
+        self._store = np.empty((16, length))
         self._count = 0
 
     @property
@@ -87,8 +87,7 @@ class _Rows:
     def append(self, row: Array) -> None:
         """Add one row."""
         if self._count == len(self._store):
-            shape = 2 * self._count, self._store.shape[1]
-            longer = np.empty(shape, self._store.dtype)
+            longer = np.empty((2 * self._count, self._store.shape[1]))
             longer[: self._count] = self._store
             self._store = longer
         self._store[self._count] = row
@@ -107,17 +106,11 @@ class Directions(Generic[Operator]):
     the weights.
     """
 
-    def __init__(self, system: Operator, dtype: type[np.floating] = np.float64) -> None:
-        """Know nothing yet.
-
-        Args:
-            system: The operator.
-            dtype: Of the directions, and of all vectors that come and go.
-        """
+    def __init__(self, system: Operator) -> None:
         m = len(system.root_weights)
         self.system = system
-        self._directions = _Rows(m, dtype)
-        self._images = _Rows(m, dtype)
+        self._directions = _Rows(m)
+        self._images = _Rows(m)
 
     def __len__(self) -> int:
         """Number of directions."""
@@ -157,7 +150,7 @@ class Directions(Generic[Operator]):
     def step(self, right_side: Array) -> tuple[Array, Array]:
         """`project` onto the last direction alone."""
         d, image = self._directions.all[-1], self._images.all[-1]
-        part = d @ right_side
+        part = float(d @ right_side)
         return part * d, right_side - part * image
 
     def extend(self, direction: Array, rtol: float, *, passes: int = 2) -> None:
@@ -172,7 +165,7 @@ class Directions(Generic[Operator]):
             parts = _products(self._images.all, direction)
             direction = direction - _combination(parts, self._directions.all)
         image = self.system.apply(direction, rtol)
-        size = np.sqrt(direction @ image)
+        size = float(np.sqrt(direction @ image))
         self._directions.append(direction / size)
         self._images.append(image / size)
 

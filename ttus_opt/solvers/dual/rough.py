@@ -21,7 +21,6 @@ from ttus_opt.solvers.dual.conjugate_directions import Directions
 from ttus_opt.solvers.dual.system import DualSystem
 
 Array = NDArray[np.float64]
-Single = NDArray[np.float32]
 
 #: To which part the preconditioner reduces a residual, or the error in the energy
 #: norm: the residual's may stall in what single precision leaves of large K [–]
@@ -38,7 +37,7 @@ class RoughDual:
     """y ↦ y + K̃ y, in single precision and around the contact alone.
 
     Attributes:
-        root_weights: As of `DualSystem`, in single precision, shape (m,) [–].
+        root_weights: As of `DualSystem`, shape (m,) [–].
     """
 
     def __init__(self, system: DualSystem) -> None:
@@ -51,7 +50,7 @@ class RoughDual:
         inward, outward = laplace.coupling
         touched = np.unique(system.rows.indices)
         own = touched[laplace.free[touched]]
-        self.root_weights = system.root_weights.astype(np.float32)
+        self.root_weights = system.root_weights
         self._cycle = laplace.multigrid.rough(near=own)
         free = self._cycle.free
         rim = np.flatnonzero((np.diff(inward.indptr) > 0) & free)
@@ -68,7 +67,7 @@ class RoughDual:
         self._middle = np.zeros_like(self._cycle.b)
         self._middle[self._cycle.places(every)] = (softness * laplace.radii**2)[every]
 
-    def apply(self, y: Single, rtol: float = 0.0) -> Single:
+    def apply(self, y: Array, rtol: float = 0.0) -> Array:
         """(I + K̃) y.
 
         Args:
@@ -79,7 +78,7 @@ class RoughDual:
             Shape (m,).
         """
         cycle, count = self._cycle, len(self._own)
-        load = self._adjoint @ (self.root_weights * y)
+        load = self._adjoint @ (self.root_weights * y).astype(np.float32)
         # Lᵀ: A x = load, then q = -R x on free voxels, and what flows to fixed ones
         cycle.b.fill(0.0)
         cycle.b[self._own] = load[:count]
@@ -91,7 +90,7 @@ class RoughDual:
         cycle.b[self._rim] += self._inward @ p_fixed
         cycle.run()
         measured = self._rows @ np.concatenate([cycle.x[self._own], p_fixed])
-        return y + self.root_weights * measured
+        return np.asarray(y + self.root_weights * measured)
 
 
 def rough_preconditioner(system: DualSystem) -> Callable[[Array], Array]:
@@ -105,12 +104,10 @@ def rough_preconditioner(system: DualSystem) -> Callable[[Array], Array]:
     Returns:
         A function from (m,) to (m,), almost linear and positive definite.
     """
-    directions = Directions(RoughDual(system), np.float32)
+    directions = Directions(RoughDual(system))
 
-    def precondition(whole: Array) -> Array:
-        size = float(np.linalg.norm(whole))
-        residual = (whole / size).astype(np.float32)
-        goal = RESIDUAL
+    def precondition(residual: Array) -> Array:
+        goal = RESIDUAL * float(np.linalg.norm(residual))
         answer, rest = directions.project(residual)
         energy = float(answer @ residual)
         recent = np.full(DELAY, np.inf)
@@ -124,6 +121,6 @@ def rough_preconditioner(system: DualSystem) -> Callable[[Array], Array]:
             answer = answer + step
             recent = np.append(recent[1:], abs(float(step @ residual)))
             energy += recent[-1]
-        return size * answer.astype(float)
+        return answer
 
     return precondition
