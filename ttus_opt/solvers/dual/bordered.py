@@ -84,6 +84,7 @@ class BorderedSolver:
         t: Array,
         *,
         near: float,
+        guess: Array | None = None,
         rtol: float,
         field_rtol: float,
         deadline: float | None,
@@ -94,6 +95,7 @@ class BorderedSolver:
             b: Of L p = b, shape (V,).
             t: Weighted targets, shape (m,).
             near: Where c may lie; at a bound it is tried first whether it stays.
+            guess: Fields near the answer, shape (V,).
             rtol: Residual of the dual, relative to t - D p₀ [–].
             field_rtol: Residual of the solves behind the answer's field, relative [–].
             deadline: `time.perf_counter` at which to stop; None for never [s].
@@ -104,16 +106,17 @@ class BorderedSolver:
         base = system.laplace.solve(b, rtol=field_rtol)
         right_side = t - system.measure(base)
         goal = rtol * float(np.linalg.norm(right_side))
-        answer = _Multipliers(np.zeros_like(right_side), np.zeros_like(base))
+        misfit = None if guess is None else t - system.measure(guess)
         c = min(max(near, low), high)
         loose = low < c < high and self._square > 0.0
         if not loose:
-            answer, _ = self._given(right_side, c, answer, goal)
+            start = None if misfit is None else misfit - c * self._column
+            answer, _ = self._given(right_side, c, self._start(start), goal)
             slope = float(self._column @ answer.y)
             flat = FLAT * np.sqrt(self._square) * float(np.linalg.norm(answer.y))
             loose = (c < high and slope > flat) or (c > low and slope < -flat)
         if loose:
-            answer, c = self._loose(right_side, goal)
+            answer, c = self._loose(right_side, misfit, goal)
             if not low <= c <= high:
                 c = min(max(c, low), high)
                 answer, _ = self._given(right_side, c, answer, goal)
@@ -131,7 +134,9 @@ class BorderedSolver:
         rest = right_side - c * self._column
         return self._solved(rest, start, goal, lambda r: (0.0, r), self._rough)
 
-    def _loose(self, right_side: Array, goal: float) -> tuple[_Multipliers, float]:
+    def _loose(
+        self, right_side: Array, misfit: Array | None, goal: float
+    ) -> tuple[_Multipliers, float]:
         """Multipliers across E, and c."""
         if not self._across:
             self._directions, self._across = Directions(self.system), True
@@ -148,10 +153,16 @@ class BorderedSolver:
             z = self._rough(residual)
             return z - float(column @ z) / size * made
 
-        nothing = np.zeros_like(right_side)
-        n = len(self.system.softness)
-        start = _Multipliers(nothing, np.zeros(n))
+        start = self._start(None if misfit is None else split(misfit)[1])
         return self._solved(right_side, start, goal, split, across)
+
+    def _start(self, y: Array | None) -> _Multipliers:
+        """Multipliers to begin with, zero for None."""
+        system = self.system
+        if y is None:
+            nothing = np.zeros_like(system.root_weights)
+            return _Multipliers(nothing, np.zeros_like(system.softness))
+        return _Multipliers(y, system.response(y, self._field_rtol))
 
     def _rough(self, residual: Array) -> Array:
         if self._precondition is None:

@@ -24,6 +24,9 @@ from ttus_opt.laplace import RTOL
 
 Array = NDArray[np.float64]
 
+#: Directions may be kept in single precision; sums are of double
+Kept = NDArray[np.floating[Any]]
+
 #: Loosest solve inside a product [–]
 LOOSEST = 1e-6
 
@@ -36,7 +39,7 @@ DEPENDENT = 1e-12
 
 
 @compiled(nogil=True, fastmath={"contract", "reassoc"})
-def _products(rows: Array, vector: Array) -> Array:
+def _products(rows: Kept, vector: Array) -> Array:
     """Rows @ vector (compiled)."""
     out = np.zeros(len(rows))
     for k in range(len(rows)):
@@ -48,7 +51,7 @@ def _products(rows: Array, vector: Array) -> Array:
 
 
 @compiled(nogil=True, fastmath={"contract", "reassoc"})
-def _combination(parts: Array, rows: Array) -> Array:
+def _combination(parts: Array, rows: Kept) -> Array:
     """Parts @ rows (compiled)."""
     out = np.zeros(rows.shape[1])
     for k in range(len(rows)):
@@ -75,19 +78,20 @@ Operator = TypeVar("Operator", bound=DualOperator)
 class _Rows:
     """Rows of equal length that grow in number without being copied each time."""
 
-    def __init__(self, length: int) -> None:
-        self._store = np.empty((16, length))
+    def __init__(self, length: int, dtype: type[np.floating[Any]]) -> None:
+        self._store: Kept = np.empty((16, length), dtype)
         self._count = 0
 
     @property
-    def all(self) -> Array:
+    def all(self) -> Kept:
         """All rows so far, shape (k, length)."""
         return self._store[: self._count]
 
     def append(self, row: Array) -> None:
         """Add one row."""
         if self._count == len(self._store):
-            longer = np.empty((2 * self._count, self._store.shape[1]))
+            shape = 2 * self._count, self._store.shape[1]
+            longer = np.empty(shape, self._store.dtype)
             longer[: self._count] = self._store
             self._store = longer
         self._store[self._count] = row
@@ -106,11 +110,19 @@ class Directions(Generic[Operator]):
     the weights.
     """
 
-    def __init__(self, system: Operator) -> None:
+    def __init__(
+        self, system: Operator, kept_as: type[np.floating[Any]] = np.float64
+    ) -> None:
+        """Know nothing yet.
+
+        Args:
+            system: The operator.
+            kept_as: Precision in which directions are kept.
+        """
         m = len(system.root_weights)
         self.system = system
-        self._directions = _Rows(m)
-        self._images = _Rows(m)
+        self._directions = _Rows(m, kept_as)
+        self._images = _Rows(m, kept_as)
 
     def __len__(self) -> int:
         """Number of directions."""
@@ -149,19 +161,20 @@ class Directions(Generic[Operator]):
 
     def step(self, right_side: Array) -> tuple[Array, Array]:
         """`project` onto the last direction alone."""
-        d, image = self._directions.all[-1], self._images.all[-1]
+        d, image = (
+            rows.all[-1].astype(float) for rows in (self._directions, self._images)
+        )
         part = float(d @ right_side)
         return part * d, right_side - part * image
 
-    def extend(self, direction: Array, rtol: float, *, passes: int = 2) -> None:
+    def extend(self, direction: Array, rtol: float) -> None:
         """Make a direction conjugate to the others, normalise and keep it.
 
         Args:
             direction: Shape (m,).
             rtol: Relative residual of the solves in its product.
-            passes: How often it is made conjugate: twice is to rounding [–].
         """
-        for _ in range(passes):
+        for _ in range(2):  # twice is enough; once goes astray where K is large
             parts = _products(self._images.all, direction)
             direction = direction - _combination(parts, self._directions.all)
         image = self.system.apply(direction, rtol)

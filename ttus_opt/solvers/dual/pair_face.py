@@ -217,12 +217,17 @@ class PairFace:
         deadline: float | None,
         guess: Array | None,
     ) -> DualAnswer:
-        """The best fields on it; of a guess only the unknown beside it is of use."""
-        near = 0.0 if guess is None else self._whole.beside(guess)
+        """The best fields on it."""
+        near, z = 0.0, None
+        if guess is not None:
+            near = self._whole.beside(guess)
+            moved = guess - self._unknowns.offset
+            z = np.where(self._unknowns.own, moved, 0.0) + near * self._made
         answer = self._solver.solve(
             self._b,
             self._t,
             near=near,
+            guess=z,
             rtol=rtol,
             field_rtol=field_rtol,
             deadline=deadline,

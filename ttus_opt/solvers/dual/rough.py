@@ -104,7 +104,7 @@ def rough_preconditioner(system: DualSystem) -> Callable[[Array], Array]:
     Returns:
         A function from (m,) to (m,), almost linear and positive definite.
     """
-    directions = Directions(RoughDual(system))
+    directions = Directions(RoughDual(system), np.float32)
 
     def precondition(residual: Array) -> Array:
         goal = RESIDUAL * float(np.linalg.norm(residual))
@@ -116,7 +116,7 @@ def rough_preconditioner(system: DualSystem) -> Callable[[Array], Array]:
             and recent.sum() > ENERGY**2 * energy
             and len(directions) < MAX_STEPS
         ):
-            directions.extend(rest, 0.0, passes=1)
+            directions.extend(rest, 0.0)
             step, rest = directions.step(rest)
             answer = answer + step
             recent = np.append(recent[1:], abs(float(step @ residual)))
