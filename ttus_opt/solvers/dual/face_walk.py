@@ -33,7 +33,7 @@ FINER = 1e-3
 #: What counts as a violation or a wrong sign, over the KKT tolerance; what may be left
 #: where that takes more than so many faces more: thousands of limits may lie so near
 #: to active that it hardly matters which of them are [–]
-MARGIN, ENOUGH, MORE = 1e-3, 0.1, 3
+MARGIN, ENOUGH, MORE = 1e-3, 0.1, 2
 
 
 class SolvableFace(Protocol):

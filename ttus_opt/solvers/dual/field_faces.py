@@ -13,7 +13,7 @@ from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.face import Face, face_of
-from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
+from ttus_opt.solvers.dual.solver import NEARBY, DualAnswer, DualSolver
 from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 
 Array = NDArray[np.float64]
@@ -74,12 +74,14 @@ class FieldFace:
     ) -> DualAnswer:
         """The best field on it."""
         face = self.face
+        if guess is not None:
+            guess = face.unknowns_of(guess) if rtol <= NEARBY else None
         answer = self.solver.solve(
             face.b,
             face.t,
             rtol=rtol,
             deadline=deadline,
-            guess=None if guess is None else face.unknowns_of(guess),
+            guess=guess,
             field_rtol=field_rtol,
         )
         return replace(answer, p=face.field_of(answer.p))

@@ -15,6 +15,7 @@ So as few rows are left over as voxels lie at the rim of an active region.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,7 +26,7 @@ from ttus_opt.multigrid import Multigrid
 from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.bordered import BorderedSolver
 from ttus_opt.solvers.dual.pair_laplace import PairBlock, PairLaplace
-from ttus_opt.solvers.dual.solver import DualAnswer
+from ttus_opt.solvers.dual.solver import NEARBY, DualAnswer
 from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 from ttus_opt.solvers.dual.system import DualSystem
 
@@ -60,6 +61,12 @@ class PairRows:
     t: Array = field(repr=False)
     measured_column: Array = field(repr=False)
     bounds: tuple[float, float]
+
+    @cached_property
+    def neighbours(self) -> sp.csr_array:
+        """Ones where L has entries."""
+        pattern = np.ones(self.L.nnz, dtype=np.int8), self.L.indices, self.L.indptr
+        return sp.csr_array(pattern, shape=self.L.shape)
 
     def beside(self, x: Array) -> float:
         """The best c between its bounds beside two fields, (2V,)."""
@@ -142,7 +149,6 @@ class PairFace:
         unknowns = _Unknowns.of(limits, active)
         self._whole, self._unknowns = whole, unknowns
         V = len(unknowns.follows)
-        L = sp.csr_array(whole.L @ unknowns.spread)
         joined = self._joined(whole, unknowns)
         # the rows of both in proportion to their weights
         share = whole.softness[V:] + whole.softness[:V]
@@ -155,25 +161,28 @@ class PairFace:
         rest = whole.b - whole.L @ unknowns.offset
         left = ~unknowns.own & (whole.softness > 0.0)
         left[V:] &= ~joined
+        at = np.flatnonzero(left)
+        L = sp.csr_array(whole.L[at] @ unknowns.spread)
         moved = np.diff(L.indptr) > 0
-        alone = self._alone(whole, rest, left & ~moved, joined)
-        left &= moved
-        root = 1.0 / np.sqrt(whole.softness[left])
-        rows = [whole.rows @ unknowns.spread, L[left], sp.csr_array((1, 2 * V))]
+        left[at] = ~moved
+        alone = self._alone(whole, rest, left, joined)
+        at, L = at[moved], L[moved]
+        root = 1.0 / np.sqrt(whole.softness[at])
+        rows = [whole.rows @ unknowns.spread, L, sp.csr_array((1, 2 * V))]
         softness = whole.softness * np.concatenate([share, np.ones(V)])
         system = DualSystem(
-            _laplace(whole, L, unknowns),
+            _laplace(whole, unknowns),
             np.where(unknowns.own, softness, 0.0),
             sp.csr_array(sp.vstack(rows, format="csr")),
             np.concatenate([whole.root_weights, root, [1.0]]),
         )
         measured = whole.t - whole.root_weights * (whole.rows @ unknowns.offset)
         self._b = square_rows(rest)
-        self._t = np.concatenate([measured, root * rest[left], alone[1:]])
+        self._t = np.concatenate([measured, root * rest[at], alone[1:]])
         # c as a column of the measured rows alone, when the fields it makes by itself
         # are taken off
         column = np.concatenate(
-            [whole.measured_column, root * whole.column[left], alone[:1]]
+            [whole.measured_column, root * whole.column[at], alone[:1]]
         )
         self._made = system.laplace.solve(square_rows(whole.column))
         column -= system.measure(self._made)
@@ -184,8 +193,8 @@ class PairFace:
         """Voxels whose two rows say the same of the unknowns, shape (V,)."""
         V = len(unknowns.follows)
         apart = ~unknowns.follows & ~(unknowns.held[:V] & unknowns.held[V:])
-        touched = abs(whole.laplace.L) @ apart.astype(float)
-        return np.asarray(unknowns.follows & (touched == 0.0))
+        near = whole.neighbours[:V, :V] @ apart.astype(np.int8)
+        return np.asarray(unknowns.follows & (near == 0))
 
     @staticmethod
     def _alone(whole: PairRows, rest: Array, still: Mask, joined: Mask) -> Array:
@@ -218,9 +227,8 @@ class PairFace:
         guess: Array | None,
     ) -> DualAnswer:
         """The best fields on it."""
-        near, z = 0.0, None
-        if guess is not None:
-            near = self._whole.beside(guess)
+        near, z = 0.0 if guess is None else self._whole.beside(guess), None
+        if guess is not None and rtol <= NEARBY:
             moved = guess - self._unknowns.offset
             z = np.where(self._unknowns.own, moved, 0.0) + near * self._made
         answer = self._solver.solve(
@@ -237,17 +245,20 @@ class PairFace:
         return DualAnswer(p, answer.steps, answer.late)
 
 
-def _laplace(whole: PairRows, L: sp.csr_array, unknowns: _Unknowns) -> PairLaplace:
+def _laplace(whole: PairRows, unknowns: _Unknowns) -> PairLaplace:
     """The square system of a face."""
     one = whole.laplace
     V = len(one.free)
     free = np.tile(one.free, 2) & unknowns.own
     radii = np.tile(one.radii, 2)
-    row = np.repeat(np.arange(2 * V), np.diff(L.indptr))
-    inward = free[row] & ~free[L.indices]
-    across = free[row] & free[L.indices] & (row >= V) & (L.indices < V)
+    # rows of what is free that lie next to anything that is not
+    at = np.flatnonzero(free & (whole.neighbours @ (~free).astype(np.int8) > 0))
+    L = sp.csr_array(whole.L[at] @ unknowns.spread)
+    row = np.repeat(at, np.diff(L.indptr))
+    inward = ~free[L.indices]
+    across = ~inward & (row >= V) & (L.indices < V)
     coupling = sp.csr_array(
-        (L.data[inward], (row[inward], L.indices[inward])), shape=L.shape
+        (L.data[inward], (row[inward], L.indices[inward])), shape=whole.L.shape
     )
     entries = -radii[row[across]] * L.data[across]
     block = PairBlock(

@@ -23,6 +23,10 @@ Array = NDArray[np.float64]
 #: Most directions
 MAX_STEPS = 2000
 
+#: Where no less is asked for, the multipliers of a face nearby are no better to begin
+#: with than none, and cost a response: residual of the dual, relative [–]
+NEARBY = 3e-4
+
 #: Rounds of solving for the residual that inexact products left
 ROUNDS = 3
 
