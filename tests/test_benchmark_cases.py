@@ -34,6 +34,14 @@ def test_one_reference_case_by_name() -> None:
         reference_cases("XL")
 
 
+def test_sampled_otherwise_a_case_has_another_name_and_inner_value() -> None:
+    case = reference_cases("S")[0]
+    assert case.sampled("trilinear") == case
+    other = case.sampled("voxel-mean")
+    assert other.name == "S-voxel-mean" and other.inner == "fit"
+    assert other.small().build().sampling == "voxel-mean"
+
+
 def test_case_and_run_survive_json() -> None:
     case = reference_cases("S")[0]
     spec = RunSpec(case, "eq10", "osqp", {"force_weight": 1e-2}, repeat=3)

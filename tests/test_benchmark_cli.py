@@ -78,6 +78,7 @@ def test_export_runs_nothing(
         (["--time-limit", "-3"], "time_limit must be positive"),
         (["--probe", "sphere:0.02"], "--surface, --probe and --trajectory together"),
         (["--contest", "loud"], "unknown contest 'loud': choose noise or reversed"),
+        (["--sampling", "cubic"], "unknown sampling 'cubic': choose voxel-mean or"),
         (["--weight", "-1"], "weight must be positive"),
         (["--tolerance", "2"], "tolerance must lie between 0 and 1"),
     ],

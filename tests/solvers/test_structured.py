@@ -11,6 +11,7 @@ from scipy.sparse.linalg import spsolve
 
 import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
+from ttus_opt.benchmark import reference_cases
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.laplace import LaplaceSystem
 from ttus_opt.point_shell import PointShell
@@ -19,7 +20,7 @@ from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
-from ttus_opt.solvers.base import Candidate, Request
+from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.surface import Surface
 from ttus_opt.voxmap import Voxmap
 
@@ -183,6 +184,24 @@ def test_case_s_equals_the_closed_form(sampling: str) -> None:
     loaded = program(scene, 1e-2)
     reference = registry.solvers()["closed_form"].prepare(loaded, TIGHT).solve()
     assert relative(solved(loaded).x, reference.x) < 1e-8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("contest", "name"),
+    [("noise", "coulomb_drag"), ("reversed", "eq10_sign_monotone")],
+)
+def test_contested_limits_of_a_third_of_a_million_voxels(
+    contest: str, name: str
+) -> None:
+    """Wrong weights and voxel-mean rows; a minute each, and more if K is not minded."""
+    case = reference_cases("M")[0].sampled("voxel-mean").contested(contest)
+    weights = {"force_weight": 100.0, "torque_weight": 100.0}
+    loaded = formulation.load(name, case.build(), **weights).compile()
+    candidate = STRUCTURED.prepare(loaded, Request(1e-6, 400.0)).solve()
+    assert candidate.claim is Claim.DONE, candidate.detail
+    residuals = kkt_residuals(loaded, candidate.x, candidate.duals)
+    assert residuals.worst_relative <= 1e-6
 
 
 def test_auto_leaves_terms_over_all_voxels_to_others() -> None:

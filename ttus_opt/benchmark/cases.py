@@ -16,6 +16,7 @@ import numpy as np
 from ttus_opt import example
 from ttus_opt.benchmark.contest import checked_contest, contested
 from ttus_opt.errors import InputError
+from ttus_opt.field import FIELD_UNIT
 from ttus_opt.point_shell import PointShell
 from ttus_opt.scene import Scene
 from ttus_opt.surface import Surface
@@ -135,6 +136,27 @@ class CaseSpec:
         if not checked_contest(contest):
             return self
         return replace(self, name=f"{self.name}-{contest}", contest=contest)
+
+    def sampled(self, sampling: str) -> CaseSpec:
+        """The same with forces sampled otherwise, and a name that says so.
+
+        What one potential gives differs from one sampling to the other: the value on
+        the inner layer is fitted.
+
+        Args:
+            sampling: As of the class.
+
+        Raises:
+            InputError: There is no such sampling.
+        """
+        if sampling not in FIELD_UNIT:
+            raise InputError(
+                f"unknown sampling {sampling!r}: choose {' or '.join(FIELD_UNIT)}"
+            )
+        if sampling == self.sampling:
+            return self
+        name = f"{self.name}-{sampling}"
+        return replace(self, name=name, sampling=sampling, inner="fit", outer=1.0)
 
     def _thinned(self) -> Trajectory:
         whole = Trajectory.concatenate([read_trajectory(p) for p in self.trajectories])

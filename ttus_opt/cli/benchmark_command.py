@@ -75,7 +75,7 @@ def benchmark(
         str, typer.Option(help="Its value on the inner layer, or fit.")
     ] = "fit",
     sampling: Annotated[
-        str, typer.Option(help="Its sampling: voxel-mean or trilinear.")
+        str, typer.Option(help="Sampling of any scene: voxel-mean or trilinear.")
     ] = "trilinear",
     contest: Annotated[
         str,
@@ -178,7 +178,7 @@ def _cases(
     from ttus_opt.benchmark.cases import existing
 
     if surface is None and probe is None and not trajectory:
-        return reference_cases(case)
+        return [each.sampled(sampling) for each in reference_cases(case)]
     if surface is None or probe is None or not trajectory:
         raise InputError(
             "a scene of your own needs --surface, --probe and --trajectory together"

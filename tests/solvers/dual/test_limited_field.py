@@ -25,6 +25,7 @@ from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual import face_walk
+from ttus_opt.solvers.dual.field_faces import LimitedField
 from ttus_opt.solvers.registry import solvers
 
 Array = NDArray[np.float64]
@@ -104,6 +105,42 @@ def test_contested(forces: str, weight: float, kind: str) -> None:
 def test_contested_with_hard_boundary(kind: str, sampling: str) -> None:
     scene = contested(2, sampling=sampling, scale=-3.0)
     check(eq10(scene, 1.0, HardBoundary(scene), *limits_of(scene, kind)))
+
+
+def faces_of(candidate: Candidate) -> int:
+    return int(candidate.detail.split(" faces")[0])
+
+
+def test_a_volume_of_growth_limits_does_not_grow_by_layers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With the peaks alone, as for bounds, the same face takes far more of them."""
+    scene = contested(0, (18, 36, 20), n_poses=60, scale=-3.0)
+    program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
+    found = solved(program)
+    with monkeypatch.context() as peaks:
+        peaks.setattr(LimitedField, "links_hold_slopes", False)
+        slowly = solved(program)
+    assert found.claim is slowly.claim is Claim.DONE
+    assert np.linalg.norm(found.x - slowly.x) <= 1e-6 * np.linalg.norm(slowly.x)
+    assert active_limits(program, found.x) > 100
+    assert faces_of(found) < 0.75 * faces_of(slowly)
+
+
+def test_limits_that_hardly_matter_end_the_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What may be left is within the tolerance, also if it may be left at once."""
+    scene = contested(1, scale=-3.0, noise=2.0)
+    program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
+    whole = solved(program, 1e-4)
+    with monkeypatch.context() as soon:
+        soon.setattr(face_walk, "ENOUGH", 1.0)
+        soon.setattr(face_walk, "MORE", 0)
+        cut = solved(program, 1e-4)
+    assert cut.claim is Claim.DONE
+    assert kkt_residuals(program, cut.x, cut.duals).worst_relative <= 1e-4
+    assert faces_of(cut) <= faces_of(whole)
 
 
 def test_too_few_faces_are_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -89,7 +89,7 @@ def exchange(
             most = max(most, active.count)
             accuracy = min(max(ACCURACY * wrong.worst, rtol), LOOSEST)
             chosen = _chosen(wrong, active, problem)
-            active = change(walk.limits, active, chosen, all_of_them=True)
+            active = change(walk.limits, active, chosen)
         wrong = walk.solve(active, accuracy)
     return walk.answer()
 
@@ -115,13 +115,13 @@ class _Careful:
         pins, ties = wrong.pins > 0.0, wrong.ties > 0.0
         backwards = pins & (active.pins != 0), ties & active.ties
         if backwards[0].any() or backwards[1].any():
-            return change(limits, active, _only(wrong, *backwards), all_of_them=True)
+            return change(limits, active, _only(wrong, *backwards))
         # a single one that was missing cannot fail, but for rounding
         if self._last is None or height > self._height or self._last[1].count == 1:
             self._height, self._last = height, (active, wrong)
         else:
             self._last = self._last[0], _worse_half(self._last[1])
-        return change(limits, *self._last, all_of_them=True)
+        return change(limits, *self._last)
 
 
 def _worse_half(wrong: Wrong) -> Wrong:

@@ -109,16 +109,9 @@ def find_wrong(
     )
 
 
-def change(
-    limits: SpokeLimits, active: Activity, wrong: Wrong, *, all_of_them: bool
-) -> Activity:
-    """The next face."""
+def change(limits: SpokeLimits, active: Activity, wrong: Wrong) -> Activity:
+    """The face to which letting go and taking up all that is wrong leads."""
     pins, ties = wrong.pins > 0.0, wrong.ties > 0.0
-    if not (all_of_them or wrong.count < 2):
-        sizes = np.concatenate([wrong.pins[pins], wrong.ties[ties]])
-        least = float(np.median(sizes))
-        pins &= wrong.pins >= least
-        ties &= wrong.ties >= least
     released = np.where(active.pins != 0, 0, wrong.side).astype(np.int8)
     changed = replace(
         active,
