@@ -42,6 +42,10 @@ ACCURACY, LOOSEST = 1e-2, 1e-3
 #: around it; by less where the worst violation of all, relative, is less than a tenth
 SHARE, AROUND = 0.3, 4
 
+#: So does a link of two fields, but from below that worst violation on only: by then
+#: what contact presses apart is settled, and sheets of voxels barely touch [–]
+SHARE_OF_PAIR, AROUND_PAIR, SETTLED = 0.8, 1, 1e-3
+
 #: Faces that are better in nothing, the worst limit, the number of wrong ones or that
 #: of active ones, before the exchange goes carefully
 PATIENCE = 5
@@ -147,7 +151,13 @@ def _chosen(wrong: Wrong, active: Activity, problem: LimitedProblem) -> Wrong:
         np.maximum(size, 0.0).reshape(-1, *problem.shape)
         for size in (wrong.pins, wrong.ties)
     )
-    added = _strong(ties) if problem.links_hold_slopes else _peak(ties)
+    if problem.links_hold_slopes:
+        share = min(SHARE, SHARE / 0.1 * float(ties.max()))
+        added = _strong(ties, share, AROUND)
+    else:
+        added = _peak(ties)
+        if wrong.worst < SETTLED:
+            added |= _strong(ties, SHARE_OF_PAIR, AROUND_PAIR)
     return _only(
         wrong,
         (active.pins != 0) | _peak(pins).reshape(-1),
@@ -155,10 +165,9 @@ def _chosen(wrong: Wrong, active: Activity, problem: LimitedProblem) -> Wrong:
     )
 
 
-def _strong(values: Array) -> Mask:
+def _strong(values: Array, share: float, around: int) -> Mask:
     """Where sizes, shape (fields, n_r, n_θ, n_z), are a share of the worst around."""
-    share = min(SHARE, SHARE / 0.1 * float(values.max()))
-    size = (1, *[2 * AROUND + 1] * 3)
+    size = (1, *[2 * around + 1] * 3)
     worst = maximum_filter(values, size, mode=("nearest", "nearest", "wrap", "nearest"))
     return np.asarray((values > 0.0) & (values >= share * worst))
 

@@ -211,6 +211,7 @@ def face_of(
             np.where(shown, 1.0, np.where(kept_fixed, system.softness, 0.0)),
             sp.csr_array(rows),
             np.concatenate([system.root_weights, np.ones(np.count_nonzero(filled))]),
+            len(system.root_weights),
         ),
         square,
         np.concatenate([measured, (rest @ target)[filled]]),

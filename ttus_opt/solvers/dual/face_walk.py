@@ -30,6 +30,10 @@ MAX_FACES = 100
 #: Residual of the solves behind a field that is not yet the last, over its dual's [–]
 FINER = 1e-3
 
+#: What may be an error of the field only, over the residual of the dual: where a limit
+#: holds with equality by itself, its voxels are no violations [–]
+DOUBTFUL = 0.1
+
 #: What counts as a violation or a wrong sign, over the KKT tolerance; what may be left
 #: where that takes more than so many faces more: thousands of limits may lie so near
 #: to active that it hardly matters which of them are [–]
@@ -165,9 +169,10 @@ class FaceWalk:
         if self._face is None or active.differs(self.active):
             self._face, self.active = self.problem.face(active), active
         last = accuracy == self.rtol
+        field_rtol = RTOL if last else max(RTOL, FINER * accuracy)
         answer = self._face.solve(
             rtol=accuracy,
-            field_rtol=RTOL if last else max(RTOL, FINER * accuracy),
+            field_rtol=field_rtol,
             deadline=self._deadline,
             guess=self._p,
         )
@@ -177,7 +182,8 @@ class FaceWalk:
         self._signs = pull, push = multipliers(self.limits, active, gradient)
         self._late = self._deadline is not None and time.perf_counter() > self._deadline
         margin = MARGIN * self._tolerance
-        wrong = find_wrong(self.limits, active, p, pull, push, gradient, margin)
+        margins = margin, max(margin, DOUBTFUL * accuracy)
+        wrong = find_wrong(self.limits, active, p, pull, push, gradient, *margins)
         self._near += last and wrong.worst + margin <= ENOUGH * self._tolerance
         done = wrong.count == 0 or self._near > MORE
         self.settled = last and done and not answer.late

@@ -90,22 +90,39 @@ def find_wrong(
     push: Array,
     gradient: Array,
     margin: float,
+    doubtful: float,
 ) -> Wrong:
-    """Violations over the field's size, wrong signs over the gradient's."""
+    """Violations over the field's size, wrong signs over the gradient's.
+
+    Args:
+        limits: The limits.
+        active: Which are active.
+        p: The field, shape (V,).
+        pull: As `multipliers` gives it.
+        push: As there.
+        gradient: Of the objective, shape (V,).
+        margin: What is none of either, relative [–].
+        doubtful: What is no violation, relative [–].
+
+    Returns:
+        By how much they are more than a margin.
+    """
     size = max(float(np.abs(p).max()), np.finfo(float).tiny)
     force = max(float(np.abs(gradient).max()), np.finfo(float).tiny)
     held = (active.pins != 0) | limits.given
     below, above = limits.lower - p, p - limits.upper
-    violated = np.where(held, -np.inf, np.maximum(below, above) / size)
-    backwards = np.where(active.pins != 0, -pull * active.pins / force, -np.inf)
+    violated = np.where(held, -np.inf, np.maximum(below, above) / size - doubtful)
+    signs = -pull * active.pins / force - margin
+    backwards = np.where(active.pins != 0, signs, -np.inf)
     growth = np.full(len(p), np.inf)
     growth[: -limits.stride] = p[: -limits.stride] - p[limits.stride :]
-    short = np.where(active.ties, -push / force, (limits.least - growth) / size)
+    short = (limits.least - growth) / size - doubtful
+    short = np.where(active.ties, -push / force - margin, short)
     short[~np.isfinite(limits.least)] = -np.inf
     return Wrong(
-        np.maximum(violated, backwards) - margin,
+        np.maximum(violated, backwards),
         np.where(below > above, -1, 1).astype(np.int8),
-        short - margin,
+        short,
     )
 
 

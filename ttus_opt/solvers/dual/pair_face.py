@@ -175,6 +175,7 @@ class PairFace:
             np.where(unknowns.own, softness, 0.0),
             sp.csr_array(sp.vstack(rows, format="csr")),
             np.concatenate([whole.root_weights, root, [1.0]]),
+            len(whole.root_weights),
         )
         measured = whole.t - whole.root_weights * (whole.rows @ unknowns.offset)
         self._b = square_rows(rest)

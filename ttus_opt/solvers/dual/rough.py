@@ -5,8 +5,8 @@ rough K̃ = D B ω B Dᵀ is spectrally equivalent to K: solving (I + K̃) z = r
 preconditions (I + K) y = t at any weight, in a number of steps that hardly grows. It
 takes many steps of its own, but only a box of the grid around the contact matters to
 them (`multigrid.window`): on a million voxels hundreds cost as much as one exact
-product. A coarser grid's K is not equivalent: its error is small against K's largest
-eigenvalues only.
+product. Rows of a face that lie beyond it weigh little and are left alone. A coarser
+grid's K is not equivalent: its error is small against K's largest eigenvalues only.
 """
 
 from __future__ import annotations
@@ -49,10 +49,11 @@ class RoughDual:
         laplace, softness = system.laplace, system.softness
         inward, outward = laplace.coupling
         touched = np.unique(system.rows.indices)
-        own = touched[laplace.free[touched]]
+        contact = np.unique(system.rows[: system.n_measured].indices)
         self.root_weights = system.root_weights
-        self._cycle = laplace.multigrid.rough(near=own)
+        self._cycle = laplace.multigrid.rough(near=contact[laplace.free[contact]])
         free = self._cycle.free
+        own = touched[free[touched]]
         rim = np.flatnonzero((np.diff(inward.indptr) > 0) & free)
         fixed = np.union1d(inward[rim].indices, touched[~laplace.free[touched]])
         fixed = fixed[softness[fixed] > 0.0]

@@ -32,12 +32,15 @@ class DualSystem:
         softness: ω per Laplace row, shape (V,) [–].
         rows: D₀, measured rows without weights, shape (m, V).
         root_weights: c, shape (m,) [–].
+        n_measured: How many of them, the first ones, are measurements and no rows left
+            over on a face; None for all.
     """
 
     laplace: SquareSystem
     softness: Array = field(repr=False)
     rows: sp.csr_array = field(repr=False)
     root_weights: Array = field(repr=False)
+    n_measured: int | None = None
     adjoint: sp.csr_array = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
