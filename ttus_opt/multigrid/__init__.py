@@ -1,8 +1,8 @@
 """Geometric multigrid for Laplace's equation on the voxel grid.
 
 `solver` and `stiff` are what the rest of the package sees; below them, from top to
-bottom, `v_cycle`, `window`, `gradients`, `cycle`, `levels`, and the compiled loops:
-`lines`, `transfer`, `kernels`, `double`.
+bottom, `v_cycle`, `window`, `gradients`, `chains`, `cycle`, `levels`, and the compiled
+loops: `lines`, `transfer`, `kernels`, `double`.
 """
 
 from ttus_opt.multigrid.solver import Multigrid, MultigridResult
