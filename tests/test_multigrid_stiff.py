@@ -89,6 +89,16 @@ def spread(
     return P, member
 
 
+def stiff(
+    grid: CylindricalGrid, free: Mask, ties: Mask
+) -> tuple[StiffMultigrid, NDArray[np.bool_]]:
+    """The solver, and the voxels at which chains stand."""
+    _, member = spread(free, ties, np.random.default_rng(0))
+    shown = np.zeros(free.size, dtype=bool)
+    shown[member] = True
+    return StiffMultigrid(grid, free.reshape(-1), ties.reshape(-1), shown), shown
+
+
 def check(grid: CylindricalGrid, free: Mask, ties: Mask, seed: int = 0) -> None:
     """Solution, residual and zeros, for a right-hand side that is noise."""
     rng = np.random.default_rng(seed)
@@ -161,11 +171,7 @@ def test_equals_a_factorisation_on_any_mask_and_ties(
 def test_is_linear_in_sizes_and_symmetric() -> None:
     grid = GRIDS["odd"]
     free = torso(grid)
-    _, member = spread(free, some_ties(free, 1), np.random.default_rng(0))
-    shown = np.zeros(free.size, dtype=bool)
-    shown[member] = True
-    ties = some_ties(free, 1).reshape(-1)
-    solver = StiffMultigrid(grid, free.reshape(-1), ties, shown)
+    solver, shown = stiff(grid, free, some_ties(free, 1))
     rng = np.random.default_rng(1)
     a, b = (np.where(shown, rng.standard_normal(free.size), 0.0) for _ in range(2))
     x, y = solver.solve(a).x, solver.solve(b).x
@@ -180,10 +186,7 @@ def test_what_stands_elsewhere_is_left_out() -> None:
     grid = GRIDS["even"]
     free = box(grid)
     ties = some_ties(free, 2)
-    _, member = spread(free, ties, np.random.default_rng(0))
-    shown = np.zeros(free.size, dtype=bool)
-    shown[member] = True
-    solver = StiffMultigrid(grid, free.reshape(-1), ties.reshape(-1), shown)
+    solver, shown = stiff(grid, free, ties)
     b = np.random.default_rng(3).standard_normal(free.size)
     kept = solver.solve(np.where(shown, b, 0.0)).x
     np.testing.assert_array_equal(solver.solve(b).x, kept)
@@ -193,10 +196,7 @@ def test_a_residual_out_of_reach_is_an_error() -> None:
     grid = GRIDS["even"]
     free = box(grid)
     ties = every_spoke(free, 0)
-    _, member = spread(free, ties, np.random.default_rng(0))
-    shown = np.zeros(free.size, dtype=bool)
-    shown[member] = True
-    solver = StiffMultigrid(grid, free.reshape(-1), ties.reshape(-1), shown)
+    solver, shown = stiff(grid, free, ties)
     b = np.where(shown, 1.0 + np.arange(free.size), 0.0)
     with pytest.raises(NumericalError, match=r"residual of .* after 1 cycles"):
         solver.solve(b, max_iterations=1)
@@ -207,10 +207,7 @@ def test_pickles() -> None:
     grid = GRIDS["even"]
     free = torso(grid)
     ties = some_ties(free, 1)
-    _, member = spread(free, ties, np.random.default_rng(0))
-    shown = np.zeros(free.size, dtype=bool)
-    shown[member] = True
-    solver = StiffMultigrid(grid, free.reshape(-1), ties.reshape(-1), shown)
+    solver, shown = stiff(grid, free, ties)
     b = np.where(shown, np.random.default_rng(3).standard_normal(free.size), 0.0)
     copy = pickle.loads(pickle.dumps(solver))
     np.testing.assert_array_equal(copy.solve(b).x, solver.solve(b).x)
@@ -224,9 +221,5 @@ def test_chains_cost_hardly_more_cycles_than_none() -> None:
     )
     plain = Multigrid(grid, free).solve(b).iterations
     for ties in (some_ties, nearly_whole):
-        tied = ties(free, 1)
-        _, member = spread(free, tied, np.random.default_rng(0))
-        shown = np.zeros(free.size, dtype=bool)
-        shown[member] = True
-        solver = StiffMultigrid(grid, free.reshape(-1), tied.reshape(-1), shown)
+        solver, _ = stiff(grid, free, ties(free, 1))
         assert solver.solve(b).iterations <= 1.5 * plain
