@@ -131,16 +131,16 @@ def test_limits_that_hardly_matter_end_the_search(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """What may be left is within the tolerance, also if it may be left at once."""
-    scene = contested(1, scale=-3.0, noise=2.0)
+    scene = contested(3, (12, 24, 14), noise=4.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
-    whole = solved(program, 1e-4)
+    whole = solved(program, 1e-2)
     with monkeypatch.context() as soon:
         soon.setattr(face_walk, "ENOUGH", 1.0)
         soon.setattr(face_walk, "MORE", 0)
-        cut = solved(program, 1e-4)
+        cut = solved(program, 1e-2)
     assert cut.claim is Claim.DONE
-    assert kkt_residuals(program, cut.x, cut.duals).worst_relative <= 1e-4
-    assert faces_of(cut) <= faces_of(whole)
+    assert kkt_residuals(program, cut.x, cut.duals).worst_relative <= 1e-2
+    assert faces_of(cut) < faces_of(whole)
 
 
 def test_too_few_faces_are_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:

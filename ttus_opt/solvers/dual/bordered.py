@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.laplace import RTOL
-from ttus_opt.solvers.dual.conjugate_directions import LOOSEST, Directions
+from ttus_opt.solvers.dual.conjugate_directions import GROWN, LOOSEST, Directions
 from ttus_opt.solvers.dual.rough import rough_preconditioner
 from ttus_opt.solvers.dual.solver import MAX_STEPS, ROUNDS
 from ttus_opt.solvers.dual.system import DualSystem
@@ -184,10 +184,15 @@ class BorderedSolver:
             if np.linalg.norm(residual) <= goal or self._late:
                 break
             step, residual = self._directions.project(residual)
-            y = y + step
+            y, best, least = y + step, y, np.inf
             while (
                 size := float(np.linalg.norm(rest := split(residual)[1]))
             ) > goal and not (self._late or self._steps == MAX_STEPS):
+                if size < least:
+                    best, least = y, size
+                if not size <= GROWN * least:
+                    y = best
+                    break
                 rtol = min(max(0.1 * goal / size, RTOL), LOOSEST)
                 self._directions.extend(precondition(rest), rtol)
                 step, residual = self._directions.project(residual)

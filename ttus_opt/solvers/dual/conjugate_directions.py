@@ -30,6 +30,10 @@ Kept = NDArray[np.floating[Any]]
 #: Loosest solve inside a product [–]
 LOOSEST = 1e-6
 
+#: A residual that has grown by so much will not come back: K is too large for what the
+#: preconditioner works in, and the answer is best left where it is [–]
+GROWN = 1e3
+
 #: Directions whose norm falls below this part of the largest are dropped [–]
 DEPENDENT = 1e-12
 
@@ -208,7 +212,12 @@ def solve_dual(
     """
     y, residual = directions.project(right_side)
     steps = 0
+    best, least = np.zeros_like(y), float(np.linalg.norm(right_side))
     while (size := float(np.linalg.norm(residual))) > goal and steps < max_steps:
+        if size < least:
+            best, least = y, size
+        if not size <= GROWN * least:
+            return best, steps
         if deadline is not None and time.perf_counter() > deadline:
             break
         rtol = min(max(0.1 * goal / size, RTOL), LOOSEST)

@@ -87,7 +87,7 @@ class FaceAnswer:
         faces: How many were solved [–].
         steps: Directions of all their solves [–].
         late: Whether the deadline cut it short.
-        settled: Whether the last face is its own successor.
+        settled: Whether nothing is wrong on the last face but what may be left.
     """
 
     p: Array = field(repr=False)
@@ -108,7 +108,7 @@ class FaceWalk:
         limits: Its limits, those that others imply left out.
         active: The face to begin with, then the last one solved.
         rtol: Residual of the dual on the last face, relative [–].
-        settled: Whether the last face is its own successor.
+        settled: Whether nothing is wrong on the last face but what may be left.
     """
 
     def __init__(
