@@ -103,11 +103,105 @@ def test_a_solvers_claim_is_checked_before_it_is_believed() -> None:
     assert judge(dense_minimum(0.1), Claim.GAVE_UP).status is Status.SOLVED
     assert judge(dense_minimum(0.5), Claim.TIME_LIMIT).status is Status.TIME_LIMIT
     assert judge(None, Claim.GAVE_UP).status is Status.FAILED
-    assert judge(None, Claim.UNBOUNDED).status is Status.UNBOUNDED
     broken = judge(np.full(SCENE.n_voxels, np.nan))
     assert broken.status is Status.INACCURATE
     assert broken.kkt is not None
     assert broken.kkt.primal == np.inf
+
+
+@pytest.mark.parametrize("claim", [Claim.INFEASIBLE, Claim.UNBOUNDED])
+def test_a_claim_without_a_proof_is_the_solvers_failure(claim: Claim) -> None:
+    """Eq. 10 has no constraints to contradict each other, and a sum of squares."""
+    verdict = judge(None, claim)
+    assert verdict.status is Status.FAILED
+    assert f'"{claim.value}" is the solver\'s word' in verdict.detail
+    assert "words" in verdict.detail
+
+
+def test_no_claim_takes_what_is_not_finite_for_an_answer() -> None:
+    x = dense_minimum(0.1)
+    for huge in (1e155, -1e155, 1e200):
+        assert judge(np.full(SCENE.n_voxels, huge)).status is Status.INACCURATE
+    declared = eq10().with_constraints(Sign(SCENE))
+    reduction, nan = reduce(declared.compile()), np.full(SCENE.n_voxels, np.nan)
+    for duals in (Duals({}, nan), Duals({"sign": nan}), Duals(terms={"force": nan})):
+        for claim in (Claim.DONE, Claim.GAVE_UP):
+            answer = Candidate(x, duals, 3, claim)
+            solution = judged(
+                declared, reduction, "by hand", answer, Request(1e-6), TIMES
+            )
+            assert solution.status is Status.INACCURATE
+            assert solution.kkt is not None
+            assert solution.kkt.worst_relative == np.inf
+
+
+def test_a_solvers_doubt_counts_where_nothing_is_proved() -> None:
+    """Absolute values and a few measurements: no sum of squares bounds the gap."""
+    declared = load("sparse_sources", SCENE, force_weight=0.1)
+    fitter = Fitter(declared, solver="clarabel")
+    answer = fitter._prepared.solve()
+    for claim, status in (
+        (Claim.DONE, Status.SOLVED),
+        (Claim.DOUBTS, Status.INACCURATE),
+        (Claim.GAVE_UP, Status.INACCURATE),
+    ):
+        found = judged(
+            declared,
+            reduce(declared.compile()),
+            "by hand",
+            replace(answer, claim=claim),
+            Request(1e-6),
+            TIMES,
+        )
+        assert found.kkt is not None
+        assert not found.kkt.is_bound
+        assert found.status is status, found.kkt
+    assert "the residuals hold but the solver doubts" in found.detail
+
+
+@pytest.mark.parametrize("place", ["target", "rows"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_term_that_is_no_number_is_refused_by_name(place: str, value: float) -> None:
+    @dataclass(frozen=True)
+    class Own(ForceTerm):
+        name = "own_idea"
+
+        def rows(self) -> AffineRows:
+            rows = super().rows()
+            target, matrix = rows.target.copy(), rows.blocks["p"].copy()
+            if place == "target":
+                target[4] = value
+            else:
+                matrix.data[0] = value
+            return AffineRows({"p": matrix}, target)
+
+    declared = Formulation([LaplaceTerm(SCENE), Own(SCENE, 0.1)])
+    for solver in ("auto", "structured", "clarabel"):
+        with pytest.raises(InputError, match=f"term own_idea: its {place}"):
+            fit(SCENE, declared, solver=solver)
+
+
+def test_auto_goes_on_where_the_first_answer_does_not_hold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """And says so; a solver named by the user is not replaced."""
+    from ttus_opt.solvers import structured
+
+    def gives_up(self: object) -> Candidate:
+        return Candidate(dense_minimum(0.5), claim=Claim.GAVE_UP, detail="tired")
+
+    monkeypatch.setattr(structured._Loaded, "solve", gives_up)
+    solution = fit(SCENE, eq10())
+    assert solution.status is Status.SOLVED
+    assert solution.solver == "clarabel"
+    assert [a.solver for a in solution.attempts] == ["structured"]
+    assert "after structured inaccurate at" in solution.advice
+    np.testing.assert_allclose(
+        solution.field.values.reshape(-1), dense_minimum(0.1), atol=1e-6
+    )
+    alone = fit(SCENE, eq10(), solver="structured")
+    assert alone.status is Status.INACCURATE
+    assert alone.detail == "tired"
 
 
 def test_a_contradiction_is_reported_by_name() -> None:

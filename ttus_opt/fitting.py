@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from ttus_opt.errors import InputError
 from ttus_opt.field import PotentialField
 from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.certificate import falling_ray
 from ttus_opt.problem.conflict import conflicting
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.kkt import KKT, kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction, reduce
-from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.problem.solution import Attempt, Solution, Status, Timings
 from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request
@@ -34,11 +35,11 @@ SEARCH_ACCURACY, SEARCH_FITS = 1e-3, 25
 #: KKT tolerance of the fits along a search; the last one has the tolerance asked for
 SEARCH_TOLERANCE = 1e-4
 
-_FROM_CLAIM = {
-    Claim.INFEASIBLE: Status.INFEASIBLE,
-    Claim.UNBOUNDED: Status.UNBOUNDED,
-    Claim.TIME_LIMIT: Status.TIME_LIMIT,
-}
+#: Claims that take an answer back, unless the residuals prove it without the solver
+_DOUBTS = (Claim.DOUBTS, Claim.GAVE_UP, Claim.INFEASIBLE, Claim.UNBOUNDED)
+
+#: After these, "auto" goes on to the next solver
+_GOES_ON = (Status.INACCURATE, Status.FAILED)
 
 
 def fit(
@@ -115,7 +116,9 @@ class Fitter:
         self._request = request or Request()
         self._declared = declared
         self._reduction = reduce(declared.compile())
-        self._backend = registry.choose(solver, self._reduction.program)
+        self._backend, *self._others = registry.candidates(
+            solver, self._reduction.program
+        )
         compiled = time.perf_counter()
         self._prepared = self._backend.prepare(self._reduction.program, self._request)
         self._assembly = declared.scene.seconds + compiled - start
@@ -137,7 +140,35 @@ class Fitter:
         self._taken_in = time.perf_counter() - start
 
     def solve(self) -> Solution:
-        """Solve what is loaded and verify the answer."""
+        """Solve what is loaded and verify the answer.
+
+        With "auto" a solver whose answer does not hold gives way to the next one, now
+        and for later solves; `Solution.attempts` tells.
+        """
+        solution = self._solved()
+        attempts: list[Attempt] = []
+        best = solution
+        while solution.status in _GOES_ON and self._others:
+            attempts.append(Attempt.of(solution))
+            self._take_next()
+            solution = self._solved()
+            best = _better(best, solution)
+        if not attempts:
+            return solution
+        if best is not solution:
+            attempts.append(Attempt.of(solution))
+            attempts = [a for a in attempts if a.solver != best.solver]
+        return replace(best, attempts=tuple(attempts))
+
+    def _take_next(self) -> None:
+        start = time.perf_counter()
+        self._backend = self._others.pop(0)
+        self._prepared = self._backend.prepare(self._reduction.program, self._request)
+        self._setup += time.perf_counter() - start
+        self._first = None
+
+    def _solved(self) -> Solution:
+        """What the solver in charge answers, verified."""
         start = time.perf_counter()
         candidate = self._prepared.solve()
         spent = time.perf_counter() - start
@@ -208,14 +239,18 @@ def judged(
     if x is not None:
         point = reduction.restore(x, duals)
         x, duals = point.x, point.duals
-    kkt = None if x is None else kkt_residuals(program, x, duals)
-    status = _status(candidate, kkt, request)
-    conflict = _conflict(reduction.original, status, kkt, request)
-    if conflict:
-        status = Status.INFEASIBLE
+    kkt = None
+    if x is not None:
+        kkt = kkt_residuals(program, x, duals, tolerance=request.tolerance)
+    verdict = _verdict(candidate, reduction, kkt, request)
+    status, conflict = verdict.status, verdict.conflict
     parameters = dict(scene.parameters)
     if x is not None and np.isfinite(x).all():
         parameters = declared.parameters(program.split(x))
+    costs = {}
+    if x is not None:
+        with np.errstate(over="ignore", invalid="ignore"):  # of an answer that is none
+            costs = program.costs(x)
     verified = None
     if status is Status.SOLVED and x is not None:
         verified = PotentialField(
@@ -230,8 +265,8 @@ def judged(
         solver=solver,
         formulation=declared.name,
         kkt=kkt,
-        objective=float("nan") if x is None else program.objective(x),
-        costs={} if x is None else program.costs(x),
+        objective=float("nan") if not costs else sum(costs.values()),
+        costs=costs,
         slacks={} if x is None else _slacks(program, x),
         duals=duals,
         timings=timings,
@@ -239,31 +274,66 @@ def judged(
         parameters=parameters,
         program=program,
         candidate=x,
-        detail=candidate.detail,
+        detail="; ".join(filter(None, (candidate.detail, verdict.remark))),
         verified_field=verified,
         conflict=conflict,
     )
 
 
-def _status(candidate: Candidate, kkt: KKT | None, request: Request) -> Status:
-    if kkt is not None and kkt.worst_relative <= request.tolerance:
-        return Status.SOLVED
-    if candidate.claim in _FROM_CLAIM:
-        return _FROM_CLAIM[candidate.claim]
-    return Status.FAILED if kkt is None else Status.INACCURATE
+@dataclass(frozen=True)
+class _Verdict:
+    """A status, the constraints to blame, and what there is to say of a claim."""
+
+    status: Status
+    conflict: tuple[str, ...] = ()
+    remark: str = ""
+
+
+def _verdict(
+    candidate: Candidate, reduction: Reduction, kkt: KKT | None, request: Request
+) -> _Verdict:
+    """What comes of an answer: decided by residuals and certificates, not by claims."""
+    claim = candidate.claim
+    holds = kkt is not None and kkt.worst_relative <= request.tolerance
+    if kkt is not None and holds and (kkt.is_bound or claim not in _DOUBTS):
+        return _Verdict(Status.SOLVED)
+    broken = kkt is None or kkt.primal_relative > request.tolerance
+    if claim is Claim.INFEASIBLE or (claim is not Claim.TIME_LIMIT and broken):
+        conflict = _conflict(reduction.original, candidate, request)
+        if conflict:
+            return _Verdict(Status.INFEASIBLE, conflict)
+    if claim is Claim.UNBOUNDED:
+        seconds = request.time_limit or CONFLICT_SECONDS
+        if falling_ray(reduction.program, time_limit=seconds) is not None:
+            return _Verdict(Status.UNBOUNDED)
+    if claim is Claim.TIME_LIMIT:
+        return _Verdict(Status.TIME_LIMIT)
+    remark = ""
+    if claim in (Claim.INFEASIBLE, Claim.UNBOUNDED):
+        remark = f'"{claim.value}" is the solver\'s word, without a proof that holds'
+    elif holds:
+        remark = "the residuals hold but the solver doubts its answer"
+    return _Verdict(Status.FAILED if kkt is None else Status.INACCURATE, (), remark)
 
 
 def _conflict(
-    program: Program, status: Status, kkt: KKT | None, request: Request
+    program: Program, candidate: Candidate, request: Request
 ) -> tuple[str, ...]:
-    """Names in conflict where the constraints may be to blame for the failure."""
-    broken = kkt is None or kkt.primal_relative > request.tolerance
-    suspect = status is Status.INFEASIBLE or (
-        status in (Status.FAILED, Status.INACCURATE) and broken
-    )
-    if not suspect or program.is_unconstrained:
+    """Names of constraints that are proved to contradict each other."""
+    if program.is_unconstrained:
         return ()
-    return conflicting(program, time_limit=request.time_limit or CONFLICT_SECONDS)
+    claimed = candidate.duals if candidate.x is None else None
+    seconds = request.time_limit or CONFLICT_SECONDS
+    return conflicting(program, claimed=claimed, time_limit=seconds)
+
+
+def _better(one: Solution, other: Solution) -> Solution:
+    """The one that is solved, or whose residuals are smaller."""
+    if other.status is Status.SOLVED or one.kkt is None:
+        return other
+    if other.kkt is None or one.kkt.worst_relative <= other.kkt.worst_relative:
+        return one
+    return other
 
 
 def _slacks(program: Program, x: Array) -> dict[str, Array]:

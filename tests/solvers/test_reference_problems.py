@@ -66,7 +66,9 @@ def check(solver: Solver, reference: Reference) -> None:
         # Huber's is a function of x: a solver need not return it
         got = duals.terms.get(name, bent.subgradient(bent.residual(x)))
         assert error_of(got, expected) <= largest, name
-    assert kkt_residuals(reference.program, x, duals).worst_relative <= TOLERANCE
+    # where the objective is zero too, its distance from zero is open to √ε as x is
+    ours = np.sqrt(TOLERANCE) if reference.weak else TOLERANCE
+    assert kkt_residuals(reference.program, x, duals).worst_relative <= ours
 
 
 @pytest.mark.parametrize("reference", named(references()))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_module
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -177,6 +177,10 @@ def _summary(solution: Solution, output: Path) -> dict[str, Any]:
         "advice": "" if solved else solution.status.value,
         "formulation": solution.formulation,
         "solver": solution.solver,
+        "detail": solution.detail,
+        "attempts": [
+            {**asdict(a), "status": a.status.name.lower()} for a in solution.attempts
+        ],
         "voxels": _n_voxels(solution),
         "objective": solution.objective,
         "costs": solution.costs,
@@ -196,9 +200,11 @@ def _n_voxels(solution: Solution) -> int:
 def _tell(solution: Solution, output: Path) -> None:
     worst = float("nan") if solution.kkt is None else solution.kkt.worst_relative
     times = solution.timings
+    after = f" after {', '.join(map(str, solution.attempts))}"
     costs = ", ".join(f"{name} {cost:.4g}" for name, cost in solution.costs.items())
     typer.echo(
-        f"{output}: {solution.formulation} by {solution.solver}, "
+        f"{output}: {solution.formulation} by {solution.solver}"
+        f"{after if solution.attempts else ''}, "
         f"{_n_voxels(solution):,} voxels, KKT {worst:.1e}, "
         f"{times.assembly:.1f} s assembly, {times.setup + times.solve:.1f} s solve"
     )

@@ -15,6 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ttus_opt.declared_rows import check_declared
+from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 
 Array = NDArray[np.float64]
@@ -71,5 +73,25 @@ class Constraint(abc.ABC):
 
     @cached_property
     def assembled(self) -> LinearRows | Bounds:
-        """`rows`, made once."""
-        return self.rows()
+        """`rows`, made once.
+
+        Raises:
+            InputError: A row or limit is NaN, a limit can hold for no number at all,
+                or they do not fit together.
+        """
+        rows, owner = self.rows(), f"constraint {self.name}"
+        blocks = rows.blocks if isinstance(rows, LinearRows) else {}
+        check_declared(
+            owner, blocks, {"lower limit": rows.lower, "upper limit": rows.upper}
+        )
+        for name, none in (
+            ("lower", rows.lower == np.inf),
+            ("upper", rows.upper == -np.inf),
+        ):
+            if none.any():
+                raise InputError(
+                    f"{owner}: {int(none.sum())} {name} limits are infinite on the "
+                    "wrong side, nothing obeys them: use -inf below and inf above "
+                    "where there is no limit"
+                )
+        return rows

@@ -15,7 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.problem.kkt import bound_duals
+from ttus_opt.problem.certificate import contradicts
+from ttus_opt.problem.kkt import Duals, bound_duals
 from ttus_opt.problem.members import ProgramBounds
 from ttus_opt.problem.program import Program
 
@@ -29,18 +30,22 @@ FEASIBLE = 1e-7
 
 
 def conflicting(
-    program: Program, *, time_limit: float | None = None
+    program: Program, *, claimed: Duals | None = None, time_limit: float | None = None
 ) -> tuple[str, ...]:
     """Names of the constraints that contradict each other.
 
     Args:
         program: Whose constraints are looked at; the objective has no part in it.
+        claimed: Multipliers that a solver gives as proof; without them, or where they
+            prove nothing, the elastic problem is solved.
         time_limit: Most seconds for the elastic problem [s].
 
     Returns:
         The names in the order of the program; empty when the constraints can hold
-        together, or when the time did not suffice to tell.
+        together, or when it could not be proved that they cannot.
     """
+    if claimed is not None and contradicts(program, claimed):
+        return _named(program, claimed)
     lower, upper = program.box
     crossed = lower > upper
     if crossed.any():
@@ -98,16 +103,28 @@ def _elastic(
     y[above] += answer.ineqlin.marginals[:n_above]
     y[below] -= answer.ineqlin.marginals[n_above:]
     z = answer.lower.marginals[:n] + answer.upper.marginals[:n]
-    found, at = set(), 0
-    for constraint in program.constraints:
-        size = len(constraint.lower)
-        if np.abs(y[at : at + size]).max(initial=0.0) > NEGLIGIBLE:
-            found.add(constraint.name)
-        at += size
     # marginals are positive at lower limits, multipliers here negative
-    for name, dual in bound_duals(program, -z).items():
-        if np.abs(dual).max(initial=0.0) > NEGLIGIBLE:
-            found.add(name)
+    y = np.where(np.abs(y) > NEGLIGIBLE, -y, 0.0)
+    starts = np.cumsum([len(c.lower) for c in program.constraints])[:-1]
+    rows = zip(program.constraints, np.split(y, starts), strict=True)
+    # what is left of the bounds balances the rows exactly
+    proof = Duals({c.name: part for c, part in rows}, -(A.T @ y))
+    z = np.where(np.abs(z) > NEGLIGIBLE, -z, 0.0)
+    if not contradicts(program, proof):
+        proof = Duals(proof.rows, z)
+    return _named(program, proof) if contradicts(program, proof) else ()
+
+
+def _named(program: Program, proof: Duals) -> tuple[str, ...]:
+    """The constraints and bounds that carry a multiplier, in the program's order."""
+    found = {name for name, y in proof.rows.items() if _counts(y)}
+    if proof.bounds is not None:
+        split = bound_duals(program, proof.bounds)
+        found |= {name for name, dual in split.items() if _counts(dual)}
     names = [member.name for member in program.constraints]
     names += [member.name for member in program.bounds]
     return tuple(name for name in names if name in found)
+
+
+def _counts(dual: Array) -> bool:
+    return bool(np.abs(dual).max(initial=0.0) > NEGLIGIBLE)

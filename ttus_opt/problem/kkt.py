@@ -2,35 +2,45 @@
 
 For minimise ½xᵀPx + qᵀx subject to lower ≤ A x ≤ upper and lb ≤ x ≤ ub the duals y
 (rows) and z (bounds) are positive where an upper limit holds x back, negative at a
-lower limit:
+lower limit; those of the wrong sign, at a limit that is not there, count as zero:
 
     primal  how far A x and x lie outside their limits
-    dual    P x + q + Aᵀy + z = 0
-    gap     xᵀPx + qᵀx + Σ limit·dual = 0
+    dual    r = P x + q + Aᵀy + z = 0
+    gap     how far below f(x) the optimum may lie
 
-A penalty φ that is no sum of squares has a multiplier g of its residual r, brought
-back into the set of φ's subgradients; it adds w Mᵀg to the dual residual and
-w (φ(r) + φ*(g) + gᵀt) to the gap, which vanish together exactly where g is a
-subgradient of φ at r. For squares g = 2r and both are the lines above.
+A penalty φ that is no sum of squares has a multiplier g of its residual, brought back
+into the set of φ's subgradients; it adds w Mᵀg to r and w (φ(r) + φ*(g) − gᵀr) ≥ 0 to
+the gap (Fenchel), which vanish together exactly where g is a subgradient of φ at r.
 
-Norms: primal in the largest entry, dual in the Euclidean norm; each relative figure
-is divided by the largest of the quantities that should cancel.
+Gap: Σ |y| · slack + Fenchel + ½ rᵀP⁻¹r, a bound by weak duality
+(`ttus_opt.problem.distance`). Where squares do not determine x, or where that cannot
+be told, |rᵀx| of every block of variables stands for the last summand, which is
+customary and no bound.
+
+Relative figures, each by the worst block (the field, each parameter, each second
+field) or member, so that none hides behind a larger one: ``primal`` over the member's
+largest limit or value; ``dual`` in the Euclidean norm over the largest of the block's
+summands that should cancel; ``gap`` over the objective f(x), constant included. An
+objective that is zero but for rounding has no relative gap; there the distance √gap
+is judged, a hundred times as strictly, over that of x = 0, √f(0).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.problem.members import QUADRATIC
+from ttus_opt.problem.distance import energy, held_by_equalities
+from ttus_opt.problem.members import QUADRATIC, ProgramConstraint
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.base import Penalty
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 _TINY = np.finfo(float).tiny
 
@@ -84,10 +94,14 @@ class KKT:
     Attributes:
         primal: Largest violation of a limit [the limit's unit].
         dual: Norm of the Lagrangian's gradient.
-        gap: Difference of primal and dual objective.
-        primal_relative: ``primal`` over the largest finite limit or row value [–].
-        dual_relative: ``dual`` over the largest of its summands [–].
-        gap_relative: ``gap`` over the larger objective [–].
+        gap: How far below the objective at x the optimum may lie.
+        primal_relative: Violation over the largest finite limit or row value, worst
+            member [–].
+        dual_relative: Gradient over the largest of its summands, worst block of
+            variables [–].
+        gap_relative: ``gap`` over the objective [–].
+        distance: Bound on (Σ w ‖M (x − x*)‖²)^½ over the sums of squares, the unit of
+            the objective's root; None where they do not determine x.
     """
 
     primal: float
@@ -96,102 +110,279 @@ class KKT:
     primal_relative: float
     dual_relative: float
     gap_relative: float
+    distance: float | None = None
 
     @property
     def worst_relative(self) -> float:
         """The largest relative residual [–]."""
-        return max(self.primal_relative, self.dual_relative, self.gap_relative)
+        return _largest_of(self.primal_relative, self.dual_relative, self.gap_relative)
 
-    def as_dict(self) -> dict[str, float]:
+    @property
+    def is_bound(self) -> bool:
+        """Whether ``gap`` is a bound, so that no solver's word is needed."""
+        return self.distance is not None
+
+    def as_dict(self) -> dict[str, float | None]:
         """All residuals by name, for JSON."""
         return asdict(self)
 
 
-def kkt_residuals(program: Program, x: Array, duals: Duals) -> KKT:
+#: Of an answer that has no residuals
+NOT_FINITE = KKT(*([float("inf")] * 6))
+
+#: The gap is followed down to this part of the tolerance [–]
+CLOSE_ENOUGH = 1e-2
+
+#: How much stricter a distance is judged than a relative gap [–]
+STRICTER = 100.0
+
+
+def kkt_residuals(
+    program: Program, x: Array, duals: Duals, *, tolerance: float = 1e-6
+) -> KKT:
     """Residuals of the optimality conditions of a program.
 
     Args:
         program: The program.
         x: A candidate, shape (n,).
         duals: Its multipliers; missing ones count as zero.
+        tolerance: Where the gap is far below this, relative, its bound need not come
+            closer [–].
 
     Returns:
-        The residuals; infinite when the candidate is not finite.
+        The residuals; infinite where the candidate, a multiplier or what follows from
+        them is not finite.
     """
-    if not np.isfinite(x).all():
-        return KKT(*([float("inf")] * 6))
-    curved, linear = program.quadratic_gradient(x)
-    gradient = curved + linear
-    sizes = [float(np.linalg.norm(curved)), float(np.linalg.norm(linear))]
-    quadratic = float(curved @ x)
-    slope = float(linear @ x)
-    largest = float(np.abs(x).max(initial=0.0))
-    least = _least_pull(program, largest)
-    sizes.append(least)
+    given = [x, *duals.rows.values(), *duals.terms.values()]
+    given += [] if duals.bounds is None else [duals.bounds]
+    if not all(np.isfinite(values).all() for values in given):
+        return NOT_FINITE
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = _residuals(program, x, duals, tolerance)
+    return found if np.isfinite(found.worst_relative) else NOT_FINITE
+
+
+def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KKT:
+    blocks = _Blocks(program)
+    gap = 0.0
+    for summand in _quadratic_summands(program, x):
+        blocks.add(summand)
     for term in program.terms:
         if term.penalty in QUADRATIC:
             continue
         r = term.residual(x)
         g = term.admissible(duals.terms.get(term.name, term.subgradient(r)))
-        pull = term.weight * (term.matrix.T @ g)
-        gradient = gradient + pull
-        sizes.append(float(np.linalg.norm(pull)))
-        quadratic += term.weight * (term.value(r) + term.conjugate(g))
-        slope += term.weight * float(g @ term.target)
-    support, violation, span = 0.0, 0.0, 0.0
-    for constraint in program.constraints:
-        y = duals.rows.get(constraint.name, np.zeros(len(constraint.lower)))
-        value = constraint.matrix @ x
-        pull = constraint.matrix.T @ y
-        gradient = gradient + pull
-        sizes.append(float(np.linalg.norm(pull)))
-        support += _support(y, constraint.lower, constraint.upper, value)
-        violation = max(
-            violation, _violation(value, constraint.lower, constraint.upper)
-        )
-        span = max(span, _largest(value, constraint.lower, constraint.upper))
+        blocks.add(term.weight * (term.matrix.T @ g))
+        missing = term.value(r) + term.conjugate(g) - float(g @ r)
+        gap += term.weight * max(missing, 0.0)
+    violation = relative = 0.0
+    members = [_row_member(c, x) for c in program.constraints]
     if program.bounds:
         lower, upper = program.box
         z = np.zeros_like(x) if duals.bounds is None else duals.bounds
-        gradient = gradient + z
-        sizes.append(float(np.linalg.norm(z)))
-        support += _support(z, lower, upper, x)
-        violation = max(violation, _violation(x, lower, upper))
-        span = max(span, _largest(x, lower, upper))
-    dual = float(np.linalg.norm(gradient))
-    gap = abs(quadratic + slope + support)
-    scale = max(abs(quadratic), abs(slope), abs(support), least * largest, _TINY)
+        z, stray = _present(z, lower, upper)
+        blocks.add(z)
+        blocks.add_stray(stray)
+        gap += _complementarity(z, lower, upper, x)
+        members += [
+            _Member(x[b.part], b.lower[b.part], b.upper[b.part]) for b in program.bounds
+        ]
+    for constraint in program.constraints:
+        y, stray = _multiplier(constraint, duals)
+        blocks.add(constraint.matrix.T @ y)
+        blocks.add_stray(constraint.matrix.T @ stray)
+        value = constraint.matrix @ x
+        gap += _complementarity(y, constraint.lower, constraint.upper, value)
+    for member in members:
+        violation = _largest_of(violation, member.violation)
+        relative = _largest_of(relative, member.relative)
+    fixed = held_by_equalities(program)
+    objective, scale = program.objective(x), program.objective(np.zeros_like(x))
+    missing, is_bound = _below(
+        program,
+        x,
+        blocks.gradient,
+        fixed,
+        CLOSE_ENOUGH * tolerance * objective,
+    )
+    gap += missing
     return KKT(
         violation,
-        dual,
+        blocks.error,
         gap,
-        violation / max(span, _TINY),
-        dual / max(*sizes, _TINY),
-        gap / scale,
+        relative,
+        blocks.worst(float(np.abs(x).max(initial=0.0))),
+        _relative_gap(gap, objective, scale),
+        float(np.sqrt(gap)) if is_bound else None,
     )
 
 
-def _support(dual: Array, lower: Array, upper: Array, value: Array) -> float:
-    """Σ limit·dual; a multiplier of an absent limit is charged its own size."""
+def _below(
+    program: Program, x: Array, r: Array, fixed: Mask, enough: float
+) -> tuple[float, bool]:
+    """What the dual residual r leaves open of the objective, and whether it bounds."""
+    bound = energy(program, r, fixed, enough)
+    if bound is not None:
+        # what equalities hold cannot move but by their own violation
+        held = sum(_held(c, x, r, fixed) for c in program.constraints)
+        return bound + held, True
+    shares = [abs(float(r[part] @ x[part])) for part in program.variables.values()]
+    return sum(shares), False
+
+
+def _held(constraint: ProgramConstraint, x: Array, r: Array, fixed: Mask) -> float:
+    """Σ |r| · violation over the rows that fix a variable."""
+    single = np.diff(constraint.matrix.indptr) == 1
+    at = np.flatnonzero(single & (constraint.lower == constraint.upper))
+    if not len(at):
+        return 0.0
+    start = constraint.matrix.indptr[at]
+    column, entry = constraint.matrix.indices[start], constraint.matrix.data[start]
+    off = entry * x[column] - constraint.lower[at]
+    return float(np.abs(r[column] / entry * off).sum())
+
+
+def _relative_gap(gap: float, objective: float, scale: float) -> float:
+    """The gap over the objective, or strictly over that of x = 0."""
+    if gap == 0.0:
+        return 0.0
+    by_objective = gap / max(abs(objective), _TINY)
+    by_distance = STRICTER * float(np.sqrt(gap / max(abs(scale), _TINY)))
+    return _least_of(by_objective, by_distance)
+
+
+class _Blocks:
+    """The Lagrangian's gradient, and the sizes of its summands by block."""
+
+    def __init__(self, program: Program) -> None:
+        self.gradient = np.zeros(program.n_variables)
+        self._stray = np.zeros(program.n_variables)
+        self._program = program
+        self._sizes = dict.fromkeys(program.variables, 0.0)
+
+    def add(self, summand: Array) -> None:
+        """Add one of the summands that should cancel, shape (n,)."""
+        self.gradient = self.gradient + summand
+        self._measure(summand)
+
+    def add_stray(self, summand: Array) -> None:
+        """Add what multipliers of absent limits pull: an error of its own."""
+        if summand.any():
+            self._stray = self._stray + summand
+            self._measure(summand)
+
+    @property
+    def error(self) -> float:
+        """Norm of the gradient, and of what multipliers of absent limits pull."""
+        return float(np.hypot(*map(np.linalg.norm, (self.gradient, self._stray))))
+
+    def _measure(self, summand: Array) -> None:
+        for name, part in self._program.variables.items():
+            size = float(np.linalg.norm(summand[part]))
+            self._sizes[name] = _largest_of(self._sizes[name], size)
+
+    def worst(self, largest: float) -> float:
+        """The largest block of the gradient over its largest summand [–]."""
+        worst = 0.0
+        for name, part in self._program.variables.items():
+            both = self.gradient[part], self._stray[part]
+            size = float(np.hypot(*map(np.linalg.norm, both)))
+            if size == 0.0:
+                continue
+            least = _least_pull(self._program, part, largest)
+            scale = _largest_of(self._sizes[name], least, _TINY)
+            worst = _largest_of(worst, size / scale)
+        return worst
+
+
+@dataclass(frozen=True)
+class _Member:
+    """Values of one constraint or bound between its limits."""
+
+    value: Array
+    lower: Array
+    upper: Array
+
+    @property
+    def violation(self) -> float:
+        """Largest excess over a limit."""
+        if not len(self.value):
+            return 0.0
+        below, above = self.lower - self.value, self.value - self.upper
+        return _largest_of(float(np.max(below)), float(np.max(above)), 0.0)
+
+    @property
+    def relative(self) -> float:
+        """The same over the largest finite limit or value [–]."""
+        violation = self.violation
+        return violation / _largest_of(self._span, _TINY) if violation else 0.0
+
+    @property
+    def _span(self) -> float:
+        sizes = [
+            float(np.abs(part[np.isfinite(part)]).max(initial=0.0))
+            for part in (self.value, self.lower, self.upper)
+        ]
+        return max(sizes)
+
+
+def _row_member(constraint: ProgramConstraint, x: Array) -> _Member:
+    return _Member(constraint.matrix @ x, constraint.lower, constraint.upper)
+
+
+def _multiplier(constraint: ProgramConstraint, duals: Duals) -> tuple[Array, Array]:
+    y = duals.rows.get(constraint.name, np.zeros(len(constraint.lower)))
+    return _present(y, constraint.lower, constraint.upper)
+
+
+def _present(dual: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Multipliers of limits that are there, and those of limits that are not."""
+    there = np.isfinite(np.where(dual > 0.0, upper, lower))
+    return np.where(there, dual, 0.0), np.where(there, 0.0, dual)
+
+
+def _complementarity(dual: Array, lower: Array, upper: Array, value: Array) -> float:
+    """Σ |dual| · distance to its limit."""
     limit = np.where(dual > 0.0, upper, lower)
-    absent = ~np.isfinite(limit)
-    # pulling at a limit that is not there is an error of the dual, not of the gap
-    charged = np.where(absent, np.abs(value) + 1.0, limit)
-    product = np.where(absent, np.abs(dual) * charged, dual * charged)
-    return float(product.sum())
+    limit = np.where(dual == 0.0, value, limit)
+    return float(np.abs(dual * (limit - value)).sum())
 
 
-def _least_pull(program: Program, largest: float) -> float:
-    """The least size of a gradient that counts, where all residuals may vanish.
+def _largest_of(*values: float) -> float:
+    """The largest; infinite where one is NaN, which Python's ``max`` lets pass."""
+    return float("inf") if any(np.isnan(v) for v in values) else max(values)
+
+
+def _least_of(*values: float) -> float:
+    return float("inf") if any(np.isnan(v) for v in values) else min(values)
+
+
+def _quadratic_summands(program: Program, x: Array) -> Iterator[Array]:
+    """What P x + q is made of, variable by variable, shape (n,) each.
+
+    What two variables give each other may cancel within P x: only apart do they tell
+    how large that is.
+    """
+    parts = list(program.variables.values())
+    alone = np.zeros_like(x)
+    for part in parts:
+        alone[part] = x[part]
+        yield program.quadratic_gradient(alone)[0]
+        alone[part] = 0.0
+    yield program.quadratic_gradient(alone)[1]
+
+
+def _least_pull(program: Program, part: slice, largest: float) -> float:
+    """The least size of a block's gradient that counts, where residuals may vanish.
 
     For absolute values and lengths one row at its limit; for squares what rounding
     leaves of one row when the largest entry of x cancels.
     """
-    least = 0.0
+    least, whole = 0.0, len(program.variables) == 1
     for term in program.terms:
         if term.penalty is Penalty.LINEAR:
             continue
-        longest = _longest_row(term.matrix)
+        longest = _longest_row(term.matrix if whole else term.matrix[:, part])
         row = term.weight * longest
         if term.penalty in (Penalty.SQUARES, Penalty.HUBER):
             row *= 2.0 * longest * largest * _ROUNDING
@@ -205,18 +396,3 @@ def _longest_row(matrix: sp.csr_array) -> float:
     if not len(starts):
         return 0.0
     return float(np.sqrt(np.add.reduceat(matrix.data**2, starts).max()))
-
-
-def _violation(value: Array, lower: Array, upper: Array) -> float:
-    if not len(value):
-        return 0.0
-    return float(max(np.max(lower - value), np.max(value - upper), 0.0))
-
-
-def _largest(*arrays: Array) -> float:
-    largest = 0.0
-    for array in arrays:
-        finite = array[np.isfinite(array)]
-        if len(finite):
-            largest = max(largest, float(np.abs(finite).max()))
-    return largest

@@ -55,6 +55,35 @@ class Timings:
         return {name: v for name, v in asdict(self).items() if v is not None}
 
 
+@dataclass(frozen=True)
+class Attempt:
+    """A solver that "auto" tried before the one that answered.
+
+    Attributes:
+        solver: Its name.
+        status: What came of it.
+        residual: Its largest relative KKT residual; None without a candidate [–].
+        detail: What the solver itself said.
+    """
+
+    solver: str
+    status: Status
+    residual: float | None
+    detail: str
+
+    @classmethod
+    def of(cls, solution: Solution) -> Attempt:
+        """What a solution that did not hold leaves to tell."""
+        kkt = solution.kkt
+        residual = None if kkt is None else kkt.worst_relative
+        return cls(solution.solver, solution.status, residual, solution.detail)
+
+    def __str__(self) -> str:
+        """In one phrase."""
+        residual = "" if self.residual is None else f" at {self.residual:.1e}"
+        return f"{self.solver} {self.status.name.lower()}{residual}"
+
+
 class NoSolutionError(TtusError, RuntimeError):
     """No verified solution; carries what there is.
 
@@ -87,6 +116,7 @@ class Solution:
         candidate: x as the solver gave it, verified or not; None without one.
         detail: What the solver itself said.
         conflict: Names of the constraints that contradict each other, when infeasible.
+        attempts: Solvers that "auto" tried whose answers did not hold.
     """
 
     status: Status
@@ -105,6 +135,7 @@ class Solution:
     detail: str = field(default="", repr=False)
     verified_field: PotentialField | None = field(default=None, repr=False)
     conflict: tuple[str, ...] = ()
+    attempts: tuple[Attempt, ...] = ()
 
     @property
     def field(self) -> PotentialField:
@@ -122,8 +153,11 @@ class Solution:
         """What came of the solve and what to do, in one line."""
         residual = "" if self.kkt is None else f", KKT {self.kkt.worst_relative:.1e}"
         between = f" ({' against '.join(self.conflict)})" if self.conflict else ""
+        after = (
+            f" (after {', '.join(map(str, self.attempts))})" if self.attempts else ""
+        )
         return (
-            f"{self.solver} on {self.formulation}: {self.status.name.lower()}"
+            f"{self.solver}{after} on {self.formulation}: {self.status.name.lower()}"
             f"{residual}{between}: {self.status.value}"
         )
 

@@ -25,6 +25,8 @@ class Claim(enum.Enum):
     """What a solver says of its own run."""
 
     DONE = "done"
+    PAUSED = "stopped at the number of iterations it was given, could go on"
+    DOUBTS = "says itself that its answer may be inaccurate"
     INFEASIBLE = "infeasible"
     UNBOUNDED = "unbounded"
     TIME_LIMIT = "time limit"

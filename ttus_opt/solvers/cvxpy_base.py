@@ -135,7 +135,8 @@ class _Loaded(Verified):
                     solver=self._solver.backend, **self._solver.options(eps, seconds)
                 )
             except cp.error.SolverError as error:
-                return Candidate(None, claim=Claim.GAVE_UP, detail=str(error))
+                said = f"{type(error).__name__}: {error}"
+                return Candidate(None, claim=Claim.GAVE_UP, detail=said)
         words = str(self._problem.status)
         claim = _CLAIMS.get(words, Claim.GAVE_UP)
         if self._x.value is None or not np.isfinite(self._x.value).all():
@@ -164,9 +165,8 @@ class _Loaded(Verified):
 _CLAIMS = {
     "optimal": Claim.DONE,
     "infeasible": Claim.INFEASIBLE,
-    "infeasible_inaccurate": Claim.INFEASIBLE,
+    "optimal_inaccurate": Claim.DOUBTS,
     "unbounded": Claim.UNBOUNDED,
-    "unbounded_inaccurate": Claim.UNBOUNDED,
     "user_limit": Claim.TIME_LIMIT,
 }
 

@@ -103,10 +103,11 @@ class _Loaded(Verified):
         )
         answer = self._solver.solve(raise_error=False)
         words = str(answer.info.status)
-        y = np.nan_to_num(np.asarray(answer.y, dtype=np.float64))
-        rows, box = self._rows.split(y)
+        rows, box = self._rows.split(np.asarray(answer.y, dtype=np.float64))
         x = np.asarray(answer.x, dtype=np.float64)
         claim = claim_from(words, words == "solved")
+        if claim is Claim.DOUBTS:  # "solved inaccurate" is all that its iterations gave
+            claim = Claim.PAUSED
         if claim in (Claim.INFEASIBLE, Claim.UNBOUNDED):
             return Candidate(None, claim=claim, detail=words)
         return read_back(

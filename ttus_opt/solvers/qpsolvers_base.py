@@ -83,7 +83,8 @@ class _Loaded(Verified):
                     **self._solver.options(eps, seconds),
                 )
             except (qpsolvers.SolverError, ValueError, RuntimeError) as error:
-                return Candidate(None, claim=Claim.GAVE_UP, detail=str(error))
+                said = f"{type(error).__name__}: {error}"
+                return Candidate(None, claim=Claim.GAVE_UP, detail=said)
         words, iterations = _own_words(answer.extras or {})
         return read_back(
             self._program,
@@ -124,14 +125,21 @@ def claim_from(words: str, found: bool) -> Claim:
     <Claim.INFEASIBLE: 'infeasible'>
     >>> claim_from("time limit reached", False)
     <Claim.TIME_LIMIT: 'time limit'>
+    >>> claim_from("AlmostSolved", True).name
+    'DOUBTS'
     """
+    plain = words.lower().replace("_", "").replace(" ", "").replace("-", "")
+    if "inaccurate" in plain or "almost" in plain:
+        # also of infeasibility: a certificate in doubt is none
+        return Claim.PAUSED if "iter" in plain else Claim.DOUBTS
     if found:
         return Claim.DONE
-    plain = words.lower().replace("_", "").replace(" ", "")
     if "dualinfeasible" in plain or "unbounded" in plain:
         return Claim.UNBOUNDED
     if "infeasible" in plain:
         return Claim.INFEASIBLE
     if "time" in plain:
         return Claim.TIME_LIMIT
+    if "iter" in plain:
+        return Claim.PAUSED
     return Claim.GAVE_UP

@@ -30,7 +30,7 @@ PREFERENCE: tuple[tuple[str, str], ...] = (
 
 #: Up to how many variables a member of `PREFERENCE` goes before later ones; beyond,
 #: it is taken only when no other can
-LARGEST = {"clarabel": 30_000, "piqp": 30_000, "osqp": 30_000}
+LARGEST = {name: 30_000 for name in ("clarabel", "piqp", "osqp", "cvxpy_clarabel")}
 
 
 @functools.cache
@@ -44,15 +44,15 @@ def solvers() -> dict[str, Solver]:
     return dict(sorted(found.items()))
 
 
-def choose(name: str, program: Program) -> Solver:
-    """The solver of that name, or for "auto" the first suitable of `PREFERENCE`.
+def candidates(name: str, program: Program) -> list[Solver]:
+    """The solver of that name, or for "auto" those of `PREFERENCE` to try in turn.
 
     Args:
         name: A solver's name or "auto".
         program: What it shall solve.
 
     Returns:
-        A solver that is installed and takes the program.
+        Solvers that are installed and take the program, the one to try first in front.
 
     Raises:
         InputError: Unknown name, or no solver takes the program.
@@ -70,7 +70,7 @@ def choose(name: str, program: Program) -> Solver:
             s for s in able if size <= LARGEST.get(s.name, size) and s.suits(program)
         ]
         if able:
-            return (within or able)[0]
+            return within or able
         raise InputError("no installed solver takes this problem: see ttus-opt solvers")
     if name not in known:
         near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
@@ -79,4 +79,9 @@ def choose(name: str, program: Program) -> Solver:
             f"{', '.join(near or known)}?"
         )
     known[name].require(program)
-    return known[name]
+    return [known[name]]
+
+
+def choose(name: str, program: Program) -> Solver:
+    """The first of `candidates`."""
+    return candidates(name, program)[0]

@@ -126,7 +126,8 @@ class _Limited(Prepared):
         if worst <= self._request.tolerance * _largest_limit(limits):
             return None
         detail = f"limits along a spoke contradict each other by {worst:.2g}"
-        return Candidate(None, claim=Claim.INFEASIBLE, detail=detail)
+        proof = limits.proof_of_contradiction() or Duals()
+        return Candidate(None, proof, claim=Claim.INFEASIBLE, detail=detail)
 
     def _faces(self, problem: LimitedProblem, limits: SpokeLimits) -> FaceAnswer:
         """Face after face, from the last one of an earlier solve."""

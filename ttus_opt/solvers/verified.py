@@ -89,7 +89,7 @@ class Verified(Prepared):
                     np.clip(self._request.tolerance / residual, MOST, LEAST)
                 )
                 self._eps = max(self._eps * missing, self.floor)
-            elif candidate.claim is Claim.GAVE_UP and continued < self.continuations:
+            elif candidate.claim is Claim.PAUSED and continued < self.continuations:
                 continued += 1
             else:
                 break
@@ -100,13 +100,18 @@ class Verified(Prepared):
     def _residual(self, candidate: Candidate) -> float:
         if candidate.x is None:
             return np.inf
-        kkt = kkt_residuals(self._program, candidate.x, candidate.duals)
+        kkt = kkt_residuals(
+            self._program,
+            candidate.x,
+            candidate.duals,
+            tolerance=self._request.tolerance,
+        )
         return kkt.worst_relative
 
     def _final_claim(self, best: Candidate, residual: float, clock: float) -> Claim:
         """The package's claim, unless time ran out before the check held."""
         if residual <= self._request.tolerance:
-            return Claim.DONE
+            return best.claim
         limit = self._request.time_limit
         if limit is not None and time.perf_counter() - clock >= limit:
             return Claim.TIME_LIMIT

@@ -20,6 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ttus_opt.declared_rows import check_declared
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 
@@ -108,8 +109,14 @@ class Term(abc.ABC):
 
     @cached_property
     def assembled(self) -> AffineRows:
-        """`rows`, made once and kept by every copy with another weight."""
-        return self.rows()
+        """`rows`, made once and kept by every copy with another weight.
+
+        Raises:
+            InputError: A row or a target is not finite, or they do not fit together.
+        """
+        rows = self.rows()
+        check_declared(f"term {self.name}", rows.blocks, {"target": rows.target})
+        return rows
 
     def with_weight(self, weight: float) -> Self:
         """The same term with another weight; nothing is assembled again.

@@ -98,6 +98,32 @@ class SpokeLimits:
             gap = lower - upper
         return float(np.max(np.nan_to_num(gap, nan=0.0, neginf=0.0), initial=0.0))
 
+    def proof_of_contradiction(self) -> Duals | None:
+        """Multipliers that prove the worst contradiction; None where there is none.
+
+        A bound of a voxel, carried outwards or inwards along links, meets another:
+        one at either end and one on every link between.
+        """
+        low, up = self._carried()
+        with np.errstate(invalid="ignore"):
+            gap = np.nan_to_num(low - up, nan=0.0, neginf=0.0)
+        layer, spoke = np.unravel_index(int(np.argmax(gap)), gap.shape)
+        if gap[layer, spoke] <= 0.0:
+            return None
+        own_low = self.by_layer(self.lower)[:, spoke]
+        own_up = self.by_layer(self.upper)[:, spoke]
+        outer, inner = int(layer), int(layer)
+        while own_low[outer] < low[outer, spoke]:
+            outer += 1
+        while own_up[inner] > up[inner, spoke]:
+            inner -= 1
+        if inner == outer:  # two limits of one voxel: which ones is not known here
+            return None
+        pull, push = np.zeros(gap.shape), np.zeros(gap.shape)
+        pull[inner, spoke], pull[outer, spoke] = 1.0, -1.0
+        push[inner:outer, spoke] = 1.0
+        return self.duals(pull.reshape(-1), push.reshape(-1))
+
     def without_implied(self) -> SpokeLimits:
         """The same feasible set without bounds that others imply along links.
 

@@ -1,0 +1,76 @@
+"""Certificates by hand: what proves that there is no answer, and what does not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.solvers.problems import bounds, program, rows, term
+from ttus_opt.problem.certificate import contradicts, falling_ray, falls_for_ever
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.terms.base import Penalty
+
+INF = np.inf
+
+#: x + y ≥ 3 within [-1, 1]²
+IMPOSSIBLE = program(
+    [term(np.eye(2), [0, 0])],
+    [rows("high", [[1, 1]], [3], [INF])],
+    [bounds("low", [-1, -1], [1, 1])],
+)
+POSSIBLE = program(
+    [term(np.eye(2), [0, 0])],
+    [rows("high", [[1, 1]], [1.5], [INF])],
+    [bounds("low", [-1, -1], [1, 1])],
+)
+
+#: x² + y over y ≤ 3
+DOWNHILL = program(
+    [term([[1, 0]], [0]), term([[0, 1]], [0], 1.0, Penalty.LINEAR, name="downhill")],
+    (),
+    [bounds("half", [-1, -INF], [1, 3])],
+)
+
+
+def duals(y: float, z: list[float]) -> Duals:
+    return Duals({"high": np.array([y])}, np.array(z))
+
+
+def test_multipliers_that_add_up_to_less_than_nothing_prove_it() -> None:
+    """-1·(x + y) + 1·x + 1·y = 0, while the limits add up to -3 + 1 + 1."""
+    proof = duals(-1.0, [1.0, 1.0])
+    assert contradicts(IMPOSSIBLE, proof)
+    assert not contradicts(POSSIBLE, proof)  # -1.5 + 2 > 0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        duals(-1.0, [1.0, 0.9]),  # does not cancel
+        duals(1.0, [-1.0, -1.0]),  # pulls at a limit that is not there
+        duals(0.0, [0.0, 0.0]),
+        Duals(),
+    ],
+)
+def test_what_proves_nothing(wrong: Duals) -> None:
+    assert not contradicts(IMPOSSIBLE, wrong)
+
+
+def test_a_ray_along_which_it_falls() -> None:
+    assert falls_for_ever(DOWNHILL, np.array([0.0, -1.0]))
+    assert falls_for_ever(DOWNHILL, np.array([0.0, -1e9]))
+    for no in ([0.0, 1.0], [1.0, -1.0], [0.0, 0.0], [0.0, np.nan]):
+        assert not falls_for_ever(DOWNHILL, np.array(no))
+    ray = falling_ray(DOWNHILL)
+    assert ray is not None
+    assert ray[1] < 0.0 == ray[0]
+
+
+def test_a_minimum_has_no_ray() -> None:
+    held = program(DOWNHILL.terms, (), [bounds("box", [-1, -5], [1, 3])])
+    assert falling_ray(held) is None
+    assert not falls_for_ever(held, np.array([0.0, -1.0]))
+    assert falling_ray(IMPOSSIBLE) is None
+    weightless = program([term([[1, 0]], [0]), term([[0, 1]], [0], 0.0, Penalty.LINEAR,
+                         name="downhill")])  # fmt: skip
+    assert falling_ray(weightless) is None

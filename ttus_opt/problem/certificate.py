@@ -1,0 +1,131 @@
+"""Certificates that a program has no answer, checked here.
+
+A solver's word for "infeasible" or "unbounded" counts only with a certificate that
+holds in this program's own numbers (Boyd and Vandenberghe, Convex Optimization,
+section 5.8):
+
+    infeasible  multipliers y, z with Aᵀy + z = 0 and Σ limit·multiplier < 0 (Farkas)
+    unbounded   a ray d along which every penalty stays as it is, no limit is left
+                and the linear objective falls
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.program import Program
+from ttus_opt.terms.base import Penalty
+
+Array = NDArray[np.float64]
+
+#: What should cancel is rounding below this part of its summands [–]
+ROUNDING = 1e-9
+
+
+def contradicts(program: Program, duals: Duals) -> bool:
+    """Whether multipliers prove that the constraints cannot hold together.
+
+    Args:
+        program: Whose constraints are meant.
+        duals: Multipliers, signs as in `ttus_opt.problem.kkt`.
+    """
+    lower, upper = program.box
+    z = duals.bounds
+    parts = [] if z is None else [(z, lower, upper, z)]
+    for constraint in program.constraints:
+        y = duals.rows.get(constraint.name)
+        if y is not None:
+            pull = constraint.matrix.T @ y
+            parts.append((y, constraint.lower, constraint.upper, pull))
+    total, sizes, support, scale = np.zeros(program.n_variables), 0.0, 0.0, 0.0
+    for dual, low, high, pull in parts:
+        limit = np.where(dual > 0.0, high, low)
+        product = dual[dual != 0.0] * limit[dual != 0.0]
+        if not np.isfinite(product).all():  # a multiplier of a limit that is not there
+            return False
+        total, sizes = total + pull, max(sizes, float(np.abs(pull).max(initial=0.0)))
+        support += float(product.sum())
+        scale = max(scale, float(np.abs(product).max(initial=0.0)))
+    cancels = float(np.abs(total).max(initial=0.0)) <= ROUNDING * sizes
+    return bool(cancels and sizes > 0.0 and support < -ROUNDING * scale)
+
+
+def falls_for_ever(program: Program, ray: Array) -> bool:
+    """Whether the objective falls without end along a ray that stays feasible.
+
+    Args:
+        program: The program.
+        ray: d, shape (n,).
+    """
+    size = float(np.abs(ray).max(initial=0.0))
+    if not (np.isfinite(size) and size > 0.0):
+        return False
+    d, slope = ray / size, 0.0
+    for term in program.terms:
+        change, reach = term.matrix @ d, _reach(term.matrix)
+        if term.penalty is Penalty.LINEAR:
+            slope += term.weight * float(change.sum())
+        elif term.weight and np.abs(change).max(initial=0.0) > ROUNDING * reach:
+            return False
+    limits = [(c.matrix @ d, c.lower, c.upper) for c in program.constraints]
+    limits.append((d, *program.box))
+    for change, low, high in limits:
+        below, above = change[np.isfinite(low)], change[np.isfinite(high)]
+        if below.min(initial=0.0) < -ROUNDING or above.max(initial=0.0) > ROUNDING:
+            return False
+    return slope < -ROUNDING
+
+
+def falling_ray(program: Program, *, time_limit: float | None = None) -> Array | None:
+    """A ray along which the objective falls without end; None where none was found.
+
+    Args:
+        program: The program; penalties that bend are taken to grow along any ray
+            that changes them.
+        time_limit: Most seconds for the linear program [s].
+
+    Returns:
+        d, shape (n,), verified by `falls_for_ever`.
+    """
+    linear = [t for t in program.terms if t.penalty is Penalty.LINEAR and t.weight]
+    if not linear:  # sums of squares, lengths and sizes are never negative
+        return None
+    from scipy.optimize import linprog
+
+    n = program.n_variables
+    slope = np.sum(
+        [t.weight * (t.matrix.T @ np.ones(len(t.target))) for t in linear], 0
+    )
+    still = [t.matrix for t in program.terms if t.penalty is not Penalty.LINEAR]
+    down = [sp.csr_array((0, n))]
+    for c in program.constraints:
+        down += [c.matrix[np.isfinite(c.upper)], -c.matrix[np.isfinite(c.lower)]]
+    low, high = program.box
+    limits = (
+        np.where(np.isfinite(low), 0.0, -1.0),
+        np.where(np.isfinite(high), 0.0, 1.0),
+    )
+    box = np.stack(limits, axis=1)
+    above = sp.csc_array(sp.vstack(down))
+    equal = sp.csc_array(sp.vstack([sp.csr_array((0, n)), *still]))
+    answer = linprog(  # type: ignore[call-overload]  # it does take sparse rows
+        slope,
+        A_ub=above,
+        b_ub=np.zeros(above.shape[0]),
+        A_eq=equal,
+        b_eq=np.zeros(equal.shape[0]),
+        bounds=box,
+        method="highs",
+        options={} if time_limit is None else {"time_limit": time_limit},
+    )
+    if answer.x is None or not falls_for_ever(program, answer.x):
+        return None
+    return np.asarray(answer.x)
+
+
+def _reach(matrix: sp.csr_array) -> float:
+    """Largest entry, 1 where there is none."""
+    return float(np.abs(matrix.data).max(initial=0.0)) or 1.0
