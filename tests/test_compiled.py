@@ -1,73 +1,262 @@
 from __future__ import annotations
 
+import importlib
 import os
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numba
 import pytest
 
-from ttus_opt.compiled import compiled, source_stamp
+import ttus_opt.compiled as kept
+from ttus_opt.compiled import compiled, content_stamp
 
-CALLEE = """from ttus_opt.compiled import compiled
+PACKAGE = {
+    "__init__": "",
+    "sizes": "STEP = 1\n",
+    "pair": """from typing import NamedTuple
+
+class Pair(NamedTuple):
+    first: int
+    second: int
+""",
+    "innermost": """from ttus_opt.compiled import compiled
+from haunted import sizes
+
+@compiled()
+def least(x):
+    return x + sizes.STEP
+""",
+    "callee": """from ttus_opt.compiled import compiled
+from haunted.innermost import least
+
+FACTOR = 1
 
 @compiled()
 def step(x):
-    return x + {step}
-"""
-CALLER = """from ttus_opt.compiled import compiled
-from {name}.callee import step
+    return least(x) * FACTOR
+
+@compiled()
+def aside(x):
+    '''Nothing calls this.'''
+    return x
+""",
+    "caller": """from ttus_opt.compiled import compiled
+from haunted.callee import step
 
 @compiled()
 def twice(x):
     return step(step(x))
-"""
+
+@compiled()
+def first(pair):
+    return pair.first
+""",
+}
+
+Load = Callable[..., Any]
 
 
-def test_compiles_and_leaves_numbas_folder_alone() -> None:
-    before = numba.config.CACHE_DIR
+@pytest.fixture
+def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Load]:
+    """Load the package anew, with edits, as a new process would: (file, old, new)."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it goes by a file's second
+    kept._folder.cache_clear()
+
+    def forget() -> None:
+        for name in [name for name in sys.modules if name.split(".")[0] == "haunted"]:
+            del sys.modules[name]
+
+    def load(*edits: tuple[str, str, str], checkout: str = "here") -> Any:
+        folder = tmp_path / checkout / "haunted"
+        folder.mkdir(parents=True, exist_ok=True)
+        content = dict(PACKAGE)
+        for file, old, new in edits:
+            assert old in content[file]
+            content[file] = content[file].replace(old, new)
+        for file, text in content.items():
+            (folder / f"{file}.py").write_text(text)
+        forget()
+        importlib.invalidate_caches()
+        with monkeypatch.context() as path:
+            path.syspath_prepend(tmp_path / checkout)
+            return importlib.import_module("haunted.caller")
+
+    yield load
+    forget()
+    kept._folder.cache_clear()
+
+
+def hits(dispatcher: Any) -> int:
+    return sum(dispatcher.stats.cache_hits.values())
+
+
+@pytest.mark.parametrize(
+    ("edit", "expected"),
+    [
+        pytest.param(("callee", "least(x) *", "least(x) * 2 *"), 6, id="callee"),
+        pytest.param(("innermost", "x +", "x + 4 +"), 10, id="callee's callee"),
+        pytest.param(("callee", "FACTOR = 1", "FACTOR = 3"), 12, id="its constant"),
+        pytest.param(("sizes", "STEP = 1", "STEP = 7"), 14, id="plain file's constant"),
+        pytest.param(("caller", "step(step(x))", "step(x)"), 1, id="itself"),
+        pytest.param(
+            ("callee", "()\ndef step", "(fastmath=True)\ndef step"), 2, id="how"
+        ),
+    ],
+)
+def test_code_is_not_haunted_by_what_it_was_made_of(
+    load: Load, edit: tuple[str, str, str], expected: int
+) -> None:
+    assert load().twice(0) == 2
+    after = load(edit)
+    assert after.twice(0) == expected
+    assert hits(after.twice) == 0
+    back = load()
+    assert back.twice(0) == 2
+    assert hits(back.twice) == 1  # both are kept
+
+
+def test_swapped_fields_of_a_named_tuple_are_seen(load: Load) -> None:
+    """The types of the fields are the same, and so is the function's code."""
+
+    def first(*edits: tuple[str, str, str]) -> Any:
+        caller = load(*edits)
+        pair = importlib.import_module("haunted.pair").Pair
+        return caller.first(pair(first=1, second=2))
+
+    assert first() == 1
+    swapped = ("pair", "first: int\n    second: int", "second: int\n    first: int")
+    assert first(swapped) == 1
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        ("callee", "return x\n", "return x + 1\n"),
+        ("callee", "Nothing calls this.", "Still nothing."),
+        ("innermost", "@compiled()\ndef", "# a comment\n@compiled()\ndef"),
+        ("callee", "import compiled\n", "import compiled\nOTHER = 5\n"),
+    ],
+)
+def test_an_edit_that_does_not_reach_a_function_keeps_its_code(
+    load: Load, edit: tuple[str, str, str]
+) -> None:
+    assert load().twice(0) == 2
+    after = load(edit)
+    assert after.twice(0) == 2
+    assert hits(after.twice) == 1
+
+
+def test_checkouts_share_code(load: Load) -> None:
+    load().twice(0)
+    other = load(checkout="elsewhere")
+    assert other.twice(0) == 2
+    assert hits(other.twice) == 1
+
+
+def test_each_list_of_types_has_its_own_file(load: Load, tmp_path: Path) -> None:
+    caller = load()
+    assert (caller.twice(0), caller.twice(0.5)) == (2, 2.5)
+    names = sorted(path.name for path in (tmp_path / "cache" / "ttus_opt").iterdir())
+    assert sum(name.startswith("haunted.caller.twice-") for name in names) == 2
+    assert not any(name.endswith(".new") for name in names)
+
+
+def test_code_nobody_asks_for_is_removed(load: Load, tmp_path: Path) -> None:
+    load().twice(0)
+    folder = tmp_path / "cache" / "ttus_opt"
+    for path in folder.iterdir():
+        os.utime(path, (1.0e9, 1.0e9))
+    wanted = load().twice  # from the cache: its file is of today again
+    wanted(0)
+    kept._remove_old.cache_clear()
+    load(("caller", "step(step(x))", "step(x) + 40")).twice(0)
+    left = [path.name.rpartition("-")[0] for path in folder.iterdir()]
+    assert sorted(left) == ["haunted.callee.step"] + ["haunted.caller.twice"] * 2
+
+
+def test_a_folder_that_cannot_be_written_to_is_no_failure(
+    load: Load, tmp_path: Path
+) -> None:
+    caller = load()
+    assert kept._folder() == tmp_path / "cache" / "ttus_opt"
+    (tmp_path / "cache" / "ttus_opt").rmdir()
+    with pytest.warns(RuntimeWarning, match="compiled code is not kept"):
+        assert caller.twice(0) == 2
+
+
+def test_only_a_private_folder_is_trusted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "tmp"))
+    chosen = kept._folder.__wrapped__
+    mine = chosen()
+    assert mine == tmp_path / "home" / "ttus_opt" / "compiled"
+    assert mine.stat().st_mode & 0o777 == 0o700
+    mine.chmod(0o777)  # another user may have put code here
+    other = chosen()
+    assert other is not None and other.parent == tmp_path / "tmp"
+    other.rmdir()
+    other.symlink_to(mine)
+    with pytest.warns(RuntimeWarning, match="set NUMBA_CACHE_DIR"):
+        assert chosen() is None
+
+
+def test_a_global_that_cannot_be_told_is_refused() -> None:
+    reads = object()
+
+    @compiled()
+    def function() -> bool:
+        return reads is None
+
+    with pytest.raises(TypeError, match="whose content cannot be told"):
+        content_stamp(function)
+
+
+def test_without_compilation_the_function_itself_is_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
 
     @compiled(nogil=True)
     def square(x: float) -> float:
         return x * x
 
-    assert square(3.0) == 9.0
-    assert before == numba.config.CACHE_DIR
+    assert type(square) is type(lambda: None)
 
 
-def test_the_stamp_follows_every_compiled_file_and_no_other(tmp_path: Path) -> None:
-    (tmp_path / "callee.py").write_text(CALLEE.format(step=1))
-    (tmp_path / "plain.py").write_text("x = 1\n")
-    first = source_stamp(tmp_path)
-    (tmp_path / "plain.py").write_text("x = 2\n")
-    assert source_stamp(tmp_path) == first
-    (tmp_path / "callee.py").write_text(CALLEE.format(step=2))
-    assert source_stamp(tmp_path) != first
+STAMPS = """
+import importlib, pathlib, numba, ttus_opt
+from ttus_opt.compiled import content_stamp
+root = pathlib.Path(ttus_opt.__file__).parent
+for path in sorted(root.rglob("*.py")):
+    if "import compiled\\n" not in path.read_text():
+        continue
+    parts = path.relative_to(root.parent).with_suffix("").parts
+    module = importlib.import_module(".".join(parts))
+    for name, value in vars(module).items():
+        if isinstance(value, numba.core.dispatcher.Dispatcher):
+            print(module.__name__, name, content_stamp(value))
+"""
 
 
-@pytest.mark.slow
-def test_a_changed_callee_is_not_haunted_by_its_old_code(tmp_path: Path) -> None:
-    """The trap itself: the caller's file is the same, the callee's is not."""
-    package = tmp_path / "haunted"
-    package.mkdir()
-    (package / "__init__.py").write_text("")
-    (package / "caller.py").write_text(CALLER.format(name="haunted"))
-    program = (
-        "import ttus_opt.compiled as c; from pathlib import Path\n"
-        f"c._HERE = Path({str(package)!r})\n"
-        "from haunted.caller import twice; print(twice(0))"
-    )
-    for step in (1, 5):
-        (package / "callee.py").write_text(CALLEE.format(step=step))
-        os.utime(package / "callee.py", (1.0e9, 1.0e9))  # only the content tells
-        out = subprocess.run(
-            # Python keeps bytecode by a file's second and size: -B keeps none
-            [sys.executable, "-B", "-c", program],
+def test_every_compiled_function_has_one_stamp_in_all_processes() -> None:
+    """The order of a set, in which options are given, is another in each."""
+    out = [
+        subprocess.run(
+            [sys.executable, "-c", STAMPS],
             capture_output=True,
             text=True,
             check=True,
-            cwd=tmp_path,
-            env={"PYTHONPATH": f"{tmp_path}:{Path.cwd()}", "HOME": str(tmp_path)},
-        )
-        assert int(out.stdout) == 2 * step
+            env={**os.environ, "PYTHONHASHSEED": seed, "PYTHONPATH": str(Path.cwd())},
+        ).stdout.splitlines()
+        for seed in ("1", "2")
+    ]
+    assert out[0] == out[1]
+    assert len(out[0]) > 100

@@ -2,23 +2,38 @@
 
 numba keeps machine code under the content of the file a function stands in, yet links
 in functions of other files: after an upgrade that changes only those, it would go on
-running the old ones, against arrays laid out anew. Here the cache lies in a folder
-named after all files that hold compiled functions, so that a change in any of them
-compiles all of them again.
+running the old ones. Here machine code is kept under what it was made of: the function,
+all compiled functions and constants it reaches in any module, the types it is called
+with, the versions and the processor. An edit compiles again what it reaches and nothing
+else; checkouts and environments of the same versions share what they have in common.
 """
 
 from __future__ import annotations
 
+import dis
 import functools
+import hashlib
 import os
+import pickle
+import platform
+import sys
 import tempfile
-import zlib
+import time
+import types
+import uuid
+import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import llvmlite
 import numba
+import numpy as np
+from numba.core import caching, compiler, sigutils
+from numba.core.serialize import dumps
 
-_HERE = Path(__file__).parent
+# Machine code that nobody has asked for during so long is removed.
+KEEP_SECONDS = 30 * 86400.0
 
 
 def compiled(**options: Any) -> Any:
@@ -32,36 +47,261 @@ def compiled(**options: Any) -> Any:
     """
 
     def decorate(function: Any) -> Any:
-        # numba reads the folder when a function is decorated; others keep theirs
-        before = numba.config.CACHE_DIR
-        if not before:  # a folder the user has set is respected
-            numba.config.CACHE_DIR = str(_cache_folder())
-        try:
-            return numba.njit(cache=True, **options)(function)
-        finally:
-            numba.config.CACHE_DIR = before
+        dispatcher = numba.njit(**options)(function)
+        if isinstance(dispatcher, numba.core.dispatcher.Dispatcher):
+            dispatcher._cache = _Kept(dispatcher)
+        return dispatcher  # with NUMBA_DISABLE_JIT, the function itself
 
     return decorate
 
 
-def source_stamp(folder: Path) -> str:
-    """Checksum of all modules below a folder that hold compiled functions."""
-    stamp = 0
-    for path in sorted(folder.rglob("*.py")):
-        content = path.read_bytes()
-        if b"import compiled" in content or path == Path(__file__):
-            stamp = zlib.crc32(path.name.encode() + content, stamp)
-    return f"{stamp:08x}"
+def content_stamp(dispatcher: Any) -> str:
+    """Checksum of what a compiled function is made of: its code and what it reads.
+
+    Args:
+        dispatcher: The compiled function.
+
+    Returns:
+        Hexadecimal digits, the same in every process and every checkout.
+
+    Raises:
+        TypeError: It reads a global whose content cannot be told.
+    """
+    seen: dict[int, int] = {}
+    return hashlib.sha256("\n".join(_content(dispatcher, seen)).encode()).hexdigest()
+
+
+def _content(value: Any, seen: dict[int, int]) -> Iterator[str]:
+    """Lines that tell a value apart from all others, whatever process it lives in."""
+    if isinstance(value, numba.core.dispatcher.Dispatcher | types.FunctionType):
+        if id(value) in seen:
+            yield f"function {seen[id(value)]}"
+            return
+        seen[id(value)] = len(seen)
+        function = getattr(value, "py_func", value)
+        yield f"{function.__module__}.{function.__qualname__}"
+        yield from _content(getattr(value, "targetoptions", None), seen)
+        yield from _content((function.__defaults__, function.__kwdefaults__), seen)
+        for cell in function.__closure__ or ():
+            yield from _content(cell.cell_contents, seen)
+        code = function.__code__
+        told = code.co_consts[:1] == (function.__doc__,)  # what says it, not what does
+        code = code.replace(co_consts=(None, *code.co_consts[1:])) if told else code
+        yield from _code_content(code, function.__globals__, seen)
+    elif isinstance(value, tuple | list):
+        yield f"{type(value).__name__} of {len(value)}"
+        for part in value:
+            yield from _content(part, seen)
+    elif isinstance(value, dict | set | frozenset):  # in an order of no process
+        yield f"{type(value).__name__} of {len(value)}"
+        parts = value.items() if isinstance(value, dict) else value
+        yield from sorted("\n".join(_content(part, seen)) for part in parts)
+    elif isinstance(value, np.ndarray):
+        content = hashlib.sha256(value.tobytes()).hexdigest()
+        yield f"{value.dtype} {value.shape} {content}"
+    elif isinstance(value, type):
+        yield f"{value.__module__}.{value.__qualname__}"
+        yield from _content(getattr(value, "_fields", ()), seen)
+    elif isinstance(value, int | float | complex | str | bytes | None | np.generic):
+        yield f"{type(value).__name__} {value!r}"
+    elif isinstance(value, types.ModuleType):
+        yield f"module {value.__name__}"
+    elif isinstance(value, np.dtype | numba.types.Type | np.ufunc | types.EllipsisType):
+        yield f"{type(value).__name__} {value}"
+    elif callable(value) and hasattr(value, "__name__"):  # of numpy or Python itself
+        yield f"{getattr(value, '__module__', None)}.{value.__name__}"
+    else:
+        raise TypeError(
+            f"a compiled function reads a {type(value).__name__}, whose content cannot "
+            "be told: make it a number, a tuple or an array"
+        )
+
+
+def _code_content(
+    code: types.CodeType, names: dict[str, Any], seen: dict[int, int]
+) -> Iterator[str]:
+    """Lines that tell what a piece of code does, without where it stands."""
+    yield hashlib.sha256(code.co_code).hexdigest()
+    yield repr((code.co_varnames, code.co_names, code.co_freevars, code.co_cellvars))
+    for constant in code.co_consts:
+        if isinstance(constant, types.CodeType):
+            yield from _code_content(constant, names, seen)
+        else:
+            yield from _content(constant, seen)
+    for name, *attributes in _globals_read(code):
+        value = names.get(name)  # else a built-in, told by its name above
+        yield from _content(value, seen)
+        for attribute in attributes:
+            if not isinstance(value, types.ModuleType):
+                break
+            value = getattr(value, attribute)
+            yield from _content(value, seen)
 
 
 @functools.cache
-def _cache_folder() -> Path:
-    """Beside the package's own bytecode, or in the user's cache where that is fixed."""
-    name = f"compiled-{source_stamp(_HERE)}"
-    beside = _HERE / "__pycache__"
-    if os.access(beside if beside.exists() else _HERE, os.W_OK):
-        return beside / name
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    if os.access(Path.home(), os.W_OK):
-        return Path(home) / "ttus_opt" / name
-    return Path(tempfile.gettempdir()) / f"ttus_opt-{os.getuid()}" / name
+def _globals_read(code: types.CodeType) -> tuple[tuple[str, ...], ...]:
+    """Globals that a piece of code reads, each with the attributes it reads of it."""
+    reads: list[list[str]] = []
+    follows = False
+    for step in dis.get_instructions(code):
+        if step.opname == "LOAD_GLOBAL":
+            reads.append([step.argval])
+            follows = True
+        elif follows and step.opname in ("LOAD_ATTR", "LOAD_METHOD"):
+            reads[-1].append(step.argval)
+        else:
+            follows = False
+    return tuple(dict.fromkeys(tuple(read) for read in reads))
+
+
+def _type_content(kind: Any) -> str:
+    """A type of numba's, with the names of a named tuple's fields."""
+    parts = getattr(kind, "types", None) or getattr(kind, "type", None) or ()
+    parts = parts if isinstance(parts, tuple) else (parts,)
+    fields = ",".join(getattr(kind, "fields", ()))
+    inner = ";".join(_type_content(part) for part in parts)
+    return f"{kind}<{fields}><{inner}>"
+
+
+@functools.cache
+def _surroundings() -> str:
+    """What machine code depends on beside what it was made of."""
+    settings = numba.core.config
+    return repr(
+        (
+            (numba.__version__, llvmlite.__version__, np.__version__),
+            (sys.implementation.name, sys.version_info[:3], platform.system()),
+            (settings.OPT, settings.BOUNDSCHECK, settings.DEBUGINFO_DEFAULT),
+            settings.USING_SVML,
+        )
+    )
+
+
+class _Kept(caching._Cache):
+    """Machine code of one function, a file for each list of argument types.
+
+    A file is named after all it depends on and written in one step, so processes that
+    compile the same side by side cannot take one for another. (numba's own index can:
+    two processes that add a signature each may give both the same file.)
+    """
+
+    def __init__(self, dispatcher: Any) -> None:
+        self._dispatcher = dispatcher
+        self._enabled = True
+
+    @property
+    def cache_path(self) -> str | None:
+        folder = _folder()
+        return None if folder is None else str(folder)
+
+    def enable(self) -> None:
+        self._enabled = True
+
+    def disable(self) -> None:
+        self._enabled = False
+
+    def flush(self) -> None:
+        """Nothing to do: what has changed has another name."""
+
+    @functools.cached_property
+    def _stamp(self) -> str:
+        return content_stamp(self._dispatcher)  # later than the functions below it
+
+    def _path(self, signature: Any, codegen: Any) -> Path | None:
+        folder = _folder() if self._enabled else None
+        if folder is None:
+            return None
+        arguments, _ = sigutils.normalize_signature(signature)
+        argument_types = [_type_content(kind) for kind in arguments]
+        key = (self._stamp, argument_types, codegen.magic_tuple(), _surroundings())
+        function = self._dispatcher.py_func
+        name = f"{function.__module__}.{function.__name__}".removeprefix("ttus_opt.")
+        return folder / f"{name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}"
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The kept machine code for these types, or None."""
+        target_context.refresh()
+        path = self._path(sig, target_context.codegen())
+        if path is None:
+            return None
+        try:
+            content = path.read_bytes()
+            if time.time() - path.stat().st_mtime > KEEP_SECONDS / 30:
+                os.utime(path)  # asked for today
+        except OSError:
+            return None
+        payload = pickle.loads(content)
+        return compiler.CompileResult._rebuild(target_context, *payload)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep the machine code compiled for these types."""
+        path = self._path(sig, data.codegen)
+        if path is None or data.lifted or data.library.has_dynamic_globals:
+            return
+        new = path.with_name(f"{path.name}.{uuid.uuid4().hex}.new")
+        try:
+            new.write_bytes(dumps(data._reduce()))
+            new.replace(path)
+            _remove_old(path.parent)
+        except OSError as error:
+            new.unlink(missing_ok=True)
+            self.disable()
+            warnings.warn(
+                f"compiled code is not kept: {error}", RuntimeWarning, stacklevel=2
+            )
+
+
+@functools.cache
+def _folder() -> Path | None:
+    """Where machine code is kept: the user's cache, else a private temporary folder.
+
+    What lies there is run, so it must belong to the user and be writable to no one
+    else. A folder that the user has set (``NUMBA_CACHE_DIR``) is taken as it is.
+    """
+    chosen = numba.config.CACHE_DIR
+    if chosen:
+        folder = Path(chosen) / "ttus_opt"
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
+    for folder in (
+        home / "ttus_opt" / "compiled",
+        Path(tempfile.gettempdir()) / f"ttus_opt-{user}",
+    ):
+        if _private(folder):
+            return folder
+    warnings.warn(
+        f"compiled code is not kept: {home} cannot be written to; set NUMBA_CACHE_DIR "
+        "to a folder that can",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+    return None
+
+
+def _private(folder: Path) -> bool:
+    """Make a folder, and say whether only this user may write to it."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, exist_ok=True)
+        status = folder.lstat()
+    except OSError:
+        return False
+    if hasattr(os, "getuid") and (
+        status.st_uid != os.getuid() or status.st_mode & 0o022
+    ):
+        return False
+    return folder.is_dir() and not folder.is_symlink() and os.access(folder, os.W_OK)
+
+
+@functools.cache  # once in a process, and only in one that compiles
+def _remove_old(folder: Path) -> None:
+    """Remove what has not been asked for in a month."""
+    limit = time.time() - KEEP_SECONDS
+    for path in folder.iterdir():
+        try:
+            if path.stat().st_mtime < limit:
+                path.unlink()
+        except OSError:
+            continue  # another process has removed it
