@@ -107,7 +107,7 @@ class Row:
     peak_memory_bytes: int | None = None
     solver_memory_bytes: int | None = None
     memory_by_stage: Mapping[str, int] = field(default_factory=dict)
-    kkt: Mapping[str, float] | None = None
+    kkt: Mapping[str, float | None] | None = None
     objective: float | None = None
     iterations: int | None = None
     active_limits: int | None = None
@@ -131,7 +131,8 @@ class Row:
         """The largest relative residual [–]."""
         if self.kkt is None:
             return None
-        return max(v for k, v in self.kkt.items() if k.endswith("_relative"))
+        relative = (v for k, v in self.kkt.items() if k.endswith("_relative"))
+        return max(v for v in relative if v is not None)
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, for JSON."""

@@ -27,6 +27,7 @@ is judged, a hundred times as strictly, over that of x = 0, √f(0).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 
@@ -274,7 +275,7 @@ class _Blocks:
     @property
     def error(self) -> float:
         """Norm of the gradient, and of what multipliers of absent limits pull."""
-        return float(np.hypot(*map(np.linalg.norm, (self.gradient, self._stray))))
+        return _length(self.gradient, self._stray)
 
     def _measure(self, summand: Array) -> None:
         for name, part in self._program.variables.items():
@@ -285,8 +286,7 @@ class _Blocks:
         """The largest block of the gradient over its largest summand [–]."""
         worst = 0.0
         for name, part in self._program.variables.items():
-            both = self.gradient[part], self._stray[part]
-            size = float(np.hypot(*map(np.linalg.norm, both)))
+            size = _length(self.gradient[part], self._stray[part])
             if size == 0.0:
                 continue
             least = _least_pull(self._program, part, largest)
@@ -388,6 +388,11 @@ def _least_pull(program: Program, part: slice, largest: float) -> float:
             row *= 2.0 * longest * largest * _ROUNDING
         least = max(least, row)
     return least
+
+
+def _length(*vectors: Array) -> float:
+    """Euclidean norm of all of them together."""
+    return math.hypot(*(float(np.linalg.norm(vector)) for vector in vectors))
 
 
 def _longest_row(matrix: sp.csr_array) -> float:

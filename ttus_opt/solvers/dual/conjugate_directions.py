@@ -171,20 +171,29 @@ class Directions(Generic[Operator]):
         part = float(d @ right_side)
         return part * d, right_side - part * image
 
-    def extend(self, direction: Array, rtol: float) -> None:
+    def extend(self, direction: Array, rtol: float) -> bool:
         """Make a direction conjugate to the others, normalise and keep it.
 
         Args:
             direction: Shape (m,).
             rtol: Relative residual of the solves in its product.
+
+        Returns:
+            Whether there is a direction to keep: where weights are so large that I
+            drowns in K, rounding leaves none.
         """
         for _ in range(2):  # twice is enough; once goes astray where K is large
             parts = _products(self._images.all, direction)
             direction = direction - _combination(parts, self._directions.all)
+        if not np.isfinite(direction).all():
+            return False
         image = self.system.apply(direction, rtol)
-        size = float(np.sqrt(direction @ image))
-        self._directions.append(direction / size)
-        self._images.append(image / size)
+        square = float(direction @ image)
+        if not (np.isfinite(square) and square > 0.0):
+            return False
+        self._directions.append(direction / np.sqrt(square))
+        self._images.append(image / np.sqrt(square))
+        return True
 
 
 def solve_dual(
@@ -221,7 +230,8 @@ def solve_dual(
         if deadline is not None and time.perf_counter() > deadline:
             break
         rtol = min(max(0.1 * goal / size, RTOL), LOOSEST)
-        directions.extend(precondition(residual), rtol)
+        if not directions.extend(precondition(residual), rtol):
+            return best, steps
         # onto all directions, not the last alone: inexact images leave a rest on each
         step, residual = directions.project(residual)
         y = y + step
