@@ -95,7 +95,7 @@ def _integrated(x: float) -> float:
     """2x - 3 + 4e⁻ˣ - e⁻²ˣ, by its series where the sum would cancel to x³ [–]."""
     if x < 0.1:
         powers = range(3, 14)  # the next is below rounding
-        return sum((4 - 2**k) / math.factorial(k) * (-x) ** k for k in powers)
+        return sum((4.0 - 2.0**k) / math.factorial(k) * (-x) ** k for k in powers)
     return 2.0 * x - 3.0 + 4.0 * math.exp(-x) - math.exp(-2.0 * x)
 
 
