@@ -38,8 +38,6 @@ def test_problems_are_sparse_named_and_solvable(test_set: Any) -> None:
     for problem in problems.values():
         assert not problem.has_sparse or problem.P.format == "csc"
         assert problem.A.shape[0] > 0, "without equality rows some go through LSQR"
-    if "clarabel" not in qpsolvers.available_solvers:
-        pytest.skip("clarabel is not installed")
     answer = qpsolvers.solve_problem(problems["XXS_eq10"], solver="clarabel")
     assert answer.found
     assert answer.primal_residual() < 1e-6

@@ -129,6 +129,22 @@ def test_memory_limit_is_a_row(tmp_path: Path) -> None:
     assert row.peak_memory_bytes > 2**30
 
 
+def test_a_run_that_is_refused_at_last_tells_its_memory(tmp_path: Path) -> None:
+    """Refused by its own process, which had a size by then."""
+    deed = """from ttus_opt.errors import InputError
+raise InputError("not on this grid")"""
+    (row,) = small_suite(
+        tmp_path / "out",
+        cases=[TRAPPED],
+        formulations=[trap(tmp_path, deed)],
+        solvers=["osqp"],
+        closed_form="",
+    ).run()
+    assert (row.status, row.detail) == ("refused", "not on this grid")
+    assert row.peak_memory_bytes is not None
+    assert row.peak_memory_bytes > 2**26
+
+
 @pytest.mark.slow
 def test_who_does_not_stop_is_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -169,6 +185,30 @@ def test_weights_go_where_they_are_known(tmp_path: Path) -> None:
     assert options["eq10"] == {"force_weight": 1e-2, "torque_weight": 1e-2}
     assert options["laplace_only"] == {}
     assert [spec.solver for spec in plan[:2]] == ["closed_form", "osqp"]
+
+
+def named_cases(folder: Path, case: str, **other: object) -> list[str]:
+    """Solvers that would run on a reference case, in order."""
+    asked = small_suite(folder, cases=reference_cases(case), **other)
+    return [spec.solver for spec in asked.plan()]
+
+
+def test_the_reference_is_what_fits_the_case(tmp_path: Path) -> None:
+    some = {"solvers": ["osqp"]}
+    assert named_cases(tmp_path, "S", **some) == ["closed_form", "osqp"]
+    assert named_cases(tmp_path, "M", **some) == ["osqp"]
+    assert named_cases(tmp_path, "L", **some) == ["osqp"]
+    # of all that are installed neither
+    everyone: dict[str, object] = {"solvers": []}
+    assert named_cases(tmp_path, "S", **everyone)[0] == "closed_form"
+    large = named_cases(tmp_path, "L", **everyone)
+    assert "structured" in large
+    assert not [name for name in large if name.startswith("closed_form")]
+    # who asks for one has it
+    asked = named_cases(tmp_path, "L", closed_form="closed_form", **some)
+    assert asked == ["closed_form", "osqp"]
+    assert named_cases(tmp_path, "L", solvers=["closed_form"]) == ["closed_form"]
+    assert named_cases(tmp_path, "S", closed_form="", **some) == ["osqp"]
 
 
 def test_weight_is_everyones(tmp_path: Path) -> None:

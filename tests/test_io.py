@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import stat
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +32,60 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
         raise RuntimeError
     assert target.read_text() == "old"
     assert list(tmp_path.iterdir()) == [target]
+
+
+def replaced_mode(target: Path, umask: int) -> int:
+    """Permissions of a file that was replaced under a umask."""
+    before = os.umask(umask)
+    try:
+        with io.replacing(target) as temporary:
+            temporary.write_text("new")
+    finally:
+        os.umask(before)
+    return stat.S_IMODE(target.stat().st_mode)
+
+
+@pytest.mark.parametrize(
+    ("umask", "mode"), [(0o022, 0o644), (0o002, 0o664), (0o077, 0o600), (0, 0o666)]
+)
+def test_a_file_has_the_mode_of_any_new_file(
+    tmp_path: Path, umask: int, mode: int
+) -> None:
+    assert replaced_mode(tmp_path / "a.txt", umask) == mode
+
+
+def test_writing_leaves_the_umask_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is the process's: another thread's file would be open to everyone."""
+
+    def changed(mask: int) -> int:
+        raise AssertionError("the umask was changed")
+
+    monkeypatch.setattr(os, "umask", changed)
+    with io.replacing(tmp_path / "a.txt") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "a.txt").read_text() == "new"
+
+
+def test_many_writers_of_one_file_do_not_meet(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    with io.replacing(target) as first, io.replacing(target) as second:
+        assert first != second
+        first.write_text("first")
+        second.write_text("second")
+    assert target.read_text() == "first"  # the last to end
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_folder_that_cannot_be_written_to_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    target = tmp_path / "file" / "a.txt"
+    with (
+        pytest.raises(FileError, match=r"cannot write .*choose another folder"),
+        io.replacing(target),
+    ):
+        pass
 
 
 def test_kind_and_version_are_checked(tmp_path: Path) -> None:

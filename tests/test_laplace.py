@@ -195,10 +195,26 @@ def test_ends_solve_the_polar_problem() -> None:
         np.testing.assert_allclose(b[:, :, k], exact[:, None] * np.ones(8), atol=1e-4)
 
 
-def test_ends_satisfy_the_polar_stencil_of_a_torso(system: LaplaceSystem) -> None:
+def touching() -> LaplaceSystem:
+    """A torso whose surface reaches the outer layer at its widest, ends as well."""
+    surface = torso()
+    widest = float(surface.radius.max())
+    voxmap = Voxmap.from_surface(surface, shape=(14, 24, 11), r_outer=widest)
+    at_end = voxmap.region[-1, :, 0] == SURFACE
+    assert at_end.any()
+    assert not at_end.all()
+    return LaplaceSystem.assemble(voxmap)
+
+
+@pytest.mark.parametrize("where", ["between", "on the outer layer"])
+@pytest.mark.parametrize("end", [0, -1])
+def test_ends_satisfy_the_polar_stencil_of_a_torso(
+    system: LaplaceSystem, where: str, end: int
+) -> None:
+    system = system if where == "between" else touching()
     grid = system.grid
-    b = grid.unflatten(system.right_side(2.0, 1.0))[:, :, 0]
-    fixed = system.voxmap.region[:, :, 0] == SURFACE
+    b = grid.unflatten(system.right_side(2.0, 1.0))[:, :, end]
+    fixed = system.voxmap.region[:, :, end] == SURFACE
     step, worst = grid.r_step, 0.0
     for i, j in itertools.product(range(1, grid.shape[0] - 1), range(grid.shape[1])):
         if fixed[i, j]:
@@ -213,6 +229,19 @@ def test_ends_satisfy_the_polar_stencil_of_a_torso(system: LaplaceSystem) -> Non
         )
         worst = max(worst, abs(rest))
     assert worst < 1e-12
+    # and what is given: on the inner layer, on the surface, on the rest of the outer
+    np.testing.assert_allclose(b[0], 2.0, rtol=1e-12)
+    np.testing.assert_array_equal(b[fixed], 0.0)
+    np.testing.assert_allclose(b[-1, ~fixed[-1]], -1.0, rtol=1e-12)
+
+
+def test_a_surface_that_is_the_outer_layer_knows_no_outside() -> None:
+    """The annulus between the inner layer and R = r_outer, ends and middle."""
+    system = tube((65, 8, 5), 0.04, 0.12, 0.12)
+    assert not system.outer_part.any()
+    p = system.grid.unflatten(system.solve(system.right_side(1.0, 1.0)))
+    exact = np.log(0.12 / system.grid.r) / np.log(3.0)
+    np.testing.assert_allclose(p, exact[:, None, None] + 0 * p, atol=2e-4)
 
 
 def test_right_side_is_linear_and_checked(system: LaplaceSystem) -> None:

@@ -109,6 +109,12 @@ def test_bad_files(tmp_path: Path) -> None:
         Surface.load(tmp_path / "text.nc")
     with pytest.raises(FileError, match="'mm', expected 'm'"):
         Surface.load(_file(tmp_path / "mm.nc", units="mm"))
+    with pytest.raises(FileError, match="z has units 'mm', expected 'm'"):
+        millimetres = ("z", 1000.0 * wavy().z, {"units": "mm"})
+        Surface.load(_file(tmp_path / "z_mm.nc", z=millimetres))
+    with pytest.raises(FileError, match="radius_std has units 'cm', expected 'm'"):
+        deviation = (("theta", "z"), wavy().radius_std, {"units": "cm"})
+        Surface.load(_file(tmp_path / "std_cm.nc", radius_std=deviation))
     with pytest.raises(FileError, match="no variable radius"):
         Surface.load(_file(tmp_path / "flat.nc", radius=("z", np.zeros(7))))
     with pytest.raises(FileError, match="equal steps"):

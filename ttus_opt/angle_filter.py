@@ -7,11 +7,13 @@ probabilistic data association of the candidates r_i of a spoke,
 
     β_i ∝ Normal(r_i; d̂, S) · D_i,   y = Σ β_i r_i.
 
-Two departures from print. r_i stands where the paper has y in its own definition.
-And D, which makes a far surface (the bed) unlikely, is one number per *surface*:
-candidates closer than `_SAME_SURFACE` σ to the next belong together and share the D
-of their mean. D then chooses between surfaces but not among the noisy points of one,
-where it would favour the near ones and pull the contour inwards by 2hσ²/(h² + σ²).
+Three departures from the paper. r_i stands where it prints y in y's own definition. S
+is the variance of the innovation r_i - d̂, as data association needs it: that of the
+prediction and that of a point, S = P + σ². And D, which makes a far surface (the bed)
+unlikely, is one number per *surface*: candidates closer than `_SAME_SURFACE` σ to the
+next belong together and share the D of their mean. D then chooses between surfaces
+but not among the noisy points of one, where it would favour the near ones and pull
+the contour inwards by 2hσ²/(h² + σ²).
 
 All slices are filtered at once. Two laps close the contour; a Rauch-Tung-Striebel
 pass backwards uses what comes after a spoke as well as what comes before, and the
@@ -21,6 +23,7 @@ that weighing around a prediction has.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,12 +66,37 @@ class ContourModel:
                 raise InputError(f"{name} must be positive, got {value:g}")
 
     def transition(self, step: float) -> tuple[Array, Array]:
-        """F and Q of one step [rad] of the angle, both (2, 2)."""
-        decay = np.exp(-step / self.slope_angle)
-        F = np.array([[1.0, self.slope_angle * (1.0 - decay)], [0.0, decay]])
-        power = 2.0 * self.slope_std**2 / self.slope_angle
-        Q = power * np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
+        """F and Q of one step of the angle, exact for a step of any size.
+
+        The process dd = g dθ, dg = -g dθ/ℓ + s √(2/ℓ) dW with slope_angle ℓ and
+        slope_std s, integrated over the step: s is the slope's stationary deviation
+        however many spokes there are.
+
+        Args:
+            step: Angle between two spokes [rad].
+
+        Returns:
+            F and Q, shape (2, 2) each; the state is (d [m], g [m/rad]).
+        """
+        turned = step / self.slope_angle
+        kept, lost = math.exp(-turned), -math.expm1(-turned)
+        F = np.array([[1.0, self.slope_angle * lost], [0.0, kept]])
+        cross = self.slope_angle * lost**2
+        Q = self.slope_std**2 * np.array(
+            [
+                [self.slope_angle**2 * _integrated(turned), cross],
+                [cross, -math.expm1(-2.0 * turned)],
+            ]
+        )
         return F, Q
+
+
+def _integrated(x: float) -> float:
+    """2x - 3 + 4e⁻ˣ - e⁻²ˣ, by its series where the sum would cancel to x³ [–]."""
+    if x < 0.1:
+        powers = range(3, 14)  # the next is below rounding
+        return sum((4.0 - 2.0**k) / math.factorial(k) * (-x) ** k for k in powers)
+    return 2.0 * x - 3.0 + 4.0 * math.exp(-x) - math.exp(-2.0 * x)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,15 @@ from ttus_opt.grid import CylindricalGrid
 from ttus_opt.surface import Surface
 from ttus_opt.voxmap import Voxmap
 
+if TYPE_CHECKING:
+    import xarray as xr
+
 Array = NDArray[np.float64]
 
 KIND, VERSION = "field", 1
+
+#: Dimensions of voxel values and of the surface in the file
+DIMS, SKIN = ("r", "theta", "z"), ("surface_theta", "surface_z")
 
 #: Unit of the field for each sampling (design §2)
 FIELD_UNIT: dict[str, str] = {"voxel-mean": "N", "trilinear": "N cm-2"}
@@ -76,18 +83,17 @@ class PotentialField:
         import xarray as xr
 
         grid, surface = self.voxmap.grid, self.voxmap.surface
-        dims, skin = ("r", "theta", "z"), ("surface_theta", "surface_z")
         dataset = xr.Dataset(
             {
-                "potential": (dims, self.values, {"units": self.unit}),
+                "potential": (DIMS, self.values, {"units": self.unit}),
                 "region": (
-                    dims,
+                    DIMS,
                     self.voxmap.region,
                     {"units": "1", "flags": "1 inside, 0 surface, -1 outside"},
                 ),
-                "radius": (skin, surface.radius, {"units": "m"}),
-                "radius_std": (skin, surface.radius_std, {"units": "m"}),
-                "observed": (skin, surface.observed.astype("i1"), {"units": "1"}),
+                "radius": (SKIN, surface.radius, {"units": "m"}),
+                "radius_std": (SKIN, surface.radius_std, {"units": "m"}),
+                "observed": (SKIN, surface.observed.astype("i1"), {"units": "1"}),
             },
             coords={
                 "r": ("r", grid.r, {"units": "m"}),
@@ -117,23 +123,42 @@ class PotentialField:
         """
         data = io.read_dataset(path, kind=KIND, version=VERSION)
         try:
-            values = data["potential"].to_numpy()
-            r_inner, r_outer, z_min, z_max = json.loads(data.attrs["grid_limits"])
-            grid = CylindricalGrid(r_inner, r_outer, z_min, z_max, values.shape)
-            surface = Surface(
-                data["surface_theta"].to_numpy(),
-                data["surface_z"].to_numpy(),
-                data["radius"].to_numpy(),
-                data["radius_std"].to_numpy(),
-                data["observed"].to_numpy().astype(bool),
-                Axis.from_attributes(data.attrs),
-            )
-            return cls(
-                Voxmap(grid, surface, data["region"].to_numpy()),
-                values,
-                data.attrs["sampling"],
-                json.loads(data.attrs["parameters"]),
-                json.loads(data.attrs["provenance"]),
-            )
-        except (KeyError, InputError, ValueError) as error:
+            return _from_dataset(data)
+        except (KeyError, InputError, TypeError, ValueError) as error:
             raise FileError(f"{path}: damaged field file: {error}") from error
+
+
+def _from_dataset(data: xr.Dataset) -> PotentialField:
+    """The field that `PotentialField.save` wrote.
+
+    Raises:
+        InputError: A variable that is missing, has other dimensions or units, or
+            does not fit the grid; also KeyError, TypeError or ValueError.
+    """
+    sampling = data.attrs["sampling"]
+    if sampling not in FIELD_UNIT:
+        raise InputError(
+            f"sampling must be one of {', '.join(FIELD_UNIT)}, got {sampling!r}"
+        )
+    values = io.array_of(data, "potential", DIMS, FIELD_UNIT[sampling])
+    r_inner, r_outer, z_min, z_max = json.loads(data.attrs["grid_limits"])
+    grid = CylindricalGrid(r_inner, r_outer, z_min, z_max, values.shape)
+    for name, units in zip(DIMS, ("m", "rad", "m"), strict=True):
+        centres = io.array_of(data, name, (name,), units)
+        if not np.allclose(centres, getattr(grid, name), rtol=0.0, atol=1e-9):
+            raise InputError(f"{name} is not where grid_limits puts the voxels")
+    surface = Surface(
+        io.array_of(data, "surface_theta", SKIN[:1], "rad"),
+        io.array_of(data, "surface_z", SKIN[1:], "m"),
+        io.array_of(data, "radius", SKIN, "m"),
+        io.array_of(data, "radius_std", SKIN, "m"),
+        io.array_of(data, "observed", SKIN, "1").astype(bool),
+        Axis.from_attributes(data.attrs),
+    )
+    return PotentialField(
+        Voxmap(grid, surface, io.array_of(data, "region", DIMS, "1")),
+        values,
+        sampling,
+        json.loads(data.attrs["parameters"]),
+        json.loads(data.attrs["provenance"]),
+    )

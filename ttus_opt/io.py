@@ -12,13 +12,15 @@ import datetime
 import importlib.metadata
 import os
 import platform
-import tempfile
+import secrets
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from ttus_opt.errors import FileError
+from numpy.typing import NDArray
+
+from ttus_opt.errors import FileError, InputError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -61,22 +63,19 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         FileError: The folder cannot be made or written to.
     """
     target = Path(path)
+    unique = f".{target.stem}-{secrets.token_hex(8)}{target.suffix}"
+    temporary = target.parent / unique
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(
-            prefix=f".{target.stem}-", suffix=target.suffix, dir=target.parent
-        )
+        # made here with the mode of any new file, so that the umask applies: reading
+        # it means to change it, for every thread
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except OSError as error:
         raise FileError(
             f"cannot write {target}: {error.strerror or error}: choose another folder"
         ) from error
-    os.close(handle)
-    temporary = Path(name)
     try:
         yield temporary
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
@@ -159,3 +158,37 @@ def read_dataset(
             f"{version}: {'update ttus_opt' if given > version else 'write it again'}"
         )
     return dataset
+
+
+def array_of(
+    dataset: xr.Dataset, name: str, dims: tuple[str, ...], units: str
+) -> NDArray[Any]:
+    """A variable's values, its dimensions and units being those expected.
+
+    Args:
+        dataset: What was read.
+        name: The variable.
+        dims: Its dimensions, in order.
+        units: Its unit, as it was written.
+
+    Returns:
+        The values.
+
+    Raises:
+        InputError: It is not there, or has other dimensions or units.
+    """
+    if name not in dataset.variables:
+        raise InputError(f"it has no variable {name}")
+    found = dataset[name]
+    if found.dims != dims:
+        raise InputError(
+            f"{name} has dimensions ({', '.join(map(str, found.dims))}), expected "
+            f"({', '.join(dims)})"
+        )
+    given = found.attrs.get("units")
+    if given != units:
+        raise InputError(
+            f"{name} has units {given!r}, expected {units!r}: convert it and state "
+            "the unit"
+        )
+    return found.to_numpy()

@@ -178,12 +178,15 @@ class Surface:
                 f"{path} has no variable radius(theta, z): not a surface file"
             )
         dataset = dataset.transpose("theta", "z", ...).sortby("theta").sortby("z")
-        units = dataset["radius"].attrs.get("units")
-        if units != "m":
-            raise FileError(
-                f"{path}: radius has units {units!r}, expected 'm': convert it and "
-                "state the unit"
-            )
+        for name in ("radius", "radius_std", "z"):
+            told = dataset[name].attrs if name in dataset.variables else {}
+            # only the radius must state its unit; none may state another one
+            units = told.get("units", None if name == "radius" else "m")
+            if units != "m":
+                raise FileError(
+                    f"{path}: {name} has units {units!r}, expected 'm': convert it and "
+                    "state the unit"
+                )
         radius = dataset["radius"].to_numpy().astype(float)
         std = dataset.get("radius_std")
         observed = dataset.get("observed")

@@ -40,6 +40,23 @@ class Voxmap:
     surface: Surface = field(repr=False)
     region: NDArray[np.int8] = field(repr=False)
 
+    def __post_init__(self) -> None:
+        """Refuse regions that are none of this grid.
+
+        Raises:
+            InputError: Another shape, or a value that names no region.
+        """
+        if self.region.shape != self.grid.shape:
+            raise InputError(
+                f"region must have the grid's shape {self.grid.shape}, got "
+                f"{self.region.shape}"
+            )
+        if not np.isin(self.region, (INSIDE, SURFACE, OUTSIDE)).all():
+            raise InputError(
+                f"region must hold {INSIDE} inside, {SURFACE} on the surface and "
+                f"{OUTSIDE} outside only"
+            )
+
     @classmethod
     def from_surface(
         cls,

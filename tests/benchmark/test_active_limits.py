@@ -6,14 +6,14 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 import ttus_opt as tt
+from tests.solvers import taking
 from tests.solvers.problems import INF, bounds, program, rows, term
 from ttus_opt.benchmark.active_limits import active_limits
 from ttus_opt.benchmark.cases import reference_cases
 from ttus_opt.problem.kkt import Duals
-from ttus_opt.solvers.registry import solvers
+from ttus_opt.solvers.base import Solver
 
 #: A small case whose limits are contested or not
 TINY = replace(
@@ -48,20 +48,19 @@ def test_inequality_rows_count() -> None:
     assert active_limits(problem, np.array([1.0, 2.0]), duals) == 2
 
 
-@pytest.mark.parametrize("name", ["osqp", "scs", "clarabel"])
-def test_solvers_agree(name: str) -> None:
-    if not solvers()[name].installed:
-        pytest.skip(f"{name} is not installed")
+@taking.over({"osqp", "scs", "clarabel"})
+def test_solvers_agree(solver: Solver) -> None:
+    name = solver.name
     counts = {}
     for contest, weight in (("", 1e-2), ("reversed", 100.0)):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             scene = replace(TINY, contest=contest).build()
         weights = {"force_weight": weight, "torque_weight": weight}
-        for solver in ("structured", name):
-            found = tt.fit(scene, "eq10_sign", solver=solver, **weights)
+        for asked in ("structured", name):
+            found = tt.fit(scene, "eq10_sign", solver=asked, **weights)
             x = found.candidate
             assert x is not None
-            counts[contest, solver] = active_limits(found.program, x, found.duals)
+            counts[contest, asked] = active_limits(found.program, x, found.duals)
     assert counts["", "structured"] == counts["", name] == 0
     assert counts["reversed", "structured"] == counts["reversed", name] > 0

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from tests.conftest import small_scene
+from tests.solvers import taking
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.sign import Sign
@@ -18,13 +19,8 @@ from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Request, Solver
-from ttus_opt.solvers.registry import solvers
 
 Array = NDArray[np.float64]
-
-INSTALLED = [solver for solver in solvers().values() if solver.installed]
-every_solver = pytest.mark.parametrize("solver", INSTALLED, ids=lambda s: s.name)
-
 
 #: Asked of every solver
 TOLERANCE = 1e-9
@@ -70,11 +66,9 @@ def random_case(seed: int) -> tuple[Program, Array]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-@every_solver
+@taking.over(taking.BOUNDED)
 def test_enumeration_of_active_sets(solver: Solver, seed: int) -> None:
     case, answer = random_case(seed)
-    if solver.refusal(case):
-        pytest.skip(solver.refusal(case))
     candidate = solver.prepare(case, Request(TOLERANCE, 60.0)).solve()
     assert candidate.x is not None
     np.testing.assert_allclose(candidate.x, answer, atol=1e-5)
@@ -99,11 +93,9 @@ def stacked(problem: Program) -> tuple[Array, Array]:
     return np.vstack(M), np.concatenate(target)
 
 
-@every_solver
+@taking.over(taking.FORMULATIONS["eq10"])
 def test_eq10_is_dense_least_squares(solver: Solver, tiny: Formulation) -> None:
     problem = tiny.compile()
-    if solver.refusal(problem):
-        pytest.skip(solver.refusal(problem))
     M, t = stacked(problem)
     answer = np.linalg.lstsq(M, t, rcond=None)[0]
     candidate = solver.prepare(problem, Request(TOLERANCE, 60.0)).solve()
@@ -111,11 +103,9 @@ def test_eq10_is_dense_least_squares(solver: Solver, tiny: Formulation) -> None:
     assert np.linalg.norm(candidate.x - answer) <= 1e-6 * np.linalg.norm(answer)
 
 
-@every_solver
+@taking.over(taking.FORMULATIONS["eq10_sign"])
 def test_sign_is_dense_bounded_least_squares(solver: Solver, tiny: Formulation) -> None:
     problem = tiny.with_constraints(Sign(tiny.scene)).compile()
-    if solver.refusal(problem):
-        pytest.skip(solver.refusal(problem))
     M, t = stacked(problem)
     answer = lsq_linear(M, t, problem.box, method="bvls", tol=1e-14).x
     held = np.isclose(answer, 0.0, atol=1e-12) & np.isfinite(problem.box).any(axis=0)
@@ -125,11 +115,9 @@ def test_sign_is_dense_bounded_least_squares(solver: Solver, tiny: Formulation) 
     assert np.linalg.norm(candidate.x - answer) <= 1e-4 * np.linalg.norm(answer)
 
 
-@every_solver
+@taking.over(taking.FORMULATIONS["eq10_hard_boundary"])
 def test_hard_boundary_is_dense_elimination(solver: Solver, tiny: Formulation) -> None:
     problem = tiny.with_constraints(HardBoundary(tiny.scene)).compile()
-    if solver.refusal(problem):
-        pytest.skip(solver.refusal(problem))
     M, t = stacked(problem)
     fixed = ~tiny.scene.laplace.free
     answer = np.where(fixed, tiny.scene.b, 0.0)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
+from tests.solvers import taking
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.kkt import kkt_residuals
@@ -16,7 +17,11 @@ from ttus_opt.solvers import closed_form
 from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import solvers
 
-INSTALLED = [solver for solver in solvers().values() if solver.installed]
+#: Who keeps something; highs keeps nothing, and each solve takes it seconds
+KEEPERS = {
+    "free": taking.FORMULATIONS["eq10"],
+    "signed": taking.FORMULATIONS["eq10_sign"] - taking.HIGHS,
+}
 SHAPE = (6, 14, 7)
 
 
@@ -33,14 +38,10 @@ def compiled(signed: bool, factor: float = 1.0, weight: float = 1.0) -> Program:
     return declared.compile()
 
 
-@pytest.mark.parametrize("signed", [False, True], ids=["free", "signed"])
-@pytest.mark.parametrize("solver", INSTALLED, ids=lambda s: s.name)
-def test_update_equals_fresh(solver: Solver, signed: bool) -> None:
+@pytest.mark.parametrize(("solver", "limits"), taking.pairs(KEEPERS))
+def test_update_equals_fresh(solver: Solver, limits: str) -> None:
+    signed = limits == "signed"
     first = compiled(signed)
-    if solver.refusal(first):
-        pytest.skip(solver.refusal(first))
-    if solver.name == "highs":
-        pytest.skip("nothing is kept, and each solve takes seconds")
     tolerance = 1e-8
     prepared = solver.prepare(first, Request(tolerance, 60.0))
     prepared.solve()
@@ -60,11 +61,8 @@ def test_update_equals_fresh(solver: Solver, signed: bool) -> None:
         assert apart <= 1e-4
 
 
-@pytest.mark.parametrize("name", ["osqp", "scs"])
-def test_splitting_starts_from_its_last_answer(name: str) -> None:
-    solver = solvers()[name]
-    if not solver.installed:
-        pytest.skip(f"{name} is not installed")
+@taking.over({"osqp", "scs"})
+def test_splitting_starts_from_its_last_answer(solver: Solver) -> None:
     prepared = solver.prepare(compiled(True, factor=-2.0), Request(1e-7))
     cold = prepared.solve().iterations
     prepared.update(compiled(True, factor=-2.0001))
@@ -96,8 +94,6 @@ def test_amg_pcg_keeps_its_multigrid_and_starts_from_its_last_answer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     solver = solvers()["amg_pcg"]
-    if not solver.installed:
-        pytest.skip("pyamg is not installed")
     import pyamg
 
     made = []

@@ -83,7 +83,8 @@ def run_isolated(spec: RunSpec, fields: Path, memory_limit: int | None = None) -
         if row.field_file:
             fields.mkdir(parents=True, exist_ok=True)
             shutil.move(outcome.folder / row.field_file, fields / row.field_file)
-        return replace(row, key=spec.key)
+        peak = row.peak_memory_bytes or outcome.peak or None
+        return replace(row, key=spec.key, peak_memory_bytes=peak)
 
 
 def late(time_limit: float) -> float:

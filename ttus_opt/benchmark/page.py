@@ -92,7 +92,10 @@ def _solvers(
             against,
         ]
         if against
-        else [f"`{closed_form or 'no closed form'}` has no answer here."]
+        else [
+            f"`{closed_form or 'no closed form'}` has no answer here. It is run on "
+            "cases it fits; `--closed-form` asks for one on any."
+        ]
     )
     for case, formulation in dict.fromkeys((r.case, r.formulation) for r in rows):
         own = [r for r in rows if (r.case, r.formulation) == (case, formulation)]

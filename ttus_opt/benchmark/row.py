@@ -76,7 +76,9 @@ class Row:
         seconds_first: Set-up and first solve, median of the repeats [s].
         seconds_again: Taking in other measured values and solving again, median [s].
         seconds_each: Every repeat's ``first`` and ``again`` [s].
-        peak_memory_bytes: Largest size of the process.
+        peak_memory_bytes: Largest resident size of the run's own process from its
+            first import to its end; of one that was ended, the largest that was seen;
+            None where none was begun (refused, not installed) [byte].
         solver_memory_bytes: What set-up and solve added to it at most.
         memory_by_stage: Largest size of the process per stage.
         kkt: Residuals verified here, absolute and relative.

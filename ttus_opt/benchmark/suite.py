@@ -33,6 +33,13 @@ WEIGHT = 1e-2
 #: The same by option, as it is given to every formulation that has them
 WEIGHTS = {"force_weight": WEIGHT, "torque_weight": WEIGHT}
 
+#: As the reference: `CLOSED_FORM` where it fits the case
+AUTO = "auto"
+
+#: The reference by default, and the largest case it fits [voxels]: factorising Q takes
+#: time ∝ V² (a minute on S), and passes the default time limit soon beyond
+CLOSED_FORM, CLOSED_FORM_FITS = "closed_form", 100_000
+
 #: Part of the memory available at the start that one run may take
 MEMORY_PART = 0.8
 
@@ -44,9 +51,11 @@ class Suite:
     Attributes:
         cases: The scenes.
         formulations: Names or paths.
-        solvers: Names; empty for every one installed.
+        solvers: Names; empty for every one installed, closed forms on cases of up to
+            `CLOSED_FORM_FITS` voxels only.
         output: Folder of the results.
-        closed_form: Name of the solver whose answer is the reference; "" for none.
+        closed_form: Name of the solver whose answer is the reference; "" for none;
+            `AUTO` for the closed form on cases of up to `CLOSED_FORM_FITS` voxels.
         options: Formulation options beside the weights.
         tolerance: Largest relative KKT residual of a solution [–].
         time_limit: Most seconds of one solve [s].
@@ -62,7 +71,7 @@ class Suite:
     formulations: Sequence[str]
     solvers: Sequence[str]
     output: Path
-    closed_form: str = "closed_form"
+    closed_form: str = AUTO
     options: Mapping[str, Any] = field(default_factory=dict)
     tolerance: float = 1e-6
     time_limit: float = 600.0
@@ -71,6 +80,11 @@ class Suite:
     dask: str = ""
     memory_limit: int | None = None
     weight: float = WEIGHT
+
+    @property
+    def reference(self) -> str:
+        """Name of the reference on cases that have one; "" for none at all."""
+        return CLOSED_FORM if self.closed_form == AUTO else self.closed_form
 
     @property
     def rows_file(self) -> Path:
@@ -100,13 +114,9 @@ class Suite:
                 range: told before anything runs.
         """
         self._check()
-        names = list(self.solvers) or [
-            name for name, solver in solvers().items() if solver.installed
-        ]
-        if self.closed_form:
-            names = [self.closed_form, *(n for n in names if n != self.closed_form)]
         runs = []
         for case in self.cases:
+            names = self._names(case)
             small = _small_scene(case)
             for formulation in self.formulations:
                 weights = dict.fromkeys(WEIGHTS, self.weight)
@@ -164,9 +174,7 @@ class Suite:
             with self.rows_file.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(row.as_dict()) + "\n")
             told(row)
-        return finished(
-            [rows[spec.key] for spec in plan], self.closed_form, self.fields
-        )
+        return finished([rows[spec.key] for spec in plan], self.reference, self.fields)
 
     def _results(self, known: list[Row], runs: list[RunSpec]) -> Iterator[Row]:
         yield from known
@@ -186,9 +194,21 @@ class Suite:
                 joblib.delayed(run_isolated)(spec, self.fields, limit) for spec in runs
             )
 
+    def _names(self, case: CaseSpec) -> list[str]:
+        """Solvers of a case, the reference first where it has one."""
+        fits = case.n_voxels <= CLOSED_FORM_FITS
+        names = list(self.solvers) or [
+            name
+            for name, solver in solvers().items()
+            if solver.installed and (fits or not name.startswith(CLOSED_FORM))
+        ]
+        if self.reference and (fits or self.closed_form != AUTO):
+            names = [self.reference, *(n for n in names if n != self.reference)]
+        return names
+
     def _check(self) -> None:
         known = solvers()
-        for name in (*self.solvers, *([self.closed_form] if self.closed_form else [])):
+        for name in (*self.solvers, *([self.reference] if self.reference else [])):
             if name not in known:
                 import difflib
 
@@ -198,10 +218,10 @@ class Suite:
                     f"{'did you mean' if near else 'there are'} "
                     f"{', '.join(near or known)}?"
                 )
-        if self.closed_form and not self.closed_form.startswith("closed_form"):
+        if self.reference and not self.reference.startswith(CLOSED_FORM):
             raise InputError(
-                f"the reference must be a closed form, got {self.closed_form!r}: "
-                "choose closed_form or closed_form_pardiso"
+                f"the reference must be a closed form, got {self.reference!r}: "
+                "choose closed_form, closed_form_pardiso, none or auto"
             )
         Request(self.tolerance, self.time_limit)  # raises what is wrong with them
         for name, value in (("repeat", self.repeat), ("jobs", self.jobs)):

@@ -41,15 +41,20 @@ def benchmark(
         str, typer.Option(help="Names or paths, separated by commas.")
     ] = "eq10",
     solvers: Annotated[
-        str, typer.Option(help="Names separated by commas, or all that are installed.")
+        str,
+        typer.Option(
+            help="Names separated by commas, or all that are installed, closed forms "
+            "up to 100,000 voxels only."
+        ),
     ] = "all",
     closed_form: Annotated[
         str,
         typer.Option(
             help="Reference of the first table: closed_form, closed_form_pardiso, …, "
-            "or none."
+            "none, or auto: closed_form on cases of up to 100,000 voxels (S), none on "
+            "larger ones, where it would pass the time limit."
         ),
-    ] = "closed_form",
+    ] = "auto",
     repeat: Annotated[int, typer.Option(help="Times each is measured.")] = 1,
     time_limit: Annotated[
         float, typer.Option(help="Most seconds of one solve, set-up included.")
@@ -99,7 +104,12 @@ def benchmark(
         typer.Option(help="Most GiB of one run; by default 80 % of what is free."),
     ] = None,
     memory: Annotated[
-        bool, typer.Option("--memory", help="Show the peak memory of each stage.")
+        bool,
+        typer.Option(
+            "--memory",
+            help="Show the peak memory of each stage; that of the whole process is in "
+            "every row anyway.",
+        ),
     ] = False,
     export: Annotated[
         Path | None,
@@ -251,7 +261,7 @@ def _report(
     return write_page(
         suite.output,
         rows,
-        closed_form=suite.closed_form,
+        closed_form=suite.reference,
         command=shlex.join(["ttus-opt", *sys.argv[1:]]),
         machine=machine,
         memory=memory,
@@ -267,7 +277,7 @@ def _tell(suite: Suite, rows: Sequence[Row], memory: bool) -> None:
         score_table,
     )
 
-    against = closed_form_table(rows, suite.closed_form)
+    against = closed_form_table(rows, suite.reference)
     if against:
         typer.echo(f"Against the closed form:\n{against}\n")
     for name, formulation in dict.fromkeys((r.case, r.formulation) for r in rows):

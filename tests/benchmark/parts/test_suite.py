@@ -49,6 +49,7 @@ def test_failures_are_rows(tmp_path: Path) -> None:
     (row,) = small_suite(tmp_path, [gone]).run()["assembly"]
     assert row["status"] == "refused"
     assert "no.nc" in row["detail"]
+    assert row["peak_memory_bytes"] > 2**26
     (row,) = replace(small_suite(tmp_path), memory_limit=2**20).run()["assembly"]
     assert row["status"] == "memory limit"
     assert "memory limit: ended during" in parts()["assembly"].table([row])

@@ -45,6 +45,7 @@ def main(arguments: list[str]) -> None:
         "case": spec.case_name,
         "status": status,
         "detail": detail,
+        "peak_memory_bytes": max(begin.peaks.values(), default=memory.peak_bytes()),
         "memory_by_stage": begin.peaks,
     }
     (folder / ANSWER).write_text(json.dumps([same | row for row in rows]), "utf-8")

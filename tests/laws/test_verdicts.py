@@ -1,0 +1,196 @@
+"""Laws of the verdict: what is called SOLVED is the optimum, for every formulation.
+
+Exact answers are perturbed in every way that once passed unseen, and every solver is
+stopped early: whatever is called SOLVED all the same has an objective within the
+tolerance of the optimum and every parameter within 1 %.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.dragging import dragged_scene
+from ttus_opt.fitting import Fitter, judged
+from ttus_opt.problem.formulation import Formulation, available, load
+from ttus_opt.problem.reduction import Reduction
+from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.solvers import cvxpy_clarabel, cvxpy_scs, osqp, registry, scs
+from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.clarabel import Clarabel
+from ttus_opt.solvers.dual import face_walk
+from ttus_opt.solvers.dual import solver as dual_solver
+
+TOLERANCE = 1e-6
+TIMES = Timings(0.0, 0.0, 0.0)
+NAMES = [info.name for info in available()]
+
+#: Viscous and dry drag, so that every parameter has something to say
+SCENE = dragged_scene("contact", mu=0.3, viscous=40.0, shape=(8, 16, 9))
+
+
+@dataclass(frozen=True)
+class Exact:
+    """A formulation and its answer, far beyond the tolerance."""
+
+    declared: Formulation
+    reduction: Reduction
+    candidate: Candidate
+    solution: Solution
+
+
+@functools.cache
+def exact(name: str, weight: float) -> Exact:
+    """Solved to 1e-9, by a solver of its own kind where there is one."""
+    options = {} if name == "laplace_only" else {
+        "force_weight": weight, "torque_weight": weight
+    }  # fmt: skip
+    declared = load(name, SCENE, **options)
+    fitter = Fitter(declared, request=Request(1e-9))
+    solution = fitter.solve()
+    assert solution.status is Status.SOLVED, solution.advice
+    return Exact(declared, fitter._reduction, fitter._prepared.solve(), solution)
+
+
+def judge(known: Exact, x: np.ndarray) -> Solution:
+    """The verdict on another point, with the exact multipliers."""
+    return judged(
+        known.declared,
+        known.reduction,
+        "by hand",
+        replace(known.candidate, x=x, claim=Claim.DONE),
+        Request(TOLERANCE),
+        TIMES,
+    )
+
+
+def assert_law(found: Solution, known: Solution, what: str) -> None:
+    """SOLVED means: the objective and every parameter are those of the optimum."""
+    if found.status is not Status.SOLVED:
+        return
+    nothing = found.program.objective(np.zeros(found.program.n_variables))
+    # an objective that is zero at the optimum is judged by the distance from it
+    least = max(TOLERANCE * known.objective, (TOLERANCE / 100.0) ** 2 * nothing)
+    assert found.objective <= known.objective + 1.01 * least, (what, found.kkt)
+    for name, value in known.parameters.items():
+        error = abs(found.parameters[name] - value)
+        assert error <= 0.01 * abs(value) + 1e-9, (what, name, found.kkt)
+
+
+def perturbations(known: Exact, rng: np.random.Generator) -> Iterator[tuple[str, Any]]:
+    """Directions of unit size relative to the answer, by name."""
+    program = known.reduction.program
+    x = known.candidate.x
+    assert x is not None
+    V = SCENE.n_voxels
+    for name, part in program.variables.items():
+        size = part.stop - part.start
+        noise = rng.normal(size=size)
+        directions = {f"{name}, noise": noise, f"{name}, itself": x[part]}
+        if size == V:
+            free = SCENE.laplace.free
+            directions[f"{name}, smooth"] = SCENE.laplace.solve(noise)
+            directions[f"{name}, boundary"] = np.where(free, 0.0, noise)
+            prior = SCENE.laplace.solve(SCENE.b)
+            directions[f"{name}, towards the prior"] = prior - x[part]
+        for what, direction in directions.items():
+            length = float(np.linalg.norm(direction))
+            if length > 0.0:
+                full = np.zeros_like(x)
+                scale = float(np.linalg.norm(x[part])) or 1.0
+                full[part] = direction * (scale / length)
+                yield what, full
+
+
+@pytest.mark.parametrize("weight", [1e-6, 1e-2, 10.0])
+@pytest.mark.parametrize("name", NAMES)
+def test_a_perturbed_answer_is_solved_only_where_it_does_not_matter(
+    name: str, weight: float
+) -> None:
+    known, rng = exact(name, weight), np.random.default_rng(7)
+    assert judge(known, known.candidate.x).status is Status.SOLVED  # type: ignore[arg-type]
+    refused = 0
+    for what, direction in perturbations(known, rng):
+        for size in 10.0 ** rng.uniform(-6.0, 0.0, 3):
+            found = judge(known, known.candidate.x + size * direction)  # type: ignore[operator]
+            assert_law(found, known.solution, f"{what} by {size:.1e}")
+            refused += found.status is not Status.SOLVED
+    assert refused > 0
+
+
+def _few_clarabel(patch: pytest.MonkeyPatch, n: int) -> None:
+    whole = Clarabel.options
+    patch.setattr(
+        Clarabel, "options", lambda *a: {**whole(*a), "max_iter": 1 + n // 10}
+    )
+
+
+def _few_dual(patch: pytest.MonkeyPatch, n: int) -> None:
+    patch.setattr(dual_solver, "MAX_STEPS", n)
+    patch.setattr(dual_solver, "ROUNDS", 1)
+    patch.setattr(face_walk, "MAX_FACES", 1 + n // 10)
+
+
+def _few_iterations(module: Any) -> Callable[[pytest.MonkeyPatch, int], None]:
+    def stop(patch: pytest.MonkeyPatch, n: int) -> None:
+        patch.setattr(module, "ITERATIONS", n)
+        patch.setattr(module._Loaded, "continuations", 0)
+
+    return stop
+
+
+def _few_cvxpy(kind: Any, key: str) -> Callable[[pytest.MonkeyPatch, int], None]:
+    def stop(patch: pytest.MonkeyPatch, n: int) -> None:
+        whole = kind.options
+        patch.setattr(kind, "options", lambda *a: {**whole(*a), key: n})
+
+    return stop
+
+
+#: How each solver is made to stop after about so many iterations
+STOPS: dict[str, Callable[[pytest.MonkeyPatch, int], None]] = {
+    "structured": _few_dual,
+    "clarabel": _few_clarabel,
+    "osqp": _few_iterations(osqp),
+    "scs": _few_iterations(scs),
+    "cvxpy_clarabel": _few_cvxpy(cvxpy_clarabel.CvxpyClarabel, "max_iter"),
+    "cvxpy_scs": _few_cvxpy(cvxpy_scs.CvxpyScs, "max_iters"),
+}
+
+
+def stopped(name: str, solver: str, rng: np.random.Generator) -> Iterator[Solution]:
+    """Answers of a solver that was stopped early, at several weights."""
+    for weight in (1e-6, 1e-2):
+        known = exact(name, weight)
+        if registry.solvers()[solver].refusal(known.reduction.program):
+            return
+        n = int(10.0 ** rng.uniform(0.0, 2.3))
+        with pytest.MonkeyPatch.context() as patch:
+            STOPS[solver](patch, n)
+            request = Request(TOLERANCE, 5.0)
+            found = Fitter(known.declared, solver=solver, request=request).solve()
+        assert_law(found, known.solution, f"{solver} after {n}, weight {weight}")
+        yield found
+
+
+@pytest.mark.parametrize("solver", ["structured", "osqp", "clarabel"])
+def test_a_solver_stopped_early_is_not_believed(solver: str) -> None:
+    rng = np.random.default_rng(11)
+    statuses = {f.status for name in NAMES for f in stopped(name, solver, rng)}
+    assert statuses - {Status.SOLVED}  # some were stopped too early indeed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("solver", STOPS)
+@pytest.mark.parametrize("seed", range(3))
+def test_every_solver_stopped_at_random(solver: str, seed: int) -> None:
+    if not registry.solvers()[solver].installed:
+        pytest.skip(f"{solver} is not installed")
+    rng = np.random.default_rng(seed)
+    statuses = {f.status for name in NAMES for f in stopped(name, solver, rng)}
+    assert statuses

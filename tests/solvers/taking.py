@@ -1,0 +1,135 @@
+"""Which solver takes what, written down: tests run over this and never skip by it.
+
+A solver that begins to refuse a problem, or to take one, fails `test_taking` until the
+change is written here; a test that asked the solver itself would pass over it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Mapping
+
+import pytest
+
+from ttus_opt.solvers.base import Solver
+from ttus_opt.solvers.registry import solvers
+
+#: Through cvxpy: penalties that are no sum of squares as they are written
+CONES = frozenset({"cvxpy_clarabel", "cvxpy_mosek", "cvxpy_scs"})
+
+#: Any convex quadratic program
+QP = CONES | {
+    "clarabel",
+    "copt",
+    "gurobi",
+    "osqp",
+    "piqp",
+    "proxqp",
+    "qpalm",
+    "qtqp",
+    "scs",
+    "sip",
+}
+
+#: Sums of squares without limits
+CLOSED = frozenset(
+    {
+        "closed_form",
+        "closed_form_cholespy",
+        "closed_form_cholmod",
+        "closed_form_pardiso",
+    }
+)
+
+#: Inequalities, through an active set; no lone equalities
+HIGHS = frozenset({"highs"})
+
+#: Laplace's rows and measured ones; the multigrid stands on the plain operator
+STRUCTURED, AMG = frozenset({"structured"}), frozenset({"amg_pcg"})
+
+#: Who takes the reduced program of a formulation of the shelf
+FORMULATIONS: Mapping[str, frozenset[str]] = {
+    "anisotropic": QP | CLOSED,
+    "coulomb_drag": QP | HIGHS | STRUCTURED,
+    "coulomb_global": QP | CLOSED | STRUCTURED | AMG,
+    "eq10": QP | CLOSED | STRUCTURED | AMG,
+    "eq10_hard_boundary": QP | STRUCTURED,
+    "eq10_monotone": QP | HIGHS | STRUCTURED,
+    "eq10_sign": QP | HIGHS | STRUCTURED,
+    "eq10_sign_monotone": QP | HIGHS | STRUCTURED,
+    "free_surface": QP | HIGHS,
+    "laplace_only": QP | CLOSED | STRUCTURED | AMG,
+    "robust": QP | HIGHS,
+    "screened": QP | CLOSED,
+    "sparse_sources": QP | HIGHS,
+    "tikhonov": QP | CLOSED | STRUCTURED,
+    "total_variation": QP | HIGHS,
+    "viscous_drag": QP | HIGHS | STRUCTURED,
+    "volume_weighted": QP | STRUCTURED,
+}
+
+#: Who takes a reference problem, bent penalties reduced where that is possible
+REFERENCES: Mapping[str, frozenset[str]] = {
+    "least_squares": QP | CLOSED,
+    "two_weights": QP | CLOSED,
+    "box": QP | HIGHS,
+    "weakly_active": QP | HIGHS,
+    "equality": QP,
+    "upper_row": QP | HIGHS,
+    "lower_row": QP | HIGHS,
+    "mixed_rows": QP | HIGHS,
+    "names": QP | HIGHS,
+    "linear_term": QP | HIGHS,
+    "absolute": QP | HIGHS,
+    "absolute_kink": QP | HIGHS,
+    "huber": QP | HIGHS,
+    "groups": CONES,
+}
+
+#: Who takes a small program without Laplace rows that has bounds
+BOUNDED = QP | HIGHS
+
+#: What a plain installation has; a solver beyond may be absent, and is named then
+REQUIRED = {
+    "amg_pcg",
+    "clarabel",
+    "closed_form",
+    "cvxpy_clarabel",
+    "osqp",
+    "structured",
+}
+
+
+def installed(takers: Container[str]) -> list[Solver]:
+    """Solvers of a set that are installed, by name."""
+    return [s for name, s in solvers().items() if name in takers and s.installed]
+
+
+def over(takers: Container[str]) -> pytest.MarkDecorator:
+    """Decorator: the test for every installed solver of a set."""
+    return pytest.mark.parametrize("solver", installed(takers), ids=lambda s: s.name)
+
+
+def pairs(
+    table: Mapping[str, Container[str]], slow: Container[tuple[str, str]] = ()
+) -> list[object]:
+    """Every row of a table with every installed solver that takes it.
+
+    Args:
+        table: Solvers by problem.
+        slow: Solvers and problems to be marked so.
+    """
+    return [
+        pytest.param(
+            solver,
+            name,
+            id=f"{solver.name}-{name}",
+            marks=[pytest.mark.slow] if (solver.name, name) in slow else [],
+        )
+        for name, takers in table.items()
+        for solver in installed(takers)
+    ]
+
+
+def named(items: Iterable[str]) -> list[str]:
+    """Names in order, for a comparison that can be read."""
+    return sorted(items)

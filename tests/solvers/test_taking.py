@@ -1,0 +1,50 @@
+"""The table of who takes what against what every solver says, installed or not."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.solvers import taking
+from tests.solvers.problems import Reference, bending_references, references
+from tests.solvers.test_agreement import reduction
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.reduction import reduce
+from ttus_opt.solvers.registry import solvers
+
+
+@pytest.mark.parametrize("name", [info.name for info in shelf.available()])
+def test_a_formulation_is_taken_by(name: str) -> None:
+    program = reduction(name).program
+    takers = [s.name for s in solvers().values() if not s.refusal(program)]
+    assert takers == taking.named(taking.FORMULATIONS[name])
+
+
+@pytest.mark.parametrize(
+    "reference", references() + bending_references(), ids=lambda r: r.name
+)
+def test_a_reference_problem_is_taken_by(reference: Reference) -> None:
+    reduced = reduce(reference.program).program
+    takers = [
+        solver.name
+        for solver in solvers().values()
+        if not solver.refusal(
+            reference.program if solver.capabilities.nonquadratic else reduced
+        )
+    ]
+    assert takers == taking.named(taking.REFERENCES[reference.name])
+
+
+def test_the_tables_know_every_name() -> None:
+    assert set(taking.FORMULATIONS) == {info.name for info in shelf.available()}
+    told = {reference.name for reference in references() + bending_references()}
+    assert set(taking.REFERENCES) == told
+    tabled = frozenset.union(*taking.FORMULATIONS.values())
+    assert taking.named(tabled) == taking.named(solvers())
+
+
+@pytest.mark.parametrize("name", taking.named(solvers()))
+def test_a_solver_is_installed(name: str) -> None:
+    """The one place where an absent solver is skipped; tests run over the others."""
+    if not solvers()[name].installed:
+        assert name not in taking.REQUIRED, f"{name} comes with the package"
+        pytest.skip(f"{name} is absent: pip install {solvers()[name].pip_name}")
