@@ -20,11 +20,6 @@ HOSTILE = {
     "word": "heavy",
 }
 
-#: What still ends in a traceback, to be taken out when it does not: words for options
-#: that are None by default, counts that are no whole number
-TRACEBACKS = {("torque_length", "word"), ("sparsity", "word"), ("variation", "word")}
-TRACEBACKS |= {(name, bad) for name in ("sectors", "bands") for bad in ("nan", "inf")}
-
 
 def numeric_options(formulation: str) -> list[str]:
     """Options that take a number, by their annotation."""
@@ -45,13 +40,6 @@ CASES = [
         option,
         value,
         id=f"{info.name}-{option}-{bad}",
-        marks=[
-            pytest.mark.xfail(
-                raises=(TypeError, OverflowError, RuntimeWarning), strict=True
-            )
-        ]
-        if (option, bad) in TRACEBACKS
-        else [],
     )
     for info in available()
     for option in numeric_options(info.name)

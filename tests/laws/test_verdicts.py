@@ -18,7 +18,7 @@ import pytest
 from tests.dragging import dragged_scene
 from ttus_opt.fitting import Fitter, judged
 from ttus_opt.problem.formulation import Formulation, available, load
-from ttus_opt.problem.reduction import Reduction
+from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Solution, Status, Timings
 from ttus_opt.solvers import cvxpy_clarabel, cvxpy_scs, osqp, registry, scs
 from ttus_opt.solvers.base import Candidate, Claim, Request
@@ -51,9 +51,12 @@ def exact(name: str, weight: float) -> Exact:
         "force_weight": weight, "torque_weight": weight
     }  # fmt: skip
     declared = load(name, SCENE, **options)
-    fitter = Fitter(declared, request=Request(1e-9))
+    first = registry.choose("auto", reduce(declared.compile()).program).name
+    fitter = Fitter(declared, solver=first, request=Request(1e-9))
     solution = fitter.solve()
-    assert solution.status is Status.SOLVED, solution.advice
+    # rounding may end before 1e-9, where a weight is tiny beside the prior's
+    assert solution.kkt is not None
+    assert solution.kkt.worst_relative <= 0.5 * TOLERANCE, solution.advice
     return Exact(declared, fitter._reduction, fitter._prepared.solve(), solution)
 
 
@@ -76,7 +79,9 @@ def assert_law(found: Solution, known: Solution, what: str) -> None:
     nothing = found.program.objective(np.zeros(found.program.n_variables))
     # an objective that is zero at the optimum is judged by the distance from it
     least = max(TOLERANCE * known.objective, (TOLERANCE / 100.0) ** 2 * nothing)
-    assert found.objective <= known.objective + 1.01 * least, (what, found.kkt)
+    assert known.kkt is not None
+    above = found.objective - known.objective
+    assert above <= 1.01 * least + known.kkt.gap, (what, found.kkt)
     for name, value in known.parameters.items():
         error = abs(found.parameters[name] - value)
         assert error <= 0.01 * abs(value) + 1e-9, (what, name, found.kkt)

@@ -261,11 +261,9 @@ def load(
                 f"formulation {name} has no option {option!r}, it has "
                 f"{', '.join(known) or 'none'}"
             )
-        usual = None if known is None else known[option]
-        if isinstance(value, str) and isinstance(usual, int | float):
-            raise InputError(
-                f"option {option} of formulation {name} takes a number such as "
-                f"{usual}, got {value!r}"
+        if known is not None:
+            _check_option(
+                f"option {option} of formulation {name}", known[option], value
             )
     try:
         built = build(scene, **options)
@@ -280,6 +278,21 @@ def load(
             "a Formulation"
         )
     return built.named(name)
+
+
+def _check_option(what: str, usual: Any, value: Any) -> None:
+    """Refuse a word for a number, and a count that is none.
+
+    Raises:
+        InputError: The value is not of its default's kind; a default of None stands
+            for a number that is found by itself.
+    """
+    if isinstance(value, str) and (usual is None or isinstance(usual, int | float)):
+        such = "" if usual is None else f" such as {usual}"
+        raise InputError(f"{what} takes a number{such}, got {value!r}")
+    counts = isinstance(usual, int) and not isinstance(usual, bool)
+    if counts and not (isinstance(value, int | float | np.integer) and value % 1 == 0):
+        raise InputError(f"{what} takes a whole number such as {usual}, got {value}")
 
 
 def _find(formulation: str | Path) -> tuple[Callable[..., Formulation], str]:
