@@ -155,7 +155,7 @@ def open_gap(ledger: Array, current: Array, target: Array, s: Stage) -> None:
     difference, other = np.zeros(6), np.zeros(6)
     gap, last, step = 0.0, 0.0, 0
     while True:
-        contact, _ = touch(R, at, s)
+        contact, _, _ = touch(R, at, s)
         if contact <= 0:
             break
         wrench_of(target, contact, R, s, difference)

@@ -46,12 +46,15 @@ class Wrench:
         torque: Torque about the shell's reference point, patient axes, (3,) [N·m].
         contact_points: Shell points inside the patient [–].
         in_grid: False when no shell point lies within the grid; the wrench is zero.
+        beyond_inner: Points in contact beyond the inner layer, where the field
+            continues with that layer's values [–].
     """
 
     force: Array
     torque: Array
     contact_points: int
     in_grid: bool
+    beyond_inner: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +113,7 @@ class Renderer:
         """A frame amid a swap, on a ledger of its own."""
         ledger = settled_ledger(0.0)
         ledger[PROGRESS] = 0.5
-        contact, _ = _frame(
+        contact, _, _ = _frame(
             np.eye(3),
             np.zeros(3),
             self._stage,
@@ -138,9 +141,9 @@ class Renderer:
         Raises:
             InputError: Wrong shapes, NaN, or no rotation matrix.
         """
-        contact_points, in_grid = self._render(rotation, position)
+        counts = self._render(rotation, position)
         wrench = self._wrench.copy()
-        return Wrench(wrench[:3], wrench[3:], contact_points, in_grid)
+        return Wrench(wrench[:3], wrench[3:], *counts)
 
     def render_into(self, rotation: Array, position: Array, out: Array) -> int:
         """The same frame into the caller's array: nothing is allocated.
@@ -158,12 +161,12 @@ class Renderer:
         """
         if out.shape != (6,):
             raise InputError(f"out must have shape (6,), got {out.shape}")
-        contact_points, in_grid = self._render(rotation, position)
+        contact_points, in_grid, _ = self._render(rotation, position)
         out[:] = self._wrench
         return contact_points if in_grid else -1
 
-    def _render(self, rotation: Array, position: Array) -> tuple[int, bool]:
-        """Render one pose into ``_wrench``."""
+    def _render(self, rotation: Array, position: Array) -> tuple[int, bool, int]:
+        """Render one pose into ``_wrench``; what `_frame` returns."""
         if np.shape(rotation) != (3, 3) or np.shape(position) != (3,):
             raise InputError(
                 "a pose needs rotation (3, 3) and position (3,) [m], got "
@@ -174,7 +177,7 @@ class Renderer:
         turn = not self._waiting and self._turn.acquire(blocking=False)
         try:
             fields = self._fields
-            contact_points, in_grid = _frame(
+            counts = _frame(
                 R,
                 at,
                 self._stage,
@@ -189,9 +192,9 @@ class Renderer:
         finally:
             if turn:
                 self._turn.release()
-        if contact_points < 0:
+        if counts[0] < 0:
             checked_poses(R[None], at[None])  # says in words what is wrong
-        return contact_points, in_grid
+        return counts  # type: ignore[no-any-return]
 
     def update(self, field: PotentialField) -> None:
         """Swap in a new field, also while another thread renders.
@@ -287,23 +290,23 @@ def _frame(
     turn: bool,
     other: Array,
     wrench: Array,
-) -> tuple[int, bool]:
+) -> tuple[int, bool, int]:
     """One frame: touch, sum one field or two, blend, note the pose (compiled).
 
     Without the turn the ledger is read and not written.
 
     Returns:
-        Points in contact, -1 for an unusable pose, and whether the shell meets the
-        grid.
+        Points in contact, -1 for an unusable pose; whether the shell meets the grid;
+        points in contact beyond the inner layer.
     """
     if not _is_rigid(R, at):
-        return -1, False
-    contact, in_grid = touch(R, at, stage)
+        return -1, False, 0
+    contact, in_grid, beyond = touch(R, at, stage)
     wrench_of(target, contact, R, stage, wrench)
     if ledger[PROGRESS] == 1.0:
         if turn:
             follow(ledger, R, at, stage.reference)
-        return contact, in_grid
+        return contact, in_grid, beyond
     wrench_of(current, contact, R, stage, other)
     if turn:
         advance(ledger, limits, contact, R, at, stage.reference, other, wrench)
@@ -311,4 +314,4 @@ def _frame(
     if share < 1.0:
         for c in range(6):
             wrench[c] = (1.0 - share) * other[c] + share * wrench[c]
-    return contact, in_grid
+    return contact, in_grid, beyond
