@@ -103,7 +103,7 @@ class MeasuredRows:
         return Block(self._voxels[at], self._values[at])
 
     def row(self, i: int) -> tuple[Voxels, Array]:
-        """Voxels and values of row i, as views of what is held until the next change."""
+        """Voxels and values of row i, views until the next change."""
         block = self.block(i // self._height)
         return block.voxels, block.values[:, i % self._height]
 
