@@ -162,6 +162,37 @@ def test_a_window_slides_without_drift(scale: float) -> None:
     assert 0 < compared < height * steps
 
 
+def test_an_error_of_the_factor_is_gone_once_as_many_rows_went_as_are_held() -> None:
+    rng = np.random.default_rng(9)
+    K = gram(60, 12, rng)
+    kernel = grown(K[:20, :20], 2)
+    kernel._E[0] *= 1.1
+    rows = np.arange(20)
+    for new in range(20, 60, 2):
+        extend(kernel, K, rows, np.array([new, new + 1]))
+        rows = np.append(rows, [new, new + 1])[2:]
+        shrink(kernel, K, rows, 0, 2)
+    g = rng.normal(size=20)
+    y = kernel.solve(g)
+    assert np.allclose(y + K[np.ix_(rows, rows)] @ y, g, atol=1e-6)
+
+
+def test_a_row_that_takes_all_digits_along() -> None:
+    """Rows far heavier than the others, and nothing of their rounding is left."""
+    K = np.diag([1e14, 1.0, 1.0, 1.0]) + 0.5
+    K[0, 1:] = K[1:, 0] = 1e6
+    G = np.linalg.cholesky(K)
+    # the same direction once more, so that it leaves no pivot behind
+    G = np.vstack([G[0], G])
+    K = G @ G.T
+    kernel = grown(K, 1)
+    kept = np.arange(2, 5)
+    shrink(kernel, K, kept, 0, 2)
+    g = np.arange(1.0, 4.0)
+    left = K[np.ix_(kept, kept)]
+    assert np.allclose(kernel.solve(g), np.linalg.solve(np.eye(3) + left, g), rtol=1e-6)
+
+
 def test_scaling_is_that_of_the_rows() -> None:
     rng = np.random.default_rng(2)
     K = gram(30, 8, rng)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 import ttus_opt as tt
 from tests.conftest import presses, torso
+from ttus_opt.dual_recursion import DualRecursion
 from ttus_opt.point_shell import PointShell
 from ttus_opt.recursion import RecursiveFit
 from ttus_opt.scene import Scene
@@ -89,7 +90,7 @@ def quick() -> Scene:
 
 @functools.cache
 def dense() -> tuple[Array, Array, Array, Array]:
-    """p₀, unweighted rows H of all poses, L⁻ᵀHᵀ, and targets."""
+    """p₀, unweighted rows H of all poses, L⁻¹L⁻ᵀHᵀ, and targets."""
     told = scene()
     L, n = told.L.toarray(), len(told.trajectory)
     forces, torques = told.N.toarray(), told.W.toarray() / told.torque_length
@@ -101,18 +102,19 @@ def dense() -> tuple[Array, Array, Array, Array]:
     t = np.concatenate(
         [told.trajectory.force, told.trajectory.torque / told.torque_length], axis=1
     )
-    return np.linalg.solve(L, told.b), H, np.linalg.solve(L.T, H.T), t.reshape(-1)
+    X = np.linalg.solve(L, np.linalg.solve(L.T, H.T))
+    return np.linalg.solve(L, told.b), H, X, t.reshape(-1)
 
 
 def batch(poses: list[int], weights: list[float]) -> Array:
     """Eq. 10's field of poses with weights of their own, without any recursion."""
-    p0, H, G, t = dense()
+    p0, H, X, t = dense()
     # what was measured twice has twice the weight
     sums = np.bincount(np.array(poses, dtype=np.int64), weights, len(t) // 6)
     roots = np.repeat(np.sqrt(sums), 6)
-    g = G * roots
-    y = np.linalg.solve(np.eye(len(t)) + g.T @ g, roots * (t - H @ p0))
-    return p0 + np.linalg.solve(scene().L.toarray(), g @ y)
+    K = roots[:, None] * (H @ X) * roots
+    y = np.linalg.solve(np.eye(len(t)) + K, roots * (t - H @ p0))
+    return p0 + X @ (roots * y)
 
 
 def start(weight: float, told: Scene) -> RecursiveFit:
@@ -230,8 +232,8 @@ class Measurements(RuleBasedStateMachine):
 
 
 Measurements.TestCase.settings = settings(
-    max_examples=12,
-    stateful_step_count=15,
+    max_examples=8,
+    stateful_step_count=12,
     deadline=None,
     suppress_health_check=[HealthCheck.too_slow],
 )
@@ -244,8 +246,8 @@ def slide(held: Held, updates: int, window: int, every: int, fading: bool) -> No
     pose = 0
     for update in range(1, updates + 1):
         # it lingers on the first 20, and goes elsewhere at times
-        pose = (pose + 1) % 20 if rng.uniform() < 0.8 else int(rng.integers(-1, 40))
-        held.add(pose)
+        pose = (pose + 1) % 20 if rng.uniform() < 0.8 else int(rng.integers(40))
+        held.add(SILENT if rng.uniform() < 0.1 else pose)
         if fading and update % 7 == 0:
             held.fade(0.9)
         if update % 11 == 0:
@@ -255,24 +257,31 @@ def slide(held: Held, updates: int, window: int, every: int, fading: bool) -> No
             assert held.check() < EXACT
 
 
-@pytest.mark.parametrize("fading", [False, True])
-@pytest.mark.parametrize("weight", WEIGHTS)
+@pytest.mark.parametrize(
+    ("weight", "fading"), [(1e-4, False), (1e-2, True), (1.0, False), (10.0, True)]
+)
 def test_a_window_slides_on_and_on(weight: float, fading: bool) -> None:
     held = Held(weight, quick())
-    slide(held, 200, 20, 20, fading)
+    slide(held, 100, 20, 20, fading)
     # what a window holds does not grow with what went
     before = held.fit.memory_bytes
-    slide(held, 60, 20, 60, fading)
+    slide(held, 100, 20, 20, fading)
     assert held.fit.memory_bytes <= 2 * before
 
 
-def test_a_window_slides_with_the_solves_of_the_multigrid() -> None:
-    slide(Held(1e-2, scene()), 80, 20, 20, fading=False)
+def test_a_window_slides_with_the_solves_of_the_multigrid(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # R is sound by itself: making it anew is for what cannot be foreseen
+    monkeypatch.setattr(DualRecursion, "_rebuild", None)
+    held = Held(1e-2, scene())
+    slide(held, 80, 20, 20, fading=False)
+    assert held.fit._system._kernel.largest_left < 1e-4
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("window", [20, 200, 400])
-def test_20000_updates(window: int) -> None:
-    for weight in WEIGHTS:
-        held = Held(weight, quick())
-        slide(held, 20000 // len(WEIGHTS), window, 100, fading=True)
+@pytest.mark.parametrize("weight", WEIGHTS)
+def test_thousands_of_updates(weight: float, window: int) -> None:
+    """20,000 in all; each fit forgets what it held several times over."""
+    slide(Held(weight, quick()), 1700, window, 100, fading=True)
