@@ -157,6 +157,8 @@ class Held:
     def keep(self, window: int) -> None:
         self.fit.forget(window=window)
         self.entries = self.entries[max(0, len(self.entries) - window) :]
+        # one too many that goes now would have gone next: look at once
+        self.compare_numbers()
 
     def fade(self, factor: float) -> None:
         self.fit.forget(factor)
@@ -166,11 +168,16 @@ class Held:
         number, _, _ = self.entries.pop(place % len(self.entries))
         self.fit.downdate(number)
 
-    def check(self) -> float:
-        """What is held is held; the distance from the batch fit."""
-        touching = [entry for entry in self.entries if entry[1] != SILENT]
+    def compare_numbers(self) -> None:
+        """What shall be held is held, and nothing else."""
+        touching = tuple(i for i, pose, _ in self.entries if pose != SILENT)
         assert self.fit.measurements == len(self.entries)
-        assert self.fit.in_contact == tuple(number for number, _, _ in touching)
+        assert self.fit.in_contact == touching
+
+    def check(self) -> float:
+        """The distance from the batch fit of what shall be held."""
+        self.compare_numbers()
+        touching = [entry for entry in self.entries if entry[1] != SILENT]
         expected = batch([pose for _, pose, _ in touching], [w for *_, w in touching])
         values = self.fit.field.values.reshape(-1)
         return float(np.linalg.norm(values - expected) / np.linalg.norm(expected))

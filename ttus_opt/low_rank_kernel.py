@@ -392,7 +392,8 @@ class LowRankKernel:
         k = self.rank
         C = triangle.unpacked(self._C, k)
         M = np.eye(k) + C.T @ C + self._leaning @ self._leaning.T
-        self._E[: triangle.packed_size(k)] = triangle.packed(np.linalg.cholesky(M))
+        factor = np.asarray(np.linalg.cholesky(M), np.float64)
+        self._E[: triangle.packed_size(k)] = triangle.packed(factor)
         self._downdated = 0
 
     def _resize(self, k: int, o: int) -> None:
