@@ -10,6 +10,7 @@ from tests.conftest import small_scene
 from ttus_opt import dual_recursion
 from ttus_opt.dual_recursion import DualRecursion
 from ttus_opt.errors import InputError, NumericalError
+from ttus_opt.laplace import LaplaceSystem
 from ttus_opt.measured_rows import Block
 from ttus_opt.scene import Scene
 
@@ -156,6 +157,44 @@ def test_fading_is_the_batch_with_faded_weights(coarse: Scene) -> None:
             weights = weights * 0.4
         _, p = problem.dense(list(range(s + 1)), weights)
         assert close(system.field(), p)
+
+
+@pytest.mark.parametrize("array", ["_C", "_E", "_N"])
+def test_a_spoilt_factor_is_made_anew_from_the_rows(coarse: Scene, array: str) -> None:
+    problem = Problem(coarse, 7, 9, 1.0)
+    system = problem.start()
+    problem.fold(system, list(range(6)))
+    # the sixth block again: others beside the pivots
+    problem.fold(system, [5])
+    getattr(system._kernel, array)[:] = 1e3
+    system.remove(6, 1)
+    problem.fold(system, [5])
+    assert close(system.field(), problem.dense([0, 1, 2, 3, 4, 5, 5])[1])
+
+
+def test_solves_that_fail_leave_what_is_held(
+    coarse: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = Problem(coarse, 4, 10, 1.0)
+    system = problem.start()
+    # whatever goes with the first two blocks is known from the next two
+    problem.fold(system, [0, 1, 0, 1, 2])
+
+    def fails(*_: object, **__: object) -> Array:
+        raise NumericalError("no convergence")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LaplaceSystem, "solve_adjoint", fails)
+        system.remove(0, 2)
+        assert len(system) == 3
+        for call in (system.field, lambda: system.forecast(problem.blocks[3])):
+            with pytest.raises(NumericalError, match="no convergence"):
+                call()
+        system.remove(2, 1)
+        system.fade(0.5)
+    _, p = problem.dense([0, 1], np.array([0.5, 0.5]))
+    assert close(system.field(), p)
+    assert system.forecast(problem.blocks[3]).schur.shape == (HEIGHT, HEIGHT)
 
 
 def test_memory_holds_no_dense_columns() -> None:

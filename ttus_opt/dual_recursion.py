@@ -21,13 +21,19 @@ and its mean is that of the field at hand and, for rows since, r M⁻¹Rᵀ time
 field at hand leaves of them.
 
 The columns of K need not be solved for to the last digit, and R need not be all of K:
-I + R Rᵀ preconditions, and the field is refined until (I + K) y = d₀ holds to
-`FIELD_RTOL` with solves of full accuracy.
+I + R Rᵀ preconditions conjugate gradients, which refine the field until (I + K) y = d₀
+holds to `FIELD_RTOL` with solves of full accuracy.
+
+Rows may come, fade and go without end. Where a pivot goes, rows that stand for what
+is lost are compared anew, one more pair of solves for each, so that no error of R is
+handed on. Should R be of no use all the same, it is made anew from D, which is kept as
+it was measured.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -40,9 +46,10 @@ from ttus_opt.low_rank_kernel import LowRankKernel, Outlook
 from ttus_opt.measured_rows import Block, MeasuredRows
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 
 #: Relative residual of (I + K) y = d₀ to which the field is refined, and most rounds
-FIELD_RTOL, FIELD_ROUNDS = 1e-9, 12
+FIELD_RTOL, FIELD_ROUNDS = 1e-9, 30
 
 #: Variance of a row, in units of its noise, that is none beyond what others span
 SPAN = 1e-6
@@ -62,6 +69,7 @@ class Forecast:
     Attributes:
         block: The rows h.
         outlook: The rows in R's columns.
+        columns: Entries of K of the rows chosen with the others held, shape (p, o).
         prior: h p₀, shape (m,).
         known: h p of the field at hand, shape (m,).
         mean: Predicted measurement, shape (m,).
@@ -69,6 +77,7 @@ class Forecast:
 
     block: Block
     outlook: Outlook
+    columns: Array
     prior: Array
     known: Array
     mean: Array
@@ -103,9 +112,11 @@ class DualRecursion:
         self._kernel = LowRankKernel()
         # grows beyond `SPAN` where weights are too large for the solves
         self._tolerance = SPAN
+        # whether R is of no use, and to be made anew from D
+        self._stale = False
         self._d0 = np.zeros(0)
-        # Rᵀ(d₀ - D(p - p₀) - y), p the field at hand
-        self._information = np.zeros(0)
+        # d₀ - D(p - p₀) - y, p the field at hand, and Rᵀ times this
+        self._rest, self._information = np.zeros(0), np.zeros(0)
         # p - p₀ and the y it belongs to; None when it must be made anew
         self._shift: Array | None = None
         self._y = np.zeros(0)
@@ -119,7 +130,7 @@ class DualRecursion:
     @property
     def memory_bytes(self) -> int:
         """Size of what grows with the measurements."""
-        vectors = self._d0.nbytes + self._information.nbytes + self._y.nbytes
+        vectors = 3 * self._d0.nbytes + self._information.nbytes
         return self._kernel.memory_bytes + self._D.memory_bytes + vectors
 
     @property
@@ -139,6 +150,7 @@ class DualRecursion:
         The sum of the squares of all innovations by their predicted spread, and the
         least value of the objective.
         """
+        self._mend()
         return float(self._d0 @ self._kernel.solve(self._d0))
 
     def forecast(self, block: Block) -> Forecast:
@@ -153,14 +165,12 @@ class DualRecursion:
         Raises:
             NumericalError: Weights so large that rounding takes over.
         """
-        sizes = np.sum(block.values**2, axis=0)
-        largest = max(float(sizes.max(initial=0.0)), 1e-300)
-        rtol = min(max(RTOL, SPAN / (MARGIN * largest)), COLUMN_RTOL)
-        self._tolerance = max(self._tolerance, MARGIN * rtol * largest)
-        cross, own = self._columns(block, rtol)
-        outlook = self._kernel.outlook(cross, own, self._tolerance)
-        least = float(np.linalg.eigvalsh(outlook.schur)[0])
-        if least < LEAST_SCHUR:
+        self._mend()
+        outlook, columns = self._seen(block)
+        if _least(outlook) < LEAST_SCHUR:
+            self._rebuild()
+            outlook, columns = self._seen(block)
+        if (least := _least(outlook)) < LEAST_SCHUR:
             raise NumericalError(
                 f"the innovation's covariance is {least:.2g} of the noise where it is "
                 "at least 1: the weights are too large for the solves, lower them"
@@ -169,9 +179,8 @@ class DualRecursion:
         known = prior
         if self._shift is not None:
             known = prior + self._shift[block.voxels] @ block.values
-        return Forecast(
-            block, outlook, prior, known, known + self._information @ outlook.gain
-        )
+        mean = known + self._information @ outlook.gain
+        return Forecast(block, outlook, columns, prior, known, mean)
 
     def append(self, forecast: Forecast, target: Array) -> None:
         """Take the rows of a forecast in.
@@ -180,17 +189,24 @@ class DualRecursion:
             forecast: Made by `forecast` since the last change.
             target: What was measured, weighted as the rows, shape (m,).
         """
-        self._kernel.append(forecast.outlook)
+        rank = self.rank
+        self._kernel.append(forecast.outlook, forecast.columns)
         self._D.append(forecast.block)
         self._d0 = np.concatenate([self._d0, target - forecast.prior])
-        information = (target - forecast.known) @ forecast.outlook.rows
-        information[: len(self._information)] += self._information
-        self._information = information
+        surprise = target - forecast.known
+        self._rest = np.concatenate([self._rest, surprise])
+        if self.rank > rank:  # earlier rows have entries in new columns
+            self._information = self._kernel.adjoint(self._rest)
+        else:
+            self._information = self._information + surprise @ forecast.outlook.held
         # y = 0 for the new rows is what the field at hand belongs to
         self._y = np.concatenate([self._y, np.zeros(len(target))])
 
     def remove(self, start: int, count: int) -> None:
-        """Take blocks start to start + count out; costs as `LowRankKernel.remove`.
+        """Take blocks start to start + count out.
+
+        Costs as `LowRankKernel.remove`, and a pair of solves for every row that is
+        compared anew, as many as there were columns at the most.
 
         Raises:
             InputError: Blocks that are not there.
@@ -205,7 +221,10 @@ class DualRecursion:
         rows = slice(self.height * start, self.height * (start + count))
         self._D.keep(np.delete(np.arange(held), slice(start, start + count)))
         self._d0 = np.delete(self._d0, rows)
-        self._kernel.remove(rows.start, rows.stop - rows.start, self._tolerance)
+        if not self._stale:
+            self._renew(
+                self._kernel.remove(rows.start, rows.stop - rows.start, self._tolerance)
+            )
         self._restart()
 
     def fade(self, factor: float) -> None:
@@ -220,73 +239,176 @@ class DualRecursion:
         if not 0.0 < factor <= 1.0:
             raise InputError(f"a fading factor must lie in (0, 1], got {factor}")
         root = float(np.sqrt(factor))
-        self._kernel.scale(root)
+        if not self._stale:
+            self._kernel.scale(root)
         self._D.scale(root)
         self._d0 = self._d0 * root
         self._restart()
 
     def field(self) -> Array:
-        """Solve (I + K) y = d₀ with R for K, and make p, shape (V,).
+        """Solve (I + K) y = d₀ by conjugate gradients, and make p, shape (V,).
 
         Nothing if nothing changed, else per round two solves with A and O(n k).
 
         Raises:
             NumericalError: `FIELD_RTOL` was not reached.
         """
+        self._mend()
+        left = self._refined()
+        if left > FIELD_RTOL:
+            self._rebuild()
+            left = self._refined()
+        if self._shift is None or left > FIELD_RTOL:
+            self._restart()
+            raise NumericalError(
+                f"the field's dual residual stays at {left:.1e} after {FIELD_ROUNDS} "
+                f"rounds, {FIELD_RTOL:.0e} was asked for: the weights are too large "
+                "for the solves, lower them"
+            )
+        self._rest, self._information = np.zeros(self.n_rows), np.zeros(self.rank)
+        return self.prior_field + self._shift
+
+    def _refined(self) -> float:
+        """Refine the field at hand; the relative residual that is left.
+
+        Conjugate gradients with I + R Rᵀ, flexible, for solves are inexact: Notay,
+        SIAM J. Sci. Comput. 22 (2000) 1444-1460.
+        """
         laplace = self._laplace
         if self._shift is None:
             self._shift = np.zeros(laplace.grid.n_voxels)
             self._y = np.zeros_like(self._d0)
         size = float(np.linalg.norm(self._d0))
+        direction, before, fall = np.zeros_like(self._d0), np.zeros_like(self._d0), 1.0
         for _ in range(FIELD_ROUNDS):
             residual = self._d0 - self._D.times(self._shift) - self._y
             now = float(np.linalg.norm(residual))
             if now <= FIELD_RTOL * size:
-                self._information = np.zeros(self._kernel.rank)
-                return self.prior_field + self._shift
+                return 0.0
             step = self._kernel.solve(residual)
+            direction = step + (step @ (residual - before) / fall) * direction
+            before, fall = residual, float(step @ residual)
             # a small correction need not be known to as many digits
             rtol = min(max(RTOL, 0.1 * FIELD_RTOL * size / now), 1e-4)
-            source = laplace.solve_adjoint(self._D.adjoint(step), rtol=rtol)
-            self._shift = self._shift + laplace.solve(source, rtol=rtol)
-            self._y = self._y + step
-        self._restart()
-        raise NumericalError(
-            f"the field's dual residual stays at {now / size:.1e} after {FIELD_ROUNDS} "
-            f"rounds, {FIELD_RTOL:.0e} was asked for: the weights are too large for "
-            "the solves, lower them"
-        )
+            source = laplace.solve_adjoint(self._D.adjoint(direction), rtol=rtol)
+            shift = laplace.solve(source, rtol=rtol)
+            length = direction @ (direction + self._D.times(shift))
+            if not (fall > 0.0 and length > 0.0):
+                break
+            part = float(direction @ residual / length)
+            self._shift = self._shift + part * shift
+            self._y = self._y + part * direction
+        residual = self._d0 - self._D.times(self._shift) - self._y
+        return float(np.linalg.norm(residual)) / size
 
-    def _columns(self, block: Block, rtol: float) -> tuple[Array, Array]:
-        """Rows of D at the pivots times L⁻¹L⁻ᵀhᵀ, transposed (m, k), and h's (m, m)."""
-        laplace, m, pivots = self._laplace, self.height, self._kernel.pivots
-        cross, own = np.empty((m, len(pivots))), np.empty((m, m))
+    def _seen(self, block: Block) -> tuple[Outlook, Array]:
+        """A block from the rows held, and K's entries that its new columns need."""
+        kernel, m = self._kernel, self.height
+        rtol = self._accuracy(np.sum(block.values**2, axis=0))
+        held, own = np.empty((m, kernel.rank)), np.empty((m, m))
+        columns = np.zeros((m, len(kernel.others)))
+
+        def compare(c: int, x: Array) -> None:
+            held[c] = kernel.coordinates(self._D.times(x, kernel.pivots)[None])[0]
+            own[c] = x[block.voxels] @ block.values
+            if own[c, c] - held[c] @ held[c] > 0.5 * self._tolerance:
+                columns[c] = self._D.times(x)[kernel.others]
+
+        self._chains([(block.voxels, row) for row in block.values.T], rtol, compare)
+        outlook = kernel.outlook(held, 0.5 * (own + own.T), self._tolerance)
+        return outlook, columns[outlook.chosen]
+
+    def _renew(self, rows: Index) -> None:
+        """Compare some rows of D, no pivots, with all others anew."""
+        if not len(rows):
+            return
+        kernel, entries = self._kernel, [self._D.row(int(i)) for i in rows]
+        rtol = self._accuracy(np.array([values @ values for _, values in entries]))
+        columns = np.empty((len(rows), len(kernel)))
+
+        def compare(c: int, x: Array) -> None:
+            columns[c] = self._D.times(x)
+
+        try:
+            self._chains(entries, rtol, compare)
+        except NumericalError:
+            # it has its say where R is needed next
+            self._stale = True
+            return
+        kernel.take_out(rows)
+        held, own = kernel.coordinates(columns[:, kernel.pivots]), columns[:, rows]
+        outlook = kernel.outlook(held, 0.5 * (own + own.T), self._tolerance)
+        others = columns[np.ix_(outlook.chosen, kernel.others)]
+        kernel.append(outlook, others, rows)
+
+    def _mend(self) -> None:
+        """Make R anew if it is of no use."""
+        if self._stale:
+            self._rebuild()
+
+    def _rebuild(self) -> None:
+        """Make R anew from D: as many solves as when all blocks came."""
+        self._stale = True
+        self._kernel = LowRankKernel()
+        for s in range(len(self)):
+            self._kernel.append(*self._seen(self._D.block(s)))
+        self._stale = False
+        self._restart()
+
+    def _accuracy(self, sizes: Array) -> float:
+        """Relative residual of solves for columns of K, of rows with such ‖h‖²."""
+        largest = max(float(sizes.max(initial=0.0)), 1e-300)
+        rtol = min(max(RTOL, SPAN / (MARGIN * largest)), COLUMN_RTOL)
+        self._tolerance = max(self._tolerance, MARGIN * rtol * largest)
+        return rtol
+
+    def _chains(
+        self,
+        entries: Sequence[tuple[NDArray[np.int32], Array]],
+        rtol: float,
+        take: Callable[[int, Array], None],
+    ) -> None:
+        """Hand L⁻¹L⁻ᵀhᵀ of rows on, each with its number, side by side.
+
+        Args:
+            entries: Voxels and values of the rows h.
+            rtol: Relative residual of the solves.
+            take: What takes them, from several threads.
+        """
+        laplace = self._laplace
 
         def chain(c: int) -> None:
             row = np.zeros(laplace.grid.n_voxels)
-            row[block.voxels] = block.values[:, c]
-            x = laplace.solve(laplace.solve_adjoint(row, rtol=rtol), rtol=rtol)
-            cross[c] = self._D.times(x, pivots)
-            own[c] = x[block.voxels] @ block.values
+            row[entries[c][0]] = entries[c][1]
+            take(c, laplace.solve(laplace.solve_adjoint(row, rtol=rtol), rtol=rtol))
 
-        with ThreadPoolExecutor(min(m, len(os.sched_getaffinity(0)))) as pool:
-            list(pool.map(chain, range(m)))
-        return cross, 0.5 * (own + own.T)
+        cores = len(os.sched_getaffinity(0))
+        with ThreadPoolExecutor(min(len(entries), cores)) as pool:
+            list(pool.map(chain, range(len(entries))))
 
     def _restart(self) -> None:
         """Start anew from p₀: rows went or changed, or the field failed."""
-        self._information = self._kernel.adjoint(self._d0)
+        self._rest = self._d0
+        if not self._stale:
+            self._information = self._kernel.adjoint(self._d0)
         self._shift, self._y = None, np.zeros(len(self._d0))
 
 
 def _warm_up(height: int) -> None:
     """Compile, so that no update has to."""
     kernel = LowRankKernel()
-    none = np.zeros((height, 0))
-    kernel.append(kernel.outlook(none, np.eye(height), 0.0))
-    kernel.solve(np.zeros(height))
+    for _ in range(3):
+        held = kernel.coordinates(np.zeros((height, kernel.rank)))
+        outlook = kernel.outlook(held, np.eye(height), 0.0)
+        kernel.append(outlook, np.zeros((height, len(kernel.others))))
+    kernel.solve(np.zeros(len(kernel)))
     kernel.remove(0, 1, 0.0)
     rows = MeasuredRows(1, height)
     rows.append(Block(np.zeros(1, dtype=np.int32), np.zeros((1, height))))
     rows.adjoint(rows.times(np.zeros(1)))
-    rows.times(np.zeros(1), kernel.pivots)
+    rows.times(np.zeros(1), np.zeros(1, dtype=np.int64))
+
+
+def _least(outlook: Outlook) -> float:
+    """Smallest eigenvalue of the innovation's covariance."""
+    return float(np.linalg.eigvalsh(outlook.schur)[0])

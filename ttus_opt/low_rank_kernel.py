@@ -1,16 +1,24 @@
 """I + K of measured rows whose K has far fewer large eigenvalues than rows.
 
-Measurements of one spot say nearly the same: beyond its first rows, a row's column of
-K is a combination of those of earlier ones, up to what no measurement can tell from
-its noise. So K ≈ R Rᵀ with R of n rows and k columns, an incomplete Cholesky factor
-that takes its pivots in the order of arrival: a row brings a column of its own only
-if its part outside the span of the earlier pivots has a variance above a tolerance.
-R is a staircase, its pivot rows are the Cholesky factor C of their block of K, and
+Measurements of one spot say nearly the same: beyond a few rows, the pivots, a row's
+column of K is a combination of theirs, up to what no measurement can tell from its
+noise. So K ≈ R Rᵀ with R of n rows and k columns. Its rows at the pivots are the
+Cholesky factor C of their block of K, those of the others, as the columns of N, are
+what C makes of their entries with the pivots, and
 
-    (I + R Rᵀ)⁻¹ = I - R M⁻¹Rᵀ,    M = I + RᵀR = E Eᵀ.
+    (I + R Rᵀ)⁻¹ = I - R M⁻¹Rᵀ,    M = I + RᵀR = I + CᵀC + N Nᵀ = E Eᵀ.
 
-Rows whose K has no structure at all make it the ordinary Cholesky factor, and E as
-large as that: n² numbers at the most.
+This is the Nyström approximation in its stable form (Foster et al., "Stable and
+efficient Gaussian process calculations", J. Mach. Learn. Res. 10 (2009) 857-882).
+
+Rows may come and go without end. Entries of R are never taken for entries of K: what
+R makes of two rows that are no pivots carries an error that C⁻¹ has enlarged, and
+enlarges it once more when it comes to stand in C itself. So C is only ever made of
+entries of K as they were solved for. A pivot goes by rotations of the columns, which
+leave all other products as they are and one column to be dropped; what that column
+said of a row is added to the variance that R leaves out of it, and rows that stand
+for what is lost are named by `LowRankKernel.remove`, to be compared anew with all
+others. E is downdated, and made anew once as many rows went as there are.
 """
 
 from __future__ import annotations
@@ -21,24 +29,22 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.compiled import compiled
+from ttus_opt import packed_triangle as triangle
 from ttus_opt.errors import InputError
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 
-#: By how many numbers memory grows at a time, at least
-ROOM = 2**12
+#: By how many numbers memory grows at a time, at least, and rows and columns of N
+ROOM, MORE = 2**12, 8
 
 #: What a pivot's variance is raised by, over the tolerance: rows may nearly depend on
 #: each other, and C must stay far enough from singular for the error of its entries
 JITTER = 0.1
 
-#: A row that leaves less than this of what is known of it takes too many digits along
-LEAST_LEFT = 1e-6
-
-#: Rows of R that are dense at a time while M is made anew
-PIECE = 512
+#: A row stands for what is lost if it has this part of the largest loss: the newest
+#: of them is taken, for it will stay longest
+SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -46,36 +52,49 @@ class Outlook:
     """New rows seen from those held.
 
     Attributes:
-        rows: What they add to R, shape (m, k + p) with p new columns.
-        widths: Columns that each row uses, shape (m,).
+        held: Their part in the k columns held, shape (m, k).
+        new: What they add in p new columns, shape (m, p).
+        chosen: Which of them are the pivots of the new columns, shape (p,).
+        left: Variance that is left out of each, shape (m,).
         schur: Schur complement of I + K, shape (m, m).
         gain: M⁻¹ times the rows' part in the k columns held, shape (k, m).
     """
 
-    rows: Array
-    widths: Index
+    held: Array
+    new: Array
+    chosen: Index
+    left: Array
     schur: Array
     gain: Array
 
+    @property
+    def rows(self) -> Array:
+        """What they add to R, shape (m, k + p)."""
+        return np.hstack([self.held, self.new])
+
 
 class LowRankKernel:
-    """R and E of the rows so far.
+    """R and E of the rows held.
 
     Attributes:
-        pivots: Rows that brought a column, increasing, shape (k,).
+        pivots: Rows that have a column of their own, in its order, shape (k,).
+        others: The other rows, in the order of N's columns, shape (n - k,).
     """
 
     def __init__(self) -> None:
-        self._widths = np.zeros(0, dtype=np.int64)
-        self._starts = np.zeros(1, dtype=np.int64)
-        # rows of R and of E, one after the other
-        self._R: Array = np.zeros(ROOM)
+        self._C: Array = np.zeros(ROOM)
         self._E: Array = np.zeros(ROOM)
+        self._N: Array = np.zeros((MORE, MORE))
+        # variance of the others that R leaves out
+        self._left = np.zeros(0)
         self.pivots = np.zeros(0, dtype=np.int64)
+        self.others = np.zeros(0, dtype=np.int64)
+        # rows that E was downdated by since it was made
+        self._downdated = 0
 
     def __len__(self) -> int:
         """Number of rows n [–]."""
-        return len(self._widths)
+        return len(self.pivots) + len(self.others)
 
     @property
     def rank(self) -> int:
@@ -85,62 +104,95 @@ class LowRankKernel:
     @property
     def memory_bytes(self) -> int:
         """Size of all arrays, room to grow included."""
-        arrays = (self._R, self._E, self._widths, self._starts, self.pivots)
+        arrays = (self._C, self._E, self._N, self._left, self.pivots, self.others)
         return sum(a.nbytes for a in arrays)
 
-    def outlook(self, cross: Array, own: Array, tolerance: float) -> Outlook:
-        """See new rows from those held; O(k²) per row.
+    @property
+    def largest_left(self) -> float:
+        """Largest variance of a row that R leaves out."""
+        return float(self._left.max(initial=0.0))
+
+    def coordinates(self, cross: Array) -> Array:
+        """Rows' part in the columns held, shape (m, k); O(k²) per row.
 
         Args:
             cross: Their entries of K with the pivots, shape (m, k).
+
+        Raises:
+            InputError: Another number of columns.
+        """
+        if cross.ndim != 2 or cross.shape[1] != self.rank:
+            raise InputError(
+                f"new rows must be (m, {self.rank}), one entry for each pivot, got "
+                f"{cross.shape}"
+            )
+        held = np.array(cross, order="C")
+        triangle.forward(self._C, held)
+        return held
+
+    def outlook(self, held: Array, own: Array, tolerance: float) -> Outlook:
+        """See new rows from those held; O(k²) per row.
+
+        Args:
+            held: Their `coordinates`, shape (m, k).
             own: Their own block of K, shape (m, m).
             tolerance: Variance beyond the span of the pivots that is none; well above
-                the error of ``cross`` and ``own``.
+                the error of K's entries.
 
         Raises:
             InputError: Shapes that do not fit.
         """
         m, k = len(own), self.rank
-        if cross.shape != (m, k) or own.shape != (m, m):
+        if held.shape != (m, k) or own.shape != (m, m):
             raise InputError(
                 f"new rows must be ({m}, {k}) with a corner ({m}, {m}), got "
-                f"{cross.shape} and {own.shape}"
+                f"{held.shape} and {own.shape}"
             )
-        held = np.array(cross, order="C")
-        _reduce(self._R, self._starts, self.pivots, held)
         # einsum: too little work to wake a threaded BLAS for
         beyond = own - np.einsum("ik,jk->ij", held, held)
         whitened = held.copy()
-        _forward(self._E, whitened)
+        triangle.forward(self._E, whitened)
         schur = np.eye(m) + beyond + np.einsum("ik,jk->ij", whitened, whitened)
         for row in whitened:
-            _backward(self._E, row)
-        new, widths = _staircase(beyond, tolerance)
-        rows = np.hstack([held, new])
-        return Outlook(rows, k + widths, schur, whitened.T)
+            triangle.backward(self._E, row)
+        new, chosen, left = _incomplete_cholesky(beyond, tolerance)
+        return Outlook(held, new, chosen, left, schur, whitened.T)
 
-    def append(self, outlook: Outlook) -> None:
-        """Take the rows of an outlook in; O(k²) per row.
+    def append(
+        self, outlook: Outlook, columns: Array, numbers: Index | None = None
+    ) -> None:
+        """Take the rows of an outlook in; O(k²) per row, O(n k) per new column.
 
         Args:
             outlook: Made by `outlook` since the last change.
+            columns: Entries of K of the rows chosen with the others held, shape
+                (p, n - k).
+            numbers: Which rows they are, shape (m,); by default the next.
+
+        Raises:
+            InputError: Shapes that do not fit.
         """
-        n, k = len(self), self.rank
-        ends = self._starts[-1] + np.cumsum(outlook.widths)
-        self._R = _fitted(self._R, int(ends[-1]))
-        for row, width, end in zip(outlook.rows, outlook.widths, ends, strict=True):
-            self._R[end - width : end] = row[:width]
-        before = np.concatenate([[k], outlook.widths[:-1]])
-        new = np.flatnonzero(outlook.widths > before)
-        self.pivots = np.concatenate([self.pivots, n + new])
-        self._widths = np.concatenate([self._widths, outlook.widths])
-        self._starts = np.concatenate([self._starts, ends])
-        rank = self.rank
-        self._E = _fitted(self._E, rank * (rank + 1) // 2)
-        for j in range(k, rank):
-            self._E[j * (j + 1) // 2 : (j + 1) * (j + 2) // 2 - 1] = 0.0
-            self._E[(j + 1) * (j + 2) // 2 - 1] = 1.0
-        _update(self._E, np.ascontiguousarray(outlook.rows.T))
+        k, o, chosen = self.rank, len(self.others), outlook.chosen
+        m, p = outlook.new.shape
+        if columns.shape != (p, o):
+            raise InputError(f"columns must be ({p}, {o}), got {columns.shape}")
+        if numbers is None:
+            numbers = np.arange(len(self), len(self) + m)
+        rest = np.setdiff1d(np.arange(m), chosen)
+        self._resize(k + p, o + len(rest))
+        if p:
+            self._N[k : k + p, :o] = self._new_columns(outlook, columns)
+        for j, a in enumerate(chosen):
+            self._extend_factor(k + j, o)
+            start = triangle.packed_size(k + j)
+            self._C[start : start + k] = outlook.held[a]
+            self._C[start + k : start + k + j + 1] = outlook.new[a, : j + 1]
+        rows = outlook.rows
+        self._N[: k + p, o : o + len(rest)] = rows[rest].T
+        triangle.update(self._E, np.ascontiguousarray(rows.T))
+        self.pivots = np.concatenate([self.pivots, numbers[chosen]])
+        self.others = np.concatenate([self.others, numbers[rest]])
+        self._left = np.concatenate([self._left, outlook.left[rest]])
 
     def times(self, x: Array) -> Array:
         """R x, shape (n,).
@@ -148,8 +200,10 @@ class LowRankKernel:
         Args:
             x: One number per column, shape (k,).
         """
-        out = np.empty(len(self))
-        _times(self._R, self._starts, x, out)
+        out, part = np.empty(len(self)), np.empty(self.rank)
+        triangle.times(self._C, x, part)
+        out[self.pivots] = part
+        out[self.others] = x @ self._leaning
         return out
 
     def adjoint(self, y: Array) -> Array:
@@ -158,8 +212,8 @@ class LowRankKernel:
         Args:
             y: One number per row, shape (n,).
         """
-        out = np.zeros(self.rank)
-        _adjoint(self._R, self._starts, y, out)
+        out = np.asarray(self._leaning @ y[self.others], np.float64)
+        triangle.add_adjoint(self._C, y[self.pivots], out)
         return out
 
     def solve(self, right_side: Array) -> Array:
@@ -179,21 +233,24 @@ class LowRankKernel:
                 f"a right side must have shape ({len(self)},), got {right_side.shape}"
             )
         part = self.adjoint(right_side)[None]
-        _forward(self._E, part)
-        _backward(self._E, part[0])
+        triangle.forward(self._E, part)
+        triangle.backward(self._E, part[0])
         return right_side - self.times(part[0])
 
-    def remove(self, start: int, count: int, tolerance: float) -> None:
+    def remove(self, start: int, count: int, tolerance: float) -> Index:
         """Take rows start to start + count out.
 
-        Where pivots go, later rows take over, and columns of R are turned so that it
-        is a staircase again. Costs O(n + k²) per row, O(n k) more for a row that was
-        a pivot, where no other row comes soon that takes its place.
+        Costs O(k²) per row, O(n k) more for each that was a pivot.
 
         Args:
             start: First row.
             count: Number of rows.
             tolerance: As in `outlook`.
+
+        Returns:
+            Rows that stand for what is lost with the pivots, by their numbers now:
+            `take_out` and `append` them with entries of K solved for anew, or R
+            leaves out what they say.
 
         Raises:
             InputError: Rows that are not there.
@@ -201,62 +258,180 @@ class LowRankKernel:
         n = len(self)
         if start < 0 or count < 0 or start + count > n:
             raise InputError(f"rows {start} to {start + count} are not within 0 to {n}")
-        gone = self._dense(start, start + count)
-        low, high = self._starts[start], self._starts[start + count]
-        used = int(self._starts[-1])
-        self._R[low : used - (high - low)] = self._R[high:used].copy()
-        widths = np.delete(self._widths, slice(start, start + count))
-        starts = np.concatenate([[0], np.cumsum(widths)])
-        sound = _downdate(self._E, gone)
-        self.pivots = _restored(self._R, self._E, starts, widths, tolerance)
-        _compact(self._R, starts, widths)
-        self._widths, self._starts = widths, np.concatenate([[0], np.cumsum(widths)])
-        self._R = _fitted(self._R, int(self._starts[-1]))
-        self._E = _fitted(self._E, self.rank * (self.rank + 1) // 2)
-        if not sound:
-            self._refresh()
+        going = (self.pivots >= start) & (self.pivots < start + count)
+        places = np.flatnonzero(going)[::-1]
+        self._resize(self.rank, len(self.others) + len(places))
+        losses = [self._demote(int(q)) for q in places]
+        lost = np.zeros((len(losses), len(self.others)))
+        for row, loss in zip(lost, losses, strict=True):
+            row[: len(loss)] = loss
+        kept = self._take_out((self.others >= start) & (self.others < start + count))
+        self.pivots = np.where(
+            self.pivots >= start, self.pivots - count, self.pivots
+        ).astype(np.int64)
+        self.others = np.where(
+            self.others >= start, self.others - count, self.others
+        ).astype(np.int64)
+        return self._standing_for(lost[:, kept], tolerance)
+
+    def take_out(self, rows: Index) -> None:
+        """Take rows out that are no pivots, to `append` them again; O(k²) per row.
+
+        Args:
+            rows: Their numbers, which nothing else takes meanwhile.
+
+        Raises:
+            InputError: One of them is a pivot, or not there.
+        """
+        mask = np.isin(self.others, rows)
+        if np.count_nonzero(mask) != len(rows):
+            raise InputError("only rows that are held and no pivots can be taken out")
+        self._take_out(mask)
 
     def scale(self, factor: float) -> None:
-        """Multiply R by a number."""
-        self._R[: self._starts[-1]] *= factor
+        """Multiply R by a number; O(n k²)."""
+        self._C *= factor
+        self._N *= factor
+        self._left *= factor**2
         self._refresh()
 
     def dense(self) -> Array:
-        """R with zeros where it has no entries, shape (n, k)."""
-        return self._dense(0, len(self))
-
-    def _dense(self, first: int, last: int) -> Array:
-        out = np.zeros((last - first, self.rank))
-        for i in range(first, last):
-            row = self._R[self._starts[i] : self._starts[i + 1]]
-            out[i - first, : len(row)] = row
+        """R with all its zeros, shape (n, k)."""
+        out = np.zeros((len(self), self.rank))
+        out[self.pivots] = triangle.unpacked(self._C, self.rank)
+        out[self.others] = self._leaning.T
         return out
+
+    @property
+    def _leaning(self) -> Array:
+        """N, shape (k, n - k)."""
+        return self._N[: self.rank, : len(self.others)]
+
+    def _new_columns(self, outlook: Outlook, columns: Array) -> Array:
+        """The others' entries in new columns, shape (p, n - k)."""
+        chosen = outlook.chosen
+        corner = outlook.new[chosen]
+        out = columns - outlook.held[chosen] @ self._leaning
+        for j, row in enumerate(out):
+            row -= corner[j, :j] @ out[:j]
+            row /= corner[j, j]
+            # beyond rounding, no row has more there than is left out of it
+            most = np.sqrt(self._left)
+            np.clip(row, -most, most, out=row)
+            self._left = np.maximum(self._left - row**2, 0.0)
+        return out
+
+    def _extend_factor(self, k: int, o: int) -> None:
+        """Add a row to E for column k, of which the others held have entries."""
+        column = self._N[k, :o]
+        row = np.asarray(self._N[:k, :o] @ column, np.float64)[None]
+        triangle.forward(self._E, row)
+        start = triangle.packed_size(k)
+        self._E[start : start + k] = row[0]
+        own = 1.0 + column @ column - row[0] @ row[0]
+        # M is I at the least, and so is each Schur complement of it
+        self._E[start + k] = math.sqrt(max(own, 1.0))
+
+    def _demote(self, q: int) -> Array:
+        """Make pivot q one of the others; what they lose with it, shape (n - k,)."""
+        k, o = self.rank, len(self.others)
+        start = triangle.packed_size(q)
+        self._N[: q + 1, o] = self._C[start : start + q + 1]
+        self._N[q + 1 : k, o] = 0.0
+        cosines, sines = np.empty(k), np.empty(k)
+        triangle.delete_row(self._C, k, q, cosines, sines)
+        triangle.rotate_rows(self._N[:, : o + 1], k, q, cosines, sines)
+        triangle.rotate_factor(self._E, k, q, cosines, sines)
+        loss = self._N[k - 1, : o + 1].copy()
+        self._left = np.append(self._left, 0.0) + loss**2
+        self.others = np.append(self.others, self.pivots[q])
+        self.pivots = np.delete(self.pivots, q)
+        return loss
+
+    def _take_out(self, mask: NDArray[np.bool_]) -> Index:
+        """Take others out, and the places before of those that stay."""
+        o, k = len(self.others), self.rank
+        gone = np.flatnonzero(mask)
+        sound = triangle.downdate(self._E, np.ascontiguousarray(self._N[:k, gone].T))
+        left = o - len(gone)
+        # the last ones move to where there is room
+        kept = np.arange(left)
+        holes = gone[gone < left]
+        kept[holes] = left + np.flatnonzero(~mask[left:])
+        self._N[:k, holes] = self._N[:k, kept[holes]]
+        self.others, self._left = self.others[kept], self._left[kept]
+        self._downdated += len(gone)
+        if not sound or self._downdated >= len(self):
+            self._refresh()
+        self._resize(k, left)
+        return kept
+
+    def _standing_for(self, lost: Array, tolerance: float) -> Index:
+        """Rows by which what is lost is known again, by a pivoted Cholesky factor.
+
+        Args:
+            lost: Columns that were dropped, shape (g, n - k).
+            tolerance: As in `outlook`.
+        """
+        chosen: list[int] = []
+        for _ in range(len(lost)):
+            size = np.where(self._left > tolerance, np.sum(lost**2, axis=0), 0.0)
+            largest = float(size.max(initial=0.0))
+            if largest <= tolerance:
+                break
+            enough = np.flatnonzero(size >= max(SHARE * largest, tolerance))
+            best = int(enough[np.argmax(self.others[enough])])
+            chosen.append(best)
+            unit = lost[:, best] / math.sqrt(size[best])
+            lost = lost - np.outer(unit, unit @ lost)
+            lost[:, best] = 0.0
+        return self.others[chosen]
 
     def _refresh(self) -> None:
         """Make E anew; O(n k²)."""
         k = self.rank
-        M = np.eye(k)
-        for first in range(0, len(self), PIECE):
-            piece = self._dense(first, min(first + PIECE, len(self)))
-            M += piece.T @ piece
-        self._E = np.asarray(np.linalg.cholesky(M)[np.tril_indices(k)], np.float64)
+        C = triangle.unpacked(self._C, k)
+        M = np.eye(k) + C.T @ C + self._leaning @ self._leaning.T
+        factor = np.asarray(np.linalg.cholesky(M), np.float64)
+        self._E[: triangle.packed_size(k)] = triangle.packed(factor)
+        self._downdated = 0
+
+    def _resize(self, k: int, o: int) -> None:
+        """Room for k pivots and o others, neither too little nor far too much."""
+        size = triangle.packed_size(k)
+        self._C, self._E = _fitted(self._C, size), _fitted(self._E, size)
+        rows, columns = self._N.shape
+        if k <= rows <= 2 * (k + MORE) and o <= columns <= 2 * (o + MORE):
+            return
+        grown = np.zeros((k + k // 16 + MORE, o + o // 16 + MORE))
+        rows, columns = min(rows, len(grown)), min(columns, grown.shape[1])
+        grown[:rows, :columns] = self._N[:rows, :columns]
+        self._N = grown
 
 
-def _staircase(beyond: Array, tolerance: float) -> tuple[Array, Index]:
-    """Incomplete Cholesky factor of a small matrix, and the widths of its rows."""
-    m = len(beyond)
-    rows, widths, k = np.zeros((m, m)), np.zeros(m, dtype=np.int64), 0
-    pivots: list[int] = []
-    for a in range(m):
-        for j, p in enumerate(pivots):
-            rows[a, j] = (beyond[a, p] - rows[a, :j] @ rows[p, :j]) / rows[p, j]
-        left = beyond[a, a] - rows[a, :k] @ rows[a, :k]
-        if left > tolerance:
-            rows[a, k] = math.sqrt(left + JITTER * tolerance)
-            pivots.append(a)
-            k += 1
-        widths[a] = k
-    return rows[:, :k], widths
+def _incomplete_cholesky(B: Array, tolerance: float) -> tuple[Array, Index, Array]:
+    """Pivoted incomplete Cholesky factor of a small matrix.
+
+    Returns:
+        The factor, triangular in its pivots' rows, shape (m, p); the pivots, shape
+        (p,); the variance that it leaves out, shape (m,).
+    """
+    rest, left = B.copy(), np.maximum(np.diag(B), 0.0)
+    columns, chosen = [], np.zeros(0, dtype=np.int64)
+    while len(chosen) < len(B):
+        free = np.where(np.isin(np.arange(len(B)), chosen), 0.0, left)
+        best = int(np.argmax(free))
+        if not free[best] > tolerance:
+            break
+        most = np.sqrt(free)
+        size = math.sqrt(free[best] + JITTER * tolerance)
+        column = np.clip(rest[:, best] / size, -most, most)
+        column[best] = size
+        rest -= np.outer(column, column)
+        left = np.maximum(left - column**2, 0.0)
+        columns.append(column)
+        chosen = np.append(chosen, best)
+    return np.array(columns).reshape(len(columns), len(B)).T, chosen, left
 
 
 def _fitted(values: Array, size: int) -> Array:
@@ -264,203 +439,3 @@ def _fitted(values: Array, size: int) -> Array:
     if not size <= len(values) <= 2 * size + ROOM:
         values.resize(size + size // 16 + ROOM, refcheck=False)
     return values
-
-
-@compiled(nogil=True, fastmath={"reassoc", "contract"})
-def _dot(a: Array, b: Array) -> float:
-    total = 0.0
-    for i in range(len(a)):
-        total += a[i] * b[i]
-    return total
-
-
-@compiled(nogil=True, fastmath={"reassoc", "contract"})
-def _take(a: Array, value: float, b: Array) -> None:
-    for i in range(len(b)):
-        a[i] -= value * b[i]
-
-
-@compiled(nogil=True)
-def _reduce(R: Array, starts: Index, pivots: Index, x: Array) -> None:
-    """Solve C x = g for the rows of x, in place (compiled)."""
-    for j in range(len(pivots)):
-        start = starts[pivots[j]]
-        row = R[start : start + j]
-        for c in range(len(x)):
-            x[c, j] = (x[c, j] - _dot(row, x[c, :j])) / R[start + j]
-
-
-@compiled(nogil=True)
-def _times(R: Array, starts: Index, x: Array, out: Array) -> None:
-    """R x (compiled)."""
-    for i in range(len(out)):
-        row = R[starts[i] : starts[i + 1]]
-        out[i] = _dot(row, x[: len(row)])
-
-
-@compiled(nogil=True)
-def _adjoint(R: Array, starts: Index, y: Array, out: Array) -> None:
-    """Add Rᵀ y to out (compiled)."""
-    for i in range(len(y)):
-        _take(out, -y[i], R[starts[i] : starts[i + 1]])
-
-
-@compiled(nogil=True)
-def _forward(E: Array, x: Array) -> None:
-    """Solve E x = g for the rows of x, in place (compiled)."""
-    start = 0
-    for j in range(x.shape[1]):
-        row = E[start : start + j]
-        for c in range(len(x)):
-            x[c, j] = (x[c, j] - _dot(row, x[c, :j])) / E[start + j]
-        start += j + 1
-
-
-@compiled(nogil=True)
-def _backward(E: Array, y: Array) -> None:
-    """Solve Eᵀ y = z, in place (compiled)."""
-    for j in range(len(y) - 1, -1, -1):
-        start = j * (j + 1) // 2
-        y[j] /= E[start + j]
-        _take(y, y[j], E[start : start + j])
-
-
-@compiled(nogil=True, fastmath={"contract"})
-def _update(E: Array, added: Array) -> None:
-    """Make E the factor of E Eᵀ + W Wᵀ by Givens rotations, in place (compiled).
-
-    Args:
-        E: Rows of the factor, one after the other.
-        added: W, overwritten, shape (k, m).
-    """
-    k, m = added.shape
-    cosines, sines = np.empty((k, m)), np.empty((k, m))
-    for j in range(k):
-        start, rest = j * (j + 1) // 2, added[j]
-        for q in range(j):
-            value, c, s = E[start + q], cosines[q], sines[q]
-            for a in range(m):
-                w = rest[a]
-                rest[a] = c[a] * w - s[a] * value
-                value = c[a] * value + s[a] * w
-            E[start + q] = value
-        value = E[start + j]
-        for a in range(m):
-            norm = math.sqrt(value * value + rest[a] * rest[a])
-            cosines[j, a], sines[j, a] = value / norm, rest[a] / norm
-            value = norm
-        E[start + j] = value
-
-
-@compiled(nogil=True, fastmath={"contract"})
-def _restored(
-    R: Array, E: Array, starts: Index, widths: Index, tolerance: float
-) -> Index:
-    """Turn columns of R until it is a staircase again, in place (compiled).
-
-    Args:
-        R: Rows, one after the other.
-        E: Its factor of I + RᵀR, turned with it.
-        starts: Where they start.
-        widths: Columns of each, never less than those of the row before; set to how
-            many it keeps.
-        tolerance: See `LowRankKernel.remove`.
-
-    Returns:
-        The pivots.
-    """
-    pivots = np.empty(len(widths), dtype=np.int64)
-    k, last = 0, widths[-1] if len(widths) else 0
-    for i in range(len(widths)):
-        if widths[i] <= k:
-            continue
-        # what is beyond the columns so far is turned into the first one there
-        for q in range(widths[i] - 2, k - 1, -1):
-            at = starts[i] + q
-            norm = math.hypot(R[at], R[at + 1])
-            if norm > 0.0:
-                c, s = R[at] / norm, R[at + 1] / norm
-                for j in range(i, len(widths)):
-                    at = starts[j] + q
-                    R[at], R[at + 1] = (
-                        c * R[at] + s * R[at + 1],
-                        c * R[at + 1] - s * R[at],
-                    )
-                _turn(E, q, c, s, last)
-        if R[starts[i] + k] ** 2 > tolerance:
-            pivots[k] = i
-            k += 1
-        widths[i] = k
-    return pivots[:k].copy()
-
-
-@compiled(nogil=True)
-def _turn(E: Array, q: int, c: float, s: float, k: int) -> None:
-    """Turn rows q and q + 1 of E, and columns until it is triangular (compiled).
-
-    Args:
-        E: Rows of the factor, one after the other.
-        q: Number of the row.
-        c: Cosine.
-        s: Sine.
-        k: Rows of E that are of use.
-    """
-    top, low = q * (q + 1) // 2, (q + 1) * (q + 2) // 2
-    for i in range(q + 1):
-        a, b = E[top + i], E[low + i]
-        E[top + i], E[low + i] = c * a + s * b, c * b - s * a
-    # row q has got an entry beyond its diagonal
-    beyond, E[low + q + 1] = s * E[low + q + 1], c * E[low + q + 1]
-    norm = math.hypot(E[top + q], beyond)
-    c, s = E[top + q] / norm, beyond / norm
-    E[top + q] = norm
-    for i in range(q + 1, k):
-        at = i * (i + 1) // 2 + q
-        E[at], E[at + 1] = c * E[at] + s * E[at + 1], c * E[at + 1] - s * E[at]
-    if E[low + q + 1] < 0.0:
-        for i in range(q + 1, k):
-            E[i * (i + 1) // 2 + q + 1] *= -1.0
-
-
-@compiled(nogil=True, fastmath={"contract"})
-def _downdate(E: Array, gone: Array) -> bool:
-    """Make E the factor of E Eᵀ - Σ w wᵀ, row w after row, in place (compiled).
-
-    Args:
-        E: Rows of the factor, one after the other.
-        gone: Rows w, overwritten, shape (m, k).
-
-    Returns:
-        Whether enough digits are left; E is spoilt if not.
-    """
-    m, k = gone.shape
-    cosines, sines = np.empty(k), np.empty(k)
-    for a in range(m):
-        w = gone[a : a + 1]
-        _forward(E, w)
-        left = 1.0 - _dot(w[0], w[0])
-        if left < LEAST_LEFT:
-            return False
-        left = math.sqrt(left)
-        # rotations that turn (w, left) into (0, 1), from the last entry on
-        for j in range(k - 1, -1, -1):
-            norm = math.hypot(left, w[0, j])
-            cosines[j], sines[j] = left / norm, w[0, j] / norm
-            left = norm
-        for i in range(k):
-            start, rest = i * (i + 1) // 2, 0.0
-            for j in range(i, -1, -1):
-                value = E[start + j]
-                E[start + j] = cosines[j] * value - sines[j] * rest
-                rest = cosines[j] * rest + sines[j] * value
-    return True
-
-
-@compiled(nogil=True)
-def _compact(R: Array, starts: Index, widths: Index) -> None:
-    """Close the gaps behind rows that keep fewer columns, in place (compiled)."""
-    end = 0
-    for i in range(len(widths)):
-        for q in range(widths[i]):
-            R[end + q] = R[starts[i] + q]
-        end += widths[i]

@@ -75,9 +75,7 @@ class MeasuredRows:
         used = int(self._starts[-1])
         end = used + len(voxels)
         if end > len(self._voxels):
-            size = max(2 * len(self._voxels), end)
-            self._voxels = np.resize(self._voxels, size)
-            self._values = np.resize(self._values, (size, self._height))
+            self._resize(max(2 * len(self._voxels), end))
         self._voxels[used:end] = voxels
         self._values[used:end] = values
         self._starts = np.append(self._starts, end)
@@ -88,18 +86,37 @@ class MeasuredRows:
         Args:
             blocks: Increasing block numbers.
         """
-        counts = np.diff(self._starts)
-        mask = np.zeros(len(self), dtype=np.bool_)
-        mask[blocks] = True
-        entries = np.repeat(mask, counts)
-        used = int(self._starts[-1])
-        self._voxels = self._voxels[:used][entries]
-        self._values = self._values[:used][entries]
-        self._starts = np.concatenate([[0], np.cumsum(counts[mask])])
+        counts, end = np.diff(self._starts)[blocks], 0
+        for s, count in zip(blocks, counts, strict=True):
+            start, new = int(self._starts[s]), slice(end, end + int(count))
+            if start != end:
+                self._voxels[new] = self._voxels[start : start + count]
+                self._values[new] = self._values[start : start + count]
+            end = new.stop
+        self._starts = np.concatenate([[0], np.cumsum(counts)])
+        if len(self._voxels) > 4 * max(end, ROOM):
+            self._resize(2 * end)
+
+    def block(self, s: int) -> Block:
+        """Block s, as views of what is held until the next change."""
+        at = slice(int(self._starts[s]), int(self._starts[s + 1]))
+        return Block(self._voxels[at], self._values[at])
+
+    def row(self, i: int) -> tuple[Voxels, Array]:
+        """Voxels and values of row i, views until the next change."""
+        block = self.block(i // self._height)
+        return block.voxels, block.values[:, i % self._height]
 
     def scale(self, factor: float) -> None:
         """Multiply every row by a number."""
-        self._values *= factor
+        self._values[: self._starts[-1]] *= factor
+
+    def _resize(self, size: int) -> None:
+        voxels, values = self._voxels, self._values
+        used = int(self._starts[-1])
+        self._voxels = np.empty(size, dtype=np.int32)
+        self._values = np.empty((size, self._height))
+        self._voxels[:used], self._values[:used] = voxels[:used], values[:used]
 
     def times(self, x: Array, rows: NDArray[np.int64] | None = None) -> Array:
         """D x, or some of its rows.

@@ -71,8 +71,10 @@ class RecursiveFit:
     and sweeps of the bundled recordings on 51,840 voxels, 32 MB; 400 presses all over
     a torso have k = 1,475 and 29 MB.
 
-    Time per measurement: twelve solves with the block A on all cores and O(k²); a
-    pose without contact costs only the search for its points. An instance belongs to
+    Time per measurement: twelve solves with the block A on all cores and O(k²), O(n k)
+    for what is new; a pose without contact costs only the search for its points.
+    Measurements may come, fade and go without end: nothing grows but the numbers of
+    those rejected. An instance belongs to
     one thread at a time; the fields it gave stay as they are.
 
     Attributes:
@@ -232,8 +234,8 @@ class RecursiveFit:
     def downdate(self, index: int) -> None:
         """Take one measurement out, as if it had never been made.
 
-        O(n k + k²) for each of its rows at least, k times that where later ones have
-        to take over all that it said.
+        O(k²) for each of its rows; O(n k) more, and as a rule a pair of solves with A,
+        where others have to stand for what only it said.
 
         Args:
             index: Its number, `Innovation.index`.
