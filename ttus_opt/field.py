@@ -39,6 +39,7 @@ class PotentialField:
         sampling: How contact samples it: ``voxel-mean`` or ``trilinear``.
         parameters: What was identified beside the field, by name (boundary_scale).
         provenance: Free text by key: formulation, solver, trajectory, …
+        standard_errors: Of those parameters that have one, by name.
     """
 
     voxmap: Voxmap
@@ -46,6 +47,7 @@ class PotentialField:
     sampling: str
     parameters: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict, repr=False)
+    standard_errors: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse values that do not fit the grid.
@@ -103,6 +105,7 @@ class PotentialField:
                 ),
                 "parameters": json.dumps(dict(self.parameters)),
                 "provenance": json.dumps(dict(self.provenance)),
+                "standard_errors": json.dumps(dict(self.standard_errors)),
                 **surface.axis.attributes(),
             },
         )
@@ -134,6 +137,7 @@ class PotentialField:
                 data.attrs["sampling"],
                 json.loads(data.attrs["parameters"]),
                 json.loads(data.attrs["provenance"]),
+                json.loads(data.attrs.get("standard_errors", "{}")),
             )
         except (KeyError, InputError, ValueError) as error:
             raise FileError(f"{path}: damaged field file: {error}") from error

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 
 from ttus_opt.errors import InputError
 from ttus_opt.field import PotentialField
+from ttus_opt.identification import Estimate, fitted_estimates, with_estimates
+from ttus_opt.parameter_search import searched
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.conflict import conflicting
-from ttus_opt.problem.formulation import Formulation, Search
+from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.kkt import KKT, kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction, reduce
@@ -27,9 +29,6 @@ Array = NDArray[np.float64]
 
 #: Seconds spent on naming the constraints in conflict, when no limit is given
 CONFLICT_SECONDS = 30.0
-
-#: Accuracy of a searched parameter, as a part of its range, and most fits for it
-SEARCH_ACCURACY, SEARCH_FITS = 1e-3, 25
 
 #: KKT tolerance of the fits along a search; the last one has the tolerance asked for
 SEARCH_TOLERANCE = 1e-4
@@ -62,7 +61,9 @@ def fit(
 
     Returns:
         The solution; its ``field`` is there only when its residuals, computed here,
-        hold to the tolerance.
+        hold to the tolerance. Parameters beside the field come with standard errors,
+        see `ttus_opt.identification`; those that the data do not bear have their
+        neutral value, for which the field is fitted, and are named.
 
     Raises:
         InputError: Unknown formulation, option or solver, or a solver that cannot
@@ -74,14 +75,61 @@ def fit(
     if declared.scene is not scene:
         raise InputError("the formulation speaks of another scene: build it anew")
     request = Request(tolerance, time_limit)
-    if declared.search is None:
-        return Fitter(declared, solver=solver, request=request, started=start).solve()
-    loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
-    fitter = Fitter(declared, solver=solver, request=loose)
-    best = _searched(declared.search, fitter)
-    searched = time.perf_counter() - start
-    last = Fitter(best.named(declared.name), solver=solver, request=request).solve()
-    return replace(last, timings=replace(last.timings, search=searched))
+    doubts = declared.unborne()
+    declared = declared.without(doubts)
+    estimates: dict[str, Estimate] = {}
+    trouble = ""
+    best = declared
+    started: float | None = start
+    if declared.search is not None:
+        started = None
+        loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
+        found = searched(
+            declared.search,
+            Again(declared, solver, loose),
+            Again(declared, solver, request),
+            doubts,
+        )
+        best, estimates, trouble = (
+            found.formulation,
+            dict(found.estimates),
+            found.trouble,
+        )
+        best = best.named(declared.name)
+    beside = time.perf_counter() - start
+    solution = Fitter(best, solver=solver, request=request, started=started).solve()
+    while True:
+        told = time.perf_counter()
+        estimates |= fitted_estimates(best, solution, request, len(estimates))
+        beside += time.perf_counter() - told
+        more = {n: e.doubt for n, e in estimates.items() if e.doubt and n not in doubts}
+        if not more:
+            break
+        doubts |= more
+        best = best.without(more)
+        doubts = best.unborne() | doubts
+        estimates = {n: e for n, e in estimates.items() if n not in doubts}
+        solution = Fitter(best, solver=solver, request=request).solve()
+    timings = solution.timings
+    if estimates or declared.search is not None:
+        timings = replace(timings, search=beside)
+    solution = replace(solution, timings=timings)
+    return with_estimates(solution, scene, estimates, doubts, trouble)
+
+
+class Again:
+    """Fits of one formulation after the other by one solver that keeps its state."""
+
+    def __init__(self, declared: Formulation, solver: str, request: Request) -> None:
+        self._make = lambda: Fitter(declared, solver=solver, request=request)
+        self._fitter: Fitter | None = None
+
+    def __call__(self, declared: Formulation) -> Solution:
+        """Fit."""
+        if self._fitter is None:
+            self._fitter = self._make()
+        self._fitter.update(declared)
+        return self._fitter.solve()
 
 
 class Fitter:
@@ -156,30 +204,6 @@ class Fitter:
             self._request,
             timings,
         )
-
-
-def _searched(search: Search, fitter: Fitter) -> Formulation:
-    """The formulation at the value of its parameter with the least objective.
-
-    Where what is found names a search of its own, that one follows.
-    """
-    from scipy.optimize import minimize_scalar
-
-    def objective(value: float) -> float:
-        fitter.update(search.build(float(value)))
-        solution = fitter.solve()
-        # an unsolved fit is no place to stop at
-        return solution.objective if solution.status is Status.SOLVED else np.inf
-
-    span = search.high - search.low
-    found = minimize_scalar(
-        objective,
-        bounds=(search.low, search.high),
-        method="bounded",
-        options={"xatol": SEARCH_ACCURACY * span, "maxiter": SEARCH_FITS},
-    )
-    best = search.build(float(found.x))
-    return best if best.search is None else _searched(best.search, fitter)
 
 
 def judged(
