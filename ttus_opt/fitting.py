@@ -86,8 +86,8 @@ def fit(
         loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
         found = searched(
             declared.search,
-            Again(declared, solver, loose),
-            Again(declared, solver, request),
+            Again(solver, loose),
+            Again(solver, request),
             doubts,
         )
         best, estimates, trouble = (
@@ -120,15 +120,16 @@ def fit(
 class Again:
     """Fits of one formulation after the other by one solver that keeps its state."""
 
-    def __init__(self, declared: Formulation, solver: str, request: Request) -> None:
-        self._make = lambda: Fitter(declared, solver=solver, request=request)
+    def __init__(self, solver: str, request: Request) -> None:
+        self._solver, self._request = solver, request
         self._fitter: Fitter | None = None
 
     def __call__(self, declared: Formulation) -> Solution:
         """Fit."""
         if self._fitter is None:
-            self._fitter = self._make()
-        self._fitter.update(declared)
+            self._fitter = Fitter(declared, solver=self._solver, request=self._request)
+        else:
+            self._fitter.update(declared)
         return self._fitter.solve()
 
 

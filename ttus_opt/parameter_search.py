@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 Solve = Callable[[Formulation], Solution]
 
 #: Accuracy of the search, as a share of the range, and most fits for it
-ACCURACY, MOST_FITS = 5e-3, 25
+ACCURACY, MOST_FITS = 2e-2, 25
 
 #: Distance of the parabola's points, as a share of the range: near enough that J is
 #: one, far enough that differences of fits are no noise [–]
@@ -213,28 +213,32 @@ class _Parabola:
         """
         k, doubt = len(centre), 0.0
 
-        def objective(*signs: float) -> Solution:
-            nonlocal doubt
+        unit = np.eye(k, dtype=int)
+        pairs = list(itertools.combinations(range(k), 2))
+        places = [unit[0] * 0, *unit, *-unit, *(unit[i] + unit[j] for i, j in pairs)]
+        found: dict[tuple[int, ...], Solution] = {}
+        # sorted: what differs in the last parameters only follows one another, and
+        # solvers keep most of their state there
+        for signs in sorted(tuple(place.tolist()) for place in places):
             solution = fitted(centre + np.array(signs) * step)
             if solution.status is not Status.SOLVED or solution.kkt is None:
                 raise _UnsolvedError("a fit beside it was not solved")
             rounding = ROUNDING * abs(solution.objective)
             doubt = max(doubt, solution.kkt.gap + rounding)
-            return solution
+            found[signs] = solution
 
-        unit = np.eye(k)
-        middle = objective(*np.zeros(k))
-        J = middle.objective
-        plus = np.array([objective(*e).objective for e in unit])
-        minus = np.array([objective(*-e).objective for e in unit])
+        def at(place: NDArray[np.int64]) -> float:
+            return found[tuple(place.tolist())].objective
+
+        J = at(unit[0] * 0)
+        plus, minus = (np.array([at(s * e) for e in unit]) for s in (1, -1))
         curvature = np.diag((plus - 2.0 * J + minus) / step**2)
-        for i, j in itertools.combinations(range(k), 2):
-            both = objective(*(unit[i] + unit[j])).objective
-            mixed = (both - plus[i] - plus[j] + J) / (step[i] * step[j])
+        for i, j in pairs:
+            mixed = (at(unit[i] + unit[j]) - plus[i] - plus[j] + J) / step[i] / step[j]
             curvature[i, j] = curvature[j, i] = mixed
         return cls(
             centre,
-            middle,
+            found[(0,) * k],
             (plus - minus) / (2.0 * step),
             curvature,
             4.0 * doubt / step**2,

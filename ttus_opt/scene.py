@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 #: Name under which a scene and a solution carry the scale of boundary values
 BOUNDARY_SCALE = "boundary_scale"
 
-#: Largest standard error of a boundary scale that is used, as a share of it: twice
-#: that is half of the scale [–]
-LARGEST_SCALE_ERROR = 0.25
+#: Largest standard error of a boundary scale that is used, as a share of it: beyond,
+#: the scale is not two standard errors above none at all [–]
+LARGEST_SCALE_ERROR = 0.5
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Scene:
             trajectory: Poses, and wrenches where they were measured.
             inner: p_in, or "fit": the one scale for which the Laplace field alone
                 matches the measured forces best in least squares; 1 where its
-                standard error is larger than a quarter of it (a `TtusWarning`).
+                standard error is larger than half of it (a `TtusWarning`).
             outer: p_out; with ``inner="fit"`` the ratio p_out / p_in.
             sampling: ``voxel-mean`` (the paper) or ``trilinear``.
 

@@ -288,7 +288,8 @@ class Viscous(DragModel):
         """The coefficients of patches that are slid on, and their mean.
 
         A coefficient may plausibly be as large as makes drag as large as the contact
-        force. The mean is borne where the patches are.
+        force, at the speed of sliding or the deadband, whichever is faster. The mean
+        is borne where the patches are.
         """
         n, own = self.sectors * self.bands, self.region[self.moving]
         spoken = sorted(set(own.tolist()) - self.silent)
@@ -298,8 +299,11 @@ class Viscous(DragModel):
         found = {}
         for i in spoken:
             here = self.moving & (self.region == i)
-            speed = np.linalg.norm(self.sliding.velocity[here])
-            span = float(np.linalg.norm(contact[here]) / speed)
+            force, speed = (
+                float(np.sqrt(np.mean(np.sum(v[here] ** 2, axis=1))))
+                for v in (contact, self.sliding.velocity)
+            )
+            span = force / max(speed, self.deadband)
             found[self._name(i)] = Fitted({"c": np.eye(n)[i]}, span)
         if n > 1:
             counts = np.bincount(self.region[self.touching], minlength=n)
