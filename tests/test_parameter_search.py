@@ -69,20 +69,24 @@ def unsolved_where(
     monkeypatch.setattr(fitting.Fitter, "solve", patched)
 
 
+def left_over(solution: Solution) -> tuple[float, int]:
+    """The objective without poses off the skin, and the rows of the others."""
+    off = SILENT.rows.contact_points == 0
+    force = solution.program.term("force")
+    assert force is not None
+    lost = force.weight * float((force.target.reshape(-1, 3)[off] ** 2).sum())
+    return solution.objective - lost, 3 * int((~off).sum())
+
+
 def test_the_vertex_is_found_and_its_error_told() -> None:
-    solution = fit(SILENT, declared())
+    """J = J₀ (1 + 100 (v - 0.3)²), so that J'' = 200 J₀ and σ̂² = J₀/(m - 1)."""
+    solution = fit(SILENT, declared(depth=100.0))
     assert solution.parameters["value"] == pytest.approx(0.3, abs=1e-4)
-    # J = J₀ (1 + (v - 0.3)²): J'' = 2 J₀, and σ̂² = J₀/(m - 1)
-    m = 3 * int((SILENT.rows.contact_points > 0).sum())
-    lost = 0.1 * float(
-        (SILENT.f.reshape(-1, 3)[SILENT.rows.contact_points == 0] ** 2).sum()
-    )
-    J = fit(
-        SILENT, Formulation([LaplaceTerm(SILENT), Bowl(SILENT, 0.1, 0.3)])
-    ).objective
-    expected = np.sqrt((J - lost) / (m - 1) / J)
-    assert expected > 0.125  # more than the share of the range: not identified
-    assert solution.not_identified == {}
+    rest, m = left_over(solution)
+    expected = np.sqrt(2.0 * rest / (m - 1) / (200.0 * solution.objective))
+    assert solution.standard_errors["value"] == pytest.approx(expected, rel=1e-3)
+    assert not solution.not_identified
+    assert not solution.remarks
 
 
 def test_an_unsolved_fit_is_no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,12 +169,8 @@ def test_two_parameters_are_found_together() -> None:
     )
     assert solution.parameters["a"] == pytest.approx(0.3, abs=1e-3)
     assert solution.parameters["b"] == pytest.approx(-0.2, abs=1e-3)
-    m = 3 * int((SILENT.rows.contact_points > 0).sum())
-    H = 2.0 * PAIR
-    J = solution.objective
-    silent = SILENT.rows.contact_points == 0
-    lost = 0.1 * float((SILENT.f.reshape(-1, 3)[silent] ** 2).sum())
-    spread = 2.0 * (J - lost) / (m - 2) * np.linalg.inv(H * J)
+    rest, m = left_over(solution)
+    spread = rest / (m - 2) * np.linalg.inv(PAIR) / solution.objective
     for k, name in enumerate("ab"):
         assert solution.standard_errors[name] == pytest.approx(
             np.sqrt(spread[k, k]), rel=1e-2

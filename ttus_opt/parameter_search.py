@@ -32,6 +32,10 @@ Solve = Callable[[Formulation], Solution]
 #: Accuracy of the search, as a share of the range, and most fits for it
 ACCURACY, MOST_FITS = 2e-2, 25
 
+#: What an unsolved fit counts as, no place to stop at: above every objective, and
+#: finite, for the search computes with it
+UNSOLVED = 1e100
+
 #: Distance of the parabola's points, as a share of the range: near enough that J is
 #: one, far enough that differences of fits are no noise [–]
 STEP = 0.02
@@ -146,7 +150,7 @@ def _least(search: Search, solve: Solve) -> float:
         solution = solve(search.build(float(value)))
         if solution.status is not Status.SOLVED:
             advice = solution.advice
-            return math.inf  # an unsolved fit is no place to stop at
+            return UNSOLVED
         solved[float(value)] = solution.objective
         return solution.objective
 

@@ -42,7 +42,8 @@ class Timings:
         solve: The first solve after it [s].
         again: The latest solve with other data, taking them in included; None when
             there was none [s].
-        search: All fits of a search over a parameter; None without one [s].
+        search: All fits beside the one that is handed out: along a search, and those
+            that tell standard errors; None without any [s].
     """
 
     assembly: float
