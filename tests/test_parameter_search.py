@@ -209,3 +209,12 @@ def test_the_neutral_value_lies_in_the_range() -> None:
 def test_search_is_told_in_the_time() -> None:
     assert fit(SILENT, declared(depth=100.0)).timings.search is not None
     assert tt.fit(SILENT, "eq10").timings.search is None
+
+
+def test_a_limit_that_is_not_neutral_is_no_value() -> None:
+    """The scale of boundary values between 0.5 and 2, for instance."""
+    made = declared(low=0.5, high=2.0, best=0.2, depth=100.0)
+    assert made.search is not None
+    solution = fit(SILENT, made.with_search(replace(made.search, neutral=1.0)))
+    assert solution.parameters["value"] == 1.0
+    assert solution.not_identified == {"value": "at its lower limit 0.5"}

@@ -96,11 +96,14 @@ def fit(
             found.trouble,
         )
         best = best.named(declared.name)
+        doubts |= {n: e.doubt for n, e in estimates.items() if e.doubt}
+        estimates = {n: e for n, e in estimates.items() if n not in doubts}
+    n_searched = len(estimates)
     beside = time.perf_counter() - start
     solution = Fitter(best, solver=solver, request=request, started=started).solve()
     while True:
         told = time.perf_counter()
-        estimates |= fitted_estimates(best, solution, request, len(estimates))
+        estimates |= fitted_estimates(best, solution, request, n_searched)
         beside += time.perf_counter() - told
         more = {n: e.doubt for n, e in estimates.items() if e.doubt and n not in doubts}
         if not more:

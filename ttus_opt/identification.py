@@ -27,13 +27,14 @@ whatever the solver and whatever limits the field has.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ttus_opt.errors import InputError
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.members import ProgramTerm
@@ -62,6 +63,7 @@ ASKED = 0.1
 #: answers beyond 1 minus `FLAT` are no curvature at all [–]
 FAINT, FLAT = 1e-3, 1e-6
 
+NO_SLOPE = "the objective does not depend on it"
 NOTHING_WEIGHS = "no measured row in contact has a weight"
 
 
@@ -109,7 +111,12 @@ def noise_variance(
 
 
 def judged_estimate(
-    value: float, standard_error: float, span: float, low: float, high: float
+    value: float,
+    standard_error: float,
+    span: float,
+    low: float,
+    high: float,
+    neutral: float = 0.0,
 ) -> Estimate:
     """Decide whether the data bear a parameter.
 
@@ -117,17 +124,22 @@ def judged_estimate(
         value: Its value.
         standard_error: Its standard error.
         span: How wide it may plausibly lie.
-        low: Its least value, at which nothing is left of it.
+        low: Its least value.
         high: Its largest.
+        neutral: Its neutral value; at a limit that is this the data have spoken.
     """
     near = AT_LIMIT * (span if math.isfinite(span) else 1.0)
     doubt, remark = "", ""
-    if value >= high - near:
-        doubt = f"at its upper limit {high:g}"
+    if math.isinf(standard_error):
+        doubt = NO_SLOPE
+    elif value >= high - near:
+        doubt = f"at its upper limit {high:.4g}"
     elif standard_error > SHARE * span:
         doubt = f"the data give {value:.2g} ± {standard_error:.2g}"
     elif value <= low + near:
-        remark = f"at its lower limit {low:g}"
+        remark = f"at its lower limit {low:.4g}"
+        if abs(low - neutral) > near:
+            doubt, remark = remark, ""
     return Estimate(value, standard_error, doubt, remark)
 
 
@@ -187,10 +199,7 @@ class _Question:
         assert x is not None
         self._variance, self._request = variance, request
         self._solver = solution.solver
-        self._rows = np.zeros((len(fitted), program.n_variables))
-        for row, one in zip(self._rows, fitted.values(), strict=True):
-            for name, gradient in one.gradient.items():
-                row[program.variables[name]] = gradient
+        self._rows = _stacked(program, fitted.values())
         self._at = self._rows @ x
         spans = np.array([one.span for one in fitted.values()])
         finite = np.isfinite(spans)
@@ -260,7 +269,7 @@ class _Question:
     def _response(self) -> Array:
         """What the parameters move by, per unit that each is pushed by."""
         root = np.sqrt(self._energy) / self._sure
-        matrix = sp.csr_array(root[:, None] * self._rows)
+        matrix = sp.csr_array(sp.diags_array(root) @ self._rows)
         pushes = np.diag(self._sure)
         prepared, backend, found = None, None, []
         if self._settled:
@@ -271,7 +280,10 @@ class _Question:
             asked = ProgramTerm("asked", 1.0, matrix, root * (self._at + push))
             program = replace(self._program, terms=(*self._program.terms, asked))
             if backend is None:
-                backend = registry.choose(self._solver, reduce(program).program)
+                try:
+                    backend = registry.choose(self._solver, reduce(program).program)
+                except InputError as error:
+                    raise _NoAnswerError(str(error)) from error
             x, prepared = self._solved(program, backend, prepared)
             found.append(self._rows @ x)
         return np.stack([(a - found[0]) for a in found[1:]], axis=1) / self._sure
@@ -292,6 +304,17 @@ class _Question:
         if not worst <= self._request.tolerance:
             raise _NoAnswerError("a fit with a pseudo-measurement was not solved")
         return point.x, prepared
+
+
+def _stacked(program: Program, fitted: Iterable[Fitted]) -> sp.csr_array:
+    """Gradients over all variables, a row per parameter."""
+    rows = []
+    for one in fitted:
+        row = np.zeros(program.n_variables)
+        for name, gradient in one.gradient.items():
+            row[program.variables[name]] = gradient
+        rows.append(sp.csr_array(row[None, :]))
+    return sp.csr_array(sp.vstack(rows, format="csr"))
 
 
 def _within(x: Array, lower: Array, upper: Array) -> bool:

@@ -18,7 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.identification import (
+    NO_SLOPE,
     NOTHING_WEIGHS,
+    SHARE,
     Estimate,
     judged_estimate,
     noise_variance,
@@ -291,7 +293,7 @@ def _estimates(
             every[i] = value
         return _at(search, every)
 
-    at = np.array([values[i] for i in free])
+    at, settled = np.array([values[i] for i in free]), True
     for _ in range(ROUNDS):
         centre = np.clip(at, low + step, high - step)
         try:
@@ -304,7 +306,10 @@ def _estimates(
                 for i in free
             }
         if bowl.flat.any():
-            doubt = "the objective does not depend on it"
+            bent = (np.diagonal(bowl.curvature) < -2.0 * bowl.noise).any()
+            doubt = (
+                "the objective has no least value in its range" if bent else NO_SLOPE
+            )
             return every, {
                 chain[i].parameter: Estimate(
                     every[i], math.nan, doubt if is_flat else ""
@@ -315,8 +320,7 @@ def _estimates(
         if (np.abs(at - centre) <= 2.0 * step).all():
             break
     else:
-        names = ", ".join(chain[i].parameter for i in free)
-        raise _NoMinimumError(f"the search for {names} does not settle", placed(at))
+        settled = False
     variance = _variance(placed(centre), bowl.solution, len(free))
     if math.isnan(variance):
         return every, {
@@ -324,6 +328,9 @@ def _estimates(
             for i in free
         }
     errors = bowl.errors(variance)
+    if not settled and (errors <= SHARE * (high - low)).all():
+        names = ", ".join(chain[i].parameter for i in free)
+        raise _NoMinimumError(f"the search for {names} does not settle", placed(at))
     if (errors < NARROW * step).any():
         # over many standard errors J is no parabola: once more, nearer
         step = np.clip(2.0 * errors, NEAREST * step, step)
@@ -337,14 +344,17 @@ def _estimates(
     for k, i in enumerate(free):
         name = chain[i].parameter
         marks = []
-        for value in (at[k], low[k], high[k]):
+        for value in (at[k], low[k], high[k], chain[i].neutral):
             moved = at.copy()
             moved[k] = value
             told = placed(moved).parameters(bowl.solution.variables)
             marks.append(told.get(name, float(value)))
         rate = (marks[2] - marks[1]) / (high[k] - low[k])
         estimates[name] = judged_estimate(
-            marks[0], float(rate * errors[k]), marks[2] - marks[1], marks[1], marks[2]
+            marks[0],
+            float(rate * errors[k]),
+            marks[2] - marks[1],
+            *marks[1:],
         )
     placed(at)
     return every, estimates

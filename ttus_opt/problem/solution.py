@@ -152,8 +152,9 @@ class Solution:
         told = f"{name} {value:.6g}"
         if error is not None:
             # two digits of the error, and the value to the same place
-            digits = 6 if error == 0.0 else max(0, 1 - math.floor(math.log10(error)))
-            told = f"{name} {value:.{min(digits, 12)}f} ± {error:.2g}"
+            place = 6 if error == 0.0 else 1 - math.floor(math.log10(error))
+            digits = min(max(place, 0), 12)
+            told = f"{name} {value:.{digits}f} ± {error:.{digits}f}"
         remark = self.remarks.get(name)
         return f"{told} ({remark})" if remark else told
 
