@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 
 from ttus_opt.errors import InputError
 from ttus_opt.field import PotentialField
-from ttus_opt.identification import Estimate, fitted_estimates, with_estimates
-from ttus_opt.parameter_search import searched
+from ttus_opt.identification import fitted_estimates, with_estimates
+from ttus_opt.parameter_search import Found, searched
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.conflict import conflicting
 from ttus_opt.problem.formulation import Formulation
@@ -77,47 +78,56 @@ def fit(
     request = Request(tolerance, time_limit)
     doubts = declared.unborne()
     declared = declared.without(doubts)
-    estimates: dict[str, Estimate] = {}
-    trouble = ""
-    best = declared
-    started: float | None = start
-    if declared.search is not None:
-        started = None
-        loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
-        found = searched(
-            declared.search,
-            Again(solver, loose),
-            Again(solver, request),
-            doubts,
-        )
-        best, estimates, trouble = (
-            found.formulation,
-            dict(found.estimates),
-            found.trouble,
-        )
-        best = best.named(declared.name)
-        doubts |= {n: e.doubt for n, e in estimates.items() if e.doubt}
-        estimates = {n: e for n, e in estimates.items() if n not in doubts}
+    if declared.search is None:
+        return _told(Found(declared, {}), doubts, solver, request, start)
+    loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
+    found = searched(
+        declared.search, Again(solver, loose), Again(solver, request), doubts
+    )
+    spent = time.perf_counter() - start
+    found = replace(found, formulation=found.formulation.named(declared.name))
+    return _told(found, doubts, solver, request, None, spent)
+
+
+def _told(
+    found: Found,
+    doubts: Mapping[str, str],
+    solver: str,
+    request: Request,
+    started: float | None,
+    spent: float = 0.0,
+) -> Solution:
+    """The fit of what a search found, until the data bear every parameter in it.
+
+    Args:
+        found: The formulation, and estimates of what was searched for.
+        doubts: Why a parameter is not identified, by name.
+        solver: A solver's name, or "auto".
+        request: Tolerance and time limit.
+        started: When declaring it began; None where a search came between.
+        spent: On the search [s].
+    """
+    declared = found.formulation
+    known = dict(doubts)
+    known |= {name: e.doubt for name, e in found.estimates.items() if e.doubt}
+    estimates = {n: e for n, e in found.estimates.items() if n not in known}
     n_searched = len(estimates)
-    beside = time.perf_counter() - start
-    solution = Fitter(best, solver=solver, request=request, started=started).solve()
+    solution = Fitter(declared, solver=solver, request=request, started=started).solve()
     while True:
-        told = time.perf_counter()
-        estimates |= fitted_estimates(best, solution, request, n_searched)
-        beside += time.perf_counter() - told
-        more = {n: e.doubt for n, e in estimates.items() if e.doubt and n not in doubts}
+        begun = time.perf_counter()
+        estimates |= fitted_estimates(declared, solution, request, n_searched)
+        spent += time.perf_counter() - begun
+        more = {n: e.doubt for n, e in estimates.items() if e.doubt}
         if not more:
             break
-        doubts |= more
-        best = best.without(more)
-        doubts = best.unborne() | doubts
-        estimates = {n: e for n, e in estimates.items() if n not in doubts}
-        solution = Fitter(best, solver=solver, request=request).solve()
-    timings = solution.timings
-    if estimates or declared.search is not None:
-        timings = replace(timings, search=beside)
-    solution = replace(solution, timings=timings)
-    return with_estimates(solution, scene, estimates, doubts, trouble)
+        declared = declared.without(more)
+        known = declared.unborne() | known | more
+        estimates = {n: e for n, e in estimates.items() if n not in known}
+        solution = Fitter(declared, solver=solver, request=request).solve()
+    if spent and (estimates or found.estimates or found.trouble):
+        timings = replace(solution.timings, search=spent)
+        solution = replace(solution, timings=timings)
+    return with_estimates(solution, declared.scene, estimates, known, found.trouble)
 
 
 class Again:

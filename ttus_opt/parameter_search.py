@@ -9,7 +9,6 @@ what standard errors are made from (`identification`).
 from __future__ import annotations
 
 import contextlib
-import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.identification import (
-    NO_SLOPE,
     NOTHING_WEIGHS,
     SHARE,
     Estimate,
     judged_estimate,
     noise_variance,
 )
+from ttus_opt.parabola import Parabola, UnsolvedError
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.solution import Solution, Status
 
@@ -48,9 +47,6 @@ NARROW, NEAREST = 0.25, 0.02
 
 #: How often the parabola may be drawn anew around its own vertex
 ROUNDS = 3
-
-#: What rounding leaves of the largest summand of J in a difference of two [–]
-ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -181,92 +177,12 @@ def _least(search: Search, solve: Solve) -> float:
     return best
 
 
-class _UnsolvedError(Exception):
-    """A fit beside the optimum was not solved; the message says so."""
+class _DoubtedError(Exception):
+    """Standard errors cannot be told; carries what is said of each instead."""
 
-
-@dataclass(frozen=True)
-class _Parabola:
-    """J near its minimum, through fits at distances of one step.
-
-    Attributes:
-        centre: Where it is drawn around, shape (k,).
-        solution: Of the fit there.
-        gradient: Of J at the centre, shape (k,).
-        curvature: Second derivatives of J, shape (k, k).
-        noise: What the second derivatives' diagonal may be off by, shape (k,).
-    """
-
-    centre: Array
-    solution: Solution
-    gradient: Array
-    curvature: Array
-    noise: Array
-
-    @classmethod
-    def through(
-        cls, fitted: Callable[[Array], Solution], centre: Array, step: Array
-    ) -> _Parabola:
-        """Fit around a place.
-
-        Args:
-            fitted: The fit at given values.
-            centre: The place, shape (k,).
-            step: Distance of the other fits, shape (k,).
-
-        Raises:
-            _UnsolvedError: One of them was not solved.
-        """
-        k, doubt = len(centre), 0.0
-
-        unit = np.eye(k, dtype=int)
-        pairs = list(itertools.combinations(range(k), 2))
-        places = [unit[0] * 0, *unit, *-unit, *(unit[i] + unit[j] for i, j in pairs)]
-        found: dict[tuple[int, ...], Solution] = {}
-        # sorted: what differs in the last parameters only follows one another, and
-        # solvers keep most of their state there
-        for signs in sorted(tuple(place.tolist()) for place in places):
-            solution = fitted(centre + np.array(signs) * step)
-            if solution.status is not Status.SOLVED or solution.kkt is None:
-                raise _UnsolvedError("a fit beside it was not solved")
-            rounding = ROUNDING * abs(solution.objective)
-            doubt = max(doubt, solution.kkt.gap + rounding)
-            found[signs] = solution
-
-        def at(place: NDArray[np.int64]) -> float:
-            return found[tuple(place.tolist())].objective
-
-        J = at(unit[0] * 0)
-        plus, minus = (np.array([at(s * e) for e in unit]) for s in (1, -1))
-        curvature = np.diag((plus - 2.0 * J + minus) / step**2)
-        for i, j in pairs:
-            mixed = (at(unit[i] + unit[j]) - plus[i] - plus[j] + J) / step[i] / step[j]
-            curvature[i, j] = curvature[j, i] = mixed
-        return cls(
-            centre,
-            found[(0,) * k],
-            (plus - minus) / (2.0 * step),
-            curvature,
-            4.0 * doubt / step**2,
-        )
-
-    @property
-    def flat(self) -> NDArray[np.bool_]:
-        """Which parameters J does not tell of, shape (k,)."""
-        flat = np.diagonal(self.curvature) <= 2.0 * self.noise
-        if not flat.any() and np.linalg.eigvalsh(self.curvature)[0] <= 0.0:
-            flat[:] = True
-        return np.asarray(flat)
-
-    def errors(self, variance: float) -> Array:
-        """Standard errors for a variance σ² of weighted rows, shape (k,)."""
-        spread = 2.0 * variance * np.linalg.inv(self.curvature)
-        return np.asarray(np.sqrt(np.diagonal(spread)))
-
-    @property
-    def vertex(self) -> Array:
-        """Where it is least, shape (k,)."""
-        return np.asarray(self.centre - np.linalg.solve(self.curvature, self.gradient))
+    def __init__(self, values: Array, doubts: Sequence[str], remark: str = "") -> None:
+        super().__init__(remark)
+        self.values, self.doubts, self.remark = values, doubts, remark
 
 
 def _estimates(
@@ -285,79 +201,116 @@ def _estimates(
     free = [i for i, s in enumerate(chain) if s.parameter not in known]
     if not free:
         return every, {}
-    low, high = np.array([(chain[i].low, chain[i].high) for i in free]).T
-    step = STEP * (high - low)
+    ranges = [chain[i] for i in free]
 
     def placed(at: Array) -> Formulation:
         for i, value in zip(free, at.tolist(), strict=True):
             every[i] = value
         return _at(search, every)
 
-    at, settled = np.array([values[i] for i in free]), True
-    for _ in range(ROUNDS):
-        centre = np.clip(at, low + step, high - step)
-        try:
-            bowl = _Parabola.through(lambda v: solve(placed(v)), centre, step)
-        except _UnsolvedError as trouble:
-            remark = f"its standard error cannot be told: {trouble}"
-            placed(at)
-            return every, {
-                chain[i].parameter: Estimate(every[i], math.nan, remark=remark)
-                for i in free
-            }
-        if bowl.flat.any():
-            bent = (np.diagonal(bowl.curvature) < -2.0 * bowl.noise).any()
-            doubt = (
-                "the objective has no least value in its range" if bent else NO_SLOPE
-            )
-            return every, {
-                chain[i].parameter: Estimate(
-                    every[i], math.nan, doubt if is_flat else ""
-                )
-                for i, is_flat in zip(free, bowl.flat, strict=True)
-            }
-        at = np.clip(bowl.vertex, low, high)
-        if (np.abs(at - centre) <= 2.0 * step).all():
-            break
-    else:
-        settled = False
-    variance = _variance(placed(centre), bowl.solution, len(free))
-    if math.isnan(variance):
+    start = np.array([values[i] for i in free])
+    try:
+        best = _settled(ranges, placed, solve, start)
+    except _DoubtedError as said:
+        placed(said.values)
         return every, {
-            chain[i].parameter: Estimate(every[i], math.nan, NOTHING_WEIGHS)
-            for i in free
+            one.parameter: Estimate(value, math.nan, doubt, said.remark)
+            for one, value, doubt in zip(
+                ranges, said.values.tolist(), said.doubts, strict=True
+            )
         }
+    estimates = {
+        one.parameter: _reported(one, k, best, placed) for k, one in enumerate(ranges)
+    }
+    placed(best.values)
+    return every, estimates
+
+
+@dataclass(frozen=True)
+class _Optimum:
+    """Where J is least.
+
+    Attributes:
+        values: Of the parameters, shape (k,).
+        errors: Their standard errors, shape (k,).
+        solution: Of a fit nearby.
+    """
+
+    values: Array
+    errors: Array
+    solution: Solution
+
+
+def _settled(
+    ranges: Sequence[Search],
+    placed: Callable[[Array], Formulation],
+    solve: Solve,
+    start: Array,
+) -> _Optimum:
+    """The vertex of a parabola that is drawn around it.
+
+    Raises:
+        _NoMinimumError: It runs away.
+        _DoubtedError: There is none, or a fit was not solved.
+    """
+    low, high = np.array([(one.low, one.high) for one in ranges]).T
+    step, at, settled = STEP * (high - low), start, False
+    nothing = [""] * len(ranges)
+
+    def drawn(around: Array) -> Parabola:
+        centre = np.clip(around, low + step, high - step)
+        return Parabola.through(lambda v: solve(placed(v)), centre, step)
+
+    for _ in range(ROUNDS):
+        try:
+            bowl = drawn(at)
+        except UnsolvedError as trouble:
+            remark = f"its standard error cannot be told: {trouble}"
+            raise _DoubtedError(at, nothing, remark) from trouble
+        if bowl.flat.any():
+            raise _DoubtedError(at, [bowl.doubt * bool(flat) for flat in bowl.flat])
+        at = np.clip(bowl.vertex, low, high)
+        settled = bool((np.abs(at - bowl.centre) <= 2.0 * step).all())
+        if settled:
+            break
+    variance = _variance(placed(bowl.centre), bowl.solution, len(ranges))
+    if math.isnan(variance):
+        raise _DoubtedError(at, [NOTHING_WEIGHS] * len(ranges))
     errors = bowl.errors(variance)
     if not settled and (errors <= SHARE * (high - low)).all():
-        names = ", ".join(chain[i].parameter for i in free)
+        names = ", ".join(one.parameter for one in ranges)
         raise _NoMinimumError(f"the search for {names} does not settle", placed(at))
     if (errors < NARROW * step).any():
         # over many standard errors J is no parabola: once more, nearer
         step = np.clip(2.0 * errors, NEAREST * step, step)
-        nearer = np.clip(at, low + step, high - step)
-        with contextlib.suppress(_UnsolvedError):
-            near = _Parabola.through(lambda v: solve(placed(v)), nearer, step)
+        with contextlib.suppress(UnsolvedError):
+            near = drawn(at)
             if not near.flat.any():
-                at = np.clip(near.vertex, low, high)
-                errors = near.errors(variance)
-    estimates = {}
-    for k, i in enumerate(free):
-        name = chain[i].parameter
-        marks = []
-        for value in (at[k], low[k], high[k], chain[i].neutral):
-            moved = at.copy()
-            moved[k] = value
-            told = placed(moved).parameters(bowl.solution.variables)
-            marks.append(told.get(name, float(value)))
-        rate = (marks[2] - marks[1]) / (high[k] - low[k])
-        estimates[name] = judged_estimate(
-            marks[0],
-            float(rate * errors[k]),
-            marks[2] - marks[1],
-            *marks[1:],
-        )
-    placed(at)
-    return every, estimates
+                at, errors = np.clip(near.vertex, low, high), near.errors(variance)
+    return _Optimum(at, errors, bowl.solution)
+
+
+def _reported(
+    one: Search, k: int, best: _Optimum, placed: Callable[[Array], Formulation]
+) -> Estimate:
+    """The k-th parameter's estimate in the unit in which it is reported."""
+
+    def told(value: float) -> float:
+        moved = best.values.copy()
+        moved[k] = value
+        found = placed(moved).parameters(best.solution.variables)
+        return found.get(one.parameter, float(value))
+
+    low, high = told(one.low), told(one.high)
+    rate = (high - low) / (one.high - one.low)
+    return judged_estimate(
+        told(best.values[k]),
+        float(rate * best.errors[k]),
+        high - low,
+        low,
+        high,
+        told(one.neutral),
+    )
 
 
 def _variance(declared: Formulation, solution: Solution, n_searched: int) -> float:
