@@ -369,3 +369,16 @@ def test_without_weight_nothing_is_told() -> None:
         solution = tt.fit(scene, name, force_weight=0.0, torque_weight=0.0)
         assert set(solution.not_identified) == NEUTRAL[name]
         assert all(solution.parameters[parameter] == 0.0 for parameter in NEUTRAL[name])
+
+
+@each_drag
+def test_forces_that_are_all_zero_do_not_trouble_it(name: str) -> None:
+    given = MADE.trajectory
+    nothing = np.zeros((len(given), 3))
+    scene = replace(MADE, trajectory=replace(given, force=nothing, torque=nothing))
+    scene = scene.with_boundary(0.0, 0.0)
+    solution = tt.fit(scene, name, **WEIGHTS)
+    told = {*solution.standard_errors, *solution.not_identified, *solution.remarks}
+    assert told == NEUTRAL[name]
+    for parameter in solution.not_identified:
+        assert solution.parameters[parameter] == 0.0

@@ -64,6 +64,7 @@ ASKED = 0.1
 FAINT, FLAT = 1e-3, 1e-6
 
 NO_SLOPE = "the objective does not depend on it"
+NOTHING_PRESSES = "the field presses on nothing that slides"
 NOTHING_WEIGHS = "no measured row in contact has a weight"
 
 
@@ -168,6 +169,9 @@ def fitted_estimates(
     values = {name: solution.parameters[name] for name in fitted}
     if math.isnan(variance):
         return {n: Estimate(v, math.nan, NOTHING_WEIGHS) for n, v in values.items()}
+    undefined = {n for n, one in fitted.items() if not one.gradient}
+    if undefined:
+        return {n: Estimate(values[n], math.nan, NOTHING_PRESSES) for n in undefined}
     ask = _Question(solution, fitted, variance, request)
     try:
         spread = ask.covariance()
@@ -204,7 +208,8 @@ class _Question:
         spans = np.array([one.span for one in fitted.values()])
         finite = np.isfinite(spans)
         spans[~finite] = spans[finite].min(initial=np.inf)
-        self._sure = ASKED * SHARE * spans
+        # a field that is zero leaves drag no span
+        self._sure = ASKED * SHARE * np.where(spans > 0.0, spans, 1.0)
         self._box = program.box
         # signs and limits of the parameters themselves do not blunt what the data say
         small = [

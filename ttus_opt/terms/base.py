@@ -55,7 +55,7 @@ class Fitted:
 
     Attributes:
         gradient: Its derivative by each variable it depends on, by name, shape of the
-            variable.
+            variable; empty where the field leaves it undefined.
         span: How far from its neutral value 0 it may plausibly lie [its unit].
         upper: Its largest value; inf where there is none [its unit].
     """

@@ -204,8 +204,10 @@ class CoulombField(DragModel):
         """μ with its derivatives by q and p."""
         mu, full, dragged = self._nearest(values)
         square = float(full @ full)
-        if self.silent or not square:
+        if self.silent or not self.moving.any():
             return {}
+        if not square:
+            return {friction.FRICTION: Fitted({}, 1.0)}
         turned = self.rows.force.T
         gradient = {
             "q": turned @ full / square,
