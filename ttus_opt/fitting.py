@@ -118,7 +118,9 @@ def _told(
         estimates |= fitted_estimates(declared, solution, request, n_searched)
         spent += time.perf_counter() - begun
         more = {n: e.doubt for n, e in estimates.items() if e.doubt}
-        if not more:
+        if not any(estimates[name].value for name in more):
+            # none, or what is in doubt is neutral already, held there by its bound
+            known |= more
             break
         declared = declared.without(more)
         known = declared.unborne() | known | more
