@@ -36,7 +36,7 @@ def build(
 ) -> Formulation:
     """Weights λ_f, λ_τ, α, μ_max [–], ℓ [m], where drag acts, deadband v₀ [m/s]."""
     where = estimate_drag(scene, acts_at, deadband).acts_at
-    drag = CoulombField(scene, where, deadband)
+    drag = CoulombField(scene, where, deadband, largest_friction)
     return Formulation(
         terms=[
             LaplaceTerm(scene),

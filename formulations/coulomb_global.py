@@ -21,11 +21,11 @@ Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 from ttus_opt.drag_estimate import estimate_drag
 from ttus_opt.friction import DEADBAND
 from ttus_opt.problem.formulation import Formulation, Search
-from ttus_opt.scene import Scene
+from ttus_opt.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.terms.drag import GlobalCoulomb
 from ttus_opt.terms.drag_force import DragForceTerm
 from ttus_opt.terms.drag_torque import DragTorqueTerm
-from ttus_opt.terms.laplace import BOUNDARY_SCALE, LaplaceTerm
+from ttus_opt.terms.laplace import LaplaceTerm
 
 
 def build(
@@ -41,7 +41,8 @@ def build(
     guess = estimate_drag(scene, acts_at, deadband)
     drag = GlobalCoulomb(scene, guess.acts_at, deadband)
     prior = LaplaceTerm(scene)
-    fits_scale = BOUNDARY_SCALE in scene.parameters and force_weight > 0.0
+    fitted = scene.parameters.keys() - scene.not_identified.keys()
+    fits_scale = BOUNDARY_SCALE in fitted and force_weight > 0.0
 
     def given(friction: float) -> Formulation:
         dragged = drag.with_coefficient(friction)
@@ -51,7 +52,8 @@ def build(
         def scaled(s: float) -> Formulation:
             return Formulation(terms=[prior.with_factor(s), force, torque])
 
-        search = Search(BOUNDARY_SCALE, 0.5, 2.0, scaled) if fits_scale else None
+        scale = Search(BOUNDARY_SCALE, 0.5, 2.0, scaled, neutral=1.0)
+        search = scale if fits_scale else None
         return Formulation(terms=[prior, force, torque], search=search)
 
     first = given(min(guess.friction_coefficient, largest_friction))

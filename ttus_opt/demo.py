@@ -90,6 +90,8 @@ class DemoResult:
             "status": self.after.status.name.lower(),
             "kkt": None if kkt is None else kkt.as_dict(),
             "parameters": dict(self.after.parameters),
+            "standard_errors": dict(self.after.standard_errors),
+            "not_identified": dict(self.after.not_identified),
             "surface_error_mean_m": self.surface_error.mean,
             "surface_error_p95_m": self.surface_error.p95,
             "surface_observed": self.surface_error.observed,
@@ -242,7 +244,7 @@ def _facts(scene: Scene, result: DemoResult) -> dict[str, str]:
         f"({', '.join(FITTED)}), by {after.solver}",
         "Check": "worst relative KKT residual "
         + ("unknown" if kkt is None else f"{kkt.worst_relative:.1e}"),
-        "Identified": ", ".join(f"{k} {v:.4g}" for k, v in after.parameters.items()),
+        "Identified": ", ".join(after.identified),
         "Time": f"{after.timings.assembly:.1f} s assembly, "
         f"{after.timings.setup + after.timings.solve:.1f} s solve, "
         f"{result.seconds:.0f} s in all",

@@ -46,6 +46,7 @@ class PotentialField:
         sampling: How contact samples it: ``voxel-mean`` or ``trilinear``.
         parameters: What was identified beside the field, by name (boundary_scale).
         provenance: Free text by key: formulation, solver, trajectory, …
+        standard_errors: Of those parameters that have one, by name.
     """
 
     voxmap: Voxmap
@@ -53,6 +54,7 @@ class PotentialField:
     sampling: str
     parameters: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict, repr=False)
+    standard_errors: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         """Refuse values that do not fit the grid.
@@ -109,6 +111,7 @@ class PotentialField:
                 ),
                 "parameters": json.dumps(dict(self.parameters)),
                 "provenance": json.dumps(dict(self.provenance)),
+                "standard_errors": json.dumps(dict(self.standard_errors)),
                 **surface.axis.attributes(),
             },
         )
@@ -161,4 +164,5 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         sampling,
         json.loads(data.attrs["parameters"]),
         json.loads(data.attrs["provenance"]),
+        json.loads(data.attrs.get("standard_errors", "{}")),
     )

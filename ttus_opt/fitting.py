@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,12 @@ from numpy.typing import NDArray
 
 from ttus_opt.errors import InputError
 from ttus_opt.field import PotentialField
+from ttus_opt.identification import fitted_estimates, with_estimates
+from ttus_opt.parameter_search import Found, searched
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.certificate import falling_ray
 from ttus_opt.problem.conflict import conflicting
-from ttus_opt.problem.formulation import Formulation, Search
+from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.kkt import KKT, kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction, reduce
@@ -28,9 +31,6 @@ Array = NDArray[np.float64]
 
 #: Seconds spent on naming the constraints in conflict, when no limit is given
 CONFLICT_SECONDS = 30.0
-
-#: Accuracy of a searched parameter, as a part of its range, and most fits for it
-SEARCH_ACCURACY, SEARCH_FITS = 1e-3, 25
 
 #: KKT tolerance of the fits along a search; the last one has the tolerance asked for
 SEARCH_TOLERANCE = 1e-4
@@ -63,7 +63,9 @@ def fit(
 
     Returns:
         The solution; its ``field`` is there only when its residuals, computed here,
-        hold to the tolerance.
+        hold to the tolerance. Parameters beside the field come with standard errors,
+        see `ttus_opt.identification`; those that the data do not bear have their
+        neutral value, for which the field is fitted, and are named.
 
     Raises:
         InputError: Unknown formulation, option or solver, or a solver that cannot
@@ -75,14 +77,76 @@ def fit(
     if declared.scene is not scene:
         raise InputError("the formulation speaks of another scene: build it anew")
     request = Request(tolerance, time_limit)
+    doubts = declared.unborne()
+    declared = declared.without(doubts)
     if declared.search is None:
-        return Fitter(declared, solver=solver, request=request, started=start).solve()
+        return _told(Found(declared, {}), doubts, solver, request, start)
     loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
-    fitter = Fitter(declared, solver=solver, request=loose)
-    best = _searched(declared.search, fitter)
-    searched = time.perf_counter() - start
-    last = Fitter(best.named(declared.name), solver=solver, request=request).solve()
-    return replace(last, timings=replace(last.timings, search=searched))
+    found = searched(
+        declared.search, Again(solver, loose), Again(solver, request), doubts
+    )
+    spent = time.perf_counter() - start
+    found = replace(found, formulation=found.formulation.named(declared.name))
+    return _told(found, doubts, solver, request, None, spent)
+
+
+def _told(
+    found: Found,
+    doubts: Mapping[str, str],
+    solver: str,
+    request: Request,
+    started: float | None,
+    spent: float = 0.0,
+) -> Solution:
+    """The fit of what a search found, until the data bear every parameter in it.
+
+    Args:
+        found: The formulation, and estimates of what was searched for.
+        doubts: Why a parameter is not identified, by name.
+        solver: A solver's name, or "auto".
+        request: Tolerance and time limit.
+        started: When declaring it began; None where a search came between.
+        spent: On the search [s].
+    """
+    declared = found.formulation
+    known = dict(doubts)
+    known |= {name: e.doubt for name, e in found.estimates.items() if e.doubt}
+    estimates = {n: e for n, e in found.estimates.items() if n not in known}
+    n_searched = len(estimates)
+    solution = Fitter(declared, solver=solver, request=request, started=started).solve()
+    while True:
+        begun = time.perf_counter()
+        estimates |= fitted_estimates(declared, solution, request, n_searched)
+        spent += time.perf_counter() - begun
+        more = {n: e.doubt for n, e in estimates.items() if e.doubt}
+        if not any(estimates[name].value for name in more):
+            # none, or what is in doubt is neutral already, held there by its bound
+            known |= more
+            break
+        declared = declared.without(more)
+        known = declared.unborne() | known | more
+        estimates = {n: e for n, e in estimates.items() if n not in known}
+        solution = Fitter(declared, solver=solver, request=request).solve()
+    if spent and (estimates or found.estimates or found.trouble):
+        timings = replace(solution.timings, search=spent)
+        solution = replace(solution, timings=timings)
+    return with_estimates(solution, declared.scene, estimates, known, found.trouble)
+
+
+class Again:
+    """Fits of one formulation after the other by one solver that keeps its state."""
+
+    def __init__(self, solver: str, request: Request) -> None:
+        self._solver, self._request = solver, request
+        self._fitter: Fitter | None = None
+
+    def __call__(self, declared: Formulation) -> Solution:
+        """Fit."""
+        if self._fitter is None:
+            self._fitter = Fitter(declared, solver=self._solver, request=self._request)
+        else:
+            self._fitter.update(declared)
+        return self._fitter.solve()
 
 
 class Fitter:
@@ -187,30 +251,6 @@ class Fitter:
             self._request,
             timings,
         )
-
-
-def _searched(search: Search, fitter: Fitter) -> Formulation:
-    """The formulation at the value of its parameter with the least objective.
-
-    Where what is found names a search of its own, that one follows.
-    """
-    from scipy.optimize import minimize_scalar
-
-    def objective(value: float) -> float:
-        fitter.update(search.build(float(value)))
-        solution = fitter.solve()
-        # an unsolved fit is no place to stop at
-        return solution.objective if solution.status is Status.SOLVED else np.inf
-
-    span = search.high - search.low
-    found = minimize_scalar(
-        objective,
-        bounds=(search.low, search.high),
-        method="bounded",
-        options={"xatol": SEARCH_ACCURACY * span, "maxiter": SEARCH_FITS},
-    )
-    best = search.build(float(found.x))
-    return best if best.search is None else _searched(best.search, fitter)
 
 
 def judged(

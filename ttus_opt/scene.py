@@ -25,6 +25,13 @@ from ttus_opt.voxmap import Voxmap
 
 Array = NDArray[np.float64]
 
+#: Name under which a scene and a solution carry the scale of boundary values
+BOUNDARY_SCALE = "boundary_scale"
+
+#: Largest standard error of a boundary scale that is used, as a share of it: beyond,
+#: the scale is not two standard errors above none at all [–]
+LARGEST_SCALE_ERROR = 0.5
+
 
 @dataclass(frozen=True)
 class Scene:
@@ -42,6 +49,9 @@ class Scene:
         b: Right side of L p = b, shape (V,) [N or N/cm²].
         parameters: What assembling identified, by name (``boundary_scale``).
         seconds: Time the assembly took [s].
+        standard_errors: Of those parameters, by name.
+        not_identified: Those that the data do not bear, whose neutral value is used,
+            with the reason, by name.
     """
 
     voxmap: Voxmap
@@ -55,6 +65,8 @@ class Scene:
     b: Array = field(repr=False)
     parameters: Mapping[str, float] = field(default_factory=dict)
     seconds: float = field(default=0.0, compare=False)
+    standard_errors: Mapping[str, float] = field(default_factory=dict)
+    not_identified: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def assemble(
@@ -74,7 +86,8 @@ class Scene:
             shell: The probe.
             trajectory: Poses, and wrenches where they were measured.
             inner: p_in, or "fit": the one scale for which the Laplace field alone
-                matches the measured forces best in least squares.
+                matches the measured forces best in least squares; 1 where its
+                standard error is larger than half of it (a `TtusWarning`).
             outer: p_out; with ``inner="fit"`` the ratio p_out / p_in.
             sampling: ``voxel-mean`` (the paper) or ``trilinear``.
 
@@ -99,12 +112,20 @@ class Scene:
             sampling=sampling,
         )
         _report_contact(rows, voxmap.grid.r_inner)
+        parameters: dict[str, float] = {}
+        errors: dict[str, float] = {}
+        doubts: dict[str, str] = {}
         if isinstance(inner, str):
-            scale = _boundary_scale(laplace, rows, trajectory, outer)
+            scale, error = _boundary_scale(laplace, rows, trajectory, outer)
+            if error <= LARGEST_SCALE_ERROR * scale:
+                errors = {BOUNDARY_SCALE: error}
+            else:
+                doubts = {BOUNDARY_SCALE: _report_scale(scale, error)}
+                scale = 1.0
             values = (scale, scale * outer)
-            parameters = {"boundary_scale": scale}
+            parameters = {BOUNDARY_SCALE: scale}
         else:
-            values, parameters = (float(inner), float(outer)), {}
+            values = (float(inner), float(outer))
         b = laplace.right_side(*values)
         return cls(
             voxmap,
@@ -117,6 +138,8 @@ class Scene:
             b,
             parameters,
             time.perf_counter() - start,
+            errors,
+            doubts,
         )
 
     def with_boundary(self, inner: float, outer: float) -> Scene:
@@ -127,6 +150,8 @@ class Scene:
             outer=outer,
             b=self.laplace.right_side(inner, outer),
             parameters={},
+            standard_errors={},
+            not_identified={},
         )
 
     @property
@@ -212,8 +237,13 @@ def _report_contact(rows: ContactRows, r_inner: float) -> None:
 
 def _boundary_scale(
     laplace: LaplaceSystem, rows: ContactRows, trajectory: Trajectory, outer: float
-) -> float:
-    """Scale s that minimises ‖s N p₁ - f‖² with p₁ the Laplace field of unit p_in."""
+) -> tuple[float, float]:
+    """Scale s that minimises ‖s N p₁ - f‖² with p₁ the Laplace field of unit p_in.
+
+    Returns:
+        s and its standard error σ̂/‖N p₁‖ with σ̂² = ‖s N p₁ - f‖²/(m - 1), m force rows
+        in contact; inf where m = 1.
+    """
     unit = rows.N @ laplace.solve(laplace.right_side(1.0, outer))
     force = _measured(trajectory.force, "forces (columns fx, fy, fz)")
     square = float(unit @ unit)
@@ -228,4 +258,20 @@ def _boundary_scale(
             f'inner="fit" found a boundary scale of {scale:.3g}: the measured forces '
             "push into the patient: give the force ON the probe in patient axes"
         )
-    return scale
+    contact = np.repeat(rows.contact_points > 0, 3)
+    rest = (scale * unit - force)[contact]
+    freedom = len(rest) - 1
+    variance = float(rest @ rest) / freedom if freedom > 0 else np.inf
+    return scale, float(np.sqrt(variance / square))
+
+
+def _report_scale(scale: float, error: float) -> str:
+    """Warn of a boundary scale that the forces do not bear, and say why."""
+    reason = f"the forces give {scale:.3g} ± {error:.2g}"
+    warnings.warn(
+        f'inner="fit" cannot tell the boundary scale: {reason}: 1 is used: record more '
+        "contact, or give inner as a number",
+        TtusWarning,
+        stacklevel=3,
+    )
+    return reason

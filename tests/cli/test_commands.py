@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,42 @@ def test_fit_json_has_the_stable_keys(run: Run, files: Path, tmp_path: Path) -> 
     found = PotentialField.load(output)
     assert found.provenance["probe"] == PROBE
     assert found.provenance["trajectories"] == "press.csv"
+
+
+def test_fit_tells_how_well_parameters_are_known(
+    run: Run, files: Path, tmp_path: Path
+) -> None:
+    """Named with its standard error, or with the reason and the neutral value."""
+    sliding, still = read_trajectory(files / "press.csv"), tmp_path / "still.csv"
+    n = len(sliding)
+    replace(
+        sliding,
+        position=np.repeat(sliding.position[:1], n, axis=0),
+        rotation=np.repeat(sliding.rotation[:1], n, axis=0),
+    ).save(still)
+    words = fit_words(files, tmp_path / "f.nc", "--formulation coulomb_global")
+    words = words.replace("--inner fit", "--inner 3.0")
+    words = words.replace(str(files / "press.csv"), str(still))
+    told = json.loads(run(f"{words} --json").out)
+    assert told["parameters"]["friction_coefficient"] == 0.0
+    assert told["not_identified"] == {"friction_coefficient": "no sliding"}
+    assert told["standard_errors"] == {}
+    answer = run(words)
+    line = "friction_coefficient: not identified (no sliding): 0 is used"
+    assert line in answer.out.splitlines()
+    answer = run(fit_words(files, tmp_path / "f.nc"))
+    told = json.loads(run(fit_words(files, tmp_path / "f.nc", "--json")).out)
+    scale, error = (
+        told[key]["boundary_scale"] for key in ("parameters", "standard_errors")
+    )
+    assert 0.0 < error < scale
+    found = [k for k in answer.out.splitlines() if k.startswith("boundary_scale")]
+    value, sign, spread = found[0].split()[1:]
+    assert sign == "±"
+    assert float(spread) == pytest.approx(error, rel=0.05)
+    assert float(value) == pytest.approx(scale, abs=error)
+    stored = PotentialField.load(tmp_path / "f.nc").standard_errors
+    assert stored == {"boundary_scale": error}
 
 
 def test_options_reach_the_formulation(run: Run, files: Path, tmp_path: Path) -> None:

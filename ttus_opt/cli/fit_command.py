@@ -187,6 +187,9 @@ def _summary(solution: Solution, output: Path) -> dict[str, Any]:
         "kkt": None if solution.kkt is None else solution.kkt.as_dict(),
         "iterations": solution.iterations,
         "parameters": solution.parameters,
+        "standard_errors": solution.standard_errors,
+        "not_identified": solution.not_identified,
+        "remarks": solution.remarks,
         "seconds": solution.timings.as_dict(),
         "output": str(output) if solved else None,
     }
@@ -209,5 +212,5 @@ def _tell(solution: Solution, output: Path) -> None:
         f"{times.assembly:.1f} s assembly, {times.setup + times.solve:.1f} s solve"
     )
     typer.echo(f"objective {solution.objective:.4g} ({costs})")
-    for name, value in solution.parameters.items():
-        typer.echo(f"{name} {value:.6g}")
+    for line in solution.identified:
+        typer.echo(line)

@@ -12,7 +12,7 @@ import importlib.util
 import inspect
 import math
 import pkgutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from ttus_opt.constraints.base import Bounds, Constraint
 from ttus_opt.errors import InputError, TtusError
 from ttus_opt.problem.program import Program
 from ttus_opt.scene import Scene
-from ttus_opt.terms.base import Term
+from ttus_opt.terms.base import Fitted, Term
 
 Array = NDArray[np.float64]
 
@@ -39,23 +39,35 @@ class Search:
         high: Largest value.
         build: The formulation for a given value, convex in all the rest; one with
             a search of its own is searched next, at the value found.
+        neutral: What is used where the data do not bear the parameter; by default 0,
+            or the limit nearest to it.
     """
 
     parameter: str
     low: float
     high: float
     build: Callable[[float], Formulation] = field(repr=False)
+    neutral: float = math.nan
 
     def __post_init__(self) -> None:
         """Refuse an empty range.
 
         Raises:
-            InputError: The limits are not finite or out of order.
+            InputError: The limits are not finite or out of order, or the neutral
+                value is not between them.
         """
         if not (math.isfinite(self.low) and self.low < self.high < math.inf):
             raise InputError(
                 f"{self.parameter} needs a range low < high, got {self.low} to "
                 f"{self.high}"
+            )
+        if math.isnan(self.neutral):
+            nearest = min(max(0.0, self.low), self.high)
+            object.__setattr__(self, "neutral", nearest)
+        if not self.low <= self.neutral <= self.high:
+            raise InputError(
+                f"the neutral value of {self.parameter} must lie in [{self.low:g}, "
+                f"{self.high:g}], got {self.neutral:g}"
             )
 
     def then(self, change: Callable[[Formulation], Formulation]) -> Search:
@@ -176,6 +188,37 @@ class Formulation:
             found |= term.parameters(values)
         return found
 
+    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
+        """Those of its `parameters` that are found among the variables, by name.
+
+        Args:
+            values: The solution's variables by name.
+        """
+        found: dict[str, Fitted] = {}
+        for term in self.terms:
+            found |= term.fitted(values)
+        return found
+
+    def unborne(self) -> dict[str, str]:
+        """Parameters of which no row says anything, and why, by name."""
+        found: dict[str, str] = {}
+        for term in self.terms:
+            if term.weight > 0.0:
+                found |= term.unborne()
+        return found
+
+    def without(self, names: Collection[str]) -> Formulation:
+        """With these parameters at their neutral values, known and not fitted.
+
+        Bounds of a variable that no term has any more are left out.
+        """
+        if not names:
+            return self
+        terms = [term.without(names) for term in self.terms]
+        left = {name for term in terms for name in term.assembled.blocks}
+        kept = [c for c in self.constraints if _speaks_of(c, left)]
+        return self._changed(terms, kept, lambda built: built.without(names))
+
     def __repr__(self) -> str:
         """The mathematics with sizes and weights."""
         sizes = dict.fromkeys(["p"], self.scene.n_voxels)
@@ -293,6 +336,11 @@ def _check_option(what: str, usual: Any, value: Any) -> None:
     counts = isinstance(usual, int) and not isinstance(usual, bool)
     if counts and not (isinstance(value, int | float | np.integer) and value % 1 == 0):
         raise InputError(f"{what} takes a whole number such as {usual}, got {value}")
+
+
+def _speaks_of(constraint: Constraint, variables: Collection[str]) -> bool:
+    rows = constraint.assembled
+    return not isinstance(rows, Bounds) or rows.variable in variables
 
 
 def _find(formulation: str | Path) -> tuple[Callable[..., Formulation], str]:

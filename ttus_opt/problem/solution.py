@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
@@ -41,7 +42,8 @@ class Timings:
         solve: The first solve after it [s].
         again: The latest solve with other data, taking them in included; None when
             there was none [s].
-        search: All fits of a search over a parameter; None without one [s].
+        search: All fits beside the one that is handed out: along a search, and those
+            that tell standard errors; None without any [s].
     """
 
     assembly: float
@@ -117,6 +119,11 @@ class Solution:
         detail: What the solver itself said.
         conflict: Names of the constraints that contradict each other, when infeasible.
         attempts: Solvers that "auto" tried whose answers did not hold.
+        standard_errors: Of the parameters, by name [the parameter's unit].
+        not_identified: Parameters that the data do not bear, whose neutral value is
+            used, with the reason, by name.
+        remarks: What else there is to say of a parameter, by name: it is at its limit,
+            or why it has no standard error.
     """
 
     status: Status
@@ -136,6 +143,9 @@ class Solution:
     verified_field: PotentialField | None = field(default=None, repr=False)
     conflict: tuple[str, ...] = ()
     attempts: tuple[Attempt, ...] = ()
+    standard_errors: Mapping[str, float] = field(default_factory=dict)
+    not_identified: Mapping[str, str] = field(default_factory=dict)
+    remarks: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def field(self) -> PotentialField:
@@ -160,6 +170,27 @@ class Solution:
             f"{self.solver}{after} on {self.formulation}: {self.status.name.lower()}"
             f"{residual}{between}: {self.status.value}"
         )
+
+    @property
+    def identified(self) -> tuple[str, ...]:
+        """What was identified beside the field, a line per parameter."""
+        return tuple(self._told(name, value) for name, value in self.parameters.items())
+
+    def _told(self, name: str, value: float) -> str:
+        if name in self.not_identified:
+            return (
+                f"{name}: not identified ({self.not_identified[name]}): "
+                f"{value:.6g} is used"
+            )
+        error = self.standard_errors.get(name)
+        told = f"{name} {value:.6g}"
+        if error is not None:
+            # two digits of the error, and the value to the same place
+            place = 6 if error == 0.0 else 1 - math.floor(math.log10(error))
+            digits = min(max(place, 0), 12)
+            told = f"{name} {value:.{digits}f} ± {error:.{digits}f}"
+        remark = self.remarks.get(name)
+        return f"{told} ({remark})" if remark else told
 
     @property
     def variables(self) -> Mapping[str, Array]:

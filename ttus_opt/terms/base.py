@@ -11,7 +11,7 @@ import abc
 import copy
 import enum
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Self
@@ -51,6 +51,22 @@ class AffineRows:
 
 
 @dataclass(frozen=True)
+class Fitted:
+    """A parameter that a convex fit finds among its variables.
+
+    Attributes:
+        gradient: Its derivative by each variable it depends on, by name, shape of the
+            variable; empty where the field leaves it undefined.
+        span: How far from its neutral value 0 it may plausibly lie [its unit].
+        upper: Its largest value; inf where there is none [its unit].
+    """
+
+    gradient: Mapping[str, Array] = field(repr=False)
+    span: float
+    upper: float = math.inf
+
+
+@dataclass(frozen=True)
 class Term(abc.ABC):
     """A weighted penalty of an affine residual over a scene.
 
@@ -66,6 +82,8 @@ class Term(abc.ABC):
     name: ClassVar[str]
     #: The mathematics, for `repr` of a formulation
     formula: ClassVar[str]
+    #: Whether its rows are measurements, whose noise the residuals show
+    measures: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         """Refuse a weight that is no weight.
@@ -139,3 +157,19 @@ class Term(abc.ABC):
             For instance a friction coefficient; empty for most terms.
         """
         return {}
+
+    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
+        """Those of its `parameters` that are found among the variables, by name.
+
+        Args:
+            values: The solution's variables by name.
+        """
+        return {}
+
+    def unborne(self) -> dict[str, str]:
+        """Parameters of which its rows say nothing, and why, by name."""
+        return {}
+
+    def without(self, names: Collection[str]) -> Self:
+        """The same term with these of its parameters at their neutral value."""
+        return self

@@ -9,8 +9,8 @@ from __future__ import annotations
 import abc
 import copy
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
@@ -22,9 +22,15 @@ from ttus_opt import friction
 from ttus_opt.errors import InputError
 from ttus_opt.friction import DragRows, Sliding
 from ttus_opt.scene import Scene
+from ttus_opt.terms.base import Fitted
+from ttus_opt.terms.drag_smoothness import MEAN_FRICTION
 
 Array = NDArray[np.float64]
 Blocks = dict[str, sp.csr_array]
+
+#: Sliding below this share of the deadband is none: 2 µm/s are 0.1 µm in a frame of
+#: 50 ms, less than any tracker resolves [–]
+AT_REST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,35 @@ class DragModel(abc.ABC):
     @abc.abstractmethod
     def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
         """The rows of contact and of drag by variable."""
+
+    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
+        """Those coefficients that are found among the variables, by name."""
+        return {}
+
+    @abc.abstractmethod
+    def unborne(self) -> dict[str, str]:
+        """Coefficients of which no pose tells, and why, by name."""
+
+    def without(self, names: Collection[str]) -> Self:
+        """The same model with these of its coefficients at 0."""
+        return self
+
+    @cached_property
+    def touching(self) -> NDArray[np.bool_]:
+        """Poses in contact, shape (T,)."""
+        return np.asarray((self.sliding.normal != 0.0).any(axis=1))
+
+    @cached_property
+    def moving(self) -> NDArray[np.bool_]:
+        """Poses that slide in contact, shape (T,)."""
+        speed = np.linalg.norm(self.sliding.velocity, axis=1)
+        return np.asarray(self.touching & (speed > AT_REST * self.deadband))
+
+    def silence(self) -> str:
+        """Why no pose tells of drag; empty when one does."""
+        if self.moving.any():
+            return ""
+        return "no sliding" if self.touching.any() else "no contact"
 
     @abc.abstractmethod
     def identified(self, values: Mapping[str, Array]) -> dict[str, float]:
@@ -124,10 +159,23 @@ class GlobalCoulomb(DragModel):
         """The given μ."""
         return {friction.FRICTION: self.coefficient}
 
+    def unborne(self) -> dict[str, str]:
+        """μ, where nothing slides."""
+        why = self.silence()
+        return {friction.FRICTION: why} if why else {}
+
 
 @dataclass(frozen=True)
 class CoulombField(DragModel):
-    """Drag −t̂ (n̂ᵀ N q) of a voxel field q, the friction coefficient times p."""
+    """Drag −t̂ (n̂ᵀ N q) of a voxel field q, the friction coefficient times p.
+
+    Attributes:
+        largest: μ_max, the largest share of p that q may be [–].
+        silent: Whether q is left out of the rows.
+    """
+
+    largest: float = 1.0
+    silent: bool = False
 
     @property
     def formula(self) -> str:
@@ -135,14 +183,46 @@ class CoulombField(DragModel):
         return "F q"
 
     def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
+        if self.silent:
+            return {"p": contact}
         return {"p": contact, "q": sp.csr_array(-drag)}
 
     def identified(self, values: Mapping[str, Array]) -> dict[str, float]:
         """The one μ for which μ F p is nearest to F q."""
+        return {friction.FRICTION: max(self._nearest(values)[0], 0.0)}
+
+    def _nearest(self, values: Mapping[str, Array]) -> tuple[float, Array, Array]:
+        """μ = (F p)ᵀ(F q)/‖F p‖² with F p and F q; 0 where nothing slides."""
         full = self.rows.force @ values["p"]
         square = float(full @ full)
-        dragged = float(full @ (self.rows.force @ values["q"]))
-        return {friction.FRICTION: max(dragged / square, 0.0) if square else 0.0}
+        if self.silent or not square:
+            return 0.0, full, np.zeros_like(full)
+        dragged = self.rows.force @ values["q"]
+        return float(full @ dragged) / square, full, dragged
+
+    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
+        """μ with its derivatives by q and p."""
+        mu, full, dragged = self._nearest(values)
+        square = float(full @ full)
+        if self.silent or not self.moving.any():
+            return {}
+        if not square:
+            return {friction.FRICTION: Fitted({}, 1.0)}
+        turned = self.rows.force.T
+        gradient = {
+            "q": turned @ full / square,
+            "p": turned @ (dragged - 2.0 * mu * full) / square,
+        }
+        return {friction.FRICTION: Fitted(gradient, 1.0, self.largest)}
+
+    def unborne(self) -> dict[str, str]:
+        """μ and its mean, where nothing slides or q is left out."""
+        why = "the drag field is left out" if self.silent else self.silence()
+        return {friction.FRICTION: why, MEAN_FRICTION: why} if why else {}
+
+    def without(self, names: Collection[str]) -> Self:
+        """Without q where μ is among the names."""
+        return replace(self, silent=True) if friction.FRICTION in names else self
 
 
 @dataclass(frozen=True)
@@ -152,10 +232,12 @@ class Viscous(DragModel):
     Attributes:
         sectors: Patches around the axis [–].
         bands: Patches along it [–].
+        silent: Patches whose coefficient is 0, given and not fitted.
     """
 
     sectors: int = 1
     bands: int = 1
+    silent: frozenset[int] = frozenset()
 
     @property
     def formula(self) -> str:
@@ -165,8 +247,23 @@ class Viscous(DragModel):
     @cached_property
     def rows(self) -> DragRows:
         """Velocities, in the column of the patch that is touched."""
-        region = self.sliding.regions(self.sectors, self.bands, self.scene.voxmap)
-        return friction.viscous_rows(self.sliding, region, self.sectors * self.bands)
+        n = self.sectors * self.bands
+        rows = friction.viscous_rows(self.sliding, self.region, n)
+        if not self.silent:
+            return rows
+        spoken = sp.diags_array(np.where(np.isin(np.arange(n), [*self.silent]), 0.0, 1))
+        force, torque = (sp.csr_array(m @ spoken) for m in (rows.force, rows.torque))
+        return DragRows(force, torque)
+
+    @cached_property
+    def region(self) -> NDArray[np.int64]:
+        """The patch of every pose, shape (T,)."""
+        return self.sliding.regions(self.sectors, self.bands, self.scene.voxmap)
+
+    def _name(self, patch: int) -> str:
+        """Of a patch's coefficient."""
+        alone = self.sectors * self.bands == 1
+        return friction.VISCOUS if alone else f"{friction.VISCOUS}_{patch}"
 
     def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
         return {"p": contact, "c": sp.csr_array(-drag)}
@@ -176,9 +273,9 @@ class Viscous(DragModel):
 
         A patch that was never touched, of which nothing is known, has the mean.
         """
-        region = self.sliding.regions(self.sectors, self.bands, self.scene.voxmap)
-        touched = region[(self.sliding.normal != 0.0).any(axis=1)]
+        touched = self.region[self.touching]
         c = np.maximum(values["c"], 0.0)
+        c[[*self.silent]] = 0.0
         mean = float(c[touched].mean()) if len(touched) else 0.0
         found = {friction.VISCOUS: mean}
         if len(c) > 1:
@@ -186,5 +283,61 @@ class Viscous(DragModel):
             each = np.where(known, c, mean)
             found[friction.SECTORS] = float(self.sectors)
             found[friction.BANDS] = float(self.bands)
-            found |= {f"{friction.VISCOUS}_{i}": float(v) for i, v in enumerate(each)}
+            found |= {self._name(i): float(v) for i, v in enumerate(each)}
         return found
+
+    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
+        """The coefficients of patches that are slid on, and their mean.
+
+        A coefficient may plausibly be as large as makes drag as large as the contact
+        force, at the speed of sliding or the deadband, whichever is faster. The mean
+        is borne where the patches are.
+        """
+        n, own = self.sectors * self.bands, self.region[self.moving]
+        spoken = sorted(set(own.tolist()) - self.silent)
+        if not spoken:
+            return {}
+        contact = (self.scene.N @ values["p"]).reshape(-1, 3)
+        found = {}
+        for i in spoken:
+            here = self.moving & (self.region == i)
+            force, speed = (
+                float(np.sqrt(np.mean(np.sum(v[here] ** 2, axis=1))))
+                for v in (contact, self.sliding.velocity)
+            )
+            span = force / max(speed, self.deadband)
+            found[self._name(i)] = Fitted({"c": np.eye(n)[i]}, span)
+        if n > 1:
+            counts = np.bincount(self.region[self.touching], minlength=n)
+            counts[[i for i in range(n) if i not in spoken]] = 0
+            share = counts / max(int(self.touching.sum()), 1)
+            found[friction.VISCOUS] = Fitted({"c": share}, math.inf)
+        return found
+
+    def unborne(self) -> dict[str, str]:
+        """Patches never slid on, and the mean where no patch is."""
+        n = self.sectors * self.bands
+        slid, touched = self.region[self.moving], self.region[self.touching]
+        if n == 1:
+            why = self.silence()
+            return {friction.VISCOUS: why} if why else {}
+        found = {}
+        for i in range(n):
+            if i not in touched:
+                found[self._name(i)] = "never touched, as the mean of the others"
+            elif i not in slid:
+                found[self._name(i)] = "no sliding"
+        if set(slid.tolist()) <= self.silent:
+            found[friction.VISCOUS] = self.silence() or "no patch of it is identified"
+        return found
+
+    def without(self, names: Collection[str]) -> Self:
+        """With the coefficients of these patches given as 0.
+
+        One that was never touched stays: it has the mean.
+        """
+        n = self.sectors * self.bands
+        touched = set(self.region[self.touching].tolist())
+        own = {i for i in range(n) if self._name(i) in names}
+        more = own if n == 1 else own & touched
+        return replace(self, silent=self.silent | more) if more else self

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.base import AffineRows, Fitted, Term
 from ttus_opt.terms.drag import DragModel
 
 
@@ -24,6 +25,7 @@ class DragForceTerm(Term):
 
     name = "force"
     formula = "‖N p − drag − f‖²"
+    measures = True
 
     def __post_init__(self) -> None:
         """Say which drag it is.
@@ -41,3 +43,16 @@ class DragForceTerm(Term):
     def parameters(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         """Drag's coefficients."""
         return self.drag.parameters(values)
+
+    def fitted(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, Fitted]:
+        """Drag's coefficients that are found among the variables."""
+        return self.drag.fitted(values)
+
+    def unborne(self) -> dict[str, str]:
+        """Drag's coefficients of which no pose tells."""
+        return self.drag.unborne()
+
+    def without(self, names: Collection[str]) -> Self:
+        """The same term without this drag."""
+        drag = self.drag.without(names)
+        return self if drag is self.drag else replace(self, drag=drag)

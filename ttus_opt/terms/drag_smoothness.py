@@ -7,14 +7,15 @@ friction coefficient m makes of p, and m is found with it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.base import AffineRows, Fitted, Term
 
 #: Name under which a fitted field carries m
 MEAN_FRICTION = "mean_friction_coefficient"
@@ -22,17 +23,43 @@ MEAN_FRICTION = "mean_friction_coefficient"
 
 @dataclass(frozen=True)
 class DragSmoothnessTerm(Term):
-    """Squares of the scaled Laplace rows of q, Dirichlet rows included (soft)."""
+    """Squares of the scaled Laplace rows of q, Dirichlet rows included (soft).
+
+    Attributes:
+        has_mean: Whether m is found with q; it is 0 otherwise.
+    """
+
+    has_mean: bool = True
 
     name = "drag_smoothness"
     formula = "‖L q − m b‖²"
 
+    def __post_init__(self) -> None:
+        """Say whether there is an m.
+
+        Raises:
+            InputError: The weight is not usable.
+        """
+        super().__post_init__()
+        if not self.has_mean:
+            object.__setattr__(self, "formula", "‖L q‖²")
+
     def rows(self) -> AffineRows:
         """L over q, and -b over the mean friction coefficient m."""
         b = self.scene.b
+        if not self.has_mean:
+            return AffineRows({"q": self.scene.L}, np.zeros(len(b)))
         mean = sp.csr_array(-b[:, None])
         return AffineRows({"q": self.scene.L, "m": mean}, np.zeros(len(b)))
 
     def parameters(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         """The mean friction coefficient."""
-        return {MEAN_FRICTION: float(values["m"][0])}
+        return {MEAN_FRICTION: float(values["m"][0]) if self.has_mean else 0.0}
+
+    def fitted(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, Fitted]:
+        """m, as far from 0 as drag that is as large as the normal force."""
+        return {MEAN_FRICTION: Fitted({"m": np.ones(1)}, 1.0)} if self.has_mean else {}
+
+    def without(self, names: Collection[str]) -> Self:
+        """The same prior, towards 0 where m is among the names."""
+        return replace(self, has_mean=False) if MEAN_FRICTION in names else self

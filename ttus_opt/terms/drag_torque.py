@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 from ttus_opt.terms.base import AffineRows
 from ttus_opt.terms.drag import DragModel
@@ -37,3 +39,8 @@ class DragTorqueTerm(TorqueTerm):
         scale = 1.0 / (self.length or self.scene.torque_length)
         blocks = {k: M * scale for k, M in self.drag.torque_blocks().items()}
         return AffineRows(blocks, self.scene.tau * scale)
+
+    def without(self, names: Collection[str]) -> Self:
+        """The same term without this drag."""
+        drag = self.drag.without(names)
+        return self if drag is self.drag else replace(self, drag=drag)

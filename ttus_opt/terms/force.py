@@ -13,6 +13,7 @@ class ForceTerm(Term):
 
     name = "force"
     formula = "‖N p − f‖²"
+    measures = True
 
     def rows(self) -> AffineRows:
         """N and f of the scene."""

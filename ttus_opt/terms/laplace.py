@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.errors import InputError
+from ttus_opt.scene import BOUNDARY_SCALE
 from ttus_opt.terms.base import AffineRows, Term
-
-#: Name under which a scene and a solution carry the scale of boundary values
-BOUNDARY_SCALE = "boundary_scale"
 
 
 @dataclass(frozen=True)

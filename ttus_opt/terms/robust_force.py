@@ -26,6 +26,7 @@ class RobustForceTerm(Term):
 
     name = "robust_force"
     formula = "Σ huber(N p − f; δ)"
+    measures = True
 
     def __post_init__(self) -> None:
         """Refuse a limit that is none.

@@ -26,6 +26,7 @@ class TorqueTerm(Term):
 
     name = "torque"
     formula = "‖(W p − τ)/ℓ‖²"
+    measures = True
 
     def __post_init__(self) -> None:
         """Refuse a length that is no length.

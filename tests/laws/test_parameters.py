@@ -1,0 +1,40 @@
+"""Law of parameters: each comes with a standard error, or with a reason."""
+
+from __future__ import annotations
+
+import pytest
+
+import ttus_opt as tt
+from tests.dragging import dragged_scene
+from ttus_opt import friction
+from ttus_opt.problem.formulation import available
+from ttus_opt.scene import Scene
+
+#: What a field carries for rendering, given and not identified
+GIVEN = {
+    friction.DRAG_DEADBAND,
+    friction.DRAG_AT_REFERENCE,
+    friction.SECTORS,
+    friction.BANDS,
+    *friction.DRAG_AXIS,
+}
+
+MADE = dragged_scene("contact", shape=(8, 18, 9))
+FITTED = Scene.assemble(
+    MADE.voxmap, MADE.shell, MADE.trajectory, inner="fit", sampling="trilinear"
+)
+
+
+@pytest.mark.parametrize("name", [info.name for info in available()])
+def test_every_parameter_is_told_how_well(name: str) -> None:
+    options = {} if name == "laplace_only" else {"force_weight": 1e-2}
+    solution = tt.fit(FITTED, name, **options)
+    assert solution.status is tt.Status.SOLVED, solution.advice
+    identified = set(solution.parameters) - GIVEN
+    errors, doubts = set(solution.standard_errors), set(solution.not_identified)
+    assert identified == errors | doubts
+    assert not errors & doubts
+    assert all(error > 0.0 for error in solution.standard_errors.values())
+    assert all(solution.not_identified.values())
+    lines = {line.split()[0].rstrip(":") for line in solution.identified}
+    assert lines == set(solution.parameters)
