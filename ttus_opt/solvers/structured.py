@@ -135,8 +135,13 @@ class _Limited(Prepared):
         if worst <= self._request.tolerance * _largest_limit(limits):
             return None
         detail = f"limits along a spoke contradict each other by {worst:.2g}"
-        proof = limits.proof_of_contradiction() or Duals()
-        return Candidate(None, proof, claim=Claim.INFEASIBLE, detail=detail)
+        return Candidate(
+            None, self._proof(limits), claim=Claim.INFEASIBLE, detail=detail
+        )
+
+    def _proof(self, limits: SpokeLimits) -> Duals:
+        """Multipliers that prove a contradiction; none where they are not known."""
+        return Duals()
 
     def _tightened(
         self, attempt: Callable[[float, float | None], Candidate]
@@ -254,6 +259,9 @@ class _Loaded(_Limited):
             impossible = self._contradiction(self._limits)
             return impossible or self._tightened(self._limited)
         return self._tightened(self._unlimited)
+
+    def _proof(self, limits: SpokeLimits) -> Duals:
+        return limits.proof_of_contradiction() or Duals()
 
     def _limited(self, rtol: float, deadline: float | None) -> Candidate:
         """The field within its limits."""
