@@ -267,6 +267,18 @@ def turn(p: Single, z: Single, beta: np.float32) -> None:
         _row_turn(p[i], z[i], beta)
 
 
+@compiled(nogil=True)
+def copy(out: Single, a: Single) -> None:
+    """Copy one colour (compiled).
+
+    A slice set to another takes seconds to compile: for the message that would say
+    their shapes differ.
+    """
+    for i in range(out.shape[0]):
+        for n in range(out.shape[1]):
+            out[i, n] = a[i, n]
+
+
 @compiled(nogil=True, fastmath=FAST)
 def direct(
     x: Single, b0: Single | None, b1: Single, places: NDArray[np.int64], inverse: Single
