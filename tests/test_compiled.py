@@ -208,6 +208,20 @@ def test_only_a_private_folder_is_trusted(
         assert chosen() is None
 
 
+def test_an_inner_function_is_called_by_compiled_ones_only() -> None:
+    @compiled(inner=True)
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    @compiled()
+    def quarter(x: float) -> float:
+        return 0.5 * half(x)
+
+    assert quarter(2.0) == 0.5
+    with pytest.raises(TypeError, match="half is called by compiled functions only"):
+        half(2.0)  # where numba would end the process
+
+
 def test_a_global_that_cannot_be_told_is_refused() -> None:
     reads = object()
 
