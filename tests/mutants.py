@@ -245,8 +245,8 @@ class Copy:
                 shutil.copy(source, target)
         if (ROOT.parent / "shared").exists():
             (folder / "shared").symlink_to(ROOT.parent / "shared")
-        # what mutants compile does not fill the user's cache
-        self._cache = folder.parent / "cache"
+        # what mutants compile does not fill the user's cache, unless it is chosen
+        self._cache = os.environ.get("NUMBA_CACHE_DIR") or folder.parent / "cache"
 
     def told(self, target: Target, limit: float | None = None) -> bool:
         """Whether the tests fail, or hang."""

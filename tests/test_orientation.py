@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from ttus_opt import orientation
 from ttus_opt.errors import GeometryError
 from ttus_opt.mesh import TriangleMesh, read_mesh
 from ttus_opt.orientation import consistent_patches, orient_faces
@@ -104,8 +105,29 @@ def test_walls_of_a_housing_point_into_the_wall_and_the_inner_ones_are_hidden():
     assert found.exposure[12:].max() == 0.0
 
 
-def test_exposure_of_a_groove_equals_its_view_factor():
-    # the floor of a long groove of width w and depth w sees √2 − 1 of the sky
+def test_doubled_walls_are_told_by_the_rays_that_escape():
+    """Every ray meets an even number of them, from either side."""
+    mesh = as_mesh(box)
+    faces = np.vstack([mesh.faces, mesh.faces[:, ::-1]])
+    found = orient_faces(TriangleMesh(mesh.vertices, faces), np.random.default_rng(0))
+    np.testing.assert_array_equal(found.flip, np.repeat([False, True], 12))
+    assert found.exposure.min() > 0.99
+
+
+def test_doubtful_faces_are_measured_with_more_rays(monkeypatch):
+    mesh, floor = groove()
+    monkeypatch.setattr(orientation, "TOTAL_RAYS", 0)  # as of a very large mesh
+    monkeypatch.setattr(orientation, "DOUBTFUL", (0.0, 1.0))
+    monkeypatch.setattr(orientation, "CAREFUL_RAYS", 1009)  # prime: no common share
+    found = orient_faces(mesh, np.random.default_rng(0))
+    shares = found.exposure * 1009
+    np.testing.assert_allclose(shares, np.round(shares), rtol=0, atol=1e-6)
+    exposure = found.exposure[floor].mean()
+    assert exposure == pytest.approx(np.sqrt(2) - 1, abs=0.03)
+
+
+def groove() -> tuple[TriangleMesh, np.ndarray]:
+    """A long groove, outwards, and which faces are its floor."""
     w, long = 0.01, 2.0
     made = trimesh.creation.extrude_triangulation(
         np.array(
@@ -139,12 +161,19 @@ def test_exposure_of_a_groove_equals_its_view_factor():
     )
     mesh = TriangleMesh(np.array(made.vertices), np.array(made.faces)).cleaned()
     found = orient_faces(mesh, np.random.default_rng(0))
-    outward = mesh.flipped(found.flip).vector_areas
-    normal = outward / mesh.areas[:, None]
+    mesh = mesh.flipped(found.flip)
+    normal = mesh.vector_areas / mesh.areas[:, None]
     centre = mesh.corners.mean(axis=1)
     floor = (normal[:, 1] > 0.99) & (np.abs(centre[:, 1] - w) < 1e-6)
     floor &= (centre[:, 0] > w) & (centre[:, 0] < 2 * w)
     assert floor.sum() == 2
+    return mesh, floor
+
+
+def test_exposure_of_a_groove_equals_its_view_factor():
+    # the floor of a long groove of width w and depth w sees √2 − 1 of the sky
+    mesh, floor = groove()
+    found = orient_faces(mesh, np.random.default_rng(0))
     assert found.exposure[floor].mean() == pytest.approx(np.sqrt(2) - 1, abs=0.03)
 
 

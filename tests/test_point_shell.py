@@ -97,6 +97,15 @@ def test_rms_radius():
     assert shell.rms_radius == pytest.approx(truth, rel=2e-3)
 
 
+def test_rms_radius_weights_points_by_their_area():
+    points = np.array([[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 3.0], [1.0, 1, 1]])
+    areas, reference = np.array([1.0, 2.0, 3.0, 4.0]), np.array([1.0, 0.0, 0.0])
+    normals = np.tile([0.0, 0.0, 1.0], (4, 1))
+    # squares 0, 5, 10, 2: (0 + 10 + 30 + 8) / 10
+    shell = PointShell(points, normals, areas, reference)
+    assert shell.rms_radius == pytest.approx(np.sqrt(4.8), rel=1e-14)
+
+
 def test_the_seed_decides():
     one, two = PointShell.sphere(0.02, 64), PointShell.sphere(0.02, 64)
     np.testing.assert_array_equal(one.points, two.points)

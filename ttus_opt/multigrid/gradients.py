@@ -107,7 +107,7 @@ class Vectors(Workspace):
         )
 
 
-@compiled(inner=True, nogil=True)
+@compiled(inline="always")
 def _cycle(
     finest: Finest,
     work: Work,
@@ -142,7 +142,7 @@ def _cycle(
         lines.sweep(x, x[0], b1, inverse[1], R, T, Z, one, numbers)
 
 
-@compiled(inner=True, nogil=True)
+@compiled(inline="always")
 def _sweep_zero(finest: Finest, x: Single, b0: Single | None, zero: int) -> None:
     """Solve the lines of colour 0, given colour 1 (compiled)."""
     R, T, Z, inverse, _, _, numbers = finest
