@@ -71,6 +71,19 @@ class _Inner(numba.core.registry.CPUDispatcher):
         )
 
 
+def is_kept(dispatcher: Any) -> bool:
+    """Whether machine code of a compiled function as it stands is kept for any types.
+
+    Args:
+        dispatcher: The function; with NUMBA_DISABLE_JIT there is nothing to keep.
+    """
+    kept = getattr(dispatcher, "_cache", None)
+    folder = _folder()
+    if not isinstance(kept, _Kept) or folder is None:
+        return True
+    return any(folder.glob(f"{kept.name}-*"))
+
+
 def content_stamp(dispatcher: Any) -> str:
     """Checksum of what a compiled function is made of: its code and what it reads.
 
@@ -223,16 +236,22 @@ class _Kept(caching._Cache):
     def _stamp(self) -> str:
         return content_stamp(self._dispatcher)  # later than the functions below it
 
+    @property
+    def name(self) -> str:
+        """How the files of this function begin, as it stands now."""
+        function = self._dispatcher.py_func
+        name = f"{function.__module__}.{function.__name__}".removeprefix("ttus_opt.")
+        return f"{name}-{self._stamp[:32]}"
+
     def _path(self, signature: Any, codegen: Any) -> Path | None:
         folder = _folder() if self._enabled else None
         if folder is None:
             return None
         arguments, _ = sigutils.normalize_signature(signature)
         argument_types = [_type_content(kind) for kind in arguments]
-        key = (self._stamp, argument_types, codegen.magic_tuple(), _surroundings())
-        function = self._dispatcher.py_func
-        name = f"{function.__module__}.{function.__name__}".removeprefix("ttus_opt.")
-        return folder / f"{name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}"
+        key = (argument_types, codegen.magic_tuple(), _surroundings())
+        name = f"{self.name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}"
+        return folder / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The kept machine code for these types, or None."""
