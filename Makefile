@@ -3,6 +3,12 @@
 
 VENV ?= .venv
 TESTFLAGS ?=
+# Tests run side by side, one process a core (slow ones, which may be large, on two).
+PARALLEL ?= -n auto --maxprocesses 4 --dist worksteal
+# make mutants MUTANTS="metrics kkt" SAMPLE=50
+MUTANTS ?=
+SAMPLE ?= 20
+comma := ,
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
@@ -12,12 +18,13 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
 	sys.version_info >= (3, 11) and print("ok")' 2>/dev/null),$(name))))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow notebooks check picture clean
+.PHONY: help demo test slow notebooks mutants check picture clean
 
 help:
 	@echo "make demo     the whole method on the bundled example, into demo/"
 	@echo "make test     the tests; make slow for those over ten seconds, notebooks too"
 	@echo "make notebooks  runs the notebooks"
+	@echo "make mutants  small mistakes put into core modules: how many the tests tell"
 	@echo "make check    format, lint, types, layers"
 	@echo "make picture  the README's picture, docs/overview.png"
 	@echo "make clean    removes what the other targets made"
@@ -26,13 +33,16 @@ demo: $(STAMP)
 	$(BIN)/ttus-opt demo -o demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -m "not slow" $(TESTFLAGS)
+	$(BIN)/python -m pytest -m "not slow" $(PARALLEL) $(TESTFLAGS)
 
 slow: $(STAMP) notebooks
-	$(BIN)/python -m pytest -m slow $(TESTFLAGS)
+	$(BIN)/python -m pytest -m slow $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)
 
 notebooks: $(STAMP)
 	$(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks
+
+mutants: $(STAMP)
+	$(BIN)/python tests/mutants.py --sample $(SAMPLE) $(subst $(comma), ,$(MUTANTS))
 
 check: $(STAMP)
 	$(BIN)/ruff format --check .

@@ -12,7 +12,7 @@ import numba
 import pytest
 
 import ttus_opt.compiled as kept
-from ttus_opt.compiled import compiled, content_stamp
+from ttus_opt.compiled import compiled, content_stamp, is_kept
 
 PACKAGE = {
     "__init__": "",
@@ -152,7 +152,11 @@ def test_an_edit_that_does_not_reach_a_function_keeps_its_code(
 
 
 def test_checkouts_share_code(load: Load) -> None:
-    load().twice(0)
+    first = load()
+    assert not is_kept(first.twice)
+    first.twice(0)
+    assert is_kept(first.twice)
+    assert not is_kept(load(("callee", "FACTOR = 1", "FACTOR = 3")).twice)
     other = load(checkout="elsewhere")
     assert other.twice(0) == 2
     assert hits(other.twice) == 1
@@ -175,7 +179,7 @@ def test_code_nobody_asks_for_is_removed(load: Load, tmp_path: Path) -> None:
     wanted(0)
     kept._remove_old.cache_clear()
     load(("caller", "step(step(x))", "step(x) + 40")).twice(0)
-    left = [path.name.rpartition("-")[0] for path in folder.iterdir()]
+    left = [path.name.partition("-")[0] for path in folder.iterdir()]
     assert sorted(left) == ["haunted.callee.step"] + ["haunted.caller.twice"] * 2
 
 
@@ -206,6 +210,20 @@ def test_only_a_private_folder_is_trusted(
     other.symlink_to(mine)
     with pytest.warns(RuntimeWarning, match="set NUMBA_CACHE_DIR"):
         assert chosen() is None
+
+
+def test_an_inner_function_is_called_by_compiled_ones_only() -> None:
+    @compiled(inner=True)
+    def half(x: float) -> float:
+        return 0.5 * x
+
+    @compiled()
+    def quarter(x: float) -> float:
+        return 0.5 * half(x)
+
+    assert quarter(2.0) == 0.5
+    with pytest.raises(TypeError, match="half is called by compiled functions only"):
+        half(2.0)  # where numba would end the process
 
 
 def test_a_global_that_cannot_be_told_is_refused() -> None:

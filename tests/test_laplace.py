@@ -249,3 +249,47 @@ def test_right_side_is_linear_and_checked(system: LaplaceSystem) -> None:
     np.testing.assert_allclose(b, 2 * system.inner_part + 3 * system.outer_part)
     with pytest.raises(InputError, match="finite"):
         system.right_side(float("inf"), 1.0)
+
+
+def test_skin_on_the_outer_layer_is_zero_at_the_ends_too() -> None:
+    system = tube((9, 8, 5), 0.04, 0.118, 0.12)
+    assert (system.voxmap.region[-1] == SURFACE).all()
+    b = system.grid.unflatten(system.right_side(1.0, 2.0))
+    assert not b[-1].any()
+    assert (b[0] == 1.0).all()
+
+
+def test_screening_takes_from_the_diagonal() -> None:
+    """κ² Δr² off the diagonal of free rows: (κ Δr)² = 0.09 by hand."""
+    voxmap = Voxmap.from_surface(torso(), shape=(9, 12, 7))
+    plain = LaplaceSystem.assemble(voxmap)
+    kappa = 0.3 / voxmap.grid.r_step
+    change = (LaplaceSystem.assemble(voxmap, screening=kappa).L - plain.L).toarray()
+    np.testing.assert_allclose(change, np.diag(-0.09 * plain.free), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"conductivities": (1.0, 0.0, 1.0)},
+        {"conductivities": (1.0, np.inf, 1.0)},
+        {"conductivities": (1.0, 1.0)},
+        {"screening": -1e-9},
+        {"screening": np.nan},
+    ],
+)
+def test_variants_are_checked(given: dict[str, object]) -> None:
+    with pytest.raises(InputError, match=r"conductivities|screening"):
+        LaplaceSystem.assemble(
+            Voxmap.from_surface(torso(), shape=(9, 12, 7)),
+            **given,  # type: ignore[arg-type]
+        )
+
+
+@pytest.mark.parametrize("given", [{"screening": 1.0}, {"conductivities": (2, 1, 1)}])
+def test_the_multigrid_refuses_a_variant(given: dict[str, object]) -> None:
+    voxmap = Voxmap.from_surface(torso(), shape=(9, 12, 7))
+    system = LaplaceSystem.assemble(voxmap, **given)  # type: ignore[arg-type]
+    assert not system.is_plain
+    with pytest.raises(InputError, match="plain Laplace operator only"):
+        _ = system.multigrid

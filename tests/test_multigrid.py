@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg, splu
 
+from ttus_opt.compiled import compiled
 from ttus_opt.errors import InputError, NumericalError
 from ttus_opt.grid import CylindricalGrid
 from ttus_opt.multigrid import Multigrid
@@ -292,6 +293,11 @@ def test_a_cycle_in_halves_is_the_same_cycle(
     )
 
 
+@compiled()
+def compiled_cycle(finest, work, coarser, lower, bottom, b0, b1, colours):
+    _cycle(finest, work, coarser, lower, bottom, b0, b1, colours)
+
+
 def test_the_compiled_cycle_is_the_same_cycle(
     case: tuple[CylindricalGrid, Mask, Multigrid],
 ) -> None:
@@ -303,7 +309,7 @@ def test_the_compiled_cycle_is_the_same_cycle(
     first = b0 if solver.hierarchy.levels[0].is_odd else None
     for _ in range(2):  # nothing is left over from the first
         cycle(solver.hierarchy, plain, (first, b1))
-        _cycle(*vectors._finest, *vectors._below, first, b1, (0, 1))
+        compiled_cycle(*vectors._finest, *vectors._below, first, b1, (0, 1))
         expected = plain.x[0]
         np.testing.assert_allclose(
             vectors.x[0], expected, atol=1e-5 * np.abs(expected).max()

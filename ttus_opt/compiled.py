@@ -36,23 +36,52 @@ from numba.core.serialize import dumps
 KEEP_SECONDS = 30 * 86400.0
 
 
-def compiled(**options: Any) -> Any:
+def compiled(*, inner: bool = False, **options: Any) -> Any:
     """Decorator: compile on first use and keep the machine code.
 
     Args:
+        inner: Called by compiled functions only, which halves the time to compile it.
         options: numba's own (``nogil``, ``inline``, ``fastmath``, ``error_model``).
 
     Returns:
         A decorator like ``numba.njit``.
     """
+    if inner:
+        options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 
     def decorate(function: Any) -> Any:
         dispatcher = numba.njit(**options)(function)
-        if isinstance(dispatcher, numba.core.dispatcher.Dispatcher):
-            dispatcher._cache = _Kept(dispatcher)
-        return dispatcher  # with NUMBA_DISABLE_JIT, the function itself
+        if not isinstance(dispatcher, numba.core.dispatcher.Dispatcher):
+            return dispatcher  # with NUMBA_DISABLE_JIT, the function itself
+        dispatcher._cache = _Kept(dispatcher)
+        if inner:
+            dispatcher.__class__ = _Inner
+        return dispatcher
 
     return decorate
+
+
+class _Inner(numba.core.registry.CPUDispatcher):
+    """A compiled function without an entrance from Python: numba would crash."""
+
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
+        raise TypeError(
+            f"{self.py_func.__name__} is called by compiled functions only: it is "
+            "declared with inner=True"
+        )
+
+
+def is_kept(dispatcher: Any) -> bool:
+    """Whether machine code of a compiled function as it stands is kept for any types.
+
+    Args:
+        dispatcher: The function; with NUMBA_DISABLE_JIT there is nothing to keep.
+    """
+    kept = getattr(dispatcher, "_cache", None)
+    folder = _folder()
+    if not isinstance(kept, _Kept) or folder is None:
+        return True
+    return any(folder.glob(f"{kept.name}-*"))
 
 
 def content_stamp(dispatcher: Any) -> str:
@@ -207,16 +236,22 @@ class _Kept(caching._Cache):
     def _stamp(self) -> str:
         return content_stamp(self._dispatcher)  # later than the functions below it
 
+    @property
+    def name(self) -> str:
+        """How the files of this function begin, as it stands now."""
+        function = self._dispatcher.py_func
+        name = f"{function.__module__}.{function.__name__}".removeprefix("ttus_opt.")
+        return f"{name}-{self._stamp[:32]}"
+
     def _path(self, signature: Any, codegen: Any) -> Path | None:
         folder = _folder() if self._enabled else None
         if folder is None:
             return None
         arguments, _ = sigutils.normalize_signature(signature)
         argument_types = [_type_content(kind) for kind in arguments]
-        key = (self._stamp, argument_types, codegen.magic_tuple(), _surroundings())
-        function = self._dispatcher.py_func
-        name = f"{function.__module__}.{function.__name__}".removeprefix("ttus_opt.")
-        return folder / f"{name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}"
+        key = (argument_types, codegen.magic_tuple(), _surroundings())
+        name = f"{self.name}-{hashlib.sha256(repr(key).encode()).hexdigest()[:32]}"
+        return folder / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The kept machine code for these types, or None."""

@@ -21,6 +21,7 @@ from ttus_opt.contour import extract_surface
 from ttus_opt.field import PotentialField
 from ttus_opt.fitting import fit
 from ttus_opt.metrics import evaluate
+from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.point_shell import PointShell
 from ttus_opt.problem.solution import Solution
 from ttus_opt.report import Comparison, write_report
@@ -131,26 +132,27 @@ def run(
     """
     start = time.perf_counter()
     begin = progress or (lambda stage: None)
-    begin("reading the example")
-    truth = Surface.load(example.path("surface.nc"))
-    cloud = read_cloud(example.path("scan.ply"), unit="m")
-    recordings = {
-        name: read_trajectory(example.path(f"{name}.csv"))
-        for name in (*FITTED, *UNSEEN)
-    }
-    shell = PointShell.from_spec(example.PROBE)
-    begin("scan to surface")
-    surface = extract_surface(cloud, axis=truth.axis)
-    begin("assembling (first run compiles)")
-    scene = Scene.assemble(
-        Voxmap.from_surface(surface, shape=shape),
-        shell,
-        Trajectory.concatenate([recordings[name] for name in FITTED]),
-        inner="fit",
-        sampling="trilinear",
-    )
-    begin("Laplace prior alone")
-    before = fit(scene, "laplace_only")
+    with compiling_ahead():
+        begin("reading the example")
+        truth = Surface.load(example.path("surface.nc"))
+        cloud = read_cloud(example.path("scan.ply"), unit="m")
+        recordings = {
+            name: read_trajectory(example.path(f"{name}.csv"))
+            for name in (*FITTED, *UNSEEN)
+        }
+        shell = PointShell.from_spec(example.PROBE)
+        begin("scan to surface")
+        surface = extract_surface(cloud, axis=truth.axis)
+        begin("assembling (first run compiles)")
+        scene = Scene.assemble(
+            Voxmap.from_surface(surface, shape=shape),
+            shell,
+            Trajectory.concatenate([recordings[name] for name in FITTED]),
+            inner="fit",
+            sampling="trilinear",
+        )
+        begin("Laplace prior alone")
+        before = fit(scene, "laplace_only")
     begin("with forces and torques")
     after = fit(scene, "eq10", force_weight=WEIGHT, torque_weight=WEIGHT)
     begin("evaluating")

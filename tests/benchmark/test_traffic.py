@@ -60,7 +60,7 @@ def seen(made: Hierarchy, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     record(transfer, "prolong", lambda out, x, *_: 2 * size(out) + size(x))
     record(kernels, "direct", lambda x, b0, b1, p, inv: size(x) * 2 + size(inv))
     # compiled code would not call what is put in the kernels' place
-    for name in ("cycle_below", "direct", "_smooth"):
+    for name in ("cycle_below", "direct"):
         monkeypatch.setattr(cycle_module, name, getattr(cycle_module, name).py_func)
     work = Workspace(made)
     for n, level in enumerate(made.levels):

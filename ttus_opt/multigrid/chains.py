@@ -90,7 +90,7 @@ class Chains:
         )
 
 
-@compiled(nogil=True)
+@compiled(inner=True, nogil=True)
 def gather_half(b: NDArray[np.float32], places: Places) -> None:
     """`Chains.gather` in one half, shape (n_r, width) (compiled)."""
     followers, leaders = places

@@ -8,9 +8,7 @@ for the interpreter's lock.
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,18 +27,19 @@ from ttus_opt.multigrid.levels import (
     plan,
 )
 
-#: Of a coarser level: conductances R, T, Z, inverse pivots, transfer weights,
-#: coarsened directions and sizes
-Coarser = tuple[
-    Single, Single, Single, Single, tuple[Single, ...], tuple[bool, ...], Numbers
-]
+#: Arrays of all levels but the finest, one after the other, and a row of whole numbers
+#: for each: where it begins, n_r, width, the coarsened directions and `Numbers`. (A
+#: tuple of arrays per level would do, but takes twice as long to compile.)
+Coarser = tuple[Single, NDArray[np.int64]]
 
 #: Right-hand side, correction and residual of a level
 Work = tuple[Single, Single, Single]
 
-#: Coarser levels are filled up to a multiple of so many: code is compiled for each
-#: length of a tuple
-PADDED = 8
+#: Halves of a coarser level (R, T, Z, inverse pivots, six weights) and of its work
+LEVEL_HALVES, WORK_HALVES = 20, 5
+
+#: Levels begin at a multiple of so many numbers, their work at one of 16: a cache line
+ALIGNED = 16 * LEVEL_HALVES // WORK_HALVES
 
 
 @dataclass(frozen=True)
@@ -165,11 +164,13 @@ class Hierarchy:
         levels: From fine to coarse.
         places: Flat places of the coarsest level's free nodes in halves.
         inverse: Inverse of the coarsest level's matrix [1/m].
+        coarser: All levels but the finest, for compiled code; they share its memory.
     """
 
     levels: tuple[Level, ...]
     places: NDArray[np.int64] = field(repr=False)
     inverse: Single = field(repr=False)
+    coarser: Coarser = field(repr=False)
 
     @classmethod
     def build(
@@ -203,17 +204,8 @@ class Hierarchy:
                 network = coarsen(network, int(axis))
         inverse = np.linalg.inv(network.matrix()).astype(np.float32)
         places = levels[-1].layout.places(np.nonzero(network.free))
-        return cls(tuple(levels), places, inverse)
-
-    @functools.cached_property
-    def coarser(self) -> tuple[Coarser, ...]:
-        """All levels but the finest, for compiled code, filled up with the last."""
-        return _filled(
-            [
-                (v.R, v.T, v.Z, v.inverse, v.weights, v.flags, v.layout.numbers)
-                for v in self.levels[1:]
-            ]
-        )
+        below, coarser = _packed(levels[1:])
+        return cls((levels[0], *below), places, inverse, coarser)
 
     @property
     def memory_bytes(self) -> int:
@@ -232,24 +224,40 @@ class Workspace:
 
     def __init__(self, hierarchy: Hierarchy) -> None:
         shapes = [level.shape for level in hierarchy.levels]
-        self.b = [np.zeros(shape, np.float32) for shape in shapes]
-        self.x = [np.zeros(shape, np.float32) for shape in shapes]
-        self.residual = [np.zeros(shape[1:], np.float32) for shape in shapes]
-
-    @functools.cached_property
-    def coarser(self) -> tuple[Work, ...]:
-        """What belongs to all levels but the finest, filled up as those."""
-        every = zip(self.b, self.x, self.residual, strict=True)
-        return _filled(list(every)[1:])
+        self.b = [np.zeros(shapes[0], np.float32)]
+        self.x = [np.zeros(shapes[0], np.float32)]
+        self.residual = [np.zeros(shapes[0][1:], np.float32)]
+        values, sizes = hierarchy.coarser
+        self.coarser = np.zeros(values.size * WORK_HALVES // LEVEL_HALVES, np.float32)
+        for n in range(len(sizes)):
+            b, x, residual = work_of(self.coarser, sizes, n)
+            self.b.append(b)
+            self.x.append(x)
+            self.residual.append(residual)
 
     @property
     def memory_bytes(self) -> int:
-        """Size of its arrays."""
+        """Size of the arrays."""
         return sum(a.nbytes for a in (*self.b, *self.x, *self.residual))
 
 
-def _filled(levels: list[Any]) -> tuple[Any, ...]:
-    return tuple(levels + levels[-1:] * (-len(levels) % PADDED))
+def _packed(levels: list[Level]) -> tuple[list[Level], Coarser]:
+    """Levels below the finest in one array, and that array."""
+    sizes = np.zeros((len(levels), 9), np.int64)
+    end = 0
+    for n, level in enumerate(levels):
+        _, n_r, width = level.shape
+        sizes[n] = (end, n_r, width, *level.flags, *level.layout.numbers)
+        end += -(-LEVEL_HALVES * n_r * width // ALIGNED) * ALIGNED
+    values = np.zeros(end, np.float32)
+    packed = []
+    for n, level in enumerate(levels):
+        R, T, Z, inverse, weights, _, _ = level_of(values, sizes, n)
+        R[:], T[:], Z[:], inverse[:] = level.R, level.T, level.Z, level.inverse
+        for own, weight in zip(weights, level.weights, strict=True):
+            own[:] = weight
+        packed.append(replace(level, R=R, T=T, Z=Z, inverse=inverse, weights=weights))
+    return packed, (values, sizes)
 
 
 def cycle(
@@ -279,7 +287,12 @@ def cycle(
         return
     if level.is_odd:
         x.fill(0)  # where θ closes a sweep reads the old values of its own colour
-    transfers = (level.weights, level.flags, numbers, hierarchy.coarser[0][-1])
+    transfers = (
+        level.weights,
+        level.flags,
+        numbers,
+        hierarchy.levels[1].layout.numbers,
+    )
     level.sweep(1, x, None, b[1])
     level.sweep(0, x, x[1], b[0])
     level.couple(residual, x[0])
@@ -288,7 +301,7 @@ def cycle(
         level.sweep(0, x, x[1], b[0])
         level.couple(residual, x[0], since=True)
     transfer.restrict(work.b[1], residual, *transfers)
-    cycle_below(hierarchy.coarser, work.coarser, count, *bottom)
+    cycle_below(*hierarchy.coarser, work.coarser, *bottom)
     transfer.prolong(x[1], work.x[1], *transfers)
     kernels.close_circle(x, 1, numbers)
     for _ in range(sweeps):
@@ -312,47 +325,74 @@ def direct(
 
 
 @compiled(nogil=True)
-def _smooth(level: Coarser, b: Single, x: Single, first: int, count: int) -> None:
-    """Solve the lines of one colour, then of the other, and so on (compiled)."""
-    R, T, Z, inverse, _, _, numbers = level
-    for n in range(first, first + count):
-        c = n % 2
-        lines.sweep(x, x[1 - c], b[c], inverse[c], R, T, Z, c, numbers)
+def level_of(
+    values: Single, sizes: NDArray[np.int64], n: int
+) -> tuple[
+    Single, Single, Single, Single, tuple[Single, ...], tuple[bool, ...], Numbers
+]:
+    """A level of `Coarser`: as `Level`, with its numbers (compiled)."""
+    start, n_r, width = sizes[n, 0], sizes[n, 1], sizes[n, 2]
+    end = start + LEVEL_HALVES * n_r * width
+    a = values[start:end].reshape((LEVEL_HALVES // 2, 2, n_r, width))
+    flags = (sizes[n, 3] != 0, sizes[n, 4] != 0, sizes[n, 5] != 0)
+    numbers = (sizes[n, 6], sizes[n, 7], sizes[n, 8])
+    weights = (a[4], a[5], a[6], a[7], a[8], a[9])
+    return a[0], a[1], a[2], a[3], weights, flags, numbers
+
+
+@compiled(nogil=True)
+def work_of(work: Single, sizes: NDArray[np.int64], n: int) -> Work:
+    """Right-hand side, correction and residual of a level of `Coarser` (compiled)."""
+    n_r, width = sizes[n, 1], sizes[n, 2]
+    start = sizes[n, 0] * WORK_HALVES // LEVEL_HALVES
+    both, end = 2 * n_r * width, start + WORK_HALVES * n_r * width
+    return (
+        work[start : start + both].reshape((2, n_r, width)),
+        work[start + both : start + 2 * both].reshape((2, n_r, width)),
+        work[start + 2 * both : end].reshape((n_r, width)),
+    )
 
 
 @compiled(nogil=True)
 def cycle_below(
-    levels: tuple[Coarser, ...],
-    work: tuple[Work, ...],
-    count: int,
+    values: Single,
+    sizes: NDArray[np.int64],
+    work: Single,
     places: NDArray[np.int64],
     bottom: Single,
 ) -> None:
     """The V-cycle on all levels but the finest, from its right-hand side (compiled).
 
     Args:
-        levels: `Hierarchy.coarser`.
+        values: Of `Hierarchy.coarser`.
+        sizes: Of `Hierarchy.coarser`.
         work: `Workspace.coarser`.
-        count: How many levels there are.
         places: Of the coarsest level's unknowns.
         bottom: Inverse of its matrix.
     """
-    for n in range(count - 1):
-        _, T, Z, inverse, weights, flags, numbers = levels[n]
-        b, x, residual = work[n]
+    last = len(sizes) - 1
+    for n in range(last):
+        R, T, Z, inverse, weights, flags, numbers = level_of(values, sizes, n)
+        b, x, residual = work_of(work, sizes, n)
         x[:] = 0
         for half in range(2):
-            _smooth(levels[n], b, x, 1, 2)
+            for c in range(1, -1, -1):
+                lines.sweep(x, x[1 - c], b[c], inverse[c], R, T, Z, c, numbers)
             less = np.float32(half)
             kernels.couple(residual, x[0], less, inverse[1], T, Z, numbers)
-        below = work[n + 1][0]
-        transfer.restrict(below, residual, weights, flags, numbers, levels[n + 1][-1])
-    b, x, _ = work[count - 1]
-    direct(x, b[0], b[1], places, bottom, levels[count - 1][-1])
-    for n in range(count - 2, -1, -1):
-        _, _, _, _, weights, flags, numbers = levels[n]
-        b, x, _ = work[n]
-        below = work[n + 1][1]
-        transfer.prolong(x[1], below, weights, flags, numbers, levels[n + 1][-1])
+        below, _, _ = work_of(work, sizes, n + 1)
+        coarse = (sizes[n + 1, 6], sizes[n + 1, 7], sizes[n + 1, 8])
+        transfer.restrict(below, residual, weights, flags, numbers, coarse)
+    b, x, _ = work_of(work, sizes, last)
+    numbers = (sizes[last, 6], sizes[last, 7], sizes[last, 8])
+    direct(x, b[0], b[1], places, bottom, numbers)
+    for n in range(last - 1, -1, -1):
+        R, T, Z, inverse, weights, flags, numbers = level_of(values, sizes, n)
+        b, x, _ = work_of(work, sizes, n)
+        _, below, _ = work_of(work, sizes, n + 1)
+        coarse = (sizes[n + 1, 6], sizes[n + 1, 7], sizes[n + 1, 8])
+        transfer.prolong(x[1], below, weights, flags, numbers, coarse)
         kernels.close_circle(x, 1, numbers)
-        _smooth(levels[n], b, x, 0, 4)
+        for half in range(4):
+            c = half % 2
+            lines.sweep(x, x[1 - c], b[c], inverse[c], R, T, Z, c, numbers)

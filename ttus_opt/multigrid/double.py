@@ -15,7 +15,7 @@ from ttus_opt.multigrid.kernels import FAST, Numbers, Single
 Double = NDArray[np.float64]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_operator(
     out: Double,
     own: Double,
@@ -35,7 +35,7 @@ def _row_operator(
         out[n] = value - t * (before[n] + after[n]) - z * (own[n] + own[n + 2])
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _layer(
     out: Double, x: Double, i: int, r: Double, t: Double, z: Double, shape: Numbers
 ) -> None:
@@ -90,7 +90,7 @@ def operate(
         out[n] = out[n] if free[n] else 0.0
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_residual(line: Double, b: Double, free: NDArray[np.bool_]) -> float:
     """Turn a row of A x into that of b - A x; returns its square (compiled)."""
     total = 0.0
@@ -101,7 +101,7 @@ def _row_residual(line: Double, b: Double, free: NDArray[np.bool_]) -> float:
     return total
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _pick(out: Single, a: Double, scale: float) -> None:
     for n in range(out.size):
         out[n] = scale * a[n]

@@ -11,7 +11,6 @@ interpreter's lock.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +25,7 @@ from ttus_opt.multigrid.cycle import (
     Workspace,
     cycle_below,
     direct,
+    work_of,
 )
 from ttus_opt.multigrid.kernels import Numbers, Single
 
@@ -34,12 +34,8 @@ Finest = tuple[
     Single, Single, Single, Single, tuple[Single, ...], tuple[bool, ...], Numbers
 ]
 
-#: The coarser levels and their work; None if there are none
-Levels = tuple[Coarser, ...] | None
-Works = Any
-
-#: Number of coarser levels, places of the coarsest one's unknowns, inverse matrix
-Bottom = tuple[int, NDArray[np.int64], Single]
+#: Places of the coarsest level's unknowns, inverse matrix
+Bottom = tuple[NDArray[np.int64], Single]
 
 #: The places of chains in both colours; None if there are none
 Chained = tuple[Places, Places] | None
@@ -77,9 +73,9 @@ class Vectors(Workspace):
             (self.b[0], self.x[0], self.residual[0]),
         )
         self._below = (
-            hierarchy.coarser or None,
-            self.coarser or None,
-            (len(hierarchy.levels) - 1, hierarchy.places, hierarchy.inverse),
+            hierarchy.coarser,
+            self.coarser,
+            (hierarchy.places, hierarchy.inverse),
         )
         self.answer = np.zeros(v.shape, np.float32)
         self._one = tuple(np.zeros(v.shape[1:], np.float32) for _ in range(3))
@@ -111,12 +107,12 @@ class Vectors(Workspace):
         )
 
 
-@compiled(nogil=True)
+@compiled(inline="always")
 def _cycle(
     finest: Finest,
     work: Work,
-    levels: Levels,
-    lower: Works,
+    coarser: Coarser,
+    lower: Single,
     bottom: Bottom,
     b0: Single | None,
     b1: Single,
@@ -124,10 +120,11 @@ def _cycle(
 ) -> None:
     """The V-cycle of `cycle.cycle`, without Python between its pieces (compiled)."""
     R, T, Z, inverse, weights, flags, numbers = finest
-    count, places, inverted = bottom
+    places, inverted = bottom
+    values, sizes = coarser
     zero, one = colours
     _, x, residual = work
-    if levels is None:
+    if len(sizes) == 0:
         direct(x, b0, b1, places, inverted, numbers)
     else:
         if numbers[0] % 2:
@@ -135,16 +132,17 @@ def _cycle(
         lines.sweep_alone(x, b1, inverse[1], R, one, numbers)
         _sweep_zero(finest, x, b0, zero)
         kernels.couple(residual, x[0], np.float32(0), inverse[1], T, Z, numbers)
-        coarse = levels[0][-1]
-        transfer.restrict(lower[0][0], residual, weights, flags, numbers, coarse)
-        cycle_below(levels, lower, count, places, inverted)
-        transfer.prolong(x[1], lower[0][1], weights, flags, numbers, coarse)
+        coarse = (sizes[0, 6], sizes[0, 7], sizes[0, 8])
+        load, below, _ = work_of(lower, sizes, 0)
+        transfer.restrict(load, residual, weights, flags, numbers, coarse)
+        cycle_below(values, sizes, lower, places, inverted)
+        transfer.prolong(x[1], below, weights, flags, numbers, coarse)
         kernels.close_circle(x, one, numbers)
         _sweep_zero(finest, x, b0, zero)
         lines.sweep(x, x[0], b1, inverse[1], R, T, Z, one, numbers)
 
 
-@compiled(nogil=True)
+@compiled(inline="always")
 def _sweep_zero(finest: Finest, x: Single, b0: Single | None, zero: int) -> None:
     """Solve the lines of colour 0, given colour 1 (compiled)."""
     R, T, Z, inverse, _, _, numbers = finest
@@ -158,8 +156,8 @@ def _sweep_zero(finest: Finest, x: Single, b0: Single | None, zero: int) -> None
 def _correct(
     finest: Finest,
     work: Work,
-    levels: Levels,
-    lower: Works,
+    coarser: Coarser,
+    lower: Single,
     bottom: Bottom,
     along: Single,
     chained: Chained,
@@ -175,7 +173,7 @@ def _correct(
     Args:
         finest: The finest level.
         work: Its right-hand side b, correction and residual.
-        levels: What is below.
+        coarser: What is below, see `Hierarchy`.
         lower: Its work.
         bottom: Its last level.
         along: Conductances to the next layer without ties, shape (n_r,).
@@ -199,11 +197,11 @@ def _correct(
     if zero is None:
         lines.sweep_alone(x, b[0], inverse[0], R, c0, numbers)
         kernels.couple(r, x[0], np.float32(0), inverse[1], T, Z, numbers)
-        r += b[1]
+        kernels.turn(r, b[1], np.float32(1))
     else:
         zero[0][:] = 0
-        zero[2][:] = b[0]
-        r[:] = b[1]
+        kernels.copy(zero[2], b[0])
+        kernels.copy(r, b[1])
     if chained is not None:
         gather_half(r, chained[1])
         if zero is not None:
@@ -215,14 +213,14 @@ def _correct(
     while first > 0.0 and spent < limit:
         spent += 1
         if zero is None:
-            _cycle(finest, work, levels, lower, bottom, None, r, colours)
+            _cycle(finest, work, coarser, lower, bottom, None, r, colours)
             rz = kernels.dot(r, x[1], c1, numbers)
             kernels.turn(p, x[1], np.float32(rz / before))
             lines.sweep_unloaded(x, p, inverse[0], R, T, Z, c0, numbers)
             pq = kernels.operate(q, p, x[0], inverse[1], along, T, Z, c1, numbers)
         else:
             p0, q0, r0 = zero
-            _cycle(finest, work, levels, lower, bottom, r0, r, colours)
+            _cycle(finest, work, coarser, lower, bottom, r0, r, colours)
             rz = kernels.dot(r0, x[0], c0, numbers)
             rz += kernels.dot(r, x[1], c1, numbers)
             kernels.turn(p0, x[0], np.float32(rz / before))

@@ -21,7 +21,7 @@ Numbers = tuple[int, int, int]
 FAST = {"contract", "reassoc"}  # sums may be reordered; NaN and inf keep their sense
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def span(colour: int, numbers: Numbers) -> tuple[int, int]:
     """First place of the real rows of one colour, and the place after the last."""
     n_theta, _, pitch = numbers
@@ -54,7 +54,7 @@ def close_circle(x: Single, colour: int, numbers: Numbers) -> None:
             out[h] = source[h - down]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_couple(
     out: Single,
     zl: Single,
@@ -72,7 +72,7 @@ def _row_couple(
         out[n] = load if inverse[n] != 0 else np.float32(0)
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_couple_uneven(
     out: Single,
     zl: Single,
@@ -126,7 +126,7 @@ def couple(
             _row_couple_uneven(own, zl, zr, tl, tr, cl, cr, dl, dr, less)
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_operator(
     out: Single,
     own: Single,
@@ -153,7 +153,7 @@ def _row_operator(
     return total
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def operate(
     out: Single,
     own: Single,
@@ -206,7 +206,7 @@ def operate(
     return total
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_dot(a: Single, b: Single) -> np.float32:
     total = np.float32(0)
     for n in range(a.size):
@@ -214,7 +214,7 @@ def _row_dot(a: Single, b: Single) -> np.float32:
     return total
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def dot(a: Single, b: Single, colour: int, numbers: Numbers) -> float:
     """Sum of a · b over the real rows of one colour (compiled)."""
     s, e = span(colour, numbers)
@@ -224,7 +224,7 @@ def dot(a: Single, b: Single, colour: int, numbers: Numbers) -> float:
     return total
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_step(
     x: Single, r: Single, p: Single, q: Single, alpha: np.float32
 ) -> np.float32:
@@ -236,7 +236,7 @@ def _row_step(
     return total
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def step(
     x: Single,
     r: Single,
@@ -254,17 +254,29 @@ def step(
     return total
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_turn(p: Single, z: Single, beta: np.float32) -> None:
     for n in range(p.size):
         p[n] = z[n] + beta * p[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def turn(p: Single, z: Single, beta: np.float32) -> None:
     """Next direction: p = z + β p, closing rows included (compiled)."""
     for i in range(1, p.shape[0] - 1):
         _row_turn(p[i], z[i], beta)
+
+
+@compiled(inner=True, nogil=True)
+def copy(out: Single, a: Single) -> None:
+    """Copy one colour (compiled).
+
+    A slice set to another takes seconds to compile: for the message that would say
+    their shapes differ.
+    """
+    for i in range(out.shape[0]):
+        for n in range(out.shape[1]):
+            out[i, n] = a[i, n]
 
 
 @compiled(nogil=True, fastmath=FAST)

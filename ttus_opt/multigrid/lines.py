@@ -50,7 +50,7 @@ def pivots(aside: Single, R: Single) -> Single:
     return inverse
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_even(
     out: Single,
     below: Single,
@@ -70,7 +70,7 @@ def _row_even(
         out[n] = (load + r * below[n]) * inverse[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_even_unloaded(
     out: Single,
     below: Single,
@@ -89,7 +89,7 @@ def _row_even_unloaded(
         out[n] = (load + r * below[n]) * inverse[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_tied(
     out: Single,
     below: Single,
@@ -109,7 +109,7 @@ def _row_tied(
         out[n] = (load + r[n] * below[n]) * inverse[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_tied_unloaded(
     out: Single,
     below: Single,
@@ -128,7 +128,7 @@ def _row_tied_unloaded(
         out[n] = (load + r[n] * below[n]) * inverse[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_uneven(
     out: Single,
     below: Single,
@@ -150,7 +150,7 @@ def _row_uneven(
         out[n] = (load + r[n] * below[n]) * inverse[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_alone(
     out: Single, below: Single, b: Single, r: np.float32, inverse: Single
 ) -> None:
@@ -159,7 +159,7 @@ def _row_alone(
         out[n] = (b[n] + r * below[n]) * inverse[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_alone_uneven(
     out: Single, below: Single, b: Single, r: Single, inverse: Single
 ) -> None:
@@ -168,21 +168,21 @@ def _row_alone_uneven(
         out[n] = (b[n] + r[n] * below[n]) * inverse[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_back(out: Single, above: Single, r: np.float32, inverse: Single) -> None:
     """Backward step of one layer (compiled)."""
     for n in range(out.size):
         out[n] += r * inverse[n] * above[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_back_uneven(out: Single, above: Single, r: Single, inverse: Single) -> None:
     """The same with a conductance for every link (compiled)."""
     for n in range(out.size):
         out[n] += r[n] * inverse[n] * above[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _back(out: Single, inverse: Single, R: Single, colour: int, s: int, e: int) -> None:
     """Backward substitution of the lines of places s to e (compiled)."""
     for i in range(out.shape[0] - 3, 0, -1):

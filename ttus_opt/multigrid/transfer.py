@@ -28,39 +28,39 @@ Weights = tuple[Single, ...]
 Flags = tuple[bool, bool, bool]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _copy(out: Single, a: Single) -> None:
     for n in range(out.size):
         out[n] = a[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _add(out: Single, a: Single) -> None:
     for n in range(out.size):
         out[n] += a[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _add_product(out: Single, w: Single, a: Single) -> None:
     for n in range(w.size):
         out[n] += w[n] * a[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _mix(out: Single, wa: Single, a: Single, wb: Single, b: Single) -> None:
     """Set wa · a + wb · b (compiled)."""
     for n in range(wb.size):
         out[n] = wa[n] * a[n] + wb[n] * b[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _add_mix(out: Single, wa: Single, a: Single, wb: Single, b: Single) -> None:
     """Add wa · a + wb · b (compiled)."""
     for n in range(wb.size):
         out[n] += wa[n] * a[n] + wb[n] * b[n]
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _exchange(
     rows: Single,
     plane: Single,
@@ -98,7 +98,7 @@ def _exchange(
         _copy(rows[start : start + count], plane[a : a + count])
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _restrict_rows(
     plane: Single,
     values: Single,
@@ -187,7 +187,7 @@ def restrict(
             _copy(other, plane[width:])
 
 
-@compiled(nogil=True, fastmath=FAST)
+@compiled(inner=True, nogil=True, fastmath=FAST)
 def _prolong_rows(
     out: Single,
     plane: Single,

@@ -1,0 +1,359 @@
+"""Mutants of core modules: which small mistakes would the matching tests notice?
+
+`make mutants` changes one thing in one module at a time (an operator, a number, a
+condition: cosmic-ray's operators), runs the tests of the same stem and counts who told.
+It works on a copy; the tree is never touched. Compiled functions run as plain Python
+where that is fast enough, else each mutant compiles what it reaches and nothing else.
+
+    python tests/mutants.py                     all modules, a sample of each
+    python tests/mutants.py metrics kkt         some modules
+    python tests/mutants.py --sample 100 kkt    more of them
+
+Mutants that change nothing anyone could see are listed with their reason in
+``tests/mutants_equivalent.txt`` and are not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import os
+import queue
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import repeat
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+EQUIVALENT = ROOT / "tests" / "mutants_equivalent.txt"
+COPIED = ("ttus_opt", "formulations", "tests", "pyproject.toml", "README.md")
+
+#: Share of mutants that has to be told by the tests.
+LEAST = 0.85
+
+#: A test run that takes so many times as long as without a mutant hangs.
+PATIENCE = 5.0
+
+
+@dataclass(frozen=True)
+class Target:
+    """A module and the tests that are meant to tell.
+
+    Attributes:
+        module: Below ``ttus_opt``.
+        tests: Files below ``tests``.
+        is_compiled: Compile; else compiled functions run as plain Python.
+    """
+
+    module: str
+    tests: tuple[str, ...]
+    is_compiled: bool = True
+
+    @property
+    def name(self) -> str:
+        """As it is chosen on the command line."""
+        return Path(self.module).stem
+
+
+TARGETS = (
+    Target("metrics.py", ("test_metrics.py",)),
+    Target("problem/kkt.py", ("problem/test_kkt.py",)),
+    Target("fitting.py", ("test_fitting.py",)),
+    Target("recursion.py", ("test_recursion.py",)),
+    Target("dual_recursion.py", ("test_dual_recursion.py",)),
+    Target("low_rank_kernel.py", ("test_low_rank_kernel.py",)),
+    Target("renderer.py", ("test_renderer.py",)),
+    Target("haptic_blend.py", ("test_haptic_blend.py",)),
+    Target("friction.py", ("test_friction.py",)),
+    Target("angle_filter.py", ("test_contour.py",)),
+    Target("contact.py", ("test_contact.py",), is_compiled=False),
+    Target("point_shell.py", ("test_point_shell.py",)),
+    Target("orientation.py", ("test_orientation.py",)),
+    Target("solvers/structured.py", ("solvers/test_structured.py",)),
+    Target("solvers/dual/exchange.py", ("solvers/dual/test_limited_field.py",)),
+    Target("solvers/dual/face_walk.py", ("solvers/dual/test_limited_field.py",)),
+    Target("solvers/dual/optimality.py", ("solvers/dual/test_limited_field.py",)),
+    Target("laplace.py", ("test_laplace.py",)),
+)
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """One change.
+
+    Attributes:
+        module: Below ``ttus_opt``.
+        line: Its number.
+        before: The line as it is.
+        after: The line as it would be.
+        code: The whole module with the change.
+    """
+
+    module: str
+    line: int
+    before: str
+    after: str
+    code: str
+
+    def __str__(self) -> str:
+        return f"{self.module}:{self.line}: {self.before}  →  {self.after}"
+
+    @property
+    def key(self) -> tuple[str, str, str]:
+        """What tells it apart when lines have moved."""
+        return self.module, self.before, self.after
+
+
+def silent_lines(code: str) -> set[int]:
+    """Lines of annotations, signatures' types and decorators: they do nothing."""
+    silent: set[int] = set()
+    for node in ast.walk(ast.parse(code)):
+        quiet: list[ast.expr] = []
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            quiet = [*node.decorator_list]
+            if isinstance(node, ast.FunctionDef):
+                arguments = [*node.args.args, *node.args.kwonlyargs]
+                quiet += [a.annotation for a in arguments if a.annotation]
+                quiet += [node.returns] if node.returns else []
+        elif isinstance(node, ast.AnnAssign):
+            quiet = [node.annotation]  # and on its line field(repr=False)
+        for part in quiet:
+            silent |= set(range(part.lineno, (part.end_lineno or part.lineno) + 1))
+    return silent
+
+
+#: Arithmetic that is mistaken for other arithmetic; bit operators on floats only crash.
+ARITHMETIC = {"Add", "Sub", "Mul", "Div", "Pow"}
+
+#: Comparisons; `is` for `==` says the same of small numbers.
+COMPARISON = {"Eq", "NotEq", "Lt", "LtE", "Gt", "GtE"}
+
+OTHERS = {
+    "AddNot",
+    "NumberReplacer",
+    "ReplaceAndWithOr",
+    "ReplaceOrWithAnd",
+    "ReplaceTrueWithFalse",
+    "ReplaceFalseWithTrue",
+    "ReplaceBreakWithContinue",
+    "ReplaceContinueWithBreak",
+    "ReplaceUnaryOperator_USub_UAdd",
+    "ReplaceUnaryOperator_Delete_Not",
+    "ReplaceUnaryOperator_Delete_USub",
+    "ZeroIterationForLoop",
+}
+
+
+def operators() -> Iterator[Any]:
+    """The changes tried; not those that no test can tell or that cannot run."""
+    from cosmic_ray import plugins
+
+    for name in sorted(plugins.operator_names()):
+        kind, _, pair = name.partition("/")[2].partition("_")
+        both = set(pair.split("_"))
+        if (
+            (kind == "ReplaceBinaryOperator" and both <= ARITHMETIC)
+            or (kind == "ReplaceComparisonOperator" and both <= COMPARISON)
+            or name.partition("/")[2] in OTHERS
+        ):
+            yield plugins.get_operator(name)()
+
+
+def mutants(module: str, sample: int, seed: int) -> list[Mutant]:
+    """A seeded sample of a module's mutants, spread over the places to change.
+
+    Args:
+        module: Below ``ttus_opt``.
+        sample: Most of them.
+        seed: Which.
+    """
+    from cosmic_ray.ast import ast_nodes, get_ast
+    from cosmic_ray.mutating import mutate_code
+
+    code = (ROOT / "ttus_opt" / module).read_text(encoding="utf-8")
+    silent, tree = silent_lines(code), get_ast(code)
+    nodes = list(ast_nodes(tree))
+    places: dict[tuple[int, int], list[tuple[Any, int]]] = {}
+    for operator in operators():
+        found = (at for node in nodes for at in operator.mutation_positions(node))
+        for occurrence, (start, _) in enumerate(found):
+            if start[0] not in silent:
+                places.setdefault(start, []).append((operator, occurrence))
+    rng = random.Random(f"{seed} {module}")
+    known, chosen = equivalents(), []
+    for start in rng.sample(sorted(places), len(places)):
+        if len(chosen) == sample:
+            break
+        changed = mutate_code(code, *rng.choice(places[start]))
+        if changed is None or changed == code:
+            continue
+        number, before, after = difference(code, changed)
+        mutant = Mutant(module, number, before, after, changed)
+        if runs(changed) and mutant.key not in known:
+            chosen.append(mutant)
+    return chosen
+
+
+def runs(code: str) -> bool:
+    """Whether it is Python at all."""
+    try:
+        ast.parse(code)
+    except SyntaxError:
+        return False
+    return True
+
+
+def difference(code: str, changed: str) -> tuple[int, str, str]:
+    """Number and text of the first line that differs."""
+    pairs = zip(code.splitlines(), changed.splitlines(), strict=False)
+    for number, (before, after) in enumerate(pairs, 1):
+        if before != after:
+            return number, before.strip(), after.strip()
+    raise ValueError("the mutant has no line that differs")
+
+
+def equivalents() -> dict[tuple[str, str, str], str]:
+    """Mutants that change nothing, and why: ``module | before | after | reason``."""
+    known = {}
+    for line in EQUIVALENT.read_text(encoding="utf-8").splitlines():
+        if line.strip() and not line.startswith("#"):
+            module, before, after, reason = (part.strip() for part in line.split(" | "))
+            known[module, before, after] = reason
+    return known
+
+
+class Copy:
+    """A copy of the tree to run tests in, beside a link to the real data."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "checkout"
+        self.root.mkdir(parents=True)
+        for name in COPIED:
+            source, target = ROOT / name, self.root / name
+            if source.is_dir():
+                ignored = shutil.ignore_patterns("__pycache__")
+                shutil.copytree(source, target, ignore=ignored)
+            elif source.exists():
+                shutil.copy(source, target)
+        if (ROOT.parent / "shared").exists():
+            (folder / "shared").symlink_to(ROOT.parent / "shared")
+        # what mutants compile does not fill the user's cache, unless it is chosen
+        self._cache = os.environ.get("NUMBA_CACHE_DIR") or folder.parent / "cache"
+
+    def told(self, target: Target, limit: float | None = None) -> bool:
+        """Whether the tests fail, or hang."""
+        files = [f"tests/{name}" for name in target.tests]
+        environment = os.environ | {
+            "NUMBA_CACHE_DIR": str(self._cache),
+            "NUMBA_DISABLE_JIT": str(int(not target.is_compiled)),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "OMP_NUM_THREADS": "1",
+        }
+        options = ["-x", "-q", "-m", "not slow", "-p", "no:cacheprovider"]
+        try:
+            done = subprocess.run(
+                [sys.executable, "-m", "pytest", *options, *files],
+                cwd=self.root,
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=limit,
+            )
+        except subprocess.TimeoutExpired:
+            return True
+        if done.returncode not in (0, 1, 2):  # neither passed, failed nor not imported
+            raise RuntimeError(f"pytest could not run:\n{done.stdout[-2000:]}")
+        return done.returncode != 0
+
+    def tells(self, target: Target, mutant: Mutant, limit: float) -> bool:
+        """Whether the tests fail with this change."""
+        path = self.root / "ttus_opt" / mutant.module
+        original = path.read_text(encoding="utf-8")
+        path.write_text(mutant.code, encoding="utf-8")
+        try:
+            return self.told(target, limit)
+        finally:
+            path.write_text(original, encoding="utf-8")
+
+
+def run(targets: list[Target], sample: int, seed: int, workers: int) -> float:
+    """Try all mutants and print the table; returns the share told."""
+    rows, survivors = [], []
+    with tempfile.TemporaryDirectory() as place:
+        idle: queue.Queue[Copy] = queue.Queue()
+        for n in range(workers):
+            idle.put(Copy(Path(place) / str(n)))
+
+        def tells(target: Target, mutant: Mutant, limit: float) -> bool:
+            copy = idle.get()
+            try:
+                return copy.tells(target, mutant, limit)
+            finally:
+                idle.put(copy)
+
+        for target in targets:
+            copy = idle.get()
+            for _ in range(2):  # the first compiles
+                start = time.perf_counter()
+                if copy.told(target):
+                    raise SystemExit(f"error: {target.tests} fail without a mutant")
+                seconds = time.perf_counter() - start
+            idle.put(copy)
+            # a mutant may compile anew and shares the machine with others
+            limit = PATIENCE * workers * seconds + 120.0
+            tried = mutants(target.module, sample, seed)
+            with ThreadPoolExecutor(workers) as pool:
+                told = list(pool.map(tells, repeat(target), tried, repeat(limit)))
+            rows.append((target.module, sum(told), len(tried)))
+            print(f"{target.module}: {sum(told)} of {len(tried)} told", flush=True)
+            for mutant, is_told in zip(tried, told, strict=True):
+                if not is_told:
+                    survivors.append(mutant)
+                    print(f"  survived: {mutant}", flush=True)
+    return report(rows, survivors)
+
+
+def report(rows: list[tuple[str, int, int]], survivors: list[Mutant]) -> float:
+    """Print the share told by module; returns that of all."""
+    rows = [*rows, ("all", sum(r[1] for r in rows), sum(r[2] for r in rows))]
+    print("\n| module | mutants | told | share |\n|---|---|---|---|")
+    for module, told, count in rows:
+        print(f"| {module} | {count} | {told} | {told / max(count, 1):.0%} |")
+    if survivors:
+        print("\nSurvivors:")
+        for mutant in survivors:
+            print(f"  {mutant}")
+    _, told, count = rows[-1]
+    return told / max(count, 1)
+
+
+def main() -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    names = [target.name for target in TARGETS]
+    parser.add_argument("modules", nargs="*", metavar="module", help=", ".join(names))
+    parser.add_argument("--sample", type=int, default=20, help="mutants per module")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    given = parser.parse_args()
+    for name in given.modules:
+        if name not in names:
+            parser.error(f"no module {name!r}; there are {', '.join(names)}")
+    targets = [t for t in TARGETS if not given.modules or t.name in given.modules]
+    share = run(targets, given.sample, given.seed, given.workers)
+    if share < LEAST:
+        print(f"\n{share:.0%} told, {LEAST:.0%} are asked for")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,50 @@
+"""The multigrid compiled by a process of its own, while another reads its data.
+
+Compiling it takes most of a first run and holds the interpreter's lock; what the other
+process has finished is found in the cache of compiled code.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+
+from ttus_opt.compiled import is_kept
+from ttus_opt.grid import CylindricalGrid
+from ttus_opt.multigrid.gradients import _correct
+from ttus_opt.multigrid.solver import Multigrid
+
+
+@contextlib.contextmanager
+def compiling_ahead() -> Iterator[None]:
+    """Let another process compile the multigrid meanwhile, unless it was before."""
+    helper = None
+    if not is_kept(_correct):
+        helper = subprocess.Popen(
+            [sys.executable, "-m", "ttus_opt.multigrid.ahead"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+    try:
+        yield
+    finally:
+        if helper is not None:
+            helper.terminate()
+            helper.wait()
+
+
+def compile_multigrid() -> None:
+    """Solve on a small grid: what is compiled does not depend on the size."""
+    grid = CylindricalGrid(0.03, 0.18, 0.0, 0.3, shape=(8, 16, 8))
+    free = np.zeros(grid.shape, dtype=np.bool_)
+    free[1:-1, :, 1:-1] = True
+    Multigrid(grid, free).solve(np.ones(grid.n_voxels))
+
+
+if __name__ == "__main__":
+    compile_multigrid()
