@@ -11,10 +11,9 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.contact import contact_rows
 from ttus_opt.errors import InputError
 from ttus_opt.field import PotentialField
-from ttus_opt.friction import has_drag, rendered_drag
+from ttus_opt.field_wrench import wrenches_along
 from ttus_opt.point_shell import PointShell
 from ttus_opt.trajectory import Trajectory
 
@@ -97,7 +96,8 @@ def evaluate(
 ) -> Evaluation:
     """Render a trajectory and compare with what was measured on it.
 
-    A field that was fitted with drag is rendered with it, from the motion.
+    A field that was fitted with drag is rendered with it, from the motion: what is
+    judged is the wrench of `ttus_opt.field_wrench`, which a renderer gives too.
 
     Args:
         potential: The field.
@@ -116,26 +116,12 @@ def evaluate(
         raise InputError(
             "the trajectory has no wrench to compare with: add fx,fy,fz,tx,ty,tz"
         )
-    rows = contact_rows(
-        potential.voxmap,
-        shell,
-        trajectory.rotation,
-        trajectory.position,
-        sampling=potential.sampling,
-    )
-    p = potential.values.reshape(-1)
-    force = np.asarray(rows.N @ p).reshape(-1, 3)
-    torque = np.asarray(rows.W @ p).reshape(-1, 3)
-    if has_drag(potential.parameters):
-        drag = rendered_drag(
-            potential.parameters, potential.voxmap, shell, trajectory, force
-        )
-        force, torque = force + drag.force, torque + drag.torque
+    rendered = wrenches_along(potential, shell, trajectory)
     errors = _errors(
         trajectory.force,
-        force,
+        rendered.force,
         trajectory.torque,
-        torque,
+        rendered.torque,
         force_threshold,
         torque_threshold,
     )
@@ -143,10 +129,10 @@ def evaluate(
         errors,
         trajectory.time,
         trajectory.force,
-        force,
+        rendered.force,
         trajectory.torque,
-        torque,
-        rows.in_grid,
+        rendered.torque,
+        rendered.in_grid,
     )
 
 
