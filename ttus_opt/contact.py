@@ -4,12 +4,14 @@ For each pose, the shell points inside the patient sample the field in one of tw
 ways, both linear in p (design §3):
 
 - ``voxel-mean`` (the paper): f = Σ_v n̄(v) p(v), with n̄(v) the mean of the normals of
-  the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂.
+  the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂. Points
+  too near to the skin to sample the voxel they lie in count with zero in its means.
 - ``trilinear``: f = Σ_m (a_m/A₀) n̂_m p(x_m), p(x_m) interpolated, A₀ = 1 cm².
 
-`nearest_voxel` and `cell_of` say what a point samples; the rows here
-and the frames of `ttus_opt.renderer` are both made from them, so that
-``render(pose) == N(pose) p``. Points outside the grid sample nothing.
+What a point samples is said in `ttus_opt.depth_sampling`; the rows here and the frames
+of `ttus_opt.renderer` are both made from it, so that ``render(pose) == N(pose) p``.
+Beyond the inner layer the field continues with that layer's values. Points outside
+the patient, or beyond the grid's ends along z, sample nothing.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.compiled import compiled
+from ttus_opt.depth_sampling import nearest_voxel, spoke_samples, spoke_table
 from ttus_opt.errors import InputError
-from ttus_opt.grid import flat_index
 from ttus_opt.point_shell import PointShell
 from ttus_opt.polar_angle import turn_angle as turn_angle
 from ttus_opt.skin_lookup import skin_between, skin_cell, skin_layout
@@ -48,12 +50,15 @@ class ContactRows:
         W: Torque rows about the shell's reference point, τ = W p, (3T, V) [m].
         contact_points: Shell points inside the patient, shape (T,) [–].
         in_grid: False where no shell point lies within the grid, shape (T,).
+        beyond_inner: Points in contact that lie beyond the inner layer, where the
+            field continues with that layer's values, shape (T,) [–].
     """
 
     N: sp.csr_array = field(repr=False)
     W: sp.csr_array = field(repr=False)
     contact_points: NDArray[np.int64]
     in_grid: NDArray[np.bool_]
+    beyond_inner: NDArray[np.int64]
 
 
 def checked_sampling(sampling: str) -> Sampling:
@@ -121,7 +126,7 @@ def contact_rows(
     """
     rotation, position = checked_poses(rotation, position)
     grid, surface = voxmap.grid, voxmap.surface
-    indptr, indices, values, contact_points, in_grid = _pose_rows(
+    indptr, indices, values, *counts = _pose_rows(
         checked_sampling(sampling) == "trilinear",
         rotation,
         position,
@@ -130,18 +135,19 @@ def contact_rows(
         np.array(grid.shape),
         np.ascontiguousarray(surface.radius),
         skin_layout(surface),
+        spoke_table(voxmap),
     )
     shape = (3 * len(position), grid.n_voxels)
     # the three rows of a pose have the same columns
-    counts = np.repeat(np.diff(indptr), 3)
-    row_ptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+    lengths = np.repeat(np.diff(indptr), 3)
+    row_ptr = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
     columns, force, torque = _spread(indptr, indices, values)
     matrices = []
     for data in (force, torque):
         matrix = sp.csr_array((data, columns, row_ptr), shape=shape)
         matrix.has_sorted_indices = True
         matrices.append(matrix)
-    return ContactRows(matrices[0], matrices[1], contact_points, in_grid)
+    return ContactRows(matrices[0], matrices[1], *counts)
 
 
 def shell_arrays(shell: PointShell) -> tuple[Array, Array, Array, Array]:
@@ -166,64 +172,24 @@ def rotated(R: Array, x: float, y: float, z: float) -> tuple[float, float, float
 
 @compiled(inline="always")
 def within(radius_squared: float, z: float, limits: Array) -> bool:
-    """Whether a place lies within the grid's layers and slices (compiled)."""
-    if radius_squared < limits[0] * limits[0] or z < limits[4]:
+    """Whether a place lies within the outer layer and the slices (compiled)."""
+    if z < limits[4]:
         return False
     return not (radius_squared > limits[2] * limits[2] or z > limits[6])
 
 
-@compiled(inline="always")
-def nearest_voxel(
-    r: float, theta: float, z: float, limits: Array, shape: NDArray[np.int64]
+@compiled()
+def _keep_sampled(
+    count: int, sampled: Array, touched: NDArray[np.int32], sums: Array
 ) -> int:
-    """Flat index of the voxel a point lies in (compiled)."""
-    i = int((r - limits[0]) * limits[1] + 0.5)
-    j = int(theta * limits[3] + 0.5)
-    if j >= shape[1]:
-        j -= shape[1]
-    k = int((z - limits[4]) * limits[5] + 0.5)
-    voxel: int = flat_index(i, j, k, shape[1], shape[2])
-    return voxel
-
-
-@compiled(inline="always")
-def cell_of(
-    r: float, theta: float, z: float, limits: Array, shape: NDArray[np.int64]
-) -> tuple[int, int, int, int, float, float, float]:
-    """Cell and local coordinates of a point for trilinear sampling (compiled).
-
-    Returns:
-        i, j, the next j, k of the cell's corner, then its local (r, θ, z) in [0, 1].
-    """
-    u = (r - limits[0]) * limits[1]
-    i = min(int(u), shape[0] - 2)
-    v = theta * limits[3]
-    j = min(int(v), shape[1] - 1)
-    j_next = j + 1
-    if j_next == shape[1]:
-        j_next = 0
-    w = (z - limits[4]) * limits[5]
-    k = min(int(w), shape[2] - 2)
-    return i, j, j_next, k, u - i, v - j, w - k
-
-
-@compiled(inline="always")
-def corner_of(
-    corner: int,
-    i: int,
-    j: int,
-    j_next: int,
-    k: int,
-    u: float,
-    v: float,
-    w: float,
-    shape: NDArray[np.int64],
-) -> tuple[int, float]:
-    """Flat index and interpolation weight of one of a cell's 8 corners (compiled)."""
-    ci, cj, ck = corner >> 2, (corner >> 1) & 1, corner & 1
-    share = (u if ci else 1.0 - u) * (v if cj else 1.0 - v) * (w if ck else 1.0 - w)
-    voxel = flat_index(i + ci, j_next if cj else j, k + ck, shape[1], shape[2])
-    return voxel, share
+    """Close the gaps of voxels that no point samples (compiled)."""
+    kept = 0
+    for c in range(count):
+        if sampled[c] > 0.0:
+            touched[kept] = touched[c]
+            sums[kept] = sums[c]
+            kept += 1
+    return kept
 
 
 @compiled()
@@ -264,14 +230,21 @@ def _pose_rows(
     shape: NDArray[np.int64],
     radius: Array,
     layout: Array,
+    spokes: Array,
 ) -> tuple[
-    NDArray[np.int32], NDArray[np.int32], Array, NDArray[np.int64], NDArray[np.bool_]
+    NDArray[np.int32],
+    NDArray[np.int32],
+    Array,
+    NDArray[np.int64],
+    NDArray[np.bool_],
+    NDArray[np.int64],
 ]:
     """Rows of all poses, one list of voxels per pose (compiled).
 
     Returns:
         indptr (T+1,), voxels (nnz,), their force and torque entries (nnz, 6),
-        points in contact (T,), whether the shell meets the grid (T,).
+        points in contact (T,), whether the shell meets the grid (T,), points in
+        contact beyond the inner layer (T,).
     """
     n_poses, n_points = len(position), len(points)
     (n_theta, n_z), skin = radius.shape, radius.reshape(-1)
@@ -279,12 +252,15 @@ def _pose_rows(
     indices = np.empty(1024, dtype=np.int32)
     values = np.empty((1024, 6))
     contact_points = np.zeros(n_poses, dtype=np.int64)
+    beyond_inner = np.zeros(n_poses, dtype=np.int64)
     in_grid = np.zeros(n_poses, dtype=np.bool_)
     # slot: where a voxel stands in this pose's list, -1 when it does not
     slot = np.full(shape[0] * shape[1] * shape[2], -1, dtype=np.int32)
     touched = np.empty(8 * n_points, dtype=np.int32)
     sums = np.empty((8 * n_points, 6))
-    hits = np.empty(8 * n_points)
+    hits = np.empty(8 * n_points)  # points in the voxel
+    sampled = np.empty(8 * n_points)  # of these, how many sample it
+    voxels, shares = np.empty(8, dtype=np.int64), np.empty(8)
     limit = radius.max() ** 2
     for t in range(n_poses):
         R, at, count = rotation[t], position[t], 0
@@ -299,35 +275,55 @@ def _pose_rows(
                 continue
             r, theta = math.sqrt(square), turn_angle(x, y)
             here, after, a, b = skin_cell(theta, z, n_theta, n_z, layout)
-            if r >= skin_between(here, after, a, b, skin):
+            depth = skin_between(here, after, a, b, skin) - r
+            if depth <= 0.0:
                 continue
             contact_points[t] += 1
-            i, j, j_next, k, u, v, w = cell_of(r, theta, z, limits, shape)
-            for corner in range(8 if trilinear else 1):
-                if trilinear:
-                    voxel, share = corner_of(corner, i, j, j_next, k, u, v, w, shape)
-                    share *= weights[m]
-                else:
-                    voxel, share = nearest_voxel(r, theta, z, limits, shape), 1.0
-                c = slot[voxel]
+            if r < limits[0]:
+                beyond_inner[t] += 1
+            n_samples, weight = 1, 1.0
+            if trilinear:
+                weight = weights[m]
+                n_samples = spoke_samples(
+                    theta, z, depth, limits, shape, spokes, voxels, shares
+                )
+            else:
+                voxels[0], samples = nearest_voxel(
+                    r, theta, z, depth, limits, shape, spokes
+                )
+                shares[0] = 1.0 if samples else 0.0
+            for e in range(n_samples):
+                c = slot[voxels[e]]
                 if c < 0:
                     c = count
-                    slot[voxel] = c
-                    touched[c] = voxel
+                    slot[voxels[e]] = c
+                    touched[c] = voxels[e]
                     sums[c] = 0.0
-                    hits[c] = 0.0
+                    hits[c], sampled[c] = 0.0, 0.0
                     count += 1
                 hits[c] += 1.0
-                _add(sums[c], share, R, points[m], normals[m], reference)
+                if shares[e] > 0.0:
+                    sampled[c] += 1.0
+                    _add(
+                        sums[c], weight * shares[e], R, points[m], normals[m], reference
+                    )
         for c in range(count):
             slot[touched[c]] = -1
             if not trilinear:
                 sums[c] /= hits[c]
+        kept = _keep_sampled(count, sampled, touched, sums)
         used = indptr[t]
-        indices, values = _append(count, touched, sums, indices, values, used)
-        indptr[t + 1] = used + count
+        indices, values = _append(kept, touched, sums, indices, values, used)
+        indptr[t + 1] = used + kept
     used = indptr[n_poses]
-    return indptr, indices[:used], values[:used], contact_points, in_grid
+    return (
+        indptr,
+        indices[:used],
+        values[:used],
+        contact_points,
+        in_grid,
+        beyond_inner,
+    )
 
 
 @compiled(inline="always")

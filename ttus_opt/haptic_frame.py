@@ -7,7 +7,7 @@ its second pass only:
   skipped by their bounding spheres (`ttus_opt.shell_blocks`); the rest goes through a
   loop without branches, which the compiler turns into vector instructions. What a
   point samples comes from the very functions that make the rows of the fit
-  (`ttus_opt.contact`), so that both agree to the last voxel.
+  (`ttus_opt.depth_sampling`), so that both agree to the last voxel.
 - `wrench_of` sums the wrench of one field over those points.
 
 All is float64, no fast-math: reordered or fused operations would put points near a
@@ -22,12 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.compiled import compiled
-from ttus_opt.contact import (
-    cell_of,
-    nearest_voxel,
-    rotated,
-    within,
-)
+from ttus_opt.contact import rotated, within
+from ttus_opt.depth_sampling import nearest_voxel, on_spoke, spoke_cell
 from ttus_opt.grid import flat_index
 from ttus_opt.haptic_stage import Integers, Stage
 from ttus_opt.polar_angle import turn_angle
@@ -37,17 +33,18 @@ Array = NDArray[np.float64]
 
 
 @compiled(error_model="numpy", nogil=True)
-def touch(R: Array, at: Array, s: Stage) -> tuple[int, bool]:
+def touch(R: Array, at: Array, s: Stage) -> tuple[int, bool, int]:
     """Find the points in contact and what each samples (compiled).
 
     Args:
         R: Rotation, probe to patient, shape (3, 3) [–].
         at: Position, shape (3,) [m].
-        s: Probe, skin and scratch; its ``touched``, ``voxel`` and ``share`` are
-            written.
+        s: Probe, skin and scratch; its ``touched``, ``depth``, ``voxel`` and
+            ``share`` are written.
 
     Returns:
-        Points in contact, and whether the shell meets the grid.
+        Points in contact, whether the shell meets the grid, and how many of the
+        points in contact lie beyond the inner layer.
     """
     # taken out of the tuple once: it counts references on every look
     start, points, place, node = s.start, s.points, s.place, s.node
@@ -55,7 +52,7 @@ def touch(R: Array, at: Array, s: Stage) -> tuple[int, bool]:
     near = s.near
     _place(R, at, s.spheres, 0, n_blocks, place)
     _find_near(place, s.spheres[3], s.limits, s.ceiling, s.tiles, near)
-    contact, in_grid, first = 0, False, 0
+    contact, beyond, in_grid, first = 0, 0, False, 0
     while first < n_blocks:
         if not near[first]:
             first += 1
@@ -67,7 +64,7 @@ def touch(R: Array, at: Array, s: Stage) -> tuple[int, bool]:
         first = last
         _place(R, at, points, low, high, place)
         _find_nodes(high - low, s.skin, s.layout, place, node)
-        contact, met = _select(
+        contact, deeper, met = _select(
             low,
             high - low,
             place,
@@ -76,14 +73,17 @@ def touch(R: Array, at: Array, s: Stage) -> tuple[int, bool]:
             s.limits,
             contact,
             s.touched,
+            s.depth,
             s.share,
         )
-        in_grid = in_grid or met
+        in_grid, beyond = in_grid or met, beyond + deeper
     if s.trilinear:
-        _find_cells(contact, s.share, s.limits, s.shape, s.voxel)
+        _find_spokes(contact, s.depth, s.share, s.limits, s.shape, s.spokes, s.voxel)
     else:
-        _find_voxels(contact, s.share, s.limits, s.shape, s.voxel, s.hits)
-    return contact, in_grid or _meets_grid(R, at, s)
+        _find_voxels(
+            contact, s.depth, s.share, s.limits, s.shape, s.spokes, s.voxel, s.hits
+        )
+    return contact, in_grid or _meets_grid(R, at, s), beyond
 
 
 @compiled(inline="always")
@@ -125,12 +125,9 @@ def _find_near(
     n_theta, n_z = ceiling.shape
     for b in range(reach.size):
         r, z = math.sqrt(place[0, b]), place[2, b]
-        low, high = r - reach[b], r + reach[b]
+        low = r - reach[b]
         near[b] = (
-            z + reach[b] >= limits[4]
-            and z - reach[b] <= limits[6]
-            and high >= limits[0]
-            and low <= limits[2]
+            z + reach[b] >= limits[4] and z - reach[b] <= limits[6] and low <= limits[2]
         )
         if near[b] and r >= tiles[0]:
             j = min(int(place[1, b] * tiles[1]), n_theta - 1)
@@ -163,64 +160,83 @@ def _select(
     limits: Array,
     contact: int,
     touched: Integers,
+    depth: Array,
     share: Array,
-) -> tuple[int, bool]:
+) -> tuple[int, int, bool]:
     """Append the points inside the patient, r, θ, z in ``share`` (compiled).
 
     Returns:
-        Points in contact so far, and whether one of these lies within the grid.
+        Points in contact so far, how many of the new ones lie beyond the inner layer,
+        and whether any point lies within the grid.
     """
-    in_grid = False
+    in_grid, beyond = False, 0
     for m in range(size):
         square, z = place[0, m], place[2, m]
         if not within(square, z, limits):
             continue
         in_grid = True
         r = math.sqrt(square)
-        if r >= skin_between(node[0, m], node[1, m], place[3, m], place[4, m], radius):
+        below = (
+            skin_between(node[0, m], node[1, m], place[3, m], place[4, m], radius) - r
+        )
+        if below <= 0.0:
             continue
-        touched[contact] = low + m
+        touched[contact], depth[contact] = low + m, below
         share[0, contact], share[1, contact], share[2, contact] = r, place[1, m], z
         contact += 1
-    return contact, in_grid
+        if r < limits[0]:
+            beyond += 1
+    return contact, beyond, in_grid
 
 
 @compiled(error_model="numpy", nogil=True)
-def _find_cells(
-    contact: int, share: Array, limits: Array, shape: Integers, voxel: Integers
+def _find_spokes(
+    contact: int,
+    depth: Array,
+    share: Array,
+    limits: Array,
+    shape: Integers,
+    spokes: Array,
+    voxel: Integers,
 ) -> None:
-    """Cell of every contact and its place within it (compiled)."""
+    """Places of every contact on the four spokes around it (compiled)."""
     n_theta, n_z = shape[1], shape[2]
-    first, second, third = share[0], share[1], share[2]
-    near, turn, far, far_turn = voxel[0], voxel[1], voxel[2], voxel[3]
-    layer = n_theta * n_z
     counts = (shape[0], n_theta, n_z)  # else reloaded every time
     where = (limits[0], limits[1], 0.0, limits[3], limits[4], limits[5])
     for c in range(contact):
-        i, j, j_next, k, u, v, w = cell_of(first[c], second[c], third[c], where, counts)
-        near[c] = flat_index(i, j, k, n_theta, n_z)
-        turn[c] = flat_index(i, j_next, k, n_theta, n_z)
-        far[c] = near[c] + layer
-        far_turn[c] = turn[c] + layer
-        first[c], second[c], third[c] = u, v, w
+        j, j_next, k, v, w = spoke_cell(share[1, c], share[2, c], where, counts)
+        steps = depth[c] * where[1]
+        for corner in range(4):
+            cj, ck = corner >> 1, corner & 1
+            spoke = flat_index(0, j_next if cj else j, k + ck, n_theta, n_z)
+            i, low, high = on_spoke(
+                steps, spokes[spoke, 0], spokes[spoke, 1], spokes[spoke, 2]
+            )
+            part = (v if cj else 1.0 - v) * (w if ck else 1.0 - w)
+            voxel[corner, c] = flat_index(i, 0, spoke, n_theta, n_z)
+            share[corner, c], share[4 + corner, c] = part * low, part * high
 
 
 @compiled(error_model="numpy", nogil=True)
 def _find_voxels(
     contact: int,
+    depth: Array,
     share: Array,
     limits: Array,
     shape: Integers,
+    spokes: Array,
     voxel: Integers,
     hits: NDArray[np.int32],
 ) -> None:
     """Voxel of every contact and its part in the voxel's mean (compiled)."""
     for c in range(contact):
-        v = nearest_voxel(share[0, c], share[1, c], share[2, c], limits, shape)
-        voxel[0, c] = v
+        v, samples = nearest_voxel(
+            share[0, c], share[1, c], share[2, c], depth[c], limits, shape, spokes
+        )
+        voxel[0, c], share[0, c] = v, 1.0 if samples else 0.0
         hits[v] += 1
     for c in range(contact):
-        share[0, c] = 1.0 / hits[voxel[0, c]]
+        share[0, c] /= hits[voxel[0, c]]
     for c in range(contact):  # leaves no trace in the next frame
         hits[voxel[0, c]] = 0
 
@@ -235,7 +251,7 @@ def _meets_grid(R: Array, at: Array, s: Stage) -> bool:
         r = math.sqrt(x * x + y * y)
         if z + reach < limits[4] or z - reach > limits[6]:
             continue
-        if r + reach < limits[0] or r - reach > limits[2]:
+        if r - reach > limits[2]:
             continue
         for m in range(start[b], start[b + 1]):
             x, y, z = rotated(R, points[0, m], points[1, m], points[2, m])
@@ -257,17 +273,15 @@ def wrench_of(values: Array, contact: int, R: Array, s: Stage, wrench: Array) ->
         wrench: Out: force and torque, patient axes, shape (6,) [N, N·m].
     """
     voxel, share, touched, lever = s.voxel, s.share, s.touched, s.lever
+    layer = s.shape[1] * s.shape[2]
     fx, fy, fz, tx, ty, tz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(contact):
         if s.trilinear:
-            u, v, w = share[0, c], share[1, c], share[2, c]
-            p = (1.0 - u) * (
-                (1.0 - v) * _along(values, voxel[0, c], w)
-                + v * _along(values, voxel[1, c], w)
-            ) + u * (
-                (1.0 - v) * _along(values, voxel[2, c], w)
-                + v * _along(values, voxel[3, c], w)
-            )
+            p = 0.0
+            for corner in range(4):
+                v = voxel[corner, c]
+                p += share[corner, c] * values[v]
+                p += share[4 + corner, c] * values[v + layer]
         else:
             p = share[0, c] * values[voxel[0, c]]
         m = touched[c]
@@ -279,11 +293,3 @@ def wrench_of(values: Array, contact: int, R: Array, s: Stage, wrench: Array) ->
         tz += p * lever[m, 5]
     wrench[0], wrench[1], wrench[2] = rotated(R, fx, fy, fz)
     wrench[3], wrench[4], wrench[5] = rotated(R, tx, ty, tz)
-
-
-@compiled(inline="always")
-def _along(values: Array, voxel: int, w: float) -> float:
-    """Value between a voxel and the next slice's (compiled)."""
-    here: float = values[voxel]
-    after: float = values[voxel + 1]
-    return here + w * (after - here)

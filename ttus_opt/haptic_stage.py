@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.contact import shell_arrays
+from ttus_opt.depth_sampling import spoke_table
 from ttus_opt.point_shell import PointShell
 from ttus_opt.shell_blocks import BLOCK, ShellBlocks, SkinCeiling
 from ttus_opt.skin_lookup import skin_layout
@@ -39,7 +40,8 @@ class Stage(NamedTuple):
         shape: Voxel counts, shape (3,).
         radius: Skin radius, flat [m].
         skin: Its shape, (2,).
-        layout: `contact.skin_layout`.
+        layout: `skin_lookup.skin_layout`.
+        spokes: `depth_sampling.spoke_table`.
         ceiling: `SkinCeiling.ceiling`.
         tiles: `SkinCeiling.floor`, then its layout, shape (4,).
         place: Scratch, points about the axis: r², θ, z, then the place within the
@@ -47,9 +49,10 @@ class Stage(NamedTuple):
         near: Scratch, blocks that may touch, shape (B,).
         node: Scratch, the skin's cell, shape as ``place`` (2, …).
         touched: Out: the points in contact, shape (M,).
-        voxel: Out: per contact, the voxel, or the 4 columns of its cell, (4, M).
-        share: Out: per contact, place within the cell, or 1 / points in the voxel,
-            shape (3, M).
+        depth: Out: their depths below the skin, shape (M,) [m].
+        voxel: Out: per contact, the voxel, or one on each of the 4 spokes, (4, M).
+        share: Out: per contact, the voxel's share; trilinear, those of the 4 voxels,
+            then of the 4 next outwards; shape (8, M).
         hits: Scratch, points per voxel, zero between frames, (V,) or (1,).
     """
 
@@ -64,12 +67,14 @@ class Stage(NamedTuple):
     radius: Array
     skin: Integers
     layout: Array
+    spokes: Array
     ceiling: Array
     tiles: Array
     place: Array
     near: NDArray[np.bool_]
     node: Integers
     touched: Integers
+    depth: Array
     voxel: Integers
     share: Array
     hits: NDArray[np.int32]
@@ -96,14 +101,16 @@ class Stage(NamedTuple):
             np.ascontiguousarray(voxmap.surface.radius).reshape(-1),
             np.array(voxmap.surface.radius.shape),
             skin_layout(voxmap.surface),
+            spoke_table(voxmap),
             skin.ceiling,
             np.array([skin.floor, *skin.layout]),
             np.empty((5, width)),
             np.empty(len(blocks.reach), dtype=np.bool_),
             np.empty((2, width), dtype=np.int64),
             np.empty(n, dtype=np.int64),
+            np.empty(n),
             np.empty((4, n), dtype=np.int64),
-            np.empty((3, n)),
+            np.empty((8, n)),
             np.zeros(1 if trilinear else voxmap.grid.n_voxels, dtype=np.int32),
         )
 
@@ -114,6 +121,7 @@ class Stage(NamedTuple):
             near=np.empty_like(self.near),
             node=np.empty_like(self.node),
             touched=np.empty_like(self.touched),
+            depth=np.empty_like(self.depth),
             voxel=np.empty_like(self.voxel),
             share=np.empty_like(self.share),
             hits=np.zeros_like(self.hits),

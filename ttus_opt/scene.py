@@ -98,7 +98,7 @@ class Scene:
             trajectory.position,
             sampling=sampling,
         )
-        _report_contact(rows)
+        _report_contact(rows, voxmap.grid.r_inner)
         if isinstance(inner, str):
             scale = _boundary_scale(laplace, rows, trajectory, outer)
             values = (scale, scale * outer)
@@ -181,8 +181,8 @@ def _measured(values: Array | None, what: str) -> Array:
     return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
 
 
-def _report_contact(rows: ContactRows) -> None:
-    """Warn of poses that measure nothing."""
+def _report_contact(rows: ContactRows, r_inner: float) -> None:
+    """Warn of poses that measure nothing, or reach beyond the inner layer."""
     n_poses = len(rows.in_grid)
     off = int(n_poses - rows.in_grid.sum())
     if off:
@@ -196,6 +196,15 @@ def _report_contact(rows: ContactRows) -> None:
         warnings.warn(
             f"the probe touches the patient in none of {n_poses} poses: the fit is "
             "Laplace only",
+            TtusWarning,
+            stacklevel=3,
+        )
+    deep = int((rows.beyond_inner > 0).sum())
+    if deep:
+        warnings.warn(
+            f"{deep} of {n_poses} poses press shell points ({rows.beyond_inner.sum()} "
+            f"in all) beyond the inner layer at {r_inner:.4g} m, where the field "
+            "continues with that layer's values: choose a smaller r_inner",
             TtusWarning,
             stacklevel=3,
         )

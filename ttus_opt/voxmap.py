@@ -133,11 +133,25 @@ def _check_radius(radius: NDArray[np.float64], grid: CylindricalGrid) -> None:
         )
 
 
+def skin_layer(grid: CylindricalGrid, radius: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The layer of voxels nearest to a skin, the lower one of two.
+
+    Args:
+        grid: The grid.
+        radius: Of the skin, any shape [m].
+
+    Returns:
+        Layers, the same shape.
+    """
+    # a radius on a layer stays on that layer whatever rounding did to it
+    layer = np.ceil((radius - grid.r_inner) / grid.r_step - 0.5 - 1e-9)
+    return np.asarray(layer.astype(np.int64))
+
+
 def _classify(grid: CylindricalGrid, radius: NDArray[np.float64]) -> NDArray[np.int8]:
     """Region of every voxel from the surface radius at (θ_j, z_k) [m]."""
     depth = (radius[None] - grid.r[:, None, None]) / grid.r_step  # [voxels]
-    # a radius on a layer stays on that layer whatever rounding did to it
-    layer = np.ceil((radius - grid.r_inner) / grid.r_step - 0.5 - 1e-9).astype(int)
+    layer = skin_layer(grid, radius)
     index = np.arange(grid.shape[0])[:, None, None]
     region = np.sign(layer[None] - index).astype(np.int8)
     closed = region.copy()

@@ -14,7 +14,7 @@ from scipy.sparse.linalg import spsolve
 from ttus_opt.contact import REFERENCE_AREA
 from ttus_opt.grid import cylindrical
 from ttus_opt.point_shell import PointShell
-from ttus_opt.voxmap import Voxmap
+from ttus_opt.voxmap import Voxmap, skin_layer
 
 Array = NDArray[np.float64]
 
@@ -95,7 +95,7 @@ def plain_rows(
     rows, columns, force, torque = [], [], [], []
     for t, (R, at) in enumerate(zip(rotation, position, strict=True)):
         points = shell.points @ R.T + at
-        inside, voxel, share = _sampled(voxmap, points, sampling)
+        inside, voxel, share = plain_samples(voxmap, points, sampling)
         if sampling == "trilinear":
             share = share * (shell.areas[inside] / REFERENCE_AREA)[:, None]
         normals = shell.normals[inside] @ R.T
@@ -114,34 +114,77 @@ def plain_rows(
     )
 
 
-def _sampled(
+def plain_samples(
     voxmap: Voxmap, points: Array, sampling: str
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], Array]:
-    """Which of (M, 3) points are inside; their voxels and shares, (m, c) each."""
+    """What points sample (the law is in `ttus_opt.depth_sampling`).
+
+    Args:
+        voxmap: Grid and surface.
+        points: Patient frame, shape (M, 3) [m].
+        sampling: ``voxel-mean`` or ``trilinear``.
+
+    Returns:
+        Which points are inside, shape (M,); their voxels and shares, shape (m, 1) or
+        (m, 8), a share of 0 for what is not sampled.
+    """
     grid = voxmap.grid
     r, theta, z = cylindrical(points)
-    inside = (r >= grid.r_inner) & (r <= grid.r_outer)
-    inside &= (z >= grid.z_min) & (z <= grid.z_max)
+    inside = (r <= grid.r_outer) & (z >= grid.z_min) & (z <= grid.z_max)
     inside[inside] = r[inside] < voxmap.surface.radius_at(theta[inside], z[inside])
-    u = (r[inside] - grid.r_inner) / grid.r_step
-    v = theta[inside] / grid.theta_step
-    w = (z[inside] - grid.z_min) / grid.z_step
+    r, theta, z = r[inside], theta[inside], z[inside]
+    depth = voxmap.surface.radius_at(theta, z) - r
+    v, w = theta / grid.theta_step, (z - grid.z_min) / grid.z_step
     if sampling == "voxel-mean":
-        i, j, k = (np.floor(x + 0.5).astype(int) for x in (u, v, w))
-        voxel = np.ravel_multi_index((i, j % grid.shape[1], k), grid.shape)
-        _, place, counts = np.unique(voxel, return_inverse=True, return_counts=True)
-        return inside, voxel[:, None], 1.0 / counts[place][:, None]
-    i = np.minimum(u.astype(int), grid.shape[0] - 2)
+        return inside, *_voxel_means(voxmap, r, v, w, depth)
     j = np.minimum(v.astype(int), grid.shape[1] - 1)
     k = np.minimum(w.astype(int), grid.shape[2] - 2)
-    a, b, c = u - i, v - j, w - k
-    corners = [(di, dj, dk) for di in (0, 1) for dj in (0, 1) for dk in (0, 1)]
-    voxels = [
-        np.ravel_multi_index((i + di, (j + dj) % grid.shape[1], k + dk), grid.shape)
-        for di, dj, dk in corners
-    ]
-    shares = [
-        np.abs(1 - di - a) * np.abs(1 - dj - b) * np.abs(1 - dk - c)
-        for di, dj, dk in corners
-    ]
+    voxels, shares = [], []
+    for dj, dk in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        turn, height = (j + dj) % grid.shape[1], k + dk
+        part = np.abs(1 - dj - (v - j)) * np.abs(1 - dk - (w - k))
+        layers, along = _along_spoke(voxmap, turn, height, depth)
+        for layer, share in zip(layers, along, strict=True):
+            voxels.append(np.ravel_multi_index((layer, turn, height), grid.shape))
+            shares.append(part * share)
     return inside, np.stack(voxels, axis=1), np.stack(shares, axis=1)
+
+
+def _skin_of(
+    voxmap: Voxmap, j: NDArray[np.int64], k: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.int64]]:
+    """Radius of the skin on spokes [m], and the layer below the skin's."""
+    grid = voxmap.grid
+    radius = voxmap.surface.radius_at(grid.theta[j], grid.z[k])
+    return radius, skin_layer(grid, radius) - 1
+
+
+def _along_spoke(
+    voxmap: Voxmap, j: NDArray[np.int64], k: NDArray[np.int64], depth: Array
+) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array]]:
+    """Two layers on spokes (m,) and their shares, at depths (m,) [m]."""
+    grid = voxmap.grid
+    radius, last = _skin_of(voxmap, j, k)
+    place = np.maximum(radius - depth, grid.r_inner)
+    near = place >= grid.r[last]
+    lower = np.minimum(((place - grid.r_inner) / grid.r_step).astype(int), last)
+    upper = np.where(near, last, lower + 1)
+    share = np.where(near, 0.0, (place - grid.r[lower]) / grid.r_step)
+    to_skin = (radius - place) / (radius - grid.r[last])
+    return (lower, upper), (np.where(near, to_skin, 1.0 - share), share)
+
+
+def _voxel_means(
+    voxmap: Voxmap, r: Array, v: Array, w: Array, depth: Array
+) -> tuple[NDArray[np.int64], Array]:
+    """Nearest voxels and shares of their means, shape (m, 1)."""
+    grid = voxmap.grid
+    u = np.maximum((r - grid.r_inner) / grid.r_step, 0.0)
+    i, j, k = (np.floor(x + 0.5).astype(int) for x in (u, v, w))
+    j %= grid.shape[1]
+    radius, last = _skin_of(voxmap, j, k)
+    face = grid.r[last] + grid.r_step / 2  # the inner face of the skin's layer
+    samples = (i <= last) & (radius - depth < face)
+    voxel = np.ravel_multi_index((i, j, k), grid.shape)
+    _, place, counts = np.unique(voxel, return_inverse=True, return_counts=True)
+    return voxel[:, None], (samples / counts[place])[:, None]

@@ -12,19 +12,17 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.benchmark.plain_assembly import plain_samples
 from ttus_opt.compiled import compiled
 from ttus_opt.contact import (
     REFERENCE_AREA,
-    cell_of,
-    corner_of,
-    nearest_voxel,
     rotated,
     shell_arrays,
     turn_angle,
     within,
 )
+from ttus_opt.depth_sampling import nearest_voxel, spoke_samples, spoke_table
 from ttus_opt.field import PotentialField
-from ttus_opt.grid import cylindrical
 from ttus_opt.point_shell import PointShell
 from ttus_opt.surface import bilinear_radius
 
@@ -45,33 +43,13 @@ def numpy_frame(
     Returns:
         Force and torque, patient axes, shape (6,) [N, N·m].
     """
-    grid, surface = field.voxmap.grid, field.voxmap.surface
-    r, theta, z = cylindrical(shell.points @ rotation.T + position)
-    inside = (r >= grid.r_inner) & (r <= grid.r_outer)
-    inside &= (z >= grid.z_min) & (z <= grid.z_max)
-    inside[inside] = r[inside] < surface.radius_at(theta[inside], z[inside])
-    r, theta, z = r[inside], theta[inside], z[inside]
+    points = shell.points @ rotation.T + position
+    inside, voxels, shares = plain_samples(field.voxmap, points, field.sampling)
+    weight = (shares * field.values.reshape(-1)[voxels]).sum(axis=1)
+    if field.sampling == "trilinear":
+        weight *= shell.areas[inside] / REFERENCE_AREA
     normals = shell.normals[inside] @ rotation.T
     moments = np.cross((shell.points[inside] - shell.reference) @ rotation.T, normals)
-    u = (r - grid.r_inner) / grid.r_step
-    v, w = theta / grid.theta_step, (z - grid.z_min) / grid.z_step
-    if field.sampling == "voxel-mean":
-        i, j, k = (np.floor(x + 0.5).astype(int) for x in (u, v, w))
-        voxel = np.ravel_multi_index((i, j % grid.shape[1], k), grid.shape)
-        _, place, counts = np.unique(voxel, return_inverse=True, return_counts=True)
-        weight = field.values.reshape(-1)[voxel] / counts[place]
-    else:
-        i = np.minimum(u.astype(int), grid.shape[0] - 2)
-        j = np.minimum(v.astype(int), grid.shape[1] - 1)
-        k = np.minimum(w.astype(int), grid.shape[2] - 2)
-        a, b, c = u - i, v - j, w - k
-        weight = np.zeros(len(r))
-        for di, wi in ((0, 1.0 - a), (1, a)):
-            for dj, wj in ((0, 1.0 - b), (1, b)):
-                for dk, wk in ((0, 1.0 - c), (1, c)):
-                    corner = field.values[i + di, (j + dj) % grid.shape[1], k + dk]
-                    weight += wi * wj * wk * corner
-        weight *= shell.areas[inside] / REFERENCE_AREA
     return np.concatenate([weight @ normals, weight @ moments])
 
 
@@ -92,6 +70,7 @@ class LoopFrame:
             np.array(voxmap.grid.shape),
             np.ascontiguousarray(voxmap.surface.radius),
             voxmap.surface.kernel_layout,
+            spoke_table(voxmap),
             np.ascontiguousarray(field.values).reshape(-1),
             np.zeros(voxmap.grid.n_voxels, dtype=np.int32),
         )
@@ -116,6 +95,7 @@ def _loop(
     shape: NDArray[np.int64],
     radius: Array,
     layout: Array,
+    spokes: Array,
     values: Array,
     hits: NDArray[np.int32],
     wrench: Array,
@@ -123,6 +103,7 @@ def _loop(
     """Sum one pose's wrench; ``hits`` is zero before and after (compiled)."""
     voxels = np.full(len(points), -1)
     pressure = np.zeros(len(points))
+    sampled, shares = np.empty(8, dtype=np.int64), np.empty(8)
     for m in range(len(points)):
         x, y, z = rotated(R, points[m, 0], points[m, 1], points[m, 2])
         x, y, z = x + at[0], y + at[1], z + at[2]
@@ -130,20 +111,24 @@ def _loop(
         if not within(square, z, limits):
             continue
         r, theta = math.sqrt(square), turn_angle(x, y)
-        if r >= bilinear_radius(theta, z, radius, layout):
+        depth = bilinear_radius(theta, z, radius, layout) - r
+        if depth <= 0.0:
             continue
         if trilinear:
-            i, j, j_next, k, u, v, w = cell_of(r, theta, z, limits, shape)
-            for corner in range(8):
-                voxel, share = corner_of(corner, i, j, j_next, k, u, v, w, shape)
-                pressure[m] += share * values[voxel] * weights[m]
+            for e in range(
+                spoke_samples(theta, z, depth, limits, shape, spokes, sampled, shares)
+            ):
+                pressure[m] += shares[e] * values[sampled[e]] * weights[m]
         else:
-            voxels[m] = nearest_voxel(r, theta, z, limits, shape)
+            voxels[m], samples = nearest_voxel(
+                r, theta, z, depth, limits, shape, spokes
+            )
+            pressure[m] = values[voxels[m]] if samples else 0.0
             hits[voxels[m]] += 1
     for m in range(len(points)):
-        p, voxel = pressure[m], voxels[m]
-        if voxel >= 0:
-            p = values[voxel] / hits[voxel]
+        p = pressure[m]
+        if voxels[m] >= 0:
+            p /= hits[voxels[m]]
         nx, ny, nz = rotated(R, normals[m, 0], normals[m, 1], normals[m, 2])
         lx, ly, lz = rotated(
             R,
