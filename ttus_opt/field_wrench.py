@@ -39,11 +39,13 @@ class FieldWrenches:
         force: Drag included, patient axes, shape (T, 3) [N].
         torque: About the shell's reference, patient axes, shape (T, 3) [N·m].
         in_grid: False where no shell point lies within the grid, shape (T,).
+        beyond_inner: Points in contact beyond the inner layer, shape (T,) [–].
     """
 
     force: Array = field(repr=False)
     torque: Array = field(repr=False)
     in_grid: NDArray[np.bool_] = field(repr=False)
+    beyond_inner: NDArray[np.int64] = field(repr=False)
 
 
 def wrenches_along(
@@ -67,13 +69,11 @@ def wrenches_along(
         sampling=potential.sampling,
     )
     p = potential.values.reshape(-1)
-    wrench = np.concatenate(
-        [(m @ p).reshape(-1, 3) for m in (rows.N, rows.W)], axis=1
-    )
+    wrench = np.concatenate([(m @ p).reshape(-1, 3) for m in (rows.N, rows.W)], axis=1)
     law = DragLaw.of(potential.parameters, potential.voxmap.grid)
     if law.active:
         wrench += _drags(law, potential, shell, trajectory, wrench)
-    return FieldWrenches(wrench[:, :3], wrench[:, 3:], rows.in_grid)
+    return FieldWrenches(wrench[:, :3], wrench[:, 3:], rows.in_grid, rows.beyond_inner)
 
 
 def _drags(

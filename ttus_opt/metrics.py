@@ -75,6 +75,7 @@ class Evaluation:
         measured_torque: Shape (T, 3) [N·m].
         rendered_torque: Shape (T, 3) [N·m].
         in_grid: False where the pose lies outside the grid, shape (T,).
+        beyond_inner: Points in contact beyond the field's inner layer, (T,) [–].
     """
 
     errors: Errors
@@ -84,6 +85,7 @@ class Evaluation:
     measured_torque: Array = field(repr=False)
     rendered_torque: Array = field(repr=False)
     in_grid: NDArray[np.bool_] = field(repr=False)
+    beyond_inner: NDArray[np.int64] = field(repr=False)
 
 
 def evaluate(
@@ -133,6 +135,7 @@ def evaluate(
         trajectory.torque,
         rendered.torque,
         rendered.in_grid,
+        rendered.beyond_inner,
     )
 
 

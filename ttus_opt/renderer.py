@@ -284,7 +284,9 @@ class Renderer:
             self._desk.twist[:] = 0.0
             return "left out" if time is None else "estimated"
         if time is not None:
-            raise InputError("give twist or time, not both: time is to estimate a twist")
+            raise InputError(
+                "give twist or time, not both: time is to estimate a twist"
+            )
         if np.shape(twist) != (6,):
             raise InputError(
                 "a twist is velocity [m/s], then angular velocity [rad/s], (6,), got "
@@ -343,7 +345,9 @@ class Renderer:
             finally:
                 self._waiting = False
 
-    def _swapped(self, values: Array, drag: DragLaw, name: str, stage: Stage) -> _Fields:
+    def _swapped(
+        self, values: Array, drag: DragLaw, name: str, stage: Stage
+    ) -> _Fields:
         """The fields after an update; only with the turn in hand."""
         now, old_name = self._fields.pair, self._fields.drag
         if now.ledger[SEEN] == 0.0:
@@ -354,9 +358,7 @@ class Renderer:
         current, old_drag = now.target, now.target_drag
         if share < 1.0:
             current = mixed(now.current, now.target, share)
-            old_drag = mixed_drag(
-                now.ledger, now, current, stage, self._limits.weights
-            )
+            old_drag = mixed_drag(now.ledger, now, current, stage, self._limits.weights)
         ledger = opened_ledger(now.ledger, current, values, stage)
         return _Fields(
             FieldPair(current, values, old_drag, drag, ledger), old_name, name
