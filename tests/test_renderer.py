@@ -126,7 +126,7 @@ def test_nothing_is_compiled_or_allocated_in_a_frame(scene: Scene) -> None:
     for stage, frame in frames.items():
         kept, peak = least_memory(frame)
         assert kept < 200, stage  # a tenth of a byte per frame
-        assert peak < 2000, stage  # the arguments of one call
+        assert peak < 2100, stage  # numba's fingerprint of one call's arguments
         values = 2 * field.values if stage == "settled" else field.values
         renderer.update(PotentialField(field.voxmap, values, field.sampling, drag))
     assert renderer.blend.progress < 1.0

@@ -92,5 +92,5 @@ def _drags(
     for t in range(len(trajectory)):
         # copied: whatever an array's layout, nothing is compiled anew
         R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
-        drag_of(R, at, twist[t], reference, patch[t], contact[t], law, drag[t])
+        drag_of(R, at, twist[t], reference, patch[t], contact[t], law.numbers, drag[t])
     return drag

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,21 +39,21 @@ from ttus_opt.polar_angle import TURN, turn_angle
 Array = NDArray[np.float64]
 
 #: Places in `DragLaw.numbers`: 1 with any drag; μ [–]; v₀ [m/s]; 1 at the reference;
-#: the pressing axis; sectors and bands; lowest height and length of the grid [m]
+#: the pressing axis; sectors and bands; lowest height and length of the grid [m]; then
+#: c of every region, sector by sector [N·s/m]
 ACTIVE, FRICTION, DEADBAND, AT_REFERENCE, AXIS = 0, 1, 2, 3, 4
-SECTORS, BANDS, LOWEST, LENGTH, NUMBERS = 7, 8, 9, 10, 11
+SECTORS, BANDS, LOWEST, LENGTH, VISCOUS = 7, 8, 9, 10, 11
 
 
-class DragLaw(NamedTuple):
-    """The drag of a field, for compiled loops.
+@dataclass(frozen=True)
+class DragLaw:
+    """The drag of a field.
 
     Attributes:
-        numbers: See the places above, shape (NUMBERS,).
-        viscosity: c of every region, sector by sector, shape (n_regions,) [N·s/m].
+        numbers: For compiled loops, see the places above, (VISCOUS + n_regions,).
     """
 
-    numbers: Array
-    viscosity: Array
+    numbers: Array = field(repr=False)
 
     @property
     def active(self) -> bool:
@@ -77,7 +77,7 @@ class DragLaw(NamedTuple):
                 is not positive, drag at the reference without a unit axis, or no
                 region.
         """
-        numbers = np.zeros(NUMBERS)
+        numbers = np.zeros(VISCOUS)
         numbers[FRICTION] = _coefficient(parameters, friction.FRICTION, 0.0)
         numbers[DEADBAND] = parameters.get(friction.DRAG_DEADBAND, friction.DEADBAND)
         numbers[AT_REFERENCE] = bool(parameters.get(friction.DRAG_AT_REFERENCE, 0.0))
@@ -101,7 +101,7 @@ class DragLaw(NamedTuple):
             )
         if numbers[AT_REFERENCE]:
             numbers[AXIS : AXIS + 3] = _axis(parameters)
-        return cls(numbers, np.array(viscosity))
+        return cls(np.concatenate([numbers, viscosity]))
 
 
 def _coefficient(parameters: Mapping[str, float], name: str, other: float) -> float:
@@ -180,7 +180,7 @@ def drag_of(
     reference: Array,
     patch: Array,
     contact_wrench: Array,
-    law: DragLaw,
+    numbers: Array,
     drag: Array,
 ) -> None:
     """The drag of one pose and twist (compiled).
@@ -192,10 +192,9 @@ def drag_of(
         reference: Of the shell, probe frame, shape (3,) [m].
         patch: `patch_of`, shape (6,).
         contact_wrench: Of the field without drag, shape (6,) [N, N·m].
-        law: The field's drag.
+        numbers: `DragLaw.numbers` of the field.
         drag: Out: force and torque about the reference, shape (6,) [N, N·m].
     """
-    numbers = law.numbers
     nx, ny, nz = patch[0], patch[1], patch[2]
     for i in range(6):
         drag[i] = 0.0
@@ -216,9 +215,8 @@ def drag_of(
     f = contact_wrench
     pressed = max(nx * f[0] + ny * f[1] + nz * f[2], 0.0)
     k = numbers[FRICTION] * pressed / max(speed, numbers[DEADBAND])
-    k += law.viscosity[
-        _region(at[0] + x + patch[3], at[1] + y + patch[4], at[2] + z + patch[5], law)
-    ]
+    place = at[0] + x + patch[3], at[1] + y + patch[4], at[2] + z + patch[5]
+    k += numbers[VISCOUS + _region(place[0], place[1], place[2], numbers)]
     fx, fy, fz = -k * ux, -k * uy, -k * uz
     drag[0], drag[1], drag[2] = fx, fy, fz
     drag[3], drag[4], drag[5] = (
@@ -229,9 +227,8 @@ def drag_of(
 
 
 @compiled(inline="always")
-def _region(x: float, y: float, z: float, law: DragLaw) -> int:
+def _region(x: float, y: float, z: float, numbers: Array) -> int:
     """The region a patch lies on, as `friction.Sliding.regions` has it (compiled)."""
-    numbers = law.numbers
     sectors, bands = int(numbers[SECTORS]), int(numbers[BANDS])
     share = (z - numbers[LOWEST]) / numbers[LENGTH]
     band = int(min(max(share * bands, 0.0), bands - 1.0))

@@ -15,7 +15,15 @@ from numpy.typing import NDArray
 
 from ttus_opt.compiled import compiled
 from ttus_opt.haptic_blend import PROGRESS, advance, follow, pose_of
-from ttus_opt.haptic_drag import ACTIVE, FRICTION, DragLaw, drag_of, patch_of
+from ttus_opt.haptic_drag import (
+    ACTIVE,
+    BANDS,
+    FRICTION,
+    SECTORS,
+    VISCOUS,
+    drag_of,
+    patch_of,
+)
 from ttus_opt.haptic_frame import touch, wrench_of
 from ttus_opt.haptic_motion import MOTION, estimate_twist
 from ttus_opt.haptic_stage import Stage
@@ -32,66 +40,61 @@ class FieldPair(NamedTuple):
     Attributes:
         current: Field in force, flat, shape (V,).
         target: Field to come, or the same, flat, shape (V,).
-        current_drag: Drag of the field in force.
-        target_drag: Drag of the field to come.
+        current_drag: `DragLaw.numbers` of the field in force.
+        target_drag: Those of the field to come.
         ledger: `haptic_blend`, shape (LEDGER,).
     """
 
     current: Array
     target: Array
-    current_drag: DragLaw
-    target_drag: DragLaw
+    current_drag: Array
+    target_drag: Array
     ledger: Array
+
+
+#: Rows of `Desk.rows`: the wrench and the drag of a frame, the twist, the patch, contact
+#: and drag of the field in force
+WRENCH, DRAG, TWIST, PATCH, OLD, OLD_DRAG, ROWS = 0, 1, 2, 3, 4, 5, 6
 
 
 class Desk(NamedTuple):
     """Where a frame's input is laid down and its output written, for one thread.
 
+    Few arrays, for each costs a call a fifth of a microsecond.
+
     Attributes:
         R: Rotation, probe to patient, shape (3, 3) [–].
         at: Position of the probe frame's origin, shape (3,) [m].
-        twist: Of the probe, patient axes; zero when unknown; (6,) [m/s, rad/s].
         motion: State of `haptic_motion`, shape (MOTION,).
-        patch: Of the contact, shape (6,).
-        wrench: Out: force and torque of the frame, shape (6,) [N, N·m].
-        drag: Of the field to come, shape (6,) [N, N·m].
-        old_wrench: Contact of the field in force, shape (6,) [N, N·m].
-        old_drag: Of the field in force, shape (6,) [N, N·m].
+        rows: See the places above, shape (ROWS, 6).
     """
 
     R: Array
     at: Array
-    twist: Array
     motion: Array
-    patch: Array
-    wrench: Array
-    drag: Array
-    old_wrench: Array
-    old_drag: Array
+    rows: Array
 
     @classmethod
     def empty(cls) -> Desk:
         """A desk with nothing on it."""
-        return cls(
-            np.eye(3), np.zeros(3), np.zeros(6), np.zeros(MOTION),
-            *(np.zeros(6) for _ in range(5)),
-        )  # fmt: skip
+        return cls(np.eye(3), np.zeros(3), np.zeros(MOTION), np.zeros((ROWS, 6)))
+
+
+#: Places in `FrameLimits.numbers`: `BlendLaw.kernel_limits`, most force [N],
+#: `MotionFilter.kernel_numbers`
+BLEND, FORCE, FILTER = 0, 3, 4
 
 
 class FrameLimits(NamedTuple):
     """What is the same in every frame of a renderer.
 
     Attributes:
-        blend: `BlendLaw.kernel_limits`.
-        motion: `MotionFilter.kernel_numbers`.
+        numbers: See the places above, shape (8,).
         weights: `haptic_drag.patch_weights` in the stage's order, shape (M, 7).
-        force: Most force, infinite without a limit, shape (1,) [N].
     """
 
-    blend: Array
-    motion: Array
+    numbers: Array
     weights: Array
-    force: Array
 
 
 @compiled(error_model="numpy", nogil=True)
@@ -117,12 +120,13 @@ def render_frame(
         Points in contact, or `BAD_POSE`, `BAD_TWIST`, `BAD_TIME`; whether the shell
         meets the grid; points beyond the innermost layer; whether the force was cut.
     """
-    R, at, twist, wrench, drag = desk.R, desk.at, desk.twist, desk.wrench, desk.drag
+    R, at, rows, numbers = desk.R, desk.at, desk.rows, limits.numbers
+    twist, patch, wrench, drag = rows[TWIST], rows[PATCH], rows[WRENCH], rows[DRAG]
     ledger, reference = pair.ledger, stage.reference
     if not is_rigid(R, at):
         return BAD_POSE, False, 0, False
     if not math.isnan(time) and not estimate_twist(
-        desk.motion, R, at, time, reference, limits.motion, twist
+        desk.motion, R, at, time, reference, numbers[FILTER:], twist
     ):
         return BAD_TIME, False, 0, False
     if not math.isfinite(_sum(twist)):
@@ -130,21 +134,21 @@ def render_frame(
     contact, in_grid, beyond = touch(R, at, stage)
     wrench_of(pair.target, contact, R, stage, wrench)
     if _may_drag(pair, twist):
-        patch_of(R, contact, stage.touched, stage.depth, limits.weights, desk.patch)
+        patch_of(R, contact, stage.touched, stage.depth, limits.weights, patch)
     else:
-        _clear(desk.patch)
-    drag_of(R, at, twist, reference, desk.patch, wrench, pair.target_drag, drag)
+        _clear(patch)
+    drag_of(R, at, twist, reference, patch, wrench, pair.target_drag, drag)
     share = ledger[PROGRESS]
     if share == 1.0:
         if turn:
             follow(ledger, R, at, reference)
     else:
-        old, old_drag = desk.old_wrench, desk.old_drag
+        old, old_drag = rows[OLD], rows[OLD_DRAG]
         wrench_of(pair.current, contact, R, stage, old)
-        drag_of(R, at, twist, reference, desk.patch, old, pair.current_drag, old_drag)
+        drag_of(R, at, twist, reference, patch, old, pair.current_drag, old_drag)
         if turn:
             advance(
-                ledger, limits.blend, contact, R, at, reference,
+                ledger, numbers[BLEND:FORCE], contact, R, at, reference,
                 old, wrench, old_drag, drag,
             )  # fmt: skip
             share = ledger[PROGRESS]
@@ -154,7 +158,7 @@ def render_frame(
                 drag[c] = (1.0 - share) * old_drag[c] + share * drag[c]
     for c in range(6):
         wrench[c] += drag[c]
-    return contact, in_grid, beyond, _cut(wrench, limits.force[0])
+    return contact, in_grid, beyond, _cut(wrench, numbers[FORCE])
 
 
 @compiled(inline="always")
@@ -176,7 +180,7 @@ def _clear(values: Array) -> None:
 @compiled(inline="always")
 def _may_drag(pair: FieldPair, twist: Array) -> bool:
     """Whether the probe moves and a field drags (compiled)."""
-    if pair.target_drag.numbers[ACTIVE] + pair.current_drag.numbers[ACTIVE] == 0.0:
+    if pair.target_drag[ACTIVE] + pair.current_drag[ACTIVE] == 0.0:
         return False
     moves = False
     for i in range(6):
@@ -224,7 +228,7 @@ def mixed(current: Array, target: Array, share: float) -> Array:
 
 def mixed_drag(
     ledger: Array, pair: FieldPair, mix: Array, stage: Stage, weights: Array
-) -> DragLaw:
+) -> Array:
     """One drag law in place of two amid a swap, for the field that mixes theirs.
 
     At the ledger's pose μ gives the force that both together gave there, so that the
@@ -238,30 +242,32 @@ def mixed_drag(
         mix: Their mixture, flat, shape (V,).
         stage: Probe and skin, with scratch of its own.
         weights: `haptic_drag.patch_weights` in the stage's order, shape (M, 7).
+
+    Returns:
+        `DragLaw.numbers` of the mixture.
     """
     share = float(ledger[PROGRESS])
     old, new = pair.current_drag, pair.target_drag
-    if not (old.active or new.active):
+    if old[ACTIVE] + new[ACTIVE] == 0.0:
         return new
     major = new if share >= 0.5 else old
     desk = Desk.empty()
     pose_of(ledger, stage.reference, desk.R, desk.at)
     contact = touch(desk.R, desk.at, stage)[0]
-    patch_of(desk.R, contact, stage.touched, stage.depth, weights, desk.patch)
+    patch_of(desk.R, contact, stage.touched, stage.depth, weights, desk.rows[PATCH])
     pressed = []
     for values in (pair.current, pair.target, mix):
-        wrench_of(values, contact, desk.R, stage, desk.wrench)
-        pressed.append(max(float(desk.patch[:3] @ desk.wrench[:3]), 0.0))
-    frictions = float(old.numbers[FRICTION]), float(new.numbers[FRICTION])
+        wrench_of(values, contact, desk.R, stage, desk.rows[WRENCH])
+        pressed.append(max(float(desk.rows[PATCH, :3] @ desk.rows[WRENCH, :3]), 0.0))
+    frictions = float(old[FRICTION]), float(new[FRICTION])
     friction = (1.0 - share) * frictions[0] + share * frictions[1]
     if pressed[2] > 0.0:
         friction = (
             (1.0 - share) * frictions[0] * pressed[0]
             + share * frictions[1] * pressed[1]
         ) / pressed[2]
-    numbers = major.numbers.copy()
+    numbers = major.copy()
     numbers[ACTIVE], numbers[FRICTION] = 1.0, min(friction, max(frictions))
-    viscosity = major.viscosity
-    if old.viscosity.shape == new.viscosity.shape:
-        viscosity = (1.0 - share) * old.viscosity + share * new.viscosity
-    return DragLaw(numbers, viscosity)
+    if (old[SECTORS : BANDS + 1] == new[SECTORS : BANDS + 1]).all():
+        numbers[VISCOUS:] = (1.0 - share) * old[VISCOUS:] + share * new[VISCOUS:]
+    return numbers

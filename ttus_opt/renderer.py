@@ -36,6 +36,8 @@ from ttus_opt.haptic_stage import Stage
 from ttus_opt.haptic_wrench import (
     BAD_TIME,
     BAD_TWIST,
+    TWIST,
+    WRENCH,
     Desk,
     FieldPair,
     FrameLimits,
@@ -139,17 +141,17 @@ class Renderer:
             field.voxmap, shell, trilinear=field.sampling == "trilinear"
         )
         weights = patch_weights(shell)[ShellBlocks.of(shell).order]
-        self._limits = FrameLimits(
-            blend.kernel_limits(shell.rms_radius),
-            motion.kernel_numbers(shell.rms_radius),
-            np.ascontiguousarray(weights),
-            np.array([math.inf if force_limit is None else float(force_limit)]),
+        numbers = (
+            *blend.kernel_limits(shell.rms_radius),
+            math.inf if force_limit is None else float(force_limit),
+            *motion.kernel_numbers(shell.rms_radius),
         )
+        self._limits = FrameLimits(np.array(numbers), np.ascontiguousarray(weights))
         values, drag = _flat(field), DragLaw.of(field.parameters, field.voxmap.grid)
         ledger = settled_ledger(blend.reserve)
         name = _drag_name(field, drag)
         self._fields = _Fields(
-            FieldPair(values, values, drag, drag, ledger), name, name
+            FieldPair(values, values, drag.numbers, drag.numbers, ledger), name, name
         )
         # a pose is copied here: whatever its layout, it compiles nothing new
         self._desk = Desk.empty()
@@ -204,7 +206,7 @@ class Renderer:
                 or a time before the last one.
         """
         counts, drag = self._render(rotation, position, twist, time)
-        wrench = self._desk.wrench.copy()
+        wrench = self._desk.rows[WRENCH].copy()
         contact_points, in_grid, beyond, saturated = counts
         return Wrench(
             wrench[:3], wrench[3:], contact_points, in_grid, beyond, drag, saturated
@@ -239,7 +241,7 @@ class Renderer:
         (contact_points, in_grid, _, _), _ = self._render(
             rotation, position, twist, time
         )
-        out[:] = self._desk.wrench
+        out[:] = self._desk.rows[WRENCH]
         return contact_points if in_grid else -1
 
     def _render(
@@ -281,7 +283,7 @@ class Renderer:
     def _lay_motion(self, twist: Array | None, time: float | None) -> DragSource:
         """Put a given twist on the desk; where the frame has its motion from."""
         if twist is None:
-            self._desk.twist[:] = 0.0
+            self._desk.rows[TWIST] = 0.0
             return "left out" if time is None else "estimated"
         if time is not None:
             raise InputError(
@@ -292,7 +294,7 @@ class Renderer:
                 "a twist is velocity [m/s], then angular velocity [rad/s], (6,), got "
                 f"{np.shape(twist)}"
             )
-        self._desk.twist[:] = twist
+        self._desk.rows[TWIST] = twist
         return "given"
 
     def _refuse(self, code: int, time: float | None) -> None:
@@ -340,14 +342,12 @@ class Renderer:
             try:
                 with self._turn:
                     self._fields = self._swapped(
-                        values, drag, _drag_name(field, drag), stage
+                        values, drag.numbers, _drag_name(field, drag), stage
                     )
             finally:
                 self._waiting = False
 
-    def _swapped(
-        self, values: Array, drag: DragLaw, name: str, stage: Stage
-    ) -> _Fields:
+    def _swapped(self, values: Array, drag: Array, name: str, stage: Stage) -> _Fields:
         """The fields after an update; only with the turn in hand."""
         now, old_name = self._fields.pair, self._fields.drag
         if now.ledger[SEEN] == 0.0:
