@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import presses, torso
@@ -18,42 +17,71 @@ SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(24, 40, 21))
 SHELL = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.012), n_points=400)
 RNG = np.random.default_rng(3)
-POSES = presses(SURFACE, 15, RNG)
+POSES = presses(SURFACE, 15, RNG, depth=0.02)
 FIELD = RNG.normal(size=VOXMAP.grid.shape)
+
+
+def skin_at(j: int, k: int) -> float:
+    """Radius of the skin on a spoke."""
+    return float(SURFACE.radius_at(VOXMAP.grid.theta[j], VOXMAP.grid.z[k]))
+
+
+def below_the_skins_layer(j: int, k: int) -> np.ndarray:
+    """Layers of a spoke up to, not including, the one nearest to the skin."""
+    return np.arange(np.abs(VOXMAP.grid.r - skin_at(j, k)).argmin())
+
+
+def between_spokes(theta: float, z: float, depth: float) -> float:
+    """Bilinear between spokes, each a polyline that ends with 0 at the skin."""
+    grid, total = VOXMAP.grid, 0.0
+    for j in range(grid.shape[1]):
+        turn = (theta - grid.theta[j] + np.pi) % (2 * np.pi) - np.pi
+        around = max(0.0, 1.0 - abs(turn) / grid.theta_step)
+        for k in np.flatnonzero(np.abs(z - grid.z) < grid.z_step) if around else ():
+            layers, skin = below_the_skins_layer(j, k), skin_at(j, k)
+            radii, values = [*grid.r[layers], skin], [*FIELD[layers, j, k], 0.0]
+            along = 1.0 - abs(z - grid.z[k]) / grid.z_step
+            total += around * along * np.interp(skin - depth, radii, values)
+    return total
+
+
+def nearest(r: float, theta: float, z: float, depth: float) -> tuple[int, float]:
+    """Flat index of the nearest voxel and the point's share in it."""
+    grid = VOXMAP.grid
+    i = int(np.abs(r - grid.r).argmin())
+    turn = (theta - grid.theta + np.pi) % (2 * np.pi) - np.pi
+    j, k = int(np.abs(turn).argmin()), int(np.abs(z - grid.z).argmin())
+    last = below_the_skins_layer(j, k)[-1]
+    share = 0.0 if i > last else 1.0
+    if i == last:
+        share = min(1.0, depth / (skin_at(j, k) - grid.r[last]))
+    return int(np.ravel_multi_index((i, j, k), grid.shape)), share
 
 
 def brute_force(
     rotation: np.ndarray, position: np.ndarray, sampling: str
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Force and torque of one pose from the definition in design §3."""
+    """Force and torque of one pose, point by point."""
     grid = VOXMAP.grid
     lever = SHELL.points @ rotation.T - SHELL.reference @ rotation.T
     points = SHELL.points @ rotation.T + position
     normals = SHELL.normals @ rotation.T
     r, theta, z = cylindrical(points)
-    inside = r < SURFACE.radius_at(theta, z)
-    inside &= (r >= grid.r_inner) & (r <= grid.r_outer)
-    inside &= (z >= grid.z_min) & (z <= grid.z_max)
+    depth = SURFACE.radius_at(theta, z) - r
+    inside = (depth > 0) & (z >= grid.z_min) & (z <= grid.z_max)
     moments = np.cross(lever, normals)
+    weight = np.zeros(len(points))
     if sampling == "trilinear":
-        closed = np.concatenate([FIELD, FIELD[:, :1]], axis=1)
-        angles = np.concatenate([grid.theta, [2 * np.pi]])
-        p = RegularGridInterpolator((grid.r, angles, grid.z), closed)(
-            np.stack([r, theta, z], axis=1)[inside]
-        )
-        weight = p * SHELL.areas[inside] / 1e-4
-        return weight @ normals[inside], weight @ moments[inside]
-    i = np.abs(r[:, None] - grid.r).argmin(axis=1)
-    turn = (theta[:, None] - grid.theta + np.pi) % (2 * np.pi) - np.pi
-    j = np.abs(turn).argmin(axis=1)
-    k = np.abs(z[:, None] - grid.z).argmin(axis=1)
-    voxel = np.ravel_multi_index((i, j, k), grid.shape)
-    force, torque = np.zeros(3), np.zeros(3)
+        for m in np.flatnonzero(inside):
+            weight[m] = between_spokes(theta[m], z[m], depth[m]) * SHELL.areas[m] / 1e-4
+        return weight @ normals, weight @ moments
+    voxel = np.full(len(points), -1)
+    for m in np.flatnonzero(inside):
+        voxel[m], share = nearest(r[m], theta[m], z[m], depth[m])
+        weight[m] = share * FIELD.reshape(-1)[voxel[m]]
     for v in np.unique(voxel[inside]):
-        mine = inside & (voxel == v)
-        force += normals[mine].mean(axis=0) * FIELD.reshape(-1)[v]
-        torque += moments[mine].mean(axis=0) * FIELD.reshape(-1)[v]
-    return force, torque
+        weight[voxel == v] /= (voxel == v).sum()
+    return weight @ normals, weight @ moments
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
@@ -134,12 +162,20 @@ def test_trilinear_rows_are_continuous_in_the_pose_and_voxel_means_jump() -> Non
         (np.eye(3), np.zeros((1, 3)), r"\(1, 3, 3\)"),
         (np.eye(3)[None], np.zeros(3), r"\(T, 3\)"),
         (2 * np.eye(3)[None], np.zeros((1, 3)), "orthonormal"),
+        (1.00001 * np.eye(3)[None], np.zeros((1, 3)), "orthonormal"),
         (np.eye(3)[None], np.full((1, 3), np.nan), "NaN"),
     ],
 )
 def test_unusable_poses(rotation: np.ndarray, position: np.ndarray, word: str) -> None:
     with pytest.raises(InputError, match=word):
         contact_rows(VOXMAP, SHELL, rotation, position)
+
+
+def test_a_rotation_read_from_a_file_is_precise_enough() -> None:
+    """Quaternions with seven digits, as files carry them."""
+    quaternion = np.round(Rotation.random(20, rng=RNG).as_quat(), 7)
+    rotation = Rotation.from_quat(quaternion).as_matrix().round(7)
+    contact_rows(VOXMAP, SHELL, rotation, np.zeros((20, 3)))
 
 
 def test_unknown_sampling() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -25,14 +27,24 @@ STAGES = {
 }
 
 
-def inside_and_in_grid(R: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, bool]:
+@dataclass(frozen=True)
+class Expected:
+    """What the definition says of a pose."""
+
+    inside: np.ndarray
+    depth: np.ndarray
+    in_grid: bool
+    beyond: int
+
+
+def by_definition(R: np.ndarray, at: np.ndarray) -> Expected:
     grid = VOXMAP.grid
     r, theta, z = cylindrical(SHELL.points @ R.T + at)
-    within = (r >= grid.r_inner) & (r <= grid.r_outer)
-    within &= (z >= grid.z_min) & (z <= grid.z_max)
-    return np.flatnonzero(within & (r < SURFACE.radius_at(theta, z))), bool(
-        within.any()
-    )
+    within = (r <= grid.r_outer) & (z >= grid.z_min) & (z <= grid.z_max)
+    depth = SURFACE.radius_at(theta, z) - r
+    inside = np.flatnonzero(within & (depth > 0))
+    beyond = int((r[inside] < grid.r_inner).sum())
+    return Expected(inside, depth, bool(within.any()), beyond)
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
@@ -44,9 +56,13 @@ def test_touches_exactly_the_points_inside(sampling: str, seed: int) -> None:
     stage = STAGES[sampling]
     R = Rotation.random(rng=rng).as_matrix()
     at = rng.uniform([-0.16, -0.14, -0.05], [0.16, 0.14, 0.25])
-    contact, in_grid = touch(R, at, stage)
-    expected, meets = inside_and_in_grid(R, at)
-    order = ShellBlocks.of(SHELL).order
-    assert sorted(order[stage.touched[:contact]]) == expected.tolist()
-    assert in_grid == meets
+    contact, in_grid, beyond = touch(R, at, stage)
+    expected = by_definition(R, at)
+    touched = ShellBlocks.of(SHELL).order[stage.touched[:contact]]
+    assert sorted(touched) == expected.inside.tolist()
+    np.testing.assert_allclose(
+        stage.depth[:contact], expected.depth[touched], rtol=0, atol=1e-15
+    )
+    assert in_grid == expected.in_grid
+    assert beyond == expected.beyond
     assert not stage.hits.any()  # nothing left for the next frame

@@ -28,6 +28,6 @@ def test_points_and_levers_are_the_shells_in_block_order(trilinear: bool) -> Non
 def test_scratch_of_its_own_shares_no_scratch() -> None:
     stage = Stage.of(VOXMAP, SHELL, trilinear=False)
     other = stage.with_own_scratch()
-    for name in ("place", "near", "node", "touched", "voxel", "share", "hits"):
+    for name in ("place", "near", "node", "touched", "depth", "voxel", "share", "hits"):
         assert not np.shares_memory(getattr(stage, name), getattr(other, name))
     assert other.points is stage.points

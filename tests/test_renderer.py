@@ -70,6 +70,7 @@ def test_the_law_at_five_thousand_points(sampling: str) -> None:
         wrench = renderer.render(rotation[t], position[t])
         assert wrench.contact_points == rows.contact_points[t]
         assert wrench.in_grid == rows.in_grid[t]
+        assert wrench.beyond_inner == rows.beyond_inner[t]
         np.testing.assert_allclose(wrench.force, force[t], rtol=0, atol=2e-12)
         np.testing.assert_allclose(wrench.torque, torque[t], rtol=0, atol=1e-13)
         count = renderer.render_into(rotation[t], position[t], out)

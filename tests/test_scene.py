@@ -80,6 +80,20 @@ def test_poses_off_the_grid_are_counted() -> None:
         Scene.assemble(VOXMAP, SHELL, replace(TRAJECTORY, position=position))
 
 
+def test_points_beyond_the_inner_layer_are_counted() -> None:
+    position = TRAJECTORY.position.copy()
+    position[:5, :2] *= 0.3
+    with pytest.warns(TtusWarning, match="beyond the inner layer at 0.03 m") as told:
+        scene = Scene.assemble(VOXMAP, SHELL, replace(TRAJECTORY, position=position))
+    points = np.einsum("tij,mj->tmi", TRAJECTORY.rotation, SHELL.points)
+    points += position[:, None]
+    r = np.hypot(points[..., 0], points[..., 1])
+    np.testing.assert_array_equal(scene.rows.beyond_inner, (r < 0.03).sum(axis=1))
+    assert (scene.rows.beyond_inner[:5] > 0).all()
+    words = str(told[0].message)
+    assert words.startswith(f"5 of 12 poses press shell points ({(r < 0.03).sum()} in")
+
+
 def test_a_good_scene_warns_of_nothing() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -4,8 +4,8 @@ For each pose, the shell points inside the patient sample the field in one of tw
 ways, both linear in p (design §3):
 
 - ``voxel-mean`` (the paper): f = Σ_v n̄(v) p(v), with n̄(v) the mean of the normals of
-  the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂. Points
-  too near to the skin to sample the voxel they lie in count with zero in its means.
+  the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂; near
+  the skin points have a share below 1 in these sums.
 - ``trilinear``: f = Σ_m (a_m/A₀) n̂_m p(x_m), p(x_m) interpolated, A₀ = 1 cm².
 
 What a point samples is said in `ttus_opt.depth_sampling`; the rows here and the frames
@@ -179,20 +179,6 @@ def within(radius_squared: float, z: float, limits: Array) -> bool:
 
 
 @compiled()
-def _keep_sampled(
-    count: int, sampled: Array, touched: NDArray[np.int32], sums: Array
-) -> int:
-    """Close the gaps of voxels that no point samples (compiled)."""
-    kept = 0
-    for c in range(count):
-        if sampled[c] > 0.0:
-            touched[kept] = touched[c]
-            sums[kept] = sums[c]
-            kept += 1
-    return kept
-
-
-@compiled()
 def _append(
     count: int,
     touched: NDArray[np.int32],
@@ -258,8 +244,7 @@ def _pose_rows(
     slot = np.full(shape[0] * shape[1] * shape[2], -1, dtype=np.int32)
     touched = np.empty(8 * n_points, dtype=np.int32)
     sums = np.empty((8 * n_points, 6))
-    hits = np.empty(8 * n_points)  # points in the voxel
-    sampled = np.empty(8 * n_points)  # of these, how many sample it
+    hits = np.empty(8 * n_points)
     voxels, shares = np.empty(8, dtype=np.int64), np.empty(8)
     limit = radius.max() ** 2
     for t in range(n_poses):
@@ -281,40 +266,31 @@ def _pose_rows(
             contact_points[t] += 1
             if r < limits[0]:
                 beyond_inner[t] += 1
-            n_samples, weight = 1, 1.0
+            weight = weights[m] if trilinear else 1.0
             if trilinear:
-                weight = weights[m]
                 n_samples = spoke_samples(
                     theta, z, depth, limits, shape, spokes, voxels, shares
                 )
             else:
-                voxels[0], samples = nearest_voxel(
+                voxels[0], shares[0] = nearest_voxel(
                     r, theta, z, depth, limits, shape, spokes
                 )
-                shares[0] = 1.0 if samples else 0.0
+                n_samples = 1 if shares[0] > 0.0 else 0
             for e in range(n_samples):
                 c = slot[voxels[e]]
                 if c < 0:
-                    c = count
-                    slot[voxels[e]] = c
-                    touched[c] = voxels[e]
-                    sums[c] = 0.0
-                    hits[c], sampled[c] = 0.0, 0.0
-                    count += 1
+                    c, count = count, count + 1
+                    slot[voxels[e]], touched[c] = c, voxels[e]
+                    sums[c], hits[c] = 0.0, 0.0
                 hits[c] += 1.0
-                if shares[e] > 0.0:
-                    sampled[c] += 1.0
-                    _add(
-                        sums[c], weight * shares[e], R, points[m], normals[m], reference
-                    )
+                _add(sums[c], weight * shares[e], R, points[m], normals[m], reference)
         for c in range(count):
             slot[touched[c]] = -1
             if not trilinear:
                 sums[c] /= hits[c]
-        kept = _keep_sampled(count, sampled, touched, sums)
         used = indptr[t]
-        indices, values = _append(kept, touched, sums, indices, values, used)
-        indptr[t + 1] = used + kept
+        indices, values = _append(count, touched, sums, indices, values, used)
+        indptr[t + 1] = used + count
     used = indptr[n_poses]
     return (
         indptr,

@@ -11,10 +11,10 @@ a is the layer below it, the outermost one that is sampled. Along the spoke
 - ``trilinear``: bilinear between the four spokes of the point's (θ, z) cell. It is
   continuous in the pose, 0 at the skin, and nowhere negative where the field inside is
   not; R_jk − r_a is half a radial step to one and a half.
-- ``voxel-mean`` (the paper): the nearest voxel. A point no deeper than the inner face
-  of the skin's layer, by radius or by depth on its spoke, samples nothing: the paper
-  ignores values below zero, and 0 is the skin's own. Force starts from 0 at first
-  touch; where a point crosses a voxel's face it jumps, as in the paper.
+- ``voxel-mean`` (the paper): the nearest voxel v. In the skin's layer and beyond it
+  nothing is sampled: the paper ignores values below zero, and 0 is the skin's own. In
+  layer a the share is d / (R_jk − r_a), at most 1; further in it is 1. Force grows from
+  0 at first touch; where a point crosses a voxel's face it jumps, as in the paper.
 
 In both, what lies outside or on the skin's layer is never sampled, so that touch cannot
 pull where the field inside is positive. Linear in p. The rows of the fit
@@ -106,18 +106,21 @@ def nearest_voxel(
     limits: Array,
     shape: NDArray[np.int64],
     spokes: Array,
-) -> tuple[int, bool]:
-    """Flat index of the voxel a point lies in, and whether it samples it (compiled)."""
+) -> tuple[int, float]:
+    """Flat index of the voxel a point lies in, and its share (compiled)."""
     i = max(int((r - limits[0]) * limits[1] + 0.5), 0)
     j = int(theta * limits[3] + 0.5)
     if j >= shape[1]:
         j -= shape[1]
     k = int((z - limits[4]) * limits[5] + 0.5)
     spoke = flat_index(0, j, k, shape[1], shape[2])
-    outermost = spokes[spoke, 1]
-    above = spokes[spoke, 0] - depth * limits[1] >= outermost + 0.5
+    outermost, share = spokes[spoke, 1], 1.0
+    if i > outermost:
+        share = 0.0
+    elif i == outermost:
+        share = min(depth * limits[1] * spokes[spoke, 2], 1.0)
     voxel: int = flat_index(i, j, k, shape[1], shape[2])
-    return voxel, i <= outermost and not above
+    return voxel, share
 
 
 @compiled()

@@ -230,10 +230,10 @@ def _find_voxels(
 ) -> None:
     """Voxel of every contact and its part in the voxel's mean (compiled)."""
     for c in range(contact):
-        v, samples = nearest_voxel(
+        v, share[0, c] = nearest_voxel(
             share[0, c], share[1, c], share[2, c], depth[c], limits, shape, spokes
         )
-        voxel[0, c], share[0, c] = v, 1.0 if samples else 0.0
+        voxel[0, c] = v
         hits[v] += 1
     for c in range(contact):
         share[0, c] /= hits[voxel[0, c]]

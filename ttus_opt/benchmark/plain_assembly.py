@@ -183,8 +183,8 @@ def _voxel_means(
     i, j, k = (np.floor(x + 0.5).astype(int) for x in (u, v, w))
     j %= grid.shape[1]
     radius, last = _skin_of(voxmap, j, k)
-    face = grid.r[last] + grid.r_step / 2  # the inner face of the skin's layer
-    samples = (i <= last) & (radius - depth < face)
+    to_skin = np.minimum(depth / (radius - grid.r[last]), 1.0)
+    share = np.select([i < last, i == last], [1.0, to_skin], 0.0)
     voxel = np.ravel_multi_index((i, j, k), grid.shape)
     _, place, counts = np.unique(voxel, return_inverse=True, return_counts=True)
-    return voxel[:, None], (samples / counts[place])[:, None]
+    return voxel[:, None], (share / counts[place])[:, None]

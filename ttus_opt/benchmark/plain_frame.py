@@ -120,10 +120,8 @@ def _loop(
             ):
                 pressure[m] += shares[e] * values[sampled[e]] * weights[m]
         else:
-            voxels[m], samples = nearest_voxel(
-                r, theta, z, depth, limits, shape, spokes
-            )
-            pressure[m] = values[voxels[m]] if samples else 0.0
+            voxels[m], share = nearest_voxel(r, theta, z, depth, limits, shape, spokes)
+            pressure[m] = share * values[voxels[m]]
             hits[voxels[m]] += 1
     for m in range(len(points)):
         p = pressure[m]
