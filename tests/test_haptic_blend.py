@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -13,17 +13,7 @@ from tests.conftest import torso
 from ttus_opt.errors import InputError
 from ttus_opt.field import PotentialField
 from ttus_opt.grid import cylindrical
-from ttus_opt.haptic_blend import (
-    DIFFERENCE,
-    GAP,
-    INJECTED,
-    PROGRESS,
-    TANK,
-    BlendLaw,
-    advance,
-    follow,
-    settled_ledger,
-)
+from ttus_opt.haptic_blend import BlendLaw, follow, settled_ledger
 from ttus_opt.point_shell import PointShell
 from ttus_opt.renderer import Renderer
 from ttus_opt.voxmap import Voxmap
@@ -286,156 +276,3 @@ def test_an_update_amid_a_swap_does_not_show_in_the_force() -> None:
 def test_unusable_laws(options: dict[str, float], word: str) -> None:
     with pytest.raises(InputError, match=word):
         BlendLaw(**options)
-
-
-def stepped(
-    current: np.ndarray,
-    target: np.ndarray,
-    *,
-    contact: int = 5,
-    gap: float = 0.0,
-    tank: float = 0.0,
-    last: np.ndarray | None = None,
-    motion: np.ndarray | None = None,
-    law: BlendLaw | None = None,
-    drags: tuple[np.ndarray, np.ndarray] = (np.zeros(6), np.zeros(6)),
-) -> np.ndarray:
-    """The ledger after one step of a swap, between wrenches given by hand."""
-    limits = (law or BlendLaw(force_rate=1e3)).kernel_limits(0.02)
-    ledger, origin = settled_ledger(tank), np.zeros(3)
-    follow(ledger, np.eye(3), origin, origin)
-    ledger[PROGRESS], ledger[GAP] = 0.0, gap
-    ledger[DIFFERENCE:] = target - current if last is None else last
-    at = origin if motion is None else motion
-    advance(ledger, limits, contact, np.eye(3), at, origin, current, target, *drags)
-    return ledger
-
-
-NOTHING, PUSH = np.zeros(6), np.array([3.0, 0.0, 4.0, 0.0, 0.0, 0.0])
-TWISTING = np.array([0.0, 0.0, 0.0, 0.0, 0.06, 0.08])  # a tenth of 1 N·m
-
-
-def test_a_step_keeps_to_the_rates_of_force_and_of_torque() -> None:
-    law = BlendLaw(force_rate=2.0)
-    assert stepped(NOTHING, PUSH, law=law)[PROGRESS] == pytest.approx(2e-3 / 5.0)
-    turned = stepped(NOTHING, TWISTING, law=law)[PROGRESS]
-    assert turned == pytest.approx(2e-3 * 0.02 / 0.1)
-
-
-def test_the_rates_are_of_contact_and_drag_together() -> None:
-    law, drags = BlendLaw(force_rate=2.0), (0.5 * PUSH, -0.25 * PUSH)
-    step = stepped(NOTHING, PUSH, law=law, drags=drags)[PROGRESS]
-    assert step == pytest.approx(2e-3 / (0.25 * 5.0))
-    drags = (NOTHING, TWISTING)
-    step = stepped(NOTHING, NOTHING, law=law, drags=drags)[PROGRESS]
-    assert step == pytest.approx(2e-3 * 0.02 / 0.1)
-
-
-def test_the_tank_holds_no_more_than_its_capacity() -> None:
-    law = BlendLaw(force_rate=1e6, capacity=0.01)
-    ledger = stepped(NOTHING, NOTHING, gap=-0.5, tank=0.004, law=law)
-    assert ledger[PROGRESS] == 1.0
-    assert ledger[TANK] == 0.01
-    assert ledger[INJECTED] == -0.5
-
-
-def test_stored_energy_falls_by_the_trapezoid() -> None:
-    """Half of the last difference and half of this one, along the way; not of drag."""
-    motion, last = np.array([1e-3, 0.0, 2e-3]), np.array([1.0, 0, 2.0, 0, 0, 0])
-    ledger = stepped(
-        NOTHING, PUSH, gap=0.3, last=last, motion=motion, drags=(NOTHING, 9 * PUSH)
-    )
-    work = 0.5 * (last[:3] + PUSH[:3]) @ motion
-    assert ledger[GAP] == pytest.approx(0.3 - work, rel=1e-12)
-    np.testing.assert_array_equal(ledger[DIFFERENCE:], PUSH)
-
-
-def test_in_the_air_nothing_is_stored() -> None:
-    """Whatever had been observed: the swap is complete in one frame, for nothing."""
-    ledger = stepped(NOTHING, NOTHING, contact=0, gap=0.3, last=PUSH)
-    assert ledger[GAP] == 0.0
-    assert ledger[PROGRESS] == 1.0
-    assert ledger[INJECTED] == 0.0
-
-
-def dragging(stiffness: float, friction: float, **other: float) -> PotentialField:
-    parameters = {"friction_coefficient": friction, **other}
-    return replace(field_of(stiffness), parameters=parameters)
-
-
-def full_twist(walk: Walk, k: int, seconds: float = 1e-3) -> np.ndarray:
-    """Of the probe frame's origin from frame k − 1 to k."""
-    turn = Rotation.from_matrix(walk.rotation[k] @ walk.rotation[k - 1].T).as_rotvec()
-    moved = walk.position[k] - walk.position[k - 1]
-    return np.concatenate([moved, turn]) / seconds
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_drags_are_swapped_with_their_fields(seed: int) -> None:
-    """A convex combination of whole wrenches, within the rate, that takes energy."""
-    law = BlendLaw(force_rate=20.0, reserve=1e-4)
-    walk = Walk.make(seed)
-    old = dragging(1.0, 0.4)
-    new = dragging(1.6, 0.1, viscous_coefficient=5.0, drag_deadband=0.01)
-    renderer = Renderer(old, SHELL, blend=law)
-    whole = [Renderer(f, SHELL) for f in (old, new)]
-    bare = [Renderer(replace(f, parameters={}), SHELL) for f in (old, new)]
-    out, both, contact = np.zeros(6), np.zeros((2, 6)), np.zeros((2, 6))
-    moved, share, taken = 0, 0.0, 0.0
-    for k in range(1, 900):
-        pose, twist_here = (walk.rotation[k], walk.position[k]), full_twist(walk, k)
-        if k == 260:
-            renderer.update(new)
-            share = 0.0
-        renderer.render_into(*pose, out, twist_here)
-        if k < 260:
-            continue
-        for i in (0, 1):
-            whole[i].render_into(*pose, both[i], twist_here)
-            bare[i].render_into(*pose, contact[i])
-        state = renderer.blend
-        weights = np.array([1 - state.progress, state.progress])
-        np.testing.assert_allclose(out, weights @ both, atol=1e-12)
-        jump = (state.progress - share) * (both[1] - both[0])
-        limit = law.force_rate * law.frame_seconds * (1 + 1e-9)
-        assert np.linalg.norm(jump[:3]) <= limit
-        assert np.linalg.norm(jump[3:]) <= limit * SHELL.rms_radius
-        assert state.injected <= law.reserve + 1e-15
-        power = (out - weights @ contact) @ twist(walk, k)
-        assert power <= 1e-15
-        taken -= power
-        moved += 0.0 < state.progress < 1.0
-        share = state.progress
-    assert moved > 20
-    assert taken > 1e-3  # joules, in half a second of strokes
-
-
-def test_energy_is_reckoned_without_drag() -> None:
-    """Ledgers of a swap with and without drag are the same but for the rates' steps."""
-    walk, law = Walk.make(4), BlendLaw(force_rate=1e6)
-    dry = Renderer(field_of(1.0), SHELL, blend=law)
-    rubbed = Renderer(dragging(1.0, 0.5), SHELL, blend=law)
-    for k in range(1, 700):
-        pose, moving = (walk.rotation[k], walk.position[k]), full_twist(walk, k)
-        dry.render(*pose, moving)
-        rubbed.render(*pose, moving)
-        if k == 300:
-            dry.update(field_of(1.8))
-            rubbed.update(dragging(1.8, 0.05))
-        assert dry.blend == rubbed.blend
-
-
-@pytest.mark.parametrize("other", [{}, {"viscous_coefficient": 3.0}])
-def test_an_update_amid_a_swap_of_drags_does_not_show(other: dict[str, float]) -> None:
-    R, at = np.eye(3), np.array([0.0, 0.093, 0.1])
-    moving = np.array([0.03, 0.0, 0.02, 0.1, 0.3, -0.2])
-    law = BlendLaw(force_rate=1.0, reserve=1.0)
-    renderer = Renderer(dragging(1.0, 0.3), SHELL, blend=law)
-    before = renderer.render(R, at, moving).force
-    for stiffness, friction in ((1.5, 0.05), (0.2, 0.8), (3.0, 0.0), (1.0, 0.6)):
-        renderer.update(dragging(stiffness, friction, **other))
-        for _ in range(7):
-            after = renderer.render(R, at, moving).force
-            assert np.linalg.norm(after - before) <= 1e-3 * (1 + 1e-6)
-            before = after
-        assert 0.0 < renderer.blend.progress < 1.0

@@ -52,8 +52,8 @@ class FieldPair(NamedTuple):
     ledger: Array
 
 
-#: Rows of `Desk.rows`: the wrench and the drag of a frame, the twist, the patch, contact
-#: and drag of the field in force
+#: Rows of `Desk.rows`: wrench and drag of the frame, twist, patch, then contact and
+#: drag of the field in force
 WRENCH, DRAG, TWIST, PATCH, OLD, OLD_DRAG, ROWS = 0, 1, 2, 3, 4, 5, 6
 
 
