@@ -122,11 +122,12 @@ def test_nothing_is_compiled_or_allocated_in_a_frame(scene: Scene) -> None:
         "dragging": lambda: renderer.render_into(R, at, out, twist),
         "estimating": lambda: renderer.render_into(R, at, out, time=1e-3 * next(clock)),
     }
-    drag = {"friction_coefficient": 0.3}
+    after: dict[str, dict[str, float]] = {"settled": {}}
     for stage, frame in frames.items():
         kept, peak = least_memory(frame)
         assert kept < 200, stage  # a tenth of a byte per frame
         assert peak < 2100, stage  # numba's fingerprint of one call's arguments
+        drag = after.get(stage, {"friction_coefficient": 0.3})
         values = 2 * field.values if stage == "settled" else field.values
         renderer.update(PotentialField(field.voxmap, values, field.sampling, drag))
     assert renderer.blend.progress < 1.0
