@@ -114,8 +114,6 @@ def test_updates_come_one_after_the_other(scene: Scene) -> None:
         if not claims:
             claims.append(renderer._waiting)
             threads[1].start()
-            while not renderer._updates.locked():
-                pass
             threads[1].join(0.2)  # it waits, for the turn or for its place
         else:
             threads[0].join(5.0)
