@@ -45,17 +45,17 @@ def between_spokes(theta: float, z: float, depth: float) -> float:
     return total
 
 
-def nearest(r: float, theta: float, z: float, depth: float) -> tuple[int, float]:
-    """Flat index of the nearest voxel and the point's share in it."""
+def nearest(r: float, theta: float, z: float, depth: float) -> int:
+    """Flat index of the nearest voxel, -1 before the skin layer's inner face."""
     grid = VOXMAP.grid
     i = int(np.abs(r - grid.r).argmin())
     turn = (theta - grid.theta + np.pi) % (2 * np.pi) - np.pi
     j, k = int(np.abs(turn).argmin()), int(np.abs(z - grid.z).argmin())
     last = below_the_skins_layer(j, k)[-1]
-    share = 0.0 if i > last else 1.0
-    if i == last:
-        share = min(1.0, depth / (skin_at(j, k) - grid.r[last]))
-    return int(np.ravel_multi_index((i, j, k), grid.shape)), share
+    face = grid.r[last] + grid.r_step / 2
+    if i > last or skin_at(j, k) - depth >= face:
+        return -1
+    return int(np.ravel_multi_index((i, j, k), grid.shape))
 
 
 def brute_force(
@@ -77,10 +77,9 @@ def brute_force(
         return weight @ normals, weight @ moments
     voxel = np.full(len(points), -1)
     for m in np.flatnonzero(inside):
-        voxel[m], share = nearest(r[m], theta[m], z[m], depth[m])
-        weight[m] = share * FIELD.reshape(-1)[voxel[m]]
-    for v in np.unique(voxel[inside]):
-        weight[voxel == v] /= (voxel == v).sum()
+        voxel[m] = nearest(r[m], theta[m], z[m], depth[m])
+    for v in np.unique(voxel[voxel >= 0]):
+        weight[voxel == v] = FIELD.reshape(-1)[v] / (voxel == v).sum()
     return weight @ normals, weight @ moments
 
 

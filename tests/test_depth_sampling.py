@@ -104,17 +104,20 @@ def test_the_skins_layer_and_the_outside_are_never_sampled(sampling: str) -> Non
     assert (rows.contact_points == 4).all()
 
 
-@pytest.mark.parametrize("sampling", SAMPLINGS)
-def test_values_start_from_zero_at_the_skin(sampling: str) -> None:
-    """On any grid the share is at most the depth over half a radial step."""
+@pytest.mark.parametrize("shape", [(24, 40, 21), (12, 32, 16), (48, 120, 60)])
+def test_values_start_from_zero_at_the_skin(shape: tuple[int, int, int]) -> None:
+    """On any grid, on any slope of the skin; here they are 1 inside and outside."""
     rng = np.random.default_rng(3)
-    for shape in ((24, 40, 21), (12, 32, 16), (48, 120, 60)):
-        voxmap = Voxmap.from_surface(bumpy(), shape=shape)
-        depth = 10.0 ** rng.uniform(-9.0, -3.0, 500)
-        places = places_below(voxmap.surface, depth, rng)[0]
-        found = sampled(voxmap, np.ones(voxmap.grid.shape), places, sampling)
-        assert (found <= 2.0 * depth / voxmap.grid.r_step + 1e-12).all()
-        assert found.max() > 0.0
+    voxmap = Voxmap.from_surface(bumpy(), shape=shape)
+    ones, step = np.ones(voxmap.grid.shape), voxmap.grid.r_step
+    depth = 10.0 ** rng.uniform(-9.0, -3.0, 500)
+    places = places_below(voxmap.surface, depth, rng)[0]
+    found = sampled(voxmap, ones, places)
+    assert (found <= 2.0 * depth / step + 1e-12).all()
+    assert (found > 0.0).all()
+    touching = places_below(voxmap.surface, np.full(500, 1e-12), rng)[0]
+    assert not sampled(voxmap, ones, touching, "voxel-mean").any()
+    assert sampled(voxmap, ones, places, "voxel-mean").any()
 
 
 @pytest.mark.parametrize("sampling", SAMPLINGS)

@@ -1,3 +1,4 @@
+from dataclasses import dataclass
 from pathlib import Path
 
 import numba
@@ -5,6 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from ttus_opt import orientation
 from ttus_opt.errors import GeometryError
 from ttus_opt.mesh import TriangleMesh, read_mesh
 from ttus_opt.orientation import consistent_patches, orient_faces
@@ -104,8 +106,15 @@ def test_walls_of_a_housing_point_into_the_wall_and_the_inner_ones_are_hidden():
     assert found.exposure[12:].max() == 0.0
 
 
-def test_exposure_of_a_groove_equals_its_view_factor():
-    # the floor of a long groove of width w and depth w sees √2 − 1 of the sky
+@dataclass(frozen=True)
+class Groove:
+    """A long groove of width and depth w: its floor sees √2 − 1 of the sky."""
+
+    mesh: TriangleMesh
+    floor: np.ndarray
+
+
+def groove() -> Groove:
     w, long = 0.01, 2.0
     made = trimesh.creation.extrude_triangulation(
         np.array(
@@ -138,14 +147,45 @@ def test_exposure_of_a_groove_equals_its_view_factor():
         height=long,
     )
     mesh = TriangleMesh(np.array(made.vertices), np.array(made.faces)).cleaned()
-    found = orient_faces(mesh, np.random.default_rng(0))
-    outward = mesh.flipped(found.flip).vector_areas
-    normal = outward / mesh.areas[:, None]
+    flat = np.ptp(mesh.corners[:, :, 1], axis=1) < 1e-6
     centre = mesh.corners.mean(axis=1)
-    floor = (normal[:, 1] > 0.99) & (np.abs(centre[:, 1] - w) < 1e-6)
+    floor = flat & (np.abs(centre[:, 1] - w) < 1e-6)
     floor &= (centre[:, 0] > w) & (centre[:, 0] < 2 * w)
     assert floor.sum() == 2
-    assert found.exposure[floor].mean() == pytest.approx(np.sqrt(2) - 1, abs=0.03)
+    return Groove(mesh, floor)
+
+
+def test_exposure_of_a_groove_equals_its_view_factor():
+    made = groove()
+    found = orient_faces(made.mesh, np.random.default_rng(0))
+    assert found.exposure[made.floor].mean() == pytest.approx(np.sqrt(2) - 1, abs=0.03)
+
+
+def test_a_doubtful_face_is_measured_again_with_more_rays(monkeypatch):
+    """As on a mesh of many faces, which have sixteen rays each."""
+    made = groove()
+    monkeypatch.setattr(orientation, "TOTAL_RAYS", 0)
+    found = np.array(
+        [
+            orient_faces(made.mesh, np.random.default_rng(seed)).exposure[made.floor]
+            for seed in range(8)
+        ]
+    )
+    hits = found * orientation.CAREFUL_RAYS
+    np.testing.assert_allclose(hits, hits.round(), atol=1e-9)
+    assert (hits.round() % 4 > 0).any()  # sixteen rays would give quarters of it
+    assert found.mean() == pytest.approx(np.sqrt(2) - 1, abs=0.04)
+
+
+def test_walls_modelled_twice_are_decided_by_the_rays_that_escape():
+    """Every ray crosses such walls an even number of times, from either side."""
+    made = box()
+    twice = TriangleMesh(
+        np.vstack([made.vertices] * 2), np.vstack([made.faces, made.faces + 8])
+    )
+    turned = np.random.default_rng(1).random(24) < 0.5
+    found = orient_faces(twice.flipped(turned), np.random.default_rng(0))
+    np.testing.assert_array_equal(found.flip, turned)
 
 
 def test_a_moebius_strip_is_not_one_patch():

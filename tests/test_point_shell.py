@@ -97,6 +97,13 @@ def test_rms_radius():
     assert shell.rms_radius == pytest.approx(truth, rel=2e-3)
 
 
+def test_rms_radius_weighs_points_by_their_area():
+    points = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 3, 0], [0, -3, 0]])
+    areas = np.array([3.0, 3.0, 1.0, 1.0])
+    shell = PointShell(points, points / [[1], [1], [3], [3]], areas, np.zeros(3))
+    assert shell.rms_radius == pytest.approx(np.sqrt((6 * 1 + 2 * 9) / 8))
+
+
 def test_the_seed_decides():
     one, two = PointShell.sphere(0.02, 64), PointShell.sphere(0.02, 64)
     np.testing.assert_array_equal(one.points, two.points)

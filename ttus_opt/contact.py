@@ -4,8 +4,8 @@ For each pose, the shell points inside the patient sample the field in one of tw
 ways, both linear in p (design §3):
 
 - ``voxel-mean`` (the paper): f = Σ_v n̄(v) p(v), with n̄(v) the mean of the normals of
-  the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂; near
-  the skin points have a share below 1 in these sums.
+  the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂;
+  points too near to the skin to sample their voxel do not count in its means.
 - ``trilinear``: f = Σ_m (a_m/A₀) n̂_m p(x_m), p(x_m) interpolated, A₀ = 1 cm².
 
 What a point samples is said in `ttus_opt.depth_sampling`; the rows here and the frames
@@ -272,10 +272,10 @@ def _pose_rows(
                     theta, z, depth, limits, shape, spokes, voxels, shares
                 )
             else:
-                voxels[0], shares[0] = nearest_voxel(
+                voxels[0], samples = nearest_voxel(
                     r, theta, z, depth, limits, shape, spokes
                 )
-                n_samples = 1 if shares[0] > 0.0 else 0
+                shares[0], n_samples = 1.0, 1 if samples else 0
             for e in range(n_samples):
                 c = slot[voxels[e]]
                 if c < 0:

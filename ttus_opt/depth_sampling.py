@@ -11,10 +11,11 @@ a is the layer below it, the outermost one that is sampled. Along the spoke
 - ``trilinear``: bilinear between the four spokes of the point's (θ, z) cell. It is
   continuous in the pose, 0 at the skin, and nowhere negative where the field inside is
   not; R_jk − r_a is half a radial step to one and a half.
-- ``voxel-mean`` (the paper): the nearest voxel v. In the skin's layer and beyond it
-  nothing is sampled: the paper ignores values below zero, and 0 is the skin's own. In
-  layer a the share is d / (R_jk − r_a), at most 1; further in it is 1. Force grows from
-  0 at first touch; where a point crosses a voxel's face it jumps, as in the paper.
+- ``voxel-mean`` (the paper): the nearest voxel. A point that has not passed the inner
+  face of the skin's layer, by radius and by depth on its spoke, samples nothing: the
+  paper ignores values below zero, and 0 is the skin's own. Force starts from 0 at first
+  touch; where a point crosses a voxel's face it jumps, as in the paper. Beyond r_inner
+  all points on a spoke share the inner layer's voxel, and its means.
 
 In both, what lies outside or on the skin's layer is never sampled, so that touch cannot
 pull where the field inside is positive. Linear in p. The rows of the fit
@@ -106,21 +107,18 @@ def nearest_voxel(
     limits: Array,
     shape: NDArray[np.int64],
     spokes: Array,
-) -> tuple[int, float]:
-    """Flat index of the voxel a point lies in, and its share (compiled)."""
+) -> tuple[int, bool]:
+    """Flat index of the voxel a point lies in, and whether it samples it (compiled)."""
     i = max(int((r - limits[0]) * limits[1] + 0.5), 0)
     j = int(theta * limits[3] + 0.5)
     if j >= shape[1]:
         j -= shape[1]
     k = int((z - limits[4]) * limits[5] + 0.5)
     spoke = flat_index(0, j, k, shape[1], shape[2])
-    outermost, share = spokes[spoke, 1], 1.0
-    if i > outermost:
-        share = 0.0
-    elif i == outermost:
-        share = min(depth * limits[1] * spokes[spoke, 2], 1.0)
+    outermost = spokes[spoke, 1]
+    below = spokes[spoke, 0] - depth * limits[1]  # place at this depth on the spoke
     voxel: int = flat_index(i, j, k, shape[1], shape[2])
-    return voxel, share
+    return voxel, i <= outermost and below < outermost + 0.5
 
 
 @compiled()

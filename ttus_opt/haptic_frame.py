@@ -230,13 +230,13 @@ def _find_voxels(
 ) -> None:
     """Voxel of every contact and its part in the voxel's mean (compiled)."""
     for c in range(contact):
-        v, share[0, c] = nearest_voxel(
+        v, samples = nearest_voxel(
             share[0, c], share[1, c], share[2, c], depth[c], limits, shape, spokes
         )
-        voxel[0, c] = v
-        hits[v] += 1
+        voxel[0, c], share[0, c] = v, 1.0 if samples else 0.0
+        hits[v] += 1 if samples else 0
     for c in range(contact):
-        share[0, c] /= hits[voxel[0, c]]
+        share[0, c] /= max(hits[voxel[0, c]], 1)
     for c in range(contact):  # leaves no trace in the next frame
         hits[voxel[0, c]] = 0
 

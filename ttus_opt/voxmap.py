@@ -171,4 +171,4 @@ def _classify(grid: CylindricalGrid, radius: NDArray[np.float64]) -> NDArray[np.
             sel[axis] = side
             spots[tuple(sel)] = crossing & nearer
             closed[spots] = SURFACE
-    return closed
+    return np.asarray(closed)

@@ -183,8 +183,9 @@ def _voxel_means(
     i, j, k = (np.floor(x + 0.5).astype(int) for x in (u, v, w))
     j %= grid.shape[1]
     radius, last = _skin_of(voxmap, j, k)
-    to_skin = np.minimum(depth / (radius - grid.r[last]), 1.0)
-    share = np.select([i < last, i == last], [1.0, to_skin], 0.0)
+    face = grid.r[last] + grid.r_step / 2  # the inner face of the skin's layer
+    samples = (i <= last) & (radius - depth < face)
     voxel = np.ravel_multi_index((i, j, k), grid.shape)
-    _, place, counts = np.unique(voxel, return_inverse=True, return_counts=True)
-    return voxel[:, None], (share / counts[place])[:, None]
+    _, place = np.unique(voxel, return_inverse=True)
+    counts = np.bincount(place, weights=samples)[place]
+    return voxel[:, None], (samples / np.maximum(counts, 1.0))[:, None]

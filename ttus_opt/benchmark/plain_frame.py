@@ -120,9 +120,10 @@ def _loop(
             ):
                 pressure[m] += shares[e] * values[sampled[e]] * weights[m]
         else:
-            voxels[m], share = nearest_voxel(r, theta, z, depth, limits, shape, spokes)
-            pressure[m] = share * values[voxels[m]]
-            hits[voxels[m]] += 1
+            voxel, samples = nearest_voxel(r, theta, z, depth, limits, shape, spokes)
+            if samples:
+                voxels[m], pressure[m] = voxel, values[voxel]
+                hits[voxel] += 1
     for m in range(len(points)):
         p = pressure[m]
         if voxels[m] >= 0:
