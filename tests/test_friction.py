@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.conftest import small_scene
@@ -18,9 +19,7 @@ from ttus_opt.friction import (
     DEADBAND,
     Sliding,
     coulomb_rows,
-    has_drag,
     pressing_axis,
-    rendered_drag,
     viscous_rows,
 )
 from ttus_opt.metrics import Errors, evaluate
@@ -42,8 +41,6 @@ def slide(
     deep: float = 0.005,
 ) -> Trajectory:
     """A sphere pressed into the tube at θ = 0, moving at a constant velocity [m/s]."""
-    from scipy.spatial.transform import Rotation
-
     time = 0.05 * np.arange(n)
     start = np.array([0.09 + 0.015 - deep, 0.0, 0.1])
     position = start + (time - time.mean())[:, None] * velocity
@@ -253,6 +250,15 @@ def test_rendered_drag_is_that_of_the_fits_rows() -> None:
     assert torque is not None
     seen = evaluate(solution.field, scene.shell, scene.trajectory)
     x = solution.candidate
+    trajectory = scene.trajectory
+    frames = zip(
+        trajectory.rotation, trajectory.position, trajectory.twist(), strict=True
+    )
+    renderer = tt.Renderer(solution.field, scene.shell)
+    frame_forces = np.array([renderer.render(*frame).force for frame in frames])
+    np.testing.assert_allclose(
+        frame_forces.reshape(-1), force.matrix @ x, rtol=0, atol=1e-11
+    )
     np.testing.assert_allclose(
         seen.rendered_force.reshape(-1), force.matrix @ x, atol=1e-12
     )
@@ -263,7 +269,7 @@ def test_rendered_drag_is_that_of_the_fits_rows() -> None:
     )
 
 
-def test_parameters_without_drag_render_none(tmp_path: Path) -> None:
+def test_coefficients_go_through_the_fields_file(tmp_path: Path) -> None:
     scene = small_scene("trilinear")
     field = PotentialField(
         scene.voxmap,
@@ -271,17 +277,6 @@ def test_parameters_without_drag_render_none(tmp_path: Path) -> None:
         "trilinear",
         {"boundary_scale": 2.0},
     )
-    assert not has_drag(field.parameters)
-    none = rendered_drag(
-        field.parameters,
-        scene.voxmap,
-        scene.shell,
-        scene.trajectory,
-        np.ones((len(scene.trajectory), 3)),
-    )
-    assert not none.force.any()
-    assert not none.torque.any()
-    # the coefficients go through the field's file
     dragging = replace(field, parameters={"friction_coefficient": 0.4})
     dragging.save(tmp_path / "field.nc")
     loaded = PotentialField.load(tmp_path / "field.nc")
@@ -291,6 +286,7 @@ def test_parameters_without_drag_render_none(tmp_path: Path) -> None:
     )
     np.testing.assert_array_equal(first, second)
     plain = evaluate(field, scene.shell, scene.trajectory).rendered_force
+    np.testing.assert_array_equal(plain.reshape(-1), scene.N @ field.values.reshape(-1))
     assert np.abs(first - plain).max() > 0.01
 
 

@@ -17,7 +17,7 @@ def evaluation(magnitude: float, angle: float = 3.0) -> Evaluation:
     )
     zero = np.zeros((40, 3))
     return Evaluation(
-        errors, np.arange(40.0), zero, zero, zero, zero, np.ones(40, bool)
+        errors, np.arange(40.0), zero, zero, zero, zero, np.ones(40, bool), zero[:, 0]
     )
 
 

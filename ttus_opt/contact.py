@@ -93,6 +93,11 @@ def checked_poses(rotation: Array, position: Array) -> tuple[Array, Array]:
     gram = np.einsum("tij,tik->tjk", rotation, rotation)
     if len(gram) and np.abs(gram - np.eye(3)).max() > 1e-6:
         raise InputError("rotations must be orthonormal 3×3 matrices, probe to patient")
+    if len(gram) and np.linalg.det(rotation).min() < 0.0:
+        raise InputError(
+            "a rotation is a reflection (determinant −1): swap two of its axes or "
+            "change one's sign"
+        )
     return rotation, position
 
 

@@ -22,7 +22,6 @@ counts as sliding of 0.1 mm/s, which near rest turns t̂ by several degrees.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
@@ -255,75 +254,11 @@ def viscous_rows(
     return DragRows(force, torque)
 
 
-@dataclass(frozen=True)
-class Drag:
-    """Drag on the probe over a trajectory.
-
-    Attributes:
-        force: Patient axes, shape (T, 3) [N].
-        torque: About the shell's reference, patient axes, shape (T, 3) [N·m].
-    """
-
-    force: Array = field(repr=False)
-    torque: Array = field(repr=False)
-
-
 #: Names under which a fitted field carries its drag
 FRICTION, VISCOUS = "friction_coefficient", "viscous_coefficient"
 DRAG_DEADBAND, DRAG_AT_REFERENCE = "drag_deadband", "drag_at_reference"
 DRAG_AXIS = ("drag_axis_x", "drag_axis_y", "drag_axis_z")
 SECTORS, BANDS = "viscous_sectors", "viscous_bands"
-
-
-def has_drag(parameters: Mapping[str, float]) -> bool:
-    """Whether a field's parameters tell of drag."""
-    return FRICTION in parameters or VISCOUS in parameters
-
-
-def rendered_drag(
-    parameters: Mapping[str, float],
-    voxmap: Voxmap,
-    shell: PointShell,
-    trajectory: Trajectory,
-    normal_force: Array,
-) -> Drag:
-    """Drag of a fitted field along a trajectory, by the rows of its fit.
-
-    Args:
-        parameters: Of the field: ``friction_coefficient`` [–] or
-            ``viscous_coefficient`` [N·s/m], with ``drag_deadband`` [m/s],
-            ``drag_at_reference`` (1 or 0) and ``drag_axis_x, _y, _z`` where they
-            differ from the defaults.
-        voxmap: The field's grid and surface.
-        shell: The probe.
-        trajectory: Poses over time.
-        normal_force: N p of the same poses, without drag, shape (T, 3) [N].
-
-    Returns:
-        The drag; zero when the parameters tell of none.
-    """
-    at = "reference" if parameters.get(DRAG_AT_REFERENCE, 0.0) else "contact"
-    axis = None
-    if all(name in parameters for name in DRAG_AXIS):
-        axis = np.array([parameters[name] for name in DRAG_AXIS])
-    sliding = Sliding.of(voxmap, shell, trajectory, at, axis)
-    deadband = float(parameters.get(DRAG_DEADBAND, DEADBAND))
-    size = np.einsum("ti,ti->t", sliding.normal, normal_force)
-    force = -parameters.get(FRICTION, 0.0) * size[:, None] * sliding.direction(deadband)
-    if VISCOUS in parameters:
-        force = force - _viscosity(parameters, sliding, voxmap) * sliding.velocity
-    return Drag(force, np.cross(sliding.arm, force))
-
-
-def _viscosity(
-    parameters: Mapping[str, float], sliding: Sliding, voxmap: Voxmap
-) -> Array:
-    """Viscous coefficient of every pose, shape (T, 1) [N·s/m]."""
-    counts = int(parameters.get(SECTORS, 1)), int(parameters.get(BANDS, 1))
-    mean = parameters[VISCOUS]
-    n_regions = counts[0] * counts[1]
-    each = [parameters.get(f"{VISCOUS}_{i}", mean) for i in range(n_regions)]
-    return np.array(each)[sliding.regions(*counts, voxmap), None]
 
 
 def _blocks(blocks: Array) -> sp.csr_array:

@@ -28,6 +28,15 @@ of passivity, not a fault; a reserve shortens it by a stated number of joules.
 out, then it falls by Δw·δx (trapezoid) with the motion, and it is exactly 0 whenever
 nothing touches. It is as good as the fields are conservative: trilinear ones are up to
 the quadrature of the shell, voxel means are not quite (their jumps have no potential).
+
+Drag belongs to each field's wrench, w = contact + drag, and is swapped with it: by the
+same a, within the same rate. It stores nothing, so U, ΔU and w in the ledger above are
+of contact alone. Nor can swapping it give energy: every drag has power −k ‖v_t‖² ≤ 0
+(`ttus_opt.haptic_drag`), and (1−a) drag_old + a drag_new with 0 ≤ a ≤ 1 is a convex
+combination of such, so that the operator's work on the blend is the contact's plus
+something never negative. This holds for the twist that drag is given; an estimated one
+lags (`ttus_opt.haptic_motion`). A limit on the force, cut afterwards, is outside of
+this reckoning: cutting is no potential's force.
 """
 
 from __future__ import annotations
@@ -143,19 +152,20 @@ def opened_ledger(before: Array, current: Array, target: Array, stage: Stage) ->
 @compiled(error_model="numpy", nogil=True)
 def open_gap(ledger: Array, current: Array, target: Array, s: Stage) -> None:
     """Set ΔU and Δw at the ledger's pose (compiled)."""
-    R = ledger[ROTATION:PLACE].copy().reshape(3, 3)
-    place = ledger[PLACE:DIFFERENCE].copy()
-    distance = math.hypot(place[0], place[1])
-    out_x, out_y = 1.0, 0.0
+    R, at = np.empty((3, 3)), np.empty(3)
+    pose_of(ledger, s.reference, R, at)
+    out_x, out_y = ledger[PLACE], ledger[PLACE + 1]
+    distance = math.sqrt(out_x * out_x + out_y * out_y)
     if distance > 0.0:
-        out_x, out_y = place[0] / distance, place[1] / distance
-    centre = np.array(rotated(R, s.reference[0], s.reference[1], s.reference[2]))
-    at = place - centre
-    ledger[DIFFERENCE:] = 0.0
+        out_x, out_y = out_x / distance, out_y / distance
+    else:
+        out_x = 1.0
     difference, other = np.zeros(6), np.zeros(6)
+    for c in range(6):  # element by element: whole slices take seconds to compile
+        ledger[DIFFERENCE + c] = 0.0
     gap, last, step = 0.0, 0.0, 0
     while True:
-        contact, _, _ = touch(R, at, s)
+        contact = touch(R, at, s)[0]
         if contact <= 0:
             break
         wrench_of(target, contact, R, s, difference)
@@ -164,13 +174,25 @@ def open_gap(ledger: Array, current: Array, target: Array, s: Stage) -> None:
             difference[c] -= other[c]
         along = difference[0] * out_x + difference[1] * out_y
         if step == 0:
-            ledger[DIFFERENCE:] = difference
+            for c in range(6):
+                ledger[DIFFERENCE + c] = difference[c]
         else:
             gap += 0.5 * (last + along) * RETREAT_STEP
         last, step = along, step + 1
         at[0] += out_x * RETREAT_STEP
         at[1] += out_y * RETREAT_STEP
     ledger[GAP] = gap + 0.5 * last * RETREAT_STEP
+
+
+@compiled(error_model="numpy", nogil=True)
+def pose_of(ledger: Array, reference: Array, R: Array, at: Array) -> None:
+    """Write the ledger's pose into R, shape (3, 3), and at, shape (3,) (compiled)."""
+    for i in range(9):
+        R[i // 3, i % 3] = ledger[ROTATION + i]
+    x, y, z = rotated(R, reference[0], reference[1], reference[2])
+    at[0] = ledger[PLACE] - x
+    at[1] = ledger[PLACE + 1] - y
+    at[2] = ledger[PLACE + 2] - z
 
 
 @compiled(error_model="numpy", nogil=True)
@@ -183,6 +205,8 @@ def advance(
     reference: Array,
     current: Array,
     target: Array,
+    current_drag: Array,
+    target_drag: Array,
 ) -> None:
     """Fold one frame's motion into a swap's ledger and take its step (compiled).
 
@@ -193,8 +217,10 @@ def advance(
         R: Rotation, probe to patient, shape (3, 3) [–].
         at: Position, shape (3,) [m].
         reference: Of the shell, probe frame, shape (3,) [m].
-        current: Wrench of the old field, shape (6,) [N, N·m].
-        target: Wrench of the new field, shape (6,) [N, N·m].
+        current: Contact of the old field, shape (6,) [N, N·m].
+        target: Contact of the new field, shape (6,) [N, N·m].
+        current_drag: Drag of the old field, shape (6,) [N, N·m].
+        target_drag: Drag of the new field, shape (6,) [N, N·m].
     """
     dx, dy, dz, ax, ay, az = follow(ledger, R, at, reference)
     motion = (dx, dy, dz, ax, ay, az)
@@ -203,10 +229,11 @@ def advance(
         difference = target[c] - current[c]
         work += 0.5 * (ledger[DIFFERENCE + c] + difference) * motion[c]
         ledger[DIFFERENCE + c] = difference
+        change = difference + (target_drag[c] - current_drag[c])
         if c < 3:
-            force += difference * difference
+            force += change * change
         else:
-            torque += difference * difference
+            torque += change * change
     gap = 0.0 if contact == 0 else ledger[GAP] - work
     force, torque = math.sqrt(force), math.sqrt(torque)
     left = 1.0 - ledger[PROGRESS]

@@ -11,10 +11,9 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.contact import contact_rows
 from ttus_opt.errors import InputError
 from ttus_opt.field import PotentialField
-from ttus_opt.friction import has_drag, rendered_drag
+from ttus_opt.field_wrench import wrenches_along
 from ttus_opt.point_shell import PointShell
 from ttus_opt.trajectory import Trajectory
 
@@ -76,6 +75,7 @@ class Evaluation:
         measured_torque: Shape (T, 3) [N·m].
         rendered_torque: Shape (T, 3) [N·m].
         in_grid: False where the pose lies outside the grid, shape (T,).
+        beyond_inner: Points in contact beyond the field's inner layer, (T,) [–].
     """
 
     errors: Errors
@@ -85,6 +85,7 @@ class Evaluation:
     measured_torque: Array = field(repr=False)
     rendered_torque: Array = field(repr=False)
     in_grid: NDArray[np.bool_] = field(repr=False)
+    beyond_inner: NDArray[np.int64] = field(repr=False)
 
 
 def evaluate(
@@ -97,7 +98,8 @@ def evaluate(
 ) -> Evaluation:
     """Render a trajectory and compare with what was measured on it.
 
-    A field that was fitted with drag is rendered with it, from the motion.
+    A field that was fitted with drag is rendered with it, from the motion: what is
+    judged is the wrench of `ttus_opt.field_wrench`, which a renderer gives too.
 
     Args:
         potential: The field.
@@ -116,26 +118,12 @@ def evaluate(
         raise InputError(
             "the trajectory has no wrench to compare with: add fx,fy,fz,tx,ty,tz"
         )
-    rows = contact_rows(
-        potential.voxmap,
-        shell,
-        trajectory.rotation,
-        trajectory.position,
-        sampling=potential.sampling,
-    )
-    p = potential.values.reshape(-1)
-    force = np.asarray(rows.N @ p).reshape(-1, 3)
-    torque = np.asarray(rows.W @ p).reshape(-1, 3)
-    if has_drag(potential.parameters):
-        drag = rendered_drag(
-            potential.parameters, potential.voxmap, shell, trajectory, force
-        )
-        force, torque = force + drag.force, torque + drag.torque
+    rendered = wrenches_along(potential, shell, trajectory)
     errors = _errors(
         trajectory.force,
-        force,
+        rendered.force,
         trajectory.torque,
-        torque,
+        rendered.torque,
         force_threshold,
         torque_threshold,
     )
@@ -143,10 +131,11 @@ def evaluate(
         errors,
         trajectory.time,
         trajectory.force,
-        force,
+        rendered.force,
         trajectory.torque,
-        torque,
-        rows.in_grid,
+        rendered.torque,
+        rendered.in_grid,
+        rendered.beyond_inner,
     )
 
 

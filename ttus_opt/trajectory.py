@@ -180,6 +180,10 @@ class Trajectory:
             out[part] = Rotation.from_matrix(turn).as_rotvec() / span[:, None]
         return out
 
+    def twist(self) -> Array:
+        """Velocity, then angular velocity, as `Renderer.render` takes it, (T, 6)."""
+        return np.concatenate([self.velocity(), self.angular_velocity()], axis=1)
+
     def _segments(self) -> list[slice]:
         cuts = np.flatnonzero(np.diff(self.segment)) + 1
         edges = [0, *cuts.tolist(), len(self)]

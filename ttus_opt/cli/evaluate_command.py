@@ -65,6 +65,7 @@ def evaluate(
         begin("rendering")
         found = metrics.evaluate(potential, shell, recorded)
         warn_off_grid(found.in_grid)
+        warn_beyond(found.beyond_inner)
         if picture is not None:
             begin("drawing")
             plots.save_picture(plots.force_over_time({"rendered": found}), picture)
@@ -93,6 +94,19 @@ def warn_off_grid(in_grid: NDArray[np.bool_]) -> None:
         warnings.warn(
             f"{off} of {in_grid.size} poses lie outside the field's grid and give "
             "zero: check the trajectory's frame and unit",
+            TtusWarning,
+            stacklevel=2,
+        )
+
+
+def warn_beyond(beyond_inner: NDArray[np.int64]) -> None:
+    """Say when poses reach below the field's innermost layer."""
+    deep = int((beyond_inner > 0).sum())
+    if deep:
+        warnings.warn(
+            f"{deep} of {beyond_inner.size} poses reach below the field's innermost "
+            "layer, where it continues with that layer's values: fit with a smaller "
+            "--r-inner",
             TtusWarning,
             stacklevel=2,
         )

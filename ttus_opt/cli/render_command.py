@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.evaluate_command import warn_off_grid
+from ttus_opt.cli.evaluate_command import warn_beyond, warn_off_grid
 from ttus_opt.cli.options import (
     Field,
     Json,
@@ -44,9 +44,16 @@ def render(
     points: Points = 1500,
     probe_unit: ProbeUnit = "mm",
     probe_surface: ProbeSurface = "outer",
+    force_limit: Annotated[
+        float | None, typer.Option(help="Cut larger forces to this [N].")
+    ] = None,
     json: Json = False,
 ) -> None:
-    """Render force and torque for every pose of a trajectory."""
+    """Render force and torque for every pose of a trajectory.
+
+    A field that was fitted with friction drags as the trajectory's motion tells: the
+    wrenches are those that `ttus-opt evaluate` judges.
+    """
     import numpy as np
 
     from ttus_opt.field import PotentialField
@@ -58,14 +65,13 @@ def render(
         potential = PotentialField.load(field)
         shell = read_probe(probe, points, probe_unit, probe_surface)
         begin("rendering")
-        renderer = Renderer(potential, shell)
+        renderer = Renderer(potential, shell, force_limit=force_limit)
+        frames = list(zip(poses.rotation, poses.position, poses.twist(), strict=True))
         start = time.perf_counter()
-        wrenches = [
-            renderer.render(rotation, position)
-            for rotation, position in zip(poses.rotation, poses.position, strict=True)
-        ]
+        wrenches = [renderer.render(*frame) for frame in frames]
         seconds = time.perf_counter() - start
         warn_off_grid(np.array([w.in_grid for w in wrenches]))
+        warn_beyond(np.array([w.beyond_inner for w in wrenches]))
         begin("writing")
         rendered = replace(
             poses,
@@ -77,6 +83,8 @@ def render(
         "output": str(output),
         "frames": len(poses),
         "frames_touching": sum(w.contact_points > 0 for w in wrenches),
+        "frames_beyond_inner": sum(w.beyond_inner > 0 for w in wrenches),
+        "frames_saturated": sum(w.saturated for w in wrenches),
         "seconds_per_frame": seconds / len(poses),
     }
     if json:
@@ -84,5 +92,6 @@ def render(
         return
     typer.echo(
         f"{output}: {told['frames']} frames, {told['frames_touching']} touching, "
-        f"{1e6 * seconds / len(poses):.0f} µs per frame"
+        + (f"{told['frames_saturated']} saturated, " if force_limit else "")
+        + f"{1e6 * seconds / len(poses):.0f} µs per frame"
     )

@@ -1,0 +1,102 @@
+"""Fields with drag, and what they drag by plain numpy, point by point."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tests.conftest import torso
+from ttus_opt.field import PotentialField
+from ttus_opt.grid import cylindrical
+from ttus_opt.point_shell import PointShell
+from ttus_opt.voxmap import Voxmap
+
+SURFACE = torso()
+VOXMAP = Voxmap.from_surface(SURFACE, shape=(12, 30, 14), r_inner=0.03)
+
+# the reference stands off the frame's origin, as a tool's does
+_ELLIPSOID = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.012), n_points=500)
+_OFFSET = np.array([0.004, -0.007, 0.03])
+SHELL = replace(
+    _ELLIPSOID,
+    points=_ELLIPSOID.points + _OFFSET,
+    reference=_ELLIPSOID.reference + _OFFSET,
+)
+
+_TILTED = np.array([0.48, -0.6, 0.64])
+_AXIS = dict(zip(("drag_axis_x", "drag_axis_y", "drag_axis_z"), _TILTED, strict=True))
+
+#: One of each kind of drag, by name
+LAWS: dict[str, dict[str, float]] = {
+    "none": {"boundary_scale": 2.0},
+    "coulomb": {"friction_coefficient": 0.3},
+    "coulomb-slow": {"friction_coefficient": 0.3, "drag_deadband": 0.05},
+    "coulomb-reference": {
+        "friction_coefficient": 0.3,
+        "drag_at_reference": 1.0,
+        **_AXIS,
+    },
+    "viscous": {"viscous_coefficient": 20.0},
+    "viscous-reference": {
+        "viscous_coefficient": 20.0,
+        "drag_at_reference": 1.0,
+        **_AXIS,
+    },
+    "viscous-regions": {
+        "viscous_coefficient": 20.0,
+        "viscous_sectors": 12.0,
+        "viscous_bands": 7.0,
+        **{f"viscous_coefficient_{i}": 5.0 + i for i in range(84)},
+    },
+}
+
+
+def pushing(sampling: str, parameters: dict[str, float]) -> PotentialField:
+    """A field positive inside that grows with depth, different everywhere."""
+    grid = VOXMAP.grid
+    theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
+    depth = SURFACE.radius_at(theta, z)[None] - grid.r[:, None, None]
+    bumps = 1.0 + 0.4 * np.sin(3 * theta) * np.cos(40 * z)
+    return PotentialField(VOXMAP, 100 * depth * bumps, sampling, parameters)
+
+
+def drag_by_hand(
+    parameters: dict[str, float],
+    shell: PointShell,
+    R: np.ndarray,
+    at: np.ndarray,
+    twist: np.ndarray,
+    contact_force: np.ndarray,
+) -> np.ndarray:
+    """Force and torque of drag from every point's depth, shape (6,)."""
+    points = shell.points @ R.T + at
+    r, theta, z = cylindrical(points)
+    depth = SURFACE.radius_at(theta, z) - r
+    grid = VOXMAP.grid
+    inside = (depth > 0) & (z >= grid.z_min) & (z <= grid.z_max)
+    weight = np.where(inside, shell.areas * depth, 0.0)
+    if not inside.any():
+        return np.zeros(6)
+    normal = weight @ (shell.normals @ R.T)
+    normal /= np.linalg.norm(normal)
+    centre = weight @ points / weight.sum()
+    reference = R @ shell.reference + at
+    acts, across = centre, normal
+    if parameters.get("drag_at_reference"):
+        acts, across = reference, R @ _TILTED
+    slid = twist[:3] + np.cross(twist[3:], acts - at)
+    slid = slid - across * (across @ slid)
+    speed = np.linalg.norm(slid)
+    force = np.zeros(3)
+    if mu := parameters.get("friction_coefficient"):
+        size = mu * max(normal @ contact_force, 0.0)
+        force -= size * slid / max(speed, parameters.get("drag_deadband", 2e-3))
+    if c := parameters.get("viscous_coefficient"):
+        sectors = int(parameters.get("viscous_sectors", 1))
+        bands = int(parameters.get("viscous_bands", 1))
+        turned = np.arctan2(centre[1], centre[0]) % (2 * np.pi) / (2 * np.pi)
+        share = (centre[2] - grid.z_min) / (grid.z_max - grid.z_min)
+        region = int(turned * sectors) * bands + int(np.clip(share, 0, 0.999) * bands)
+        force -= parameters.get(f"viscous_coefficient_{region}", c) * slid
+    return np.concatenate([force, np.cross(acts - reference, force)])

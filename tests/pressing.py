@@ -1,0 +1,24 @@
+"""A field that pushes, with drag where asked for, and a pose deep in it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttus_opt.field import PotentialField
+from ttus_opt.scene import Scene
+
+DRAG = {"friction_coefficient": 0.3}
+TWIST = np.array([0.03, -0.02, 0.05, 0.4, 0.2, -0.3])
+
+
+def pressing(
+    scene: Scene, parameters: dict[str, float] | None = None
+) -> PotentialField:
+    """The Laplace field of a scene, which pushes."""
+    values = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
+    return PotentialField(scene.voxmap, values, scene.sampling, parameters or {})
+
+
+def deepest_pose(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    k = int(scene.rows.contact_points.argmax())
+    return scene.trajectory.rotation[k], scene.trajectory.position[k]
