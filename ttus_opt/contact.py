@@ -178,29 +178,48 @@ def within(radius_squared: float, z: float, limits: Array) -> bool:
     return not (radius_squared > limits[2] * limits[2] or z > limits[6])
 
 
+# Loops over entries here, no assignments of whole arrays and no numpy sort: each of
+# those costs the compiler seconds, and a fit waits for them the first time.
+
+
 @compiled()
-def _append(
-    count: int,
-    touched: NDArray[np.int32],
-    sums: Array,
-    indices: NDArray[np.int32],
-    values: Array,
-    used: int,
+def _grown(
+    indices: NDArray[np.int32], values: Array, used: int, need: int
 ) -> tuple[NDArray[np.int32], Array]:
-    """Add one pose's voxels, sorted, to growing arrays (compiled)."""
-    if used + count > indices.size:
-        size = max(2 * indices.size, used + count)
-        grown = np.empty(size, dtype=np.int32)
-        grown[:used] = indices[:used]
-        grown_values = np.empty((size, 6))
-        grown_values[:used] = values[:used]
-        indices, values = grown, grown_values
-    order = np.argsort(touched[:count])
-    for a in range(count):
-        indices[used + a] = touched[order[a]]
+    """The same with room for more, copied only where there is none (compiled)."""
+    if need <= indices.size:
+        return indices, values
+    size = max(2 * indices.size, need)
+    more, more_values = np.empty(size, dtype=np.int32), np.empty((size, 6))
+    for a in range(used):
+        more[a] = indices[a]
         for c in range(6):
-            values[used + a, c] = sums[order[a], c]
-    return indices, values
+            more_values[a, c] = values[a, c]
+    return more, more_values
+
+
+@compiled()
+def _sort(keys: NDArray[np.int32], order: NDArray[np.int64], count: int) -> None:
+    """Make ``order`` the order in which keys ascend, by heap sort (compiled)."""
+    for a in range(count):
+        order[a] = a
+    start, end = count // 2, count
+    while end > 1:
+        if start > 0:
+            start -= 1
+        else:
+            end -= 1
+            order[0], order[end] = order[end], order[0]
+        root, child = start, 2 * start + 1
+        moved = order[root]
+        while child < end:
+            if child + 1 < end and keys[order[child]] < keys[order[child + 1]]:
+                child += 1
+            if keys[order[child]] <= keys[moved]:
+                break
+            order[root] = order[child]
+            root, child = child, 2 * child + 1
+        order[root] = moved
 
 
 @compiled()
@@ -244,7 +263,7 @@ def _pose_rows(
     slot = np.full(shape[0] * shape[1] * shape[2], -1, dtype=np.int32)
     touched = np.empty(8 * n_points, dtype=np.int32)
     sums = np.empty((8 * n_points, 6))
-    hits = np.empty(8 * n_points)
+    hits, order = np.empty(8 * n_points), np.empty(8 * n_points, dtype=np.int64)
     voxels, shares = np.empty(8, dtype=np.int64), np.empty(8)
     limit = radius.max() ** 2
     for t in range(n_poses):
@@ -281,15 +300,20 @@ def _pose_rows(
                 if c < 0:
                     c, count = count, count + 1
                     slot[voxels[e]], touched[c] = c, voxels[e]
-                    sums[c], hits[c] = 0.0, 0.0
+                    hits[c] = 0.0
+                    for entry in range(6):
+                        sums[c, entry] = 0.0
                 hits[c] += 1.0
                 _add(sums[c], weight * shares[e], R, points[m], normals[m], reference)
-        for c in range(count):
-            slot[touched[c]] = -1
-            if not trilinear:
-                sums[c] /= hits[c]
         used = indptr[t]
-        indices, values = _append(count, touched, sums, indices, values, used)
+        indices, values = _grown(indices, values, used, used + count)
+        _sort(touched, order, count)
+        for a in range(count):
+            c = order[a]
+            slot[touched[c]] = -1
+            indices[used + a] = touched[c]
+            for e in range(6):
+                values[used + a, e] = sums[c, e] if trilinear else sums[c, e] / hits[c]
         indptr[t + 1] = used + count
     used = indptr[n_poses]
     return (
