@@ -169,19 +169,26 @@ def fitted_estimates(
     values = {name: solution.parameters[name] for name in fitted}
     if math.isnan(variance):
         return {n: Estimate(v, math.nan, NOTHING_WEIGHS) for n, v in values.items()}
-    undefined = {n for n, one in fitted.items() if not one.gradient}
-    if undefined:
-        return {n: Estimate(values[n], math.nan, NOTHING_PRESSES) for n in undefined}
+    if not all(one.gradient for one in fitted.values()):
+        return {n: Estimate(v, math.nan, NOTHING_PRESSES) for n, v in values.items()}
     ask = _Question(solution, fitted, variance, request)
     try:
         spread = ask.covariance()
     except _NoAnswerError as trouble:
         remark = f"its standard error cannot be told: {trouble}"
-        return {n: Estimate(v, math.nan, remark=remark) for n, v in values.items()}
-    errors = np.sqrt(np.diagonal(spread))
-    return {
+        errors = [math.nan] * len(fitted)
+    else:
+        remark, errors = "", np.sqrt(np.diagonal(spread)).tolist()
+    estimates = {
         name: judged_estimate(values[name], error, one.span, 0.0, ask.upper(one))
-        for (name, one), error in zip(fitted.items(), errors.tolist(), strict=True)
+        for (name, one), error in zip(fitted.items(), errors, strict=True)
+    }
+    # a value at a limit is doubted for that, whatever its error would have been
+    return {
+        name: estimate
+        if estimate.doubt or not remark
+        else replace(estimate, remark=remark)
+        for name, estimate in estimates.items()
     }
 
 

@@ -22,7 +22,8 @@ field) or member, so that none hides behind a larger one: ``primal`` over the me
 largest limit or value; ``dual`` in the Euclidean norm over the largest of the block's
 summands that should cancel; ``gap`` over the objective f(x), constant included. An
 objective that is zero but for rounding has no relative gap; there the distance √gap
-is judged, a hundred times as strictly, over that of x = 0, √f(0).
+is judged, a hundred times as strictly, over √f of nothing fitted (x = 0 but for what
+equalities hold), and where squares do not determine x the gap over that f.
 """
 
 from __future__ import annotations
@@ -198,7 +199,8 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
         violation = _largest_of(violation, member.violation)
         relative = _largest_of(relative, member.relative)
     fixed = held_by_equalities(program)
-    objective, scale = program.objective(x), program.objective(np.zeros_like(x))
+    # with nothing fitted: equalities keep what they hold, all else is zero
+    objective, scale = program.objective(x), program.objective(np.where(fixed, x, 0.0))
     missing, is_bound = _below(
         program,
         x,
@@ -213,7 +215,7 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
         gap,
         relative,
         blocks.worst(float(np.abs(x).max(initial=0.0))),
-        _relative_gap(gap, objective, scale),
+        _relative_gap(gap, objective, scale, is_bound),
         float(np.sqrt(gap)) if is_bound else None,
     )
 
@@ -243,12 +245,13 @@ def _held(constraint: ProgramConstraint, x: Array, r: Array, fixed: Mask) -> flo
     return float(np.abs(r[column] / entry * off).sum())
 
 
-def _relative_gap(gap: float, objective: float, scale: float) -> float:
-    """The gap over the objective, or strictly over that of x = 0."""
+def _relative_gap(gap: float, objective: float, scale: float, squares: bool) -> float:
+    """The gap over the objective, or strictly over that of nothing fitted."""
     if gap == 0.0:
         return 0.0
     by_objective = gap / max(abs(objective), _TINY)
-    by_distance = STRICTER * float(np.sqrt(gap / max(abs(scale), _TINY)))
+    share = gap / max(abs(scale), _TINY)
+    by_distance = STRICTER * (math.sqrt(share) if squares else share)
     return _least_of(by_objective, by_distance)
 
 

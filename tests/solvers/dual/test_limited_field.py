@@ -131,7 +131,7 @@ def test_limits_that_hardly_matter_end_the_search(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """What may be left is within the tolerance, also if it may be left at once."""
-    scene = contested(3, (12, 24, 14), noise=4.0)
+    scene = contested(2, (12, 24, 14), noise=4.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
     whole = solved(program, 1e-2)
     with monkeypatch.context() as soon:
