@@ -91,6 +91,7 @@ def test_found_on_a_bed_in_any_attitude(seed: int, upper: bool) -> None:
     assert axis.rotation[np.argmax(np.abs(axis.rotation[:, 2])), 2] > 0
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000))
 def test_found_without_a_bed(seed: int) -> None:

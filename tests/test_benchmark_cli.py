@@ -33,6 +33,7 @@ def typed(*words: str) -> int:
     return ended.value.code
 
 
+@pytest.mark.slow
 def test_own_scene_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = [*own_scene(), "--solvers", "osqp", "-o", str(tmp_path), "--json"]
     assert typed(*words) == 0

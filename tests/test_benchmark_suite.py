@@ -48,6 +48,7 @@ def small_suite(folder: Path, **other: object) -> Suite:
     return replace(made, **other)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_answers_agree_with_the_closed_form_and_are_not_run_twice(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -85,6 +86,7 @@ def test_answers_agree_with_the_closed_form_and_are_not_run_twice(
     assert [r.as_dict() for r in again] == [r.as_dict() for r in rows]
 
 
+@pytest.mark.slow
 def test_crash_is_a_row(tmp_path: Path) -> None:
     asked = small_suite(
         tmp_path / "out",
@@ -129,6 +131,7 @@ def test_memory_limit_is_a_row(tmp_path: Path) -> None:
     assert row.peak_memory_bytes > 2**30
 
 
+@pytest.mark.slow
 def test_a_run_that_is_refused_at_last_tells_its_memory(tmp_path: Path) -> None:
     """Refused by its own process, which had a size by then."""
     deed = """from ttus_opt.errors import InputError
@@ -218,6 +221,7 @@ def test_weight_is_everyones(tmp_path: Path) -> None:
     assert options["laplace_only"] == {}
 
 
+@pytest.mark.slow
 def test_contested_rows_say_how_many_limits_are_active(tmp_path: Path) -> None:
     case = replace(TINY, n_poses=24).contested("reversed")
     (row,) = small_suite(

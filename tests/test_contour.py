@@ -508,6 +508,7 @@ def true_radius(scan: Simulated, surface: Surface) -> Array:
     return np.where((height > low + 0.003) & (height < high - 0.003), truth, np.nan)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("frame", ["known", "estimated"])
 def test_ct_torso_seen_by_cameras(frame: str) -> None:
     scan = ct_scan()

@@ -321,6 +321,7 @@ def errors_on(field: PotentialField, shell: PointShell, path: Path) -> Errors:
     return evaluate(field, shell, tt.read_trajectory(path)).errors
 
 
+@pytest.mark.slow
 def test_friction_of_the_independent_phantom_on_a_coarse_grid(shared: Path) -> None:
     """μ within 10 %, unseen angles to about 3° against true forces, nothing lost."""
     folder = shared / "phantom"

@@ -224,6 +224,7 @@ def winding_numbers(points, corners):
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not PROBE.exists(), reason="shared probe mesh is not here")
 def test_real_probe_agrees_with_the_winding_number():
     mesh = read_mesh(PROBE, unit="mm")

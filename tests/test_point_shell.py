@@ -188,6 +188,7 @@ def test_a_missing_face_is_told_and_the_hull_closes_it():
     assert np.linalg.norm(closed.areas @ closed.normals) < 1e-15
 
 
+@pytest.mark.slow
 @needs_probe
 def test_real_probe():
     with pytest.warns(TtusWarning, match="contact face is missing"):

@@ -97,6 +97,7 @@ def test_other_weights(weights: dict[str, float]) -> None:
     assert last.innovation.shape == (len(last.components),)
 
 
+@pytest.mark.slow
 def test_400_random_measurements_equal_the_batch_fit() -> None:
     scene = small_scene("trilinear", n_poses=400)
     order = np.random.default_rng(7).permutation(400).tolist()

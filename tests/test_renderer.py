@@ -46,6 +46,7 @@ def test_render_is_the_row_of_the_fit(scene: Scene) -> None:
     assert touched > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
 def test_the_law_at_five_thousand_points(sampling: str) -> None:
     """Random poses, from the air to half sunk and over the ends of the grid."""

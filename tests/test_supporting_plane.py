@@ -26,6 +26,7 @@ def bed(rng: np.random.Generator, n: int, noise: float = 0.003) -> Array:
     return np.stack([x, noise * rng.standard_normal(n), rng.uniform(-0.3, 0.3, n)], 1)
 
 
+@pytest.mark.slow
 @settings(max_examples=10, deadline=None)
 @example(seed=2067, n_bed=1500, upper=False)  # escaped the first 600 trial planes
 @given(
@@ -47,6 +48,7 @@ def test_bed_is_found_in_any_attitude(seed: int, n_bed: int, upper: bool) -> Non
     assert not plane.above(flat @ turn.T + shift)[np.abs(flat[:, 1]) < 0.008].any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_no_bed_none_found(seed: int) -> None:
     rng = np.random.default_rng(seed)

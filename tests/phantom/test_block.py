@@ -30,6 +30,7 @@ def hertz_error(pitch, depth=8e-4):
     return forces / hertz_force(depth, RADIUS, YOUNG, POISSON) - 1.0
 
 
+@pytest.mark.slow
 def test_force_converges_to_hertz_with_refinement():
     # Contact radius 6.3 mm: 1.6, 2.1 and 2.6 nodes per radius.
     errors = [hertz_error(pitch) for pitch in (4e-3, 3e-3, 2.4e-3)]

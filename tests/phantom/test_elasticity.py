@@ -47,12 +47,14 @@ def test_confined_column_has_the_oedometric_modulus():
     assert patch.compliance @ areas == pytest.approx(4.0 / modulus, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_compliance_is_symmetric_positive_definite(coarse_patch):
     c = coarse_patch.compliance
     assert np.abs(c - c.T).max() < 1e-11 * c.max()
     assert np.linalg.eigvalsh(c).min() > 1e-3 * np.linalg.eigvalsh(c).max() / len(c)
 
 
+@pytest.mark.slow
 def test_ribs_and_lump_make_the_skin_stiffer(coarse_body, coarse_patch):
     soft = dataclasses.replace(coarse_body, young=lambda p: np.full(p.shape[1:], 20e3))
     difference = skin_compliance(soft).compliance - coarse_patch.compliance
@@ -61,6 +63,7 @@ def test_ribs_and_lump_make_the_skin_stiffer(coarse_body, coarse_patch):
     assert difference.trace() > 0.01 * coarse_patch.compliance.trace()
 
 
+@pytest.mark.slow
 def test_saved_and_loaded_patch_is_the_same(coarse_patch, tmp_path):
     file = tmp_path / "skin.npz"
     coarse_patch.save(file)

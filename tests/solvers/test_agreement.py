@@ -24,8 +24,12 @@ from ttus_opt.solvers.registry import solvers
 #: Asked of every solver
 TOLERANCE = 1e-7
 
-#: Half a minute and more
-SLOW = {("proxqp", "total_variation")}
+#: Five seconds and more
+SLOW = {
+    ("proxqp", "total_variation"),
+    ("scs", "sparse_sources"),
+    ("cvxpy_scs", "total_variation"),
+}
 
 
 @functools.cache

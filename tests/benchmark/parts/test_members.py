@@ -43,6 +43,7 @@ def measured(part: Part, folder: Path) -> list[Figures]:
     return [same | row for row in rows]
 
 
+@pytest.mark.slow
 @every_part
 def test_figures_are_complete_and_told(part: Part, tmp_path: Path) -> None:
     rows = measured(part, tmp_path)
@@ -70,6 +71,7 @@ def test_plan_survives_json(part: Part) -> None:
         assert {s.key for s in other}.isdisjoint(s.key for s in plan)
 
 
+@pytest.mark.slow
 def test_assembly_and_rendering_do_the_same_as_their_references(
     tmp_path: Path,
 ) -> None:

@@ -25,6 +25,7 @@ def small_suite(folder: Path, cases: Sequence[CaseSpec] = (TINY,)) -> PartSuite:
     return PartSuite(["assembly"], cases, folder, time_limit=60.0)
 
 
+@pytest.mark.slow
 def test_runs_once_and_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = small_suite(tmp_path)
     rows = asked.run()
@@ -55,6 +56,7 @@ def test_failures_are_rows(tmp_path: Path) -> None:
     assert "memory limit: ended during" in parts()["assembly"].table([row])
 
 
+@pytest.mark.slow
 def test_failures_say_which_run_they_are(tmp_path: Path) -> None:
     gone = replace(TINY, name="gone", surface=str(tmp_path / "no.nc"))
     rows = PartSuite(["rendering"], [gone], tmp_path).run()["rendering"]

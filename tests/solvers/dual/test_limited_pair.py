@@ -103,6 +103,7 @@ def active_limits(program: Program, candidate: Candidate) -> int:
     return int(np.count_nonzero(sizes > 1e-6 * sizes.max()))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1.0, 0.1, 0.02])
 @pytest.mark.parametrize("weight", [1.0, 100.0])
 @pytest.mark.parametrize("forces", [(1.0, 2.0), (-3.0, 0.3), (-3.0, 2.0)])
@@ -111,6 +112,7 @@ def test_contested(forces: tuple[float, float], weight: float, share: float) -> 
     check(coulomb(scene, weight, largest_friction=share), least_active=3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [1.0, 100.0])
 @pytest.mark.parametrize("share", [1.0, 0.1])
 def test_carefully_from_the_first_face_on(
@@ -130,6 +132,7 @@ def test_stiff_and_soft_drag(smoothness: float, share: float) -> None:
     check(declared, least_active=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_share_below_what_was_put_in(seed: int) -> None:
     """Measurements without noise that want three times what is allowed."""
@@ -145,6 +148,7 @@ def test_a_share_below_what_was_put_in(seed: int) -> None:
     assert (q * region).min() >= -1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1.0, 0.1])
 def test_with_given_values_sign_and_bounds(share: float) -> None:
     scene = contested(3, scale=-3.0)
