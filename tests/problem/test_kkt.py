@@ -154,3 +154,71 @@ def test_equal_bounds_share_no_multiplier() -> None:
     problem = program(1, [squares([9.0])], (), (both[0], both[1]))
     split = bound_duals(problem, np.array([16.0]))
     assert (split["one"].item(), split["two"].item()) == (16.0, 0.0)
+
+
+def test_the_gap_alone_can_refuse_an_answer() -> None:
+    """min (x-2)², x ≤ 3 at x = 1.5 with y = 1: r = 0, but the limit is 1.5 away."""
+    problem = program(1, [squares([2.0])], (rows("cap", [[1.0]], -np.inf, 3.0),))
+    kkt = kkt_residuals(problem, np.array([1.5]), Duals({"cap": np.array([1.0])}))
+    assert (kkt.primal, kkt.dual) == (0.0, 0.0)
+    assert kkt.gap == pytest.approx(1.5)
+    assert kkt.gap_relative == pytest.approx(1.5 / 0.25)
+    assert kkt.worst_relative == kkt.gap_relative
+    # of a bound the same
+    box = ProgramBounds("box", np.array([-np.inf]), np.array([3.0]))
+    kkt = kkt_residuals(
+        program(1, [squares([2.0])], (), (box,)),
+        np.array([1.5]),
+        Duals({}, np.array([1.0])),
+    )
+    assert kkt.gap == pytest.approx(1.5)
+
+
+def test_lower_limits_are_checked_as_upper_ones_are() -> None:
+    low = rows("low", [[1.0, 0.0]], 2.0, np.inf)
+    problem = program(2, [squares([0, 0])], (low,))
+    kkt = kkt_residuals(problem, np.array([0.5, 0.0]), Duals())
+    assert kkt.primal == 1.5
+    assert kkt.primal_relative == pytest.approx(0.75)
+    box = ProgramBounds("box", np.array([2.0, -9]), np.array([9.0, 9]))
+    kkt = kkt_residuals(
+        program(2, [squares([0, 0])], (), (box,)), np.array([0.5, 0.0]), Duals()
+    )
+    assert kkt.primal == 1.5
+
+
+def test_rounding_of_rows_that_cancel_is_no_error() -> None:
+    """(x - y)² at x ≈ y: judged against what rounding leaves of a row."""
+    row = sp.csr_array(np.array([[1.0, -1.0]]))
+    problem = program(2, [ProgramTerm("difference", 1.0, row, np.zeros(1))])
+    off = 1e-9
+    kkt = kkt_residuals(problem, np.array([1.0, 1.0 - off]), Duals())
+    assert kkt.dual == pytest.approx(2.0 * np.sqrt(2.0) * off, rel=1e-6)
+    assert kkt.dual_relative == pytest.approx(kkt.dual / 4e-6, rel=1e-6)
+
+
+def test_every_block_is_judged_by_its_own_summands() -> None:
+    """A small parameter beside a large field: its wrong value is no rounding."""
+    field = sp.csr_array(np.array([[1e6, 0.0]]))
+    small = sp.csr_array(np.array([[0.0, 1e-3]]))
+    problem = Program(
+        {"p": slice(0, 1), "c": slice(1, 2)},
+        (
+            ProgramTerm("field", 1.0, field, np.array([1e6])),
+            ProgramTerm("parameter", 1.0, small, np.array([1e-3])),
+        ),
+        (),
+        (),
+        LAPLACE,
+    )
+    assert_optimal(kkt_residuals(problem, np.array([1.0, 1.0]), Duals()))
+    wrong = kkt_residuals(problem, np.array([1.0, 0.5]), Duals())
+    assert wrong.dual_relative == pytest.approx(0.5)
+
+
+def test_an_objective_that_vanishes_is_judged_by_the_distance() -> None:
+    problem = program(1, [squares([4.0])])
+    for off in (1e-9, 1e-6):
+        kkt = kkt_residuals(problem, np.array([4.0 + off]), Duals())
+        assert kkt.gap_relative == pytest.approx(100.0 * off / 4.0, rel=0.1)
+        assert kkt.distance == pytest.approx(off, rel=0.1)

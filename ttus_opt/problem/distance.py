@@ -10,41 +10,56 @@ section 5.5.1):
 A relative residual alone tells neither: where the field is large and the weights of
 the measurements are small, an answer that ignores all measurements has a small one.
 
-rᵀP⁻¹r is found by conjugate gradients on P e = r, preconditioned by L⁻¹L⁻ᵀ on fields
-and by the diagonal elsewhere. After k steps it lies between what the steps have
-summed up and that plus ρ_k/θ, with ρ_k the residual in the preconditioner's norm and θ
-the least eigenvalue of the preconditioned P (Golub and Strakoš, Numer. Algorithms 8,
-1994): θ ≥ 1 where P contains the Laplace term that the preconditioner is made of, and
-the least Ritz value of the steps elsewhere.
+Of P⁻¹ the Laplace terms' part is known exactly, A⁻¹ = L⁻¹Ω L⁻ᵀ/2w. With rows R beside:
+
+- fields only: P = A + RᵀR ⪰ A, so that rᵀA⁻¹r is a bound. Conjugate gradients
+  preconditioned by A bring it closer: after some steps rᵀP⁻¹r lies between what they
+  have summed up and that plus their residual's square in A⁻¹ (Golub and Strakoš,
+  Numer. Algorithms 8, 1994).
+- parameters c beside, with columns E of R: eliminating the fields from half of A gives
+  P ⪰ ½A ⊕ Eᵀ(I + 2K)⁻¹E ⪰ ½A ⊕ EᵀE/(1 + 2κ), K = R A⁻¹Rᵀ and κ its largest
+  eigenvalue, by a few steps of the power method and generously. A parameter within a
+  Laplace term, L q + C c, is first taken out of it: q′ = q + L⁻¹C c.
+- neither (a user's prior, another operator): conjugate gradients until nothing is left
+  of r, or nothing is told.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import eigvalsh_tridiagonal
 
 from ttus_opt.errors import NumericalError
+from ttus_opt.laplace import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.base import Penalty
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
+_Map = Callable[[Array], Array]
 
-#: Most steps; where they do not suffice nothing is told
+#: Most steps of conjugate gradients; where they do not suffice nothing is told
 MAX_STEPS = 80
 
-#: The bound is close enough when it is this much above what is certain [–]
+#: A bound is close enough when it is this much above what is certain [–]
 CLOSE = 0.1
+
+#: Part of r's square that may be left where no bound is known but by solving [–]
+NOTHING = 1e-12
 
 #: Relative residual of the solves with L inside the preconditioner [–]
 RTOL = 1e-6
 
-#: A term is like L where it has this share of L's entries; fewer do not hold a field
-#: as L does, and L⁻¹L⁻ᵀ would be no preconditioner [–]
-ALIKE = 0.9
+#: Most parameters beside the fields: each costs a column
+MOST = 64
+
+#: Steps of the power method, their accuracy, and what its answer is multiplied by [–]
+POWER, ROUGHLY, GENEROUS = 3, 1e-2, 3.0
 
 _TINY = np.finfo(float).tiny
 
@@ -70,149 +85,218 @@ def energy(
     squares = [t for t in program.terms if t.penalty is Penalty.SQUARES and t.weight]
     if not squares:
         return None
-    preconditioner = _Preconditioner(program, squares, fixed)
-    if r[preconditioner.untouched].any():  # no square holds these, r pulls at them
-        return None
+    fields = _fields(program, squares, fixed)
+    held = sum(f.part.stop - f.part.start for f in fields)
     try:
-        return _bounded(squares, preconditioner, r, enough)
+        if fields and held == len(r):
+            first = 0.5 * (1.0 + CLOSE) * sum(f.square(r, CLOSE**2) for f in fields)
+            if first <= enough:
+                return first
+            return _by_steps(squares, fields, fixed, r, enough)
+        if fields and len(r) - held <= MOST:
+            return _beside_parameters(squares, fields, r)
+        return _by_solving(program, squares, fixed, r)
     except NumericalError:  # of the multigrid: what cannot be solved bounds nothing
         return None
 
 
-def _bounded(
-    squares: list[ProgramTerm], preconditioner: _Preconditioner, r: Array, enough: float
+@dataclass(frozen=True)
+class _Field:
+    """A variable over the voxels and the Laplace term that holds it.
+
+    Attributes:
+        part: Where it lies in x.
+        term: The term.
+        laplace: Solves with L.
+        softness: Ω, inverse squares of what L's rows are multiplied by, zero where a
+            value is fixed, shape (V,) [–].
+    """
+
+    part: slice
+    term: ProgramTerm
+    laplace: LaplaceSystem
+    softness: Array = field(repr=False)
+
+    def square(self, r: Array, rtol: float) -> float:
+        """The field's part of rᵀA⁻¹r."""
+        u = self.laplace.solve_adjoint(r[self.part], rtol=rtol)
+        return float((self.softness * u) @ u) / (2.0 * self.term.weight)
+
+    def inverse(self, r: Array, rtol: float) -> Array:
+        """The field's part of A⁻¹r, shape (V,)."""
+        u = self.softness * self.laplace.solve_adjoint(r[self.part], rtol=rtol)
+        return self.laplace.solve(u, rtol=rtol) / (2.0 * self.term.weight)
+
+
+def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_Field]:
+    """The variables that a Laplace term of their own holds; none unless all are."""
+    laplace, found = program.laplace, []
+    if laplace is None:
+        return []
+    V = len(laplace.free)
+    for part in program.variables.values():
+        if part.stop - part.start != V:
+            continue
+        holds = [t for t in squares if _is_laplace(t, part, laplace, fixed[part])]
+        if not holds:
+            return []
+        scale = holds[0].laplace_scale
+        softness = np.ones(V) if scale is None else 1.0 / scale**2
+        softness[fixed[part]] = 0.0
+        found.append(_Field(part, holds[0], laplace, softness))
+    return found
+
+
+def _is_laplace(
+    term: ProgramTerm, part: slice, laplace: LaplaceSystem, fixed: Mask
+) -> bool:
+    """Whether a term's rows over a variable are those of L, or scaled free ones."""
+    L, own = laplace.L, term.matrix
+    scale = term.laplace_scale
+    if scale is not None:  # of the free rows; the others' values must be fixed
+        if not fixed[~laplace.free].all():
+            return False
+        L = sp.csr_array(sp.diags_array(scale[laplace.free]) @ L[laplace.free])
+    if own.shape[0] != L.shape[0] or own.nnz < L.nnz:
+        return False
+    if own.shape[1] != L.shape[1]:
+        own = sp.csr_array(own[:, part])
+    return bool(
+        own.nnz == L.nnz
+        and np.array_equal(own.indptr, L.indptr)
+        and np.array_equal(own.indices, L.indices)
+        and np.allclose(own.data, L.data, rtol=1e-12, atol=0.0)
+    )
+
+
+def _by_steps(
+    squares: list[ProgramTerm],
+    fields: list[_Field],
+    fixed: Mask,
+    r: Array,
+    enough: float,
 ) -> float | None:
-    """The conjugate gradients of the module's docstring."""
-    if preconditioner.is_below:  # the first bound may do, at a tenth of the price
-        bound = 0.5 * (1.0 + CLOSE) * preconditioner.square(r, CLOSE**2)
-        if bound <= enough:
-            return bound
-    z = preconditioner.apply(r)
-    rho, known, direction = float(r @ z), 0.0, z
-    diagonal: list[float] = []
-    beside: list[float] = []
-    last_alpha, beta = 1.0, 0.0
-    for step in range(MAX_STEPS):
-        if not np.isfinite(rho) or rho < 0.0:
-            return None
-        least = _least(diagonal, beside, preconditioner.is_below)
-        if least > 0.0:
-            bound = 0.5 * (known + rho / least)
-            if bound <= enough or rho / least <= CLOSE * known:
-                return bound
-        image = np.where(preconditioner.fixed, 0.0, _curved(squares, direction))
-        curvature = float(direction @ image)
-        if not curvature > 0.0:
-            return None
-        alpha = rho / curvature
-        diagonal.append(1.0 / alpha + (beta / last_alpha if step else 0.0))
-        known += alpha * rho
-        r = r - alpha * image
-        z = preconditioner.apply(r)
-        before, rho = rho, float(r @ z)
-        last_alpha, beta = alpha, max(rho, 0.0) / before
-        beside.append(np.sqrt(beta) / alpha)
-        direction = z + beta * direction
-        if rho <= _TINY:
-            return 0.5 * known
+    """Fields only: conjugate gradients until what is summed up comes close."""
+
+    def precondition(values: Array) -> Array:
+        out = np.empty_like(values)
+        for one in fields:
+            out[one.part] = one.inverse(values, RTOL)
+        return out
+
+    for known, rho in _steps(squares, fixed, r, precondition):
+        if 0.5 * (known + rho) <= enough or rho <= CLOSE * known:
+            return 0.5 * (known + rho)
     return None
 
 
-def _least(diagonal: list[float], beside: list[float], is_below: bool) -> float:
-    """A least eigenvalue of the preconditioned P; 0 while nothing is known."""
-    if is_below:
-        return 1.0
-    if len(diagonal) < 2:
-        return 0.0
-    ritz = eigvalsh_tridiagonal(
-        np.array(diagonal), np.array(beside[:-1]), select="i", select_range=(0, 0)
-    )
-    return float(ritz[0])
-
-
-def _curved(squares: list[ProgramTerm], x: Array) -> Array:
-    """P x, shape (n,)."""
-    total = np.zeros_like(x)
+def _by_solving(
+    program: Program, squares: list[ProgramTerm], fixed: Mask, r: Array
+) -> float | None:
+    """Conjugate gradients until nothing is left, with what preconditioner there is."""
+    diagonal = np.zeros(len(r))
     for term in squares:
-        total += 2.0 * term.weight * (term.matrix.T @ (term.matrix @ x))
-    return total
+        own = np.asarray(term.matrix.multiply(term.matrix).sum(axis=0))
+        diagonal += 2.0 * term.weight * own.reshape(-1)
+    if r[diagonal == 0.0].any():  # no square holds these, and r pulls at them
+        return None
+    laplace = program.laplace
+    like_L = laplace is not None and any(
+        t.matrix.shape == laplace.L.shape and 10 * t.matrix.nnz > 9 * laplace.L.nnz
+        for t in squares
+    )
+
+    def precondition(values: Array) -> Array:
+        if like_L and len(values) == len(laplace.free):
+            u = laplace.solve_adjoint(values, rtol=RTOL)
+            u[fixed] = 0.0
+            return laplace.solve(u, rtol=RTOL)
+        return np.where(diagonal > 0.0, values / np.maximum(diagonal, _TINY), 0.0)
+
+    first = None
+    for known, rho in _steps(squares, fixed, r, precondition):
+        first = rho if first is None else first
+        if rho <= NOTHING * first:
+            return 0.5 * known * (1.0 + CLOSE)
+    return None
 
 
-class _Preconditioner:
-    """About P⁻¹: (2w LᵀL)⁻¹ on fields that a term like L holds, else a diagonal.
-
-    Attributes:
-        fixed: Variables that do not move, shape (n,).
-        untouched: Variables that no square touches, shape (n,).
-        is_below: Whether P ⪰ its inverse for certain.
-    """
-
-    def __init__(
-        self, program: Program, squares: list[ProgramTerm], fixed: Mask
-    ) -> None:
-        self.fixed = fixed
-        self._laplace = program.laplace
-        self._fields: list[tuple[slice, float, Mask]] = []
-        self._diagonal = np.zeros(program.n_variables)
-        rest = np.ones(program.n_variables, dtype=bool)
-        for part in program.variables.values():
-            weight = self._laplace_weight(squares, part)
-            if weight > 0.0:
-                self._fields.append((part, weight, fixed[part]))
-                rest[part] = False
-        self.is_below = not rest.any() and _holds_laplace(program)
-        if rest.any():
-            for term in squares:
-                own = np.asarray(term.matrix.multiply(term.matrix).sum(axis=0))
-                self._diagonal += 2.0 * term.weight * own.reshape(-1)
-        self._diagonal[~rest] = 0.0
-        self.untouched = rest & (self._diagonal == 0.0)
-
-    def _laplace_weight(self, squares: list[ProgramTerm], part: slice) -> float:
-        """Weight of the term that holds a variable as L does; 0 without one."""
-        laplace, n = self._laplace, part.stop - part.start
-        if laplace is None or len(laplace.free) != n:
-            return 0.0
+def _steps(
+    squares: list[ProgramTerm], fixed: Mask, r: Array, precondition: _Map
+) -> Iterator[tuple[float, float]]:
+    """Conjugate gradients on P e = r: what is summed up of rᵀP⁻¹r, and ρ, each step."""
+    z = np.where(fixed, 0.0, precondition(r))
+    rho, known, direction = float(r @ z), 0.0, z
+    for _ in range(MAX_STEPS):
+        if not (np.isfinite(rho) and rho >= 0.0):
+            return
+        yield known, rho
+        image = np.zeros_like(r)
         for term in squares:
-            indices = term.matrix.indices
-            if term.matrix.nnz < ALIKE * laplace.L.nnz - n:
-                continue
-            within = np.count_nonzero((indices >= part.start) & (indices < part.stop))
-            if within >= ALIKE * laplace.L.nnz - n:
-                return term.weight
-        return 0.0
-
-    def square(self, r: Array, rtol: float) -> float:
-        """A residual's square in the preconditioner's norm, fields only."""
-        total = 0.0
-        for part, weight, fixed in self._fields:
-            u = self._laplace.solve_adjoint(r[part], rtol=rtol)
-            total += float(u[~fixed] @ u[~fixed]) / (2.0 * weight)
-        return total
-
-    def apply(self, r: Array) -> Array:
-        """Times a residual, shape (n,)."""
-        positive = self._diagonal > 0.0
-        out = np.where(positive, r / np.where(positive, self._diagonal, 1.0), 0.0)
-        for part, weight, fixed in self._fields:
-            u = self._laplace.solve_adjoint(r[part], rtol=RTOL)
-            u[fixed] = 0.0  # identity rows: what is fixed has no share in L e
-            out[part] = self._laplace.solve(u, rtol=RTOL) / (2.0 * weight)
-        out[self.fixed] = 0.0
-        return out
+            image += 2.0 * term.weight * (term.matrix.T @ (term.matrix @ direction))
+        image[fixed] = 0.0
+        curvature = float(direction @ image)
+        if not curvature > 0.0:
+            return
+        alpha = rho / curvature
+        known, r = known + alpha * rho, r - alpha * image
+        z = np.where(fixed, 0.0, precondition(r))
+        before, rho = rho, float(r @ z)
+        direction = z + (rho / before) * direction
 
 
-def _holds_laplace(program: Program) -> bool:
-    """Whether the objective holds the squares of L p itself."""
-    term = program.laplace_term
-    if term is None or program.laplace is None or term.penalty is not Penalty.SQUARES:
-        return False
-    own, L = term.matrix, program.laplace.L
-    if own is L:
-        return True
-    same = own.shape == L.shape and np.array_equal(own.indptr, L.indptr)
-    same = same and np.array_equal(own.indices, L.indices)
-    return bool(same and np.array_equal(own.data, L.data))
+def _beside_parameters(
+    squares: list[ProgramTerm], fields: list[_Field], r: Array
+) -> float | None:
+    """Fields and a few parameters: the second inequality of the module's docstring."""
+    others = np.ones(len(r), dtype=bool)
+    for one in fields:
+        others[one.part] = False
+    own = [one.term for one in fields]
+    rest = [t for t in squares if not any(t is mine for mine in own)]
+    scaled = [np.sqrt(2.0 * t.weight) * t.matrix for t in rest]
+    R = sp.csr_array(sp.vstack([sp.csr_array((0, len(r))), *scaled]))
+    at = np.flatnonzero(others)
+    E, pull = R[:, at].toarray(), r[at].copy()
+    for one in fields:
+        C = one.term.matrix[:, at].toarray()
+        for k in np.flatnonzero(C.any(axis=0)):
+            if one.term.laplace_scale is not None:
+                return None
+            column = one.laplace.solve(C[:, k], rtol=RTOL)
+            E[:, k] -= R[:, one.part] @ column
+            pull[k] -= float(column @ r[one.part])
+    parts = [(one, sp.csr_array(R[:, one.part])) for one in fields]
+    for one in fields:  # a field's term may hold no other field
+        for other in fields:
+            if other is not one and one.term.matrix[:, other.part].nnz:
+                return None
+    square = E.T @ E
+    size, turn = np.linalg.eigh(square)
+    told = size > 1e-10 * max(float(size.max(initial=0.0)), _TINY)
+    along = turn.T @ pull
+    if np.abs(along[~told]).max(initial=0.0) > 1e-10 * np.abs(pull).max(initial=0.0):
+        return None
+    open_ = float((along[told] ** 2 / size[told]).sum())
+    total = 2.0 * (1.0 + CLOSE) * sum(one.square(r, CLOSE**2) for one in fields)
+    return 0.5 * (total + (1.0 + 2.0 * _largest(parts, len(r))) * open_)
+
+
+def _largest(parts: list[tuple[_Field, sp.csr_array]], n: int) -> float:
+    """About the largest eigenvalue of K = R A⁻¹Rᵀ, and rather more."""
+    y = np.random.default_rng(0).normal(size=parts[0][1].shape[0])
+    size = 0.0
+    for _ in range(POWER):
+        length = float(np.linalg.norm(y))
+        if length == 0.0:
+            return 0.0
+        y, image = y / length, np.zeros_like(y)
+        for one, rows in parts:
+            load = np.zeros(n)
+            load[one.part] = rows.T @ y
+            image += rows @ one.inverse(load, ROUGHLY)
+        size, y = max(size, float(np.linalg.norm(image))), image
+    return GENEROUS * size
 
 
 def held_by_equalities(program: Program) -> Mask:
