@@ -222,3 +222,15 @@ def test_an_objective_that_vanishes_is_judged_by_the_distance() -> None:
         kkt = kkt_residuals(problem, np.array([4.0 + off]), Duals())
         assert kkt.gap_relative == pytest.approx(100.0 * off / 4.0, rel=0.1)
         assert kkt.distance == pytest.approx(off, rel=0.1)
+
+
+def test_a_member_of_zeros_is_not_judged_by_its_rounding() -> None:
+    """x₂ ≥ 0 at -1e-16 beside x₁ = 3: its own largest value is that rounding."""
+    box = ProgramBounds("zero", np.array([-np.inf, 0.0]), np.array([np.inf, 0.0]))
+    part = ProgramBounds("zero", box.lower, box.upper, slice(1, 2))
+    problem = program(2, [squares([3.0, 0.0])], (), (part,))
+    kkt = kkt_residuals(problem, np.array([3.0, -1e-16]), Duals())
+    assert kkt.primal == 1e-16
+    assert kkt.primal_relative < 1e-9
+    off = kkt_residuals(problem, np.array([3.0, -1e-3]), Duals())
+    assert off.primal_relative == pytest.approx(1.0)

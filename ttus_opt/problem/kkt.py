@@ -195,9 +195,10 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
         blocks.add_stray(constraint.matrix.T @ stray)
         value = constraint.matrix @ x
         gap += _complementarity(y, constraint.lower, constraint.upper, value)
+    least = _ROUNDING * float(np.abs(x).max(initial=0.0))
     for member in members:
         violation = _largest_of(violation, member.violation)
-        relative = _largest_of(relative, member.relative)
+        relative = _largest_of(relative, member.relative(least))
     fixed = held_by_equalities(program)
     # with nothing fitted: equalities keep what they hold, all else is zero
     objective, scale = program.objective(x), program.objective(np.where(fixed, x, 0.0))
@@ -314,11 +315,15 @@ class _Member:
         below, above = self.lower - self.value, self.value - self.upper
         return _largest_of(float(np.max(below)), float(np.max(above)), 0.0)
 
-    @property
-    def relative(self) -> float:
-        """The same over the largest finite limit or value [–]."""
+    def relative(self, least: float) -> float:
+        """The same over the largest finite limit or value [–].
+
+        Args:
+            least: What counts at least as that: values of a member that are all
+                zero but for rounding have no size of their own.
+        """
         violation = self.violation
-        return violation / _largest_of(self._span, _TINY) if violation else 0.0
+        return violation / _largest_of(self._span, least, _TINY) if violation else 0.0
 
     @property
     def _span(self) -> float:
