@@ -371,7 +371,7 @@ def test_friction_of_the_independent_phantom(shared: Path, kind: str) -> None:
         bare = errors_on(ideal, scene.shell, without / f"{name}_truth.csv")
         assert before.force_angle_error_deg > 12.0
         # 1.44° beside 1.05° without any drag at worst
-        assert true.force_angle_error_deg < min(2.0, bare.force_angle_error_deg + 0.5)
+        assert true.force_angle_error_deg < min(3.0, bare.force_angle_error_deg + 0.5)
         assert after.force_magnitude_error_N < before.force_magnitude_error_N
         assert true.force_magnitude_error_N < bare.force_magnitude_error_N * 1.03
         assert after.torque_magnitude_error_Nm < before.torque_magnitude_error_Nm * 1.03
