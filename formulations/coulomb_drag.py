@@ -13,11 +13,11 @@ Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 from ttus_opt.constraints.drag_limit import DragLimit
 from ttus_opt.constraints.drag_sign import DragSign
 from ttus_opt.constraints.mean_friction import MeanFriction
-from ttus_opt.drag_estimate import estimate_drag
-from ttus_opt.friction import DEADBAND
+from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 from ttus_opt.terms.drag import CoulombField
+from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.drag_force import DragForceTerm
 from ttus_opt.terms.drag_smoothness import DragSmoothnessTerm
 from ttus_opt.terms.drag_torque import DragTorqueTerm

@@ -18,11 +18,11 @@ drag or not; with ℓ the ratio of the sensor's torque noise to its force noise
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """
 
-from ttus_opt.drag_estimate import estimate_drag
-from ttus_opt.friction import DEADBAND
+from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.terms.drag import GlobalCoulomb
+from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.drag_force import DragForceTerm
 from ttus_opt.terms.drag_torque import DragTorqueTerm
 from ttus_opt.terms.laplace import LaplaceTerm

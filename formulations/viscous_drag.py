@@ -7,10 +7,10 @@ Yeung, Black, Salcudean (2025), with a column for the drag it leaves out.
 """
 
 from ttus_opt.constraints.viscous_sign import ViscousSign
-from ttus_opt.drag_estimate import estimate_drag
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 from ttus_opt.terms.drag import Viscous
+from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.drag_force import DragForceTerm
 from ttus_opt.terms.drag_torque import DragTorqueTerm
 from ttus_opt.terms.laplace import LaplaceTerm

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import torso
-from ttus_opt.friction import Sliding, coulomb_rows
-from ttus_opt.point_shell import PointShell
+from ttus_opt.contact.friction import Sliding, coulomb_rows
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene
-from ttus_opt.trajectory import Trajectory
-from ttus_opt.voxmap import Voxmap
+from ttus_opt.voxmap.voxmap import Voxmap
 
 
 def dragged_scene(

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from tests.conftest import torso
-from ttus_opt.field import PotentialField
-from ttus_opt.grid import cylindrical
-from ttus_opt.point_shell import PointShell
-from ttus_opt.voxmap import Voxmap
+from ttus_opt.cylindrical import cylindrical
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(12, 30, 14), r_inner=0.03)

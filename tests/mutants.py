@@ -64,24 +64,31 @@ class Target:
 
 
 TARGETS = (
-    Target("metrics.py", ("test_metrics.py",)),
+    Target("report/metrics.py", ("report/test_metrics.py",)),
     Target("problem/kkt.py", ("problem/test_kkt.py",)),
-    Target("fitting.py", ("test_fitting.py",)),
-    Target("recursion.py", ("test_recursion.py",)),
-    Target("dual_recursion.py", ("test_dual_recursion.py",)),
-    Target("low_rank_kernel.py", ("test_low_rank_kernel.py",)),
-    Target("renderer.py", ("test_renderer.py",)),
-    Target("haptic_blend.py", ("test_haptic_blend.py",)),
-    Target("friction.py", ("test_friction.py",)),
-    Target("angle_filter.py", ("test_contour.py",)),
-    Target("contact.py", ("test_contact.py",), is_compiled=False),
-    Target("point_shell.py", ("test_point_shell.py",)),
-    Target("orientation.py", ("test_orientation.py",)),
+    Target("fit/batch.py", ("fit/test_batch.py",)),
+    Target("fit/recursive.py", ("fit/test_recursive.py",)),
+    Target("fit/dual_recursion.py", ("fit/test_dual_recursion.py",)),
+    Target("fit/low_rank_kernel.py", ("fit/test_low_rank_kernel.py",)),
+    Target("haptic/renderer.py", ("haptic/test_renderer.py",)),
+    Target("haptic/blend.py", ("haptic/test_blend.py",)),
+    Target("contact/friction.py", ("contact/test_friction.py",)),
+    Target("scan/contour_filter.py", ("scan/test_extraction.py",)),
+    Target("contact/rows.py", ("contact/test_rows.py",), is_compiled=False),
+    Target("probe/point_shell.py", ("probe/test_point_shell.py",)),
+    Target("probe/orientation.py", ("probe/test_orientation.py",)),
     Target("solvers/structured.py", ("solvers/test_structured.py",)),
-    Target("solvers/dual/exchange.py", ("solvers/dual/test_limited_field.py",)),
-    Target("solvers/dual/face_walk.py", ("solvers/dual/test_limited_field.py",)),
-    Target("solvers/dual/optimality.py", ("solvers/dual/test_limited_field.py",)),
-    Target("laplace.py", ("test_laplace.py",)),
+    Target(
+        "solvers/dual/primal_dual_active_set.py",
+        ("solvers/dual/test_primal_dual_active_set.py",),
+    ),
+    Target(
+        "solvers/dual/active_set.py", ("solvers/dual/test_primal_dual_active_set.py",)
+    ),
+    Target(
+        "solvers/dual/optimality.py", ("solvers/dual/test_primal_dual_active_set.py",)
+    ),
+    Target("laplace/system.py", ("laplace/test_system.py",)),
 )
 
 

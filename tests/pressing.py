@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ttus_opt.field import PotentialField
 from ttus_opt.scene import Scene
+from ttus_opt.voxmap.field import PotentialField
 
 DRAG = {"friction_coefficient": 0.3}
 TWIST = np.array([0.03, -0.02, 0.05, 0.4, 0.2, -0.3])

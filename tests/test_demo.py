@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ttus_opt import demo
-from ttus_opt.field import PotentialField
+from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.problem.solution import Status
-from ttus_opt.surface import Surface
-from ttus_opt.trajectory import read_trajectory
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
 
 
 @pytest.fixture(scope="module")

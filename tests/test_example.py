@@ -16,9 +16,9 @@ from ttus_opt.phantom.example_data import (
     recording,
     true_surface,
 )
-from ttus_opt.scan import read_cloud
-from ttus_opt.surface import Surface
-from ttus_opt.trajectory import read_trajectory
+from ttus_opt.probe.trajectory import read_trajectory
+from ttus_opt.scan.cloud import read_cloud
+from ttus_opt.scan.surface import Surface
 
 
 def test_every_named_file_is_there_and_nothing_else():

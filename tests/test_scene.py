@@ -9,10 +9,10 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
 from ttus_opt.errors import InputError, TtusWarning
-from ttus_opt.point_shell import PointShell
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene
-from ttus_opt.trajectory import Trajectory
-from ttus_opt.voxmap import Voxmap
+from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(9, 20, 10))

@@ -10,52 +10,52 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from ttus_opt.axis import Axis as Axis
-    from ttus_opt.contour import extract_surface as extract_surface
     from ttus_opt.errors import TtusError as TtusError
     from ttus_opt.errors import TtusWarning as TtusWarning
-    from ttus_opt.field import PotentialField as PotentialField
-    from ttus_opt.fitting import Fitter as Fitter
-    from ttus_opt.fitting import fit as fit
-    from ttus_opt.haptic_blend import BlendLaw as BlendLaw
-    from ttus_opt.metrics import evaluate as evaluate
-    from ttus_opt.point_shell import PointShell as PointShell
+    from ttus_opt.fit.batch import Fitter as Fitter
+    from ttus_opt.fit.batch import fit as fit
+    from ttus_opt.fit.recursive import RecursiveFit as RecursiveFit
+    from ttus_opt.haptic.blend import BlendLaw as BlendLaw
+    from ttus_opt.haptic.renderer import Renderer as Renderer
+    from ttus_opt.probe.point_shell import PointShell as PointShell
+    from ttus_opt.probe.trajectory import Trajectory as Trajectory
+    from ttus_opt.probe.trajectory import read_trajectory as read_trajectory
     from ttus_opt.problem.formulation import Formulation as Formulation
     from ttus_opt.problem.solution import NoSolutionError as NoSolutionError
     from ttus_opt.problem.solution import Solution as Solution
     from ttus_opt.problem.solution import Status as Status
-    from ttus_opt.recursion import RecursiveFit as RecursiveFit
-    from ttus_opt.renderer import Renderer as Renderer
-    from ttus_opt.scan import read_cloud as read_cloud
+    from ttus_opt.report.metrics import evaluate as evaluate
+    from ttus_opt.scan.cloud import read_cloud as read_cloud
+    from ttus_opt.scan.extraction import extract_surface as extract_surface
+    from ttus_opt.scan.frame import Axis as Axis
+    from ttus_opt.scan.surface import Surface as Surface
     from ttus_opt.scene import Scene as Scene
-    from ttus_opt.surface import Surface as Surface
-    from ttus_opt.trajectory import Trajectory as Trajectory
-    from ttus_opt.trajectory import read_trajectory as read_trajectory
-    from ttus_opt.voxmap import Voxmap as Voxmap
+    from ttus_opt.voxmap.field import PotentialField as PotentialField
+    from ttus_opt.voxmap.voxmap import Voxmap as Voxmap
 
 _HOME = {
-    "Axis": "axis",
-    "BlendLaw": "haptic_blend",
-    "Fitter": "fitting",
+    "Axis": "scan.frame",
+    "BlendLaw": "haptic.blend",
+    "Fitter": "fit.batch",
     "Formulation": "problem.formulation",
     "NoSolutionError": "problem.solution",
-    "PointShell": "point_shell",
-    "PotentialField": "field",
-    "RecursiveFit": "recursion",
-    "Renderer": "renderer",
+    "PointShell": "probe.point_shell",
+    "PotentialField": "voxmap.field",
+    "RecursiveFit": "fit.recursive",
+    "Renderer": "haptic.renderer",
     "Scene": "scene",
     "Solution": "problem.solution",
     "Status": "problem.solution",
-    "Surface": "surface",
-    "Trajectory": "trajectory",
+    "Surface": "scan.surface",
+    "Trajectory": "probe.trajectory",
     "TtusError": "errors",
     "TtusWarning": "errors",
-    "Voxmap": "voxmap",
-    "evaluate": "metrics",
-    "extract_surface": "contour",
-    "fit": "fitting",
-    "read_cloud": "scan",
-    "read_trajectory": "trajectory",
+    "Voxmap": "voxmap.voxmap",
+    "evaluate": "report.metrics",
+    "extract_surface": "scan.extraction",
+    "fit": "fit.batch",
+    "read_cloud": "scan.cloud",
+    "read_trajectory": "probe.trajectory",
 }
 
 __all__ = list(_HOME)

@@ -14,24 +14,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ttus_opt import example
-from ttus_opt.contour import extract_surface
-from ttus_opt.field import PotentialField
-from ttus_opt.fitting import fit
-from ttus_opt.metrics import evaluate
+from ttus_opt.arrays import Array
+from ttus_opt.fit.batch import fit
 from ttus_opt.multigrid.ahead import compiling_ahead
-from ttus_opt.point_shell import PointShell
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.problem.solution import Solution
-from ttus_opt.report import Comparison, write_report
-from ttus_opt.scan import read_cloud
+from ttus_opt.report.metrics import evaluate
+from ttus_opt.report.tables import Comparison, write_report
+from ttus_opt.scan.cloud import read_cloud
+from ttus_opt.scan.extraction import extract_surface
+from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene
-from ttus_opt.surface import Surface
-from ttus_opt.trajectory import Trajectory, read_trajectory
-from ttus_opt.voxmap import Voxmap
-
-Array = NDArray[np.float64]
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
 
 #: How often `run` reports progress.
 N_STAGES = 7
@@ -208,7 +206,7 @@ def _draw(
     after: PotentialField,
     comparisons: tuple[Comparison, ...],
 ) -> None:
-    from ttus_opt import plots
+    from ttus_opt.report import plots
 
     unseen = {case.recording: case for case in comparisons if not case.seen}
     pair = {

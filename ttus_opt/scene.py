@@ -14,16 +14,14 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from ttus_opt.contact import ContactRows, checked_sampling, contact_rows
+from ttus_opt.arrays import Array
+from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
 from ttus_opt.errors import InputError, TtusWarning
-from ttus_opt.laplace import LaplaceSystem
-from ttus_opt.point_shell import PointShell
-from ttus_opt.trajectory import Trajectory
-from ttus_opt.voxmap import Voxmap
-
-Array = NDArray[np.float64]
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Name under which a scene and a solution carry the scale of boundary values
 BOUNDARY_SCALE = "boundary_scale"

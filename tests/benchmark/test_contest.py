@@ -12,7 +12,7 @@ from ttus_opt import example
 from ttus_opt.benchmark.cases import CaseSpec, reference_cases
 from ttus_opt.benchmark.contest import CONTESTS, contested
 from ttus_opt.errors import InputError
-from ttus_opt.trajectory import read_trajectory
+from ttus_opt.probe.trajectory import read_trajectory
 
 PLAIN = read_trajectory(example.path("press_fit.csv"))
 assert PLAIN.force is not None

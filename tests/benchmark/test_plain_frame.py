@@ -7,7 +7,7 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.benchmark.plain_frame import LoopFrame, numpy_frame
-from ttus_opt.field import PotentialField
+from ttus_opt.voxmap.field import PotentialField
 
 
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])

@@ -8,7 +8,7 @@ import pytest
 from tests.conftest import small_scene
 from ttus_opt.benchmark.rendering import time_rendering
 from ttus_opt.errors import InputError
-from ttus_opt.field import PotentialField
+from ttus_opt.voxmap.field import PotentialField
 
 
 def test_figures_are_complete_and_of_the_same_wrench() -> None:

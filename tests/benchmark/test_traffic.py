@@ -11,7 +11,7 @@ import pytest
 from tests.conftest import small_scene
 from ttus_opt.benchmark.traffic import Bandwidth, Traffic, last_level_cache
 from ttus_opt.multigrid import cycle as cycle_module
-from ttus_opt.multigrid import kernels, lines, transfer
+from ttus_opt.multigrid import kernels, line_smoother, transfer
 from ttus_opt.multigrid.cycle import Hierarchy, Workspace, cycle
 from ttus_opt.multigrid.kernels import Single
 
@@ -44,9 +44,13 @@ def seen(made: Hierarchy, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
         total = size(x, one_colour=True) + sum(map(size, arrays))
         return total + size(R, one_colour=True) + size(T) + size(Z)
 
-    record(lines, "sweep", lambda *a: swept(*a[:7]))
-    record(lines, "sweep_unloaded", lambda *a: swept(*a[:6]))
-    record(lines, "sweep_alone", lambda x, b, inv, R, *_: swept(x, b, inv, R, R0, R0))
+    record(line_smoother, "sweep", lambda *a: swept(*a[:7]))
+    record(line_smoother, "sweep_unloaded", lambda *a: swept(*a[:6]))
+    record(
+        line_smoother,
+        "sweep_alone",
+        lambda x, b, inv, R, *_: swept(x, b, inv, R, R0, R0),
+    )
     R0 = np.zeros(1)
 
     def coupled(

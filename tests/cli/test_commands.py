@@ -13,11 +13,11 @@ import pytest
 
 from tests.cli.conftest import PROBE, Run, fit_words
 from tests.conftest import torso
-from ttus_opt.contact import contact_rows
-from ttus_opt.field import PotentialField
-from ttus_opt.point_shell import PointShell
-from ttus_opt.surface import Surface
-from ttus_opt.trajectory import Trajectory, read_trajectory
+from ttus_opt.contact.rows import contact_rows
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
 
 
 def test_surface_writes_what_it_says(run: Run, files: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from tests.cli.conftest import PROBE, Run, empty, fit_words, refused
 from tests.conftest import presses, torso
-from ttus_opt.trajectory import Trajectory
+from ttus_opt.probe.trajectory import Trajectory
 
 HEADER = "t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz"
 

@@ -6,7 +6,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.dragging import dragged_scene
-from ttus_opt import friction
+from ttus_opt.contact import friction
 from ttus_opt.problem.formulation import available
 from ttus_opt.scene import Scene
 

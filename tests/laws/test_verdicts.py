@@ -16,14 +16,14 @@ import numpy as np
 import pytest
 
 from tests.dragging import dragged_scene
-from ttus_opt.fitting import Fitter, judged
+from ttus_opt.fit.batch import Fitter, judged
 from ttus_opt.problem.formulation import Formulation, available, load
 from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Solution, Status, Timings
 from ttus_opt.solvers import cvxpy_clarabel, cvxpy_scs, osqp, registry, scs
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.clarabel import Clarabel
-from ttus_opt.solvers.dual import face_walk
+from ttus_opt.solvers.dual import active_set
 from ttus_opt.solvers.dual import solver as dual_solver
 
 TOLERANCE = 1e-6
@@ -142,7 +142,7 @@ def _few_clarabel(patch: pytest.MonkeyPatch, n: int) -> None:
 def _few_dual(patch: pytest.MonkeyPatch, n: int) -> None:
     patch.setattr(dual_solver, "MAX_STEPS", n)
     patch.setattr(dual_solver, "ROUNDS", 1)
-    patch.setattr(face_walk, "MAX_FACES", 1 + n // 10)
+    patch.setattr(active_set, "MAX_FACES", 1 + n // 10)
 
 
 def _few_iterations(module: Any) -> Callable[[pytest.MonkeyPatch, int], None]:

@@ -4,7 +4,7 @@ import pytest
 from ttus_opt.errors import InputError
 from ttus_opt.phantom import Torso
 from ttus_opt.phantom.camera import Scene, View, scan, write_cloud
-from ttus_opt.scan import read_cloud
+from ttus_opt.scan.cloud import read_cloud
 
 TORSO = Torso()
 SCENE = Scene(TORSO)

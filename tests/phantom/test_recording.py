@@ -5,7 +5,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.phantom import Drag, add_noise, record
 from ttus_opt.phantom.example_data import PROBE, poses
 from ttus_opt.phantom.recording import write_compact
-from ttus_opt.trajectory import Trajectory, read_trajectory
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 
 
 @pytest.fixture(scope="module")

@@ -8,13 +8,11 @@ from typing import Any, cast
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.base import Penalty
 
-Array = NDArray[np.float64]
 INF = np.inf
 
 

@@ -7,20 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from tests.conftest import small_scene
 from tests.solvers import taking
 from tests.solvers.problems import bounds, program, rows, term
+from ttus_opt.arrays import Array
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Request, Solver
-
-Array = NDArray[np.float64]
 
 #: Asked of every solver
 TOLERANCE = 1e-9

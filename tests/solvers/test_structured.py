@@ -13,16 +13,16 @@ import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.constraints.boundary import HardBoundary
-from ttus_opt.laplace import LaplaceSystem
-from ttus_opt.point_shell import PointShell
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.problem import formulation
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
+from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.surface import Surface
-from ttus_opt.voxmap import Voxmap
+from ttus_opt.voxmap.voxmap import Voxmap
 
 STRUCTURED = registry.solvers()["structured"]
 TIGHT = Request(tolerance=1e-8)

@@ -9,18 +9,18 @@ from scipy.special import i0, k0
 
 from tests.conftest import presses, small_scene
 from ttus_opt.errors import InputError
-from ttus_opt.field import PotentialField
-from ttus_opt.fitting import fit
-from ttus_opt.laplace import LaplaceSystem
-from ttus_opt.metrics import evaluate
-from ttus_opt.point_shell import PointShell
+from ttus_opt.fit.batch import fit
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.report.metrics import evaluate
+from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene
-from ttus_opt.surface import Surface
 from ttus_opt.terms.anisotropic import AnisotropicTerm
 from ttus_opt.terms.laplace_free_surface import LaplaceFreeSurfaceTerm, free_skin
 from ttus_opt.terms.screened import ScreenedTerm
 from ttus_opt.terms.tikhonov import TikhonovTerm
-from ttus_opt.voxmap import Voxmap
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
 
 SCENE = small_scene("trilinear")
 

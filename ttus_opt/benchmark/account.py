@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ttus_opt.benchmark import spans as name
-from ttus_opt.report import table
+from ttus_opt.report.tables import table
 
 Row = Mapping[str, Any]
 

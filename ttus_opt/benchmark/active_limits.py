@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 
 #: A multiplier counts above this part of the largest; none does where the largest is
 #: below this part of the gradient that multipliers are to balance: it is rounding [–]
 NONZERO = 1e-6
-
-
-Array = NDArray[np.float64]
 
 
 def active_limits(program: Program, x: Array, duals: Duals) -> int:

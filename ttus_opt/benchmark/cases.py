@@ -16,12 +16,12 @@ import numpy as np
 from ttus_opt import example
 from ttus_opt.benchmark.contest import checked_contest, contested
 from ttus_opt.errors import InputError
-from ttus_opt.field import FIELD_UNIT
-from ttus_opt.point_shell import PointShell
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene
-from ttus_opt.surface import Surface
-from ttus_opt.trajectory import Trajectory, read_trajectory
-from ttus_opt.voxmap import Voxmap
+from ttus_opt.voxmap.field import FIELD_UNIT
+from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Voxels in r, θ, z and number of poses
 REFERENCE = {

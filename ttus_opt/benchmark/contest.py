@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from ttus_opt.errors import InputError
-from ttus_opt.trajectory import Trajectory
+from ttus_opt.probe.trajectory import Trajectory
 
 #: Ways to contest a recording
 CONTESTS = ("noise", "reversed")

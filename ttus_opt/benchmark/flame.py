@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt.plots.canvas import look, new_figure
+from ttus_opt.report.plots.canvas import look, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

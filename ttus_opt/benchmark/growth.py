@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttus_opt.benchmark.row import Row
-from ttus_opt.report import table
+from ttus_opt.report.tables import table
 
 
 @dataclass(frozen=True)

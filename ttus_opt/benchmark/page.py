@@ -23,7 +23,7 @@ from ttus_opt.benchmark.summary import (
     row_table,
     score_table,
 )
-from ttus_opt.plots.canvas import save_picture
+from ttus_opt.report.plots.canvas import save_picture
 
 #: File names in the output folder
 REPORT, TIME_PICTURE, RESIDUAL_PICTURE = "report.md", "time.png", "residual.png"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.summary import MIB
-from ttus_opt.plots.canvas import look, new_figure
+from ttus_opt.report.plots.canvas import look, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,7 +1,7 @@
 """L, b, N and W written straightforwardly: what the compiled assembly is measured by.
 
 `plain_laplace` is Kronecker products of scipy, `plain_rows` whole-array numpy pose by
-pose; both are references for `ttus_opt.laplace` and `ttus_opt.contact`.
+pose; both are references for `ttus_opt.laplace.system` and `ttus_opt.contact.rows`.
 """
 
 from __future__ import annotations
@@ -11,12 +11,11 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import spsolve
 
-from ttus_opt.contact import REFERENCE_AREA
-from ttus_opt.grid import cylindrical
-from ttus_opt.point_shell import PointShell
-from ttus_opt.voxmap import Voxmap, skin_layer
-
-Array = NDArray[np.float64]
+from ttus_opt.arrays import Array
+from ttus_opt.contact.rows import REFERENCE_AREA
+from ttus_opt.cylindrical import cylindrical
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.voxmap.voxmap import Voxmap, skin_layer
 
 
 def plain_laplace(
@@ -117,7 +116,7 @@ def plain_rows(
 def plain_samples(
     voxmap: Voxmap, points: Array, sampling: str
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], Array]:
-    """What points sample (the law is in `ttus_opt.depth_sampling`).
+    """What points sample (the law is in `ttus_opt.voxmap.depth_sampling`).
 
     Args:
         voxmap: Grid and surface.

@@ -2,7 +2,7 @@
 
 `numpy_frame` is whole-array numpy; `LoopFrame` is the same as one compiled loop over
 all points. Neither sorts, skips or keeps anything; both are references for
-`ttus_opt.renderer`.
+`ttus_opt.haptic.renderer`.
 """
 
 from __future__ import annotations
@@ -12,21 +12,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.benchmark.plain_assembly import plain_samples
 from ttus_opt.compiled import compiled
-from ttus_opt.contact import (
+from ttus_opt.contact.rows import (
     REFERENCE_AREA,
     rotated,
     shell_arrays,
     turn_angle,
     within,
 )
-from ttus_opt.depth_sampling import nearest_voxel, spoke_samples, spoke_table
-from ttus_opt.field import PotentialField
-from ttus_opt.point_shell import PointShell
-from ttus_opt.surface import bilinear_radius
-
-Array = NDArray[np.float64]
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import bilinear_radius
+from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table
+from ttus_opt.voxmap.field import PotentialField
 
 
 def numpy_frame(

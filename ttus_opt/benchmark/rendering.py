@@ -14,16 +14,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.benchmark.plain_frame import LoopFrame, numpy_frame
 from ttus_opt.errors import InputError
-from ttus_opt.field import PotentialField
-from ttus_opt.haptic_blend import BlendLaw
-from ttus_opt.point_shell import PointShell
-from ttus_opt.renderer import Renderer
+from ttus_opt.haptic.blend import BlendLaw
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.voxmap.field import PotentialField
 
-Array = NDArray[np.float64]
 Frame = Callable[[Array, Array], object]
 
 #: Between paced frames [s]

@@ -14,17 +14,16 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.field import PotentialField
-from ttus_opt.grid import CylindricalGrid
-from ttus_opt.point_shell import PointShell
-from ttus_opt.renderer import Renderer
-from ttus_opt.surface import Surface
-from ttus_opt.voxmap import Voxmap
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.grid import CylindricalGrid
+from ttus_opt.voxmap.voxmap import Voxmap
 
-Array = NDArray[np.float64]
 Direction = Literal["along", "around"]
 
 #: The cylinder's radius, and how far it stands off the grid's axis [m]

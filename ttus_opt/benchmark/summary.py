@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ttus_opt.benchmark.row import Row
-from ttus_opt.report import table
+from ttus_opt.report.tables import table
 
 #: Shift of the geometric mean: runs far below it count as equally fast [s]
 SHIFT = 1.0

@@ -27,7 +27,7 @@ def demo(
 ) -> None:
     """Scan to surface to field to errors, on the bundled example, with pictures."""
     from ttus_opt import demo as pipeline
-    from ttus_opt import report
+    from ttus_opt.report import tables as report
 
     n_r, n_theta, n_z = whole_numbers(shape, 3, "--shape")
     with Stages(pipeline.N_STAGES) as begin:

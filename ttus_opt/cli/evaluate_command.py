@@ -50,11 +50,11 @@ def evaluate(
     json: Json = False,
 ) -> None:
     """Compare rendered with measured force and torque."""
-    from ttus_opt import metrics
-    from ttus_opt.field import PotentialField
+    from ttus_opt.report import metrics
+    from ttus_opt.voxmap.field import PotentialField
 
     if picture is not None:
-        from ttus_opt import plots
+        from ttus_opt.report import plots
 
         plots.require_picture_suffix(picture)
     with Stages(2 if picture is None else 3) as begin:

@@ -97,10 +97,10 @@ def fit(
     json: Json = False,
 ) -> None:
     """Fit a potential field to measured forces and torques."""
-    from ttus_opt.fitting import fit as fit_scene
+    from ttus_opt.fit.batch import fit as fit_scene
+    from ttus_opt.scan.surface import Surface
     from ttus_opt.scene import Scene
-    from ttus_opt.surface import Surface
-    from ttus_opt.voxmap import Voxmap
+    from ttus_opt.voxmap.voxmap import Voxmap
 
     given = {
         "force_weight": force_weight,

@@ -23,7 +23,7 @@ def register(app: typer.Typer) -> None:
 
 def solvers(json: Json = False) -> None:
     """List the solvers, installed or not, and what each can take."""
-    from ttus_opt.report import table
+    from ttus_opt.report.tables import table
     from ttus_opt.solvers import registry
 
     known = registry.solvers()
@@ -52,7 +52,7 @@ def solvers(json: Json = False) -> None:
 def formulations(json: Json = False) -> None:
     """List the formulations that come with the package, and their options."""
     from ttus_opt.problem import formulation
-    from ttus_opt.report import table
+    from ttus_opt.report.tables import table
 
     known = formulation.available()
     if json:

@@ -12,8 +12,8 @@ from ttus_opt.cli.console import as_options
 from ttus_opt.errors import InputError, TtusError
 
 if TYPE_CHECKING:
-    from ttus_opt.point_shell import PointShell
-    from ttus_opt.trajectory import Trajectory
+    from ttus_opt.probe.point_shell import PointShell
+    from ttus_opt.probe.trajectory import Trajectory
 
 Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, for machines.")]
 Field = Annotated[Path, typer.Option("--field", help="Field file (.nc).")]
@@ -87,7 +87,7 @@ def read_probe(spec: str, n_points: int, unit: str, surface: str) -> PointShell:
     Raises:
         InputError: Whatever is wrong with it, in the words of the command line.
     """
-    from ttus_opt.point_shell import PointShell
+    from ttus_opt.probe.point_shell import PointShell
 
     try:
         return PointShell.from_spec(
@@ -107,6 +107,6 @@ def read_trajectories(paths: Sequence[Path]) -> Trajectory:
         FileError: A file is not a usable trajectory.
         InputError: Only some of them have wrenches.
     """
-    from ttus_opt.trajectory import Trajectory, read_trajectory
+    from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 
     return Trajectory.concatenate([read_trajectory(path) for path in paths])

@@ -56,8 +56,8 @@ def render(
     """
     import numpy as np
 
-    from ttus_opt.field import PotentialField
-    from ttus_opt.renderer import Renderer
+    from ttus_opt.haptic.renderer import Renderer
+    from ttus_opt.voxmap.field import PotentialField
 
     with Stages(3) as begin:
         begin("reading field and poses")

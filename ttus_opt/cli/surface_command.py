@@ -15,8 +15,8 @@ from ttus_opt.errors import GeometryError, InputError
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from ttus_opt.axis import Axis
-    from ttus_opt.surface import Surface
+    from ttus_opt.scan.frame import Axis
+    from ttus_opt.scan.surface import Surface
 
 EXAMPLE = "ttus-opt surface scan.pcd --unit m -o surface.nc --picture surface.png"
 
@@ -66,11 +66,11 @@ def surface(
     json: Json = False,
 ) -> None:
     """Extract the patient's skin from a depth scan."""
-    from ttus_opt.contour import extract_surface
-    from ttus_opt.scan import read_cloud
+    from ttus_opt.scan.cloud import read_cloud
+    from ttus_opt.scan.extraction import extract_surface
 
     if picture is not None:
-        from ttus_opt import plots
+        from ttus_opt.report import plots
 
         plots.require_picture_suffix(picture)
     with Stages(3 if picture is None else 4) as begin:
@@ -114,8 +114,8 @@ def _axis(
     file: Path | None,
 ) -> Axis:
     """The patient frame: from a file, from origin and direction, or estimated."""
-    from ttus_opt.axis import Axis
-    from ttus_opt.surface import Surface
+    from ttus_opt.scan.frame import Axis
+    from ttus_opt.scan.surface import Surface
 
     if file is not None:
         if origin is not None or direction is not None:

@@ -13,13 +13,11 @@ from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from ttus_opt.declared_rows import check_declared
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
-
-Array = NDArray[np.float64]
+from ttus_opt.terms.declared_rows import check_declared
 
 
 @dataclass(frozen=True)

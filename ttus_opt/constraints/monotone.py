@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from ttus_opt.constraints.base import Constraint, LinearRows
 from ttus_opt.errors import InputError
-from ttus_opt.voxmap import INSIDE, SURFACE
+from ttus_opt.voxmap.voxmap import INSIDE, SURFACE
 
 
 @dataclass(frozen=True)

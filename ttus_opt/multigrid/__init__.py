@@ -5,8 +5,8 @@ bottom, `v_cycle`, `window`, `gradients`, `chains`, `cycle`, `levels`, and the c
 loops: `lines`, `transfer`, `kernels`, `double`.
 """
 
+from ttus_opt.multigrid.aggregated import StiffMultigrid
 from ttus_opt.multigrid.solver import Multigrid, MultigridResult
-from ttus_opt.multigrid.stiff import StiffMultigrid
 from ttus_opt.multigrid.v_cycle import VCycle
 
 __all__ = ["Multigrid", "MultigridResult", "StiffMultigrid", "VCycle"]

@@ -14,9 +14,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from ttus_opt.compiled import is_kept
-from ttus_opt.grid import CylindricalGrid
-from ttus_opt.multigrid.gradients import _correct
+from ttus_opt.multigrid.pcg import _correct
 from ttus_opt.multigrid.solver import Multigrid
+from ttus_opt.voxmap.grid import CylindricalGrid
 
 
 @contextlib.contextmanager

@@ -12,15 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.compiled import compiled
-from ttus_opt.multigrid.levels import Layout
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Index = NDArray[np.int64]
+from ttus_opt.multigrid.coarsening import Layout
 
 #: Places of followers and of their leaders in one half
-Places = tuple[Index, Index]
+Places = tuple[IntArray, IntArray]
 
 
 @dataclass(frozen=True)
@@ -32,8 +29,8 @@ class Chains:
         leaders: The voxel at which the chain of each stands, shape (k,).
     """
 
-    followers: Index = field(repr=False)
-    leaders: Index = field(repr=False)
+    followers: IntArray = field(repr=False)
+    leaders: IntArray = field(repr=False)
 
     @classmethod
     def of(cls, free: Mask, ties: Mask, leads: Mask, stride: int) -> Chains:

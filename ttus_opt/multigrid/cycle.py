@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.compiled import compiled
-from ttus_opt.multigrid import kernels, lines, transfer
-from ttus_opt.multigrid.kernels import Numbers, Single
-from ttus_opt.multigrid.levels import (
+from ttus_opt.multigrid import kernels, line_smoother, transfer
+from ttus_opt.multigrid.coarsening import (
     DIRECT_NODES,
     Box,
     Layout,
@@ -26,6 +25,7 @@ from ttus_opt.multigrid.levels import (
     finest,
     plan,
 )
+from ttus_opt.multigrid.kernels import Numbers, Single
 
 #: Arrays of all levels but the finest, one after the other, and a row of whole numbers
 #: for each: where it begins, n_r, width, the coarsened directions and `Numbers`. (A
@@ -74,13 +74,13 @@ class Level:
         R, T, Z = (v.astype(np.float32) for v in conductances(grid))
         # a dropped node has equal neighbours, and none if it is fixed
         half = layout.split(network.free * np.float32(0.5))
-        inverse = lines.pivots(layout.split(network.aside), R)
+        inverse = line_smoother.pivots(layout.split(network.aside), R)
         return cls(layout, R, T, Z, inverse, (half,) * 6, flags)
 
     def tied(self, network: Network) -> Level:
         """The grid itself with ties, of which links along spokes alone know."""
         R = self.layout.split(network.links[0])
-        inverse = lines.pivots(self.layout.split(network.aside), R)
+        inverse = line_smoother.pivots(self.layout.split(network.aside), R)
         along = (self.layout.split(w) for w in network.weights(0))
         weights = (*along, *self.weights[2:])
         return replace(self, R=R, inverse=inverse, weights=weights)
@@ -90,7 +90,7 @@ class Level:
         """A coarser level."""
         layout = Layout.of(network.shape)
         R, T, Z = (layout.split(v) for v in network.links)
-        inverse = lines.pivots(layout.split(network.aside), R)
+        inverse = line_smoother.pivots(layout.split(network.aside), R)
         weights = tuple(
             layout.split(w) for axis in range(3) for w in network.weights(axis)
         )
@@ -126,13 +126,13 @@ class Level:
         """
         pivots = (self.inverse[colour], self.R)
         if opposite is None:
-            lines.sweep_alone(x, b, *pivots, colour, self.layout.numbers)
+            line_smoother.sweep_alone(x, b, *pivots, colour, self.layout.numbers)
             return
         rest = (*pivots, self.T, self.Z, colour, self.layout.numbers)
         if b is None:
-            lines.sweep_unloaded(x, opposite, *rest)
+            line_smoother.sweep_unloaded(x, opposite, *rest)
         else:
-            lines.sweep(x, opposite, b, *rest)
+            line_smoother.sweep(x, opposite, b, *rest)
 
     def couple(self, out: Single, opposite: Single, *, since: bool = False) -> None:
         """What flows into colour 1 from colour 0.
@@ -377,7 +377,7 @@ def cycle_below(
         x[:] = 0
         for half in range(2):
             for c in range(1, -1, -1):
-                lines.sweep(x, x[1 - c], b[c], inverse[c], R, T, Z, c, numbers)
+                line_smoother.sweep(x, x[1 - c], b[c], inverse[c], R, T, Z, c, numbers)
             less = np.float32(half)
             kernels.couple(residual, x[0], less, inverse[1], T, Z, numbers)
         below, _, _ = work_of(work, sizes, n + 1)
@@ -395,4 +395,4 @@ def cycle_below(
         kernels.close_circle(x, 1, numbers)
         for half in range(4):
             c = half % 2
-            lines.sweep(x, x[1 - c], b[c], inverse[c], R, T, Z, c, numbers)
+            line_smoother.sweep(x, x[1 - c], b[c], inverse[c], R, T, Z, c, numbers)

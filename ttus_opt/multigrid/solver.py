@@ -19,16 +19,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, NumericalError
-from ttus_opt.grid import CylindricalGrid
-from ttus_opt.multigrid import double
+from ttus_opt.multigrid import refinement
+from ttus_opt.multigrid.coarsening import conductances
 from ttus_opt.multigrid.cycle import Hierarchy, cycle
-from ttus_opt.multigrid.gradients import Vectors
 from ttus_opt.multigrid.kernels import Single
-from ttus_opt.multigrid.levels import conductances
+from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.multigrid.v_cycle import VCycle
-
-Array = NDArray[np.float64]
+from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: By how much one correction reduces the residual; single precision gives no more.
 REDUCTION = 1e-4
@@ -316,7 +315,7 @@ class Multigrid:
     def _operate(self, x: Array) -> Array:
         """A x for a vector that is zero at fixed voxels."""
         out = np.zeros_like(x)
-        double.operate(out, x, self.free, *self._conductances, self.grid.shape)
+        refinement.operate(out, x, self.free, *self._conductances, self.grid.shape)
         return out
 
     def _vectors(self) -> Vectors:
@@ -330,13 +329,15 @@ class Multigrid:
         pitch, shape = self._hierarchy.levels[0].layout.pitch, self.grid.shape
         r, t, z = self._conductances
         return math.sqrt(
-            double.residual(work.b[0], x, b, self.free, r, t, z, scale, pitch, shape)
+            refinement.residual(
+                work.b[0], x, b, self.free, r, t, z, scale, pitch, shape
+            )
         )
 
     def _add(self, x: Array, halves: Single, scale: float) -> float:
         """Correct x by scale · halves; returns ‖x‖²."""
         pitch = self._hierarchy.levels[0].layout.pitch
-        return float(double.add(x, halves, scale, pitch, self.grid.shape))
+        return float(refinement.add(x, halves, scale, pitch, self.grid.shape))
 
 
 def _largest(values: Array) -> float:

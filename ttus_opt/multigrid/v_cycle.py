@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.grid import CylindricalGrid
 from ttus_opt.multigrid.cycle import Hierarchy, Workspace, cycle
 from ttus_opt.multigrid.kernels import Single
-from ttus_opt.multigrid.window import Window
+from ttus_opt.multigrid.subdomain import Window
+from ttus_opt.voxmap.grid import CylindricalGrid
 
 
 class VCycle:

@@ -11,13 +11,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.phantom.elasticity import ElasticBody
 from ttus_opt.phantom.mesh import box_mesh, graded
-
-Array = NDArray[np.float64]
 
 
 def soft_block(

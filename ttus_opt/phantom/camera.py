@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt import io
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.phantom.torso import Torso
-
-Array = NDArray[np.float64]
 
 #: Steps of the coarse search along a ray, and of the bisection after it.
 MARCH, BISECT = 160, 30

@@ -23,9 +23,8 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from ttus_opt import io
+from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
-
-Array = NDArray[np.float64]
 
 #: Unit loads solved at once: enough for matrix-matrix speed, little memory.
 BATCH = 64

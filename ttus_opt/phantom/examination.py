@@ -10,16 +10,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.phantom.torso import Torso
-from ttus_opt.trajectory import Trajectory
-
-Array = NDArray[np.float64]
+from ttus_opt.probe.trajectory import Trajectory
 
 #: Frames per second [Hz].
 RATE = 20.0

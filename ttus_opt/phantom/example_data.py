@@ -6,10 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.axis import Axis
+from ttus_opt.arrays import Array
 from ttus_opt.phantom.camera import Scene, View, scan, write_cloud
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.examination import push_handling, sweep_handling
@@ -17,10 +16,9 @@ from ttus_opt.phantom.press import Drag
 from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.phantom.recording import add_noise, record, write_compact
 from ttus_opt.phantom.torso import Torso
-from ttus_opt.surface import Surface
-from ttus_opt.trajectory import Trajectory
-
-Array = NDArray[np.float64]
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.surface import Surface
 
 TORSO = Torso()
 PROBE = EllipsoidProbe((0.030, 0.0125, 0.018))

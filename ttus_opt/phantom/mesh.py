@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 def graded(

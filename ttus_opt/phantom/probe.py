@@ -10,11 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.press import Drag, Motion, press
 from ttus_opt.phantom.probe import EllipsoidProbe
-from ttus_opt.trajectory import Trajectory
+from ttus_opt.probe.trajectory import Trajectory
 
 #: Noise of the force and torque sensor, standard deviation per axis [N], [N m].
 FORCE_NOISE, TORQUE_NOISE = 0.08, 0.003

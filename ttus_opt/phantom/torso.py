@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError
 from ttus_opt.phantom.elasticity import ElasticBody
 from ttus_opt.phantom.mesh import graded, ring_mesh
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

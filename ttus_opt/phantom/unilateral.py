@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, TtusError
-
-Array = NDArray[np.float64]
 
 #: Block steps without progress before single pivots take over.
 PATIENCE = 10

@@ -13,13 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.base import Penalty
-
-Array = NDArray[np.float64]
 
 #: What should cancel is rounding below this part of its summands [–]
 ROUNDING = 1e-9

@@ -15,12 +15,11 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.problem.certificate import contradicts
 from ttus_opt.problem.kkt import Duals, bound_duals
 from ttus_opt.problem.members import ProgramBounds
 from ttus_opt.problem.program import Program
-
-Array = NDArray[np.float64]
 
 #: Multipliers below this part of the largest (which is at most 1) are rounding
 NEGLIGIBLE = 1e-6

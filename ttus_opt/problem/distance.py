@@ -31,16 +31,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.errors import NumericalError
-from ttus_opt.laplace import LaplaceSystem
+from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.base import Penalty
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 _Map = Callable[[Array], Array]
 
 #: Most steps of conjugate gradients; where they do not suffice nothing is told

@@ -18,15 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.constraints.base import Bounds, Constraint
 from ttus_opt.errors import InputError, TtusError
 from ttus_opt.problem.program import Program
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import Fitted, Term
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -34,15 +34,12 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.problem.distance import energy, held_by_equalities
 from ttus_opt.problem.members import QUADRATIC, ProgramConstraint
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.base import Penalty
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _TINY = np.finfo(float).tiny
 

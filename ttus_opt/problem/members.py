@@ -11,11 +11,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.terms.base import Penalty
-
-Array = NDArray[np.float64]
 
 #: Penalties a quadratic program states as they are
 QUADRATIC = (Penalty.SQUARES, Penalty.LINEAR)

@@ -16,11 +16,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.errors import InputError
-from ttus_opt.laplace import LaplaceSystem
+from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import (
     QUADRATIC,
     ProgramBounds,
@@ -30,8 +30,6 @@ from ttus_opt.problem.members import (
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import AffineRows, Penalty, Term
 from ttus_opt.terms.laplace import LaplaceTerm
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

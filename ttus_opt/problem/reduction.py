@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import (
     LIFTABLE,
@@ -26,8 +26,6 @@ from ttus_opt.problem.members import (
 )
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.base import Penalty
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,15 +7,11 @@ import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ttus_opt.arrays import Array
 from ttus_opt.errors import TtusError
-from ttus_opt.field import PotentialField
 from ttus_opt.problem.kkt import KKT, Duals, bound_duals
 from ttus_opt.problem.program import Program
-
-Array = NDArray[np.float64]
+from ttus_opt.voxmap.field import PotentialField
 
 
 class Status(enum.Enum):

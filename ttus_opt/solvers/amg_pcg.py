@@ -16,16 +16,14 @@ import time
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.linalg import LinearOperator, cg
 
-from ttus_opt.laplace import LaplaceSystem
+from ttus_opt.arrays import Array
+from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
 from ttus_opt.solvers.verified import Verified
 from ttus_opt.terms.base import Penalty
-
-Array = NDArray[np.float64]
 
 #: Names of the terms of eq. 10
 TERMS = {"laplace", "force", "torque"}

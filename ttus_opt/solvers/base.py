@@ -1,7 +1,7 @@
 """What a solver is: ``prepare(program)`` once, then ``update(program)``, ``solve()``.
 
 A solver answers with a `Candidate`; whether it is a solution is decided elsewhere
-(`ttus_opt.fitting`) by residuals computed there.
+(`ttus_opt.fit.batch`) by residuals computed there.
 """
 
 from __future__ import annotations
@@ -12,13 +12,11 @@ import importlib.util
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, SolverUnavailableError
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
-
-Array = NDArray[np.float64]
 
 
 class Claim(enum.Enum):

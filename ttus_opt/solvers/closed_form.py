@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
+from ttus_opt.arrays import Array
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import (
     Candidate,
@@ -24,8 +24,6 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-
-Array = NDArray[np.float64]
 
 #: Rounds of iterative refinement: Q squares the condition of L, one round repairs
 #: what the factorisation lost

@@ -11,11 +11,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.solvers.closed_form import ClosedFormSolver, Factor
-
-Array = NDArray[np.float64]
 
 
 class ClosedFormCholmod(ClosedFormSolver):

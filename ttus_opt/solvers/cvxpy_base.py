@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import QUADRATIC, ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
 from ttus_opt.solvers.verified import Verified
 from ttus_opt.terms.base import Penalty
-
-Array = NDArray[np.float64]
 
 
 class CvxpySolver(Solver):

@@ -15,14 +15,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program, QuadraticForm
 from ttus_opt.solvers.base import Candidate, Claim
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

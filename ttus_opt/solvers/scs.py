@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import (
     Candidate,
@@ -24,8 +24,6 @@ from ttus_opt.solvers.base import (
 from ttus_opt.solvers.qpsolvers_base import claim_from
 from ttus_opt.solvers.quadratic import TwoSided, read_back
 from ttus_opt.solvers.verified import Verified
-
-Array = NDArray[np.float64]
 
 #: Iterations between two checks of the answer, and most checks
 ITERATIONS, CHECKS = 5_000, 40

@@ -20,8 +20,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.program import Program
@@ -33,18 +33,16 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
+from ttus_opt.solvers.dual.active_set import FaceAnswer, LimitedProblem
 from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
-from ttus_opt.solvers.dual.exchange import exchange
-from ttus_opt.solvers.dual.face_walk import FaceAnswer, LimitedProblem
-from ttus_opt.solvers.dual.few_columns import MOST, solve_with_columns
 from ttus_opt.solvers.dual.field_faces import LimitedField
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.linear_parameters import MOST, solve_with_columns
+from ttus_opt.solvers.dual.primal_dual_active_set import exchange
 from ttus_opt.solvers.dual.solver import DualSolver
-from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
 from ttus_opt.terms.base import Penalty
-
-Array = NDArray[np.float64]
 
 #: How far below the KKT tolerance the dual system is solved, and its floor
 MARGIN, FLOOR = 1e-2, 1e-12

@@ -16,13 +16,10 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
-
-Array = NDArray[np.float64]
 
 #: Most times the tolerance is tightened
 TIGHTENINGS = 4

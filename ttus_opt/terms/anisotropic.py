@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ttus_opt.laplace import LaplaceSystem
+from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.terms.base import AffineRows, Term
 
 

@@ -16,15 +16,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar, Self
 
-import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from ttus_opt.declared_rows import check_declared
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
-
-Array = NDArray[np.float64]
+from ttus_opt.terms.declared_rows import check_declared
 
 
 class Penalty(enum.Enum):

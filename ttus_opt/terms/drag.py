@@ -1,7 +1,7 @@
 """Drag models: what a drag adds to the rows of measured forces and torques.
 
-A model knows its variables and rows (`ttus_opt.friction`); the terms `drag_force`
-and `drag_torque` put them beside N and W.
+A model knows its variables and rows (`ttus_opt.contact.friction`); the terms
+`drag_force` and `drag_torque` put them beside N and W.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt import friction
+from ttus_opt.arrays import Array
+from ttus_opt.contact import friction
+from ttus_opt.contact.friction import DragRows, Sliding
 from ttus_opt.errors import InputError
-from ttus_opt.friction import DragRows, Sliding
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import Fitted
 from ttus_opt.terms.drag_smoothness import MEAN_FRICTION
 
-Array = NDArray[np.float64]
 Blocks = dict[str, sp.csr_array]
 
 #: Sliding below this share of the deadband is none: 2 µm/s are 0.1 µm in a frame of

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.grid import CylindricalGrid
 from ttus_opt.terms.base import AffineRows, Penalty, Term
+from ttus_opt.voxmap.grid import CylindricalGrid
 
 
 @dataclass(frozen=True)

@@ -12,11 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.terms.base import AffineRows, Term
-
-Array = NDArray[np.float64]
 
 #: Unit of length of the integral, ℓ [m]
 LENGTH = 0.01

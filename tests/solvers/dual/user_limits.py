@@ -6,16 +6,15 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from tests.conftest import small_scene
+from ttus_opt.arrays import Array
 from ttus_opt.constraints.base import Bounds, Constraint, LinearRows
 from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 
-Array = NDArray[np.float64]
 INF = np.inf
 
 

@@ -22,9 +22,9 @@ from ttus_opt.benchmark.parts.base import (
 from ttus_opt.benchmark.plain_assembly import plain_laplace, plain_rows
 from ttus_opt.benchmark.stages import Stages
 from ttus_opt.benchmark.summary import mebibytes, number, seconds, times
-from ttus_opt.contact import Sampling, contact_rows
-from ttus_opt.laplace import LaplaceSystem
-from ttus_opt.point_shell import PointShell
+from ttus_opt.contact.rows import Sampling, contact_rows
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scene import Scene
 
 #: How many times each stage is timed

@@ -15,7 +15,7 @@ from typing import Any
 
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.stages import Stages
-from ttus_opt.report import table
+from ttus_opt.report.tables import table
 
 #: Points of the probe's shell where the shell's size decides the time
 SHELL_POINTS = 5000

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt import fitting, scene
+from ttus_opt import scene
 from ttus_opt.benchmark import account
 from ttus_opt.benchmark import spans as name
 from ttus_opt.benchmark.cases import CaseSpec
@@ -28,17 +28,18 @@ from ttus_opt.benchmark.suite import WEIGHTS
 from ttus_opt.benchmark.summary import seconds
 from ttus_opt.benchmark.traffic import Bandwidth, Traffic
 from ttus_opt.errors import InputError
-from ttus_opt.fitting import Fitter
-from ttus_opt.laplace import RTOL, LaplaceSystem
+from ttus_opt.fit import batch
+from ttus_opt.fit.batch import Fitter
+from ttus_opt.laplace.system import RTOL, LaplaceSystem
 from ttus_opt.multigrid import Multigrid, v_cycle
-from ttus_opt.multigrid.gradients import Vectors
+from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.dual import solver as dual_solver
 from ttus_opt.solvers.dual.conjugate_directions import Directions
-from ttus_opt.solvers.dual.rough import RoughDual
+from ttus_opt.solvers.dual.preconditioner import RoughDual
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.structured import Structured
@@ -71,7 +72,7 @@ WATCHES = (
     Watch(Multigrid, "_residual", name.DOUBLE),
     Watch(Multigrid, "_add", name.DOUBLE),
     Watch(v_cycle, "cycle", name.CYCLE),
-    Watch(fitting, "judged", name.VERIFY),
+    Watch(batch, "judged", name.VERIFY),
 )
 
 
@@ -129,7 +130,7 @@ class ProfilePart(Part):
     def below(self, rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
         """A picture and the account per case."""
         from ttus_opt.benchmark.flame import flame_graph
-        from ttus_opt.plots.canvas import save_picture
+        from ttus_opt.report.plots.canvas import save_picture
 
         lines = []
         measured = [row for row in rows if row["status"] == MEASURED]

@@ -8,25 +8,23 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.benchmark import memory
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.parts.base import Column, Figures, Part, PartSpec, scene_case
 from ttus_opt.benchmark.stages import Stages
 from ttus_opt.benchmark.suite import WEIGHTS
 from ttus_opt.benchmark.summary import mebibytes, number, seconds, times
-from ttus_opt.contact import contact_rows
+from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
-from ttus_opt.fitting import Fitter
+from ttus_opt.fit.batch import Fitter
+from ttus_opt.fit.recursive import RecursiveFit
+from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.recursion import RecursiveFit
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
-from ttus_opt.trajectory import Trajectory
-
-Array = NDArray[np.float64]
 
 #: Measurements folded in, and after how many the field is compared with the batch's
 UPDATES, COMPARED = 1200, 400

@@ -19,10 +19,10 @@ from ttus_opt.benchmark.parts.base import (
 from ttus_opt.benchmark.rendering import FrameTimes, RenderingFigures, time_rendering
 from ttus_opt.benchmark.stages import Stages
 from ttus_opt.benchmark.summary import times
-from ttus_opt.contact import Sampling
+from ttus_opt.contact.rows import Sampling
 from ttus_opt.errors import InputError
-from ttus_opt.field import PotentialField
 from ttus_opt.scene import Scene
+from ttus_opt.voxmap.field import PotentialField
 
 #: Times every pose is rendered
 PASSES = 50

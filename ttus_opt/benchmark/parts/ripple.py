@@ -10,7 +10,7 @@ from ttus_opt.benchmark.parts.base import Column, Figures, Part, PartSpec
 from ttus_opt.benchmark.ripple import Direction, ripple
 from ttus_opt.benchmark.stages import Stages
 from ttus_opt.benchmark.summary import times
-from ttus_opt.contact import Sampling
+from ttus_opt.contact.rows import Sampling
 
 #: Steps of the grid [m]
 VOXELS = (0.001, 0.002, 0.004)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Mask = NDArray[np.bool_]
+from ttus_opt.arrays import Mask
 
 
 @dataclass(frozen=True)

@@ -16,15 +16,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ttus_opt.laplace import RTOL
+from ttus_opt.arrays import Array
+from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.dual.conjugate_directions import GROWN, LOOSEST, Directions
-from ttus_opt.solvers.dual.rough import rough_preconditioner
+from ttus_opt.solvers.dual.preconditioner import rough_preconditioner
 from ttus_opt.solvers.dual.solver import MAX_STEPS, ROUNDS
 from ttus_opt.solvers.dual.system import DualSystem
-
-Array = NDArray[np.float64]
 
 #: A slope of c below this part of what it is made of is none [–]
 FLAT = 1e-10

@@ -19,10 +19,9 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
-from ttus_opt.laplace import RTOL
-
-Array = NDArray[np.float64]
+from ttus_opt.laplace.system import RTOL
 
 #: Directions may be kept in single precision; sums are of double
 Kept = NDArray[np.floating[Any]]

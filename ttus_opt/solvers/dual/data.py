@@ -6,14 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.system import DualSystem
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

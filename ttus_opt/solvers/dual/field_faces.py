@@ -6,17 +6,15 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ttus_opt.laplace import RTOL
+from ttus_opt.arrays import Array
+from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.face import Face, face_of
+from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.solver import NEARBY, DualAnswer, DualSolver
-from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
-
-Array = NDArray[np.float64]
+from ttus_opt.solvers.dual.subproblem import Face, face_of
 
 
 @dataclass(frozen=True)

@@ -16,17 +16,15 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.activity import Activity
-from ttus_opt.solvers.dual.pair_face import PairFace, PairRows
-from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.pair_subproblem import PairFace, PairRows
 from ttus_opt.terms.base import Penalty
-
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 #: Relative difference of ratios that count as one [–]
 SAME = 1e-12
@@ -49,11 +47,11 @@ class FieldPair:
 
     program: Program
     prior: ProgramTerm
-    places: Index = field(repr=False)
-    others: Index = field(repr=False)
+    places: IntArray = field(repr=False)
+    others: IntArray = field(repr=False)
     units: Array = field(repr=False)
     limits: SpokeLimits = field(repr=False)
-    links: dict[str, tuple[Index, Array]] = field(repr=False)
+    links: dict[str, tuple[IntArray, Array]] = field(repr=False)
     links_hold_slopes: ClassVar[bool] = False
 
     @classmethod
@@ -230,7 +228,7 @@ def second_field(program: Program) -> tuple[str, ProgramTerm] | None:
 
 def _links(
     constraint: ProgramConstraint, start: int, n_voxels: int
-) -> tuple[Index, Array, Array]:
+) -> tuple[IntArray, Array, Array]:
     """Voxels v of rows a (p_v - q_v/μ), with a and μ."""
     M = constraint.matrix
     columns, values = M.indices, M.data
@@ -256,7 +254,7 @@ def _common_ratio(ratios: list[Array]) -> float:
     return float(every[0])
 
 
-def _box(program: Program, places: Index) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _box(program: Program, places: IntArray) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Bounds of both fields, and where a Dirichlet value is given by them."""
     lower, upper = (limit[places] for limit in program.box)
     fixed = ~program.laplace.free

@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.solvers.dual.activity import Activity
-from ttus_opt.solvers.dual.spoke_limits import SpokeLimits
-
-Array = NDArray[np.float64]
+from ttus_opt.solvers.dual.limits import SpokeLimits
 
 #: Beside -1 and +1 for its bounds: what holds a voxel whose value is given
 GIVEN = 2

@@ -18,10 +18,9 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.laplace import RTOL
+from ttus_opt.arrays import Array
+from ttus_opt.laplace.system import RTOL
 from ttus_opt.multigrid import Multigrid, VCycle
-
-Array = NDArray[np.float64]
 
 
 class PairCycle:

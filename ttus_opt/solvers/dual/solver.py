@@ -11,14 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ttus_opt.laplace import RTOL
+from ttus_opt.arrays import Array
+from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.dual.conjugate_directions import Directions, solve_dual
-from ttus_opt.solvers.dual.rough import rough_preconditioner
+from ttus_opt.solvers.dual.preconditioner import rough_preconditioner
 from ttus_opt.solvers.dual.system import DualSystem
-
-Array = NDArray[np.float64]
 
 #: Most directions
 MAX_STEPS = 2000

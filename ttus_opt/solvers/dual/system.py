@@ -16,11 +16,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from ttus_opt.laplace import RTOL, SquareSystem
-
-Array = NDArray[np.float64]
+from ttus_opt.arrays import Array
+from ttus_opt.laplace.system import RTOL, SquareSystem
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,378 @@
+"""Drag of the skin: patches and sliding by hand, rows, recovery and rendering."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import ttus_opt as tt
+from tests.conftest import small_scene
+from tests.dragging import dragged_scene
+from ttus_opt.contact.friction import (
+    DEADBAND,
+    Sliding,
+    coulomb_rows,
+    pressing_axis,
+    viscous_rows,
+)
+from ttus_opt.contact.rows import contact_rows
+from ttus_opt.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.metrics import Errors, evaluate
+from ttus_opt.scan.surface import Surface
+from ttus_opt.scene import Scene
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
+
+TUBE = Surface.from_radius(np.full((72, 21), 0.09), np.linspace(0.0, 0.2, 21))
+VOXMAP = Voxmap.from_surface(TUBE, shape=(13, 36, 16), r_inner=0.03)
+SHELL = PointShell.sphere(radius=0.015, n_points=800)
+
+
+def slide(
+    velocity: np.ndarray,
+    n: int = 9,
+    spin: np.ndarray | None = None,
+    deep: float = 0.005,
+) -> Trajectory:
+    """A sphere pressed into the tube at θ = 0, moving at a constant velocity [m/s]."""
+    time = 0.05 * np.arange(n)
+    start = np.array([0.09 + 0.015 - deep, 0.0, 0.1])
+    position = start + (time - time.mean())[:, None] * velocity
+    turn = np.zeros(3) if spin is None else spin
+    rotation = Rotation.from_rotvec(time[:, None] * turn).as_matrix()
+    return Trajectory(time, position, rotation)
+
+
+def test_patch_of_a_sphere_is_where_it_touches() -> None:
+    sliding = Sliding.of(VOXMAP, SHELL, slide(np.array([0.0, 0.0, 0.01])))
+    np.testing.assert_allclose(sliding.normal, [[1.0, 0, 0]] * 9, atol=0.03)
+    np.testing.assert_allclose(sliding.arm[:, 0], -0.0135, atol=0.001)
+    np.testing.assert_allclose(sliding.arm[:, 1:], 0.0, atol=5e-4)
+    np.testing.assert_allclose(sliding.velocity[:, 2], 0.01, rtol=1e-2)
+    np.testing.assert_allclose(sliding.axis, [1.0, 0, 0], atol=0.02)
+
+
+def test_a_spinning_sphere_slides_at_its_patch_only() -> None:
+    """ω about y at arm −13.5 mm along x moves the patch along z."""
+    trajectory = slide(np.zeros(3), spin=np.array([0.0, 1.0, 0.0]))
+    patch = Sliding.of(VOXMAP, SHELL, trajectory)
+    np.testing.assert_allclose(patch.velocity[:, 2], 0.0135, atol=0.001)
+    tool = Sliding.of(VOXMAP, SHELL, trajectory, "reference")
+    assert np.abs(tool.velocity).max() < 1e-4
+    assert not tool.arm.any()
+
+
+def test_sliding_is_along_the_patch() -> None:
+    velocity = np.array([-0.02, 0.004, 0.003])
+    sliding = Sliding.of(VOXMAP, SHELL, slide(velocity, n=3))
+    along = np.einsum("ti,ti->t", sliding.velocity, sliding.normal)
+    np.testing.assert_allclose(along, 0.0, atol=1e-12)
+    np.testing.assert_allclose(sliding.velocity[:, 1:], [[0.004, 0.003]] * 3, atol=1e-3)
+
+
+def test_a_plunge_along_the_probes_own_axis_is_no_sliding() -> None:
+    """However the probe leans on the skin; without an axis of its own, the mean."""
+    lean = np.deg2rad(25.0)
+    out = np.array([np.cos(lean), 0.0, np.sin(lean)])
+    own = np.stack([np.array([0.0, 1.0, 0.0]), np.cross(out, [0.0, 1.0, 0.0]), out], 1)
+    plunge = replace(slide(-0.01 * out), rotation=np.repeat(own[None], 9, axis=0))
+    probe = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=1500)
+    seen = Sliding.of(VOXMAP, probe, plunge, "reference")
+    mean = np.einsum("tij,ti->j", plunge.rotation, seen.normal)
+    assert mean[2] / np.linalg.norm(mean) < 0.99  # the mean normal leans
+    np.testing.assert_allclose(np.abs(seen.axis), [0.0, 0.0, 1.0], atol=2e-3)
+    assert np.abs(seen.velocity).max() < 2e-5
+    ball = Sliding.of(VOXMAP, SHELL, plunge, "reference")
+    mean = np.einsum("tij,ti->j", plunge.rotation, ball.normal)
+    np.testing.assert_allclose(ball.axis, mean / np.linalg.norm(mean), atol=1e-12)
+
+
+def test_the_axis_of_a_body_of_revolution_lies_in_its_plane() -> None:
+    disc = PointShell.ellipsoid(semi_axes=(0.01, 0.02, 0.02), n_points=1500)
+    normal = np.array([0.3, 0.6, -0.8])
+    np.testing.assert_allclose(pressing_axis(disc, normal), [0.0, 0.6, -0.8], atol=5e-3)
+    assert not pressing_axis(disc, np.zeros(3)).any()
+
+
+def test_no_contact_no_sliding() -> None:
+    sliding = Sliding.of(VOXMAP, SHELL, slide(np.array([0, 0, 0.01]), deep=-0.01))
+    for value in (sliding.normal, sliding.velocity, sliding.arm, sliding.axis):
+        assert not value.any()
+
+
+def test_the_deadband_is_a_ramp_to_rest() -> None:
+    for speed, length in ((0.0, 0.0), (0.5, 0.5), (1.0, 1.0), (4.0, 1.0)):
+        trajectory = slide(np.array([0.0, 0.0, speed * DEADBAND]))
+        direction = Sliding.of(VOXMAP, SHELL, trajectory).direction()
+        np.testing.assert_allclose(
+            np.linalg.norm(direction, axis=1), length, rtol=1e-2, atol=1e-9
+        )
+    with pytest.raises(InputError, match="deadband must be positive"):
+        Sliding.of(VOXMAP, SHELL, trajectory).direction(0.0)
+    with pytest.raises(InputError, match="acts_at must be one of contact, reference"):
+        Sliding.of(VOXMAP, SHELL, trajectory, "handle")
+
+
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+@pytest.mark.parametrize("acts_at", ["contact", "reference"])
+def test_coulomb_rows_are_drag_of_the_normal_force(sampling: str, acts_at: str) -> None:
+    """Against the normal direction, as long as n̂·N p, dissipating, with its arm."""
+    scene = small_scene(sampling)
+    sliding = Sliding.of(scene.voxmap, scene.shell, scene.trajectory, acts_at)
+    rows = coulomb_rows(sliding, scene.rows)
+    p = scene.laplace.solve(scene.b)
+    drag = -(rows.force @ p).reshape(-1, 3)
+    torque = -(rows.torque @ p).reshape(-1, 3)
+    force = (scene.N @ p).reshape(-1, 3)
+    touching = scene.rows.contact_points > 0
+    direction = sliding.direction()
+    size = np.einsum("ti,ti->t", force, sliding.normal)
+    if sampling == "trilinear":  # voxel means on a coarse grid may pull a little
+        assert (size[touching] > 0.0).all()
+    np.testing.assert_allclose(drag, -size[:, None] * direction, atol=1e-12)
+    np.testing.assert_allclose(torque, np.cross(sliding.arm, drag), atol=1e-12)
+    power = np.einsum("ti,ti->t", drag, sliding.velocity)
+    assert (power[touching & (size > 0.0)] < 0.0).all()
+    assert not drag[~touching].any()
+
+
+def test_viscous_rows_put_each_pose_into_its_region() -> None:
+    scene = small_scene()
+    sliding = Sliding.of(scene.voxmap, scene.shell, scene.trajectory)
+    region = sliding.regions(6, 2, scene.voxmap)
+    angle = np.arctan2(sliding.position[:, 1], sliding.position[:, 0]) % (2 * np.pi)
+    np.testing.assert_array_equal(region // 2, (angle / (np.pi / 3)).astype(int))
+    rows = viscous_rows(sliding, region, 12)
+    c = np.arange(12.0)
+    drag = (rows.force @ c).reshape(-1, 3)
+    np.testing.assert_allclose(drag, c[region][:, None] * sliding.velocity)
+    with pytest.raises(InputError, match="at least one sector"):
+        sliding.regions(0, 2, scene.voxmap)
+
+
+@pytest.mark.parametrize("acts_at", ["contact", "reference"])
+def test_coulomb_global_finds_what_was_put_in(acts_at: str) -> None:
+    scene = dragged_scene(acts_at)
+    solution = tt.fit(scene, "coulomb_global", force_weight=1e-2, torque_weight=1e-2)
+    assert solution.parameters["friction_coefficient"] == pytest.approx(0.3, abs=2e-3)
+    assert solution.parameters["drag_at_reference"] == float(acts_at == "reference")
+    assert solution.timings.search is not None
+    errors = evaluate(solution.field, scene.shell, scene.trajectory).errors
+    assert errors.force_angle_error_deg < 0.2
+    without = tt.fit(scene, "eq10", force_weight=1e-2, torque_weight=1e-2)
+    worse = evaluate(without.field, scene.shell, scene.trajectory).errors
+    assert worse.force_angle_error_deg > 8.0
+
+
+def test_the_boundary_scale_is_the_objectives_own() -> None:
+    """Against dense least squares over (p, s): the scene's own fit is elsewhere."""
+    made = dragged_scene("contact", shape=(7, 14, 8))
+    assert made.trajectory.force is not None
+    lump = made.trajectory.position[:, 2:] > 0.11  # stiffer there, as over a rib
+    stiffer = made.trajectory.force * np.where(lump, 3.0, 1.0)
+    scene = Scene.assemble(
+        made.voxmap,
+        made.shell,
+        replace(made.trajectory, force=stiffer),
+        inner="fit",
+        sampling="trilinear",
+    )
+    solution = tt.fit(scene, "coulomb_global", force_weight=1.0, torque_weight=0.5)
+    rows, targets = [], []
+    for term in solution.program.terms:
+        boundary = -scene.b if term.name == "laplace" else np.zeros(len(term.target))
+        block = np.column_stack([term.matrix.toarray(), boundary])
+        rows.append(np.sqrt(term.weight) * block)
+        target = np.zeros(len(boundary)) if boundary.any() else term.target
+        targets.append(np.sqrt(term.weight) * target)
+    x, *_ = np.linalg.lstsq(np.vstack(rows), np.concatenate(targets), rcond=None)
+    found = solution.parameters["boundary_scale"] / scene.parameters["boundary_scale"]
+    assert found == pytest.approx(x[-1], abs=3e-3)
+    assert abs(found - 1.0) > 0.02
+    given = tt.fit(made, "coulomb_global", force_weight=1.0, torque_weight=0.5)
+    assert "boundary_scale" not in given.parameters  # given values stay
+    np.testing.assert_array_equal(given.program.term("laplace").target, made.b)
+
+
+def test_coulomb_drag_field_finds_what_was_put_in() -> None:
+    scene = dragged_scene("contact", shape=(8, 18, 9))
+    solution = tt.fit(scene, "coulomb_drag", force_weight=1.0, torque_weight=1.0)
+    assert solution.parameters["friction_coefficient"] == pytest.approx(0.3, rel=1e-3)
+    p, q = solution.variables["p"], solution.variables["q"]
+    region = scene.voxmap.region.reshape(-1)
+    assert (q * region).min() > -1e-5
+    assert ((p - q) * region).min() > -1e-5
+    assert np.abs(q[region == 0]).max() < 1e-5
+    assert solution.parameters["mean_friction_coefficient"] == pytest.approx(0.3)
+    assert set(solution.duals_by_name) == {"drag_sign", "drag_limit", "mean_friction"}
+    assert solution.duals_by_name["drag_sign"].shape == (scene.n_voxels,)
+
+
+def test_viscous_drag_finds_what_was_put_in() -> None:
+    scene = dragged_scene("contact", mu=0.0, viscous=20.0)
+    solution = tt.fit(
+        scene, "viscous_drag", force_weight=1.0, torque_weight=1.0, acts_at="contact"
+    )
+    assert solution.parameters["viscous_coefficient"] == pytest.approx(20.0, rel=1e-3)
+    each = tt.fit(
+        scene,
+        "viscous_drag",
+        force_weight=1.0,
+        torque_weight=1.0,
+        acts_at="contact",
+        sectors=8,
+        bands=2,
+    )
+    regions = {k: v for k, v in each.parameters.items() if k[-1].isdigit()}
+    assert len(regions) == 16
+    # patches never touched have the mean of those that were
+    np.testing.assert_allclose(list(regions.values()), 20.0, rtol=0.05)
+    for fitted in (solution, each):
+        seen = evaluate(fitted.field, scene.shell, scene.trajectory)
+        np.testing.assert_allclose(
+            seen.rendered_force, scene.trajectory.force, atol=2e-2
+        )
+
+
+def test_rendered_drag_is_that_of_the_fits_rows() -> None:
+    """What the fit explains is what rendering gives, coefficients in the field."""
+    scene = dragged_scene("reference")
+    solution = tt.fit(scene, "coulomb_global", force_weight=1e-2, torque_weight=1e-2)
+    force = solution.program.term("force")
+    torque = solution.program.term("torque")
+    assert force is not None
+    assert torque is not None
+    seen = evaluate(solution.field, scene.shell, scene.trajectory)
+    x = solution.candidate
+    trajectory = scene.trajectory
+    frames = zip(
+        trajectory.rotation, trajectory.position, trajectory.twist(), strict=True
+    )
+    renderer = tt.Renderer(solution.field, scene.shell)
+    frame_forces = np.array([renderer.render(*frame).force for frame in frames])
+    np.testing.assert_allclose(
+        frame_forces.reshape(-1), force.matrix @ x, rtol=0, atol=1e-11
+    )
+    np.testing.assert_allclose(
+        seen.rendered_force.reshape(-1), force.matrix @ x, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        seen.rendered_torque.reshape(-1) / scene.torque_length,
+        torque.matrix @ x,
+        atol=1e-12,
+    )
+
+
+def test_coefficients_go_through_the_fields_file(tmp_path: Path) -> None:
+    scene = small_scene("trilinear")
+    field = PotentialField(
+        scene.voxmap,
+        scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b)),
+        "trilinear",
+        {"boundary_scale": 2.0},
+    )
+    dragging = replace(field, parameters={"friction_coefficient": 0.4})
+    dragging.save(tmp_path / "field.nc")
+    loaded = PotentialField.load(tmp_path / "field.nc")
+    first, second = (
+        evaluate(f, scene.shell, scene.trajectory).rendered_force
+        for f in (dragging, loaded)
+    )
+    np.testing.assert_array_equal(first, second)
+    plain = evaluate(field, scene.shell, scene.trajectory).rendered_force
+    np.testing.assert_array_equal(plain.reshape(-1), scene.N @ field.values.reshape(-1))
+    assert np.abs(first - plain).max() > 0.01
+
+
+def test_rows_of_the_contact_are_used_as_they_are() -> None:
+    """The drag rows need no sampling of their own."""
+    trajectory = slide(np.array([0.0, 0.01, 0.0]))
+    rows = contact_rows(VOXMAP, SHELL, trajectory.rotation, trajectory.position)
+    drag = coulomb_rows(Sliding.of(VOXMAP, SHELL, trajectory), rows)
+    assert drag.force.shape == rows.N.shape
+    assert drag.force.nnz <= rows.N.nnz
+
+
+WEIGHTS = {"force_weight": 1e-2, "torque_weight": 1e-2}
+
+
+def phantom_scene(
+    folder: Path, kind: str, shape: tuple[int, int, int], n_points: int
+) -> Scene:
+    """The independent torso with a recording of it, boundary scale fitted."""
+    surface = tt.Surface.load(folder / "surface.nc")
+    return Scene.assemble(
+        Voxmap.from_surface(surface, shape=shape, r_inner=0.03),
+        PointShell.ellipsoid(semi_axes=(0.030, 0.0125, 0.018), n_points=n_points),
+        tt.read_trajectory(folder / f"{kind}_fit.csv"),
+        inner="fit",
+        sampling="trilinear",
+    )
+
+
+def errors_on(field: PotentialField, shell: PointShell, path: Path) -> Errors:
+    """Errors on a recording."""
+    return evaluate(field, shell, tt.read_trajectory(path)).errors
+
+
+@pytest.mark.slow
+def test_friction_of_the_independent_phantom_on_a_coarse_grid(shared: Path) -> None:
+    """μ within 10 %, unseen angles to about 3° against true forces, nothing lost."""
+    folder = shared / "phantom"
+    scene = phantom_scene(folder, "sweep", (24, 60, 30), 800)
+    plain = tt.fit(scene, "eq10", **WEIGHTS).field
+    solution = tt.fit(scene, "coulomb_global", **WEIGHTS)
+    assert solution.parameters["friction_coefficient"] == pytest.approx(0.25, rel=0.1)
+    np.testing.assert_allclose(
+        np.abs([solution.parameters[f"drag_axis_{a}"] for a in "xyz"]),
+        [0.0, 0.0, 1.0],
+        atol=1e-3,
+    )
+    for name in ("press_test", "sweep_test"):
+        true = errors_on(solution.field, scene.shell, folder / f"{name}_truth.csv")
+        assert true.force_angle_error_deg < 3.3
+        before, after = (
+            errors_on(field, scene.shell, folder / f"{name}.csv")
+            for field in (plain, solution.field)
+        )
+        assert before.force_angle_error_deg > 12.0
+        assert after.force_magnitude_error_N < before.force_magnitude_error_N
+        assert after.torque_magnitude_error_Nm < before.torque_magnitude_error_Nm * 1.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["press", "sweep"])
+def test_friction_of_the_independent_phantom(shared: Path, kind: str) -> None:
+    """Unseen angles from 12-14° to 3° and less, and nothing lost.
+
+    Against true forces, for sensor noise alone turns a force by 2°. The same contacts
+    are there without drag: eq. 10 fitted to those shows what is the field's, to which
+    drag adds next to nothing.
+    """
+    folder, without = shared / "phantom", shared / "phantom_frictionless"
+    scene = phantom_scene(folder, kind, (48, 120, 60), 1500)
+    plain = tt.fit(scene, "eq10", **WEIGHTS).field
+    solution = tt.fit(scene, "coulomb_global", **WEIGHTS)
+    assert solution.parameters["friction_coefficient"] == pytest.approx(0.25, rel=0.1)
+    smooth = phantom_scene(without, kind, (48, 120, 60), 1500)
+    ideal = tt.fit(smooth, "eq10", **WEIGHTS).field
+    for name in ("press_test", "sweep_test"):
+        before, after = (
+            errors_on(field, scene.shell, folder / f"{name}.csv")
+            for field in (plain, solution.field)
+        )
+        true = errors_on(solution.field, scene.shell, folder / f"{name}_truth.csv")
+        bare = errors_on(ideal, scene.shell, without / f"{name}_truth.csv")
+        assert before.force_angle_error_deg > 12.0
+        # 1.44° beside 1.05° without any drag at worst
+        assert true.force_angle_error_deg < min(3.0, bare.force_angle_error_deg + 0.5)
+        assert after.force_magnitude_error_N < before.force_magnitude_error_N
+        assert true.force_magnitude_error_N < bare.force_magnitude_error_N * 1.03
+        assert after.torque_magnitude_error_Nm < before.torque_magnitude_error_Nm * 1.03
+        assert true.torque_magnitude_error_Nm < bare.torque_magnitude_error_Nm * 1.03

@@ -1,0 +1,321 @@
+"""Fits as a whole: what is handed out, and what is not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import small_scene
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.errors import InputError
+from ttus_opt.fit.batch import Fitter, fit, judged
+from ttus_opt.problem.formulation import Formulation, Search, available, load
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.reduction import reduce
+from ttus_opt.problem.solution import NoSolutionError, Status, Timings
+from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.terms.base import AffineRows
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.sparse_sources import SparseSourcesTerm
+
+SCENE = small_scene("trilinear")
+TIMES = Timings(0.0, 0.0, 0.0)
+
+
+def eq10(weight: float = 0.1) -> Formulation:
+    return Formulation([LaplaceTerm(SCENE), ForceTerm(SCENE, weight)], name="mine")
+
+
+def dense_minimum(weight: float) -> np.ndarray:
+    L, N = SCENE.L.toarray(), SCENE.N.toarray()
+    return np.linalg.solve(
+        L.T @ L + weight * N.T @ N, L.T @ SCENE.b + weight * N.T @ SCENE.f
+    )
+
+
+def test_bounded_fit_against_dense_bounded_least_squares() -> None:
+    """eq10_sign on a handful of voxels, by an active-set method on dense rows."""
+    from scipy.optimize import lsq_linear
+
+    scene = small_scene("trilinear", shape=(6, 8, 5), n_poses=15)
+    rows = [scene.L.toarray(), np.sqrt(3.0) * scene.N.toarray()]
+    target = np.concatenate([scene.b, np.sqrt(3.0) * scene.f])
+    region = scene.voxmap.region.reshape(-1)
+    box = (
+        np.where(region > 0, 0.0, -np.inf),
+        np.where(region < 0, 0.0, np.inf),
+    )
+    dense = lsq_linear(np.vstack(rows), target, box, method="bvls", tol=1e-14)
+    solution = fit(scene, "eq10_sign", force_weight=3.0, torque_weight=0.0)
+    assert (np.abs(dense.x[region != 0]) < 1e-9).any()  # the sign does bind
+    np.testing.assert_allclose(
+        solution.field.values.reshape(-1), dense.x, atol=1e-5 * np.abs(dense.x).max()
+    )
+    assert solution.objective == pytest.approx(2.0 * dense.cost, rel=1e-7)
+
+
+def judge(x: np.ndarray | None, claim: Claim = Claim.DONE) -> tt.Solution:
+    declared = eq10()
+    return judged(
+        declared,
+        reduce(declared.compile()),
+        "by hand",
+        Candidate(x, Duals(), 3, claim, "words"),
+        Request(1e-6),
+        TIMES,
+    )
+
+
+def test_the_answer_is_the_dense_minimum() -> None:
+    solution = fit(SCENE, eq10())
+    np.testing.assert_allclose(
+        solution.field.values.reshape(-1), dense_minimum(0.1), atol=1e-8
+    )
+    assert solution.status is Status.SOLVED
+    assert solution.kkt is not None
+    assert solution.kkt.worst_relative < 1e-6
+    assert solution.objective == pytest.approx(sum(solution.costs.values()))
+    assert solution.field.provenance["formulation"] == repr(eq10())
+    assert set(solution.timings.as_dict()) == {"assembly", "setup", "solve"}
+
+
+def test_a_candidate_that_fails_its_check_is_never_in_field() -> None:
+    """However sure the solver is."""
+    wrong = judge(dense_minimum(0.1) + 1e-3)
+    assert wrong.status is Status.INACCURATE
+    assert wrong.candidate is not None
+    with pytest.raises(NoSolutionError, match="inaccurate, KKT") as caught:
+        _ = wrong.field
+    assert caught.value.solution is wrong
+    assert caught.value.solution.program.n_variables == SCENE.n_voxels
+    assert "take another solver" in str(caught.value)
+    assert judge(dense_minimum(0.1)).status is Status.SOLVED
+
+
+def test_a_solvers_claim_is_checked_before_it_is_believed() -> None:
+    """An answer that holds is a solution even when its solver gave up."""
+    assert judge(dense_minimum(0.1), Claim.GAVE_UP).status is Status.SOLVED
+    assert judge(dense_minimum(0.5), Claim.TIME_LIMIT).status is Status.TIME_LIMIT
+    assert judge(None, Claim.GAVE_UP).status is Status.FAILED
+    broken = judge(np.full(SCENE.n_voxels, np.nan))
+    assert broken.status is Status.INACCURATE
+    assert broken.kkt is not None
+    assert broken.kkt.primal == np.inf
+
+
+@pytest.mark.parametrize("claim", [Claim.INFEASIBLE, Claim.UNBOUNDED])
+def test_a_claim_without_a_proof_is_the_solvers_failure(claim: Claim) -> None:
+    """Eq. 10 has no constraints to contradict each other, and a sum of squares."""
+    verdict = judge(None, claim)
+    assert verdict.status is Status.FAILED
+    assert f'"{claim.value}" is the solver\'s word' in verdict.detail
+    assert "words" in verdict.detail
+
+
+def test_no_claim_takes_what_is_not_finite_for_an_answer() -> None:
+    x = dense_minimum(0.1)
+    for huge in (1e155, -1e155, 1e200):
+        assert judge(np.full(SCENE.n_voxels, huge)).status is Status.INACCURATE
+    declared = eq10().with_constraints(Sign(SCENE))
+    reduction, nan = reduce(declared.compile()), np.full(SCENE.n_voxels, np.nan)
+    for duals in (Duals({}, nan), Duals({"sign": nan}), Duals(terms={"force": nan})):
+        for claim in (Claim.DONE, Claim.GAVE_UP):
+            answer = Candidate(x, duals, 3, claim)
+            solution = judged(
+                declared, reduction, "by hand", answer, Request(1e-6), TIMES
+            )
+            assert solution.status is Status.INACCURATE
+            assert solution.kkt is not None
+            assert solution.kkt.worst_relative == np.inf
+
+
+def test_a_solvers_doubt_counts_where_nothing_is_proved() -> None:
+    """Absolute values and a few measurements: no sum of squares bounds the gap."""
+    declared = load("sparse_sources", SCENE, force_weight=0.1)
+    fitter = Fitter(declared, solver="clarabel")
+    answer = fitter._prepared.solve()
+    for claim, status in (
+        (Claim.DONE, Status.SOLVED),
+        (Claim.DOUBTS, Status.INACCURATE),
+        (Claim.GAVE_UP, Status.INACCURATE),
+    ):
+        found = judged(
+            declared,
+            reduce(declared.compile()),
+            "by hand",
+            replace(answer, claim=claim),
+            Request(1e-6),
+            TIMES,
+        )
+        assert found.kkt is not None
+        assert not found.kkt.is_bound
+        assert found.status is status, found.kkt
+    assert "the residuals hold but the solver doubts" in found.detail
+
+
+@pytest.mark.parametrize("place", ["target", "rows"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_term_that_is_no_number_is_refused_by_name(place: str, value: float) -> None:
+    @dataclass(frozen=True)
+    class Own(ForceTerm):
+        name = "own_idea"
+
+        def rows(self) -> AffineRows:
+            rows = super().rows()
+            target, matrix = rows.target.copy(), rows.blocks["p"].copy()
+            if place == "target":
+                target[4] = value
+            else:
+                matrix.data[0] = value
+            return AffineRows({"p": matrix}, target)
+
+    declared = Formulation([LaplaceTerm(SCENE), Own(SCENE, 0.1)])
+    for solver in ("auto", "structured", "clarabel"):
+        with pytest.raises(InputError, match=f"term own_idea: its {place}"):
+            fit(SCENE, declared, solver=solver)
+
+
+def test_auto_goes_on_where_the_first_answer_does_not_hold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """And says so; a solver named by the user is not replaced."""
+    from ttus_opt.solvers import structured
+
+    def gives_up(self: object) -> Candidate:
+        return Candidate(dense_minimum(0.5), claim=Claim.GAVE_UP, detail="tired")
+
+    monkeypatch.setattr(structured._Loaded, "solve", gives_up)
+    solution = fit(SCENE, eq10())
+    assert solution.status is Status.SOLVED
+    assert solution.solver == "clarabel"
+    assert [a.solver for a in solution.attempts] == ["structured"]
+    assert "after structured inaccurate at" in solution.advice
+    np.testing.assert_allclose(
+        solution.field.values.reshape(-1), dense_minimum(0.1), atol=1e-6
+    )
+    alone = fit(SCENE, eq10(), solver="structured")
+    assert alone.status is Status.INACCURATE
+    assert alone.detail == "tired"
+
+
+def test_a_contradiction_is_reported_by_name() -> None:
+    declared = eq10().with_constraints(
+        Sign(SCENE), HardBoundary(SCENE), Monotone(SCENE, 1000.0)
+    )
+    solution = fit(SCENE, declared)
+    assert solution.status is Status.INFEASIBLE
+    assert solution.conflict == ("boundary", "monotone")
+    with pytest.raises(NoSolutionError, match="boundary against monotone"):
+        _ = solution.field
+
+
+def test_slack_and_dual_of_every_constraint_by_name() -> None:
+    declared = eq10(3.0).with_constraints(Sign(SCENE), HardBoundary(SCENE))
+    solution = fit(SCENE, declared)
+    assert set(solution.slacks) == set(solution.duals_by_name) == {"sign", "boundary"}
+    assert np.abs(solution.slacks["boundary"]).max() < 1e-6
+    assert solution.slacks["sign"].min() > -1e-6
+    # the multiplier of a boundary value is the price of moving it
+    fixed = np.flatnonzero(~SCENE.laplace.free)
+    dual = solution.duals_by_name["boundary"]
+    row = int(np.argmax(np.abs(dual)))
+
+    def minimum(shift: float) -> float:
+        moved = SCENE.b.copy()
+        moved[fixed[row]] += shift
+        other = replace(SCENE, b=moved)
+        terms = [LaplaceTerm(other), ForceTerm(other, 3.0)]
+        return fit(
+            other, Formulation(terms, [Sign(other), HardBoundary(other)])
+        ).objective
+
+    h = 1e-4
+    price = (minimum(h) - minimum(-h)) / (2 * h)
+    # the Laplace term's own identity row of that voxel moves along, at no cost
+    assert price == pytest.approx(-dual[row], rel=1e-2)
+
+
+@pytest.mark.parametrize("solver", ["structured", "closed_form", "clarabel"])
+def test_solving_again_takes_the_new_data(solver: str) -> None:
+    fitter = Fitter(eq10(), solver=solver)
+    first = fitter.solve()
+    assert first.timings.again is None
+    fitter.update(eq10().with_weights(force=2.0))
+    second = fitter.solve()
+    assert second.timings.again is not None
+    assert second.timings.again > 0.0
+    assert second.timings.solve == first.timings.solve
+    np.testing.assert_allclose(
+        second.field.values.reshape(-1), dense_minimum(2.0), atol=1e-5
+    )
+    assert "again" in second.timings.as_dict()
+
+
+def test_terms_of_several_kinds_go_through_one_reduction() -> None:
+    declared = eq10() + SparseSourcesTerm(SCENE, 0.01)
+    solution = fit(SCENE, declared, tolerance=1e-5)
+    assert set(solution.costs) == {"laplace", "force", "sparse_sources"}
+    assert solution.candidate is not None
+    assert len(solution.candidate) == SCENE.n_voxels
+    assert solution.field.values.shape == SCENE.voxmap.grid.shape
+
+
+def test_a_search_finds_the_least_objective() -> None:
+    """Over the torque weight's partner: a made-up parameter with a known best."""
+
+    @dataclass(frozen=True)
+    class Shifted(ForceTerm):
+        value: float = 0.0
+
+        def rows(self) -> AffineRows:
+            rows = super().rows()
+            return replace(rows, target=rows.target * (1.0 + (self.value - 0.3) ** 2))
+
+        def parameters(self, values: object) -> dict[str, float]:
+            return {"value": self.value}
+
+    silent = replace(SCENE, b=np.zeros_like(SCENE.b))  # then the cost grows with ‖f‖
+
+    def build(value: float) -> Formulation:
+        return Formulation([LaplaceTerm(silent), Shifted(silent, 0.1, value)])
+
+    declared = build(0.9).with_search(Search("value", 0.0, 1.0, build))
+    solution = fit(silent, declared)
+    assert solution.parameters["value"] == pytest.approx(0.3, abs=5e-3)
+    grid = [fit(silent, build(v)).objective for v in (0.2, 0.3, 0.4)]
+    assert min(grid) == pytest.approx(solution.objective, rel=1e-4)
+
+
+def test_what_cannot_be_fitted() -> None:
+    other = small_scene("trilinear")
+    with pytest.raises(InputError, match="speaks of another scene"):
+        fit(other, eq10())
+    with pytest.raises(InputError, match="force weight must be finite and not"):
+        fit(SCENE, "eq10", force_weight=-1.0)
+    with pytest.raises(InputError, match="unknown solver 'structred', did you mean"):
+        fit(SCENE, "eq10", solver="structred")
+    with pytest.raises(InputError, match="tolerance must lie between"):
+        fit(SCENE, "eq10", tolerance=0.0)
+
+
+@pytest.mark.parametrize("info", available(), ids=lambda info: info.name)
+def test_every_formulation_is_solved_by_what_auto_picks(info: object) -> None:
+    """Verified, its objective no worse than that of the Laplace field."""
+    name = info.name  # type: ignore[attr-defined]
+    scene = small_scene("trilinear", shape=(7, 14, 8))
+    options = {} if name == "laplace_only" else {"force_weight": 0.1}
+    declared = load(name, scene, **options)
+    solution = fit(scene, declared)
+    assert solution.status is Status.SOLVED, solution.advice
+    program = solution.program
+    x = np.zeros(program.n_variables)
+    x[program.variables["p"]] = scene.laplace.solve(scene.b)
+    assert solution.objective <= program.objective(x) * (1 + 1e-6) + 1e-9
+    for slack in solution.slacks.values():
+        assert slack.min() > -1e-5

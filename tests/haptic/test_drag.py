@@ -1,0 +1,138 @@
+"""Drag of one pose and twist: against plain numpy, and what it may never do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.drags import LAWS, SHELL, SURFACE, VOXMAP, drag_by_hand, pushing
+from ttus_opt.errors import InputError
+from ttus_opt.haptic.drag import DragLaw
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.voxmap.field import PotentialField
+
+Pose = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def random_pose(rng: np.random.Generator, highest: float = 0.02) -> Pose:
+    """Any rotation, the reference from ``highest`` above the skin to 2 cm below."""
+    R = Rotation.random(rng=rng).as_matrix()
+    angle, z = rng.uniform(0, 2 * np.pi), rng.uniform(0.01, 0.19)
+    r = SURFACE.radius_at(np.array(angle), np.array(z)) + rng.uniform(-0.02, highest)
+    centre = np.array([r * np.cos(angle), r * np.sin(angle), z])
+    speed = 10.0 ** rng.uniform(-5, 0)
+    twist = rng.normal(size=6) * speed * np.array([1, 1, 1, 30, 30, 30])
+    return R, centre - R @ SHELL.reference, twist
+
+
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+@pytest.mark.parametrize("law", LAWS)
+def test_drag_is_that_of_the_points_depths(law: str, sampling: str) -> None:
+    rng = np.random.default_rng(4)
+    renderer = Renderer(pushing(sampling, LAWS[law]), SHELL)
+    bare = Renderer(pushing(sampling, {}), SHELL)
+    dragged = 0
+    for _ in range(60):
+        R, at, twist = random_pose(rng)
+        contact, whole = bare.render(R, at), renderer.render(R, at, twist)
+        drag = drag_by_hand(LAWS[law], SHELL, R, at, twist, contact.force)
+        np.testing.assert_allclose(
+            whole.force, contact.force + drag[:3], rtol=1e-9, atol=1e-11
+        )
+        np.testing.assert_allclose(
+            whole.torque, contact.torque + drag[3:], rtol=1e-9, atol=1e-12
+        )
+        dragged += bool(drag.any())
+    assert (dragged > 30) == (law != "none")
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.integers(0, 2**32 - 1))
+def test_friction_only_takes_energy(seed: int) -> None:
+    """Its power is never above 0: any pose, any twist, fields that pull too."""
+    rng = np.random.default_rng(seed)
+    R, at, twist = random_pose(rng)
+    law = LAWS[list(LAWS)[rng.integers(len(LAWS))]]
+    values = rng.normal(size=VOXMAP.grid.shape)
+    sampling = ("voxel-mean", "trilinear")[rng.integers(2)]
+    whole = Renderer(PotentialField(VOXMAP, values, sampling, law), SHELL)
+    bare = Renderer(PotentialField(VOXMAP, values, sampling), SHELL)
+    a, b = whole.render(R, at, twist), bare.render(R, at, twist)
+    at_reference = twist[:3] + np.cross(twist[3:], R @ SHELL.reference)
+    force, torque = a.force - b.force, a.torque - b.torque
+    power = force @ at_reference + torque @ twist[3:]
+    scale = np.linalg.norm(force) * np.linalg.norm(at_reference)
+    scale += np.linalg.norm(torque) * np.linalg.norm(twist[3:])
+    assert power <= 1e-12 * scale
+
+
+def test_no_motion_or_no_contact_no_drag() -> None:
+    renderer = Renderer(pushing("trilinear", LAWS["coulomb"]), SHELL)
+    bare = Renderer(pushing("trilinear", {}), SHELL)
+    R, at, twist = random_pose(np.random.default_rng(1), highest=0.0)
+    still = renderer.render(R, at, np.zeros(6))
+    assert still.contact_points > 0
+    assert still.drag == "given"
+    np.testing.assert_array_equal(still.force, bare.render(R, at).force)
+    away = at + np.array([0.3, 0.3, 0.0])
+    assert not renderer.render(R, away, twist).force.any()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "word"),
+    [
+        ({"friction_coefficient": -0.1}, "friction_coefficient of a field must not"),
+        ({"friction_coefficient": float("nan")}, "must not be negative, got nan"),
+        ({"viscous_coefficient": -1.0}, "viscous_coefficient of a field must not"),
+        (
+            {"viscous_coefficient": 1.0, "viscous_coefficient_0": -1.0},
+            "viscous_coefficient_0",
+        ),
+        (
+            {"friction_coefficient": 0.1, "drag_deadband": 0.0},
+            "drag_deadband must be positive",
+        ),
+        (
+            {"friction_coefficient": 0.1, "drag_at_reference": 1.0},
+            "give drag_axis_x, drag_axis_y, drag_axis_z",
+        ),
+        ({**LAWS["coulomb-reference"], "drag_axis_x": 0.9}, "unit length"),
+        ({"viscous_sectors": 0.0}, "at least one sector"),
+    ],
+)
+def test_what_is_no_drag(parameters: dict[str, float], word: str) -> None:
+    with pytest.raises(InputError, match=word):
+        DragLaw.of(parameters, VOXMAP.grid)
+    with pytest.raises(InputError, match=word):
+        Renderer(pushing("trilinear", parameters), SHELL)
+
+
+def test_a_neutral_coefficient_is_no_drag() -> None:
+    """What the data could not bear is 0, and asks nobody for a motion."""
+    neutral = {"friction_coefficient": 0.0, "viscous_coefficient": 0.0}
+    assert not DragLaw.of(neutral, VOXMAP.grid).active
+    renderer = Renderer(pushing("trilinear", neutral), SHELL)
+    R, at, _ = random_pose(np.random.default_rng(1), highest=0.0)
+    assert renderer.render(R, at).drag == "none"
+
+
+def test_points_weigh_by_their_area() -> None:
+    """In voxel means too, whose contact forces know no areas."""
+    rng = np.random.default_rng(9)
+    uneven = replace(SHELL, areas=SHELL.areas * rng.uniform(0.2, 5.0, len(SHELL)))
+    field, bare = (pushing("voxel-mean", p) for p in (LAWS["coulomb"], {}))
+    renderer, contact = Renderer(field, uneven), Renderer(bare, uneven)
+    for _ in range(10):
+        R, at, twist = random_pose(rng)
+        force = contact.render(R, at).force
+        expected = (
+            force + drag_by_hand(LAWS["coulomb"], uneven, R, at, twist, force)[:3]
+        )
+        np.testing.assert_allclose(
+            renderer.render(R, at, twist).force, expected, rtol=1e-9, atol=1e-11
+        )

@@ -1,0 +1,122 @@
+"""One wrench: what is judged, what is rendered and what is written are the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import ttus_opt as tt
+from tests.drags import LAWS, SHELL, SURFACE, VOXMAP, pushing
+from ttus_opt import example
+from ttus_opt.cli import main
+from ttus_opt.errors import TtusWarning
+from ttus_opt.haptic.drag import DragLaw
+from ttus_opt.haptic.field_wrench import wrenches_along
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.metrics import evaluate
+from ttus_opt.scene import Scene
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
+
+
+def motion(n: int = 40) -> Trajectory:
+    """In from the air, along and around the front with changes of speed, and out."""
+    s = np.linspace(0.0, 1.0, n)
+    angle = 1.4 + 0.4 * np.sin(5 * s)
+    z = 0.1 + 0.06 * np.sin(9 * s)
+    r = SURFACE.radius_at(angle, z) + 0.013 - 0.02 * np.sin(np.pi * s)
+    centre = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    turns = np.stack([np.sin(4 * s), np.cos(3 * s), np.sin(6 * s)], axis=1)
+    rotation = Rotation.from_rotvec(0.5 * turns).as_matrix()
+    time = 0.05 * np.cumsum(1.0 + 0.5 * np.sin(np.arange(n)))
+    return Trajectory(time, centre - rotation @ SHELL.reference, rotation)
+
+
+def rendered(field: PotentialField, trajectory: Trajectory) -> np.ndarray:
+    """Frame by frame with the trajectory's twists, shape (T, 6)."""
+    renderer = Renderer(field, SHELL)
+    frames = zip(
+        trajectory.rotation, trajectory.position, trajectory.twist(), strict=True
+    )
+    wrenches = [renderer.render(*frame) for frame in frames]
+    expected = "given" if DragLaw.of(field.parameters, VOXMAP.grid).active else "none"
+    assert {w.drag for w in wrenches} == {expected}
+    return np.array([[*w.force, *w.torque] for w in wrenches])
+
+
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+@pytest.mark.parametrize("law", LAWS)
+def test_frames_are_what_evaluate_judges(law: str, sampling: str) -> None:
+    field, trajectory = pushing(sampling, LAWS[law]), motion()
+    along = wrenches_along(field, SHELL, trajectory)
+    found = rendered(field, trajectory)
+    np.testing.assert_allclose(found[:, :3], along.force, rtol=0, atol=2e-11)
+    np.testing.assert_allclose(found[:, 3:], along.torque, rtol=0, atol=1e-12)
+    bare = wrenches_along(pushing(sampling, {}), SHELL, trajectory)
+    added = np.linalg.norm(along.force - bare.force, axis=1)
+    assert (added > 0.05).sum() > 15 or law == "none"
+    assert np.linalg.norm(bare.force, axis=1).max() > 3.0
+
+
+@pytest.mark.parametrize("law", ["none", "coulomb-reference", "viscous-regions"])
+def test_the_command_writes_what_evaluate_judges(law: str, tmp_path: Path) -> None:
+    """The CSV of ``ttus-opt render`` against both series of an evaluation."""
+    probe = "ellipsoid:0.02,0.015,0.012"
+    shell = tt.PointShell.from_spec(probe, n_points=400)
+    pushing("trilinear", LAWS[law]).save(tmp_path / "field.nc")
+    motion().save(tmp_path / "poses.csv")
+    arguments = ["--field", str(tmp_path / "field.nc"), "--probe", probe]
+    arguments += ["--trajectory", str(tmp_path / "poses.csv"), "--points", "400"]
+    out = tmp_path / "rendered.csv"
+    with pytest.raises(SystemExit, match="0"):
+        main(["render", *arguments, "-o", str(out), "--json"])
+    written = tt.read_trajectory(out)
+    judged = evaluate(PotentialField.load(tmp_path / "field.nc"), shell, written)
+    np.testing.assert_allclose(written.force, judged.rendered_force, atol=1e-11)
+    np.testing.assert_allclose(written.torque, judged.rendered_torque, atol=1e-12)
+    assert judged.errors.force_vector_rmse_N < 1e-11
+    assert judged.errors.frames_in_contact > 15
+
+
+def test_a_frame_of_the_bundled_drag_sweep() -> None:
+    """Rendered as evaluated: without drag it was 1.3 N beside it."""
+    surface = tt.Surface.load(example.path("surface.nc"))
+    shell = tt.PointShell.from_spec(example.PROBE)
+    recorded = tt.read_trajectory(example.path("sweep_drag_fit.csv"))
+    scene = Scene.assemble(
+        Voxmap.from_surface(surface, shape=(12, 36, 16), r_inner=0.03),
+        shell,
+        recorded.select(slice(None, None, 4)),
+        inner="fit",
+        sampling="trilinear",
+    )
+    field = tt.fit(scene, "coulomb_global", force_weight=1e-2, torque_weight=1e-2).field
+    judged = evaluate(field, shell, recorded)
+    k = 90
+    np.testing.assert_allclose(recorded.force[k], [0.49, 4.64, -1.68], atol=5e-3)
+    pose = recorded.rotation[k], recorded.position[k]
+    whole = Renderer(field, shell).render(*pose, recorded.twist()[k])
+    np.testing.assert_allclose(whole.force, judged.rendered_force[k], atol=1e-11)
+    np.testing.assert_allclose(whole.torque, judged.rendered_torque[k], atol=1e-12)
+    with pytest.warns(TtusWarning, match="friction_coefficient"):
+        bare = Renderer(field, shell).render(*pose)
+    assert np.linalg.norm(bare.force - recorded.force[k]) > 1.2
+    assert np.linalg.norm(whole.force - recorded.force[k]) < 0.6
+
+
+def test_evaluate_counts_points_beyond_the_inner_layer() -> None:
+    shallow = Voxmap.from_surface(SURFACE, shape=(8, 30, 14), r_inner=0.07)
+    values = np.ones(shallow.grid.shape)
+    field = PotentialField(shallow, values, "trilinear")
+    R, at = np.eye(3), np.array([0.0, 0.075, 0.1]) - SHELL.reference
+    deep = Trajectory(np.arange(1.0), at[None], R[None], at[None], at[None])
+    found = evaluate(field, SHELL, deep).beyond_inner
+    points = SHELL.points + at
+    inner = np.hypot(points[:, 0], points[:, 1]) < 0.07
+    assert found[0] == inner.sum() > 10
+    assert Renderer(field, SHELL).render(R, at).beyond_inner == found[0]
+    assert VOXMAP.grid.r_inner < 0.07

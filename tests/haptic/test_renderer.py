@@ -1,0 +1,257 @@
+from __future__ import annotations
+
+import itertools
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.conftest import small_scene, torso
+from ttus_opt.contact.rows import contact_rows
+from ttus_opt.errors import InputError
+from ttus_opt.haptic.blend import BlendLaw
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.haptic.wrench import render_frame
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scene import Scene
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
+
+
+def random_field(scene: Scene) -> PotentialField:
+    values = np.random.default_rng(1).normal(size=scene.voxmap.grid.shape)
+    return PotentialField(scene.voxmap, values, scene.sampling)
+
+
+def test_render_is_the_row_of_the_fit(scene: Scene) -> None:
+    """render(pose) == (N(pose) p, W(pose) p), the law of design §3."""
+    field = random_field(scene)
+    renderer = Renderer(field, scene.shell)
+    force = (scene.N @ field.values.reshape(-1)).reshape(-1, 3)
+    torque = (scene.W @ field.values.reshape(-1)).reshape(-1, 3)
+    touched = 0
+    for t in range(len(scene.trajectory)):
+        wrench = renderer.render(
+            scene.trajectory.rotation[t], scene.trajectory.position[t]
+        )
+        assert wrench.in_grid
+        assert wrench.contact_points == scene.rows.contact_points[t]
+        touched += wrench.contact_points > 0
+        np.testing.assert_allclose(wrench.force, force[t], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(wrench.torque, torque[t], rtol=0, atol=1e-13)
+    assert touched > 5
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+def test_the_law_at_five_thousand_points(sampling: str) -> None:
+    """Random poses, from the air to half sunk and over the ends of the grid."""
+    rng = np.random.default_rng(7)
+    surface = torso(180, 61)
+    voxmap = Voxmap.from_surface(surface, shape=(48, 120, 60), r_inner=0.03)
+    shell = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=5000)
+    values = rng.normal(size=voxmap.grid.shape)
+    renderer = Renderer(PotentialField(voxmap, values, sampling), shell)
+    rotation = Rotation.random(60, rng=rng).as_matrix()
+    angle, z = rng.uniform(0, 2 * np.pi, 60), rng.uniform(-0.02, 0.22, 60)
+    r = surface.radius_at(angle, z) + rng.uniform(-0.02, 0.03, 60)
+    position = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    rows = contact_rows(voxmap, shell, rotation, position, sampling=sampling)
+    force = (rows.N @ values.reshape(-1)).reshape(-1, 3)
+    torque = (rows.W @ values.reshape(-1)).reshape(-1, 3)
+    assert (rows.contact_points > 500).sum() > 20
+    assert (rows.contact_points == 0).sum() > 2
+    out = np.empty(6)
+    for t in range(60):
+        wrench = renderer.render(rotation[t], position[t])
+        assert wrench.contact_points == rows.contact_points[t]
+        assert wrench.in_grid == rows.in_grid[t]
+        assert wrench.beyond_inner == rows.beyond_inner[t]
+        np.testing.assert_allclose(wrench.force, force[t], rtol=0, atol=2e-12)
+        np.testing.assert_allclose(wrench.torque, torque[t], rtol=0, atol=1e-13)
+        count = renderer.render_into(rotation[t], position[t], out)
+        assert count == (wrench.contact_points if wrench.in_grid else -1)
+        np.testing.assert_array_equal(out, [*wrench.force, *wrench.torque])
+
+
+def least_memory(frame: Callable[[], object]) -> tuple[int, int]:
+    """Bytes that 2,000 frames leave and at most hold: the least of five rounds.
+
+    Python's count is of the whole process. A progress bar's thread of an earlier test,
+    or the collection of its garbage, may fall into one round; what a frame allocates is
+    in each.
+    """
+    rounds = []
+    tracemalloc.start()
+    try:
+        for _ in range(6):  # the first fills the interpreter's lists of spare objects
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            for _ in range(2000):
+                frame()
+            now, peak = tracemalloc.get_traced_memory()
+            rounds.append((now - before, peak - before))
+    finally:
+        tracemalloc.stop()
+    kept, peaks = zip(*rounds[1:], strict=True)
+    return min(kept), min(peaks)
+
+
+def test_nothing_is_compiled_or_allocated_in_a_frame(scene: Scene) -> None:
+    """Whatever layout a pose has; also while a swap of fields is under way."""
+    field = random_field(scene)
+    renderer = Renderer(field, scene.shell, blend=BlendLaw(force_rate=1e-9))
+    known = list(render_frame.signatures)
+    out = np.zeros(6)
+    trajectory = scene.trajectory
+    k = int(scene.rows.contact_points.argmax())
+    R, at = trajectory.rotation[k].copy(), trajectory.position[k].copy()
+    frozen = R.copy()
+    frozen.setflags(write=False)
+    straight = renderer.render(R, at).force
+    for rotation in (np.asfortranarray(R), frozen, R.tolist(), np.stack([R, R], 2)):
+        pose = rotation[..., 0] if np.ndim(rotation) == 3 else rotation
+        np.testing.assert_array_equal(renderer.render(pose, at).force, straight)
+    twist, clock = np.array([0.02, 0.01, 0.03, 0.5, 0.1, -0.2]), itertools.count()
+    frames: dict[str, Callable[[], object]] = {
+        "settled": lambda: renderer.render_into(R, at, out),
+        "swapping": lambda: renderer.render_into(R, at, out),
+        "dragging": lambda: renderer.render_into(R, at, out, twist),
+        "estimating": lambda: renderer.render_into(R, at, out, time=1e-3 * next(clock)),
+    }
+    after: dict[str, dict[str, float]] = {"settled": {}}
+    for stage, frame in frames.items():
+        kept, peak = least_memory(frame)
+        assert kept < 200, stage  # a tenth of a byte per frame
+        assert peak < 2100, stage  # numba's fingerprint of one call's arguments
+        drag = after.get(stage, {"friction_coefficient": 0.3})
+        values = 2 * field.values if stage == "settled" else field.values
+        renderer.update(PotentialField(field.voxmap, values, field.sampling, drag))
+    assert renderer.blend.progress < 1.0
+    assert list(render_frame.signatures) == known
+
+
+def test_a_frame_leaves_no_trace_in_the_next(scene: Scene) -> None:
+    renderer = Renderer(random_field(scene), scene.shell)
+    poses = list(zip(scene.trajectory.rotation, scene.trajectory.position, strict=True))
+    first = [renderer.render(*pose).force for pose in poses]
+    again = [renderer.render(*pose).force for pose in reversed(poses)]
+    np.testing.assert_array_equal(first, again[::-1])
+
+
+def test_results_are_the_callers_own(scene: Scene) -> None:
+    """A wrench kept by the caller is not overwritten by a later frame."""
+    renderer = Renderer(random_field(scene), scene.shell)
+    trajectory = scene.trajectory
+    kept = renderer.render(trajectory.rotation[0], trajectory.position[0])
+    before = kept.force.copy()
+    renderer.render(trajectory.rotation[1], trajectory.position[1])
+    np.testing.assert_array_equal(kept.force, before)
+
+
+def test_outside_the_grid_is_zero_and_says_so(scene: Scene) -> None:
+    wrench = Renderer(random_field(scene), scene.shell).render(
+        np.eye(3), np.array([0.0, 0.0, 7.0])
+    )
+    assert not wrench.in_grid
+    assert wrench.contact_points == 0
+    assert not wrench.force.any()
+    assert not wrench.torque.any()
+
+
+@pytest.mark.parametrize(
+    ("rotation", "position", "word"),
+    [
+        (np.eye(4), np.zeros(3), r"\(3, 3\)"),
+        (np.eye(3), np.zeros(2), r"\(3,\)"),
+        (np.eye(3) * 1.1, np.zeros(3), "orthonormal"),
+        (np.full((3, 3), np.nan), np.zeros(3), "NaN"),
+        (np.eye(3), np.array([0.0, np.nan, 0.0]), "NaN"),
+        (np.eye(3), np.array([0.0, np.inf, 0.0]), "NaN or infinite"),
+        (np.diag([1.0, 1.0, -1.0]), np.zeros(3), "reflection .determinant −1."),
+        (-np.eye(3), np.zeros(3), "reflection"),
+    ],
+)
+def test_unusable_poses(
+    scene: Scene, rotation: np.ndarray, position: np.ndarray, word: str
+) -> None:
+    renderer = Renderer(random_field(scene), scene.shell)
+    with pytest.raises(InputError, match=word):
+        renderer.render(rotation, position)
+
+
+def test_rendering_loads_no_modelling_package() -> None:
+    program = (
+        "import sys, ttus_opt; ttus_opt.Renderer, ttus_opt.PotentialField\n"
+        "print([m for m in ('cvxpy', 'qpsolvers', 'cv2', 'matplotlib')"
+        " if m in sys.modules])"
+    )
+    out = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert out.stdout.strip() == "[]"
+
+
+def test_a_field_loaded_from_file_renders_the_same(tmp_path: object) -> None:
+    scene = small_scene("trilinear")
+    field = random_field(scene)
+    field.save(f"{tmp_path}/field.nc")
+    loaded = PotentialField.load(f"{tmp_path}/field.nc")
+    R, at = scene.trajectory.rotation[3], scene.trajectory.position[3]
+    np.testing.assert_array_equal(
+        Renderer(loaded, scene.shell).render(R, at).force,
+        Renderer(field, scene.shell).render(R, at).force,
+    )
+    rows = contact_rows(loaded.voxmap, scene.shell, R[None], at[None])
+    assert rows.contact_points[0] == scene.rows.contact_points[3]
+
+
+def test_the_callers_field_is_not_the_renderers(scene: Scene) -> None:
+    """Changing an array after it was handed over changes no force."""
+    values = np.random.default_rng(2).normal(size=scene.voxmap.grid.shape)
+    renderer = Renderer(
+        PotentialField(scene.voxmap, values, scene.sampling), scene.shell
+    )
+    k = int(scene.rows.contact_points.argmax())
+    pose = scene.trajectory.rotation[k], scene.trajectory.position[k]
+    before = renderer.render(*pose).force
+    values *= 2.0
+    np.testing.assert_array_equal(renderer.render(*pose).force, before)
+
+
+def test_an_update_before_the_first_frame_is_simply_taken(scene: Scene) -> None:
+    field = random_field(scene)
+    renderer = Renderer(field, scene.shell)
+    new = PotentialField(field.voxmap, 3 * field.values, field.sampling)
+    renderer.update(new)
+    assert renderer.blend.progress == 1.0
+    k = int(scene.rows.contact_points.argmax())
+    pose = scene.trajectory.rotation[k], scene.trajectory.position[k]
+    np.testing.assert_array_equal(
+        renderer.render(*pose).force, Renderer(new, scene.shell).render(*pose).force
+    )
+
+
+@pytest.mark.parametrize("what", ["sampling", "grid", "surface"])
+def test_an_update_must_fit(what: str) -> None:
+    scene = small_scene("trilinear")
+    renderer = Renderer(random_field(scene), scene.shell)
+    voxmap, sampling = scene.voxmap, "trilinear"
+    if what == "sampling":
+        sampling = "voxel-mean"
+    elif what == "grid":
+        voxmap = Voxmap.from_surface(voxmap.surface, shape=(9, 20, 11), r_inner=0.03)
+    else:
+        voxmap = Voxmap(voxmap.grid, torso(40, 12), voxmap.region)
+    with pytest.raises(InputError, match=f"keep the field's {what}"):
+        renderer.update(PotentialField(voxmap, np.zeros(voxmap.grid.shape), sampling))
+
+
+def test_out_must_hold_a_wrench(scene: Scene) -> None:
+    renderer = Renderer(random_field(scene), scene.shell)
+    with pytest.raises(InputError, match=r"\(6,\), got \(3,\)"):
+        renderer.render_into(np.eye(3), np.zeros(3), np.zeros(3))

@@ -1,0 +1,99 @@
+"""Drag in the frames: of a twist, of an estimated one, left out; the force limit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.conftest import small_scene
+from tests.pressing import DRAG, TWIST, deepest_pose, pressing
+from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.scene import Scene
+
+
+def test_drag_without_a_motion_is_left_out_and_told_once(scene: Scene) -> None:
+    renderer = Renderer(pressing(scene, DRAG), scene.shell)
+    pose = deepest_pose(scene)
+    with pytest.warns(TtusWarning, match="friction_coefficient.*give render a twist"):
+        first = renderer.render(*pose)
+    assert first.drag == "left out"
+    assert renderer.render(*pose).drag == "left out"  # a second warning would fail
+    bare = Renderer(pressing(scene), scene.shell).render(*pose, TWIST)
+    np.testing.assert_array_equal(first.force, bare.force)
+    assert bare.drag == "none"
+    moved = renderer.render(*pose, TWIST)
+    assert moved.drag == "given"
+    assert np.linalg.norm(moved.force - first.force) > 0.1
+    # a twist is of its own frame only
+    np.testing.assert_array_equal(renderer.render(*pose).force, first.force)
+
+
+def test_drag_that_comes_with_an_update_is_told_too(scene: Scene) -> None:
+    renderer, pose = Renderer(pressing(scene), scene.shell), deepest_pose(scene)
+    assert renderer.render(*pose).drag == "none"
+    renderer.update(pressing(scene, {"viscous_coefficient": 3.0}))
+    with pytest.warns(TtusWarning, match=r"drag \(viscous_coefficient\)"):
+        assert renderer.render(*pose).drag == "left out"
+
+
+@pytest.mark.parametrize(
+    ("motion", "word"),
+    [
+        ({"twist": np.zeros(3)}, r"angular velocity .*\(6,\), got \(3,\)"),
+        ({"twist": np.full(6, np.nan)}, "twist contains NaN"),
+        ({"twist": np.zeros(6), "time": 0.0}, "twist or time, not both"),
+        ({"time": float("nan")}, "time must be finite"),
+        ({"time": float("inf")}, "time must be finite and not go back"),
+        ({"time": -1.0}, "not go back .*got -1.0 after 0.0"),
+    ],
+)
+def test_unusable_motions(motion: dict[str, object], word: str) -> None:
+    scene = small_scene("trilinear")
+    renderer, pose = Renderer(pressing(scene, DRAG), scene.shell), deepest_pose(scene)
+    renderer.render(*pose, time=0.0)
+    with pytest.raises(InputError, match=word):
+        renderer.render(*pose, **motion)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=word):
+        renderer.render_into(*pose, np.zeros(6), **motion)  # type: ignore[arg-type]
+
+
+def test_drag_of_an_estimated_motion(scene: Scene) -> None:
+    """Of a steady slide, its twist's; of a hand at rest, next to none and then none."""
+    field = pressing(scene, DRAG)
+    renderer, other = Renderer(field, scene.shell), Renderer(field, scene.shell)
+    bare = Renderer(pressing(scene), scene.shell)
+    (R, at), velocity = deepest_pose(scene), np.array([0.02, 0.0, -0.03])
+    twist = np.concatenate([velocity, np.zeros(3)])
+    out = np.zeros(6)
+    for k in range(400):
+        place = at + (k - 399) * 1e-3 * velocity
+        found = renderer.render(R, place, time=5.0 + 1e-3 * k)
+    assert found.drag == "estimated"
+    expected, contact = other.render(R, place, twist), bare.render(R, place)
+    np.testing.assert_allclose(found.force, expected.force, atol=1e-6)
+    assert np.linalg.norm(expected.force - contact.force) > 0.1
+    rng = np.random.default_rng(2)
+    for k in range(3000):  # a hand at rest, seen with ±0.05 mm
+        noisy = place + rng.uniform(-5e-5, 5e-5, 3)
+        renderer.render_into(R, noisy, out, time=5.4 + 1e-3 * k)
+        still = bare.render(R, noisy).force
+        drag = np.linalg.norm(out[:3] - still) / np.linalg.norm(still)
+        assert drag < (1e-6 if k > 2500 else 0.05 if k > 200 else 0.31), k
+
+
+def test_the_force_limit_shortens_the_wrench(scene: Scene) -> None:
+    field, pose = pressing(scene, DRAG), deepest_pose(scene)
+    free = Renderer(field, scene.shell).render(*pose, TWIST)
+    size = float(np.linalg.norm(free.force))
+    assert not free.saturated
+    cut = Renderer(field, scene.shell, force_limit=0.4 * size).render(*pose, TWIST)
+    assert cut.saturated
+    np.testing.assert_allclose(cut.force, 0.4 * free.force, rtol=1e-12)
+    np.testing.assert_allclose(cut.torque, 0.4 * free.torque, rtol=1e-12)
+    whole = Renderer(field, scene.shell, force_limit=1.01 * size).render(*pose, TWIST)
+    assert not whole.saturated
+    np.testing.assert_array_equal(whole.force, free.force)
+    for limit in (0.0, -1.0, float("nan")):
+        with pytest.raises(InputError, match="force_limit must be positive"):
+            Renderer(field, scene.shell, force_limit=limit)

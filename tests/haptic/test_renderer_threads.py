@@ -1,0 +1,127 @@
+"""One thread renders, others update and warm up: what they share and what not."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from tests.haptic.test_renderer import random_field
+from tests.pressing import DRAG, TWIST, deepest_pose, pressing
+from ttus_opt.haptic.blend import BlendLaw
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.scene import Scene
+from ttus_opt.voxmap.field import PotentialField
+
+
+def test_updates_from_another_thread_never_jump_nor_stop_the_frames(
+    scene: Scene,
+) -> None:
+    """A standing probe feels a slow change, and in the air the last field holds."""
+    field = random_field(scene)
+    law = BlendLaw(force_rate=5.0, reserve=1.0)
+    renderer = Renderer(field, scene.shell, blend=law)
+    fields = [
+        PotentialField(field.voxmap, s * field.values, field.sampling)
+        for s in np.random.default_rng(5).uniform(0.2, 3.0, 25)
+    ]
+    k = int(scene.rows.contact_points.argmax())
+    pose = scene.trajectory.rotation[k], scene.trajectory.position[k]
+    before = renderer.render(*pose).force
+    failures: list[BaseException] = []
+
+    def feed() -> None:
+        try:
+            for new in fields:
+                renderer.update(new)
+        except BaseException as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=feed)
+    thread.start()
+    frames = 0
+    while thread.is_alive() or frames < 200:
+        after = renderer.render(*pose).force
+        assert np.linalg.norm(after - before) <= 5e-3 * (1 + 1e-9)
+        before = after
+        frames += 1
+    thread.join()
+    assert not failures
+    renderer.render(np.eye(3), np.array([0.0, 0.0, 7.0]))
+    assert renderer.blend.progress == 1.0
+    np.testing.assert_array_equal(
+        renderer.render(*pose).force,
+        Renderer(fields[-1], scene.shell).render(*pose).force,
+    )
+
+
+def scratch_of(renderer: Renderer) -> dict[str, np.ndarray]:
+    """Copies of all that a frame writes and the next call might read."""
+    stage, desk = renderer._stage, renderer._desk
+    names = ("place", "near", "node", "touched", "depth", "voxel", "share", "hits")
+    arrays = {name: getattr(stage, name) for name in names} | desk._asdict()
+    arrays["ledger"] = renderer._fields.pair.ledger
+    return {name: array.copy() for name, array in arrays.items()}
+
+
+@pytest.mark.parametrize("call", ["warm_up", "update"])
+def test_other_threads_calls_leave_a_frames_scratch_alone(
+    scene: Scene, call: str
+) -> None:
+    """A frame may be half done when another thread updates or compiles."""
+    field = pressing(scene, DRAG)
+    renderer = Renderer(field, scene.shell, blend=BlendLaw(force_rate=1e-9))
+    pose = deepest_pose(scene)
+    renderer.render(*pose, TWIST)
+    renderer.update(PotentialField(field.voxmap, 2 * field.values, field.sampling))
+    renderer.render(*pose, TWIST)
+    before, stage = scratch_of(renderer), renderer._stage
+    if call == "warm_up":
+        renderer.warm_up()
+    else:  # amid a swap, so that two drags are mixed at the last pose
+        renderer.update(field)
+    after = scratch_of(renderer)
+    assert renderer._stage is stage
+    for name, array in before.items():
+        if name != "ledger" or call == "warm_up":
+            np.testing.assert_array_equal(after[name], array, err_msg=name)
+
+
+def test_frames_give_way_to_an_update(scene: Scene) -> None:
+    """While an update wants the turn, frames render and do not take it."""
+    field, pose = pressing(scene), deepest_pose(scene)
+    renderer = Renderer(field, scene.shell)
+    renderer.render(*pose)
+    renderer.update(PotentialField(field.voxmap, 0.5 * field.values, field.sampling))
+    renderer._waiting = True
+    before = renderer._fields.pair.ledger.copy()
+    force = renderer.render(*pose).force
+    np.testing.assert_array_equal(renderer._fields.pair.ledger, before)
+    renderer._waiting = False
+    assert np.linalg.norm(renderer.render(*pose).force) < np.linalg.norm(force)
+    assert renderer.blend.progress > 0.0
+
+
+def test_updates_come_one_after_the_other(scene: Scene) -> None:
+    """A second update still waiting keeps its claim when the first one ends."""
+    field = pressing(scene)
+    renderer, claims = Renderer(field, scene.shell), []
+    threads = [threading.Thread(target=renderer.update, args=(field,)) for _ in "ab"]
+    swapped = renderer._swapped
+
+    def watched(*arguments: object) -> object:
+        if not claims:
+            claims.append(renderer._waiting)
+            threads[1].start()
+            threads[1].join(0.2)  # it waits, for the turn or for its place
+        else:
+            threads[0].join(5.0)
+            claims.append(renderer._waiting)
+        return swapped(*arguments)  # type: ignore[arg-type]
+
+    renderer._swapped = watched  # type: ignore[method-assign,assignment]
+    threads[0].start()
+    threads[0].join(10.0)
+    threads[1].join(10.0)
+    assert claims == [True, True]

@@ -1,0 +1,295 @@
+"""L and b against analytic fields, a plain reference assembly, and the maximum
+principle."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
+from scipy.special import i0, k0
+
+from tests.conftest import torso
+from ttus_opt.errors import InputError
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.voxmap import INSIDE, SURFACE, Voxmap
+
+
+def tube(
+    shape: tuple[int, int, int], r_inner: float, radius: float, r_outer: float
+) -> LaplaceSystem:
+    surface = Surface.from_radius(np.full((8, 3), radius), np.array([0.0, 0.1, 0.2]))
+    voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=r_inner, r_outer=r_outer)
+    return LaplaceSystem.assemble(voxmap)
+
+
+def reference_rows(voxmap: Voxmap) -> sp.csr_array:
+    """The stencil of design §3 written down voxel by voxel."""
+    grid = voxmap.grid
+    n_r, n_theta, n_z = grid.shape
+    at = np.arange(grid.n_voxels).reshape(grid.shape)
+    L = sp.lil_array((grid.n_voxels, grid.n_voxels))
+    step = grid.r_step
+    for i, j, k in itertools.product(range(n_r), range(n_theta), range(n_z)):
+        row = at[i, j, k]
+        if voxmap.dirichlet[i, j, k]:
+            L[row, row] = 1.0
+            continue
+        r = grid.r[i]
+        for di, sign in ((1, 1.0), (-1, -1.0)):
+            L[row, at[i + di, j, k]] += 1.0 + sign * step / (2 * r)
+        for dj in (1, -1):
+            weight = (step / (r * grid.theta_step)) ** 2
+            L[row, at[i, (j + dj) % n_theta, k]] += weight
+            L[row, row] -= weight
+        for dk in (1, -1):
+            L[row, at[i, j, k + dk]] += (step / grid.z_step) ** 2
+            L[row, row] -= (step / grid.z_step) ** 2
+        L[row, row] -= 2.0
+    return sp.csr_array(L)
+
+
+@pytest.mark.parametrize("shape", [(9, 12, 7), (8, 5, 4), (12, 4, 3)])
+def test_rows_equal_the_plain_reference(shape: tuple[int, int, int]) -> None:
+    system = LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=shape))
+    difference = system.L - reference_rows(system.voxmap)
+    assert abs(difference).max() < 1e-12
+    for row in range(system.L.shape[0]):  # columns ascend within each row
+        columns = system.L.indices[system.L.indptr[row] : system.L.indptr[row + 1]]
+        assert (np.diff(columns) > 0).all()
+
+
+def annulus_error(n: int) -> float:
+    """Largest error of p = ln(R/r)/ln(R/r_in) inside, R on a layer."""
+    system = tube((2 * n + 1, 8, 5), 0.04, 0.08, 0.12)
+    p = system.grid.unflatten(system.solve(system.right_side(1.0, 1.0)))
+    r = system.grid.r
+    exact = np.where(
+        r < 0.08,
+        np.log(0.08 / r) / np.log(2.0),
+        -np.log(r / 0.08) / np.log(1.5),
+    )
+    return float(np.abs(p - exact[:, None, None]).max())
+
+
+def test_annulus_converges_at_second_order() -> None:
+    errors = [annulus_error(n) for n in (4, 8, 16, 32)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.abs(orders[1:] - 2.0).max() < 0.1
+    assert errors[-1] < 1e-4
+
+
+def cylinder_error(n: int) -> float:
+    """Error of the radially symmetric finite-cylinder solution sin(πz/h)·(I₀, K₀)."""
+    system = tube((2 * n + 1, 8, 2 * n + 1), 0.04, 0.08, 0.12)
+    grid, kappa = system.grid, np.pi / 0.2
+
+    def profile(r: np.ndarray) -> np.ndarray:
+        return i0(kappa * r) * k0(kappa * 0.08) - k0(kappa * r) * i0(kappa * 0.08)
+
+    exact = np.broadcast_to(
+        (profile(grid.r)[:, None] * np.sin(kappa * grid.z)[None])[:, None, :],
+        grid.shape,
+    )
+    b = np.where(system.free, 0.0, grid.flatten(exact.copy()))
+    p = grid.unflatten(system.solve(b))
+    return float(np.abs(p - exact).max() / np.abs(exact).max())
+
+
+def test_finite_cylinder_converges_at_second_order() -> None:
+    errors = [cylinder_error(n) for n in (4, 8, 16, 32)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.abs(orders[1:] - 2.0).max() < 0.1
+
+
+def angular_error(n: int) -> float:
+    """Error of cos(2θ)·(r² - R⁴/r²), which exercises the θ stencil."""
+    system = tube((2 * n + 1, 4 * n, 5), 0.04, 0.08, 0.12)
+    grid = system.grid
+    radial = grid.r**2 - 0.08**4 / grid.r**2
+    exact = radial[:, None, None] * np.cos(2 * grid.theta)[None, :, None]
+    exact = np.broadcast_to(exact, grid.shape)
+    p = system.solve(np.where(system.free, 0.0, grid.flatten(exact.copy())))
+    return float(np.abs(grid.unflatten(p) - exact).max() / np.abs(exact).max())
+
+
+def test_angular_harmonic_converges_at_second_order() -> None:
+    errors = [angular_error(n) for n in (4, 8, 16, 32)]
+    orders = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert np.abs(orders[1:] - 2.0).max() < 0.1
+
+
+@pytest.fixture(scope="module")
+def system() -> LaplaceSystem:
+    return LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=(14, 24, 11)))
+
+
+def test_rows_are_dimensionless(system: LaplaceSystem) -> None:
+    """The same torso in other units has the same L: λ is a pure number."""
+    surface = torso()
+    scaled = Surface.from_radius(surface.radius * 1000, surface.z * 1000)
+    voxmap = Voxmap.from_surface(
+        scaled,
+        shape=(14, 24, 11),
+        r_inner=30.0,
+        r_outer=system.grid.r_outer * 1000,
+    )
+    assert abs(LaplaceSystem.assemble(voxmap).L - system.L).max() < 1e-12
+
+
+def test_sign_and_maximum_principle(system: LaplaceSystem) -> None:
+    p = system.grid.unflatten(system.solve(system.right_side(3.0, 2.0)))
+    region = system.voxmap.region
+    assert (p[region == INSIDE] > 0).all()
+    assert np.abs(p[region == SURFACE]).max() == 0.0
+    assert (p[region < 0] < 0).all()
+    assert p.max() <= 3.0 + 1e-12
+    assert p.min() >= -2.0 - 1e-12
+    interior = system.grid.unflatten(system.free)
+    assert p[interior].max() < 3.0
+    assert p[interior].min() > -2.0
+
+
+def test_solves_agree_with_a_direct_factorisation(system: LaplaceSystem) -> None:
+    rng = np.random.default_rng(0)
+    g = rng.normal(size=system.grid.n_voxels)
+    L = sp.csc_array(system.L)
+    np.testing.assert_allclose(system.solve(g), spsolve(L, g), rtol=0, atol=1e-9)
+    direct = spsolve(sp.csc_array(L.T), g)
+    scale = np.abs(direct).max()
+    np.testing.assert_allclose(
+        system.solve_adjoint(g) / scale, direct / scale, rtol=0, atol=1e-10
+    )
+
+
+@pytest.fixture(scope="module")
+def tiny() -> LaplaceSystem:
+    """Small enough for dense decompositions."""
+    return LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=(9, 12, 7)))
+
+
+def test_full_column_rank(tiny: LaplaceSystem) -> None:
+    system = tiny
+    smallest = np.linalg.svd(system.L.toarray(), compute_uv=False)[-1]
+    assert smallest > 1e-4
+
+
+def test_the_free_block_is_symmetric_positive_definite(tiny: LaplaceSystem) -> None:
+    system = tiny
+    A = (sp.diags_array(-system.radii) @ system.L).toarray()
+    A = A[np.ix_(system.free, system.free)]
+    np.testing.assert_allclose(A, A.T, rtol=0, atol=1e-15)
+    assert np.linalg.eigvalsh(A)[0] > 0
+
+
+def test_ends_solve_the_polar_problem() -> None:
+    """On a tube the end slices are the annulus solution, independent of z."""
+    system = tube((65, 8, 5), 0.04, 0.08, 0.12)
+    b = system.grid.unflatten(system.right_side(1.0, 0.0))
+    inside = system.grid.r < 0.08
+    exact = np.log(0.08 / system.grid.r) / np.log(2.0) * inside
+    for k in (0, -1):
+        np.testing.assert_allclose(b[:, :, k], exact[:, None] * np.ones(8), atol=1e-4)
+
+
+def touching() -> LaplaceSystem:
+    """A torso whose surface reaches the outer layer at its widest, ends as well."""
+    surface = torso()
+    widest = float(surface.radius.max())
+    voxmap = Voxmap.from_surface(surface, shape=(14, 24, 11), r_outer=widest)
+    at_end = voxmap.region[-1, :, 0] == SURFACE
+    assert at_end.any()
+    assert not at_end.all()
+    return LaplaceSystem.assemble(voxmap)
+
+
+@pytest.mark.parametrize("where", ["between", "on the outer layer"])
+@pytest.mark.parametrize("end", [0, -1])
+def test_ends_satisfy_the_polar_stencil_of_a_torso(
+    system: LaplaceSystem, where: str, end: int
+) -> None:
+    system = system if where == "between" else touching()
+    grid = system.grid
+    b = grid.unflatten(system.right_side(2.0, 1.0))[:, :, end]
+    fixed = system.voxmap.region[:, :, end] == SURFACE
+    step, worst = grid.r_step, 0.0
+    for i, j in itertools.product(range(1, grid.shape[0] - 1), range(grid.shape[1])):
+        if fixed[i, j]:
+            continue
+        r, turn = grid.r[i], grid.shape[1]
+        rest = (
+            (1 + step / (2 * r)) * b[i + 1, j]
+            + (1 - step / (2 * r)) * b[i - 1, j]
+            - 2 * b[i, j]
+            + (step / (r * grid.theta_step)) ** 2
+            * (b[i, (j + 1) % turn] + b[i, j - 1] - 2 * b[i, j])
+        )
+        worst = max(worst, abs(rest))
+    assert worst < 1e-12
+    # and what is given: on the inner layer, on the surface, on the rest of the outer
+    np.testing.assert_allclose(b[0], 2.0, rtol=1e-12)
+    np.testing.assert_array_equal(b[fixed], 0.0)
+    np.testing.assert_allclose(b[-1, ~fixed[-1]], -1.0, rtol=1e-12)
+
+
+def test_a_surface_that_is_the_outer_layer_knows_no_outside() -> None:
+    """The annulus between the inner layer and R = r_outer, ends and middle."""
+    system = tube((65, 8, 5), 0.04, 0.12, 0.12)
+    assert not system.outer_part.any()
+    p = system.grid.unflatten(system.solve(system.right_side(1.0, 1.0)))
+    exact = np.log(0.12 / system.grid.r) / np.log(3.0)
+    np.testing.assert_allclose(p, exact[:, None, None] + 0 * p, atol=2e-4)
+
+
+def test_right_side_is_linear_and_checked(system: LaplaceSystem) -> None:
+    b = system.right_side(2.0, 3.0)
+    np.testing.assert_allclose(b, 2 * system.inner_part + 3 * system.outer_part)
+    with pytest.raises(InputError, match="finite"):
+        system.right_side(float("inf"), 1.0)
+
+
+def test_skin_on_the_outer_layer_is_zero_at_the_ends_too() -> None:
+    system = tube((9, 8, 5), 0.04, 0.118, 0.12)
+    assert (system.voxmap.region[-1] == SURFACE).all()
+    b = system.grid.unflatten(system.right_side(1.0, 2.0))
+    assert not b[-1].any()
+    assert (b[0] == 1.0).all()
+
+
+def test_screening_takes_from_the_diagonal() -> None:
+    """κ² Δr² off the diagonal of free rows: (κ Δr)² = 0.09 by hand."""
+    voxmap = Voxmap.from_surface(torso(), shape=(9, 12, 7))
+    plain = LaplaceSystem.assemble(voxmap)
+    kappa = 0.3 / voxmap.grid.r_step
+    change = (LaplaceSystem.assemble(voxmap, screening=kappa).L - plain.L).toarray()
+    np.testing.assert_allclose(change, np.diag(-0.09 * plain.free), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"conductivities": (1.0, 0.0, 1.0)},
+        {"conductivities": (1.0, np.inf, 1.0)},
+        {"conductivities": (1.0, 1.0)},
+        {"screening": -1e-9},
+        {"screening": np.nan},
+    ],
+)
+def test_variants_are_checked(given: dict[str, object]) -> None:
+    with pytest.raises(InputError, match=r"conductivities|screening"):
+        LaplaceSystem.assemble(
+            Voxmap.from_surface(torso(), shape=(9, 12, 7)),
+            **given,  # type: ignore[arg-type]
+        )
+
+
+@pytest.mark.parametrize("given", [{"screening": 1.0}, {"conductivities": (2, 1, 1)}])
+def test_the_multigrid_refuses_a_variant(given: dict[str, object]) -> None:
+    voxmap = Voxmap.from_surface(torso(), shape=(9, 12, 7))
+    system = LaplaceSystem.assemble(voxmap, **given)  # type: ignore[arg-type]
+    assert not system.is_plain
+    with pytest.raises(InputError, match="plain Laplace operator only"):
+        _ = system.multigrid

@@ -1,0 +1,41 @@
+"""The process that compiles the multigrid while another reads its data."""
+
+from __future__ import annotations
+
+import subprocess
+from typing import Any
+
+import pytest
+
+from ttus_opt.multigrid import ahead
+from ttus_opt.multigrid.pcg import _correct
+
+
+def test_what_it_solves_compiles_the_solver() -> None:
+    ahead.compile_multigrid()
+    assert _correct.signatures
+    assert ahead.is_kept(_correct)
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_a_process_is_started_only_when_there_is_something_to_do(
+    is_kept: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done: list[str] = []
+
+    class Helper:
+        def __init__(self, command: list[str], **_: Any) -> None:
+            assert command[1:] == ["-m", "ttus_opt.multigrid.ahead"]
+            done.append("started")
+
+        def terminate(self) -> None:
+            done.append("ended")
+
+        def wait(self) -> None:
+            done.append("waited for")
+
+    monkeypatch.setattr(ahead, "is_kept", lambda _: is_kept)
+    monkeypatch.setattr(subprocess, "Popen", Helper)
+    with pytest.raises(KeyError), ahead.compiling_ahead():
+        raise KeyError("a mistake meanwhile")
+    assert done == ([] if is_kept else ["started", "ended", "waited for"])

@@ -1,0 +1,131 @@
+"""Boxes of the grid for rough solves, against the same boxes written as masks."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import LinearOperator, cg, splu
+
+from tests.multigrid.test_solver import explicit, make_grid, torso
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.multigrid import Multigrid, StiffMultigrid, VCycle
+from ttus_opt.multigrid.subdomain import LARGE, MARGIN, SPOKES, Window
+from ttus_opt.voxmap.grid import CylindricalGrid
+
+GRID = make_grid((24, 64, 40))
+
+
+def patch(grid: CylindricalGrid, free: Mask, spoke: int) -> NDArray[np.int64]:
+    """Free voxels within three layers under the skin of a few spokes and slices."""
+    spokes = (spoke + np.arange(-3, 4)) % grid.shape[1]
+    chosen = np.zeros(grid.shape, dtype=bool)
+    for j in spokes:
+        for k in range(16, 25):
+            # the first stretch of free voxels from the inside ends under the skin
+            skin = int(np.argmin(free[1:, j, k])) + 1
+            chosen[skin - 3 : skin, j, k] = True
+    return np.flatnonzero(chosen & free)
+
+
+def run(cycle: VCycle, at: NDArray[np.int64], b: Array) -> Array:
+    """One V-cycle on values at some voxels."""
+    places = cycle.places(at)
+    cycle.b.fill(0.0)
+    cycle.b[places] = b
+    cycle.run()
+    return cycle.x[places].astype(float)
+
+
+@pytest.mark.parametrize("spoke", [30, 0, 62])
+def test_holds_the_voxels_and_their_margin(spoke: int) -> None:
+    """Also where the box passes θ = 0."""
+    free = torso(GRID)
+    near = patch(GRID, free, spoke)
+    window = Window.around(GRID, near)
+    inside = GRID.unflatten(window.spread(np.ones(window.shape, dtype=bool)))
+    assert inside.sum() == np.prod(window.shape) < LARGE * GRID.n_voxels
+    assert window.shape[1] % SPOKES == 0
+    i, j, k = np.unravel_index(near, GRID.shape)
+    for a in (-MARGIN, 0, MARGIN):
+        assert inside[(i + a).clip(0, GRID.shape[0] - 1), j, k].all()
+        assert inside[i, (j + a) % GRID.shape[1], k].all()
+        assert inside[i, j, (k + a).clip(0, GRID.shape[2] - 1)].all()
+
+
+@pytest.mark.parametrize("spoke", [30, 0])
+def test_its_arrays_are_the_grids(spoke: int) -> None:
+    free = torso(GRID)
+    window = Window.around(GRID, patch(GRID, free, spoke))
+    values = np.arange(GRID.n_voxels, dtype=float)
+    known = window.spread(window.free(free))
+    at = np.flatnonzero(known)
+    assert known.any() and not (known & ~free.reshape(-1)).any()
+    np.testing.assert_array_equal(
+        window.cut(GRID.unflatten(values))[window.nodes(at)], values[at]
+    )
+
+
+def test_large_boxes_are_the_grid() -> None:
+    free = torso(GRID)
+    everywhere = np.flatnonzero(free)
+    assert Window.around(GRID, everywhere).is_whole
+    assert Window.around(GRID, None).is_whole
+    assert Window.around(GRID, everywhere[:0]).is_whole
+    ring = np.ravel_multi_index((8, np.arange(GRID.shape[1]), 20), GRID.shape)
+    around = Window.around(GRID, ring)
+    assert around.shape[1] == GRID.shape[1] and not around.is_whole
+
+
+@pytest.mark.parametrize("ties", [False, True])
+@pytest.mark.parametrize("spoke", [30, 0, 62])
+def test_v_cycle_nearly_inverts_the_box(spoke: int, ties: bool) -> None:
+    """With zero around the box, and chains of tied voxels that move as one."""
+    free = torso(GRID)
+    flat = free.reshape(-1)
+    near = patch(GRID, free, spoke)
+    tied = np.zeros(GRID.n_voxels, dtype=bool)
+    if ties:  # every third pair of voxels of the patch, along its spoke
+        stride = GRID.strides[0]
+        own = near[np.isin(near + stride, near) & ~np.isin(near - stride, near)]
+        tied[own[::3]] = True
+        shown = flat & ~np.roll(tied, stride)
+        cycle = StiffMultigrid(GRID, flat, tied, shown).rough(near)
+    else:
+        shown = flat
+        cycle = Multigrid(GRID, free).rough(near)
+    assert 0 < cycle.free.sum() < 0.5 * flat.sum()
+    number = np.full(GRID.n_voxels, -1)
+    at = np.flatnonzero(cycle.free & shown)
+    number[at] = np.arange(len(at))
+    inner = np.roll(number, GRID.strides[0])
+    heads = np.where(np.roll(tied, GRID.strides[0]), inner, number)[cycle.free]
+    P = sp.csr_array((np.ones(len(heads)), (np.arange(len(heads)), heads)))
+    A = sp.csc_array(P.T @ explicit(GRID, GRID.unflatten(cycle.free)) @ P)
+    b = np.random.default_rng(1).normal(size=len(at))
+    B = LinearOperator(A.shape, matvec=lambda v: run(cycle, at, v.ravel()), dtype=float)
+    steps: list[int] = []
+    x, failed = cg(A, b, rtol=1e-6, M=B, callback=lambda _: steps.append(1))
+    assert failed == 0 and len(steps) <= (12 if ties else 8)
+    np.testing.assert_allclose(x, splu(A).solve(b), atol=1e-4 * np.abs(x).max())
+
+
+def test_zero_around_a_box_hardly_matters_near_its_voxels() -> None:
+    """What loads of the patch do there keeps its energy, but for the widest one."""
+    free = torso(GRID)
+    near = patch(GRID, free, 0)
+    whole = Multigrid(GRID, free)
+    window = Window.around(GRID, near)
+    part = Multigrid(GRID, free & GRID.unflatten(window.spread(window.free(free))))
+    loads = np.zeros((len(near), GRID.n_voxels))
+    loads[np.arange(len(near)), near] = 1.0
+    r = GRID.r.repeat(GRID.strides[0])
+    grams = []
+    for solver in (part, whole):
+        fields = np.array([r * v.x for v in solver.solve_many(loads, rtol=1e-8)])
+        grams.append(fields @ fields.T)
+    ratios = scipy.linalg.eigh(*grams, eigvals_only=True)
+    assert 0.5 < ratios.min() < ratios.max() < 1.01
+    assert ratios[1] > 0.75

@@ -1,0 +1,161 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.conftest import SHARED
+from ttus_opt.errors import InputError
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+
+FILES = sorted([*SHARED.glob("phantom*/*.csv"), *SHARED.glob("wrench/*.csv")])
+
+
+def made(n=21, *, wrench=True, rate=0.8, start=0.0):
+    """A screw about z: both velocities are known."""
+    time = start + 0.05 * np.arange(n)
+    angle = rate * time
+    position = np.stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), 0.02 * time], axis=1)
+    rotation = Rotation.from_rotvec(angle[:, None] * [0, 0, 1]).as_matrix()
+    force, torque = np.full((n, 3), 2.0), np.full((n, 3), 0.1)
+    return Trajectory(
+        time, position, rotation, *((force, torque) if wrench else (None, None))
+    )
+
+
+def test_velocities_of_a_screw():
+    screw = made()
+    np.testing.assert_allclose(screw.angular_velocity(), [[0, 0, 0.8]] * 21, atol=1e-12)
+    exact = np.cross([0, 0, 0.8], screw.position) + np.array([0, 0, 0.02])
+    # central differences: h²/6 · |x'''| inside, h/2 · |x''| at the ends
+    error = np.abs(screw.velocity() - exact)
+    assert error[1:-1].max() < 0.05**2 / 6 * 0.1 * 0.8**3 * 1.01
+    assert error.max() < 0.05 / 2 * 0.1 * 0.8**2 * 1.01
+
+
+def test_velocity_with_uneven_steps_is_exact_for_a_parabola():
+    time = np.array([0.0, 0.1, 0.15, 0.4, 0.45])
+    position = np.stack([time**2, 3 * time, 0 * time], axis=1)
+    moving = Trajectory(time, position, np.tile(np.eye(3), (5, 1, 1)))
+    velocity = moving.velocity()
+    np.testing.assert_allclose(velocity[1:-1, 0], 2 * time[1:-1], atol=1e-12)
+    np.testing.assert_allclose(velocity[:, 1], 3, atol=1e-12)
+
+
+def test_nothing_is_differenced_across_recordings():
+    far = made(5, start=3.0)
+    far = Trajectory(
+        far.time - 3.0, far.position + 1.0, far.rotation, far.force, far.torque
+    )
+    both = Trajectory.concatenate([made(), far, far.select(slice(0, 1))])
+    np.testing.assert_array_equal(both.segment, [0] * 21 + [1] * 5 + [2])
+    np.testing.assert_array_equal(both.velocity()[:21], made().velocity())
+    np.testing.assert_array_equal(both.velocity()[21:26], far.velocity())
+    np.testing.assert_array_equal(both.velocity()[26], 0)
+    np.testing.assert_array_equal(
+        both.angular_velocity()[:21], made().angular_velocity()
+    )
+    np.testing.assert_array_equal(both.angular_velocity()[26], 0)
+    twice = Trajectory.concatenate([both, both])
+    np.testing.assert_array_equal(np.unique(twice.segment), np.arange(6))
+
+
+def test_select():
+    whole = made()
+    some = whole.select(whole.time > 0.5)
+    np.testing.assert_array_equal(some.time, whole.time[whole.time > 0.5])
+    assert some.has_wrench and len(whole.select(slice(None, None, 4))) == 6
+    assert not made(wrench=False).select(np.array([0, 3])).has_wrench
+    with pytest.raises(InputError, match="no frame"):
+        whole.select(whole.time > 99)
+    with pytest.raises(InputError, match=r"shape \(21,\)"):
+        whole.select(np.array([True, False]))
+
+
+def test_concatenate_refuses():
+    with pytest.raises(InputError, match="at least one"):
+        Trajectory.concatenate([])
+    with pytest.raises(InputError, match="some have none"):
+        Trajectory.concatenate([made(), made(wrench=False)])
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(1, 12),
+    wrench=st.booleans(),
+    n_segments=st.integers(1, 3),
+)
+def test_saving_and_reading_gives_it_back(
+    tmp_path_factory, seed, n, wrench, n_segments
+):
+    rng = np.random.default_rng(seed)
+
+    def part():
+        return Trajectory(
+            np.cumsum(rng.uniform(1e-6, 1, n)),
+            rng.normal(size=(n, 3)),
+            Rotation.random(n, rng=rng).as_matrix(),
+            100 * rng.normal(size=(n, 3)) if wrench else None,
+            rng.normal(size=(n, 3)) if wrench else None,
+        )
+
+    before = Trajectory.concatenate([part() for _ in range(n_segments)])
+    file = tmp_path_factory.mktemp("saved") / "new" / "t.csv"
+    before.save(file)
+    after = read_trajectory(file)
+    for name in ("time", "position", "force", "torque", "segment"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(before, name))
+    np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-14)
+    assert after.has_wrench == wrench
+    assert [f.name for f in file.parent.iterdir()] == ["t.csv"]
+
+
+def test_quaternions_are_w_first():
+    turned = Trajectory(
+        np.zeros(1), np.zeros((1, 3)), np.array([[[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]])
+    )
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(turned.quat_wxyz, [[half, 0, 0, half]], atol=1e-15)
+
+
+@pytest.mark.skipif(not FILES, reason="shared recordings are not here")
+@pytest.mark.parametrize("file", FILES, ids=lambda f: f"{f.parent.name}-{f.stem}")
+def test_real_files(file):
+    trajectory = read_trajectory(file)
+    raw = np.genfromtxt(file, delimiter=",", names=True)
+    assert len(trajectory) == len(raw) and trajectory.has_wrench
+    np.testing.assert_array_equal(trajectory.position[:, 1], raw["py"])
+    assert trajectory.torque is not None
+    np.testing.assert_array_equal(trajectory.torque[:, 2], raw["tz"])
+    # third column of the rotation from the quaternion's own formula
+    w, x, y, z = (raw[f"q{c}"] for c in "wxyz")
+    third = [2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z]
+    third = np.stack(third, axis=1) / (w * w + x * x + y * y + z * z)[:, None]
+    np.testing.assert_allclose(trajectory.rotation[:, :, 2], third, atol=1e-12)
+    assert np.abs(trajectory.velocity()).max() < 1.0
+
+
+EYE = np.tile(np.eye(3), (3, 1, 1))
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"time": np.zeros(0)}, "at least one frame"),
+        ({"time": np.array([0.0, 0.1, 0.1])}, "increase .* 0.1 then 0.1 at frame 2"),
+        ({"position": np.zeros((2, 3))}, r"position must have shape \(3, 3\)"),
+        ({"position": np.full((3, 3), np.nan)}, "not finite in 3 of 3"),
+        ({"rotation": 2 * EYE}, "frame 0: not a rotation"),
+        ({"rotation": -EYE}, "not a rotation"),
+        ({"force": np.zeros((3, 3))}, "only force"),
+        ({"torque": np.zeros((3, 3))}, "only torque"),
+        ({"segment": np.array([0, 1, 0])}, "stand together"),
+        ({"segment": np.array([0, 1])}, "segment must have shape"),
+    ],
+)
+def test_a_trajectory_is_validated(change, text):
+    parts = {"time": np.arange(3.0), "position": np.zeros((3, 3)), "rotation": EYE}
+    with pytest.raises(InputError, match=text) as caught:
+        Trajectory(**{**parts, **change})
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.conftest import small_scene
+from ttus_opt.contact.friction import Sliding, coulomb_rows
+from ttus_opt.errors import InputError
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.report.metrics import angles, evaluate
+from ttus_opt.voxmap.field import PotentialField
+
+SCENE = small_scene("trilinear", n_poses=20)
+FIELD = PotentialField(
+    SCENE.voxmap, SCENE.voxmap.grid.unflatten(SCENE.laplace.solve(SCENE.b)), "trilinear"
+)
+
+
+def test_rendered_series_is_the_renderers() -> None:
+    evaluation = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
+    renderer = Renderer(FIELD, SCENE.shell)
+    for t in range(20):
+        wrench = renderer.render(
+            SCENE.trajectory.rotation[t], SCENE.trajectory.position[t]
+        )
+        np.testing.assert_allclose(
+            evaluation.rendered_force[t], wrench.force, atol=1e-12
+        )
+        np.testing.assert_allclose(
+            evaluation.rendered_torque[t], wrench.torque, atol=1e-13
+        )
+
+
+def test_a_perfect_field_has_no_error() -> None:
+    seen = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
+    perfect = replace(
+        SCENE.trajectory, force=seen.rendered_force, torque=seen.rendered_torque
+    )
+    errors = evaluate(FIELD, SCENE.shell, perfect, force_threshold=0.01).errors
+    assert errors.force_magnitude_error_N < 1e-14
+    assert errors.force_angle_error_deg < 1e-6
+    assert errors.torque_magnitude_error_Nm < 1e-14
+    assert errors.frames == 20
+    assert 0 < errors.frames_in_contact <= 20
+
+
+def turned(vectors: np.ndarray, degrees: float) -> np.ndarray:
+    """Each turned by an angle about an axis of its own across it."""
+    across = np.cross(vectors, [0.3, -0.5, 0.8])
+    across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+    return Rotation.from_rotvec(np.deg2rad(degrees) * across).apply(vectors)
+
+
+def test_known_errors_by_hand() -> None:
+    """Measured: the rendered force doubled and turned by 30°, torque halved and by 50°.
+
+    Angles of both are told over the frames above the thresholds only.
+    """
+    seen = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
+    force = 2.0 * turned(seen.rendered_force, 30.0)
+    torque = 0.5 * turned(seen.rendered_torque, 50.0)
+    measured = replace(SCENE.trajectory, force=force, torque=torque)
+    errors = evaluate(
+        FIELD, SCENE.shell, measured, force_threshold=0.2, torque_threshold=2e-4
+    ).errors
+    size = np.linalg.norm(seen.rendered_force, axis=1)
+    assert errors.force_magnitude_error_N == pytest.approx(size.mean())
+    assert errors.force_magnitude_rmse_N == pytest.approx(np.sqrt((size**2).mean()))
+    # the third side of a triangle of 2, 1 and 30°, per frame, not per component
+    side = np.sqrt(5.0 - 4.0 * np.cos(np.pi / 6))
+    expected = side * np.sqrt((size**2).mean())
+    assert errors.force_vector_rmse_N == pytest.approx(expected)
+    assert errors.force_angle_error_deg == pytest.approx(30.0)
+    twist = np.linalg.norm(seen.rendered_torque, axis=1)
+    assert errors.torque_magnitude_error_Nm == pytest.approx(0.5 * twist.mean())
+    rmse = 0.5 * np.sqrt((twist**2).mean())
+    assert errors.torque_magnitude_rmse_Nm == pytest.approx(rmse)
+    assert errors.torque_angle_error_deg == pytest.approx(50.0)
+    touching = 2.0 * size > 0.2
+    assert errors.frames_in_contact == touching.sum() > 3
+    assert errors.frames_with_torque == (touching & (0.5 * twist > 2e-4)).sum() > 3
+
+
+def test_the_default_thresholds_are_half_a_newton_and_a_hundredth_of_a_metre() -> None:
+    """A frame just above counts, one just below does not; [N] and [N·m]."""
+    force, torque = np.zeros((20, 3)), np.zeros((20, 3))
+    force[:5, 0], force[5, 0] = 0.501, 0.499
+    torque[:3, 1], torque[3, 1], torque[5, 1] = 0.0101, 0.0099, 1.0
+    measured = replace(SCENE.trajectory, force=force, torque=torque)
+    errors = evaluate(FIELD, SCENE.shell, measured).errors
+    assert errors.frames_in_contact == 5
+    assert errors.frames_with_torque == 3
+    assert (errors.force_threshold_N, errors.torque_threshold_Nm) == (0.5, 0.01)
+
+
+@pytest.mark.parametrize("acts_at", ["contact", "reference"])
+def test_drag_is_judged_with_force_and_torque(acts_at: str) -> None:
+    """By the rows of a fit with friction: through the reference it has no torque."""
+    drag = {"friction_coefficient": 0.3, "drag_at_reference": acts_at == "reference"}
+    sliding = Sliding.of(SCENE.voxmap, SCENE.shell, SCENE.trajectory, acts_at)
+    axis = dict(
+        zip(("drag_axis_x", "drag_axis_y", "drag_axis_z"), sliding.axis, strict=True)
+    )
+    rubbing = replace(FIELD, parameters={**drag, **axis})
+    bare = evaluate(FIELD, SCENE.shell, SCENE.trajectory)
+    seen = evaluate(rubbing, SCENE.shell, SCENE.trajectory)
+    rows = coulomb_rows(sliding, SCENE.rows)
+    p = FIELD.values.reshape(-1)
+    for rendered, without, added in (
+        (seen.rendered_force, bare.rendered_force, -0.3 * (rows.force @ p)),
+        (seen.rendered_torque, bare.rendered_torque, -0.3 * (rows.torque @ p)),
+    ):
+        np.testing.assert_allclose(
+            rendered, without + added.reshape(-1, 3), rtol=0, atol=1e-12
+        )
+    turning = np.abs(seen.rendered_torque - bare.rendered_torque).max()
+    assert turning > 1e-3 if acts_at == "contact" else turning == 0.0
+
+
+def test_angles_are_exact_when_small_and_right_for_zeros() -> None:
+    a = np.array([[1.0, 0, 0], [1, 0, 0], [0, 0, 0], [1, 0, 0]])
+    b = np.array([[1.0, 1e-9, 0], [-1, 0, 0], [1, 0, 0], [0, 0, 0]])
+    expected = [np.degrees(1e-9), 180.0, 90.0, 90.0]
+    np.testing.assert_allclose(angles(a, b), expected, rtol=1e-9)
+
+
+def test_no_frame_in_contact_has_no_angle() -> None:
+    still = replace(SCENE.trajectory, force=np.zeros((20, 3)))
+    errors = evaluate(FIELD, SCENE.shell, still).errors
+    assert errors.frames_in_contact == 0
+    assert np.isnan(errors.force_angle_error_deg)
+
+
+def test_a_trajectory_without_wrench_is_refused() -> None:
+    bare = replace(SCENE.trajectory, force=None, torque=None)
+    with pytest.raises(InputError, match="no wrench"):
+        evaluate(FIELD, SCENE.shell, bare)

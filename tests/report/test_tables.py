@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ttus_opt.report.metrics import Errors, Evaluation
+from ttus_opt.report.tables import Comparison, error_table, table, write_report
+
+NAN = float("nan")
+
+
+def evaluation(magnitude: float, angle: float = 3.0) -> Evaluation:
+    errors = Errors(
+        magnitude, 2 * magnitude, 0.0, angle, 0.004, 0.005, NAN, 40, 30, 0, 0.5, 0.01
+    )
+    zero = np.zeros((40, 3))
+    return Evaluation(
+        errors, np.arange(40.0), zero, zero, zero, zero, np.ones(40, bool), zero[:, 0]
+    )
+
+
+COMPARISONS = [
+    Comparison("press_fit", True, evaluation(0.4), evaluation(0.2)),
+    Comparison("press_test", False, evaluation(0.5), evaluation(0.25)),
+]
+
+
+def cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def test_table_columns_are_aligned_and_complete() -> None:
+    lines = table(["name", "n"], [["a", "1"], ["longer", "22"]]).splitlines()
+    assert len({len(line) for line in lines}) == 1
+    assert [cells(line) for line in lines[2:]] == [["a", "1"], ["longer", "22"]]
+
+
+def test_table_refuses_rows_of_another_length() -> None:
+    with pytest.raises(ValueError, match="zip"):
+        table(["a", "b"], [["1", "2", "3"]])
+
+
+def test_error_table_shows_before_and_after_in_the_stated_units() -> None:
+    lines = error_table(COMPARISONS).splitlines()
+    header, first, second = cells(lines[0]), cells(lines[2]), cells(lines[3])
+    assert first[0] == "press_fit (same)" and second[0] == "press_test (new)"
+    assert first[1] == "30/40"
+    assert first[header.index("force [N]")] == "0.40 → 0.20"
+    assert first[header.index("rmse [N]")] == "0.80 → 0.40"
+    assert first[header.index("torque [mN m]")] == "4.0 → 4.0"
+    assert first[-1] == "– → –"  # no torque direction: NaN is never printed
+
+
+def test_report_holds_facts_table_and_pictures(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "report.md"
+    write_report(
+        path, COMPARISONS, facts={"Grid": "small"}, pictures={"a.png": "A picture"}
+    )
+    text = path.read_text(encoding="utf-8")
+    assert "- Grid: small" in text
+    assert error_table(COMPARISONS) in text
+    assert "![A picture](a.png)" in text
+    assert "force above 0.5 N" in text

@@ -1,0 +1,312 @@
+"""Reading clouds: every format gives the same points, every fault one line."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.conftest import SHARED
+from ttus_opt.errors import FileError, InputError, TtusError
+from ttus_opt.scan.cloud import read_cloud
+from ttus_opt.scan.pcd import lzf_decompress
+
+DATA = SHARED / "torso"
+
+POINTS = np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3)).astype("<f4")
+
+
+def pcd_header(n: int, encoding: str, *, fields: str = "x y z rgb") -> str:
+    k = len(fields.split())
+    return (
+        "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\n"
+        f"FIELDS {fields}\nSIZE{' 4' * k}\nTYPE{' F' * k}\nCOUNT{' 1' * k}\n"
+        f"WIDTH {n}\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS {n}\nDATA {encoding}\n"
+    )
+
+
+def lzf_compress(raw: bytes) -> bytes:
+    """A naive LZF packer: the last place of each three bytes, at most 264 long."""
+    out, literals, last = bytearray(), bytearray(), {}
+    at = 0
+
+    def flush() -> None:
+        for start in range(0, len(literals), 32):
+            piece = literals[start : start + 32]
+            out.append(len(piece) - 1)
+            out.extend(piece)
+        literals.clear()
+
+    while at < len(raw):
+        key = raw[at : at + 3]
+        found = last.get(key, -1) if len(key) == 3 else -1
+        last[key] = at
+        distance = at - found - 1
+        if found < 0 or distance >= 8192:
+            literals.append(raw[at])
+            at += 1
+            continue
+        length = 3
+        while length < 264 and raw[found + length : found + length + 1] == (
+            raw[at + length : at + length + 1] or b"none"
+        ):
+            length += 1
+        flush()
+        if length - 2 < 7:
+            out.append(((length - 2) << 5) | (distance >> 8))
+        else:
+            out.extend([(7 << 5) | (distance >> 8), length - 2 - 7])
+        out.append(distance & 255)
+        at += length
+    flush()
+    return bytes(out)
+
+
+def write(path: Path, points: np.ndarray, kind: str) -> Path:
+    n = len(points)
+    table = np.column_stack([points, np.arange(n)]).astype("<f4")
+    if kind == "npy":
+        np.save(path, points)
+    elif kind in ("xyz", "csv"):
+        header = "x,y,z" if kind == "csv" else ""
+        np.savetxt(
+            path,
+            points,
+            fmt="%.9g",
+            delimiter="," if header else " ",
+            header=header,
+            comments="",
+        )
+    elif kind == "pcd-ascii":
+        text = io.StringIO()
+        np.savetxt(text, table, fmt="%.9g")
+        path.write_text(pcd_header(n, "ascii") + text.getvalue())
+    elif kind == "pcd-binary":
+        path.write_bytes(pcd_header(n, "binary").encode() + table.tobytes())
+    elif kind == "pcd-packed":
+        raw = table.T.tobytes()
+        packed = lzf_compress(raw)
+        sizes = np.array([len(packed), len(raw)], "<u4").tobytes()
+        path.write_bytes(pcd_header(n, "binary_compressed").encode() + sizes + packed)
+    elif kind.startswith("ply"):
+        binary = kind == "ply-binary"
+        head = (
+            f"ply\nformat {'binary_little_endian' if binary else 'ascii'} 1.0\n"
+            f"element vertex {n}\nproperty float x\nproperty float y\n"
+            "property float z\nend_header\n"
+        ).encode()
+        text = io.StringIO()
+        np.savetxt(text, points, fmt="%.9g")
+        body = points.astype("<f4").tobytes() if binary else text.getvalue().encode()
+        path.write_bytes(head + body)
+    return path
+
+
+KINDS = {
+    "npy": ".npy",
+    "xyz": ".xyz",
+    "csv": ".csv",
+    "pcd-ascii": ".pcd",
+    "pcd-binary": ".pcd",
+    "pcd-packed": ".pcd",
+    "ply-ascii": ".ply",
+    "ply-binary": ".ply",
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(("unit", "scale"), [("m", 1.0), ("cm", 100), ("mm", 1000)])
+def test_every_format_and_unit_gives_the_same_points(
+    tmp_path: Path, kind: str, unit: str, scale: float
+) -> None:
+    path = write(tmp_path / f"cloud{KINDS[kind]}", POINTS * scale, kind)
+    cloud = read_cloud(path, unit=unit)
+    assert cloud.dtype == np.float64
+    np.testing.assert_allclose(cloud, POINTS, rtol=3e-7)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_nan_is_refused_with_the_remedy_and_dropped_on_request(
+    tmp_path: Path, kind: str
+) -> None:
+    points = POINTS.copy()
+    points[3, 1], points[50, 0] = np.nan, np.inf
+    path = write(tmp_path / f"cloud{KINDS[kind]}", points, kind)
+    with pytest.raises(InputError, match=r"2 of 200 points .* drop_nan=True"):
+        read_cloud(path)
+    kept = np.delete(POINTS, [3, 50], axis=0)
+    np.testing.assert_allclose(read_cloud(path, drop_nan=True), kept, rtol=3e-7)
+
+
+def test_all_nan_is_refused_even_when_dropping(tmp_path: Path) -> None:
+    path = write(tmp_path / "c.npy", np.full((9, 3), np.nan), "npy")
+    with pytest.raises(InputError, match="no point has finite"):
+        read_cloud(path, drop_nan=True)
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit", "message"),
+    [
+        (1000, None, r"extent is 59\d\.?\d?: are these millimetres\? pass unit='mm'"),
+        (100, None, r"are these centimetres\? pass unit='cm'"),
+        (1, "mm", r"read with unit='mm': are these metres\? pass unit='m'"),
+        (1e6, None, "crop the scan"),
+        (1e-9, "m", "check its unit"),
+    ],
+)
+def test_implausible_extents(
+    tmp_path: Path, scale: float, unit: str | None, message: str
+) -> None:
+    path = write(tmp_path / "c.npy", POINTS.astype(float) * scale, "npy")
+    with pytest.raises(InputError, match=message):
+        read_cloud(path, unit=unit)
+
+
+def test_unknown_unit(tmp_path: Path) -> None:
+    path = write(tmp_path / "c.npy", POINTS, "npy")
+    with pytest.raises(InputError, match="'m', 'cm', 'mm'"):
+        read_cloud(path, unit="inch")
+
+
+@pytest.mark.parametrize(
+    "kind", ["pcd-ascii", "pcd-binary", "pcd-packed", "ply-ascii", "ply-binary", "npy"]
+)
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7, 0.99])
+def test_truncated_files_are_refused(tmp_path: Path, kind: str, share: float) -> None:
+    path = write(tmp_path / f"cloud{KINDS[kind]}", POINTS, kind)
+    raw = path.read_bytes()
+    path.write_bytes(raw[: int(share * len(raw))])
+    with pytest.raises(FileError) as caught:
+        read_cloud(path)
+    assert "\n" not in str(caught.value)
+    if share == 0.7 and kind != "npy":
+        assert "truncated" in str(caught.value)
+
+
+def test_header_promises_more_points_than_the_file_holds(tmp_path: Path) -> None:
+    path = write(tmp_path / "c.pcd", POINTS, "pcd-binary")
+    path.write_bytes(path.read_bytes().replace(b"POINTS 200", b"POINTS 250"))
+    with pytest.raises(FileError, match="announces 250 points, it holds 200"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("c.xyz", "1 2\n3 4\n", "2 columns, expected 3"),
+        ("c.xyz", "0 0 0 9 9 9\n1 1 1 9 9 9\n", "6 columns, expected 3"),
+        ("c.xyz", "0 0 0\n1 1\n", "point 2 has 2 columns"),
+        ("c.csv", "x,y,z\n0,0,0\n1,abc,1\n", "no number"),
+        ("c.csv", "x,y,w\n0,0,0\n", "expected x, y and z"),
+        ("c.csv", "x,y,z\n", "no points"),
+        ("c.txt", "# nothing\n", "no points"),
+        ("c.xyz", b"\xff\xfe\x00\x81", "not a text file"),
+        ("c.obj", "v 0 0 0\n", "suffix '.obj', expected one of"),
+        ("c.pcd", "hello\n", "no PCD header"),
+        ("c.pcd", pcd_header(1, "ascii", fields="x y w") + "0 0 0\n", "expected x, y"),
+        ("c.pcd", pcd_header(1, "zip") + "0 0 0 0\n", "kind 'zip'"),
+        ("c.pcd", pcd_header(1, "ascii") + "0 0 0\n", "3 values, expected 4"),
+        ("c.pcd", pcd_header(1, "ascii") + "0 0 a 0\n", "not a number"),
+        ("c.pcd", pcd_header(1, "ascii").replace("SIZE 4", "SIZE 3"), "damaged"),
+        ("c.ply", "solid cube\n", "not a PLY"),
+        ("c.ply", "ply\nformat ascii 1.0\nend_header\n", "no vertices"),
+    ],
+)
+def test_faults_are_one_line_each(
+    tmp_path: Path, name: str, content: str | bytes, message: str
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(FileError, match=message) as caught:
+        read_cloud(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_file_and_folder(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="not found"):
+        read_cloud(tmp_path / "none.ply")
+    with pytest.raises(FileError, match="is a folder"):
+        read_cloud(tmp_path)
+
+
+def test_columns_are_picked_by_name(tmp_path: Path) -> None:
+    path = tmp_path / "c.csv"
+    rows = ["i;z;y;x"] + [f"{m};{z};{y};{x}" for m, (x, y, z) in enumerate(POINTS)]
+    path.write_text("\n".join(rows))
+    np.testing.assert_allclose(read_cloud(path), POINTS, rtol=1e-6)
+
+
+def test_transposed_array(tmp_path: Path) -> None:
+    path = write(tmp_path / "c.npy", POINTS.T, "npy")
+    with pytest.raises(FileError, match="transposed"):
+        read_cloud(path)
+
+
+def test_pcd_with_padding_and_wider_fields(tmp_path: Path) -> None:
+    """Fields before, between and of several counts are stepped over."""
+    record = np.dtype(
+        [
+            ("n", "<f4", (3,)),
+            ("x", "<f8"),
+            ("_", "u1", (4,)),
+            ("y", "<f8"),
+            ("z", "<f8"),
+        ]
+    )
+    table = np.zeros(len(POINTS), record)
+    table["n"], table["_"] = 7.0, 255
+    for m, name in enumerate("xyz"):
+        table[name] = POINTS[:, m]
+    header = (
+        "VERSION 0.7\nFIELDS normal x _ y z\nSIZE 4 8 1 8 8\nTYPE F F U F F\n"
+        "COUNT 3 1 4 1 1\nWIDTH 20\nHEIGHT 10\nDATA binary\n"
+    )
+    path = tmp_path / "c.pcd"
+    path.write_bytes(header.encode() + table.tobytes())
+    np.testing.assert_array_equal(read_cloud(path), POINTS.astype(float))
+
+
+@given(st.binary(max_size=400).map(lambda b: b * 3) | st.binary(max_size=2000))
+def test_lzf_round_trip(raw: bytes) -> None:
+    assert lzf_decompress(lzf_compress(raw), len(raw)) == raw
+
+
+def test_lzf_overlapping_repetition() -> None:
+    # Two literals "ab", then 7 bytes from 2 back: their own output is repeated.
+    assert lzf_decompress(bytes([1, 97, 98, 5 << 5, 1]), 9) == b"ababababa"
+    with pytest.raises(ValueError, match="before the beginning"):
+        lzf_decompress(bytes([0, 97, 1 << 5, 5]), 4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=300), st.sampled_from([".pcd", ".ply", ".npy", ".csv"]))
+def test_any_bytes_are_read_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, raw: bytes, suffix: str
+) -> None:
+    path = tmp_path_factory.mktemp("bytes") / f"c{suffix}"
+    path.write_bytes(raw)
+    try:
+        cloud = read_cloud(path)
+    except TtusError as error:
+        assert "\n" not in str(error)
+    else:
+        assert cloud.ndim == 2 and cloud.shape[1] == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "n"),
+    [("realsense_male_m.pcd", "m", 61372), ("ct_skin_mm.ply", "mm", 66206)],
+)
+def test_real_files(name: str, unit: str, n: int) -> None:
+    if not (DATA / name).exists():
+        pytest.skip(f"{name} is not beside the checkout")
+    cloud = read_cloud(DATA / name, unit=unit)
+    assert cloud.shape == (n, 3)
+    assert 0.3 < np.ptp(cloud, axis=0).max() < 0.7
+    if unit == "mm":
+        with pytest.raises(InputError, match="unit='mm'"):
+            read_cloud(DATA / name)

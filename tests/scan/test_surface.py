@@ -1,0 +1,164 @@
+"""The surface's bilinear radius, its file, and what it refuses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import RegularGridInterpolator
+
+from tests.conftest import SHARED
+from ttus_opt import io
+from ttus_opt.errors import FileError, GeometryError, InputError
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.surface import Surface
+
+
+def wavy(n_theta: int = 12, n_z: int = 7, seed: int = 0) -> Surface:
+    rng = np.random.default_rng(seed)
+    surface = Surface.from_radius(
+        0.15 + 0.02 * rng.standard_normal((n_theta, n_z)),
+        np.linspace(-0.1, 0.2, n_z),
+        axis=Axis(rng.standard_normal(3), np.eye(3)[[1, 2, 0]]),
+    )
+    std = rng.uniform(0, 0.01, surface.radius.shape)
+    return replace(surface, radius_std=std, observed=std < 0.005)
+
+
+@given(st.integers(4, 40), st.integers(2, 20), st.integers(0, 1000))
+@settings(max_examples=30, deadline=None)
+def test_bilinear_against_scipy(n_theta: int, n_z: int, seed: int) -> None:
+    s = wavy(n_theta, n_z, seed)
+    rng = np.random.default_rng(seed)
+    theta = rng.uniform(0, 2 * np.pi, 50)
+    z = rng.uniform(s.z[0] - 0.1, s.z[-1] + 0.1, 50)
+    reference = RegularGridInterpolator(
+        (np.append(s.theta, 2 * np.pi), s.z), np.vstack([s.radius, s.radius[:1]])
+    )
+    clamped = np.clip(z, s.z[0], s.z[-1])
+    expected = reference(np.stack([theta, clamped], axis=1))
+    np.testing.assert_allclose(s.radius_at(theta, z), expected, atol=1e-12)
+
+
+def test_nodes_are_met_and_angles_wrap() -> None:
+    s = wavy()
+    at_nodes = s.radius_at(s.theta[:, None], s.z)
+    np.testing.assert_allclose(at_nodes, s.radius, atol=1e-14)
+    theta = np.linspace(-1, 1, 33)
+    for turns in (-3, 1, 4):
+        turned = s.radius_at(theta + 2 * np.pi * turns, 0.05)
+        np.testing.assert_allclose(turned, s.radius_at(theta, 0.05), atol=1e-12)
+    assert s.radius_at(0.3, 0.1).shape == ()
+
+
+def test_points_lie_on_the_radius() -> None:
+    s = wavy()
+    x, y, z = np.moveaxis(s.points(), -1, 0)
+    np.testing.assert_allclose(np.hypot(x, y), s.radius)
+    np.testing.assert_allclose(np.arctan2(y, x) % (2 * np.pi), s.theta[:, None] + 0 * x)
+    np.testing.assert_array_equal(z, np.broadcast_to(s.z, z.shape))
+
+
+def test_file_round_trip(tmp_path: Path) -> None:
+    s = wavy()
+    s.save(tmp_path / "new" / "surface.nc")
+    again = Surface.load(tmp_path / "new" / "surface.nc")
+    for name in ("theta", "z", "radius", "radius_std", "observed"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(s, name))
+    np.testing.assert_array_equal(again.axis.origin, s.axis.origin)
+    np.testing.assert_array_equal(again.axis.rotation, s.axis.rotation)
+    with xr.open_dataset(tmp_path / "new" / "surface.nc", engine="netcdf4") as file:
+        assert all("units" in file[name].attrs for name in file.variables)
+
+
+def test_file_from_elsewhere(tmp_path: Path) -> None:
+    """Only radius(theta, z), stored transposed."""
+    s = wavy()
+    data = xr.Dataset(
+        {"radius": (("z", "theta"), s.radius.T, {"units": "m"})},
+        coords={"theta": s.theta, "z": s.z},
+    )
+    data.to_netcdf(tmp_path / "foreign.nc", engine="netcdf4")
+    again = Surface.load(tmp_path / "foreign.nc")
+    np.testing.assert_allclose(again.radius, s.radius)
+    assert again.observed.all() and not again.radius_std.any()
+    np.testing.assert_array_equal(again.axis.rotation, np.eye(3))
+
+
+def _file(path: Path, *, units: str = "m", **changes: object) -> Path:
+    s = wavy()
+    data = xr.Dataset(
+        {"radius": (("theta", "z"), s.radius, {"units": units})},
+        coords={"theta": s.theta, "z": s.z},
+    ).assign(**changes)
+    data.to_netcdf(path, engine="netcdf4")
+    return path
+
+
+def test_bad_files(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="not found"):
+        Surface.load(tmp_path / "none.nc")
+    (tmp_path / "text.nc").write_text("hello")
+    with pytest.raises(FileError, match="not a readable netCDF"):
+        Surface.load(tmp_path / "text.nc")
+    with pytest.raises(FileError, match="'mm', expected 'm'"):
+        Surface.load(_file(tmp_path / "mm.nc", units="mm"))
+    with pytest.raises(FileError, match="z has units 'mm', expected 'm'"):
+        millimetres = ("z", 1000.0 * wavy().z, {"units": "mm"})
+        Surface.load(_file(tmp_path / "z_mm.nc", z=millimetres))
+    with pytest.raises(FileError, match="radius_std has units 'cm', expected 'm'"):
+        deviation = (("theta", "z"), wavy().radius_std, {"units": "cm"})
+        Surface.load(_file(tmp_path / "std_cm.nc", radius_std=deviation))
+    with pytest.raises(FileError, match="no variable radius"):
+        Surface.load(_file(tmp_path / "flat.nc", radius=("z", np.zeros(7))))
+    with pytest.raises(FileError, match="equal steps"):
+        Surface.load(_file(tmp_path / "z.nc", z=np.linspace(0, 1, 7) ** 2))
+    wavy().save(tmp_path / "s.nc")
+    with pytest.raises(FileError, match="holds surface, expected a field"):
+        io.read_dataset(tmp_path / "s.nc", kind="field", version=1)
+    with pytest.raises(FileError, match="version 1, this ttus_opt reads version 2"):
+        io.read_dataset(tmp_path / "s.nc", kind="surface", version=2)
+    raw = (tmp_path / "s.nc").read_bytes()
+    (tmp_path / "cut.nc").write_bytes(raw[: len(raw) // 2])
+    with pytest.raises(FileError, match="truncated"):
+        Surface.load(tmp_path / "cut.nc")
+
+
+def test_no_coordinates_in_the_file(tmp_path: Path) -> None:
+    data = xr.Dataset({"radius": (("theta", "z"), wavy().radius, {"units": "m"})})
+    data.to_netcdf(tmp_path / "bare.nc", engine="netcdf4")
+    with pytest.raises(FileError):
+        Surface.load(tmp_path / "bare.nc")
+
+
+def test_unusable_surfaces() -> None:
+    s = wavy()
+    with pytest.raises(InputError, match="transposed"):
+        replace(s, radius=s.radius.T)
+    with pytest.raises(InputError, match="at least 4 angles"):
+        Surface.from_radius(np.ones((3, 5)), np.arange(5.0))
+    with pytest.raises(InputError, match="full turn"):
+        replace(s, theta=s.theta / 2)
+    with pytest.raises(InputError, match="equal steps"):
+        replace(s, z=s.z[::-1].copy())
+    for bad in (np.nan, 0.0, -0.1, np.inf):
+        radius = s.radius.copy()
+        radius[2, 3] = bad
+        with pytest.raises(GeometryError, match="1 of 84 surface radii"):
+            replace(s, radius=radius)
+    with pytest.raises(InputError, match=r"\(n_theta, n_z\)"):
+        Surface.from_radius(np.ones(5), np.arange(5.0))
+
+
+def test_shared_surface_file() -> None:
+    path = SHARED / "phantom" / "surface.nc"
+    if not path.exists():
+        pytest.skip("phantom/surface.nc is not beside the checkout")
+    s = Surface.load(path)
+    assert 0.05 < s.radius.min() < s.radius.max() < 0.3
+    assert s.radius_at(0.5, float(s.z.mean())) > 0.05

@@ -1,0 +1,354 @@
+"""Coulomb's limits of two fields to the end, against Clarabel and all active sets."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import ttus_opt as tt
+from tests.dragging import dragged_scene
+from tests.solvers.dual.user_limits import INF, Rows, Within
+from ttus_opt.arrays import Array
+from ttus_opt.constraints.base import Bounds, Constraint, LinearRows
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.drag_limit import DragLimit
+from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.fit.batch import Fitter
+from ttus_opt.problem import formulation
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.solution import Status
+from ttus_opt.scene import Scene
+from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.dual import primal_dual_active_set
+from ttus_opt.solvers.registry import choose, solvers
+
+STRUCTURED, CLARABEL = solvers()["structured"], solvers()["clarabel"]
+TOLERANCE = 1e-6
+
+
+def contested(
+    seed: int,
+    *,
+    scale: float = 1.0,
+    noise: float = 2.0,
+    mu: float = 0.3,
+    shape: tuple[int, int, int] = (7, 14, 8),
+) -> Scene:
+    """A sliding probe, its forces scaled (or reversed), with noise on them [N]."""
+    scene = dragged_scene("contact", mu=mu, shape=shape)
+    trajectory = scene.trajectory
+    assert trajectory.force is not None
+    noisy = np.random.default_rng(seed).normal(0.0, noise, trajectory.force.shape)
+    force = scale * trajectory.force + noisy
+    return replace(scene, trajectory=replace(trajectory, force=force))
+
+
+def coulomb(
+    scene: Scene, weight: float, *constraints: Constraint, **options: float
+) -> Formulation:
+    declared = formulation.load(
+        "coulomb_drag", scene, force_weight=weight, torque_weight=weight, **options
+    )
+    return declared.with_constraints(*constraints)
+
+
+def solved(program: Program) -> Candidate:
+    return STRUCTURED.prepare(program, Request(TOLERANCE, 120.0)).solve()
+
+
+def check(declared: Formulation, least_active: int, close: float = 1e-5) -> None:
+    """Verified to the tolerance, and Clarabel's fields and objective."""
+    program = declared.compile()
+    assert not STRUCTURED.refusal(program)
+    candidate = solved(program)
+    assert candidate.claim is Claim.DONE, candidate.detail
+    residuals = kkt_residuals(program, candidate.x, candidate.duals)
+    assert residuals.worst_relative <= TOLERANCE, residuals
+    reference = CLARABEL.prepare(program, Request(1e-10, 120.0)).solve()
+    assert reference.x is not None
+    assert active_limits(program, candidate) >= least_active, "nothing is contested"
+    theirs = kkt_residuals(program, reference.x, reference.duals)
+    assert residuals.distance is not None
+    assert theirs.distance is not None
+    # no further apart than what both leave open: Σ w ‖M (x − x′)‖² without targets
+    still = replace(program, terms=tuple(_untargeted(t) for t in program.terms))
+    apart = np.sqrt(still.objective(candidate.x - reference.x))
+    assert apart <= 1.01 * (residuals.distance + theirs.distance)
+    assert theirs.distance <= close * np.sqrt(program.objective(reference.x))
+    p = program.variables["p"]
+    apart = np.linalg.norm((candidate.x - reference.x)[p])
+    assert apart <= close * np.linalg.norm(reference.x[p])
+
+
+def _untargeted(term: ProgramTerm) -> ProgramTerm:
+    return replace(term, target=np.zeros_like(term.target))
+
+
+def active_limits(program: Program, candidate: Candidate) -> int:
+    """Limits with a multiplier, those of given values apart."""
+    assert candidate.duals.bounds is not None
+    lower, upper = program.box
+    bounds = candidate.duals.bounds[lower < upper]
+    found = [bounds, *(candidate.duals.rows[k] for k in ("drag_limit",))]
+    sizes = np.abs(np.concatenate(found))
+    return int(np.count_nonzero(sizes > 1e-6 * sizes.max()))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [1.0, 0.1, 0.02])
+@pytest.mark.parametrize("weight", [1.0, 100.0])
+@pytest.mark.parametrize("forces", [(1.0, 2.0), (-3.0, 0.3), (-3.0, 2.0)])
+def test_contested(forces: tuple[float, float], weight: float, share: float) -> None:
+    scene = contested(1, scale=forces[0], noise=forces[1])
+    check(coulomb(scene, weight, largest_friction=share), least_active=3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weight", [1.0, 100.0])
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_carefully_from_the_first_face_on(
+    monkeypatch: pytest.MonkeyPatch, share: float, weight: float
+) -> None:
+    """What is kept for where the exchange goes round in circles finds the same."""
+    monkeypatch.setattr(primal_dual_active_set, "PATIENCE", 0)
+    scene = contested(4, scale=-3.0)
+    check(coulomb(scene, weight, largest_friction=share), least_active=3)
+
+
+@pytest.mark.parametrize("smoothness", [1e-2, 1e2])
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_stiff_and_soft_drag(smoothness: float, share: float) -> None:
+    scene = contested(2, noise=4.0)
+    declared = coulomb(scene, 1.0, largest_friction=share, smoothness=smoothness)
+    check(declared, least_active=1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_a_share_below_what_was_put_in(seed: int) -> None:
+    """Measurements without noise that want three times what is allowed."""
+    scene = contested(seed, noise=[0.0, 0.1, 0.0][seed], mu=[0.3, 0.3, 0.9][seed])
+    check(coulomb(scene, 10.0, largest_friction=0.1), least_active=5)
+    solution = tt.fit(scene, "coulomb_drag", largest_friction=0.1, force_weight=10.0)
+    assert solution.solver == "structured"
+    assert solution.parameters["mean_friction_coefficient"] <= 0.1
+    region = scene.voxmap.region.reshape(-1)
+    p, q = solution.variables["p"], solution.variables["q"]
+    beside = region != 0
+    assert ((0.1 * p - q) * region)[beside].min() >= -1e-6
+    assert (q * region).min() >= -1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [1.0, 0.1])
+def test_with_given_values_sign_and_bounds(share: float) -> None:
+    scene = contested(3, scale=-3.0)
+    V = scene.n_voxels
+    rng = np.random.default_rng(3)
+    where = (scene.voxmap.inside.reshape(-1)) & scene.laplace.free
+    upper = np.where(where & (rng.random(V) < 0.3), rng.uniform(0.3, 2.0, V), INF)
+    within = Within(scene, np.full(V, -INF), upper)
+    for more in (
+        [HardBoundary(scene)],
+        [Sign(scene)],
+        [within],
+        [within, Sign(scene), HardBoundary(scene)],
+    ):
+        check(coulomb(scene, 1.0, *more, largest_friction=share), least_active=3)
+
+
+def test_a_new_solve_starts_from_the_last_face() -> None:
+    scene = contested(1)
+    loaded = coulomb(scene, 1.0, largest_friction=0.1)
+    prepared = STRUCTURED.prepare(loaded.compile(), Request(TOLERANCE, 60.0))
+    first = prepared.solve()
+    other = coulomb(scene, 1.1, largest_friction=0.1).compile()
+    prepared.update(other)
+    again = prepared.solve()
+    fresh = solved(other)
+    assert again.iterations < first.iterations
+    apart = np.linalg.norm(again.x - fresh.x)
+    assert apart <= 1e-5 * np.linalg.norm(fresh.x)
+
+
+def test_nothing_contested_is_what_was_put_in() -> None:
+    scene = contested(0, noise=0.0)
+    candidate = solved(coulomb(scene, 1.0).compile())
+    p = scene.laplace.solve(scene.b)
+    expected = np.concatenate([p, 0.3 * p, [0.3]])
+    np.testing.assert_allclose(candidate.x, expected, atol=1e-8)
+    assert not np.any(candidate.duals.rows["drag_limit"])
+
+
+def test_auto_takes_it_and_a_small_share_of_nothing() -> None:
+    scene = contested(1, noise=0.0, shape=(6, 12, 6)).with_boundary(0.0, 0.0)
+    trajectory = scene.trajectory
+    assert trajectory.force is not None
+    assert trajectory.torque is not None
+    none = replace(
+        trajectory, force=0.0 * trajectory.force, torque=0.0 * trajectory.torque
+    )
+    program = coulomb(replace(scene, trajectory=none), 1.0).compile()
+    assert choose("auto", program).name == "structured"
+    candidate = solved(program)
+    assert candidate.claim is Claim.DONE
+    assert not candidate.x[: 2 * scene.n_voxels].any()
+
+
+class OwnBounds(Within):
+    """Bounds of the drag field made by a user."""
+
+    name = "own"
+
+    def rows(self) -> Bounds:
+        return Bounds("q", self.lower, self.upper)
+
+
+def test_contradictions_are_named() -> None:
+    """A field that must be negative inside has no share that is not."""
+    scene = contested(1, shape=(6, 12, 6))
+    V = scene.n_voxels
+    deep = scene.voxmap.inside.reshape(-1) & scene.laplace.free
+    below = Within(scene, np.full(V, -INF), np.where(deep, -0.5, INF))
+    solution = tt.fit(scene, coulomb(scene, 1.0, below), solver="structured")
+    assert solution.status is Status.INFEASIBLE
+    assert set(solution.conflict) == {"drag_sign", "drag_limit", "within"}
+    more = OwnBounds(scene, np.where(deep, 1.0, -INF), np.full(V, INF))
+    small = Within(scene, np.full(V, -INF), np.where(deep, 0.9, INF))
+    solution = tt.fit(scene, coulomb(scene, 1.0, more, small), solver="structured")
+    assert solution.status is Status.INFEASIBLE
+    assert set(solution.conflict) == {"drag_limit", "own", "within"}
+
+
+class OtherShare(DragLimit):
+    """A second share."""
+
+    name = "other_share"
+
+
+class AtLeast(DragLimit):
+    """The drag field is at least a share of the field."""
+
+    name = "at_least"
+
+    def rows(self) -> LinearRows:
+        rows = super().rows()
+        return LinearRows(rows.blocks, -rows.upper, -rows.lower)
+
+
+def test_says_what_it_does_not_take() -> None:
+    scene = contested(1, shape=(6, 12, 6))
+    mean = sp.csr_array(np.full((1, scene.n_voxels), 1.0))
+    for constraint, why in (
+        (OtherShare(scene, 0.5), "one share of the field for all voxels"),
+        (AtLeast(scene, 1.0), "at_least limits q from the other side too"),
+        (Monotone(scene), "monotone is no bound and no share of the field"),
+        (Rows(scene, mean, np.zeros(1), np.ones(1)), "mine is no bound and no share"),
+    ):
+        refusal = STRUCTURED.refusal(coulomb(scene, 1.0, constraint).compile())
+        assert why in refusal
+    refusal = STRUCTURED.refusal(coulomb(scene, 1.0, smoothness=0.0).compile())
+    assert "a Laplace term of weight above zero for each field" in refusal
+
+
+def enumerated(program: Program, rows: list[tuple[Array, float]]) -> Array:
+    """The minimiser, by trying every set of limits aᵀx ≥ s."""
+    Q, d = program.normal_equations()
+    n = len(d)
+    lower, upper = program.box
+    given = np.flatnonzero(lower == upper)
+    C = np.eye(n)[given]
+    none = np.zeros((len(given),) * 2)
+    inverse = np.linalg.inv(np.block([[Q.toarray(), C.T], [C, none]]))[:n]
+    best = inverse @ np.concatenate([d, lower[given]])
+    A = np.array([a for a, _ in rows])
+    gap = np.array([value for _, value in rows]) - A @ best
+    moved = inverse[:, :n] @ A.T
+    for count in range(len(rows) + 1):
+        for picked in itertools.combinations(range(len(rows)), count):
+            own = list(picked)
+            try:
+                force = np.linalg.solve((A @ moved)[np.ix_(own, own)], gap[own])
+            except np.linalg.LinAlgError:
+                continue
+            left = A @ moved[:, own] @ force - gap
+            if (left >= -1e-9).all() and (force >= -1e-9).all():
+                return np.asarray(best + moved[:, own] @ force)
+    raise AssertionError("no set of limits is right")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_all_active_sets_of_a_tiny_problem(seed: int) -> None:
+    """Four voxels with limits: 0 ≤ q ≤ μ p at each, and 0 ≤ m ≤ μ."""
+    share = [1.0, 0.1][seed % 2]
+    scene = contested(seed, scale=[1.0, -3.0, 3.0][seed % 3], shape=(5, 8, 4))
+    whole = coulomb(scene, 10.0, largest_friction=share)
+    rng = np.random.default_rng(seed)
+    touched = np.unique(scene.N.indices)
+    inner = scene.voxmap.inside.reshape(-1) & scene.laplace.free
+    at = rng.permutation(touched[inner[touched]])[:4]
+    V = scene.n_voxels
+    lower = np.full(V, -INF)
+    upper = np.full(V, INF)
+    skin = scene.voxmap.region.reshape(-1) == 0
+    lower[skin], upper[skin], lower[at] = 0.0, 0.0, 0.0
+    limit = DragLimit(scene, share)
+    every = limit.rows()
+    where = np.flatnonzero(np.isin(every.blocks["q"].indices, at))
+    some = LinearRows(
+        {k: M[where] for k, M in every.blocks.items()},
+        every.lower[where],
+        every.upper[where],
+    )
+    few = [
+        OwnBounds(scene, lower, upper),
+        FewRows(scene, some),
+        next(c for c in whole.constraints if c.name == "mean_friction"),
+    ]
+    program = replace(whole, constraints=tuple(few)).compile()
+    assert not STRUCTURED.refusal(program)
+    unit = np.eye(program.n_variables)
+    rows = [(unit[V + v], 0.0) for v in at]
+    rows += [(share * unit[v] - unit[V + v], 0.0) for v in at]
+    rows += [(unit[2 * V], 0.0), (-unit[2 * V], -share)]
+    expected = enumerated(program, rows)
+    found = solved(program)
+    assert found.claim is Claim.DONE, found.detail
+    apart = np.linalg.norm(found.x - expected)
+    assert apart <= 1e-6 * np.linalg.norm(expected)
+
+
+class FewRows(Constraint):
+    """Some rows of another constraint."""
+
+    name = "few"
+    formula = "q ≤ μ_max p at some voxels"
+
+    def __init__(self, scene: Scene, some: LinearRows) -> None:
+        object.__setattr__(self, "scene", scene)
+        object.__setattr__(self, "some", some)
+
+    def rows(self) -> LinearRows:
+        return self.some  # type: ignore[attr-defined,no-any-return]
+
+
+@pytest.mark.slow
+def test_case_s_with_a_share_below_what_was_put_in() -> None:
+    """24×72×30 with hundreds of limits active; no other solver returns in minutes."""
+    scene = contested(0, noise=0.3, shape=(24, 72, 30))
+    declared = coulomb(scene, 100.0, largest_friction=0.1)
+    # `fit` would take a coefficient at its upper limit for none and fit again
+    solution = Fitter(declared, solver="structured").solve()
+    assert solution.status is Status.SOLVED
+    assert solution.kkt is not None
+    assert solution.kkt.worst_relative <= TOLERANCE
+    found = np.abs(solution.duals_by_name["drag_limit"])
+    assert np.count_nonzero(found > 1e-6 * found.max()) > 300

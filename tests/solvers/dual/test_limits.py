@@ -1,0 +1,329 @@
+"""Limits read off programs, and their contradictions against a linear program."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.optimize import linprog
+
+from tests.conftest import small_scene
+from tests.solvers.dual.user_limits import Rows, Steeper, Within
+from ttus_opt.constraints.base import Constraint
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.scene import Scene
+from ttus_opt.solvers.dual.limits import SpokeLimits
+
+INF = np.inf
+
+
+@pytest.fixture(scope="module")
+def small() -> Scene:
+    return small_scene("trilinear", shape=(6, 10, 5), n_poses=4)
+
+
+def read(scene: Scene, *constraints: Constraint) -> SpokeLimits:
+    return SpokeLimits.of(
+        shelf.load("eq10", scene).with_constraints(*constraints).compile()
+    )
+
+
+def rows_of(scene: Scene, entries: list[dict[int, float]]) -> sp.csr_array:
+    M = sp.lil_array((len(entries), scene.n_voxels))
+    for i, row in enumerate(entries):
+        for column, value in row.items():
+            M[i, column] = value
+    return sp.csr_array(M)
+
+
+def test_nothing_given_is_nothing_limited(small: Scene) -> None:
+    limits = read(small)
+    assert not limits.binding
+    assert not limits.given.any()
+    assert limits.contradiction() == 0.0
+    assert not limits.links
+    duals = limits.duals(np.zeros(small.n_voxels), np.zeros(small.n_voxels))
+    assert not duals.rows
+
+
+def test_sign_is_bounds_inside_and_outside(small: Scene) -> None:
+    limits = read(small, Sign(small))
+    region = small.voxmap.region.reshape(-1)
+    np.testing.assert_array_equal(limits.lower, np.where(region == 1, 0.0, -INF))
+    np.testing.assert_array_equal(limits.upper, np.where(region == -1, 0.0, INF))
+    assert limits.binding
+    assert np.isneginf(limits.least).all()
+
+
+def test_growth_is_read_voxel_by_voxel(small: Scene) -> None:
+    slope = 7.0
+    limits = read(small, Monotone(small, slope))
+    region, fixed = small.voxmap.region, small.voxmap.dirichlet
+    step = slope * small.voxmap.grid.r_step
+    for i, j, k in np.ndindex(region.shape):
+        linked = i + 1 < region.shape[0] and region[i, j, k] == 1
+        linked = linked and region[i + 1, j, k] >= 0
+        linked = linked and not (fixed[i, j, k] and fixed[i + 1, j, k])
+        v = np.ravel_multi_index((i, j, k), region.shape)
+        assert limits.least[v] == (pytest.approx(step) if linked else -INF)
+
+
+def test_hard_boundary_gives_values(small: Scene) -> None:
+    limits = read(small, HardBoundary(small))
+    fixed = ~small.laplace.free
+    np.testing.assert_array_equal(limits.given, fixed)
+    np.testing.assert_array_equal(limits.lower[fixed], small.b[fixed])
+    np.testing.assert_array_equal(limits.upper[fixed], small.b[fixed])
+    assert not limits.binding
+    assert read(small, HardBoundary(small), Sign(small)).binding
+
+
+def test_several_bounds_and_links_leave_the_tightest(small: Scene) -> None:
+    rng = np.random.default_rng(0)
+    V, stride = small.n_voxels, small.voxmap.grid.strides[0]
+    lower, upper = -rng.random(V), rng.random(V)
+    entries = [{v: 1.0, v + stride: -1.0} for v in range(stride)]
+    mine = Rows(
+        small, rows_of(small, entries), np.full(stride, 3.0), np.full(stride, INF)
+    )
+    limits = read(small, Sign(small), Within(small, lower, upper), Monotone(small))
+    both = read(small, Sign(small), Within(small, lower, upper), Monotone(small), mine)
+    region = small.voxmap.region.reshape(-1)
+    np.testing.assert_array_equal(
+        limits.lower, np.where(region == 1, np.maximum(lower, 0.0), lower)
+    )
+    np.testing.assert_array_equal(
+        limits.upper, np.where(region == -1, np.minimum(upper, 0.0), upper)
+    )
+    np.testing.assert_array_equal(both.least[:stride], 3.0)
+    np.testing.assert_array_equal(both.least[stride:], limits.least[stride:])
+
+
+def test_a_row_may_be_written_the_other_way_round(small: Scene) -> None:
+    """p_w - p_v ≤ -s is p_v - p_w ≥ s."""
+    stride = small.voxmap.grid.strides[0]
+    entries = [{3: 1.0, 3 + stride: -1.0}, {9: -1.0, 9 + stride: 1.0}]
+    limits = read(
+        small,
+        Rows(
+            small,
+            rows_of(small, entries),
+            np.array([0.5, -INF]),
+            np.array([INF, -0.25]),
+        ),
+    )
+    assert limits.least[3] == 0.5
+    assert limits.least[9] == 0.25
+    assert np.isfinite(limits.least).sum() == 2
+    push = np.zeros(small.n_voxels)
+    push[[3, 9]] = 2.0, 5.0
+    duals = limits.duals(np.zeros(small.n_voxels), push)
+    # at a lower limit negative, at an upper one positive
+    np.testing.assert_array_equal(duals.rows["mine"], [-2.0, 5.0])
+
+
+_REFUSED = {
+    "three voxels": ([{0: 1.0, 50: -1.0, 100: 1.0}], 0.0, INF),
+    "one voxel": ([{0: 1.0}], 0.0, INF),
+    "over two layers": ([{0: 1.0, 100: -1.0}], 0.0, INF),
+    "along the axis": ([{0: 1.0, 1: -1.0}], 0.0, INF),
+    "around": ([{0: 1.0, 5: -1.0}], 0.0, INF),
+    "a sum": ([{0: 1.0, 50: 1.0}], 0.0, INF),
+    "not of equal size": ([{0: 1.0, 50: -0.5}], 0.0, INF),
+    "scaled": ([{0: 2.0, 50: -2.0}], 0.0, INF),
+    "least growth outwards": ([{0: -1.0, 50: 1.0}], 0.0, INF),
+    "most growth inwards": ([{0: 1.0, 50: -1.0}], -INF, 0.0),
+    "both sides": ([{0: 1.0, 50: -1.0}], 0.0, 1.0),
+    "an equality": ([{0: 1.0, 50: -1.0}], 0.0, 0.0),
+    "twice": ([{0: 1.0, 50: -1.0}, {0: 1.0, 50: -1.0}], 0.0, INF),
+    "one good, one bad": ([{0: 1.0, 50: -1.0}, {7: 1.0, 8: -1.0}], 0.0, INF),
+}
+
+
+@pytest.mark.parametrize("what", _REFUSED)
+def test_other_rows_are_refused_by_name(small: Scene, what: str) -> None:
+    entries, lower, upper = _REFUSED[what]
+    assert small.voxmap.grid.strides[0] == 50
+    m = len(entries)
+    bad = Rows(small, rows_of(small, entries), np.full(m, lower), np.full(m, upper))
+    with pytest.raises(ValueError, match="mine is no bound and no growth"):
+        read(small, Sign(small), bad)
+
+
+def random_limits(seed: int, spoke: int = 6, spokes: int = 4) -> SpokeLimits:
+    """Bounds, given values and links at random, contradicting each other or not."""
+    rng = np.random.default_rng(seed)
+    n = spoke * spokes
+    reach = rng.choice([0.5, 2.0, 5.0])
+    lower = np.where(rng.random(n) < 0.5, rng.uniform(-reach, 0.3, n), -INF)
+    upper = np.where(rng.random(n) < 0.5, rng.uniform(-0.3, reach, n), INF)
+    given = rng.random(n) < 0.15
+    lower[given] = upper[given] = rng.uniform(-0.5, 0.5, given.sum())
+    least = np.where(rng.random(n) < 0.6, rng.uniform(-0.3, 0.6, n), -INF)
+    least[-spokes:] = -INF
+    return SpokeLimits((spoke, 2, spokes // 2), lower, upper, given, least, {})
+
+
+def least_give(limits: SpokeLimits) -> float:
+    """The least t for which limits hold when each bound gives way by t / 2."""
+    n, stride = len(limits.lower), limits.stride
+    rows, sides = [], []
+    for v in range(n):
+        for sign, value in ((-1.0, limits.lower[v]), (1.0, limits.upper[v])):
+            if np.isfinite(value):
+                row = np.zeros(n + 1)
+                row[v], row[n] = sign, -0.5
+                rows.append(row)
+                sides.append(sign * value)
+        if np.isfinite(limits.least[v]):
+            row = np.zeros(n + 1)
+            row[v], row[v + stride] = -1.0, 1.0
+            rows.append(row)
+            sides.append(-limits.least[v])
+    cost = np.zeros(n + 1)
+    cost[n] = 1.0
+    result = linprog(
+        cost,
+        A_ub=np.array(rows),
+        b_ub=np.array(sides),
+        bounds=[(None, None)] * n + [(0.0, None)],
+        method="highs",
+    )
+    assert result.status == 0
+    return float(result.fun)
+
+
+def test_contradiction_is_the_least_give_of_a_linear_program() -> None:
+    """Two bounds in conflict by x can both hold when each gives way by x / 2."""
+    found = []
+    for seed in range(150):
+        limits = random_limits(seed)
+        give = least_give(limits)
+        assert limits.contradiction() == pytest.approx(give, abs=1e-7), seed
+        found.append(give > 1e-9)
+    assert 20 < sum(found) < 130, "random limits should be of both kinds"
+
+
+def test_contradiction_leaves_the_limits_alone() -> None:
+    limits = random_limits(1)
+    before = limits.lower.copy(), limits.upper.copy(), limits.least.copy()
+    limits.contradiction()
+    for kept, now in zip(
+        before, (limits.lower, limits.upper, limits.least), strict=True
+    ):
+        np.testing.assert_array_equal(kept, now)
+
+
+def test_duals_have_names_signs_and_balance_the_gradient(small: Scene) -> None:
+    """Any pull and push, put back through the rows, is what was handed in."""
+    declared = shelf.load("eq10", small).with_constraints(
+        Sign(small), Monotone(small), HardBoundary(small)
+    )
+    loaded = declared.compile()
+    limits = SpokeLimits.of(loaded)
+    rng = np.random.default_rng(3)
+    pull = rng.normal(size=small.n_voxels)
+    push = np.where(np.isfinite(limits.least), rng.random(small.n_voxels), 0.0)
+    duals = limits.duals(pull, push)
+    assert set(duals.rows) == {"monotone", "boundary"}
+    assert (duals.rows["monotone"] <= 0.0).all()  # at lower limits all
+    assert duals.bounds is not None
+    assert not duals.bounds[limits.given].any()
+    total = duals.bounds.copy()
+    for constraint in loaded.constraints:
+        total += constraint.matrix.T @ duals.rows[constraint.name]
+    expected = pull - push
+    expected[limits.stride :] += push[: -limits.stride]
+    np.testing.assert_allclose(total, expected, atol=1e-14)
+
+
+def test_of_two_constraints_on_a_link_the_tighter_one_carries_it(small: Scene) -> None:
+    loaded = (
+        shelf.load("eq10", small)
+        .with_constraints(Monotone(small, 0.0), Steeper(small, 3.0))
+        .compile()
+    )
+    limits = SpokeLimits.of(loaded)
+    push = np.where(np.isfinite(limits.least), 1.0, 0.0)
+    duals = limits.duals(np.zeros(small.n_voxels), push)
+    assert not duals.rows["monotone"].any()
+    np.testing.assert_array_equal(duals.rows["steeper"], -1.0)
+
+
+def test_a_given_value_outside_its_bound_is_a_contradiction(small: Scene) -> None:
+    """The inner layer is given as -1 N where the sign says it is not negative."""
+    scene = small.with_boundary(-1.0, 1.0)
+    limits = read(scene, Sign(scene), HardBoundary(scene))
+    assert limits.contradiction() == pytest.approx(1.0)
+
+
+def test_the_sweeps_answer_is_a_field_that_holds(small: Scene) -> None:
+    """Without a contradiction there is a field; its primal residual is zero."""
+    declared = shelf.load("eq10", small).with_constraints(
+        Sign(small), Monotone(small, 3.0)
+    )
+    limits = read(small, Sign(small), Monotone(small, 3.0))
+    assert limits.contradiction() == 0.0
+    p = np.where(np.isfinite(limits.lower), limits.lower, 0.0).reshape(limits.shape)
+    p = np.minimum(p, limits.upper.reshape(limits.shape))
+    least = np.where(np.isfinite(limits.least), limits.least, 0.0)
+    for i in range(len(p) - 2, -1, -1):
+        linked = np.isfinite(limits.least).reshape(limits.shape)[i]
+        raised = np.maximum(p[i], p[i + 1] + least.reshape(limits.shape)[i])
+        p[i] = np.where(linked, raised, p[i])
+    loaded = declared.compile()
+    duals = limits.duals(np.zeros(p.size), np.zeros(p.size))
+    assert kkt_residuals(loaded, p.reshape(-1), duals).primal <= 1e-15
+
+
+def least_value(limits: SpokeLimits, v: int, sign: float) -> float:
+    """The least value sign · p_v can have within limits, by a linear program."""
+    n, stride = len(limits.lower), limits.stride
+    linked = np.flatnonzero(np.isfinite(limits.least))
+    rows = np.zeros((len(linked), n))
+    rows[np.arange(len(linked)), linked] = -1.0
+    rows[np.arange(len(linked)), linked + stride] = 1.0
+    cost = np.zeros(n)
+    cost[v] = sign
+    result = linprog(
+        cost,
+        A_ub=rows,
+        b_ub=-limits.least[linked],
+        bounds=np.stack([limits.lower, limits.upper], axis=1),
+        method="highs",
+    )
+    return float(result.fun) if result.status == 0 else -INF
+
+
+def test_bounds_are_dropped_only_where_others_imply_them() -> None:
+    dropped = 0
+    for seed in range(60):
+        limits = random_limits(seed)
+        if limits.contradiction() > 0.0:
+            continue
+        fewer = limits.without_implied()
+        np.testing.assert_array_equal(
+            fewer.lower[limits.given], limits.lower[limits.given]
+        )
+        for sign, before, after in (
+            (1.0, limits.lower, fewer.lower),
+            (-1.0, limits.upper, fewer.upper),
+        ):
+            gone = np.flatnonzero(np.isfinite(before) & ~np.isfinite(after))
+            dropped += len(gone)
+            for v in gone:
+                assert least_value(fewer, int(v), sign) >= sign * before[v] - 1e-9
+    assert dropped > 20
+
+
+def test_of_bounds_along_a_spoke_those_next_to_the_skin_are_left(small: Scene) -> None:
+    """The skin itself has no bound; what grows inwards from 0 stays above 0."""
+    limits = read(small, Sign(small), Monotone(small)).without_implied()
+    left = np.flatnonzero(np.isfinite(limits.lower) & np.isfinite(limits.least))
+    assert len(left)
+    region = small.voxmap.region.reshape(-1)
+    assert (region[left + limits.stride] == 0).all()

@@ -1,0 +1,171 @@
+"""Faces of two fields against dense least squares over what moves on them."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.dragging import dragged_scene
+from ttus_opt.arrays import Array
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.problem import formulation
+from ttus_opt.solvers.dual.activity import Activity
+from ttus_opt.solvers.dual.field_pair import FieldPair
+from ttus_opt.solvers.dual.pair_laplace import PairLaplace
+
+
+@functools.cache
+def pair(weight: float, smoothness: float, share: float, hard: bool) -> FieldPair:
+    """Three hundred voxels, and measurements that do not fit the prior."""
+    scene = dragged_scene("contact", shape=(6, 10, 5))
+    rng = np.random.default_rng(1)
+    trajectory = scene.trajectory
+    assert trajectory.force is not None
+    noisy = trajectory.force + rng.normal(0.0, 1.0, trajectory.force.shape)
+    scene = replace(scene, trajectory=replace(trajectory, force=noisy))
+    declared = formulation.load(
+        "coulomb_drag",
+        scene,
+        force_weight=weight,
+        torque_weight=weight,
+        smoothness=smoothness,
+        largest_friction=share,
+    )
+    if hard:
+        declared = declared.with_constraints(HardBoundary(scene))
+    return FieldPair.of(declared.compile())
+
+
+def active(of: FieldPair, pinned: float, tied: float, seed: int) -> Activity:
+    """Parts of the bounds and links, at random."""
+    rng = np.random.default_rng(seed)
+    limits = of.limits
+    bounded = np.isfinite(limits.lower) & ~limits.given
+    bounded[: len(bounded) // 2] = False
+    pins = np.where(bounded & (rng.random(len(bounded)) < pinned), -1, 0)
+    linked = np.isfinite(limits.least)
+    # at most one of two tied voxels is held
+    half = len(linked) // 2
+    linked[:half] &= ~limits.given[:half] | (pins[half:] == 0)
+    return Activity(pins.astype(np.int8), linked & (rng.random(len(linked)) < tied))
+
+
+def dense_answer(of: FieldPair, active: Activity) -> tuple[Array, Array]:
+    """Minimiser over the face from its definition, entry by entry.
+
+    Unknowns: one per entry that is neither pinned nor tied, and the mean coefficient
+    where its bounds leave it; given rows weigh so much that they hold.
+    """
+    rows, limits = of.rows, of.limits
+    n = len(rows.b)
+    V = n // 2
+    value = np.full(n, np.nan)
+    value[active.pins < 0] = limits.lower[active.pins < 0]
+    given = np.where(limits.given, limits.lower, np.nan)
+    stands = np.arange(n)
+    for v in np.flatnonzero(active.ties[:V]):
+        ends = np.array([v, v + V])
+        known = np.where(np.isnan(value[ends]), given[ends], value[ends])
+        known = known[~np.isnan(known)]
+        if len(known):
+            value[ends] = known[0]
+        else:
+            stands[v + V] = v
+    P = np.zeros((n, n))
+    moves = np.isnan(value)
+    P[np.flatnonzero(moves), stands[moves]] = 1.0
+    P = P[:, P.any(axis=0)]
+    o = np.where(moves, 0.0, value)
+    soft = rows.softness > 0.0
+    root = np.full(n, 1e4)
+    root[soft] = 1.0 / np.sqrt(rows.softness[soft])
+    M = np.vstack(
+        [root[:, None] * (rows.L @ P), rows.root_weights[:, None] * (rows.rows @ P)]
+    )
+    E = np.vstack([root[:, None] * rows.column[:, None], rows.measured_column[:, None]])
+    t = np.concatenate(
+        [root * (rows.b - rows.L @ o), rows.t - rows.root_weights * (rows.rows @ o)]
+    )
+    low, high = of.bounds
+    z = np.linalg.lstsq(np.hstack([M, E]), t)[0]
+    c = np.clip(z[-1:], low, high)  # one number: clipped is best
+    return P @ np.linalg.lstsq(M, t - E @ c)[0] + o, c
+
+
+KINDS = {
+    "none": (0.0, 0.0),
+    "pins": (0.3, 0.0),
+    "all pins": (1.0, 0.0),
+    "ties": (0.0, 0.3),
+    "all ties": (0.0, 1.0),
+    "both": (0.3, 0.3),
+    "both everywhere": (0.1, 1.0),
+}
+
+
+@pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_equals_dense_least_squares(kind: str, hard: bool) -> None:
+    for weight, smoothness, share in ((1.0, 1.0, 0.1), (0.1, 30.0, 1.0)):
+        of = pair(weight, smoothness, share, hard)
+        face = active(of, *KINDS[kind], seed=3)
+        expected, c = dense_answer(of, face)
+        found = of.face(face).solve(rtol=1e-11, deadline=None, guess=None).p
+        np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+        assert of.variables(found)[of.others] == pytest.approx(c, abs=1e-6)
+
+
+@pytest.mark.parametrize("share", [0.02, 1.0], ids=["c at its bound", "c within"])
+def test_a_guess_nearby_saves_directions(share: float) -> None:
+    of = pair(1.0, 1.0, share, hard=False)
+    face = active(of, 0.3, 0.3, seed=3)
+    first = of.face(face).solve(rtol=1e-9, deadline=None, guess=None)
+    noise = np.random.default_rng(0).standard_normal(first.p.shape)
+    guess = first.p + 1e-5 * np.abs(first.p).max() * noise
+    again = of.face(face).solve(rtol=1e-9, deadline=None, guess=guess)
+    assert again.steps < first.steps
+    np.testing.assert_allclose(
+        again.p, first.p, rtol=0.0, atol=1e-7 * np.abs(first.p).max()
+    )
+
+
+def system_of(of: FieldPair, face: Activity) -> PairLaplace:
+    laplace = of.face(face).system.laplace
+    assert isinstance(laplace, PairLaplace)
+    return laplace
+
+
+def test_solves_and_adjoint_solves_belong_together() -> None:
+    of = pair(1.0, 1.0, 0.1, False)
+    laplace = system_of(of, active(of, 0.2, 0.4, seed=5))
+    assert laplace.multigrid.across.nnz > 0
+    moved = laplace.free
+    g, h = np.random.default_rng(2).normal(size=(2, len(moved))) * moved
+    there = float(h @ laplace.solve(g))
+    assert there == pytest.approx(float(laplace.solve_adjoint(h) @ g), rel=1e-9)
+
+
+def test_rough_cycle_is_near_the_solve_and_has_an_adjoint() -> None:
+    of = pair(1.0, 1.0, 0.1, False)
+    laplace = system_of(of, active(of, 0.2, 0.4, seed=5))
+    voxels = np.flatnonzero(laplace.free)
+    cycle = laplace.multigrid.rough(voxels)
+    assert np.array_equal(cycle.free, laplace.free)
+    places = cycle.places(voxels)
+    g, h = np.random.default_rng(2).normal(size=(2, len(laplace.free))) * laplace.free
+
+    def rough(run: str, values: Array) -> Array:
+        cycle.b.fill(0.0)
+        cycle.b[places] = values[voxels]
+        getattr(cycle, run)()
+        out = np.zeros_like(values)
+        out[voxels] = cycle.x[places]
+        return out
+
+    there, back = rough("run", g), rough("run_adjoint", h)
+    assert float(h @ there) == pytest.approx(float(back @ g), rel=1e-4)
+    exact = laplace.multigrid.solve(g, rtol=1e-10)
+    assert np.linalg.norm(there - exact) < 0.3 * np.linalg.norm(exact)

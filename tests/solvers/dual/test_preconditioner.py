@@ -1,0 +1,70 @@
+"""The rough dual against the exact one, written down as matrices."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from ttus_opt.problem import formulation
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.preconditioner import RoughDual, rough_preconditioner
+from ttus_opt.solvers.dual.system import DualSystem
+
+
+def dual_system(sampling: str, weight: float, name: str = "eq10") -> DualSystem:
+    scene = small_scene(sampling, (12, 24, 16), n_poses=12)
+    program = formulation.load(
+        name, scene, force_weight=weight, torque_weight=weight
+    ).compile()
+    return DualData.of(program).system
+
+
+@pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary"])
+@pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean"])
+def test_is_spectrally_equivalent_at_light_and_heavy_weights(
+    sampling: str, name: str
+) -> None:
+    """Ratios of (I + K̃) to (I + K) stay in one band, whatever the weight."""
+    for weight in (1e-4, 1.0, 1e2):
+        system = dual_system(sampling, weight, name)
+        unit = np.eye(len(system.root_weights))
+        exact = np.array([system.apply(e) for e in unit])
+        rough = np.array([RoughDual(system).apply(e) for e in unit])
+        assert np.abs(rough - rough.T).max() < 1e-5 * np.abs(rough).max()
+        ratios = scipy.linalg.eigh((rough + rough.T) / 2, exact, eigvals_only=True)
+        assert 0.4 < ratios.min() <= ratios.max() < 1.3
+
+
+@pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary"])
+def test_a_box_of_the_grid_is_enough(name: str) -> None:
+    """Every voxel of a press measured: nearly the same band, at a part of the cost."""
+    scene = small_scene("trilinear", (24, 64, 32), n_poses=1)
+    program = formulation.load(name, scene).compile()
+    system = DualData.of(program).system
+    touched = np.unique(system.rows.indices)
+    rows = sp.csr_array(sp.eye_array(scene.voxmap.grid.n_voxels, format="csr")[touched])
+    part = scene.laplace.multigrid.rough(touched[scene.laplace.free[touched]])
+    assert part.free.sum() < 0.6 * scene.laplace.free.sum()
+    for weight in (1e-2, 1e2):
+        system = replace(system, rows=rows, root_weights=np.full(len(touched), weight))
+        unit = np.eye(len(touched))
+        exact = np.array([system.apply(e, 1e-8) for e in unit])
+        operator = RoughDual(system)
+        rough = np.array([operator.apply(e) for e in unit])
+        ratios = scipy.linalg.eigh((rough + rough.T) / 2, exact, eigvals_only=True)
+        assert 0.3 < ratios.min() <= ratios.max() < 1.3
+
+
+def test_preconditioner_nearly_inverts() -> None:
+    system = dual_system("voxel-mean", 1e2)
+    right_side = np.random.default_rng(0).normal(size=len(system.root_weights))
+    precondition = rough_preconditioner(system)
+    rest = right_side - system.apply(precondition(right_side))
+    exact = np.array([system.apply(e) for e in np.eye(len(right_side))])
+    inverse = np.linalg.inv(exact)
+    assert rest @ inverse @ rest < 0.1**2 * (right_side @ inverse @ right_side)

@@ -1,0 +1,539 @@
+"""Contested limits: faces to the end, against Clarabel and all active sets."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import ttus_opt as tt
+from tests.conftest import torso
+from tests.solvers.dual.test_subproblem import shaped
+from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10, louder
+from tests.solvers.test_structured import rough_surface
+from ttus_opt.arrays import Array
+from ttus_opt.constraints.base import Constraint
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.solution import NoSolutionError, Status
+from ttus_opt.scene import Scene
+from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.dual import active_set
+from ttus_opt.solvers.dual.field_faces import LimitedField
+from ttus_opt.solvers.registry import solvers
+
+STRUCTURED, CLARABEL = solvers()["structured"], solvers()["clarabel"]
+TOLERANCE = 1e-6
+
+
+def solved(program: Program, tolerance: float = TOLERANCE) -> Candidate:
+    return STRUCTURED.prepare(program, Request(tolerance, 60.0)).solve()
+
+
+def active_limits(program: Program, p: Array) -> int:
+    """How many limits hold with equality, given values apart."""
+    scale = 1e-7 * np.abs(p).max()
+    lower, upper = program.box
+    count = int(np.sum((p - lower <= scale) | (upper - p <= scale)))
+    for constraint in program.constraints:
+        if constraint.name != HardBoundary.name:
+            value = constraint.matrix @ p
+            near = (value - constraint.lower <= scale) | (
+                constraint.upper - value <= scale
+            )
+            count += int(np.sum(near))
+    return count
+
+
+def check(declared: Formulation, least_active: int = 1, close: float = 1e-5) -> None:
+    """Verified to the tolerance, and Clarabel's field."""
+    program = declared.compile()
+    assert not STRUCTURED.refusal(program)
+    candidate = solved(program)
+    assert candidate.claim is Claim.DONE, candidate.detail
+    residuals = kkt_residuals(program, candidate.x, candidate.duals)
+    assert residuals.worst_relative <= TOLERANCE, residuals
+    # at 1e-8 its field is further off than ours where weights are large
+    reference = CLARABEL.prepare(program, Request(1e-10, 60.0)).solve()
+    assert reference.x is not None
+    assert active_limits(program, candidate.x) >= least_active, "nothing is contested"
+    apart = np.linalg.norm(candidate.x - reference.x)
+    assert apart <= close * np.linalg.norm(reference.x)
+
+
+FORCES = {"noise": (1.0, 2.0), "reversed": (-3.0, 0.3), "both": (-3.0, 2.0)}
+
+
+def limits_of(scene: Scene, kind: str) -> list[Constraint]:
+    return {
+        "sign": [Sign(scene)],
+        "monotone": [Monotone(scene)],
+        "sign, monotone": [Sign(scene), Monotone(scene)],
+        "sign, some slope": [Sign(scene), Monotone(scene, 10.0)],
+        "slope above the field's": [Monotone(scene, 60.0)],
+    }[kind]
+
+
+KINDS = [
+    "sign",
+    "monotone",
+    "sign, monotone",
+    "sign, some slope",
+    "slope above the field's",
+]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("weight", [1.0, 100.0])
+@pytest.mark.parametrize("forces", FORCES)
+def test_contested(forces: str, weight: float, kind: str) -> None:
+    scale, noise = FORCES[forces]
+    scene = contested(1, scale=scale, noise=noise)
+    check(eq10(scene, weight, *limits_of(scene, kind)))
+
+
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+@pytest.mark.parametrize("kind", KINDS[:4])
+def test_contested_with_hard_boundary(kind: str, sampling: str) -> None:
+    scene = contested(2, sampling=sampling, scale=-3.0)
+    check(eq10(scene, 1.0, HardBoundary(scene), *limits_of(scene, kind)))
+
+
+def faces_of(candidate: Candidate) -> int:
+    return int(candidate.detail.split(" faces")[0])
+
+
+def test_a_volume_of_growth_limits_does_not_grow_by_layers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With the peaks alone, as for bounds, the same face takes far more of them."""
+    scene = contested(0, (18, 36, 20), n_poses=60, scale=-3.0)
+    program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
+    found = solved(program)
+    with monkeypatch.context() as peaks:
+        peaks.setattr(LimitedField, "links_hold_slopes", False)
+        slowly = solved(program)
+    assert found.claim is slowly.claim is Claim.DONE
+    assert np.linalg.norm(found.x - slowly.x) <= 1e-6 * np.linalg.norm(slowly.x)
+    assert active_limits(program, found.x) > 100
+    assert faces_of(found) < 0.75 * faces_of(slowly)
+
+
+def test_limits_that_hardly_matter_end_the_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What may be left is within the tolerance, also if it may be left at once."""
+    scene = contested(2, (12, 24, 14), noise=4.0)
+    program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
+    whole = solved(program, 1e-2)
+    with monkeypatch.context() as soon:
+        soon.setattr(active_set, "ENOUGH", 1.0)
+        soon.setattr(active_set, "MORE", 0)
+        cut = solved(program, 1e-2)
+    assert cut.claim is Claim.DONE
+    assert kkt_residuals(program, cut.x, cut.duals).worst_relative <= 1e-2
+    assert faces_of(cut) < faces_of(whole)
+
+
+def test_too_few_faces_are_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it ended on is told as that, and not started from."""
+    scene = contested(1, scale=-3.0, noise=2.0)
+    program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
+    prepared = STRUCTURED.prepare(program, Request(TOLERANCE))
+    with monkeypatch.context() as few:
+        few.setattr(active_set, "MAX_FACES", 2)
+        cut = prepared.solve()
+    assert cut.claim is not Claim.DONE
+    assert cut.detail.startswith("2 faces")
+    whole = prepared.solve()
+    assert whole.claim is Claim.DONE
+    assert kkt_residuals(program, whole.x, whole.duals).worst_relative <= TOLERANCE
+    assert np.linalg.norm(cut.x - whole.x) > 1e-6 * np.linalg.norm(whole.x)
+
+
+def inside(scene: Scene) -> NDArray[np.bool_]:
+    return scene.voxmap.inside.reshape(-1)
+
+
+def layer(scene: Scene) -> NDArray[np.int64]:
+    shape = scene.voxmap.grid.shape
+    return np.repeat(np.arange(shape[0]), shape[1] * shape[2])
+
+
+def random_box(scene: Scene, seed: int, hard: bool) -> Within:
+    """Bounds at half of the inside's voxels, at random."""
+    rng = np.random.default_rng(seed)
+    V = scene.n_voxels
+    where = inside(scene) & (scene.laplace.free if hard else True)
+    lower = np.where(where & (rng.random(V) < 0.5), rng.uniform(-1.0, 0.2, V), -INF)
+    upper = np.where(where & (rng.random(V) < 0.5), rng.uniform(0.2, 2.0, V), INF)
+    return Within(scene, lower, upper)
+
+
+@pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
+@pytest.mark.parametrize("seed", range(3))
+def test_lower_and_upper_bounds(seed: int, hard: bool) -> None:
+    scene = contested(seed, scale=[1.0, -3.0, 3.0][seed])
+    more = [HardBoundary(scene)] if hard else []
+    check(eq10(scene, 1.0, random_box(scene, seed, hard), *more), least_active=5)
+
+
+def test_upper_bounds_that_fall_outwards() -> None:
+    scene = contested()
+    upper = np.where(inside(scene), 2.0 - 0.35 * layer(scene), INF)
+    within = Within(scene, np.full(scene.n_voxels, -INF), upper)
+    check(eq10(scene, 1.0, within, Monotone(scene)), least_active=20)
+    check(eq10(scene, 1.0, within, Monotone(scene, 20.0)), least_active=20)
+
+
+def test_bounds_that_hold_everywhere() -> None:
+    """Lower and upper bound are one value, at every voxel or in one layer."""
+    scene = contested()
+    same = np.full(scene.n_voxels, 0.3)
+    check(eq10(scene, 1.0, Within(scene, same, same)), scene.n_voxels)
+    second = layer(scene) == 2
+    lower, upper = np.where(second, 0.3, -INF), np.where(second, 0.3, INF)
+    check(eq10(scene, 1.0, Within(scene, lower, upper)), int(second.sum()))
+    free = scene.laplace.free
+    lower, upper = np.where(free, 0.3, -INF), np.where(free, 0.3, INF)
+    hard = eq10(scene, 1.0, Within(scene, lower, upper), HardBoundary(scene))
+    check(hard, int(free.sum()))
+
+
+def test_bounds_out_of_reach_push_the_whole_field() -> None:
+    """All of the field far above what measurements and boundary ask for."""
+    scene = contested()
+    lower = np.where(inside(scene), 50.0, -INF)
+    within = Within(scene, lower, np.full(scene.n_voxels, INF))
+    check(eq10(scene, 1.0, within), least_active=20)
+
+
+def test_no_field_and_no_force_is_no_field() -> None:
+    scene = contested().with_boundary(0.0, 0.0)
+    trajectory = scene.trajectory
+    assert trajectory.force is not None
+    assert trajectory.torque is not None
+    none = replace(
+        trajectory, force=0.0 * trajectory.force, torque=0.0 * trajectory.torque
+    )
+    scene = replace(scene, trajectory=none)
+    candidate = solved(eq10(scene, 1.0, Sign(scene), Monotone(scene)).compile())
+    assert candidate.claim is Claim.DONE
+    assert not candidate.x.any()
+
+
+def test_nothing_active_is_the_unconstrained_field() -> None:
+    scene = contested(noise=0.0)
+    free = solved(eq10(scene, 1e-3).compile())
+    far = np.full(scene.n_voxels, 100.0)
+    limited = eq10(scene, 1e-3, Within(scene, -far, far), HardBoundary(scene))
+    hard = solved(eq10(scene, 1e-3, HardBoundary(scene)).compile())
+    for declared, expected in (
+        (eq10(scene, 1e-3, Within(scene, -far, far)), free),
+        (limited, hard),
+    ):
+        candidate = solved(declared.compile())
+        apart = np.linalg.norm(candidate.x - expected.x)
+        assert apart <= 1e-8 * np.linalg.norm(expected.x)
+        assert candidate.duals.bounds is not None
+        assert not candidate.duals.bounds.any()
+
+
+SURFACES = {
+    "touches the edge": (torso(), (8, 16, 7), float(torso().radius.max())),
+    "pockets": (rough_surface(0), (9, 16, 8), None),
+    "pockets at the edge": (
+        rough_surface(1),
+        (8, 15, 9),
+        float(rough_surface(1).radius.max()),
+    ),
+    "one slice": (torso(), (9, 21, 3), None),
+    "tiny": (torso(), (5, 4, 3), None),
+}
+
+
+# given values of the inner layer leave no room for a slope
+@pytest.mark.parametrize(
+    ("hard", "kind"),
+    [(False, "sign, monotone"), (False, "sign, some slope"), (True, "sign, monotone")],
+)
+@pytest.mark.parametrize("name", SURFACES)
+def test_geometry_that_breaks_careless_solvers(
+    hard: bool, name: str, kind: str
+) -> None:
+    surface, shape, r_outer = SURFACES[name]
+    scene = shaped(surface, shape, r_outer)
+    more = [HardBoundary(scene)] if hard else []
+    check(eq10(scene, 1.0, *more, *limits_of(scene, kind)), least_active=0)
+
+
+def enumerated(program: Program) -> Array | None:
+    """The minimiser, from all active sets by dense algebra; None if none will do.
+
+    The first set whose point holds all limits, with multipliers of the right sign, is
+    the answer: the problem is strictly convex.
+    """
+    roots = [np.sqrt(t.weight) for t in program.terms]
+    M = np.vstack(
+        [r * t.matrix.toarray() for r, t in zip(roots, program.terms, strict=True)]
+    )
+    target = np.concatenate(
+        [r * t.target for r, t in zip(roots, program.terms, strict=True)]
+    )
+    n = program.n_variables
+    lower, upper = program.box
+    low, high = np.isfinite(lower), np.isfinite(upper)
+    G, h = [-np.eye(n)[low], np.eye(n)[high]], [-lower[low], upper[high]]
+    p, open_ = np.zeros(n), np.ones(n, dtype=bool)
+    for constraint in program.constraints:
+        if constraint.name == HardBoundary.name:
+            open_[constraint.matrix.indices] = False
+            p[constraint.matrix.indices] = constraint.lower
+        else:
+            G.append(-constraint.matrix.toarray())
+            h.append(-constraint.lower)
+    rows, sides = np.vstack(G), np.concatenate(h) - np.vstack(G) @ p
+    M, target, rows = M[:, open_], target - M @ p, rows[:, open_]
+    assert len(rows) <= 14, "too many active sets"
+    inverse = np.linalg.inv(M.T @ M)
+    best = inverse @ (M.T @ target)
+    gap, K = rows @ best - sides, rows @ inverse @ rows.T
+    for count in range(min(len(rows), open_.sum()) + 1):
+        for picked in itertools.combinations(range(len(rows)), count):
+            own = np.array(picked, dtype=int)
+            try:
+                mu = np.linalg.solve(K[np.ix_(own, own)], gap[own])
+            except np.linalg.LinAlgError:
+                continue
+            left = gap - K[:, own] @ mu
+            if (mu >= 0.0).all() and (left <= 1e-9).all():
+                p[open_] = best - inverse @ rows[own].T @ mu
+                return p
+    return None
+
+
+@pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
+@pytest.mark.parametrize("seed", range(8))
+def test_all_active_sets_of_a_tiny_problem(seed: int, hard: bool) -> None:
+    """Sixty voxels, four bounds and all links; where no set will do, none is found."""
+    rng = np.random.default_rng(seed)
+    scene = louder(shaped(torso(), (5, 4, 3), None), seed, [1.0, -3.0][seed % 2])
+    V = scene.n_voxels
+    loose = rng.permutation(np.flatnonzero(scene.laplace.free & inside(scene)))
+    plain = solved(eq10(scene, 1.0).compile()).x
+    size = np.abs(plain[loose]).max()
+    lower, upper = np.full(V, -INF), np.full(V, INF)
+    lower[loose[:2]] = plain[loose[:2]] + rng.uniform(-0.1, 0.5, 2) * size
+    upper[loose[2:4]] = plain[loose[2:4]] - rng.uniform(-0.1, 0.5, 2) * size
+    more: list[Constraint] = [HardBoundary(scene)] if hard else []
+    within = Within(scene, lower, upper)
+    program = eq10(scene, 1.0, within, Monotone(scene, 2.0), *more).compile()
+    expected = enumerated(program)
+    candidate = solved(program)
+    if expected is None:
+        assert candidate.claim is Claim.INFEASIBLE
+        return
+    assert candidate.claim is Claim.DONE, candidate.detail
+    apart = np.linalg.norm(candidate.x - expected)
+    assert apart <= 1e-7 * np.linalg.norm(expected)
+
+
+def test_contradictions_are_named() -> None:
+    """Given values of both ends of a spoke are too near for the slope asked."""
+    scene = contested()
+    declared = eq10(
+        scene, 1.0, Sign(scene), Monotone(scene, 400.0), HardBoundary(scene)
+    )
+    solution = tt.fit(scene, declared, solver="structured")
+    assert solution.status is Status.INFEASIBLE
+    with pytest.raises(NoSolutionError, match="monotone against boundary"):
+        solution.field  # noqa: B018
+    assert set(solution.conflict) == {"monotone", "boundary"}
+    assert "contradict" in solution.detail
+
+
+def test_bounds_against_growth_are_named() -> None:
+    scene = contested()
+    where = inside(scene) & scene.laplace.free
+    growing = np.where(where, 0.1 * layer(scene), -INF)  # lower bounds rise outwards
+    within = Within(scene, growing, np.where(where, 0.15, INF))
+    solution = tt.fit(scene, eq10(scene, 1.0, within), solver="structured")
+    assert solution.status is Status.INFEASIBLE
+    assert solution.conflict == ("within",)
+    upper = np.where(where & (layer(scene) == 1), 0.1, INF)
+    lower = np.where(where & (layer(scene) == 2), 0.05, -INF)
+    within = Within(scene, lower, upper)
+    declared = eq10(scene, 1.0, within, Monotone(scene, 50.0))
+    solution = tt.fit(scene, declared, solver="structured")
+    assert solution.status is Status.INFEASIBLE
+    assert set(solution.conflict) == {"monotone", "within"}
+
+
+def test_a_given_value_against_its_bound_is_named() -> None:
+    scene = contested().with_boundary(-1.0, 1.0)
+    declared = eq10(scene, 1.0, Sign(scene), HardBoundary(scene))
+    solution = tt.fit(scene, declared, solver="structured")
+    assert solution.status is Status.INFEASIBLE
+    assert set(solution.conflict) == {"boundary", "sign"}
+
+
+def test_stops_when_the_time_is_up() -> None:
+    """Cut short it has taken fewer steps, and says so."""
+    scene = contested(0, (16, 48, 20), n_poses=60, scale=-3.0)
+    program = eq10(scene, 100.0, Sign(scene), Monotone(scene, 5.0)).compile()
+    whole = solved(program)
+    assert whole.claim is Claim.DONE
+    for limit in (1e-6, 0.02):
+        cut = STRUCTURED.prepare(program, Request(TOLERANCE, limit)).solve()
+        assert cut.claim is Claim.TIME_LIMIT
+        assert cut.iterations < whole.iterations / 2
+    solution = tt.fit(
+        scene,
+        eq10(scene, 100.0, Sign(scene), Monotone(scene, 5.0)),
+        solver="structured",
+        time_limit=1e-6,
+    )
+    assert solution.status is Status.TIME_LIMIT
+    with pytest.raises(NoSolutionError):
+        solution.field  # noqa: B018
+
+
+def updated(first: Formulation, second: Formulation) -> None:
+    """A solve after an update is a fresh solve."""
+    prepared = STRUCTURED.prepare(first.compile(), Request(1e-8, 60.0))
+    prepared.solve()
+    program = second.compile()
+    prepared.update(program)
+    again, fresh = prepared.solve(), solved(program, 1e-8)
+    assert again.claim is Claim.DONE
+    residuals = kkt_residuals(program, again.x, again.duals)
+    assert residuals.worst_relative <= 1e-8
+    apart = np.linalg.norm(again.x - fresh.x)
+    assert apart <= 1e-6 * np.linalg.norm(fresh.x)
+
+
+def limited(scene: Scene, weight: float = 1.0, slope: float = 5.0) -> Formulation:
+    return eq10(scene, weight, Sign(scene), Monotone(scene, slope))
+
+
+def test_other_values_weights_and_slopes_agree_with_a_fresh_solve() -> None:
+    scene = contested(0)
+    first = limited(scene)
+    updated(first, limited(contested(0, scale=-2.0)))
+    updated(first, limited(scene, weight=30.0))
+    updated(first, limited(scene, slope=20.0))
+    updated(first, limited(scene, slope=0.0))
+    updated(first, limited(scene.with_boundary(1.0, 2.0)))
+    updated(first, limited(contested(0, n_poses=14)))
+
+
+def test_an_update_after_too_little_time_agrees_with_a_fresh_solve() -> None:
+    program = limited(contested(0)).compile()
+    prepared = STRUCTURED.prepare(program, Request(1e-8, 1e-6))
+    assert prepared.solve().claim is Claim.TIME_LIMIT
+    prepared._request = Request(1e-8)
+    again, fresh = prepared.solve(), solved(program, 1e-8)
+    assert np.linalg.norm(again.x - fresh.x) <= 1e-6 * np.linalg.norm(fresh.x)
+
+
+def test_a_bound_parts_a_voxel_from_the_given_value_it_is_tied_to() -> None:
+    """Forces pull below the skin's 0 what has a bound above it: bound, not tie."""
+    scene = contested(scale=-3.0)
+    where = inside(scene) & scene.laplace.free
+    lower = np.where(where, 0.05, -INF)
+    within = Within(scene, lower, np.full(scene.n_voxels, INF))
+    check(eq10(scene, 1.0, within, Monotone(scene), HardBoundary(scene)))
+
+
+@pytest.mark.parametrize(("seed", "hard"), [(1, True), (5, False)])
+def test_of_two_bounds_on_a_chain_the_tighter_one_holds(seed: int, hard: bool) -> None:
+    """Random bounds and links together."""
+    scene = contested(seed, (6, 9, 5), n_poses=6, scale=[1.0, -3.0][seed % 2])
+    more = [HardBoundary(scene)] if hard else []
+    check(eq10(scene, 1.0, random_box(scene, seed, hard), Monotone(scene), *more))
+
+
+def test_of_two_upper_bounds_on_a_chain_the_tighter_one_holds() -> None:
+    """Tight outside, loose inside, and all of the spoke is pulled up."""
+    scene = contested(2, (6, 9, 5), n_poses=6)
+    rng = np.random.default_rng(2)
+    V = scene.n_voxels
+    upper = np.where(inside(scene) & (rng.random(V) < 0.5), rng.uniform(0.2, 2, V), INF)
+    within = Within(scene, np.full(V, -INF), upper)
+    check(eq10(scene, 1.0, within, Monotone(scene, 3.0)))
+
+
+def test_two_growths_on_one_link() -> None:
+    scene = contested()
+    check(eq10(scene, 1.0, Monotone(scene), Steeper(scene, 30.0)))
+
+
+def test_two_growths_on_one_link_the_steeper_first() -> None:
+    scene = contested()
+    check(eq10(scene, 1.0, Steeper(scene, 30.0), Monotone(scene)))
+
+
+def test_an_update_whose_bound_has_become_implied() -> None:
+    """The same constraints; the second layer's bound now implies the first one's."""
+    scene = contested()
+    V, i = scene.n_voxels, layer(scene)
+    where = inside(scene) & scene.laplace.free
+
+    def bounded(first: float) -> Formulation:
+        lower = np.where(where & (i == 1), first, np.where(where & (i == 2), 5.0, -INF))
+        within = Within(scene, lower, np.full(V, INF))
+        return eq10(scene, 1.0, within, Monotone(scene))
+
+    updated(bounded(6.0), bounded(4.0))
+
+
+@pytest.mark.parametrize("what", ["no growth", "no sign", "hard"])
+def test_an_update_with_other_constraints(what: str) -> None:
+    scene = contested()
+    sign, monotone, hard = Sign(scene), Monotone(scene, 5.0), HardBoundary(scene)
+    left: dict[str, list[Constraint]] = {
+        "no growth": [sign],
+        "no sign": [monotone],
+        "hard": [sign, monotone, hard],
+    }
+    updated(limited(scene), eq10(scene, 1.0, *left[what]))
+
+
+def test_an_update_without_limits() -> None:
+    scene = contested()
+    updated(limited(scene), eq10(scene, 1.0))
+
+
+def test_an_update_with_another_grid() -> None:
+    updated(limited(contested()), limited(contested(shape=(6, 10, 6))))
+
+
+def test_random_limits_of_all_kinds_are_settled() -> None:
+    """Bounds, links, given values, weights and slopes drawn at random; KKT hold."""
+    unsettled = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        shape = [(6, 9, 5), (7, 8, 6), (5, 4, 3)][seed % 3]
+        scale, hard = rng.choice([1.0, -3.0, 5.0]), bool(rng.random() < 0.5)
+        scene = contested(seed, shape, n_poses=6, scale=scale)
+        constraints: list[Constraint] = [
+            random_box(scene, seed, hard),
+            Monotone(scene, rng.choice([0.0, 3.0])),
+        ]
+        if hard:
+            constraints.append(HardBoundary(scene))
+        program = eq10(scene, rng.choice([1e-2, 1.0, 100.0]), *constraints).compile()
+        candidate = solved(program)
+        if candidate.x is None:  # contradictions have tests of their own
+            continue
+        kkt = kkt_residuals(program, candidate.x, candidate.duals)
+        if candidate.claim is not Claim.DONE or kkt.worst_relative > TOLERANCE:
+            unsettled.append((seed, candidate.detail, kkt.worst_relative))
+    assert not unsettled

@@ -1,0 +1,226 @@
+"""Faces against direct least squares over P z + o, and their multipliers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import spsolve
+
+from tests.conftest import presses, torso
+from tests.solvers.dual.user_limits import INF, Within, contested, eq10, louder
+from tests.solvers.test_structured import rough_surface
+from ttus_opt.arrays import Array
+from ttus_opt.constraints.base import Constraint
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.problem.program import Program
+from ttus_opt.scan.surface import Surface
+from ttus_opt.scene import Scene
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.optimality import multipliers
+from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.subproblem import Activity, Face, face_of
+from ttus_opt.voxmap.voxmap import Voxmap
+
+
+def limited(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> Program:
+    """Random bounds on every voxel and links along all spokes of the inside."""
+    rng = np.random.default_rng(seed)
+    V = scene.n_voxels
+    lower, upper = rng.uniform(-1.0, 0.0, V), rng.uniform(0.0, 1.0, V)
+    if hard:
+        lower[~scene.laplace.free], upper[~scene.laplace.free] = -INF, INF
+    constraints: list[Constraint] = [Within(scene, lower, upper), Monotone(scene, 4.0)]
+    if hard:
+        constraints.append(HardBoundary(scene))
+    return eq10(scene, weight, *constraints).compile()
+
+
+def chains(limits: SpokeLimits, ties: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Which chain a voxel belongs to, from the graph of ties."""
+    n = len(ties)
+    tied = np.flatnonzero(ties)
+    graph = sp.coo_array(
+        (np.ones(len(tied)), (tied, tied + limits.stride)), shape=(n, n)
+    )
+    return connected_components(graph, directed=False)[1]
+
+
+def random_activity(
+    limits: SpokeLimits, seed: int, pinned: float, tied: float
+) -> Activity:
+    """Ties and pins at random; at most one pin or given value a chain."""
+    rng = np.random.default_rng(seed)
+    n = len(limits.lower)
+    ties = np.isfinite(limits.least) & (rng.random(n) < tied)
+    label = chains(limits, ties)
+    while True:  # ties between two given values are cut
+        count = np.bincount(label, limits.given)
+        crowded = ties & (count[label] > 1)
+        if not crowded.any():
+            break
+        ties[np.flatnonzero(crowded)[0]] = False
+        label = chains(limits, ties)
+    pins = np.zeros(n, dtype=np.int8)
+    taken = np.bincount(label, limits.given, minlength=n) > 0
+    for v in rng.permutation(n)[: int(pinned * n)]:
+        if not taken[label[v]]:
+            pins[v] = rng.choice([-1, 1])
+            taken[label[v]] = True
+    return Activity(pins, ties)
+
+
+def eliminated(program: Program, limits: SpokeLimits, active: Activity) -> Array:
+    """The minimiser on the face: constraints eliminated, the augmented system solved.
+
+    Every chain has one unknown unless it has a value; offsets come from walking the
+    ties, nothing is shared with `face`.
+    """
+    n = len(active.pins)
+    label = chains(limits, active.ties)
+    depth = np.zeros(n)
+    for v in range(n):  # from the inside out
+        if active.ties[v]:
+            depth[v + limits.stride] = depth[v] - limits.least[v]
+    level = np.full(label.max() + 1, np.nan)
+    value = np.where(active.pins > 0, limits.upper, limits.lower)
+    for v in np.flatnonzero((active.pins != 0) | limits.given):
+        level[label[v]] = value[v] - depth[v]
+    known = ~np.isnan(level[label])
+    offset = depth + np.where(known, level[label], 0.0)
+    number = np.cumsum(np.isnan(level)) - 1
+    open_ = np.flatnonzero(~known)
+    P = sp.csc_array(
+        (np.ones(len(open_)), (open_, number[label[open_]])),
+        shape=(n, number[-1] + 1),
+    )
+    roots = [np.sqrt(t.weight) for t in program.terms]
+    M = sp.vstack([r * t.matrix for r, t in zip(roots, program.terms, strict=True)])
+    t = np.concatenate(
+        [r * t.target for r, t in zip(roots, program.terms, strict=True)]
+    )
+    if not P.shape[1]:
+        return offset
+    K, side = sp.csc_array(M @ P), t - M @ offset
+    m = len(side)
+    augmented = sp.block_array([[sp.eye_array(m), K], [K.T, None]], format="csc")
+    z = spsolve(augmented, np.concatenate([side, np.zeros(P.shape[1])]))[m:]
+    return np.asarray(P @ z + offset)
+
+
+def solved(program: Program, limits: SpokeLimits, active: Activity) -> Array:
+    face = face_of(program.laplace, limits, active, DualData.of(program))
+    return field_on(face)
+
+
+def field_on(face: Face) -> Array:
+    return face.field_of(DualSolver(face.system).solve(face.b, face.t, rtol=1e-12).p)
+
+
+def compare(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> None:
+    program = limited(scene, seed, hard, weight)
+    limits = SpokeLimits.of(program)
+    for k, (pinned, tied) in enumerate(
+        [(0.1, 0.0), (0.0, 0.3), (0.1, 0.5), (0.6, 0.9), (0.0, 1.0)]
+    ):
+        active = random_activity(limits, seed + k, pinned, tied)
+        expected = eliminated(program, limits, active)
+        found = solved(program, limits, active)
+        apart = np.linalg.norm(found - expected)
+        assert apart <= 1e-8 * np.linalg.norm(expected), (pinned, tied)
+
+
+@pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_equals_eliminated_least_squares(seed: int, sampling: str, hard: bool) -> None:
+    compare(contested(seed, (8, 13, 7), sampling=sampling), seed, hard)
+
+
+@pytest.mark.parametrize("weight", [1e-6, 100.0])
+def test_equals_eliminated_least_squares_at_other_weights(weight: float) -> None:
+    compare(contested(2), 2, False, weight)
+
+
+def shaped(
+    surface: Surface, shape: tuple[int, int, int], r_outer: float | None
+) -> Scene:
+    """A scene on a surface that breaks careless solvers."""
+    voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=0.03, r_outer=r_outer)
+    shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=300)
+    trajectory = presses(surface, 8, np.random.default_rng(2), depth=0.015)
+    return louder(
+        Scene.assemble(voxmap, shell, trajectory, sampling="trilinear"), seed=2
+    )
+
+
+@pytest.mark.parametrize(
+    ("surface", "shape", "r_outer"),
+    [
+        (torso(), (9, 20, 8), float(torso().radius.max())),
+        (rough_surface(0), (10, 24, 10), None),
+        (rough_surface(1), (9, 23, 12), float(rough_surface(1).radius.max())),
+        (torso(), (9, 21, 3), None),
+        (torso(), (4, 4, 3), None),
+    ],
+    ids=["touches the edge", "pockets", "pockets at the edge", "one slice", "tiny"],
+)
+@pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
+def test_geometry_that_breaks_careless_faces(
+    surface: Surface, shape: tuple[int, int, int], r_outer: float | None, hard: bool
+) -> None:
+    compare(shaped(surface, shape, r_outer), 5, hard)
+
+
+def test_no_limit_active_is_the_whole_problem() -> None:
+    program = limited(contested(3), 3, False)
+    limits = SpokeLimits.of(program)
+    nothing = random_activity(limits, 0, 0.0, 0.0)
+    assert nothing.count == 0
+    data = DualData.of(program)
+    face = face_of(program.laplace, limits, nothing, data)
+    whole = DualSolver(data.system).solve(data.b, data.t, rtol=1e-12).p
+    found = field_on(face)
+    assert np.linalg.norm(found - whole) <= 1e-10 * np.linalg.norm(whole)
+
+
+def test_all_voxels_pinned_leave_nothing_to_solve() -> None:
+    program = limited(contested(3), 3, False)
+    limits = SpokeLimits.of(program)
+    V = len(limits.lower)
+    pins = np.random.default_rng(0).choice([-1, 1], V).astype(np.int8)
+    p = solved(program, limits, Activity(pins, np.zeros(V, dtype=bool)))
+    np.testing.assert_array_equal(p, np.where(pins > 0, limits.upper, limits.lower))
+
+
+@pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
+@pytest.mark.parametrize("seed", range(3))
+def test_multipliers_solve_the_dense_balance(seed: int, hard: bool) -> None:
+    """Cᵀμ = -g, a row of C per active limit or given value; C has full rank."""
+    program = limited(contested(seed, (6, 10, 5), n_poses=5), seed, hard)
+    limits = SpokeLimits.of(program)
+    active = random_activity(limits, seed, 0.3, 0.6)
+    assert active.count > 50
+    p = eliminated(program, limits, active)
+    g = np.add(*program.gradient(p))
+    n = len(p)
+    pinned = np.flatnonzero((active.pins != 0) | limits.given)
+    tied = np.flatnonzero(active.ties)
+    C = np.zeros((len(pinned) + len(tied), n))
+    C[np.arange(len(pinned)), pinned] = 1.0
+    at = len(pinned) + np.arange(len(tied))
+    C[at, tied], C[at, tied + limits.stride] = -1.0, 1.0  # p_w - p_v ≤ -s
+    mu, _, rank, _ = np.linalg.lstsq(C.T, -g, rcond=None)
+    assert rank == len(C)
+    size = np.abs(g).max()
+    assert np.abs(C.T @ mu + g).max() <= 1e-9 * size, "the face's minimiser balances"
+    pull, push = multipliers(limits, active, g)
+    np.testing.assert_allclose(pull[pinned], mu[: len(pinned)], atol=1e-9 * size)
+    np.testing.assert_allclose(push[tied], mu[len(pinned) :], atol=1e-9 * size)
+    assert not np.delete(pull, pinned).any()
+    assert not np.delete(push, tied).any()

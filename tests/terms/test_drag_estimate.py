@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.dragging import dragged_scene
+from ttus_opt.errors import InputError
+from ttus_opt.terms.drag_estimate import estimate_drag
+
+
+@pytest.mark.parametrize("acts_at", ["contact", "reference"])
+def test_the_estimate_finds_what_was_put_in(acts_at: str) -> None:
+    estimate = estimate_drag(dragged_scene(acts_at))
+    assert estimate.acts_at == acts_at
+    assert estimate.friction_coefficient == pytest.approx(0.3, rel=1e-6)
+    assert estimate.boundary_scale == pytest.approx(1.0, rel=1e-6)
+    assert estimate.misfit < 1e-6
+
+
+def test_a_scale_that_is_off_is_told() -> None:
+    scene = dragged_scene("contact")
+    estimate = estimate_drag(scene.with_boundary(1.5, 1.5))
+    assert estimate.boundary_scale == pytest.approx(2.0, rel=1e-6)
+    assert estimate.friction_coefficient == pytest.approx(0.3, rel=1e-6)
+
+
+def test_without_drag_there_is_none() -> None:
+    estimate = estimate_drag(dragged_scene("contact", mu=0.0))
+    assert estimate.friction_coefficient < 1e-9
+
+
+def test_a_probe_at_rest_tells_nothing() -> None:
+    scene = dragged_scene("contact")
+    position = np.repeat(scene.trajectory.position[:1], len(scene.trajectory), axis=0)
+    rotation = np.repeat(scene.trajectory.rotation[:1], len(scene.trajectory), axis=0)
+    still = replace(scene.trajectory, position=position, rotation=rotation)
+    scene = tt.Scene.assemble(
+        scene.voxmap, scene.shell, still, inner=3.0, outer=3.0, sampling="trilinear"
+    )
+    assert estimate_drag(scene).friction_coefficient == 0.0
+
+
+def test_the_place_may_be_given() -> None:
+    scene = dragged_scene("contact")
+    given = estimate_drag(scene, "reference")
+    assert given.acts_at == "reference"
+    assert given.misfit > estimate_drag(scene, "contact").misfit
+    with pytest.raises(InputError, match="acts_at must be one of"):
+        estimate_drag(scene, "handle")
+
+
+def test_drag_hardly_moves_the_boundary_scale(shared: Path) -> None:
+    """`inner="fit"` needs no friction: drag is across the force it scales."""
+    folder = shared / "phantom"
+    surface = tt.Surface.load(folder / "surface.nc")
+    voxmap = tt.Voxmap.from_surface(surface, shape=(24, 60, 30), r_inner=0.03)
+    shell = tt.PointShell.ellipsoid(semi_axes=(0.030, 0.0125, 0.018), n_points=800)
+    for name in ("press_fit", "sweep_fit"):
+        trajectory = tt.read_trajectory(folder / f"{name}.csv")
+        scene = tt.Scene.assemble(
+            voxmap, shell, trajectory, inner="fit", sampling="trilinear"
+        )
+        estimate = estimate_drag(scene)
+        assert estimate.boundary_scale == pytest.approx(1.0, abs=0.02)
+        assert estimate.friction_coefficient == pytest.approx(0.25, rel=0.15)

@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from tests.conftest import torso
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
+
+
+@pytest.fixture
+def field() -> PotentialField:
+    voxmap = Voxmap.from_surface(torso(), shape=(8, 12, 6))
+    values = np.random.default_rng(0).normal(size=(8, 12, 6))
+    return PotentialField(
+        voxmap, values, "trilinear", {"boundary_scale": 2.5}, {"solver": "none"}
+    )
+
+
+def test_round_trip(field: PotentialField, tmp_path: Path) -> None:
+    field.save(tmp_path / "a.nc")
+    back = PotentialField.load(tmp_path / "a.nc")
+    np.testing.assert_array_equal(back.values, field.values)
+    np.testing.assert_array_equal(back.voxmap.region, field.voxmap.region)
+    np.testing.assert_array_equal(
+        back.voxmap.surface.radius, field.voxmap.surface.radius
+    )
+    assert back.voxmap.grid == field.voxmap.grid
+    assert back.sampling == "trilinear"
+    assert back.parameters == {"boundary_scale": 2.5}
+    assert back.provenance == {"solver": "none"}
+
+
+def test_every_variable_carries_units(field: PotentialField, tmp_path: Path) -> None:
+    field.save(tmp_path / "a.nc")
+    with xr.open_dataset(tmp_path / "a.nc") as data:
+        assert data["potential"].attrs["units"] == "N cm-2"
+        for name in data.variables:
+            assert "units" in data[name].attrs, name
+        assert "ttus_opt" in data.attrs["source"]
+
+
+def test_another_version_is_refused(field: PotentialField, tmp_path: Path) -> None:
+    field.save(tmp_path / "a.nc")
+    with xr.open_dataset(tmp_path / "a.nc") as data:
+        newer = data.load().assign_attrs(ttus_opt_version=99)
+    newer.to_netcdf(tmp_path / "b.nc")
+    with pytest.raises(FileError, match=r"version 99.*update ttus_opt"):
+        PotentialField.load(tmp_path / "b.nc")
+
+
+def test_a_damaged_file_is_one_line(field: PotentialField, tmp_path: Path) -> None:
+    field.save(tmp_path / "a.nc")
+    with xr.open_dataset(tmp_path / "a.nc") as data:
+        data.load().drop_vars("region").to_netcdf(tmp_path / "b.nc")
+    with pytest.raises(FileError, match="damaged") as caught:
+        PotentialField.load(tmp_path / "b.nc")
+    assert "\n" not in str(caught.value)
+
+
+def altered(data: xr.Dataset, name: str, **attrs: object) -> xr.Dataset:
+    """The same file with other attributes of one variable."""
+    return data.assign({name: data[name].assign_attrs(attrs)})
+
+
+DAMAGES = {
+    "potential in kN": (
+        lambda d: altered(d, "potential", units="kN"),
+        "potential has units 'kN', expected 'N cm-2'",
+    ),
+    "potential of the other sampling": (
+        lambda d: d.assign_attrs(sampling="voxel-mean"),
+        "potential has units 'N cm-2', expected 'N'",
+    ),
+    "no such sampling": (
+        lambda d: d.assign_attrs(sampling="nearest"),
+        "sampling must be one of voxel-mean, trilinear, got 'nearest'",
+    ),
+    "region of two by two": (
+        lambda d: d.assign(
+            region=(("a", "b"), np.ones((2, 2), np.int8), {"units": "1"})
+        ),
+        "region has dimensions (a, b), expected (r, theta, z)",
+    ),
+    "region of two by two by name": (
+        lambda d: d.drop_vars("region").assign(
+            region=(("r", "theta"), np.ones((8, 12), np.int8), {"units": "1"})
+        ),
+        "region has dimensions (r, theta), expected (r, theta, z)",
+    ),
+    "region of no meaning": (
+        lambda d: d.assign(region=d["region"] * 2).pipe(altered, "region", units="1"),
+        "region must hold 1 inside, 0 on the surface and -1 outside only",
+    ),
+    "transposed": (
+        lambda d: d.assign(potential=d["potential"].transpose("z", "theta", "r")),
+        "potential has dimensions (z, theta, r), expected (r, theta, z)",
+    ),
+    "radius in mm": (
+        lambda d: altered(d, "radius", units="mm"),
+        "radius has units 'mm', expected 'm'",
+    ),
+    "deviation without units": (
+        lambda d: d.assign(radius_std=(d["radius_std"].dims, d["radius_std"].data)),
+        "radius_std has units None, expected 'm'",
+    ),
+    "angles in degrees": (
+        lambda d: altered(
+            d.assign_coords(theta=np.degrees(d["theta"])), "theta", units="degree"
+        ),
+        "theta has units 'degree', expected 'rad'",
+    ),
+    "heights of another grid": (
+        lambda d: altered(d.assign_coords(z=2.0 * d["z"]), "z", units="m"),
+        "z is not where grid_limits puts the voxels",
+    ),
+    "limits of two numbers": (
+        lambda d: d.assign_attrs(grid_limits="[0.03, 0.14]"),
+        "not enough values to unpack",
+    ),
+    "limits of no number": (
+        lambda d: d.assign_attrs(grid_limits='["a", 0.14, 0.0, 0.2]'),
+        "must be real number",
+    ),
+    "no region": (lambda d: d.drop_vars("region"), "it has no variable region"),
+}
+
+
+@pytest.mark.parametrize(("damage", "told"), DAMAGES.values(), ids=DAMAGES)
+def test_what_is_no_field_is_refused_in_one_line(
+    field: PotentialField,
+    tmp_path: Path,
+    damage: Callable[[xr.Dataset], xr.Dataset],
+    told: str,
+) -> None:
+    """Units, dimensions and places of all that a field file holds."""
+    field.save(tmp_path / "a.nc")
+    with xr.open_dataset(tmp_path / "a.nc") as data:
+        damage(data.load()).to_netcdf(tmp_path / "b.nc")
+    with pytest.raises(FileError, match=re.escape(told)) as caught:
+        PotentialField.load(tmp_path / "b.nc")
+    assert "\n" not in str(caught.value)
+    assert "b.nc: damaged field file" in str(caught.value)
+
+
+def test_refusals(field: PotentialField) -> None:
+    voxmap = field.voxmap
+    with pytest.raises(InputError, match="shape"):
+        PotentialField(voxmap, np.zeros((8, 6, 12)), "trilinear")
+    with pytest.raises(InputError, match="NaN"):
+        PotentialField(voxmap, np.full((8, 12, 6), np.nan), "trilinear")
+    with pytest.raises(InputError, match="sampling"):
+        PotentialField(voxmap, np.zeros((8, 12, 6)), "nearest")
+    with pytest.raises(InputError, match=r"region must have the grid's shape \(8, 12"):
+        Voxmap(voxmap.grid, voxmap.surface, np.ones((2, 2), np.int8))

@@ -1,0 +1,93 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.conftest import torso
+from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE, SURFACE, Voxmap
+
+
+def cylinder(radius: float, n_theta: int = 12, n_z: int = 4) -> Surface:
+    return Surface.from_radius(
+        np.full((n_theta, n_z), radius), np.linspace(0.0, 0.2, n_z)
+    )
+
+
+def test_surface_on_a_layer_is_exactly_that_layer() -> None:
+    voxmap = Voxmap.from_surface(
+        cylinder(0.09), shape=(13, 12, 5), r_inner=0.03, r_outer=0.15
+    )
+    layer = 6  # 0.03 + 6 · 0.01
+    assert (voxmap.region[layer] == SURFACE).all()
+    assert (voxmap.region[:layer] == INSIDE).all()
+    assert (voxmap.region[layer + 1 :] == OUTSIDE).all()
+
+
+def test_the_layer_is_the_nearest_one() -> None:
+    for radius, layer in ((0.0949, 6), (0.0951, 7), (0.0851, 6)):
+        voxmap = Voxmap.from_surface(
+            cylinder(radius), shape=(13, 12, 5), r_inner=0.03, r_outer=0.15
+        )
+        assert (voxmap.region[layer] == SURFACE).all()
+
+
+def rough(seed: int) -> Surface:
+    rng = np.random.default_rng(seed)
+    return Surface.from_radius(rng.uniform(0.05, 0.12, (24, 9)), np.linspace(0, 0.2, 9))
+
+
+@pytest.mark.parametrize(
+    "surface", [torso(), rough(0), rough(1)], ids=["torso", "rough", "rough2"]
+)
+def test_inside_and_outside_never_touch(surface: Surface) -> None:
+    region = Voxmap.from_surface(surface, shape=(30, 24, 9)).region
+    for axis in range(3):
+        product = region * np.roll(region, -1, axis)
+        if axis != 1:  # only θ closes on itself
+            product = np.delete(product, -1, axis)
+        assert (product >= 0).all()
+
+
+def test_added_surface_voxels_lie_at_the_surface_no_thicker_than_needed() -> None:
+    voxmap = Voxmap.from_surface(torso(), shape=(40, 90, 31))
+    grid = voxmap.grid
+    theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
+    distance = np.abs(grid.r[:, None, None] - torso().radius_at(theta, z)[None])
+    thick = voxmap.on_surface
+    per_spoke = thick.sum(axis=0)
+    assert (per_spoke >= 1).all()
+    assert per_spoke.mean() < 2.0
+    assert distance[thick].max() < 3 * grid.r_step
+
+
+def test_dirichlet_voxels_are_surface_layers_and_ends() -> None:
+    fixed = Voxmap.from_surface(cylinder(0.09), shape=(13, 12, 5)).dirichlet
+    assert fixed[[0, -1]].all()
+    assert fixed[..., [0, -1]].all()
+    assert not fixed[1, 0, 2]
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "word"),
+    [
+        ({"shape": (24, 0, 30)}, InputError, "n_theta"),
+        ({"shape": (24, 72)}, InputError, "three whole numbers"),
+        ({"shape": (24.5, 72, 30)}, InputError, "whole numbers"),
+        ({"r_inner": 0.2, "r_outer": 0.4}, GeometryError, "choose r_inner below"),
+        ({"r_outer": 0.08}, GeometryError, "larger r_outer"),
+        ({"shape": (4000, 4000, 4000)}, InputError, "GiB"),
+    ],
+)
+def test_refusals(options: dict, error: type, word: str) -> None:
+    with pytest.raises(error, match=word) as caught:
+        Voxmap.from_surface(cylinder(0.09), **options)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_memory_estimate_is_told_before_anything_is_allocated() -> None:
+    with pytest.raises(InputError, match=r"1,080,000 voxels takes about 0\.5 GiB"):
+        Voxmap.from_surface(
+            cylinder(0.09), shape=(100, 180, 60), memory_limit=0.25 * 2**30
+        )

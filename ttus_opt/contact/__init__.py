@@ -1,0 +1,1 @@
+"""Contact of a point shell with the voxmap: rows of forces, torques and friction."""

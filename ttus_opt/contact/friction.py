@@ -1,0 +1,314 @@
+"""Drag of the skin on a sliding probe, linear in the field (design §3).
+
+Per pose, the contact patch has a normal n̂ (into the probe), a centre and a sliding
+velocity v_t, all from geometry and motion alone:
+
+    Coulomb   −μ t̂ (n̂ᵀ N p),  t̂ = v_t / max(‖v_t‖, v₀)
+    viscous   −c v_t
+
+n̂ᵀ N p is the normal force, so that for a given μ drag is linear in p, and a field q
+in place of μ p gives −t̂ (n̂ᵀ N q). n̂ and the centre are means over the shell points
+inside the patient, weighted by area and depth, because pressure grows with depth. v₀
+is the deadband: below it drag shrinks in proportion, at rest there is none.
+
+Where drag acts: on the patch and along it (``contact``), where it has an arm about the
+shell's reference and slides with the probe's turning too; or as a tool sees it
+(``reference``), through the reference point and across the probe's pressing axis:
+its own axis of symmetry nearest to the mean of n̂. The mean alone leans as the probe
+was tilted while it was pressed, and by half a degree of that a plunge of 10 mm/s
+counts as sliding of 0.1 mm/s, which near rest turns t̂ by several degrees.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.compiled import compiled
+from ttus_opt.contact.rows import (
+    ContactRows,
+    checked_poses,
+    rotated,
+    shell_arrays,
+    turn_angle,
+    within,
+)
+from ttus_opt.cylindrical import cylindrical
+from ttus_opt.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.surface import bilinear_radius
+from ttus_opt.voxmap.voxmap import Voxmap
+
+ActsAt = Literal["contact", "reference"]
+
+#: Principal moments of a shell are equal to within this share [–]
+EQUAL_MOMENTS = 0.05
+
+#: Sliding slower than this is on its way to rest: differences of poses 0.1 mm apart by
+#: chance in frames of 50 ms are as fast [m/s]
+DEADBAND = 2e-3
+
+
+@dataclass(frozen=True)
+class Sliding:
+    """Contact patch and sliding of every pose of a trajectory.
+
+    Attributes:
+        normal: Mean unit normal of the patch, into the probe, patient axes; zero
+            without contact; shape (T, 3) [–].
+        arm: From the shell's reference to where drag acts, patient axes; shape
+            (T, 3) [m].
+        velocity: Of the probe where drag acts, along the patch or across the
+            pressing axis; zero without contact; shape (T, 3) [m/s].
+        position: Of the patch in the patient frame, shape (T, 3) [m].
+        axis: The pressing axis in the probe frame, unit length; zero without any
+            contact; shape (3,) [–].
+        acts_at: ``contact`` or ``reference``.
+    """
+
+    normal: Array = field(repr=False)
+    arm: Array = field(repr=False)
+    velocity: Array = field(repr=False)
+    position: Array = field(repr=False)
+    axis: Array = field(repr=False)
+    acts_at: ActsAt = "contact"
+
+    @classmethod
+    def of(
+        cls,
+        voxmap: Voxmap,
+        shell: PointShell,
+        trajectory: Trajectory,
+        acts_at: str = "contact",
+        axis: Array | None = None,
+    ) -> Sliding:
+        """Find the patch of every pose and how the probe slides along it.
+
+        Args:
+            voxmap: Grid and surface.
+            shell: The probe.
+            trajectory: Poses over time; their differences give the velocity.
+            acts_at: Where drag acts, ``contact`` or ``reference``.
+            axis: The pressing axis in the probe frame, shape (3,); by default the
+                shell's own, see `pressing_axis`.
+
+        Raises:
+            InputError: Unknown ``acts_at``, or unusable poses.
+        """
+        if acts_at not in get_args(ActsAt):
+            raise InputError(
+                f"acts_at must be one of {', '.join(get_args(ActsAt))}, got {acts_at!r}"
+            )
+        rotation, position = checked_poses(trajectory.rotation, trajectory.position)
+        surface = voxmap.surface
+        normal, centre = _patches(
+            rotation,
+            position,
+            *shell_arrays(shell),
+            voxmap.grid.kernel_limits,
+            np.ascontiguousarray(surface.radius),
+            surface.kernel_layout,
+        )
+        touching = (normal != 0.0).any(axis=1)
+        reference = np.einsum("tij,j->ti", rotation, shell.reference)
+        arm = centre if acts_at == "contact" else np.zeros_like(centre)
+        turning = np.cross(trajectory.angular_velocity(), reference + arm)
+        moved = trajectory.velocity() + turning
+        moved[~touching] = 0.0
+        if axis is None:
+            axis = pressing_axis(shell, np.einsum("tij,ti->j", rotation, normal))
+        across = normal if acts_at == "contact" else rotation @ axis
+        along = moved - across * np.einsum("ti,ti->t", across, moved)[:, None]
+        where = position + reference + centre
+        return cls(normal, arm, along, where, axis, acts_at)  # type: ignore[arg-type]
+
+    def direction(self, deadband: float = DEADBAND) -> Array:
+        """t̂: direction of sliding, shorter than 1 below the deadband.
+
+        Args:
+            deadband: v₀ [m/s].
+
+        Returns:
+            Shape (T, 3) [–].
+
+        Raises:
+            InputError: The deadband is not positive.
+        """
+        if not (math.isfinite(deadband) and deadband > 0.0):
+            raise InputError(f"deadband must be positive [m/s], got {deadband}")
+        speed = np.linalg.norm(self.velocity, axis=1, keepdims=True)
+        return np.asarray(self.velocity / np.maximum(speed, deadband))
+
+    def regions(self, n_theta: int, n_z: int, voxmap: Voxmap) -> NDArray[np.int64]:
+        """Which of n_theta × n_z patches of the torso each contact lies on.
+
+        Args:
+            n_theta: Sectors around the axis [–].
+            n_z: Bands along it [–].
+            voxmap: Gives the length along the axis.
+
+        Returns:
+            Shape (T,), from 0 to n_theta·n_z − 1.
+
+        Raises:
+            InputError: A count below 1.
+        """
+        if n_theta < 1 or n_z < 1:
+            raise InputError(
+                f"regions need at least one sector and one band, got {n_theta}×{n_z}"
+            )
+        grid = voxmap.grid
+        _, theta, z = cylindrical(self.position)
+        sector = (theta * n_theta / (2.0 * np.pi)).astype(np.int64)
+        share = (z - grid.z_min) / (grid.z_max - grid.z_min)
+        band = np.clip((share * n_z).astype(np.int64), 0, n_z - 1)
+        return np.asarray(np.minimum(sector, n_theta - 1) * n_z + band)
+
+
+def pressing_axis(shell: PointShell, normal: Array) -> Array:
+    """The shell's principal axis nearest to a direction.
+
+    Where principal moments are equal, as a sphere's, there is a plane or a space of
+    such axes, and the nearest is the direction's projection.
+
+    Args:
+        shell: The probe.
+        normal: Mean normal of its contacts, probe frame, any length, shape (3,).
+
+    Returns:
+        Unit vector in the probe frame, shape (3,); zero for a normal of zero.
+    """
+    lever = shell.points - shell.reference
+    moments, axes = np.linalg.eigh(lever.T @ (shell.areas[:, None] * lever))
+    gaps = np.diff(moments) > EQUAL_MOMENTS * moments[1:]
+    spaces = np.split(axes.T, np.flatnonzero(gaps) + 1)
+    along = max((space.T @ (space @ normal) for space in spaces), key=np.linalg.norm)
+    return np.asarray(along / max(float(np.linalg.norm(along)), np.finfo(float).tiny))
+
+
+@dataclass(frozen=True)
+class DragRows:
+    """Drag per unit of what drives it, as rows over that.
+
+    Attributes:
+        force: Force rows, shape (3T, n).
+        torque: Torque rows about the shell's reference, shape (3T, n) [m].
+    """
+
+    force: sp.csr_array = field(repr=False)
+    torque: sp.csr_array = field(repr=False)
+
+
+def coulomb_rows(
+    sliding: Sliding, rows: ContactRows, *, deadband: float = DEADBAND
+) -> DragRows:
+    """Coulomb drag of a field: F with drag = −F (μ p).
+
+    Args:
+        sliding: Patches and sliding of the poses.
+        rows: N of the same poses.
+        deadband: v₀ [m/s].
+
+    Returns:
+        Rows over the voxels, shape (3T, V).
+    """
+    direction = sliding.direction(deadband)
+    turning = np.cross(sliding.arm, direction)
+    normal_force = _blocks(sliding.normal[:, None, :]) @ rows.N  # (T, V)
+    return DragRows(
+        sp.csr_array(_blocks(direction[:, :, None]) @ normal_force),
+        sp.csr_array(_blocks(turning[:, :, None]) @ normal_force),
+    )
+
+
+def viscous_rows(
+    sliding: Sliding, region: NDArray[np.int64], n_regions: int
+) -> DragRows:
+    """Viscous drag: columns with drag = −(columns) c.
+
+    Args:
+        sliding: Patches and sliding of the poses.
+        region: Whose coefficient acts in each pose, shape (T,).
+        n_regions: Number of coefficients [–].
+
+    Returns:
+        Rows over the coefficients, shape (3T, n_regions) [m/s].
+    """
+    turning = np.cross(sliding.arm, sliding.velocity)
+    n_poses = len(region)
+    columns = np.repeat(region, 3)
+    row_ptr = np.arange(3 * n_poses + 1)
+    force, torque = (
+        sp.csr_array(
+            (values.reshape(-1), columns, row_ptr), shape=(3 * n_poses, n_regions)
+        )
+        for values in (sliding.velocity, turning)
+    )
+    return DragRows(force, torque)
+
+
+#: Names under which a fitted field carries its drag
+FRICTION, VISCOUS = "friction_coefficient", "viscous_coefficient"
+DRAG_DEADBAND, DRAG_AT_REFERENCE = "drag_deadband", "drag_at_reference"
+DRAG_AXIS = ("drag_axis_x", "drag_axis_y", "drag_axis_z")
+SECTORS, BANDS = "viscous_sectors", "viscous_bands"
+
+
+def _blocks(blocks: Array) -> sp.csr_array:
+    """A block diagonal matrix of T equal-sized blocks (T, a, b)."""
+    n, a, b = blocks.shape
+    matrix = sp.bsr_array(
+        (blocks, np.arange(n), np.arange(n + 1)), shape=(a * n, b * n)
+    )
+    return sp.csr_array(matrix)
+
+
+@compiled()
+def _patches(
+    rotation: Array,
+    position: Array,
+    points: Array,
+    normals: Array,
+    weights: Array,
+    reference: Array,
+    limits: Array,
+    radius: Array,
+    layout: Array,
+) -> tuple[Array, Array]:
+    """Mean normal and centre of every pose's contact (compiled)."""
+    n_poses = len(position)
+    normal, centre = np.zeros((n_poses, 3)), np.zeros((n_poses, 3))
+    for t in range(n_poses):
+        R, at, total = rotation[t], position[t], 0.0
+        n, c = np.zeros(3), np.zeros(3)  # in the probe frame
+        for m in range(len(points)):
+            x, y, z = rotated(R, points[m, 0], points[m, 1], points[m, 2])
+            x, y, z = x + at[0], y + at[1], z + at[2]
+            square = x * x + y * y
+            if not within(square, z, limits):
+                continue
+            depth = bilinear_radius(turn_angle(x, y), z, radius, layout) - math.sqrt(
+                square
+            )
+            if depth <= 0.0:
+                continue
+            share = weights[m] * depth
+            total += share
+            for a in range(3):
+                n[a] += share * normals[m, a]
+                c[a] += share * (points[m, a] - reference[a])
+        length = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
+        if total == 0.0 or length == 0.0:
+            continue
+        nx, ny, nz = rotated(R, n[0] / length, n[1] / length, n[2] / length)
+        normal[t, 0], normal[t, 1], normal[t, 2] = nx, ny, nz
+        cx, cy, cz = rotated(R, c[0] / total, c[1] / total, c[2] / total)
+        centre[t, 0], centre[t, 1], centre[t, 2] = cx, cy, cz
+    return normal, centre

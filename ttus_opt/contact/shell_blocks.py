@@ -1,0 +1,141 @@
+"""The point shell sorted into compact blocks, and what lets a frame skip a block.
+
+Points close on the probe are made neighbours in memory, in blocks with a bounding
+sphere each. The skin gets a coarse table, its ceiling: for a tile of (θ, z), an upper
+bound of R over the tile and as far around it as a block reaches. A block whose nearest
+distance to the axis exceeds the ceiling over its centre touches nothing, so that a
+frame looks at the points of the few blocks near the skin only. Skipping is exact: no
+point in contact is ever lost (the bounds hold with a margin above rounding).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+
+#: Points per block: four vectors of eight, and small against a contact patch
+BLOCK = 32
+
+#: Tiles of the ceiling table over the turn and over the height
+TILES = (128, 64)
+
+#: Lengths added to every bound, far above rounding and far below a voxel [m]
+MARGIN = 1e-9
+
+
+@dataclass(frozen=True)
+class ShellBlocks:
+    """A shell's points in block order, with bounding spheres.
+
+    Attributes:
+        order: Where each point stood in the shell, shape (M,).
+        start: First point of each block and the number of points, shape (B + 1,).
+        centre: Centres of the bounding spheres, probe frame, shape (B, 3) [m].
+        reach: Their radii, `MARGIN` included, shape (B,) [m].
+    """
+
+    order: NDArray[np.intp] = field(repr=False)
+    start: NDArray[np.int64] = field(repr=False)
+    centre: Array = field(repr=False)
+    reach: Array = field(repr=False)
+
+    @classmethod
+    def of(cls, shell: PointShell, *, size: int = BLOCK) -> ShellBlocks:
+        """Sort a shell into blocks of ``size`` points (the last may be smaller)."""
+        order = np.arange(len(shell))
+        _sort(order, shell.points, size)
+        start = np.append(np.arange(0, len(shell), size), len(shell))
+        points = shell.points[order]
+        spheres = [_sphere(points[a:b]) for a, b in pairwise(start)]
+        return cls(
+            order,
+            start.astype(np.int64),
+            np.array([centre for centre, _ in spheres]),
+            np.array([reach for _, reach in spheres]) + MARGIN,
+        )
+
+
+def _sort(order: NDArray[np.intp], points: Array, size: int) -> None:
+    """Split at a whole number of blocks along the longest axis, in place."""
+    blocks = -(-len(order) // size)
+    if blocks < 2:
+        return
+    cut = size * (blocks // 2)
+    here = points[order]
+    axis = int(np.ptp(here, axis=0).argmax())
+    order[:] = order[np.argpartition(here[:, axis], cut)]
+    _sort(order[:cut], points, size)
+    _sort(order[cut:], points, size)
+
+
+def _sphere(points: Array) -> tuple[Array, float]:
+    """A nearly smallest ball around points: centre [m] and radius [m]."""
+    centre = points.mean(axis=0)
+    for step in range(2, 34):  # walks to the farthest point by ever smaller parts
+        farthest = ((points - centre) ** 2).sum(axis=1).argmax()
+        centre = centre + (points[farthest] - centre) / step
+    return centre, math.sqrt(float(((points - centre) ** 2).sum(axis=1).max()))
+
+
+@dataclass(frozen=True)
+class SkinCeiling:
+    """Upper bounds of the skin's radius over coarse tiles.
+
+    Attributes:
+        ceiling: Largest R over a tile and around it, shape `TILES` [m].
+        floor: Least R anywhere [m]: the bounds hold for spheres whose centre is at
+            least so far from the axis.
+        layout: Tiles per radian, first height [m], tiles per metre, shape (3,).
+    """
+
+    ceiling: Array = field(repr=False)
+    floor: float
+    layout: Array
+
+    @classmethod
+    def of(cls, surface: Surface, reach: float) -> SkinCeiling:
+        """Tabulate a surface for blocks of at most ``reach`` [m]."""
+        n_theta, n_z = TILES
+        floor = float(surface.radius.min())
+        # a sphere beyond the floor spans at most this angle to either side
+        half = math.asin(min(1.0, reach / floor)) if reach < floor else math.pi
+        z0, z1 = float(surface.z[0]), float(surface.z[-1])
+        tile_theta, tile_z = 2.0 * math.pi / n_theta, (z1 - z0) / n_z
+        over_z = np.stack(
+            [
+                _window(surface, z0 + k * tile_z - reach, z0 + (k + 1) * tile_z + reach)
+                for k in range(n_z)
+            ],
+            axis=1,
+        )
+        step = 2.0 * math.pi / len(surface.theta)
+        ceiling = np.empty(TILES)
+        for j in range(n_theta):
+            # nodes on either side of the widened tile bound what is bilinear between
+            low = math.floor((j * tile_theta - half - surface.theta[0]) / step - 1e-6)
+            high = math.ceil(
+                ((j + 1) * tile_theta + half - surface.theta[0]) / step + 1e-6
+            )
+            nodes = np.arange(low, high + 1)[: len(surface.theta)] % len(surface.theta)
+            ceiling[j] = over_z[nodes].max(axis=0)
+        return cls(
+            ceiling + MARGIN, floor, np.array([1.0 / tile_theta, z0, 1.0 / tile_z])
+        )
+
+
+def _window(surface: Surface, low: float, high: float) -> Array:
+    """Largest R per angle over heights from low to high [m], shape (n_theta,)."""
+    n_z = len(surface.z)
+    step = (surface.z[-1] - surface.z[0]) / (n_z - 1)
+    first = math.floor((low - surface.z[0]) / step - 1e-6)
+    last = math.ceil((high - surface.z[0]) / step + 1e-6)
+    first, last = min(max(first, 0), n_z - 1), min(max(last, 0), n_z - 1)
+    return np.asarray(surface.radius[:, first : last + 1].max(axis=1))

@@ -1,0 +1,412 @@
+"""The dual system of eq. 10 as it grows and shrinks (design §3, structures d and e).
+
+With D the weighted measured rows, t their targets, p₀ = L⁻¹b and K = D L⁻¹L⁻ᵀDᵀ, the
+minimiser of ‖L p - b‖² + ‖D p - t‖² is
+
+    p = p₀ + L⁻¹L⁻ᵀDᵀ y,    (I + K) y = d₀,    d₀ = t - D p₀.
+
+A measurement adds rows h to D: their columns of K are D L⁻¹L⁻ᵀhᵀ, one solve with Lᵀ and
+one with L per row. This is the Sherman-Morrison-Woodbury recursion, with the dense V ×
+rows matrix L⁻¹L⁻ᵀDᵀ left out: what is kept is D (sparse) and R with K ≈ R Rᵀ, of as
+many columns as rows say something new (`ttus_opt.fit.low_rank_kernel`); only with the
+rows that brought a column must a new one be compared.
+
+Read statistically, with p ~ Normal(p₀, (LᵀL)⁻¹) and noise of variance 1 on every
+weighted row, the same quantities predict a measurement before it is folded in: with r
+its part in R's columns, its innovation has the covariance
+
+    S = I + h L⁻¹L⁻ᵀhᵀ - r rᵀ + r M⁻¹rᵀ,    M = I + RᵀR,
+
+and its mean is that of the field at hand and, for rows since, r M⁻¹Rᵀ times what the
+field at hand leaves of them.
+
+The columns of K need not be solved for to the last digit, and R need not be all of K:
+I + R Rᵀ preconditions conjugate gradients, which refine the field until (I + K) y = d₀
+holds to `FIELD_RTOL` with solves of full accuracy.
+
+Rows may come, fade and go without end. Where a pivot goes, rows that stand for what
+is lost are compared anew, one more pair of solves for each, so that no error of R is
+handed on. Should R be of no use all the same, it is made anew from D, which is kept as
+it was measured.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.errors import InputError, NumericalError
+from ttus_opt.fit.low_rank_kernel import LowRankKernel, Outlook
+from ttus_opt.fit.measured_rows import Block, MeasuredRows
+from ttus_opt.laplace.system import RTOL, LaplaceSystem
+
+#: Relative residual of (I + K) y = d₀ to which the field is refined, and most rounds
+FIELD_RTOL, FIELD_ROUNDS = 1e-9, 30
+
+#: Variance of a row, in units of its noise, that is none beyond what others span
+SPAN = 1e-6
+
+#: Largest relative residual of the solves behind the columns of K, and by how much
+#: their error, about this times ‖h‖², must lie below `SPAN`: it is no column, either
+COLUMN_RTOL, MARGIN = 1e-7, 100.0
+
+#: Schur complements are at least one; below this, rounding has taken over
+LEAST_SCHUR = 0.9
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """A block of new rows, seen from what is held; m rows beside n held ones.
+
+    Attributes:
+        block: The rows h.
+        outlook: The rows in R's columns.
+        columns: Entries of K of the rows chosen with the others held, shape (p, o).
+        prior: h p₀, shape (m,).
+        known: h p of the field at hand, shape (m,).
+        mean: Predicted measurement, shape (m,).
+    """
+
+    block: Block
+    outlook: Outlook
+    columns: Array
+    prior: Array
+    known: Array
+    mean: Array
+
+    @property
+    def schur(self) -> Array:
+        """S, covariance of the innovation, shape (m, m)."""
+        return self.outlook.schur
+
+
+class DualRecursion:
+    """D and R of the measured rows so far, and the field they make.
+
+    Memory is that of `LowRankKernel` and D beside three vectors of V.
+
+    Attributes:
+        height: Rows per block [–].
+        prior_field: p₀, the Laplace field, shape (V,).
+    """
+
+    def __init__(self, laplace: LaplaceSystem, b: Array, *, height: int) -> None:
+        """Start without measurements: one solve for p₀, and compiling.
+
+        Args:
+            laplace: L.
+            b: Right side of L p = b, shape (V,).
+            height: Rows per block [–].
+        """
+        self.height = height
+        self._laplace = laplace
+        self._D = MeasuredRows(laplace.grid.n_voxels, height)
+        self._kernel = LowRankKernel()
+        # grows beyond `SPAN` where weights are too large for the solves
+        self._tolerance = SPAN
+        # whether R is of no use, and to be made anew from D
+        self._stale = False
+        self._d0 = np.zeros(0)
+        # d₀ - D(p - p₀) - y, p the field at hand, and Rᵀ times this
+        self._rest, self._information = np.zeros(0), np.zeros(0)
+        # p - p₀ and the y it belongs to; None when it must be made anew
+        self._shift: Array | None = None
+        self._y = np.zeros(0)
+        self.prior_field = laplace.solve(b)
+        _warm_up(height)
+
+    def __len__(self) -> int:
+        """Number of blocks held [–]."""
+        return len(self._D)
+
+    @property
+    def memory_bytes(self) -> int:
+        """Size of what grows with the measurements."""
+        vectors = 3 * self._d0.nbytes + self._information.nbytes
+        return self._kernel.memory_bytes + self._D.memory_bytes + vectors
+
+    @property
+    def n_rows(self) -> int:
+        """Number of rows held n [–]."""
+        return len(self._d0)
+
+    @property
+    def rank(self) -> int:
+        """Number of rows that said something new, columns of R [–]."""
+        return self._kernel.rank
+
+    @property
+    def misfit(self) -> float:
+        """d₀ᵀ(I + K)⁻¹d₀ [–].
+
+        The sum of the squares of all innovations by their predicted spread, and the
+        least value of the objective.
+        """
+        self._mend()
+        return float(self._d0 @ self._kernel.solve(self._d0))
+
+    def forecast(self, block: Block) -> Forecast:
+        """Predict new rows from all that is held.
+
+        Costs two solves with A per row, rows side by side on all cores, and O(k²) with
+        k the rank.
+
+        Args:
+            block: The new rows.
+
+        Raises:
+            NumericalError: Weights so large that rounding takes over.
+        """
+        self._mend()
+        outlook, columns = self._seen(block)
+        if _least(outlook) < LEAST_SCHUR:
+            self._rebuild()
+            outlook, columns = self._seen(block)
+        if (least := _least(outlook)) < LEAST_SCHUR:
+            raise NumericalError(
+                f"the innovation's covariance is {least:.2g} of the noise where it is "
+                "at least 1: the weights are too large for the solves, lower them"
+            )
+        prior = self.prior_field[block.voxels] @ block.values
+        known = prior
+        if self._shift is not None:
+            known = prior + self._shift[block.voxels] @ block.values
+        mean = known + self._information @ outlook.gain
+        return Forecast(block, outlook, columns, prior, known, mean)
+
+    def append(self, forecast: Forecast, target: Array) -> None:
+        """Take the rows of a forecast in.
+
+        Args:
+            forecast: Made by `forecast` since the last change.
+            target: What was measured, weighted as the rows, shape (m,).
+        """
+        rank = self.rank
+        self._kernel.append(forecast.outlook, forecast.columns)
+        self._D.append(forecast.block)
+        self._d0 = np.concatenate([self._d0, target - forecast.prior])
+        surprise = target - forecast.known
+        self._rest = np.concatenate([self._rest, surprise])
+        if self.rank > rank:  # earlier rows have entries in new columns
+            self._information = self._kernel.adjoint(self._rest)
+        else:
+            self._information = self._information + surprise @ forecast.outlook.held
+        # y = 0 for the new rows is what the field at hand belongs to
+        self._y = np.concatenate([self._y, np.zeros(len(target))])
+
+    def remove(self, start: int, count: int) -> None:
+        """Take blocks start to start + count out.
+
+        Costs as `LowRankKernel.remove`, and a pair of solves for every row that is
+        compared anew, as many as there were columns at the most.
+
+        Raises:
+            InputError: Blocks that are not there.
+        """
+        held = len(self)
+        if start < 0 or count < 0 or start + count > held:
+            raise InputError(
+                f"blocks {start} to {start + count} are not within 0 to {held}"
+            )
+        if count == 0:
+            return
+        rows = slice(self.height * start, self.height * (start + count))
+        self._D.keep(np.delete(np.arange(held), slice(start, start + count)))
+        self._d0 = np.delete(self._d0, rows)
+        if not self._stale:
+            self._renew(
+                self._kernel.remove(rows.start, rows.stop - rows.start, self._tolerance)
+            )
+        self._restart()
+
+    def fade(self, factor: float) -> None:
+        """Multiply the weight of every row held; O(n k²).
+
+        Args:
+            factor: In (0, 1] [–].
+
+        Raises:
+            InputError: factor is not within these.
+        """
+        if not 0.0 < factor <= 1.0:
+            raise InputError(f"a fading factor must lie in (0, 1], got {factor}")
+        root = float(np.sqrt(factor))
+        if not self._stale:
+            self._kernel.scale(root)
+        self._D.scale(root)
+        self._d0 = self._d0 * root
+        self._restart()
+
+    def field(self) -> Array:
+        """Solve (I + K) y = d₀ by conjugate gradients, and make p, shape (V,).
+
+        Nothing if nothing changed, else per round two solves with A and O(n k).
+
+        Raises:
+            NumericalError: `FIELD_RTOL` was not reached.
+        """
+        self._mend()
+        left = self._refined()
+        if left > FIELD_RTOL:
+            self._rebuild()
+            left = self._refined()
+        if self._shift is None or left > FIELD_RTOL:
+            self._restart()
+            raise NumericalError(
+                f"the field's dual residual stays at {left:.1e} after {FIELD_ROUNDS} "
+                f"rounds, {FIELD_RTOL:.0e} was asked for: the weights are too large "
+                "for the solves, lower them"
+            )
+        self._rest, self._information = np.zeros(self.n_rows), np.zeros(self.rank)
+        return self.prior_field + self._shift
+
+    def _refined(self) -> float:
+        """Refine the field at hand; the relative residual that is left.
+
+        Conjugate gradients with I + R Rᵀ, flexible, for solves are inexact: Notay,
+        SIAM J. Sci. Comput. 22 (2000) 1444-1460.
+        """
+        laplace = self._laplace
+        if self._shift is None:
+            self._shift = np.zeros(laplace.grid.n_voxels)
+            self._y = np.zeros_like(self._d0)
+        size = float(np.linalg.norm(self._d0))
+        direction, before, fall = np.zeros_like(self._d0), np.zeros_like(self._d0), 1.0
+        for _ in range(FIELD_ROUNDS):
+            residual = self._d0 - self._D.times(self._shift) - self._y
+            now = float(np.linalg.norm(residual))
+            if now <= FIELD_RTOL * size:
+                return 0.0
+            step = self._kernel.solve(residual)
+            direction = step + (step @ (residual - before) / fall) * direction
+            before, fall = residual, float(step @ residual)
+            # a small correction need not be known to as many digits
+            rtol = min(max(RTOL, 0.1 * FIELD_RTOL * size / now), 1e-4)
+            source = laplace.solve_adjoint(self._D.adjoint(direction), rtol=rtol)
+            shift = laplace.solve(source, rtol=rtol)
+            length = direction @ (direction + self._D.times(shift))
+            if not (fall > 0.0 and length > 0.0):
+                break
+            part = float(direction @ residual / length)
+            self._shift = self._shift + part * shift
+            self._y = self._y + part * direction
+        residual = self._d0 - self._D.times(self._shift) - self._y
+        return float(np.linalg.norm(residual)) / size
+
+    def _seen(self, block: Block) -> tuple[Outlook, Array]:
+        """A block from the rows held, and K's entries that its new columns need."""
+        kernel, m = self._kernel, self.height
+        rtol = self._accuracy(np.sum(block.values**2, axis=0))
+        held, own = np.empty((m, kernel.rank)), np.empty((m, m))
+        columns = np.zeros((m, len(kernel.others)))
+
+        def compare(c: int, x: Array) -> None:
+            held[c] = kernel.coordinates(self._D.times(x, kernel.pivots)[None])[0]
+            own[c] = x[block.voxels] @ block.values
+            if own[c, c] - held[c] @ held[c] > 0.5 * self._tolerance:
+                columns[c] = self._D.times(x)[kernel.others]
+
+        self._chains([(block.voxels, row) for row in block.values.T], rtol, compare)
+        outlook = kernel.outlook(held, 0.5 * (own + own.T), self._tolerance)
+        return outlook, columns[outlook.chosen]
+
+    def _renew(self, rows: IntArray) -> None:
+        """Compare some rows of D, no pivots, with all others anew."""
+        if not len(rows):
+            return
+        kernel, entries = self._kernel, [self._D.row(int(i)) for i in rows]
+        rtol = self._accuracy(np.array([values @ values for _, values in entries]))
+        columns = np.empty((len(rows), len(kernel)))
+
+        def compare(c: int, x: Array) -> None:
+            columns[c] = self._D.times(x)
+
+        try:
+            self._chains(entries, rtol, compare)
+        except NumericalError:
+            # it has its say where R is needed next
+            self._stale = True
+            return
+        kernel.take_out(rows)
+        held, own = kernel.coordinates(columns[:, kernel.pivots]), columns[:, rows]
+        outlook = kernel.outlook(held, 0.5 * (own + own.T), self._tolerance)
+        others = columns[np.ix_(outlook.chosen, kernel.others)]
+        kernel.append(outlook, others, rows)
+
+    def _mend(self) -> None:
+        """Make R anew if it is of no use."""
+        if self._stale:
+            self._rebuild()
+
+    def _rebuild(self) -> None:
+        """Make R anew from D: as many solves as when all blocks came."""
+        self._stale = True
+        self._kernel = LowRankKernel()
+        for s in range(len(self)):
+            self._kernel.append(*self._seen(self._D.block(s)))
+        self._stale = False
+        self._restart()
+
+    def _accuracy(self, sizes: Array) -> float:
+        """Relative residual of solves for columns of K, of rows with such ‖h‖²."""
+        largest = max(float(sizes.max(initial=0.0)), 1e-300)
+        rtol = min(max(RTOL, SPAN / (MARGIN * largest)), COLUMN_RTOL)
+        self._tolerance = max(self._tolerance, MARGIN * rtol * largest)
+        return rtol
+
+    def _chains(
+        self,
+        entries: Sequence[tuple[NDArray[np.int32], Array]],
+        rtol: float,
+        take: Callable[[int, Array], None],
+    ) -> None:
+        """Hand L⁻¹L⁻ᵀhᵀ of rows on, each with its number, side by side.
+
+        Args:
+            entries: Voxels and values of the rows h.
+            rtol: Relative residual of the solves.
+            take: What takes them, from several threads.
+        """
+        laplace = self._laplace
+
+        def chain(c: int) -> None:
+            row = np.zeros(laplace.grid.n_voxels)
+            row[entries[c][0]] = entries[c][1]
+            take(c, laplace.solve(laplace.solve_adjoint(row, rtol=rtol), rtol=rtol))
+
+        cores = len(os.sched_getaffinity(0))
+        with ThreadPoolExecutor(min(len(entries), cores)) as pool:
+            list(pool.map(chain, range(len(entries))))
+
+    def _restart(self) -> None:
+        """Start anew from p₀: rows went or changed, or the field failed."""
+        self._rest = self._d0
+        if not self._stale:
+            self._information = self._kernel.adjoint(self._d0)
+        self._shift, self._y = None, np.zeros(len(self._d0))
+
+
+def _warm_up(height: int) -> None:
+    """Compile, so that no update has to."""
+    kernel = LowRankKernel()
+    for _ in range(3):
+        held = kernel.coordinates(np.zeros((height, kernel.rank)))
+        outlook = kernel.outlook(held, np.eye(height), 0.0)
+        kernel.append(outlook, np.zeros((height, len(kernel.others))))
+    kernel.solve(np.zeros(len(kernel)))
+    kernel.remove(0, 1, 0.0)
+    rows = MeasuredRows(1, height)
+    rows.append(Block(np.zeros(1, dtype=np.int32), np.zeros((1, height))))
+    rows.adjoint(rows.times(np.zeros(1)))
+    rows.times(np.zeros(1), np.zeros(1, dtype=np.int64))
+
+
+def _least(outlook: Outlook) -> float:
+    """Smallest eigenvalue of the innovation's covariance."""
+    return float(np.linalg.eigvalsh(outlook.schur)[0])

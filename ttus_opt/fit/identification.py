@@ -1,0 +1,382 @@
+"""How well the data bear the parameters beside the field.
+
+A fit minimises J(x) = ‖L p - b‖² + Σ λ ‖M x - t‖² over the field and a few parameters
+c. In its units the prior's rows and the measured rows, each times √λ, are normal with
+one common variance σ²; λ says how these compare, σ² is left open. For a given c
+
+    J(c) = min over all else = -2 σ² log L(c) + constant,
+
+the profile likelihood (of variable projection: Golub and Pereyra, 1973, SIAM J. Numer.
+Anal. 10, 413). With p ~ Normal(L⁻¹b, σ²(LᵀL)⁻¹) it is J(c) = rᵀ(K + I/λ)⁻¹r with
+r = t - M L⁻¹b and K = M(LᵀL)⁻¹Mᵀ, the exponent of the marginal likelihood (Rasmussen
+and Williams, 2006, eq. 2.30): at the truth J/σ² is χ² with m degrees of freedom, m the
+measured rows of poses in contact, and k fitted parameters take k of them:
+
+    σ̂² = J_min/(m - k),   standard error of c = √(2 σ̂² (J''⁻¹)_cc)
+
+(Bates and Watts, 1988, Nonlinear Regression Analysis, sec. 2.3 and 6.1). Rows of poses
+without contact are constants and count nowhere; where σ² is not one number, as when the
+model errs in the same way over many frames, the error told is too small.
+
+J'' of a searched parameter is a difference of fits (`parameter_search`). That of one
+among the variables, cᵢ = aᵢᵀx, is asked for by a pseudo-measurement: with Σ w (aᵢᵀx -
+vᵢ)² added the answer moves by R = X (I + X)⁻¹ times a change of v, X = 2w A J''⁻¹ Aᵀ,
+whatever the solver and whatever limits the field has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import reduce
+from ttus_opt.problem.solution import Solution, Status
+from ttus_opt.scene import Scene
+from ttus_opt.solvers import registry
+from ttus_opt.solvers.base import Prepared, Request, Solver
+from ttus_opt.terms.base import Fitted
+
+#: Largest standard error of a parameter that is used, as a share of the span it may
+#: plausibly lie in: twice that to both sides is half of the span [–]
+SHARE = 0.125
+
+#: A value as near to a limit as this, as a share of its span, is at it [–]
+AT_LIMIT = 1e-4
+
+#: A pseudo-measurement is this part of `SHARE` sure: what the data bear well enough
+#: then answers by 1 to 99 % of what it is pushed by [–]
+ASKED = 0.1
+
+#: Answers below this part of the push are asked for once more by a surer one, and
+#: answers beyond 1 minus `FLAT` are no curvature at all [–]
+FAINT, FLAT = 1e-3, 1e-6
+
+NO_SLOPE = "the objective does not depend on it"
+NOTHING_PRESSES = "the field presses on nothing that slides"
+NOTHING_WEIGHS = "no measured row in contact has a weight"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a fit says of one parameter.
+
+    Attributes:
+        value: Its value.
+        standard_error: NaN where it cannot be told.
+        doubt: Why the data do not bear it; empty when they do.
+        remark: What else there is to say.
+    """
+
+    value: float
+    standard_error: float
+    doubt: str = ""
+    remark: str = ""
+
+
+def noise_variance(
+    declared: Formulation, program: Program, x: Array, n_parameters: int
+) -> float:
+    """Estimate of the common variance σ² of weighted rows.
+
+    Args:
+        declared: The formulation.
+        program: Its matrices.
+        x: Its minimiser, shape (n,).
+        n_parameters: How many parameters were fitted beside the field [–].
+
+    Returns:
+        σ̂², or NaN where there are no more measured rows than parameters.
+    """
+    names = {term.name for term in declared.terms if term.measures}
+    cost, count = program.objective(x), 0
+    for term in program.terms:
+        if term.name not in names or term.weight == 0.0:
+            continue
+        speaks = np.asarray(abs(term.matrix).sum(axis=1)).reshape(-1) > 0.0
+        cost -= term.weight * term.value(term.residual(x)[~speaks])
+        count += int(speaks.sum())
+    freedom = count - n_parameters
+    return max(cost, 0.0) / freedom if freedom > 0 else math.nan
+
+
+def judged_estimate(
+    value: float,
+    standard_error: float,
+    span: float,
+    low: float,
+    high: float,
+    neutral: float = 0.0,
+) -> Estimate:
+    """Decide whether the data bear a parameter.
+
+    Args:
+        value: Its value.
+        standard_error: Its standard error.
+        span: How wide it may plausibly lie.
+        low: Its least value.
+        high: Its largest.
+        neutral: Its neutral value; at a limit that is this the data have spoken.
+    """
+    near = AT_LIMIT * (span if math.isfinite(span) else 1.0)
+    doubt, remark = "", ""
+    if math.isinf(standard_error):
+        doubt = NO_SLOPE
+    elif value >= high - near:
+        doubt = f"at its upper limit {high:.4g}"
+    elif standard_error > SHARE * span:
+        doubt = f"the data give {value:.2g} ± {standard_error:.2g}"
+    elif value <= low + near:
+        remark = f"at its lower limit {low:.4g}"
+        if abs(low - neutral) > near:
+            doubt, remark = remark, ""
+    return Estimate(value, standard_error, doubt, remark)
+
+
+def fitted_estimates(
+    declared: Formulation, solution: Solution, request: Request, n_searched: int = 0
+) -> dict[str, Estimate]:
+    """Estimates of the parameters among the variables of a solved fit.
+
+    Args:
+        declared: The formulation.
+        solution: Its solution.
+        request: Tolerance and time limit of the fits that are asked beside.
+        n_searched: How many parameters were searched for [–].
+
+    Returns:
+        By name; empty where nothing was solved or there are none.
+    """
+    if solution.status is not Status.SOLVED or solution.candidate is None:
+        return {}
+    fitted = declared.fitted(solution.variables)
+    if not fitted:
+        return {}
+    program, x = solution.program, solution.candidate
+    n_own = sum(math.isfinite(one.span) for one in fitted.values())
+    variance = noise_variance(declared, program, x, n_searched + n_own)
+    values = {name: solution.parameters[name] for name in fitted}
+    if math.isnan(variance):
+        return {n: Estimate(v, math.nan, NOTHING_WEIGHS) for n, v in values.items()}
+    if not all(one.gradient for one in fitted.values()):
+        return {n: Estimate(v, math.nan, NOTHING_PRESSES) for n, v in values.items()}
+    ask = _Question(solution, fitted, variance, request)
+    try:
+        spread = ask.covariance()
+    except _NoAnswerError as trouble:
+        remark = f"its standard error cannot be told: {trouble}"
+        errors = [math.nan] * len(fitted)
+    else:
+        remark, errors = "", np.sqrt(np.diagonal(spread)).tolist()
+    estimates = {
+        name: judged_estimate(values[name], error, one.span, 0.0, ask.upper(one))
+        for (name, one), error in zip(fitted.items(), errors, strict=True)
+    }
+    # a value at a limit is doubted for that, whatever its error would have been
+    return {
+        name: estimate
+        if estimate.doubt or not remark
+        else replace(estimate, remark=remark)
+        for name, estimate in estimates.items()
+    }
+
+
+class _NoAnswerError(Exception):
+    """A fit with pseudo-measurements was of no use; the message says why."""
+
+
+class _Question:
+    """Pseudo-measurements of the parameters of a solution."""
+
+    def __init__(
+        self,
+        solution: Solution,
+        fitted: Mapping[str, Fitted],
+        variance: float,
+        request: Request,
+    ) -> None:
+        program, x = solution.program, solution.candidate
+        assert x is not None
+        self._variance, self._request = variance, request
+        self._solver = solution.solver
+        self._rows = _stacked(program, fitted.values())
+        self._at = self._rows @ x
+        spans = np.array([one.span for one in fitted.values()])
+        finite = np.isfinite(spans)
+        spans[~finite] = spans[finite].min(initial=np.inf)
+        # a field that is zero leaves drag no span
+        self._sure = ASKED * SHARE * np.where(spans > 0.0, spans, 1.0)
+        self._box = program.box
+        # signs and limits of the parameters themselves do not blunt what the data say
+        small = [
+            part
+            for name, part in program.variables.items()
+            if any(name in one.gradient for one in fitted.values())
+            and part.stop - part.start < program.variables["p"].stop
+        ]
+        bounds = tuple(b for b in program.bounds if b.part not in small)
+        self._program = replace(program, bounds=bounds)
+        inside = [
+            _within(x[part], *(limit[part] for limit in self._box)) for part in small
+        ]
+        #: whether the answer itself is the minimum without them
+        self._settled = all(inside)
+        # data without noise leave a variance that is rounding
+        size = sum(
+            t.weight * float(t.target @ t.target)
+            for t in program.terms
+            if t is not program.laplace_term
+        )
+        rows = sum(len(t.target) for t in program.terms if t.weight > 0.0)
+        self._energy = max(variance, 1e-6 * size / max(rows, 1), np.finfo(float).tiny)
+
+    def upper(self, one: Fitted) -> float:
+        """The largest value of a parameter."""
+        highest = one.upper
+        if len(one.gradient) == 1:
+            (name, gradient), *_ = one.gradient.items()
+            part = self._program.variables[name]
+            if len(gradient) == 1:
+                highest = min(highest, float(self._box[1][part][0]))
+        return highest
+
+    def covariance(self) -> Array:
+        """Covariance of the parameters, shape (r, r).
+
+        Raises:
+            _NoAnswerError: A fit was not solved, or its answer is noise.
+        """
+        response = self._response()
+        faint = np.diagonal(response) < FAINT
+        if faint.any():
+            # as sure as what is known already, but no surer than answers can show
+            known = np.sqrt(np.maximum(np.diagonal(response), FAINT**3))
+            self._sure = self._sure * np.where(faint, known, 1.0)
+            response = self._response()
+        size = np.diagonal(response)
+        if (size <= FAINT**2).any():
+            raise _NoAnswerError("the fit does not answer to pseudo-measurements")
+        if (size >= 1.0 - FLAT).any():
+            flat = np.where(size >= 1.0 - FLAT, np.inf, 0.0)
+            return np.diag(flat)
+        weights = self._energy / self._sure**2
+        rest = np.linalg.inv(np.eye(len(size)) - response)
+        spread = rest @ response / (2.0 * weights)
+        spread = self._variance * (spread + spread.T)
+        if (np.diagonal(spread) < 0.0).any():
+            raise _NoAnswerError("what it answers to pseudo-measurements is noise")
+        return np.asarray(spread)
+
+    def _response(self) -> Array:
+        """What the parameters move by, per unit that each is pushed by."""
+        root = np.sqrt(self._energy) / self._sure
+        matrix = sp.csr_array(sp.diags_array(root) @ self._rows)
+        pushes = np.diag(self._sure)
+        prepared, backend, found = None, None, []
+        if self._settled:
+            found.append(self._at)
+        else:
+            pushes = np.vstack([np.zeros(len(root)), pushes])
+        for push in pushes:
+            asked = ProgramTerm("asked", 1.0, matrix, root * (self._at + push))
+            program = replace(self._program, terms=(*self._program.terms, asked))
+            if backend is None:
+                try:
+                    backend = registry.choose(self._solver, reduce(program).program)
+                except InputError as error:
+                    raise _NoAnswerError(str(error)) from error
+            x, prepared = self._solved(program, backend, prepared)
+            found.append(self._rows @ x)
+        return np.stack([(a - found[0]) for a in found[1:]], axis=1) / self._sure
+
+    def _solved(
+        self, program: Program, backend: Solver, prepared: Prepared | None
+    ) -> tuple[Array, Prepared]:
+        reduction = reduce(program)
+        if prepared is None:
+            prepared = backend.prepare(reduction.program, self._request)
+        else:
+            prepared.update(reduction.program)
+        candidate = prepared.solve()
+        if candidate.x is None:
+            raise _NoAnswerError("a fit with a pseudo-measurement has no answer")
+        point = reduction.restore(candidate.x, candidate.duals)
+        worst = kkt_residuals(program, point.x, point.duals).worst_relative
+        if not worst <= self._request.tolerance:
+            raise _NoAnswerError("a fit with a pseudo-measurement was not solved")
+        return point.x, prepared
+
+
+def _stacked(program: Program, fitted: Iterable[Fitted]) -> sp.csr_array:
+    """Gradients over all variables, a row per parameter."""
+    rows = []
+    for one in fitted:
+        row = np.zeros(program.n_variables)
+        for name, gradient in one.gradient.items():
+            row[program.variables[name]] = gradient
+        rows.append(sp.csr_array(row[None, :]))
+    return sp.csr_array(sp.vstack(rows, format="csr"))
+
+
+def _within(x: Array, lower: Array, upper: Array) -> bool:
+    """Whether no limit may hold x."""
+    near = AT_LIMIT * np.abs(x)
+    return bool(((x - lower > near) & (upper - x > near)).all())
+
+
+def with_estimates(
+    solution: Solution,
+    scene: Scene,
+    estimates: Mapping[str, Estimate],
+    doubts: Mapping[str, str],
+    trouble: str = "",
+) -> Solution:
+    """A solution that tells what is known of its parameters.
+
+    Args:
+        solution: With the neutral values of what is doubted.
+        scene: What assembling it identified is told beside.
+        estimates: Of the parameters, by name.
+        doubts: Why a parameter is not identified, by name.
+        trouble: Why the search was of no use; such a solution is not solved.
+    """
+    errors = dict(scene.standard_errors)
+    for name, estimate in estimates.items():
+        errors[name] = estimate.standard_error
+    errors = {
+        name: error
+        for name, error in errors.items()
+        if math.isfinite(error) and name not in doubts
+    }
+    field = solution.verified_field
+    if field is not None:
+        field = replace(field, standard_errors=errors)
+    told = replace(
+        solution,
+        standard_errors=errors,
+        not_identified={**scene.not_identified, **doubts},
+        remarks={
+            name: estimate.remark
+            for name, estimate in estimates.items()
+            if estimate.remark and name not in doubts
+        },
+        verified_field=field,
+    )
+    if not trouble:
+        return told
+    solved = told.status is Status.SOLVED
+    return replace(
+        told,
+        status=Status.INACCURATE if solved else told.status,
+        detail=f"{trouble}: {told.detail}" if told.detail else trouble,
+        verified_field=None,
+    )

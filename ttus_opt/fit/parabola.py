@@ -1,0 +1,116 @@
+"""The least objective J(v) near its minimum, a parabola through fits.
+
+Fits at distances of one step give the gradient and the second derivatives of J by
+central differences; what the fits' own gaps and rounding may make of them is their
+noise.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.fit.identification import NO_SLOPE
+from ttus_opt.problem.solution import Solution, Status
+
+#: What rounding leaves of the largest summand of J in a difference of two [–]
+ROUNDING = 1e-12
+
+
+class UnsolvedError(Exception):
+    """A fit beside the optimum was not solved; the message says so."""
+
+
+@dataclass(frozen=True)
+class Parabola:
+    """J near its minimum, through fits at distances of one step.
+
+    Attributes:
+        centre: Where it is drawn around, shape (k,).
+        solution: Of the fit there.
+        gradient: Of J at the centre, shape (k,).
+        curvature: Second derivatives of J, shape (k, k).
+        noise: What the second derivatives' diagonal may be off by, shape (k,).
+    """
+
+    centre: Array
+    solution: Solution = field(repr=False)
+    gradient: Array
+    curvature: Array
+    noise: Array
+
+    @classmethod
+    def through(
+        cls, fitted: Callable[[Array], Solution], centre: Array, step: Array
+    ) -> Parabola:
+        """Fit around a place.
+
+        Args:
+            fitted: The fit at given values.
+            centre: The place, shape (k,).
+            step: Distance of the other fits, shape (k,).
+
+        Raises:
+            UnsolvedError: One of them was not solved.
+        """
+        k, doubt = len(centre), 0.0
+
+        unit = np.eye(k, dtype=int)
+        pairs = list(itertools.combinations(range(k), 2))
+        places = [unit[0] * 0, *unit, *-unit, *(unit[i] + unit[j] for i, j in pairs)]
+        found: dict[tuple[int, ...], Solution] = {}
+        # sorted: what differs in the last parameters only follows one another, and
+        # solvers keep most of their state there
+        for signs in sorted(tuple(place.tolist()) for place in places):
+            solution = fitted(centre + np.array(signs) * step)
+            if solution.status is not Status.SOLVED or solution.kkt is None:
+                raise UnsolvedError("a fit beside it was not solved")
+            rounding = ROUNDING * abs(solution.objective)
+            doubt = max(doubt, solution.kkt.gap + rounding)
+            found[signs] = solution
+
+        def at(place: NDArray[np.int64]) -> float:
+            return found[tuple(place.tolist())].objective
+
+        J = at(unit[0] * 0)
+        plus, minus = (np.array([at(s * e) for e in unit]) for s in (1, -1))
+        curvature = np.diag((plus - 2.0 * J + minus) / step**2)
+        for i, j in pairs:
+            mixed = (at(unit[i] + unit[j]) - plus[i] - plus[j] + J) / step[i] / step[j]
+            curvature[i, j] = curvature[j, i] = mixed
+        return cls(
+            centre,
+            found[(0,) * k],
+            (plus - minus) / (2.0 * step),
+            curvature,
+            4.0 * doubt / step**2,
+        )
+
+    @property
+    def flat(self) -> NDArray[np.bool_]:
+        """Which parameters J does not tell of, shape (k,)."""
+        flat = np.diagonal(self.curvature) <= 2.0 * self.noise
+        if not flat.any() and np.linalg.eigvalsh(self.curvature)[0] <= 0.0:
+            flat[:] = True
+        return np.asarray(flat)
+
+    @property
+    def doubt(self) -> str:
+        """What is wrong with it where it is flat."""
+        bent = (np.diagonal(self.curvature) < -2.0 * self.noise).any()
+        return "the objective has no least value in its range" if bent else NO_SLOPE
+
+    def errors(self, variance: float) -> Array:
+        """Standard errors for a variance σ² of weighted rows, shape (k,)."""
+        spread = 2.0 * variance * np.linalg.inv(self.curvature)
+        return np.asarray(np.sqrt(np.diagonal(spread)))
+
+    @property
+    def vertex(self) -> Array:
+        """Where it is least, shape (k,)."""
+        return np.asarray(self.centre - np.linalg.solve(self.curvature, self.gradient))

@@ -1,0 +1,96 @@
+"""The wrench of a field: one function of pose and twist, friction's drag included.
+
+For a pose (R, x) and a twist (v, ω) of the probe frame's origin, force and torque on
+the probe, about its shell's reference, patient axes:
+
+    f = N(R, x) p + f_d,   τ = W(R, x) p + τ_d
+
+with the contact rows N, W of `ttus_opt.contact.rows` (eqs. 6, 7) and the drag (f_d,
+τ_d) of `ttus_opt.haptic.drag`, which depends on pose, twist and N p. At rest there is
+no drag.
+
+`wrenches_along` gives it for a whole recording, from the rows; `ttus_opt.Renderer` for
+one pose, compiled, to rounding the same. `evaluate` judges by the first, `ttus-opt
+render` writes the second, and the rows that a fit with friction explains its
+measurements by are the same function, linear in what it seeks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.contact.friction import Sliding
+from ttus_opt.contact.rows import contact_rows
+from ttus_opt.haptic.drag import DragLaw, drag_of
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.voxmap.field import PotentialField
+
+
+@dataclass(frozen=True)
+class FieldWrenches:
+    """What the probe feels in every frame of a trajectory.
+
+    Attributes:
+        force: Drag included, patient axes, shape (T, 3) [N].
+        torque: About the shell's reference, patient axes, shape (T, 3) [N·m].
+        in_grid: False where no shell point lies within the grid, shape (T,).
+        beyond_inner: Points in contact beyond the inner layer, shape (T,) [–].
+    """
+
+    force: Array = field(repr=False)
+    torque: Array = field(repr=False)
+    in_grid: NDArray[np.bool_] = field(repr=False)
+    beyond_inner: NDArray[np.int64] = field(repr=False)
+
+
+def wrenches_along(
+    potential: PotentialField, shell: PointShell, trajectory: Trajectory
+) -> FieldWrenches:
+    """The wrench of a field in every frame of a trajectory, by its poses and twists.
+
+    Args:
+        potential: The field, its drag among its parameters.
+        shell: The probe.
+        trajectory: Poses over time.
+
+    Raises:
+        InputError: Unusable poses, or parameters that are no drag.
+    """
+    rows = contact_rows(
+        potential.voxmap,
+        shell,
+        trajectory.rotation,
+        trajectory.position,
+        sampling=potential.sampling,
+    )
+    p = potential.values.reshape(-1)
+    wrench = np.concatenate([(m @ p).reshape(-1, 3) for m in (rows.N, rows.W)], axis=1)
+    law = DragLaw.of(potential.parameters, potential.voxmap.grid)
+    if law.active:
+        wrench += _drags(law, potential, shell, trajectory, wrench)
+    return FieldWrenches(wrench[:, :3], wrench[:, 3:], rows.in_grid, rows.beyond_inner)
+
+
+def _drags(
+    law: DragLaw,
+    potential: PotentialField,
+    shell: PointShell,
+    trajectory: Trajectory,
+    contact: Array,
+) -> Array:
+    """Drag of every frame, shape (T, 6) [N, N·m]."""
+    sliding = Sliding.of(potential.voxmap, shell, trajectory)
+    patch = np.concatenate([sliding.normal, sliding.arm], axis=1)
+    twist, reference = trajectory.twist(), np.array(shell.reference)
+    drag = np.empty_like(contact)
+    R, at = np.empty((3, 3)), np.empty(3)
+    for t in range(len(trajectory)):
+        # copied: whatever an array's layout, nothing is compiled anew
+        R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
+        drag_of(R, at, twist[t], reference, patch[t], contact[t], law.numbers, drag[t])
+    return drag

@@ -1,0 +1,294 @@
+"""The compiled haptic frame: contact of one pose, then the wrench of a field.
+
+Two passes over scratch space, so that nothing is allocated and a second field costs
+its second pass only:
+
+- `touch` finds the shell points inside the patient. Blocks away from the skin are
+  skipped by their bounding spheres (`ttus_opt.contact.shell_blocks`); the rest goes
+  through a loop without branches, which the compiler turns into vector instructions.
+  What a point samples comes from the very functions that make the rows of the fit
+  (`ttus_opt.voxmap.depth_sampling`), so that both agree to the last voxel.
+- `wrench_of` sums the wrench of one field over those points.
+
+All is float64, no fast-math: reordered or fused operations would put points near a
+voxel face on different sides in the fit and in the frame.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.compiled import compiled
+from ttus_opt.contact.rows import rotated, within
+from ttus_opt.cylindrical import turn_angle
+from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.voxmap.depth_sampling import nearest_voxel, on_spoke, spoke_cell
+from ttus_opt.voxmap.grid import flat_index
+from ttus_opt.voxmap.surface_kernels import skin_between, skin_cell
+
+
+@compiled(error_model="numpy", nogil=True)
+def touch(R: Array, at: Array, s: Stage) -> tuple[int, bool, int]:
+    """Find the points in contact and what each samples (compiled).
+
+    Args:
+        R: Rotation, probe to patient, shape (3, 3) [–].
+        at: Position, shape (3,) [m].
+        s: Probe, skin and scratch; its ``touched``, ``depth``, ``voxel`` and
+            ``share`` are written.
+
+    Returns:
+        Points in contact, whether the shell meets the grid, and how many of the
+        points in contact lie beyond the inner layer.
+    """
+    # taken out of the tuple once: it counts references on every look
+    start, points, place, node = s.start, s.points, s.place, s.node
+    n_blocks, room = start.size - 1, place.shape[1]
+    near = s.near
+    _place(R, at, s.spheres, 0, n_blocks, place)
+    _find_near(place, s.spheres[3], s.limits, s.ceiling, s.tiles, near)
+    contact, beyond, in_grid, first = 0, 0, False, 0
+    while first < n_blocks:
+        if not near[first]:
+            first += 1
+            continue
+        last = first + 1
+        while last < n_blocks and near[last] and start[last + 1] - start[first] <= room:
+            last += 1
+        low, high = start[first], start[last]
+        first = last
+        _place(R, at, points, low, high, place)
+        _find_nodes(high - low, s.skin, s.layout, place, node)
+        contact, deeper, met = _select(
+            low,
+            high - low,
+            place,
+            node,
+            s.radius,
+            s.limits,
+            contact,
+            s.touched,
+            s.depth,
+            s.share,
+        )
+        in_grid, beyond = in_grid or met, beyond + deeper
+    if s.trilinear:
+        _find_spokes(contact, s.depth, s.share, s.limits, s.shape, s.spokes, s.voxel)
+    else:
+        _find_voxels(
+            contact, s.depth, s.share, s.limits, s.shape, s.spokes, s.voxel, s.hits
+        )
+    return contact, in_grid or _meets_grid(R, at, s), beyond
+
+
+@compiled(inline="always")
+def _shifted(
+    a: float, b: float, c: float, x: float, y: float, z: float, shift: float
+) -> float:
+    """One coordinate of R x + t, rounded as `contact.rotated` rounds it (compiled)."""
+    return (a * x + b * y + c * z) + shift
+
+
+@compiled(error_model="numpy", nogil=True)
+def _place(
+    R: Array, at: Array, points: Array, low: int, high: int, place: Array
+) -> None:
+    """Points low to high about the axis: r², θ, z, without a branch (compiled)."""
+    a, b, c, d, e, f = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2]
+    g, h, i = R[2, 0], R[2, 1], R[2, 2]
+    tx, ty, tz = at[0], at[1], at[2]
+    xs, ys, zs = points[0, low:high], points[1, low:high], points[2, low:high]
+    squares, thetas, heights = place[0], place[1], place[2]
+    for m in range(xs.size):
+        x = _shifted(a, b, c, xs[m], ys[m], zs[m], tx)
+        y = _shifted(d, e, f, xs[m], ys[m], zs[m], ty)
+        squares[m] = x * x + y * y
+        thetas[m] = turn_angle(x, y)
+        heights[m] = _shifted(g, h, i, xs[m], ys[m], zs[m], tz)
+
+
+@compiled(error_model="numpy", nogil=True)
+def _find_near(
+    place: Array,
+    reach: Array,
+    limits: Array,
+    ceiling: Array,
+    tiles: Array,
+    near: NDArray[np.bool_],
+) -> None:
+    """Which spheres may hold a point in contact (compiled)."""
+    n_theta, n_z = ceiling.shape
+    for b in range(reach.size):
+        r, z = math.sqrt(place[0, b]), place[2, b]
+        low = r - reach[b]
+        near[b] = (
+            z + reach[b] >= limits[4] and z - reach[b] <= limits[6] and low <= limits[2]
+        )
+        if near[b] and r >= tiles[0]:
+            j = min(int(place[1, b] * tiles[1]), n_theta - 1)
+            k = int(min(max((z - tiles[2]) * tiles[3], 0.0), n_z - 1.0))
+            near[b] = low <= ceiling[j, k]
+
+
+@compiled(error_model="numpy", nogil=True)
+def _find_nodes(
+    size: int, skin: IntArray, layout: Array, place: Array, node: IntArray
+) -> None:
+    """The skin's cell under every point, without a branch (compiled)."""
+    n_theta, n_z = skin[0], skin[1]
+    thetas, heights, a, b = place[1], place[2], place[3], place[4]
+    here, after = node[0], node[1]
+    where = (layout[0], layout[1], layout[2], layout[3])  # else reloaded every time
+    for m in range(size):
+        here[m], after[m], a[m], b[m] = skin_cell(
+            thetas[m], heights[m], n_theta, n_z, where
+        )
+
+
+@compiled(error_model="numpy", nogil=True)
+def _select(
+    low: int,
+    size: int,
+    place: Array,
+    node: IntArray,
+    radius: Array,
+    limits: Array,
+    contact: int,
+    touched: IntArray,
+    depth: Array,
+    share: Array,
+) -> tuple[int, int, bool]:
+    """Append the points inside the patient, r, θ, z in ``share`` (compiled).
+
+    Returns:
+        Points in contact so far, how many of the new ones lie beyond the inner layer,
+        and whether any point lies within the grid.
+    """
+    in_grid, beyond = False, 0
+    for m in range(size):
+        square, z = place[0, m], place[2, m]
+        if not within(square, z, limits):
+            continue
+        in_grid = True
+        r = math.sqrt(square)
+        below = (
+            skin_between(node[0, m], node[1, m], place[3, m], place[4, m], radius) - r
+        )
+        if below <= 0.0:
+            continue
+        touched[contact], depth[contact] = low + m, below
+        share[0, contact], share[1, contact], share[2, contact] = r, place[1, m], z
+        contact += 1
+        if r < limits[0]:
+            beyond += 1
+    return contact, beyond, in_grid
+
+
+@compiled(error_model="numpy", nogil=True)
+def _find_spokes(
+    contact: int,
+    depth: Array,
+    share: Array,
+    limits: Array,
+    shape: IntArray,
+    spokes: Array,
+    voxel: IntArray,
+) -> None:
+    """Places of every contact on the four spokes around it (compiled)."""
+    n_theta, n_z = shape[1], shape[2]
+    counts = (shape[0], n_theta, n_z)  # else reloaded every time
+    where = (limits[0], limits[1], 0.0, limits[3], limits[4], limits[5])
+    for c in range(contact):
+        j, j_next, k, v, w = spoke_cell(share[1, c], share[2, c], where, counts)
+        steps = depth[c] * where[1]
+        for corner in range(4):
+            cj, ck = corner >> 1, corner & 1
+            spoke = flat_index(0, j_next if cj else j, k + ck, n_theta, n_z)
+            i, low, high = on_spoke(
+                steps, spokes[spoke, 0], spokes[spoke, 1], spokes[spoke, 2]
+            )
+            part = (v if cj else 1.0 - v) * (w if ck else 1.0 - w)
+            voxel[corner, c] = flat_index(i, 0, spoke, n_theta, n_z)
+            share[corner, c], share[4 + corner, c] = part * low, part * high
+
+
+@compiled(error_model="numpy", nogil=True)
+def _find_voxels(
+    contact: int,
+    depth: Array,
+    share: Array,
+    limits: Array,
+    shape: IntArray,
+    spokes: Array,
+    voxel: IntArray,
+    hits: NDArray[np.int32],
+) -> None:
+    """Voxel of every contact and its part in the voxel's mean (compiled)."""
+    for c in range(contact):
+        v, samples = nearest_voxel(
+            share[0, c], share[1, c], share[2, c], depth[c], limits, shape, spokes
+        )
+        voxel[0, c], share[0, c] = v, 1.0 if samples else 0.0
+        hits[v] += 1 if samples else 0
+    for c in range(contact):
+        share[0, c] /= max(hits[voxel[0, c]], 1)
+    for c in range(contact):  # leaves no trace in the next frame
+        hits[voxel[0, c]] = 0
+
+
+@compiled(error_model="numpy", nogil=True)
+def _meets_grid(R: Array, at: Array, s: Stage) -> bool:
+    """Whether any shell point lies within the grid, skipped blocks too (compiled)."""
+    start, spheres, points, limits = s.start, s.spheres, s.points, s.limits
+    for b in range(start.size - 1):
+        x, y, z = rotated(R, spheres[0, b], spheres[1, b], spheres[2, b])
+        x, y, z, reach = x + at[0], y + at[1], z + at[2], spheres[3, b]
+        r = math.sqrt(x * x + y * y)
+        if z + reach < limits[4] or z - reach > limits[6]:
+            continue
+        if r - reach > limits[2]:
+            continue
+        for m in range(start[b], start[b + 1]):
+            x, y, z = rotated(R, points[0, m], points[1, m], points[2, m])
+            x, y, z = x + at[0], y + at[1], z + at[2]
+            if within(x * x + y * y, z, limits):
+                return True
+    return False
+
+
+@compiled(error_model="numpy", nogil=True)
+def wrench_of(values: Array, contact: int, R: Array, s: Stage, wrench: Array) -> None:
+    """Sum a field's wrench over the points that `touch` found (compiled).
+
+    Args:
+        values: The field, flat, shape (V,) [N or N/cm²].
+        contact: What `touch` returned.
+        R: The same rotation as `touch` had.
+        s: The same stage.
+        wrench: Out: force and torque, patient axes, shape (6,) [N, N·m].
+    """
+    voxel, share, touched, lever = s.voxel, s.share, s.touched, s.lever
+    layer = s.shape[1] * s.shape[2]
+    fx, fy, fz, tx, ty, tz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for c in range(contact):
+        if s.trilinear:
+            p = 0.0
+            for corner in range(4):
+                v = voxel[corner, c]
+                p += share[corner, c] * values[v]
+                p += share[4 + corner, c] * values[v + layer]
+        else:
+            p = share[0, c] * values[voxel[0, c]]
+        m = touched[c]
+        fx += p * lever[m, 0]
+        fy += p * lever[m, 1]
+        fz += p * lever[m, 2]
+        tx += p * lever[m, 3]
+        ty += p * lever[m, 4]
+        tz += p * lever[m, 5]
+    wrench[0], wrench[1], wrench[2] = rotated(R, fx, fy, fz)
+    wrench[3], wrench[4], wrench[5] = rotated(R, tx, ty, tz)

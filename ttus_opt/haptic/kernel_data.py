@@ -1,0 +1,126 @@
+"""What a haptic frame reads and the scratch it writes: a probe over a skin, arranged.
+
+Everything that does not change between frames is sorted, laid out and bounded here
+once, for the loops of `ttus_opt.haptic.frame`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.contact.rows import shell_arrays
+from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks, SkinCeiling
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.voxmap.depth_sampling import spoke_table
+from ttus_opt.voxmap.surface_kernels import skin_layout
+from ttus_opt.voxmap.voxmap import Voxmap
+
+#: Most blocks placed at once: their scratch stays in the first cache
+RUN = 8
+
+
+class Stage(NamedTuple):
+    """What the compiled passes read and the scratch they write, for one thread.
+
+    Attributes:
+        trilinear: Sampling.
+        points: Block order, probe frame, x, y, z apart, shape (3, M) [m].
+        lever: Normal and r×n̂ about the reference, probe axes, times the point's
+            weight when trilinear, shape (M, 6) [–, m].
+        reference: Torques are about this point, probe frame, shape (3,) [m].
+        start: First point of each block, shape (B + 1,).
+        spheres: Bounding spheres, x, y, z, radius apart, shape (4, B) [m].
+        limits: `CylindricalGrid.kernel_limits`.
+        shape: Voxel counts, shape (3,).
+        radius: Skin radius, flat [m].
+        skin: Its shape, (2,).
+        layout: `skin_lookup.skin_layout`.
+        spokes: `depth_sampling.spoke_table`.
+        ceiling: `SkinCeiling.ceiling`.
+        tiles: `SkinCeiling.floor`, then its layout, shape (4,).
+        place: Scratch, points about the axis: r², θ, z, then the place within the
+            skin's cell, shape (5, RUN·BLOCK) or (5, B) if that is more.
+        near: Scratch, blocks that may touch, shape (B,).
+        node: Scratch, the skin's cell, shape as ``place`` (2, …).
+        touched: Out: the points in contact, shape (M,).
+        depth: Out: their depths below the skin, shape (M,) [m].
+        voxel: Out: per contact, the voxel, or one on each of the 4 spokes, (4, M).
+        share: Out: per contact, the voxel's share; trilinear, those of the 4 voxels,
+            then of the 4 next outwards; shape (8, M).
+        hits: Scratch, points per voxel, zero between frames, (V,) or (1,).
+    """
+
+    trilinear: bool
+    points: Array
+    lever: Array
+    reference: Array
+    start: IntArray
+    spheres: Array
+    limits: Array
+    shape: IntArray
+    radius: Array
+    skin: IntArray
+    layout: Array
+    spokes: Array
+    ceiling: Array
+    tiles: Array
+    place: Array
+    near: NDArray[np.bool_]
+    node: IntArray
+    touched: IntArray
+    depth: Array
+    voxel: IntArray
+    share: Array
+    hits: NDArray[np.int32]
+
+    @classmethod
+    def of(cls, voxmap: Voxmap, shell: PointShell, *, trilinear: bool) -> Stage:
+        """Prepare a probe over a voxmap."""
+        blocks = ShellBlocks.of(shell)
+        skin = SkinCeiling.of(voxmap.surface, float(blocks.reach.max()))
+        points, normals, weights, reference = shell_arrays(shell)
+        lever = np.concatenate([normals, np.cross(points - reference, normals)], axis=1)
+        if trilinear:
+            lever *= weights[:, None]
+        n, width = len(points), max(RUN * BLOCK, len(blocks.reach))
+        return cls(
+            trilinear,
+            np.ascontiguousarray(points[blocks.order].T),
+            np.ascontiguousarray(lever[blocks.order]),
+            reference,
+            blocks.start,
+            np.ascontiguousarray(np.column_stack([blocks.centre, blocks.reach]).T),
+            voxmap.grid.kernel_limits,
+            np.array(voxmap.grid.shape),
+            np.ascontiguousarray(voxmap.surface.radius).reshape(-1),
+            np.array(voxmap.surface.radius.shape),
+            skin_layout(voxmap.surface),
+            spoke_table(voxmap),
+            skin.ceiling,
+            np.array([skin.floor, *skin.layout]),
+            np.empty((5, width)),
+            np.empty(len(blocks.reach), dtype=np.bool_),
+            np.empty((2, width), dtype=np.int64),
+            np.empty(n, dtype=np.int64),
+            np.empty(n),
+            np.empty((4, n), dtype=np.int64),
+            np.empty((8, n)),
+            np.zeros(1 if trilinear else voxmap.grid.n_voxels, dtype=np.int32),
+        )
+
+    def with_own_scratch(self) -> Stage:
+        """The same probe and skin for another thread."""
+        return self._replace(
+            place=np.empty_like(self.place),
+            near=np.empty_like(self.near),
+            node=np.empty_like(self.node),
+            touched=np.empty_like(self.touched),
+            depth=np.empty_like(self.depth),
+            voxel=np.empty_like(self.voxel),
+            share=np.empty_like(self.share),
+            hits=np.zeros_like(self.hits),
+        )

@@ -1,0 +1,397 @@
+"""The haptic renderer: one library call per frame, force and torque of a pose.
+
+The same points, voxels and weights as the rows of the fit (`ttus_opt.contact.rows`),
+compiled (`ttus_opt.haptic.wrench`): the wrench of a field as
+`ttus_opt.haptic.field_wrench` defines it, drag included, to rounding. A new field comes
+in while another thread renders (`Renderer.update`), blended so that it neither jumps
+nor adds energy (`ttus_opt.haptic.blend`). Nothing here loads a modelling package, a
+solver or a camera.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import warnings
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.contact.friction import FRICTION, VISCOUS
+from ttus_opt.contact.rows import checked_poses
+from ttus_opt.contact.shell_blocks import ShellBlocks
+from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.haptic.blend import (
+    PROGRESS,
+    SEEN,
+    BlendLaw,
+    BlendState,
+    opened_ledger,
+    settled_ledger,
+)
+from ttus_opt.haptic.drag import DragLaw, patch_weights
+from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.haptic.motion import TIME, MotionFilter
+from ttus_opt.haptic.wrench import (
+    BAD_TIME,
+    BAD_TWIST,
+    TWIST,
+    WRENCH,
+    Desk,
+    FieldPair,
+    FrameLimits,
+    mixed,
+    mixed_drag,
+    render_frame,
+)
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.voxmap.field import PotentialField
+
+#: The field has no drag; or its drag is of the twist that was given, of a twist
+#: estimated from poses and times, or left out because the motion is not known
+DragSource = Literal["none", "given", "estimated", "left out"]
+
+
+@dataclass(frozen=True, slots=True)
+class Wrench:
+    """What the probe feels in one pose.
+
+    Attributes:
+        force: Force on the probe, patient axes, shape (3,) [N].
+        torque: Torque about the shell's reference point, patient axes, (3,) [N·m].
+        contact_points: Shell points inside the patient [–].
+        in_grid: False when no shell point lies within the grid; the wrench is zero.
+        beyond_inner: Points in contact beyond the inner layer, where the field
+            continues with that layer's values [–].
+        drag: Whether friction's drag is in the wrench: ``none`` for a field without,
+            ``given`` and ``estimated`` by where the twist is from, ``left out`` for
+            a field with drag and an unknown motion.
+        saturated: Whether the force was cut to the renderer's limit.
+    """
+
+    force: Array
+    torque: Array
+    contact_points: int
+    in_grid: bool
+    beyond_inner: int = 0
+    drag: DragSource = "none"
+    saturated: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class _Fields:
+    """What a frame renders, swapped as one, and the names of what drags in each."""
+
+    pair: FieldPair = field(repr=False)
+    current_drag: str
+    target_drag: str
+
+    @property
+    def drag(self) -> str:
+        """Names of the coefficients that drag at present; empty without any."""
+        if self.target_drag or self.pair.ledger[PROGRESS] == 1.0:
+            return self.target_drag
+        return self.current_drag
+
+
+class Renderer:
+    """Renders contact of one probe with one field, and with the fields after it.
+
+    One thread renders; any other may call `update` and `warm_up`. A frame takes no
+    lock that it would have to wait for: while an update prepares a swap, frames go on
+    with the fields as they stand. Neither does it allocate, apart from the `Wrench` it
+    returns; `render_into` spares that too. Compiled code runs without the interpreter's
+    lock, here and in the fit; a thread busy in plain Python holds that lock for up to
+    `sys.getswitchinterval`, so give such work a process of its own.
+
+    A field that was fitted with friction drags on a moving probe. How it moves is
+    given as a twist, or estimated from poses with their times (`MotionFilter`); with
+    neither, a frame has the contact's wrench without drag, `Wrench.drag` says so, and
+    the first such frame warns.
+
+    Args:
+        field: The fitted field.
+        shell: The probe's point shell.
+        blend: How updates come in; `BlendLaw`'s defaults when not given.
+        motion: How a twist is estimated; `MotionFilter`'s defaults when not given.
+        force_limit: Most force [N]: a larger one is cut to it, direction kept, the
+            torque by the same factor. No limit by default.
+
+    Raises:
+        InputError: A limit that is not positive, or a field's drag that is none.
+    """
+
+    def __init__(
+        self,
+        field: PotentialField,
+        shell: PointShell,
+        *,
+        blend: BlendLaw | None = None,
+        motion: MotionFilter | None = None,
+        force_limit: float | None = None,
+    ) -> None:
+        if force_limit is not None and not force_limit > 0.0:
+            raise InputError(f"force_limit must be positive [N], got {force_limit}")
+        blend, motion = blend or BlendLaw(), motion or MotionFilter()
+        self._field = field
+        self._stage = Stage.of(
+            field.voxmap, shell, trilinear=field.sampling == "trilinear"
+        )
+        weights = patch_weights(shell)[ShellBlocks.of(shell).order]
+        numbers = (
+            *blend.kernel_limits(shell.rms_radius),
+            math.inf if force_limit is None else float(force_limit),
+            *motion.kernel_numbers(shell.rms_radius),
+        )
+        self._limits = FrameLimits(np.array(numbers), np.ascontiguousarray(weights))
+        values, drag = _flat(field), DragLaw.of(field.parameters, field.voxmap.grid)
+        ledger = settled_ledger(blend.reserve)
+        name = _drag_name(field, drag)
+        self._fields = _Fields(
+            FieldPair(values, values, drag.numbers, drag.numbers, ledger), name, name
+        )
+        # a pose is copied here: whatever its layout, it compiles nothing new
+        self._desk = Desk.empty()
+        self._turn = threading.Lock()  # to change the ledger; frames only try it
+        self._waiting = False  # an update wants the turn
+        self._updates = threading.Lock()  # one update at a time
+        self._told = False  # that drag is left out
+        self.warm_up()
+
+    def warm_up(self) -> None:
+        """Compile, so that no frame or update has to; called on construction.
+
+        It works on scratch of its own, so that another thread may render meanwhile.
+        """
+        stage, pair, weights = (
+            self._stage.with_own_scratch(),
+            self._fields.pair,
+            self._limits.weights,
+        )
+        amid = settled_ledger(0.0)
+        amid[PROGRESS] = 0.5
+        pair = pair._replace(ledger=amid)
+        render_frame(Desk.empty(), math.nan, stage, pair, self._limits, True)
+        opened_ledger(amid, pair.current, pair.target, stage)
+        mixed(pair.current[:4], pair.target[:4], 0.5)
+        mixed_drag(amid, pair, pair.current, stage, weights)
+
+    def render(
+        self,
+        rotation: Array,
+        position: Array,
+        twist: Array | None = None,
+        *,
+        time: float | None = None,
+    ) -> Wrench:
+        """Force and torque of one pose and motion.
+
+        Args:
+            rotation: Probe to patient, shape (3, 3) [–].
+            position: Of the probe frame's origin, patient frame, shape (3,) [m].
+            twist: Velocity of that origin and angular velocity, patient axes, shape
+                (6,) [m/s, rad/s].
+            time: Of the pose [s], where the twist is not known: it is estimated from
+                this and the poses before, `ttus_opt.haptic.motion`.
+
+        Returns:
+            The wrench, the caller's own; zero, and ``in_grid`` False, for a pose
+            outside the grid.
+
+        Raises:
+            InputError: Wrong shapes, NaN, no rotation matrix, both twist and time,
+                or a time before the last one.
+        """
+        counts, drag = self._render(rotation, position, twist, time)
+        wrench = self._desk.rows[WRENCH].copy()
+        contact_points, in_grid, beyond, saturated = counts
+        return Wrench(
+            wrench[:3], wrench[3:], contact_points, in_grid, beyond, drag, saturated
+        )
+
+    def render_into(
+        self,
+        rotation: Array,
+        position: Array,
+        out: Array,
+        twist: Array | None = None,
+        *,
+        time: float | None = None,
+    ) -> int:
+        """The same frame into the caller's array: nothing is allocated.
+
+        Args:
+            rotation: Probe to patient, shape (3, 3) [–].
+            position: Of the probe frame's origin, patient frame, shape (3,) [m].
+            out: Force, then torque, shape (6,) [N, N·m]; written.
+            twist: As for `render`, shape (6,) [m/s, rad/s].
+            time: As for `render` [s].
+
+        Returns:
+            Points in contact, or -1 when no shell point lies within the grid.
+
+        Raises:
+            InputError: As `render`.
+        """
+        if out.shape != (6,):
+            raise InputError(f"out must have shape (6,), got {out.shape}")
+        (contact_points, in_grid, _, _), _ = self._render(
+            rotation, position, twist, time
+        )
+        out[:] = self._desk.rows[WRENCH]
+        return contact_points if in_grid else -1
+
+    def _render(
+        self,
+        rotation: Array,
+        position: Array,
+        twist: Array | None,
+        time: float | None,
+    ) -> tuple[tuple[int, bool, int, bool], DragSource]:
+        """Render one pose and motion onto the desk; what `render_frame` returns."""
+        if np.shape(rotation) != (3, 3) or np.shape(position) != (3,):
+            raise InputError(
+                "a pose needs rotation (3, 3) and position (3,) [m], got "
+                f"{np.shape(rotation)} and {np.shape(position)}"
+            )
+        desk, source = self._desk, self._lay_motion(twist, time)
+        desk.R[:], desk.at[:] = rotation, position
+        now = math.nan if time is None else float(time)
+        if now != now and time is not None:
+            raise InputError("time must be finite [s], got NaN")
+        turn = not self._waiting and self._turn.acquire(blocking=False)
+        try:
+            fields = self._fields
+            drag = fields.drag
+            counts = render_frame(
+                desk, now, self._stage, fields.pair, self._limits, turn
+            )
+        finally:
+            if turn:
+                self._turn.release()
+        if counts[0] < 0:
+            self._refuse(counts[0], time)
+        if not drag:
+            return counts, "none"
+        if source == "left out" and not self._told:
+            self._tell(drag)
+        return counts, source
+
+    def _lay_motion(self, twist: Array | None, time: float | None) -> DragSource:
+        """Put a given twist on the desk; where the frame has its motion from."""
+        if twist is None:
+            self._desk.rows[TWIST] = 0.0
+            return "left out" if time is None else "estimated"
+        if time is not None:
+            raise InputError(
+                "give twist or time, not both: time is to estimate a twist"
+            )
+        if np.shape(twist) != (6,):
+            raise InputError(
+                "a twist is velocity [m/s], then angular velocity [rad/s], (6,), got "
+                f"{np.shape(twist)}"
+            )
+        self._desk.rows[TWIST] = twist
+        return "given"
+
+    def _refuse(self, code: int, time: float | None) -> None:
+        """Say in words why a frame was refused."""
+        if code == BAD_TWIST:
+            raise InputError("the twist contains NaN or infinite values")
+        if code == BAD_TIME:
+            raise InputError(
+                f"time must be finite and not go back [s], got {time} after "
+                f"{self._desk.motion[TIME]}"
+            )
+        checked_poses(self._desk.R[None], self._desk.at[None])
+
+    def _tell(self, drag: str) -> None:
+        """Warn, once, that drag is left out."""
+        self._told = True
+        warnings.warn(
+            f"the field has drag ({drag}) and the probe's motion is not known: frames "
+            "are rendered without it; give render a twist, or the time of each pose",
+            TtusWarning,
+            stacklevel=4,
+        )
+
+    def update(self, field: PotentialField) -> None:
+        """Swap in a new field, also while another thread renders.
+
+        The swap is atomic and its effect gradual: force changes by no more than the
+        law's rate, and the change adds no energy (`ttus_opt.haptic.blend`). A swap
+        still under way goes over into this one from where it stands. Before the first
+        frame nothing has been felt, so that the field is simply taken. Its drag may be
+        another.
+
+        Args:
+            field: On the same grid and surface and with the same sampling.
+
+        Raises:
+            InputError: It is for another grid, surface or sampling, or its drag is
+                none.
+        """
+        self._require_alike(field)
+        drag = DragLaw.of(field.parameters, field.voxmap.grid)
+        values, stage = _flat(field), self._stage.with_own_scratch()
+        with self._updates:
+            self._waiting = True
+            try:
+                with self._turn:
+                    self._fields = self._swapped(
+                        values, drag.numbers, _drag_name(field, drag), stage
+                    )
+            finally:
+                self._waiting = False
+
+    def _swapped(self, values: Array, drag: Array, name: str, stage: Stage) -> _Fields:
+        """The fields after an update; only with the turn in hand."""
+        now, old_name = self._fields.pair, self._fields.drag
+        if now.ledger[SEEN] == 0.0:
+            return _Fields(
+                FieldPair(values, values, drag, drag, now.ledger), name, name
+            )
+        share = float(now.ledger[PROGRESS])
+        current, old_drag = now.target, now.target_drag
+        if share < 1.0:
+            current = mixed(now.current, now.target, share)
+            old_drag = mixed_drag(now.ledger, now, current, stage, self._limits.weights)
+        ledger = opened_ledger(now.ledger, current, values, stage)
+        return _Fields(
+            FieldPair(current, values, old_drag, drag, ledger), old_name, name
+        )
+
+    def _require_alike(self, new: PotentialField) -> None:
+        old = self._field
+        for name, same in (
+            ("sampling", new.sampling == old.sampling),
+            ("grid", new.voxmap.grid == old.voxmap.grid),
+            (
+                "surface",
+                new.voxmap.surface is old.voxmap.surface
+                or np.array_equal(new.voxmap.surface.radius, old.voxmap.surface.radius),
+            ),
+        ):
+            if not same:
+                raise InputError(
+                    f"an update must keep the field's {name}: make a new Renderer"
+                )
+
+    @property
+    def blend(self) -> BlendState:
+        """Where the last update's swap stands."""
+        return BlendState.of(self._fields.pair.ledger)
+
+
+def _flat(field: PotentialField) -> Array:
+    """A copy of the field's values, flat: nobody else's to change."""
+    return np.array(field.values, dtype=np.float64, order="C").reshape(-1)
+
+
+def _drag_name(field: PotentialField, drag: DragLaw) -> str:
+    """Names of a field's coefficients of drag; empty when it has none."""
+    if not drag.active:
+        return ""
+    return ", ".join(n for n in (FRICTION, VISCOUS) if n in field.parameters)

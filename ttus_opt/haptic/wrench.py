@@ -1,0 +1,271 @@
+"""One compiled haptic frame: motion, touch, fields, drag, blend, limit.
+
+The passes of `ttus_opt.haptic.frame`, `haptic_drag`, `haptic_motion` and
+`haptic_blend` in their order, over scratch that the renderer owns, so that a frame
+allocates nothing and is one call.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.compiled import compiled
+from ttus_opt.haptic.blend import PROGRESS, advance, follow, pose_of
+from ttus_opt.haptic.drag import (
+    ACTIVE,
+    BANDS,
+    FRICTION,
+    SECTORS,
+    VISCOUS,
+    drag_of,
+    patch_of,
+)
+from ttus_opt.haptic.frame import touch, wrench_of
+from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.haptic.motion import MOTION, estimate_twist
+
+#: What a frame returns in place of a count when its input is unusable
+BAD_POSE, BAD_TWIST, BAD_TIME = -1, -2, -3
+
+
+class FieldPair(NamedTuple):
+    """What a frame renders, swapped as one: two fields and the ledger between them.
+
+    Attributes:
+        current: Field in force, flat, shape (V,).
+        target: Field to come, or the same, flat, shape (V,).
+        current_drag: `DragLaw.numbers` of the field in force.
+        target_drag: Those of the field to come.
+        ledger: `haptic_blend`, shape (LEDGER,).
+    """
+
+    current: Array
+    target: Array
+    current_drag: Array
+    target_drag: Array
+    ledger: Array
+
+
+#: Rows of `Desk.rows`: wrench and drag of the frame, twist, patch, then contact and
+#: drag of the field in force
+WRENCH, DRAG, TWIST, PATCH, OLD, OLD_DRAG, ROWS = 0, 1, 2, 3, 4, 5, 6
+
+
+class Desk(NamedTuple):
+    """Where a frame's input is laid down and its output written, for one thread.
+
+    Few arrays, for each costs a call a fifth of a microsecond.
+
+    Attributes:
+        R: Rotation, probe to patient, shape (3, 3) [–].
+        at: Position of the probe frame's origin, shape (3,) [m].
+        motion: State of `haptic_motion`, shape (MOTION,).
+        rows: See the places above, shape (ROWS, 6).
+    """
+
+    R: Array
+    at: Array
+    motion: Array
+    rows: Array
+
+    @classmethod
+    def empty(cls) -> Desk:
+        """A desk with nothing on it."""
+        return cls(np.eye(3), np.zeros(3), np.zeros(MOTION), np.zeros((ROWS, 6)))
+
+
+#: Places in `FrameLimits.numbers`: `BlendLaw.kernel_limits`, most force [N],
+#: `MotionFilter.kernel_numbers`
+BLEND, FORCE, FILTER = 0, 3, 4
+
+
+class FrameLimits(NamedTuple):
+    """What is the same in every frame of a renderer.
+
+    Attributes:
+        numbers: See the places above, shape (8,).
+        weights: `haptic_drag.patch_weights` in the stage's order, shape (M, 7).
+    """
+
+    numbers: Array
+    weights: Array
+
+
+@compiled(error_model="numpy", nogil=True)
+def render_frame(
+    desk: Desk,
+    time: float,
+    stage: Stage,
+    pair: FieldPair,
+    limits: FrameLimits,
+    turn: bool,
+) -> tuple[int, bool, int, bool]:
+    """Render the pose and twist on the desk (compiled).
+
+    Args:
+        desk: Input, scratch and output.
+        time: When [s], to estimate the twist; NaN to take the desk's.
+        stage: Probe, skin and scratch.
+        pair: Fields and ledger.
+        limits: Of the renderer.
+        turn: Without it the ledger is read and not written.
+
+    Returns:
+        Points in contact, or `BAD_POSE`, `BAD_TWIST`, `BAD_TIME`; whether the shell
+        meets the grid; points beyond the innermost layer; whether the force was cut.
+    """
+    R, at, rows, numbers = desk.R, desk.at, desk.rows, limits.numbers
+    twist, patch, wrench, drag = rows[TWIST], rows[PATCH], rows[WRENCH], rows[DRAG]
+    ledger, reference = pair.ledger, stage.reference
+    if not is_rigid(R, at):
+        return BAD_POSE, False, 0, False
+    if not math.isnan(time) and not estimate_twist(
+        desk.motion, R, at, time, reference, numbers[FILTER:], twist
+    ):
+        return BAD_TIME, False, 0, False
+    if not math.isfinite(_sum(twist)):
+        return BAD_TWIST, False, 0, False
+    contact, in_grid, beyond = touch(R, at, stage)
+    wrench_of(pair.target, contact, R, stage, wrench)
+    if _may_drag(pair, twist):
+        patch_of(R, contact, stage.touched, stage.depth, limits.weights, patch)
+    else:
+        _clear(patch)
+    drag_of(R, at, twist, reference, patch, wrench, pair.target_drag, drag)
+    share = ledger[PROGRESS]
+    if share == 1.0:
+        if turn:
+            follow(ledger, R, at, reference)
+    else:
+        old, old_drag = rows[OLD], rows[OLD_DRAG]
+        wrench_of(pair.current, contact, R, stage, old)
+        drag_of(R, at, twist, reference, patch, old, pair.current_drag, old_drag)
+        if turn:
+            advance(
+                ledger, numbers[BLEND:FORCE], contact, R, at, reference,
+                old, wrench, old_drag, drag,
+            )  # fmt: skip
+            share = ledger[PROGRESS]
+        if share < 1.0:
+            for c in range(6):
+                wrench[c] = (1.0 - share) * old[c] + share * wrench[c]
+                drag[c] = (1.0 - share) * old_drag[c] + share * drag[c]
+    for c in range(6):
+        wrench[c] += drag[c]
+    return contact, in_grid, beyond, _cut(wrench, numbers[FORCE])
+
+
+@compiled(inline="always")
+def _sum(values: Array) -> float:
+    """Sum, not finite when one of them is not (compiled)."""
+    total = 0.0
+    for i in range(values.size):
+        total += values[i]
+    return total
+
+
+@compiled(inline="always")
+def _clear(values: Array) -> None:
+    """Set to zero (compiled)."""
+    for i in range(values.size):
+        values[i] = 0.0
+
+
+@compiled(inline="always")
+def _may_drag(pair: FieldPair, twist: Array) -> bool:
+    """Whether the probe moves and a field drags (compiled)."""
+    if pair.target_drag[ACTIVE] + pair.current_drag[ACTIVE] == 0.0:
+        return False
+    moves = False
+    for i in range(6):
+        moves = moves or twist[i] != 0.0
+    return moves
+
+
+@compiled(inline="always")
+def _cut(wrench: Array, limit: float) -> bool:
+    """Shorten a wrench whose force exceeds a limit, as a whole (compiled)."""
+    square = wrench[0] * wrench[0] + wrench[1] * wrench[1] + wrench[2] * wrench[2]
+    if square <= limit * limit:
+        return False
+    factor = limit / math.sqrt(square)
+    for c in range(6):
+        wrench[c] *= factor
+    return True
+
+
+@compiled()
+def is_rigid(R: Array, at: Array) -> bool:
+    """Whether a pose is finite and its matrix a rotation, no reflection (compiled)."""
+    for a in range(3):
+        for b in range(3):
+            dot = R[0, a] * R[0, b] + R[1, a] * R[1, b] + R[2, a] * R[2, b]
+            # written so that NaN fails
+            if not abs(dot - (1.0 if a == b else 0.0)) <= 1e-6:
+                return False
+    volume = (
+        R[0, 0] * (R[1, 1] * R[2, 2] - R[1, 2] * R[2, 1])
+        + R[0, 1] * (R[1, 2] * R[2, 0] - R[1, 0] * R[2, 2])
+        + R[0, 2] * (R[1, 0] * R[2, 1] - R[1, 1] * R[2, 0])
+    )
+    return volume > 0.0 and math.isfinite(at[0] + at[1] + at[2])
+
+
+@compiled(nogil=True)
+def mixed(current: Array, target: Array, share: float) -> Array:
+    """(1 − share) current + share target, without the interpreter's lock (compiled)."""
+    out = np.empty_like(current)
+    for m in range(out.size):
+        out[m] = (1.0 - share) * current[m] + share * target[m]
+    return out
+
+
+def mixed_drag(
+    ledger: Array, pair: FieldPair, mix: Array, stage: Stage, weights: Array
+) -> Array:
+    """One drag law in place of two amid a swap, for the field that mixes theirs.
+
+    At the ledger's pose μ gives the force that both together gave there, so that the
+    change does not show; viscosities are mixed by their shares. Deadband, regions and
+    where drag acts are of the field with the larger share: where the other's differ,
+    direction and size of drag change by as much.
+
+    Args:
+        ledger: With the pose and the share of the target.
+        pair: The two fields.
+        mix: Their mixture, flat, shape (V,).
+        stage: Probe and skin, with scratch of its own.
+        weights: `haptic_drag.patch_weights` in the stage's order, shape (M, 7).
+
+    Returns:
+        `DragLaw.numbers` of the mixture.
+    """
+    share = float(ledger[PROGRESS])
+    old, new = pair.current_drag, pair.target_drag
+    if old[ACTIVE] + new[ACTIVE] == 0.0:
+        return new
+    major = new if share >= 0.5 else old
+    desk = Desk.empty()
+    pose_of(ledger, stage.reference, desk.R, desk.at)
+    contact = touch(desk.R, desk.at, stage)[0]
+    patch_of(desk.R, contact, stage.touched, stage.depth, weights, desk.rows[PATCH])
+    pressed = []
+    for values in (pair.current, pair.target, mix):
+        wrench_of(values, contact, desk.R, stage, desk.rows[WRENCH])
+        pressed.append(max(float(desk.rows[PATCH, :3] @ desk.rows[WRENCH, :3]), 0.0))
+    frictions = float(old[FRICTION]), float(new[FRICTION])
+    friction = (1.0 - share) * frictions[0] + share * frictions[1]
+    if pressed[2] > 0.0:
+        friction = (
+            (1.0 - share) * frictions[0] * pressed[0]
+            + share * frictions[1] * pressed[1]
+        ) / pressed[2]
+    numbers = major.copy()
+    numbers[ACTIVE], numbers[FRICTION] = 1.0, min(friction, max(frictions))
+    if (old[SECTORS : BANDS + 1] == new[SECTORS : BANDS + 1]).all():
+        numbers[VISCOUS:] = (1.0 - share) * old[VISCOUS:] + share * new[VISCOUS:]
+    return numbers

@@ -1,0 +1,1 @@
+"""Laplace's equation in cylindrical coordinates on the voxel grid (eq. 8)."""

@@ -1,0 +1,308 @@
+"""The levels of the geometric multigrid: coarse grids, their operators, transfers.
+
+Every level is a box of nodes (i, j, k) with a conductance on each link to the next
+node in r, θ and z, and per direction a conductance to the grounded (Dirichlet)
+nodes around. Coarsening drops every second node along an axis and eliminates it
+from its own line (the one-dimensional Schur complement), so that
+
+- a surface that lies between two coarse nodes cuts their link and grounds both
+  sides at the true distance: closed surfaces stay closed on every level, and the
+  boundary keeps its place to second order (a symmetric ghost-fluid scheme);
+- grids of any size coarsen (the last cell may be narrower than the others);
+- interpolation along a line is the same elimination read backwards.
+
+Of θ and z, only the one with the smaller step is coarsened until both steps are
+about equal, because an error that is rough along the wider one would neither be
+smoothed nor seen on the coarse level. Lines along r are solved exactly: r waits only
+while its own step is the wide one.
+
+Values of a level are stored in two halves, like the fields of a chessboard over
+(θ, z): the plane index m = (j + 1)·pitch + k, with an odd pitch, has the colour m % 2
+and the place m // 2 in that half. All four neighbours of a column have the other
+colour and lie at constant offsets, so that kernels run over whole planes. Rows
+j = -1 and j = n_theta are copies that close the circle; for even n_z the last slice
+(always grounded) shares its place with slice 0 of the next row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.multigrid.kernels import Single
+
+#: A level with at most this many free nodes is solved directly.
+DIRECT_NODES = 100
+#: A direction is coarsened while its step is at most so many times that of θ and z.
+STEP_RATIO = 1.6
+#: Conductance of a tie over that of its link: none moves in single precision [–]
+STIFFNESS = 1e7
+#: Values per row of a half are rounded up to whole vector registers.
+LANES = 16
+
+R, THETA, Z = 0, 1, 2
+
+
+class Box(Protocol):
+    """What the levels need to know of a cylindrical grid, or of a part of one."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Counts (n_r, n_theta, n_z) [–]."""
+
+    @property
+    def r(self) -> Array:
+        """Radii of the layers, shape (n_r,) [m]."""
+
+    @property
+    def r_step(self) -> float:
+        """Radial step [m]."""
+
+    @property
+    def theta_step(self) -> float:
+        """Angular step [rad]."""
+
+    @property
+    def z_step(self) -> float:
+        """Step along the axis [m]."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where the nodes of a level are stored.
+
+    Attributes:
+        shape: Nodes (n_r, n_theta, n_z) [–].
+        pitch: Distance between rows in the plane index, odd [–].
+        width: Places per layer in each half [–].
+    """
+
+    shape: tuple[int, int, int]
+    pitch: int
+    width: int
+
+    @classmethod
+    def of(cls, shape: tuple[int, int, int]) -> Layout:
+        """Layout of a box of nodes."""
+        n_r, n_theta, n_z = (int(n) for n in shape)
+        pitch = n_z if n_z % 2 else n_z - 1
+        places = ((n_theta + 2) * pitch + 2) // 2
+        return cls((n_r, n_theta, n_z), pitch, -(-places // LANES) * LANES)
+
+    @cached_property
+    def numbers(self) -> tuple[int, int, int]:
+        """What kernels need: (n_theta, n_z, pitch)."""
+        return self.shape[1], self.shape[2], self.pitch
+
+    def split(self, values: NDArray[np.float32]) -> Single:
+        """Values (n_r, n_theta, n_z) as two halves (2, n_r, width)."""
+        n_r, n_theta, n_z = self.shape
+        kept = min(n_z, self.pitch)
+        plane = np.zeros((n_r, 2 * self.width), dtype=values.dtype)
+        rows = plane[:, : (n_theta + 2) * self.pitch]
+        rows = rows.reshape(n_r, n_theta + 2, self.pitch)
+        rows[:, 1:-1, :kept] = values[:, :, :kept]
+        rows[:, 0], rows[:, -1] = rows[:, -2], rows[:, 1]
+        halves = plane.reshape(n_r, self.width, 2).transpose(2, 0, 1)
+        return np.ascontiguousarray(halves)
+
+    def places(self, nodes: tuple[NDArray[np.int64], ...]) -> NDArray[np.int64]:
+        """Flat places of nodes (i, j, k) in an array (2, n_r, width)."""
+        i, j, k = nodes
+        m = (j + 1) * self.pitch + k
+        return ((m % 2) * self.shape[0] + i) * self.width + m // 2
+
+
+@dataclass(frozen=True)
+class Network:
+    """Conductances of a level; zero wherever a node is fixed.
+
+    Attributes:
+        free: Nodes that are unknown, shape (n_r, n_theta, n_z).
+        links: Per direction the conductance to the next node, same shape [m].
+        grounds: Per direction the conductance to fixed neighbours, same shape [m].
+        positions: Per direction the nodes' places, in steps of the finest grid [–].
+        turn: Length of a full turn in θ, in steps of the finest grid [–].
+    """
+
+    free: NDArray[np.bool_]
+    links: tuple[Single, ...]
+    grounds: tuple[Single, ...]
+    positions: tuple[Array, ...]
+    turn: int
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Nodes (n_r, n_theta, n_z) [–]."""
+        return self.free.shape
+
+    @property
+    def n_free(self) -> int:
+        """Number of unknowns [–]."""
+        return int(np.count_nonzero(self.free))
+
+    @property
+    def aside(self) -> Single:
+        """The diagonal of the operator without links along r, same shape [m]."""
+        total = np.zeros(self.free.shape, dtype=np.float32)
+        for axis in (THETA, Z):
+            total += self.links[axis]
+            total += np.roll(self.links[axis], 1, axis)
+        for ground in self.grounds:
+            total += ground
+        return total
+
+    def tied(self, ties: NDArray[np.bool_]) -> Network:
+        """The same with nodes that are tied to the next layer, same shape."""
+        along, *across = self.links
+        stiff = np.where(ties, along * np.float32(STIFFNESS), along)
+        return replace(self, links=(stiff, *across))
+
+    def weights(self, axis: int) -> tuple[Single, Single]:
+        """Weights of the node before and the node after, if a node is dropped."""
+        after = self.links[axis]
+        before = np.roll(after, 1, axis)
+        total = after + before + self.grounds[axis]
+        total[total == 0] = 1.0
+        return before / total, after / total
+
+    def matrix(self) -> Array:
+        """The operator on the free nodes, dense (n_free, n_free) [m]."""
+        nodes = np.nonzero(self.free)
+        number = np.full(self.shape, -1)
+        number[nodes] = np.arange(self.n_free)
+        # in double precision, where stiff links leave the others their digits
+        diagonal = self.aside.astype(float)
+        diagonal += self.links[R].astype(float) + np.roll(self.links[R], 1, R)
+        A = np.diag(diagonal[nodes])
+        for axis in (R, THETA, Z):
+            link = self.links[axis][nodes]
+            here = np.flatnonzero(link)
+            there = np.roll(number, -1, axis)[nodes][here]
+            np.subtract.at(A, (here, there), link[here])
+            np.subtract.at(A, (there, here), link[here])
+        return A
+
+    def cells(self, axis: int) -> Array:
+        """Width of every node's cell along one direction [–]."""
+        places = self.positions[axis]
+        if axis == THETA:
+            ends = (places[-1] - self.turn, places[0] + self.turn)
+        else:
+            ends = (2 * places[0] - places[1], 2 * places[-1] - places[-2])
+        around = np.concatenate([[ends[0]], places, [ends[1]]])
+        width: Array = (around[2:] - around[:-2]) / 2.0
+        return width
+
+
+def conductances(grid: Box) -> tuple[Array, Array, Array]:
+    """Conductances of the grid: A is r times the stencil of the free voxels.
+
+    Args:
+        grid: The grid.
+
+    Returns:
+        To the next layer, spoke and slice, shape (n_r,) each [m].
+    """
+    return (
+        grid.r + grid.r_step / 2.0,
+        grid.r_step**2 / (grid.r * grid.theta_step**2),
+        grid.r * (grid.r_step / grid.z_step) ** 2,
+    )
+
+
+def finest(grid: Box, free: NDArray[np.bool_]) -> Network:
+    """The network of the grid itself.
+
+    Args:
+        grid: The grid.
+        free: Unknown voxels, shape ``grid.shape``.
+
+    Returns:
+        Its network; a link is never cut between two free voxels.
+    """
+    links, grounds = [], []
+    for axis, value in enumerate(conductances(grid)):
+        after = value.astype(np.float32)[:, None, None]
+        before = np.roll(after, 1, 0) if axis == R else after
+        joined = free & np.roll(free, -1, axis)
+        links.append(joined * after)
+        grounds.append((free & ~joined) * after)
+        grounds[axis] += (free & ~np.roll(joined, 1, axis)) * before
+    positions = tuple(np.arange(n, dtype=float) for n in free.shape)
+    return Network(free, tuple(links), tuple(grounds), positions, free.shape[THETA])
+
+
+def coarsen(network: Network, axis: int) -> Network:
+    """Drop every second node along one axis, eliminated from its own line.
+
+    Args:
+        network: The finer network.
+        axis: `R`, `THETA` or `Z`.
+
+    Returns:
+        The network of nodes 0, 2, 4, … and, unless the axis is θ, the last one.
+    """
+    n = network.free.shape[axis]
+    circle = axis == THETA
+    kept = np.arange(0, n, 2)
+    if not circle and n % 2 == 0:
+        kept = np.append(kept, n - 1)
+    # nodes 1, 3, 5, … with a kept node on both sides
+    mid = np.arange(1, n if circle and n % 2 == 0 else n - 1, 2)
+    left, right = mid // 2, (mid // 2 + 1) % len(kept)
+
+    link = np.moveaxis(network.links[axis], axis, 0)
+    ground = np.moveaxis(network.grounds[axis], axis, 0)
+    new_link, new_ground = link[kept], ground[kept]
+    a, b, g = link[mid - 1], link[mid], ground[mid]
+    total = a + b + g
+    total[total == 0] = 1.0
+    new_link[left] = a * b / total
+    new_ground[left] += a * g / total
+    new_ground[right] += b * g / total
+
+    positions = list(network.positions)
+    positions[axis] = positions[axis][kept]
+    coarse = replace(network, positions=tuple(positions))
+    growth = (coarse.cells(axis) / network.cells(axis)[kept]).astype(np.float32)
+    growth = np.expand_dims(growth, tuple(a for a in (R, THETA, Z) if a != axis))
+    links = [np.take(v, kept, axis) * growth for v in network.links]
+    grounds = [np.take(v, kept, axis) * growth for v in network.grounds]
+    links[axis] = np.ascontiguousarray(np.moveaxis(new_link, 0, axis))
+    grounds[axis] = np.ascontiguousarray(np.moveaxis(new_ground, 0, axis))
+    free = np.take(network.free, kept, axis)
+    return replace(coarse, free=free, links=tuple(links), grounds=tuple(grounds))
+
+
+def plan(grid: Box) -> Iterator[tuple[bool, bool, bool]]:
+    """Which directions each step of coarsening takes, as long as any is left.
+
+    Args:
+        grid: The finest grid.
+
+    Yields:
+        Whether to coarsen r, θ and z.
+    """
+    counts = list(grid.shape)
+    # θ counts at the geometric mean radius: its step varies with r, the others' not
+    radius = float(np.sqrt(grid.r[0] * grid.r[-1]))
+    steps = np.array([grid.r_step, radius * grid.theta_step, grid.z_step])
+    while True:
+        able = np.array([counts[R] > 3, counts[THETA] > 5, counts[Z] > 3])
+        if not able.any():
+            return
+        across = np.where(able, steps, np.inf)[THETA:].min()
+        limit = STEP_RATIO * (across if np.isfinite(across) else steps[R])
+        chosen = able & (steps <= limit)
+        yield bool(chosen[R]), bool(chosen[THETA]), bool(chosen[Z])
+        for axis in np.flatnonzero(chosen):
+            n = counts[axis]
+            counts[axis] = (n + 1) // 2 if axis == THETA else n // 2 + 1
+            steps[axis] *= 2.0

@@ -1,0 +1,152 @@
+"""A box of the grid: as much of it as a rough solve near some voxels needs.
+
+Contact lies under a small part of the skin, and what a load there does fades within
+a few times its own extent. A V-cycle of the box alone, with zero around it, is as
+good a preconditioner there as one of the whole grid, and costs the box's share.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Mask
+from ttus_opt.voxmap.grid import CylindricalGrid
+
+Value = TypeVar("Value", bound=np.generic)
+Index = NDArray[np.integer]
+
+#: How far a box goes beyond its voxels, over their smaller width on the skin [–],
+#: and in voxels at least
+REACH, MARGIN = 0.5, 4
+#: Spokes of a box are a multiple: an odd number on some level spoils the chessboard
+SPOKES = 8
+#: A box with this share of the grid or more is taken to be the whole [–]
+LARGE = 0.7
+
+
+@dataclass(frozen=True)
+class Window:
+    """Layers, spokes and slices of a grid; the spokes may pass θ = 0.
+
+    Attributes:
+        grid: The grid.
+        first: Its first layer, spoke and slice [–].
+        shape: Counts (n_r, n_theta, n_z) [–].
+    """
+
+    grid: CylindricalGrid
+    first: tuple[int, int, int]
+    shape: tuple[int, int, int]
+
+    @classmethod
+    def around(cls, grid: CylindricalGrid, voxels: Index | None) -> Window:
+        """A box around voxels with a margin, or the whole grid if that is hardly more.
+
+        Args:
+            grid: The grid.
+            voxels: Flat indices, shape (k,); None for all of the grid.
+        """
+        whole = cls(grid, (0, 0, 0), grid.shape)
+        if voxels is None or not len(voxels):
+            return whole
+        layers, spokes, slices = np.unravel_index(voxels, grid.shape)
+        start, arc = _arc(spokes, grid.shape[1])
+        steps = np.array(
+            [grid.r_step, grid.theta_step * grid.r[layers].mean(), grid.z_step]
+        )
+        reach = REACH * min(arc * steps[1], (np.ptp(slices) + 1) * steps[2])
+        margins = [max(math.ceil(reach / step), MARGIN) for step in steps]
+        r, width_r = _stretch(layers, grid.shape[0], margins[0])
+        z, width_z = _stretch(slices, grid.shape[2], margins[2])
+        start -= margins[1]
+        # one spoke more stays fixed and parts the circle
+        width = -(-(arc + 2 * margins[1] + 1) // SPOKES) * SPOKES
+        if width >= grid.shape[1]:
+            start, width = 0, grid.shape[1]
+        if width_r * width * width_z >= LARGE * grid.n_voxels:
+            return whole
+        return cls(grid, (r, start % grid.shape[1], z), (width_r, width, width_z))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is the grid itself."""
+        return self.shape == self.grid.shape
+
+    @property
+    def r(self) -> NDArray[np.float64]:
+        """Radii of its layers, shape (n_r,) [m]."""
+        return self.grid.r[self.first[0] : self.first[0] + self.shape[0]]
+
+    @property
+    def r_step(self) -> float:
+        """Radial step [m]."""
+        return self.grid.r_step
+
+    @property
+    def theta_step(self) -> float:
+        """Angular step [rad]."""
+        return self.grid.theta_step
+
+    @property
+    def z_step(self) -> float:
+        """Step along the axis [m]."""
+        return self.grid.z_step
+
+    def cut(self, values: NDArray[Value]) -> NDArray[Value]:
+        """Values of the grid, (n_r, n_theta, n_z), inside the window."""
+        (i, j, k), (n_r, n_theta, n_z) = self.first, self.shape
+        spokes = (j + np.arange(n_theta)) % self.grid.shape[1]
+        part = values[i : i + n_r, :, k : k + n_z]
+        return np.ascontiguousarray(part[:, spokes])
+
+    def free(self, free: Mask) -> Mask:
+        """Unknown voxels inside, with all fixed around it, of those of the grid."""
+        inside = self.cut(free)
+        inside[[0, -1]] = False
+        inside[:, :, [0, -1]] = False
+        if self.shape[1] < self.grid.shape[1]:
+            inside[:, -1] = False
+        return inside
+
+    def spread(self, inside: Mask) -> Mask:
+        """Voxels of the grid, shape (V,), that are marked inside."""
+        nodes = np.nonzero(inside)
+        turned = (nodes[1] + self.first[1]) % self.grid.shape[1]
+        marked = np.zeros(self.grid.shape, dtype=np.bool_)
+        marked[nodes[0] + self.first[0], turned, nodes[2] + self.first[2]] = True
+        return self.grid.flatten(marked)
+
+    def nodes(self, voxels: Index) -> tuple[NDArray[np.int64], ...]:
+        """Layer, spoke and slice within the window of voxels that lie in it.
+
+        Args:
+            voxels: Flat indices on the grid, shape (k,).
+
+        Returns:
+            Three arrays (k,); out of range for voxels outside.
+        """
+        i, j, k = np.unravel_index(voxels, self.grid.shape)
+        return (
+            i - self.first[0],
+            (j - self.first[1]) % self.grid.shape[1],
+            k - self.first[2],
+        )
+
+
+def _stretch(places: Index, count: int, margin: int) -> tuple[int, int]:
+    """First place and number of places of a stretch around some, with its margin."""
+    low = max(int(places.min()) - margin, 0)
+    return low, min(int(places.max()) + margin + 1, count) - low
+
+
+def _arc(spokes: Index, count: int) -> tuple[int, int]:
+    """First spoke and number of spokes of the shortest arc over some, no margin."""
+    taken = np.unique(spokes)
+    gaps = np.diff(taken, append=taken[0] + count)
+    widest = int(gaps.argmax())
+    return int(taken[(widest + 1) % len(taken)]), count - int(gaps[widest]) + 1

@@ -1,0 +1,205 @@
+"""Points spread evenly over a surface, each with its share of the area.
+
+Three steps on a dense cloud of surface samples: farthest-point selection, a few
+rounds of Lloyd's relaxation (every point moves to the sample nearest the middle of
+its cell), and the cells' areas and mean normals. Samples whose normals differ by
+more than a right angle do not see each other, so the two sides of a thin wall are
+sampled one by one, and a cell never reaches round a sharp edge.
+
+Reference: Lloyd, Least squares quantization in PCM (1982), on a surface.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.compiled import compiled
+from ttus_opt.errors import InputError
+from ttus_opt.probe.mesh import TriangleMesh
+
+#: Samples per point: for choosing the points, and for their areas.
+COARSE, FINE = 16, 64
+
+#: Rounds of relaxation; on an ellipsoid more than 4 change nothing.
+ROUNDS = 4
+
+#: Cosine below which two normals belong to different sheets: when points keep
+#: their distance, and when a cell takes a sample (60°).
+SAME_SHEET, SAME_CELL = -0.2, 0.5
+
+#: With fewer points than this only the total area is kept (7 moments would be
+#: more than a handful of areas can carry).
+LEAST_FOR_MOMENTS = 50
+
+
+@dataclass(frozen=True)
+class SurfaceSamples:
+    """Points of a surface with normals and areas, dense or even.
+
+    Attributes:
+        points: Shape (n, 3) [m].
+        normals: Unit, outward, shape (n, 3) [–].
+        areas: Share of the surface, shape (n,) [m²].
+    """
+
+    points: Array
+    normals: Array
+    areas: Array
+
+
+def dense_samples(
+    mesh: TriangleMesh, n_samples: int, rng: np.random.Generator
+) -> SurfaceSamples:
+    """Random samples of a mesh, stratified by area, in random order.
+
+    Args:
+        mesh: Wound outwards.
+        n_samples: How many.
+        rng: Where they come from.
+
+    Returns:
+        The samples, each with the same area.
+    """
+    # systematic sampling along the running area: a face never has more than one
+    # sample too many or too few
+    at = (np.arange(n_samples) + rng.random(n_samples)) / n_samples
+    running = np.cumsum(mesh.areas)
+    face = np.searchsorted(running, at * running[-1]).clip(max=len(running) - 1)
+    root, v = np.sqrt(rng.random(n_samples)), rng.random(n_samples)
+    weights = np.stack([1.0 - root, root * (1.0 - v), root * v], axis=1)
+    shuffle = rng.permutation(n_samples)
+    normals = mesh.vector_areas / mesh.areas[:, None]
+    return SurfaceSamples(
+        np.einsum("nc,ncd->nd", weights, mesh.corners[face])[shuffle],
+        normals[face[shuffle]],
+        np.full(n_samples, running[-1] / n_samples),
+    )
+
+
+def spread_evenly(samples: SurfaceSamples, n_points: int) -> SurfaceSamples:
+    """Choose evenly spread points among dense samples.
+
+    Args:
+        samples: `FINE` · n_points of them or more, in random order.
+        n_points: How many points.
+
+    Returns:
+        Points (samples themselves), the mean outward normals and the areas of their
+        cells; the areas add up to the samples' area.
+
+    Raises:
+        InputError: Fewer than 4 points, or more points than samples.
+    """
+    if not 4 <= n_points <= len(samples.points):
+        raise InputError(
+            f"n_points must be between 4 and {len(samples.points)}, got {n_points}"
+        )
+    n_coarse = min(len(samples.points), max(COARSE * n_points, 2000))
+    points = np.ascontiguousarray(samples.points[:n_coarse])
+    normals = np.ascontiguousarray(samples.normals[:n_coarse])
+    areas = samples.areas[:n_coarse]
+    chosen = _farthest(points, normals, n_points)
+    for _ in range(ROUNDS):
+        cell = _cells(points, normals, points[chosen], normals[chosen])
+        middle = _sums(cell, points * areas[:, None], n_points)
+        middle /= np.bincount(cell, weights=areas, minlength=n_points)[:, None]
+        away = ((points - middle[cell]) ** 2).sum(axis=1)
+        # the first sample of each cell when sorted by cell, then by distance
+        order = np.lexsort((away, cell))
+        chosen = order[np.searchsorted(cell[order], np.arange(n_points))]
+    cell = _cells(samples.points, samples.normals, points[chosen], normals[chosen])
+    shares = np.bincount(cell, weights=samples.areas, minlength=n_points).astype(float)
+    mean = _sums(cell, samples.normals * samples.areas[:, None], n_points)
+    mean /= np.linalg.norm(mean, axis=1, keepdims=True)
+    return SurfaceSamples(points[chosen], mean, shares)
+
+
+def match_moments(
+    even: SurfaceSamples, area: float, vector_area: Array, first_moment: Array
+) -> SurfaceSamples:
+    """Correct the areas, least in the mean square, so that the sums are exact.
+
+    Σ a = area, Σ a n̂ = vector area (zero for a closed surface: no net force under
+    constant pressure) and Σ a x = first moment (the centroid). Below
+    `LEAST_FOR_MOMENTS` points, or where an area would have to change by more than
+    four fifths, only the total area is kept.
+
+    Args:
+        even: The points.
+        area: Area of the surface [m²].
+        vector_area: ∫ n̂ dA, shape (3,) [m²].
+        first_moment: ∫ x dA, shape (3,) [m³].
+
+    Returns:
+        The same points and normals with corrected areas.
+    """
+    scaled = even.areas * (area / even.areas.sum())
+    if len(scaled) >= LEAST_FOR_MOMENTS:
+        centre = first_moment / area
+        size = np.abs(even.points - centre).max()
+        rows = np.vstack(
+            [np.ones(len(scaled)), even.normals.T, (even.points - centre).T / size]
+        )
+        target = np.concatenate([[area], vector_area, np.zeros(3)])
+        # a (1 + u), Σ a u² least: u = rowsᵀ y
+        y = np.linalg.lstsq((rows * scaled) @ rows.T, target - rows @ scaled)[0]
+        change = 1.0 + rows.T @ y
+        if np.abs(change - 1.0).max() < 0.8:
+            scaled = scaled * change
+    return SurfaceSamples(even.points, even.normals, scaled)
+
+
+def _sums(cell: IntArray, values: Array, n_points: int) -> Array:
+    """Sums of vectors (n, 3) by cell, shape (n_points, 3)."""
+    columns = [np.bincount(cell, weights=v, minlength=n_points) for v in values.T]
+    return np.stack(columns, axis=1)
+
+
+@compiled()
+def _farthest(points: Array, normals: Array, n_points: int) -> IntArray:
+    """Farthest-point selection, a new point never suppressing another sheet."""
+    n = len(points)
+    distance = np.full(n, np.inf)
+    chosen = np.empty(n_points, np.int64)
+    current = 0
+    for i in range(n_points):
+        chosen[i] = current
+        x, y, z = points[current, 0], points[current, 1], points[current, 2]
+        a, b, c = normals[current, 0], normals[current, 1], normals[current, 2]
+        distance[current] = -1.0
+        farthest = -1.0
+        for m in range(n):
+            d = (
+                (points[m, 0] - x) ** 2
+                + (points[m, 1] - y) ** 2
+                + (points[m, 2] - z) ** 2
+            )
+            if d < distance[m]:
+                cosine = normals[m, 0] * a + normals[m, 1] * b + normals[m, 2] * c
+                if cosine > SAME_SHEET:
+                    distance[m] = d
+            if distance[m] > farthest:
+                farthest = distance[m]
+                current = m
+    return chosen
+
+
+def _cells(
+    points: Array, normals: Array, seeds: Array, seed_normals: Array
+) -> IntArray:
+    """Number of the nearest seed on a sample's own side, shape (n,) [–].
+
+    Among the 12 nearest seeds, the first whose normal is within 60°; when there is
+    none (a detail smaller than the spacing), the one that faces most alike.
+    """
+    from scipy.spatial import KDTree
+
+    k = min(12, len(seeds))
+    near = np.asarray(KDTree(seeds).query(points, k=k)[1])
+    cosine = np.einsum("nd,nkd->nk", normals, seed_normals[near])
+    alike = cosine > SAME_CELL
+    pick = np.where(alike.any(axis=1), alike.argmax(axis=1), cosine.argmax(axis=1))
+    return np.asarray(near[np.arange(len(points)), pick], dtype=np.int64)

@@ -1,0 +1,214 @@
+"""Triangle meshes: read from a file into metres, welded and without dead faces.
+
+Only what the point shell needs. Files are parsed by trimesh; everything after is
+done here, so that nothing is repaired behind the user's back.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt import io
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.errors import FileError, GeometryError, InputError
+
+#: Metres per file unit.
+METRES = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 25.4e-3}
+
+SUFFIXES = (".stl", ".ply", ".obj")
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """Triangles on shared vertices, every one with an area.
+
+    Attributes:
+        vertices: Shape (n, 3) [m].
+        faces: Vertex indices; the winding may be anything, shape (k, 3) [–].
+    """
+
+    vertices: Array
+    faces: IntArray
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a mesh.
+
+        Raises:
+            InputError: Wrong shapes, indices out of range, or coordinates that are
+                not finite.
+            GeometryError: No faces, or no area.
+        """
+        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3:
+            raise InputError(
+                f"vertices must be (n, 3) [m], got {self.vertices.shape}: transposed?"
+            )
+        if self.faces.ndim != 2 or self.faces.shape[1] != 3:
+            raise InputError(f"faces must be (k, 3) indices, got {self.faces.shape}")
+        if len(self.faces) == 0:
+            raise GeometryError("the mesh has no faces: export the probe as triangles")
+        if self.faces.min() < 0 or self.faces.max() >= len(self.vertices):
+            raise InputError(
+                f"faces index vertices {self.faces.min()} to {self.faces.max()}, but "
+                f"there are {len(self.vertices)}: a damaged mesh?"
+            )
+        bad = np.asarray(~np.isfinite(self.vertices).all(axis=1))
+        if bad.any():
+            raise InputError(
+                f"{int(bad.sum())} of {len(bad)} mesh vertices are not finite, the "
+                f"first is number {int(bad.argmax())}: export the mesh again"
+            )
+        if not self.area > 1e-12 * max(self.extent, 1e-300) ** 2:
+            raise GeometryError(
+                f"the probe has zero area ({len(self.faces)} faces, all degenerate): "
+                "export the mesh again"
+            )
+
+    @cached_property
+    def corners(self) -> Array:
+        """Corner points of every face, shape (k, 3 corners, 3) [m]."""
+        return self.vertices[self.faces]
+
+    @cached_property
+    def vector_areas(self) -> Array:
+        """Area times unit normal by the faces' own winding, shape (k, 3) [m²]."""
+        c = self.corners
+        return np.asarray(0.5 * np.cross(c[:, 1] - c[:, 0], c[:, 2] - c[:, 0]))
+
+    @cached_property
+    def areas(self) -> Array:
+        """Area of every face, shape (k,) [m²]."""
+        return np.asarray(np.linalg.norm(self.vector_areas, axis=1))
+
+    @property
+    def area(self) -> float:
+        """Area of all faces together [m²]."""
+        return float(self.areas.sum())
+
+    @property
+    def extent(self) -> float:
+        """Longest edge of the bounding box of all vertices [m]."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+    def cleaned(self) -> TriangleMesh:
+        """The same surface welded, without dead faces and stray vertices.
+
+        Equal vertices become one (STL repeats them per face), and a face that
+        occurs twice is kept once, whatever its winding.
+
+        Raises:
+            GeometryError: Nothing is left.
+        """
+        unique, index = np.unique(self.vertices, axis=0, return_inverse=True)
+        faces = index.reshape(-1)[self.faces]
+        _, first = np.unique(np.sort(faces, axis=1), axis=0, return_index=True)
+        faces = faces[np.sort(first)]
+        welded = TriangleMesh(unique, faces)
+        alive = welded.areas > 1e-14 * welded.extent**2
+        used, index = np.unique(faces[alive], return_inverse=True)
+        return TriangleMesh(unique[used], index.reshape(-1, 3).astype(np.int64))
+
+    def subset(self, keep: NDArray[np.bool_]) -> TriangleMesh:
+        """The mesh of the faces where ``keep`` (k,) is true, in the same order."""
+        return TriangleMesh(self.vertices, self.faces[keep])
+
+    def flipped(self, flip: NDArray[np.bool_]) -> TriangleMesh:
+        """The mesh with the winding turned where ``flip`` (k,) is true."""
+        return TriangleMesh(
+            self.vertices, np.where(flip[:, None], self.faces[:, ::-1], self.faces)
+        )
+
+    def convex_hull(self) -> TriangleMesh:
+        """The convex hull of all vertices, wound outwards.
+
+        Raises:
+            GeometryError: The vertices lie in a plane.
+        """
+        from scipy.spatial import ConvexHull, QhullError
+
+        try:
+            hull = ConvexHull(self.vertices)
+        except QhullError as error:
+            raise GeometryError(
+                "the mesh is flat and has no convex hull: use surface='all'"
+            ) from error
+        mesh = TriangleMesh(self.vertices, hull.simplices.astype(np.int64))
+        outward = hull.equations[:, :3]
+        return mesh.flipped((mesh.vector_areas * outward).sum(axis=1) < 0)
+
+
+def metres_per(unit: str) -> float:
+    """Metres per unit of length.
+
+    Raises:
+        InputError: The unit is not known.
+    """
+    if unit not in METRES:
+        raise InputError(f"unit must be one of {', '.join(METRES)}, got {unit!r}")
+    return METRES[unit]
+
+
+def require_plausible_extent(extent: float, given: str) -> None:
+    """Refuse a probe that is larger than 1 m or smaller than 1 mm.
+
+    Args:
+        extent: Longest edge of its bounding box [m].
+        given: Where the size comes from, for the message ("probe.stl in unit 'm'").
+
+    Raises:
+        GeometryError: The size is not that of a probe.
+    """
+    if extent > 1.0:
+        raise GeometryError(
+            f"{given} is {extent:.4g} m long, expected a probe of 1 mm to 1 m: are "
+            "these millimetres? pass unit='mm' (primitives are in metres)"
+        )
+    if extent < 1e-3:
+        raise GeometryError(
+            f"{given} is {extent:.4g} m long, expected a probe of 1 mm to 1 m: are "
+            "these metres already? pass unit='m'"
+        )
+
+
+def read_mesh(path: str | os.PathLike[str], *, unit: str = "mm") -> TriangleMesh:
+    """Read a probe mesh.
+
+    Args:
+        path: STL (binary or text), PLY or OBJ.
+        unit: Unit of length of the file, one of m, cm, mm, in; meshes carry none.
+
+    Returns:
+        The mesh in metres, in the file's own frame, cleaned.
+
+    Raises:
+        FileError: Missing, empty, not readable, or of another format.
+        InputError: An unknown unit, or coordinates that are not finite.
+        GeometryError: No faces, no area, or not the size of a probe.
+    """
+    scale = metres_per(unit)
+    file = io.existing_file(path, "probe mesh")
+    if file.suffix.lower() not in SUFFIXES:
+        raise FileError(
+            f"probe mesh {file} is not one of {', '.join(SUFFIXES)}: export it as STL"
+        )
+    import trimesh
+
+    try:
+        loaded = trimesh.load_mesh(file, process=False)
+        vertices = np.asarray(loaded.vertices, dtype=float)
+        faces = np.asarray(loaded.faces, dtype=np.int64)
+    except Exception as error:  # parsers raise whatever the damage leads to
+        raise FileError(
+            f"probe mesh {file} cannot be read ({type(error).__name__}): truncated, or "
+            f"not a triangle mesh in {file.suffix[1:].upper()} format?"
+        ) from error
+    try:
+        mesh = TriangleMesh(vertices * scale, faces.reshape(-1, 3)).cleaned()
+    except InputError as error:
+        raise type(error)(f"{file}: {error}") from error
+    require_plausible_extent(mesh.extent, f"{file} in unit '{unit}'")
+    return mesh

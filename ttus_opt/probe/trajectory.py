@@ -1,0 +1,304 @@
+"""Probe poses over time, with the measured wrenches where there are any.
+
+Pose: probe-to-patient rotation and position. Wrench: force ON the probe and torque
+about the point shell's reference point, both in patient axes. The file is a CSV
+with the header ``t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt import io
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.probe.trajectory_csv import (
+    FORCE,
+    POSITION,
+    QUATERNION,
+    SEGMENT,
+    TIME,
+    TORQUE,
+    read_trajectory_columns,
+)
+
+_ROTATION_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses and wrenches at T times.
+
+    Attributes:
+        time: Increasing within a segment, shape (T,) [s].
+        position: Of the probe frame in the patient frame, shape (T, 3) [m].
+        rotation: Probe to patient, shape (T, 3, 3) [–].
+        force: On the probe, patient axes, shape (T, 3) [N]; None when not measured.
+        torque: About the shell's reference, patient axes, shape (T, 3) [N·m]; None
+            when not measured.
+        segment: Which recording a frame is from; frames of a recording stand
+            together, and nothing is differenced across recordings; shape (T,) [–].
+            One recording when not given.
+    """
+
+    time: Array
+    position: Array = field(repr=False)
+    rotation: Array = field(repr=False)
+    force: Array | None = field(default=None, repr=False)
+    torque: Array | None = field(default=None, repr=False)
+    segment: IntArray = field(
+        default_factory=lambda: np.zeros(0, dtype=np.int64), repr=False
+    )
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a trajectory.
+
+        Raises:
+            InputError: No frames, shapes that disagree, values that are not finite,
+                times that do not increase, matrices that are not rotations, or only
+                half a wrench.
+        """
+        n = len(self.time)
+        if n == 0:
+            raise InputError("a trajectory needs at least one frame, got none")
+        if len(self.segment) == 0:
+            object.__setattr__(self, "segment", np.zeros(n, dtype=np.int64))
+        if (self.force is None) != (self.torque is None):
+            raise InputError(
+                "a wrench needs force (T, 3) [N] and torque (T, 3) [N·m], got only "
+                f"{'torque' if self.force is None else 'force'}: give both or none"
+            )
+        self._require_shapes(n)
+        self._require_rotations()
+        step = np.diff(self.time)
+        late = np.flatnonzero((step <= 0) & (np.diff(self.segment) == 0))
+        if len(late):
+            i = int(late[0])
+            raise InputError(
+                f"time must increase within a segment [s], got {self.time[i]:.6g} then "
+                f"{self.time[i + 1]:.6g} at frame {i + 1}: sort by time and drop "
+                "duplicates"
+            )
+        runs = 1 + np.count_nonzero(np.diff(self.segment))
+        if runs != len(np.unique(self.segment)):
+            raise InputError(
+                "frames of a segment must stand together: sort the frames by segment, "
+                "then by time"
+            )
+
+    def _require_shapes(self, n: int) -> None:
+        shapes: dict[str, tuple[int, ...]] = {
+            "time": (n,),
+            "position": (n, 3),
+            "rotation": (n, 3, 3),
+            "force": (n, 3),
+            "torque": (n, 3),
+            "segment": (n,),
+        }
+        for name, shape in shapes.items():
+            value = getattr(self, name)
+            if value is None:
+                continue
+            if value.shape != shape:
+                raise InputError(
+                    f"trajectory {name} must have shape {shape}, got {value.shape}"
+                )
+            bad = ~np.isfinite(value).reshape(n, -1).all(axis=1)
+            if bad.any():
+                raise InputError(
+                    f"trajectory {name} is not finite in {int(bad.sum())} of {n} "
+                    f"frames, the first is {int(bad.argmax())}: drop those frames"
+                )
+
+    def _require_rotations(self) -> None:
+        product = self.rotation @ self.rotation.transpose(0, 2, 1)
+        error = np.abs(product - np.eye(3)).max(axis=(1, 2))
+        bad = (error > _ROTATION_TOLERANCE) | (np.linalg.det(self.rotation) < 0)
+        if bad.any():
+            raise InputError(
+                f"frame {int(bad.argmax())}: not a rotation matrix (orthonormal, "
+                "determinant +1): normalise the rotations"
+            )
+
+    def __len__(self) -> int:
+        """Number of frames T [–]."""
+        return len(self.time)
+
+    @property
+    def has_wrench(self) -> bool:
+        """Whether forces and torques were measured."""
+        return self.force is not None
+
+    @property
+    def quat_wxyz(self) -> Array:
+        """Unit quaternions w, x, y, z with w ≥ 0, shape (T, 4) [–]."""
+        from scipy.spatial.transform import Rotation
+
+        return np.asarray(
+            Rotation.from_matrix(self.rotation).as_quat(
+                canonical=True, scalar_first=True
+            )
+        )
+
+    def velocity(self) -> Array:
+        """Linear velocity of the probe frame's origin, patient axes, (T, 3) [m/s].
+
+        Central differences in time, weighted for uneven steps, one-sided at the ends
+        of a segment; zero in a segment of one frame, whose motion is not known.
+        """
+        out = np.zeros_like(self.position)
+        for part in self._segments():
+            if part.stop - part.start > 1:
+                out[part] = np.gradient(self.position[part], self.time[part], axis=0)
+        return out
+
+    def angular_velocity(self) -> Array:
+        """Angular velocity of the probe, patient axes, shape (T, 3) [rad/s].
+
+        The constant rotation rate from the frame before to the frame after, one-sided
+        at the ends of a segment; zero in a segment of one frame.
+        """
+        from scipy.spatial.transform import Rotation
+
+        out = np.zeros_like(self.position)
+        for part in self._segments():
+            n = part.stop - part.start
+            if n < 2:
+                continue
+            before = part.start + np.maximum(np.arange(n) - 1, 0)
+            after = part.start + np.minimum(np.arange(n) + 1, n - 1)
+            turn = self.rotation[after] @ self.rotation[before].transpose(0, 2, 1)
+            span = self.time[after] - self.time[before]
+            out[part] = Rotation.from_matrix(turn).as_rotvec() / span[:, None]
+        return out
+
+    def twist(self) -> Array:
+        """Velocity, then angular velocity, as `Renderer.render` takes it, (T, 6)."""
+        return np.concatenate([self.velocity(), self.angular_velocity()], axis=1)
+
+    def _segments(self) -> list[slice]:
+        cuts = np.flatnonzero(np.diff(self.segment)) + 1
+        edges = [0, *cuts.tolist(), len(self)]
+        return [slice(a, b) for a, b in itertools.pairwise(edges)]
+
+    def select(self, frames: slice | NDArray[np.bool_] | IntArray) -> Trajectory:
+        """Some of the frames, in their order.
+
+        Velocities of the result are differences of the frames that are left.
+
+        Args:
+            frames: A slice, a mask (T,) or increasing indices.
+
+        Raises:
+            InputError: No frame is left, or a mask of another length.
+        """
+        if isinstance(frames, np.ndarray) and frames.dtype == np.bool_:
+            if frames.shape != (len(self),):
+                raise InputError(
+                    f"a mask of frames must have shape ({len(self)},), got "
+                    f"{frames.shape}"
+                )
+            if not frames.any():
+                raise InputError("the mask leaves no frame: select at least one")
+        return Trajectory(
+            self.time[frames],
+            self.position[frames],
+            self.rotation[frames],
+            None if self.force is None else self.force[frames],
+            None if self.torque is None else self.torque[frames],
+            self.segment[frames],
+        )
+
+    @classmethod
+    def concatenate(cls, parts: Sequence[Trajectory]) -> Trajectory:
+        """Several recordings as one; segments stay apart and are numbered from 0.
+
+        Raises:
+            InputError: Nothing given, or wrenches in some recordings only.
+        """
+        if not parts:
+            raise InputError("concatenate needs at least one trajectory, got none")
+        if len({p.has_wrench for p in parts}) > 1:
+            raise InputError(
+                "some of the trajectories have wrenches and some have none: leave out "
+                "those without"
+            )
+        numbers, first = [], 0
+        for part in parts:
+            _, own = np.unique(part.segment, return_inverse=True)
+            numbers.append(own.reshape(-1).astype(np.int64) + first)
+            first += int(own.max()) + 1
+        force = [p.force for p in parts if p.force is not None]
+        torque = [p.torque for p in parts if p.torque is not None]
+        return cls(
+            np.concatenate([p.time for p in parts]),
+            np.concatenate([p.position for p in parts]),
+            np.concatenate([p.rotation for p in parts]),
+            np.concatenate(force) if force else None,
+            np.concatenate(torque) if torque else None,
+            np.concatenate(numbers),
+        )
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the CSV, replacing ``path`` only when the writing succeeded.
+
+        Numbers are written in full, so that reading gives them back. A column
+        ``segment`` is added when there are several.
+
+        Raises:
+            FileError: The folder cannot be written to.
+        """
+        names = [*TIME, *POSITION, *QUATERNION]
+        columns = [self.time[:, None], self.position, self.quat_wxyz]
+        if self.force is not None and self.torque is not None:
+            names += [*FORCE, *TORQUE]
+            columns += [self.force, self.torque]
+        rows = [map(repr, row) for row in np.hstack(columns).tolist()]
+        lines = [",".join(row) for row in rows]
+        if len(self._segments()) > 1:
+            names.append(SEGMENT)
+            lines = [f"{a},{s}" for a, s in zip(lines, self.segment, strict=True)]
+        with io.replacing(path) as temporary:
+            temporary.write_text("\n".join([",".join(names), *lines, ""]))
+
+
+def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+    """Read a trajectory.
+
+    The header names the columns, in any order: ``t`` [s], ``px,py,pz`` [m],
+    ``qw,qx,qy,qz`` and, all six or none, ``fx,fy,fz`` [N] and ``tx,ty,tz`` [N·m]. An
+    integer column ``segment`` keeps several recordings apart; other columns are
+    ignored. Quaternions within 1 % of unit length are normalised.
+
+    Args:
+        path: The CSV file.
+
+    Returns:
+        The trajectory.
+
+    Raises:
+        FileError: Missing, empty or truncated file, a missing column, a cell that is
+            no finite number, times that do not increase, quaternions that are not
+            unit, or values in another unit. The message names the line.
+    """
+    from scipy.spatial.transform import Rotation
+
+    columns = read_trajectory_columns(path)
+    rotation = Rotation.from_quat(columns.quaternion, scalar_first=True).as_matrix()
+    try:
+        return Trajectory(
+            columns.time,
+            columns.position,
+            np.asarray(rotation),
+            columns.force,
+            columns.torque,
+            columns.segment,
+        )
+    except InputError as error:
+        raise FileError(f"trajectory {os.fspath(path)}: {error}") from error

@@ -1,0 +1,1 @@
+"""What is reported: errors, tables and pictures."""

@@ -1,0 +1,191 @@
+"""Errors of a field against measured wrenches (design §3, tables I-IV of the paper).
+
+Magnitude errors are means over all frames of |‖f‖ - ‖f̂‖|; direction errors are mean
+angles over the frames in contact, where a direction exists.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.haptic.field_wrench import wrenches_along
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.voxmap.field import PotentialField
+
+#: A frame is in contact above this measured force [N]
+FORCE_THRESHOLD = 0.5
+
+#: A torque has a direction above this measured torque (3 σ of a good sensor) [N·m]
+TORQUE_THRESHOLD = 0.01
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Summary of an evaluation; names carry the units.
+
+    Attributes:
+        force_magnitude_error_N: Mean |‖f‖ - ‖f̂‖|.
+        force_magnitude_rmse_N: Root mean square of the same.
+        force_vector_rmse_N: Root mean square of ‖f - f̂‖.
+        force_angle_error_deg: Mean angle over frames in contact; NaN without any.
+        torque_magnitude_error_Nm: Mean |‖τ‖ - ‖τ̂‖|.
+        torque_magnitude_rmse_Nm: Root mean square of the same.
+        torque_angle_error_deg: Mean angle over frames with a torque; NaN without any.
+        frames: T.
+        frames_in_contact: Frames with ‖f‖ above ``force_threshold_N``.
+        frames_with_torque: Of those, frames with ‖τ‖ above ``torque_threshold_Nm``.
+        force_threshold_N: The threshold used.
+        torque_threshold_Nm: The threshold used.
+    """
+
+    force_magnitude_error_N: float
+    force_magnitude_rmse_N: float
+    force_vector_rmse_N: float
+    force_angle_error_deg: float
+    torque_magnitude_error_Nm: float
+    torque_magnitude_rmse_Nm: float
+    torque_angle_error_deg: float
+    frames: int
+    frames_in_contact: int
+    frames_with_torque: int
+    force_threshold_N: float
+    torque_threshold_Nm: float
+
+    def as_dict(self) -> dict[str, float]:
+        """All figures by name, for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Measured and rendered wrenches of a trajectory.
+
+    Attributes:
+        errors: The summary.
+        time: Shape (T,) [s].
+        measured_force: Shape (T, 3) [N].
+        rendered_force: Shape (T, 3) [N].
+        measured_torque: Shape (T, 3) [N·m].
+        rendered_torque: Shape (T, 3) [N·m].
+        in_grid: False where the pose lies outside the grid, shape (T,).
+        beyond_inner: Points in contact beyond the field's inner layer, (T,) [–].
+    """
+
+    errors: Errors
+    time: Array = field(repr=False)
+    measured_force: Array = field(repr=False)
+    rendered_force: Array = field(repr=False)
+    measured_torque: Array = field(repr=False)
+    rendered_torque: Array = field(repr=False)
+    in_grid: NDArray[np.bool_] = field(repr=False)
+    beyond_inner: NDArray[np.int64] = field(repr=False)
+
+
+def evaluate(
+    potential: PotentialField,
+    shell: PointShell,
+    trajectory: Trajectory,
+    *,
+    force_threshold: float = FORCE_THRESHOLD,
+    torque_threshold: float = TORQUE_THRESHOLD,
+) -> Evaluation:
+    """Render a trajectory and compare with what was measured on it.
+
+    A field that was fitted with drag is rendered with it, from the motion: what is
+    judged is the wrench of `ttus_opt.haptic.field_wrench`, which a renderer gives too.
+
+    Args:
+        potential: The field.
+        shell: The probe.
+        trajectory: Poses with wrenches.
+        force_threshold: Least measured force of a frame in contact [N].
+        torque_threshold: Least measured torque with a direction [N·m].
+
+    Returns:
+        Errors and both series.
+
+    Raises:
+        InputError: The trajectory has no wrench.
+    """
+    if trajectory.force is None or trajectory.torque is None:
+        raise InputError(
+            "the trajectory has no wrench to compare with: add fx,fy,fz,tx,ty,tz"
+        )
+    rendered = wrenches_along(potential, shell, trajectory)
+    errors = _errors(
+        trajectory.force,
+        rendered.force,
+        trajectory.torque,
+        rendered.torque,
+        force_threshold,
+        torque_threshold,
+    )
+    return Evaluation(
+        errors,
+        trajectory.time,
+        trajectory.force,
+        rendered.force,
+        trajectory.torque,
+        rendered.torque,
+        rendered.in_grid,
+        rendered.beyond_inner,
+    )
+
+
+def angles(a: Array, b: Array) -> Array:
+    """Angles between vectors, 90° where one of them is zero.
+
+    Args:
+        a: Shape (T, 3).
+        b: Shape (T, 3).
+
+    Returns:
+        Shape (T,) [°].
+
+    >>> angles(np.array([[1.0, 0, 0]]), np.array([[1.0, 1, 0]])).round(3).item()
+    45.0
+    """
+    # atan2 of sine and cosine: exact for small angles, where arccos is not
+    sine = np.linalg.norm(np.cross(a, b), axis=1)
+    cosine = np.einsum("ti,ti->t", a, b)
+    turned = np.degrees(np.arctan2(sine, cosine))
+    return np.where((sine == 0.0) & (cosine == 0.0), 90.0, turned)
+
+
+def _errors(
+    force: Array,
+    force_hat: Array,
+    torque: Array,
+    torque_hat: Array,
+    force_threshold: float,
+    torque_threshold: float,
+) -> Errors:
+    size, size_torque = np.linalg.norm(force, axis=1), np.linalg.norm(torque, axis=1)
+    d_force = np.linalg.norm(force_hat, axis=1) - size
+    d_torque = np.linalg.norm(torque_hat, axis=1) - size_torque
+    touching = size > force_threshold
+    turning = touching & (size_torque > torque_threshold)
+    return Errors(
+        float(np.abs(d_force).mean()),
+        float(np.sqrt((d_force**2).mean())),
+        float(np.sqrt(((force - force_hat) ** 2).sum(axis=1).mean())),
+        _mean(angles(force, force_hat)[touching]),
+        float(np.abs(d_torque).mean()),
+        float(np.sqrt((d_torque**2).mean())),
+        _mean(angles(torque, torque_hat)[turning]),
+        len(force),
+        int(touching.sum()),
+        int(turning.sum()),
+        force_threshold,
+        torque_threshold,
+    )
+
+
+def _mean(values: Array) -> float:
+    return float(values.mean()) if len(values) else float("nan")

@@ -1,0 +1,107 @@
+"""Measured against rendered force over time: magnitude and components."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.report.metrics import Evaluation
+from ttus_opt.report.plots.canvas import AFTER, BEFORE, MEASURED, look, new_figure
+
+_LINES = (
+    {"color": BEFORE, "linestyle": (0, (4, 2)), "linewidth": 0.9},
+    {"color": AFTER, "linestyle": "-", "linewidth": 1.1},
+)
+
+
+def force_over_time(evaluations: Mapping[str, Evaluation], title: str = "") -> Figure:
+    """Force magnitude and components, measured and rendered.
+
+    Args:
+        evaluations: One or two renderings of the same trajectory by name; of two,
+            the first is drawn dashed.
+        title: Of the picture.
+
+    Returns:
+        The figure.
+
+    Raises:
+        InputError: None or more than two evaluations, or of different trajectories.
+    """
+    first = _checked(evaluations)
+    with look():
+        figure = new_figure(7.2, 6.0)
+        axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.5, 1, 1, 1))
+        draw_magnitude(axes[0], evaluations)
+        axes[0].set_title(title)
+        axes[0].legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+        for i, name in enumerate("xyz"):
+            _draw(
+                axes[i + 1],
+                first.time,
+                first.measured_force[:, i],
+                {label: e.rendered_force[:, i] for label, e in evaluations.items()},
+            )
+            axes[i + 1].set_ylabel(f"$f_{name}$ [N]")
+            axes[i + 1].axhline(0.0, color="0.85", linewidth=0.6, zorder=0)
+        axes[-1].set_xlabel("time [s]")
+        figure.align_ylabels(list(axes))
+    return figure
+
+
+def draw_magnitude(axes: Any, evaluations: Mapping[str, Evaluation]) -> None:
+    """Draw ‖f‖ measured and rendered into given axes."""
+    first = _checked(evaluations)
+    _draw(
+        axes,
+        first.time,
+        np.linalg.norm(first.measured_force, axis=1),
+        {
+            label: np.linalg.norm(e.rendered_force, axis=1)
+            for label, e in evaluations.items()
+        },
+    )
+    axes.set_ylabel("‖f‖ [N]")
+    axes.set_ylim(bottom=0.0)
+
+
+def _checked(evaluations: Mapping[str, Evaluation]) -> Evaluation:
+    if not 1 <= len(evaluations) <= 2:
+        raise InputError(f"give one or two evaluations, got {len(evaluations)}")
+    first, *rest = evaluations.values()
+    if any(not np.array_equal(e.time, first.time) for e in rest):
+        raise InputError("the evaluations are of different trajectories: draw each")
+    return first
+
+
+def _draw(
+    axes: Any, time: Array, measured: Array, rendered: Mapping[str, Array]
+) -> None:
+    clock, breaks = _clock(time)
+    # no line joins the end of a recording to the start of the next
+    axes.plot(
+        clock, _cut(measured, breaks), color=MEASURED, linewidth=3.0, label="measured"
+    )
+    lines = _LINES[-len(rendered) :]
+    for (label, values), line in zip(rendered.items(), lines, strict=True):
+        axes.plot(clock, _cut(values, breaks), label=label, **line)
+    axes.margins(x=0.01)
+
+
+def _clock(time: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Time with recordings one after the other, and where they begin."""
+    breaks = np.flatnonzero(np.diff(time) <= 0) + 1
+    clock = time.copy()
+    for i in breaks:
+        clock[i:] += clock[i - 1] + 1.0 - clock[i]
+    return np.insert(clock, breaks, np.nan), breaks
+
+
+def _cut(values: Array, breaks: NDArray[np.int64]) -> Array:
+    return np.insert(values, breaks, np.nan)

@@ -1,0 +1,49 @@
+"""The method in one picture: scan and surface, potential, force on new motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from matplotlib.figure import Figure
+
+from ttus_opt.arrays import Array
+from ttus_opt.report.metrics import Evaluation
+from ttus_opt.report.plots.canvas import look, new_figure
+from ttus_opt.report.plots.forces import draw_magnitude
+from ttus_opt.report.plots.potential import colour_limit, draw_slice
+from ttus_opt.report.plots.skin import draw_section
+from ttus_opt.voxmap.field import PotentialField
+
+
+def overview(
+    field: PotentialField, cloud: Array, evaluations: Mapping[str, Evaluation]
+) -> Figure:
+    """Draw scan and surface, the fitted potential and rendered force side by side.
+
+    Args:
+        field: The fitted field; its surface came from ``cloud``.
+        cloud: The scan, shape (n, 3) [m].
+        evaluations: Renderings of an unseen trajectory, before and after.
+
+    Returns:
+        The figure.
+    """
+    surface, grid = field.voxmap.surface, field.voxmap.grid
+    k = grid.shape[2] // 2
+    values = field.values[:, :, k]
+    with look():
+        figure = new_figure(9.2, 2.7, w_pad=0.1)
+        scan, slice_, force = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.9))
+        draw_section(scan, surface, float(grid.z[k]), surface.axis.to_patient(cloud))
+        scan.set_title("scan → surface")
+        draw_slice(slice_, field, values, k, colour_limit(field, k))
+        slice_.set_title("surface, wrenches → potential")
+        for ax in (scan, slice_):
+            ax.set_xlabel("x [cm]")
+            ax.set_ylabel("y [cm]")
+        draw_magnitude(force, evaluations)
+        force.set_title("potential → force, unseen motion")
+        force.set_xlabel("time [s]")
+        force.set_ylim(top=1.2 * force.get_ylim()[1])
+        force.legend(loc="upper right", ncols=3)
+    return figure

@@ -1,0 +1,167 @@
+"""The potential in a transverse slice: before, after and the difference."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.report.plots.canvas import look, new_figure
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
+
+#: Blue to red through white; the sign also shows in the contour lines.
+_COLOURS = "RdBu_r"
+
+
+_UNITS = {"voxel-mean": "N", "trilinear": "N/cm²"}
+
+#: Colours tell values apart up to this depth below and height above the skin [m].
+_SKIN_DEPTH = 0.025
+
+#: Half the edge of the enlarged part [m].
+_WINDOW = 0.04
+
+
+def potential_slices(
+    before: PotentialField, after: PotentialField, z: float | None = None
+) -> Figure:
+    """Two fields and their difference in one slice.
+
+    Args:
+        before: For instance the Laplace field alone.
+        after: The field fitted to measurements, on the same grid.
+        z: Height of the slice [m]; by default where the fields differ most.
+
+    Returns:
+        The figure: the slice above, the part where the fields differ most enlarged
+        below; contours solid where p > 0, dashed where p < 0.
+
+    Raises:
+        InputError: The fields have different grids.
+    """
+    grid = before.voxmap.grid
+    if grid != after.voxmap.grid:
+        raise InputError("both fields must be on one grid: fit them on one voxmap")
+    change = after.values - before.values
+    if z is None:
+        k = int(np.argmax(np.abs(change).max(axis=(0, 1))))
+    else:
+        k = int(np.argmin(np.abs(grid.z - z)))
+    panels = {
+        "Laplace prior alone": before.values[:, :, k],
+        "fitted to measured wrenches": after.values[:, :, k],
+        "difference": change[:, :, k],
+    }
+    i, j = np.unravel_index(np.argmax(np.abs(change[:, :, k])), change.shape[:2])
+    spot = 100.0 * grid.r[i] * np.array([np.cos(grid.theta[j]), np.sin(grid.theta[j])])
+    common = colour_limit(before, k)
+    with look():
+        figure = new_figure(9.6, 6.6)
+        axes = figure.subplots(2, 3)
+        for column, (title, values) in enumerate(panels.items()):
+            is_change = title == "difference"
+            limit = round_up(float(np.abs(values).max())) if is_change else common
+            for ax in axes[:, column]:
+                mesh = draw_slice(ax, after, values, k, limit)
+            axes[0, column].set_title(title)
+            _enlarge(axes[0, column], axes[1, column], spot)
+            bar = figure.colorbar(mesh, ax=axes[:, column], location="bottom")
+            bar.set_label(f"{'Δ' * is_change}p [{_UNITS[after.sampling]}]")
+            bar.set_ticks([share * limit for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
+        for ax in axes[:, 0]:
+            ax.set_ylabel("y [cm]")
+        figure.suptitle(
+            f"Potential at z = {100 * grid.z[k]:.1f} cm; below: the marked part",
+            x=0.01,
+            ha="left",
+            fontsize=10,
+        )
+    return figure
+
+
+def colour_limit(field: PotentialField, k: int) -> float:
+    """The largest |p| near the skin in slice k: colours beyond it saturate."""
+    grid = field.voxmap.grid
+    skin = field.voxmap.surface.radius_at(grid.theta, np.full(grid.shape[1], grid.z[k]))
+    near = np.abs(grid.r[:, None] - skin) < _SKIN_DEPTH
+    return round_up(float(np.percentile(np.abs(field.values[:, :, k][near]), 90)))
+
+
+def round_up(value: float) -> float:
+    """The next number of one digit, for scales; 1 for zero.
+
+    >>> round_up(7.43), round_up(0.16)
+    (8.0, 0.2)
+    """
+    if value <= 0.0:
+        return 1.0
+    unit = 10.0 ** math.floor(math.log10(value))
+    return float(f"{math.ceil(value / unit) * unit:.1g}")
+
+
+def _enlarge(whole: Any, part: Any, spot: Array) -> None:
+    """Show the surroundings of a spot [cm] in ``part`` and mark them in ``whole``."""
+    half = 100.0 * _WINDOW
+    low, edge = spot - half, 2.0 * half
+    part.set_xlim(low[0], low[0] + edge)
+    part.set_ylim(low[1], low[1] + edge)
+    part.set_xlabel("x [cm]")
+    x = low[0] + edge * np.array([0, 1, 1, 0, 0])
+    y = low[1] + edge * np.array([0, 0, 1, 1, 0])
+    whole.plot(x, y, color="black", linewidth=0.8)
+
+
+def draw_slice(
+    axes: Any, field: PotentialField, values: Array, k: int, limit: float
+) -> Any:
+    """Draw values of one slice into given axes.
+
+    Args:
+        axes: Where to.
+        field: Whose grid and surface to use.
+        values: Shape (n_r, n_theta).
+        k: Number of the slice.
+        limit: The colours reach from -limit to limit.
+
+    Returns:
+        What a colour bar needs.
+    """
+    grid = field.voxmap.grid
+    theta = np.append(grid.theta, 2.0 * np.pi)
+    closed = np.concatenate([values, values[:, :1]], axis=1)
+    x = 100.0 * grid.r[:, None] * np.cos(theta)
+    y = 100.0 * grid.r[:, None] * np.sin(theta)
+    bands = limit * np.linspace(-1.0, 1.0, 21)
+    mesh = axes.contourf(x, y, closed, bands, cmap=_COLOURS, extend="both")
+    lines = np.delete(bands[::2], 5)  # without zero, where only rounding decides
+    style = ["dashed" if level < 0 else "solid" for level in lines]
+    axes.contour(x, y, closed, lines, colors="0.3", linewidths=0.5, linestyles=style)
+    draw_outline(axes, field.voxmap.surface, float(grid.z[k]))
+    axes.set_aspect("equal")
+    return mesh
+
+
+def draw_outline(axes: Any, surface: Surface, z: float) -> None:
+    """Draw the skin at a height [m]: solid where it was seen, dotted where filled."""
+    k = int(np.argmin(np.abs(surface.z - z)))
+    theta = np.append(surface.theta, surface.theta[0] + 2.0 * np.pi)
+    radius = surface.radius_at(theta, np.full(len(theta), z))
+    seen = np.append(surface.observed[:, k], surface.observed[0, k])
+    x, y = 100.0 * radius * np.cos(theta), 100.0 * radius * np.sin(theta)
+    # a piece of line belongs to the seen part when both its ends do
+    both = seen & np.roll(seen, -1)
+    keep_seen = both | np.roll(both, 1)
+    keep_filled = ~both | np.roll(~both, 1)
+    for keep, line, width in ((keep_seen, "-", 1.5), (keep_filled, (0, (1, 1.5)), 1.3)):
+        axes.plot(
+            np.where(keep, x, np.nan),
+            np.where(keep, y, np.nan),
+            color="black",
+            linestyle=line,
+            linewidth=width,
+        )

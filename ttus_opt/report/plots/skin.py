@@ -1,0 +1,157 @@
+"""The surface with its observed part: in space, unrolled, and in a few slices."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ttus_opt.arrays import Array
+from ttus_opt.report.plots.canvas import look, new_figure
+from ttus_opt.report.plots.potential import draw_outline
+from ttus_opt.scan.surface import Surface
+
+_SHADES = "cividis"  # even in greyscale
+
+
+def surface_picture(surface: Surface, cloud: Array | None = None) -> Figure:
+    """Draw a surface.
+
+    Args:
+        surface: What was extracted.
+        cloud: The scan it came from, scan frame, shape (n, 3) [m].
+
+    Returns:
+        The figure: top left in space, top right unrolled with the unseen part
+        hatched, below three slices with the scan's points.
+    """
+    points = None if cloud is None else surface.axis.to_patient(cloud)
+    with look():
+        figure = new_figure(9.0, 7.0)
+        parts: Any = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
+        top, bottom = parts
+        left, right = top.subfigures(1, 2, width_ratios=(0.8, 1.0))
+        _draw_in_space(left.add_subplot(projection="3d"), surface)
+        _draw_unrolled(right, right.subplots(), surface)
+        heights = np.quantile(surface.z, (0.2, 0.5, 0.8))
+        axes = bottom.subplots(1, 3, sharex=True, sharey=True)
+        for ax, z in zip(axes, heights, strict=True):
+            draw_section(ax, surface, float(z), points)
+            ax.set_title(f"z = {100 * z:.1f} cm")
+            ax.set_xlabel("x [cm]")
+        axes[0].set_ylabel("y [cm]")
+        handles, labels = axes[-1].get_legend_handles_labels()
+        bottom.legend(handles, labels, loc="outside lower center", ncols=3)
+    return figure
+
+
+def draw_section(axes: Any, surface: Surface, z: float, points: Array | None) -> None:
+    """Draw one slice: scan points near it and the surface.
+
+    Args:
+        axes: Where to.
+        surface: The surface.
+        z: Height of the slice [m].
+        points: Scan, patient frame, shape (n, 3) [m]; None for none.
+    """
+    reach = 100.0 * (float(surface.radius.max()) + 0.03)
+    if points is not None:
+        near = np.abs(points[:, 2] - z) < 0.004
+        x, y = 100.0 * points[near, 0], 100.0 * points[near, 1]
+        shown = (np.abs(x) < reach) & (np.abs(y) < reach)
+        axes.plot(
+            x[shown],
+            y[shown],
+            linestyle="none",
+            marker="o",
+            markersize=2.6,
+            markerfacecolor="none",
+            markeredgecolor="0.45",
+            markeredgewidth=0.5,
+            label="scan within 4 mm",
+        )
+    draw_outline(axes, surface, z)
+    for line, label in zip(axes.lines[-2:], ("surface, seen", "filled"), strict=True):
+        line.set_label(label)
+    axes.plot(0.0, 0.0, "+", color="0.3", markersize=6)
+    axes.set_aspect("equal")
+    axes.set_xlim(-reach, reach)
+    axes.set_ylim(-reach, reach)
+
+
+def _draw_unrolled(figure: Any, axes: Any, surface: Surface) -> None:
+    step = 360.0 / len(surface.theta)
+    degrees = np.degrees(surface.theta)
+    edges = np.append(degrees, degrees[-1] + step) - step / 2
+    z = 100.0 * surface.z
+    half = (z[1] - z[0]) / 2
+    z_edges = np.append(z - half, z[-1] + half)
+    mesh = axes.pcolormesh(
+        edges, z_edges, 100.0 * surface.radius.T, cmap=_SHADES, rasterized=True
+    )
+    unseen = (~surface.observed.T).astype(float)
+    if unseen.any():
+        axes.contourf(
+            degrees,
+            z,
+            unseen,
+            levels=[0.5, 1.5],
+            colors="none",
+            hatches=["////"],
+        )
+    figure.colorbar(mesh, ax=axes, label="radius R [cm]")
+    share = 100.0 * surface.observed.mean()
+    axes.set_title(f"unrolled: {share:.0f} % observed, hatched = filled")
+    axes.set_xlabel("θ [°]")
+    axes.set_ylabel("z [cm]")
+    axes.set_xticks(np.arange(0, 361, 60))
+    axes.set_xlim(0, 360)
+
+
+def _draw_in_space(axes: Any, surface: Surface) -> None:
+    """The skin from its seen side: along the body to the right, seen side up."""
+    nodes = surface.points()
+    closed = 100.0 * np.concatenate([nodes, nodes[:1]])
+    seen = np.concatenate([surface.observed, surface.observed[:1]])[:-1, :-1]
+    frame = _view_frame(surface)
+    placed = closed @ frame.T
+    x, y, z = np.moveaxis(placed, -1, 0)
+    normal = np.cross(
+        placed[1:, :-1] - placed[:-1, :-1], placed[:-1, 1:] - placed[:-1, :-1]
+    )
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    elevation, azimuth = 35.0, -60.0
+    e, a = np.radians([elevation, azimuth])
+    eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
+    light = np.array([0.25, -0.65, 0.72])
+    bright = 0.45 + 0.55 * np.clip(normal @ light, 0.0, 1.0)
+    # seen skin is dark and filled skin light, the wall seen from inside darkest
+    shade = np.where(seen[..., None], [0.80, 0.58, 0.40], [0.93, 0.93, 0.93])
+    shade = np.where((normal @ eye < 0)[..., None], [0.35, 0.35, 0.35], shade)
+    axes.plot_surface(
+        x,
+        y,
+        z,
+        facecolors=np.clip(shade * bright[..., None], 0.0, 1.0),
+        rcount=len(x),
+        ccount=x.shape[1],
+        shade=False,
+        linewidth=0,
+        antialiased=False,
+        rasterized=True,
+    )
+    axes.set_box_aspect([float(np.ptp(c)) for c in (x, y, z)], zoom=1.15)
+    axes.view_init(elev=elevation, azim=azimuth)
+    axes.set_axis_off()
+    axes.set_title("tinted = seen, white = filled")
+
+
+def _view_frame(surface: Surface) -> Array:
+    """Rows: along the body, across, and towards the seen side, shape (3, 3) [–]."""
+    share = surface.observed.mean(axis=1)
+    x, y = share @ np.cos(surface.theta), share @ np.sin(surface.theta)
+    size = float(np.hypot(x, y))
+    up = np.array([x / size, y / size, 0.0]) if size > 1e-6 else np.array([0, 1.0, 0])
+    along = np.array([0.0, 0.0, 1.0])
+    return np.stack([along, np.cross(up, along), up])

@@ -1,0 +1,134 @@
+"""Tables of errors before and after fitting, and the report they stand in."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from ttus_opt import io
+from ttus_opt.report.metrics import Errors, Evaluation
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """One recording rendered with two fields.
+
+    Attributes:
+        recording: Its name.
+        seen: Whether the field was fitted to it.
+        before: With the Laplace field alone.
+        after: With the fitted field.
+    """
+
+    recording: str
+    seen: bool
+    before: Evaluation
+    after: Evaluation
+
+
+_COLUMNS: tuple[tuple[str, Callable[[Errors], float], str], ...] = (
+    ("force [N]", lambda e: e.force_magnitude_error_N, ".2f"),
+    ("rmse [N]", lambda e: e.force_magnitude_rmse_N, ".2f"),
+    ("angle [°]", lambda e: e.force_angle_error_deg, ".1f"),
+    ("torque [mN m]", lambda e: 1e3 * e.torque_magnitude_error_Nm, ".1f"),
+    ("angle [°]", lambda e: e.torque_angle_error_deg, ".1f"),
+)
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table whose columns are aligned, to be read as text as well.
+
+    Args:
+        header: Names of the columns.
+        rows: One sequence of cells per row.
+
+    Returns:
+        The lines, without a line break at the end.
+
+    >>> print(table(["a", "number"], [["x", "1"]]))
+    | a | number |
+    |---|--------|
+    | x | 1      |
+    """
+    lines = [list(header), *map(list, rows)]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(header))]
+    text = [
+        "| " + " | ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)) + " |"
+        for line in lines
+    ]
+    text.insert(1, "|" + "|".join("-" * (w + 2) for w in widths) + "|")
+    return "\n".join(text)
+
+
+def error_table(comparisons: Sequence[Comparison]) -> str:
+    """Errors before → after, a row per recording, with the frames in contact.
+
+    Args:
+        comparisons: The recordings.
+
+    Returns:
+        A table as of `table`.
+    """
+    header = ["recording", "frames", *(name for name, _, _ in _COLUMNS)]
+    rows = []
+    for case in comparisons:
+        before, after = case.before.errors, case.after.errors
+        kind = "same" if case.seen else "new"
+        cells = [f"{case.recording} ({kind})"]
+        cells.append(f"{after.frames_in_contact}/{after.frames}")
+        cells += [
+            f"{_number(read(before), form)} → {_number(read(after), form)}"
+            for _, read, form in _COLUMNS
+        ]
+        rows.append(cells)
+    return table(header, rows)
+
+
+def write_report(
+    path: str | os.PathLike[str],
+    comparisons: Sequence[Comparison],
+    *,
+    facts: Mapping[str, str],
+    pictures: Mapping[str, str],
+) -> None:
+    """Write a report in Markdown, replacing ``path`` only on success.
+
+    Args:
+        path: The file.
+        comparisons: Errors before and after.
+        facts: What was done, a line each, by name.
+        pictures: Caption by file name, in the order they are shown.
+    """
+    lines = [
+        "# Report",
+        "",
+        *(f"- {name}: {what}" for name, what in facts.items()),
+        "",
+        "## Errors before → after fitting",
+        "",
+        error_table(comparisons),
+        "",
+        "Before: the Laplace prior alone, its boundary scaled to the measured forces. "
+        "After: the fitted field. *Same*: the recordings it was fitted to; *new*: "
+        "motion it has not seen. Force and torque are mean differences of magnitude "
+        "over all frames, angles are means over the frames in contact (force above "
+        f"{_threshold(comparisons)}) where a direction exists.",
+        "",
+        "A person feels about 0.36 N or 7 % of a force, and 18 to 26° of its "
+        "direction: errors below that cannot be felt.",
+        "",
+    ]
+    for name, caption in pictures.items():
+        lines += [f"## {caption}", "", f"![{caption}]({name})", ""]
+    with io.replacing(path) as temporary:
+        temporary.write_text("\n".join(lines), encoding="utf-8")
+
+
+def _number(value: float, form: str) -> str:
+    return "–" if math.isnan(value) else format(value, form)
+
+
+def _threshold(comparisons: Sequence[Comparison]) -> str:
+    return f"{comparisons[0].after.errors.force_threshold_N:g} N"

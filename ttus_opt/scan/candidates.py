@@ -1,0 +1,217 @@
+"""Sections of a scan: the points near each spoke of each slice, and where they end.
+
+A spoke is the half-line from the axis at angle θ in the slice at height z. Its
+candidates (paper, before eq. 1) are the radii of the points within a threshold
+distance of it. Everything is in the patient frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.cylindrical import cylindrical
+from ttus_opt.errors import GeometryError
+
+#: Points closer to the axis than this are inside any torso: strays [m].
+LEAST_RADIUS = 0.01
+_STRAY_CELL = 0.01  # [m]
+_BIN, _SECTORS = 0.005, 36  # resolution of the search for the usable heights [m], [–]
+_LEAST_SEEN = 9  # sectors (90°) that a usable section must show
+_STEEP = 0.010  # deviation of r in a sector that only an end of the body has [m]
+_STEEP_SHARE = 0.25
+_BRIDGE = 6  # bins without points (30 mm) that do not end the body
+
+
+@dataclass(frozen=True)
+class ZRange:
+    """Heights that show the body's side all along.
+
+    Attributes:
+        z_min: Lowest usable height [m].
+        z_max: Highest usable height [m].
+    """
+
+    z_min: float
+    z_max: float
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Radii near every spoke.
+
+    Attributes:
+        radius: Sorted along the last axis, padded with inf,
+            shape (n_theta, n_z, n_most) [m].
+        count: Number of points near the spoke before thinning, shape (n_theta, n_z).
+    """
+
+    radius: Array
+    count: NDArray[np.int64]
+
+
+def drop_strays(points: Array) -> Array:
+    """Leave out points with few others around: flying pixels, rests of the bed.
+
+    Few is less than a tenth of the median number in the cube of 3³ cells around, and
+    than four in any case: a seen surface fills at least a whole layer of that cube.
+
+    Args:
+        points: Shape (n, 3) [m].
+
+    Returns:
+        Those that are not alone, shape (m, 3) [m].
+    """
+    cell = ((points - points.min(axis=0)) / _STRAY_CELL).astype(np.int64) + 1
+    shape = cell.max(axis=0) + 2
+    grid = np.zeros(shape, dtype=np.float32)
+    place = tuple(cell.T)
+    np.add.at(grid, place, 1.0)
+    for dim in range(3):  # sums over three neighbours in each direction
+        grid = grid + np.roll(grid, 1, axis=dim) + np.roll(grid, -1, axis=dim)
+    around = grid[place]
+    kept = points[around >= max(4.0, 0.1 * float(np.median(around)))]
+    return np.asarray(kept)
+
+
+def usable_range(points: Array) -> ZRange:
+    """The longest stretch of heights whose sections show the body's side.
+
+    A section is left out when it shows less than a quarter turn, or when the radii
+    in a quarter of its sectors scatter as only an end of the body does (a cut).
+
+    Args:
+        points: Body points, patient frame, shape (n, 3) [m].
+
+    Returns:
+        The heights.
+
+    Raises:
+        GeometryError: No section shows a quarter turn around the axis, or too few.
+    """
+    r, theta, z = cylindrical(points)
+    start = z.min()
+    level = ((z - start) / _BIN).astype(np.int64)
+    sector = (theta * (_SECTORS / (2 * np.pi))).astype(np.int64) % _SECTORS
+    n = int(level.max()) + 1
+    cell = level * _SECTORS + sector
+
+    def total(weights: Array | None) -> Array:
+        sums = np.bincount(cell, weights, n * _SECTORS).astype(np.float64)
+        return sums.reshape(n, _SECTORS)
+
+    count = total(None)
+    enough = count >= 3
+    mean = total(r) / np.maximum(count, 1)
+    variance = total(r**2) / np.maximum(count, 1) - mean**2
+    steep = enough & (variance > _STEEP**2)
+    n_seen = enough.sum(axis=1)
+    usable = (n_seen >= _LEAST_SEEN) & (steep.sum(axis=1) <= _STEEP_SHARE * n_seen)
+    runs = _runs(usable, empty=count.sum(axis=1) == 0)
+    if not runs:
+        raise GeometryError(
+            "no section of the scan shows a quarter turn around the axis: does the "
+            "axis run inside the body, along it? give another or estimate it"
+        )
+    first, last = max(runs, key=lambda run: run[1] - run[0])
+    if last - first < 4:
+        raise GeometryError(
+            f"only {5 * (last - first + 1)} mm of the scan show the body's side: show "
+            "more of it, or give z_range"
+        )
+    # The outermost bins are only partly filled.
+    return ZRange(float(start + (first + 1) * _BIN), float(start + last * _BIN))
+
+
+def _runs(usable: NDArray[np.bool_], empty: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last index of each stretch of usable bins, across short empty gaps."""
+    runs: list[tuple[int, int]] = []
+    for k in np.flatnonzero(usable).tolist():
+        gap = slice(runs[-1][1] + 1, k) if runs else slice(0)
+        if runs and k - runs[-1][1] <= _BRIDGE and empty[gap].all():
+            runs[-1] = (runs[-1][0], k)
+        else:
+            runs.append((k, k))
+    return runs
+
+
+def collect(
+    points: Array,
+    theta: Array,
+    z: Array,
+    *,
+    spoke_distance: float,
+    slice_distance: float,
+    n_most: int = 48,
+) -> Candidates:
+    """Candidates of every spoke.
+
+    Args:
+        points: Body points, patient frame, shape (n, 3) [m].
+        theta: Angles of the spokes, equally spaced, shape (n_theta,) [rad].
+        z: Heights of the slices, equally spaced, shape (n_z,) [m].
+        spoke_distance: Largest distance from the spoke within the slice [m].
+        slice_distance: Largest distance from the slice [m].
+        n_most: A spoke with more candidates keeps this many, evenly among them.
+
+    Returns:
+        The candidates.
+
+    Raises:
+        GeometryError: No point is near any spoke.
+    """
+    r, angle, height = cylindrical(points)
+    keep = r > max(LEAST_RADIUS, spoke_distance)
+    r, angle, height = r[keep], angle[keep], height[keep]
+    pairs = _pairs(r, angle, height, theta, z, spoke_distance, slice_distance)
+    node = np.concatenate([pair[0] for pair in pairs])
+    radius = np.concatenate([pair[1] for pair in pairs])
+    shape = (len(theta), len(z))
+    if len(node) == 0:
+        raise GeometryError(
+            f"no point of the scan lies near the axis between z = {z[0]:.3f} and "
+            f"{z[-1]:.3f} m: the cloud never meets the axis, check axis and unit"
+        )
+    order = np.lexsort((radius, node))
+    node, radius = node[order], radius[order]
+    count = np.bincount(node, minlength=shape[0] * shape[1])
+    rank = np.arange(len(node)) - (np.cumsum(count) - count)[node]
+    # Thinning keeps every candidate whose place is the first of its share.
+    kept = np.minimum(count[node], n_most)
+    place = rank * kept // count[node]
+    first = (rank == 0) | (place != (rank - 1) * kept // count[node])
+    table = np.full((count.size, min(n_most, int(count.max()))), np.inf)
+    table[node[first], place[first]] = radius[first]
+    return Candidates(table.reshape(*shape, -1), count.reshape(shape))
+
+
+def _pairs(
+    r: Array,
+    angle: Array,
+    height: Array,
+    theta: Array,
+    z: Array,
+    spoke_distance: float,
+    slice_distance: float,
+) -> list[tuple[NDArray[np.int64], Array]]:
+    """Node and radius of every (point, spoke) within reach, one list per offset."""
+    n_theta, n_z = len(theta), len(z)
+    step, dz = 2 * np.pi / n_theta, z[1] - z[0]
+    j = np.rint(angle / step).astype(np.int64)
+    k = np.rint((height - z[0]) / dz).astype(np.int64)
+    reach = spoke_distance / r  # sine of the largest angle from the spoke
+    if r.size == 0:
+        return [(np.empty(0, np.int64), np.empty(0))]
+    most_j = min(int(np.arcsin(min(reach.max(), 1.0)) / step + 0.5), (n_theta - 1) // 2)
+    most_k = int(slice_distance / dz + 0.5)
+    found = []
+    for dj in range(-most_j, most_j + 1):
+        near = np.abs(np.sin(angle - (j + dj) * step)) <= reach
+        for dk in range(-most_k, most_k + 1):
+            here = near & (k + dk >= 0) & (k + dk < n_z)
+            here &= np.abs(height - (z[0] + (k + dk) * dz)) <= slice_distance
+            found.append(((((j + dj) % n_theta) * n_z + k + dk)[here], r[here]))
+    return found

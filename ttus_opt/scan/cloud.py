@@ -1,0 +1,207 @@
+"""Reading a depth scan: an (n, 3) array of points in metres, or a clear refusal.
+
+PLY, PCD, XYZ/CSV/TXT and NPY. The unit is converted here and nowhere else; a cloud
+whose extent cannot be a torso in that unit is refused, because millimetres read as
+metres would otherwise fail much later and far from their cause.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ttus_opt import io
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.scan.pcd import read_pcd
+
+Unit = Literal["m", "cm", "mm"]
+
+#: Metres per unit.
+UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+#: Least and largest plausible extent of a scan of a torso [m].
+EXTENT_LIMITS = (0.1, 3.0)
+
+_SUFFIXES = (".ply", ".pcd", ".xyz", ".csv", ".txt", ".npy")
+
+
+def read_cloud(
+    path: str | os.PathLike[str],
+    *,
+    unit: Unit | None = None,
+    drop_nan: bool = False,
+) -> Array:
+    """Read a point cloud.
+
+    Args:
+        path: A .ply, .pcd, .xyz, .csv, .txt or .npy file. Text has three columns,
+            or a first line that names x, y and z among its columns.
+        unit: Unit of the file's coordinates; metres are assumed when not given.
+        drop_nan: Leave points out that have a NaN or infinite coordinate (cameras
+            write them where they saw nothing) instead of refusing the file.
+
+    Returns:
+        Points in the scan's frame, shape (n, 3) [m].
+
+    Raises:
+        FileError: Missing, empty, truncated, of unknown kind, or wrong columns.
+        InputError: An unknown unit, coordinates that are not finite, or an extent
+            that no torso has in this unit.
+    """
+    if unit is not None and unit not in UNITS:
+        raise InputError(f"unit must be one of 'm', 'cm', 'mm', got {unit!r}")
+    file = io.existing_file(path, "point cloud")
+    points = _read_points(file)
+    if len(points) == 0:
+        raise FileError(f"{file} holds no points: record or export it again")
+    finite = np.isfinite(points).all(axis=1)
+    n_bad = int((~finite).sum())
+    if n_bad == len(points):
+        raise InputError(f"{file}: no point has finite coordinates: record it again")
+    if n_bad and not drop_nan:
+        raise InputError(
+            f"{file}: {n_bad} of {len(points)} points have NaN or infinite "
+            "coordinates: pass drop_nan=True to leave them out"
+        )
+    points = points[finite]
+    _check_extent(file, float(np.ptp(points, axis=0).max()), unit)
+    return np.ascontiguousarray(points * UNITS[unit or "m"])
+
+
+def _read_points(file: Path) -> Array:
+    suffix = file.suffix.lower()
+    if suffix == ".pcd":
+        return read_pcd(file)
+    if suffix == ".ply":
+        return _read_ply(file)
+    if suffix == ".npy":
+        return _read_npy(file)
+    if suffix in (".xyz", ".csv", ".txt"):
+        return _read_text(file)
+    raise FileError(
+        f"{file} has the suffix {suffix!r}, expected one of {', '.join(_SUFFIXES)}: "
+        "export it as one of these"
+    )
+
+
+def _check_extent(file: Path, extent: float, unit: Unit | None) -> None:
+    """Refuse an extent [the file's unit] that no torso has."""
+    least, largest = EXTENT_LIMITS
+    assumed = unit or "m"
+    if least <= extent * UNITS[assumed] <= largest:
+        return
+    better = [
+        name for name, scale in UNITS.items() if least <= extent * scale <= largest
+    ]
+    names = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
+    if better:
+        guess = better[-1]
+        advice = f"are these {names[guess]}? pass unit='{guess}'"
+    else:
+        advice = (
+            f"a torso has {least:g} to {largest:g} m: crop the scan to the patient or "
+            "check its unit"
+        )
+    how = "" if unit is None else f" read with unit='{unit}'"
+    raise InputError(
+        f"{file}: largest coordinate extent is {extent:.4g}{how}: {advice}"
+    )
+
+
+def _read_ply(file: Path) -> Array:
+    import trimesh
+
+    with file.open("rb") as stream:
+        head = stream.read(100_000)
+    if not head.startswith(b"ply"):
+        raise FileError(f"{file} does not begin with 'ply': not a PLY file?")
+    announced = 0
+    for line in head.split(b"end_header")[0].splitlines():
+        words = line.split()
+        if words[:2] == [b"element", b"vertex"] and len(words) == 3:
+            announced = int(words[2]) if words[2].isdigit() else 0
+    if announced == 0:
+        raise FileError(f"{file} announces no vertices: record or export it again")
+    try:
+        with file.open("rb") as stream:
+            loaded = trimesh.load(stream, file_type="ply", process=False)
+        points = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
+    except Exception as error:  # trimesh raises nearly every class on damaged files
+        raise FileError(
+            f"{file} does not read as PLY ({type(error).__name__}): its header "
+            f"announces {announced} points, truncated or damaged? export it again"
+        ) from error
+    if len(points) != announced:
+        raise FileError(
+            f"{file} is truncated: its header announces {announced} points, it holds "
+            f"{len(points)}: record or copy it again"
+        )
+    return points
+
+
+def _read_npy(file: Path) -> Array:
+    try:
+        values = np.load(file, allow_pickle=False)
+        points = np.asarray(values, dtype=np.float64)
+    except (ValueError, EOFError, OSError, TypeError) as error:
+        raise FileError(
+            f"{file} does not read as a NPY array of numbers ({type(error).__name__}): "
+            "truncated or damaged? save it again"
+        ) from error
+    if points.ndim != 2 or points.shape[1] != 3:
+        hint = "transposed?" if points.shape[:1] == (3,) else "save x, y, z columns"
+        raise FileError(f"{file}: points must be (n, 3), got {points.shape}: {hint}")
+    return points
+
+
+def _read_text(file: Path) -> Array:
+    try:
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except UnicodeDecodeError as error:
+        raise FileError(f"{file} is not a text file: check its suffix") from error
+    rows = [s for line in lines if (s := line.strip()) and not s.startswith("#")]
+    if not rows:
+        raise FileError(f"{file} holds no points: record or export it again")
+    delimiter = next((mark for mark in ",;" if mark in rows[0]), None)
+    names = [word.strip().strip('"').lower() for word in rows[0].split(delimiter)]
+    columns: list[int] | None = None
+    if not _is_number(names[0]):
+        if not {"x", "y", "z"} <= set(names):
+            raise FileError(
+                f"{file} has the columns {', '.join(names)}, expected x, y and z among "
+                "them"
+            )
+        columns = [names.index(name) for name in "xyz"]
+        rows = rows[1:]
+    elif len(names) != 3:
+        raise FileError(
+            f"{file} has {len(names)} columns, expected 3 (x, y, z): name x, y and z "
+            "in a first line to pick them"
+        )
+    if not rows:
+        raise FileError(f"{file} holds no points: record or export it again")
+    width = len(names)
+    for number, row in enumerate(rows):
+        found = len(row.split(delimiter))
+        if found != width:
+            raise FileError(
+                f"{file}: point {number + 1} has {found} columns, expected {width}: "
+                "truncated or damaged, export it again"
+            )
+    try:
+        values = np.loadtxt(rows, delimiter=delimiter, usecols=columns, ndmin=2)
+    except ValueError as error:
+        reason = str(error).splitlines()[0]
+        raise FileError(f"{file} has a value that is no number ({reason})") from error
+    return np.asarray(values, dtype=np.float64)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,257 @@
+"""The contour of a section: a Kalman filter over the angle (paper, eqs. 1-5).
+
+The state is the radius d and its slope g = dd/dθ, an integrated Ornstein-Uhlenbeck
+process: a smooth contour whose slope forgets itself over `slope_angle`, so that a
+long unseen stretch drifts to a level and not away. The measurement is the
+probabilistic data association of the candidates r_i of a spoke,
+
+    β_i ∝ Normal(r_i; d̂, S) · D_i,   y = Σ β_i r_i.
+
+Three departures from the paper. r_i stands where it prints y in y's own definition. S
+is the variance of the innovation r_i - d̂, as data association needs it: that of the
+prediction and that of a point, S = P + σ². And D, which makes a far surface (the bed)
+unlikely, is one number per *surface*: candidates closer than `_SAME_SURFACE` σ to the
+next belong together and share the D of their mean. D then chooses between surfaces
+but not among the noisy points of one, where it would favour the near ones and pull
+the contour inwards by 2hσ²/(h² + σ²).
+
+All slices are filtered at once. Two laps close the contour; a Rauch-Tung-Striebel
+pass backwards uses what comes after a spoke as well as what comes before, and the
+candidates are then weighed again around that smoothed contour, which removes the lag
+that weighing around a prediction has.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.scan.candidates import Candidates
+
+_GATE = 4.0  # candidates further than this many deviations do not belong
+_SAME_SURFACE = 4.0  # gap between two surfaces, in depth deviations
+_JUMP = 0.015  # deviation added per spoke whose candidates are all outside [m]
+_N_REWEIGHT = 2  # rounds of weighing around the smoothed contour
+
+
+@dataclass(frozen=True)
+class ContourModel:
+    """What the filter assumes.
+
+    Attributes:
+        depth_noise: Standard deviation σ of a point's radius [m].
+        slope_std: Standard deviation of the contour's slope dr/dθ [m/rad].
+        slope_angle: Angle over which the slope forgets itself [rad].
+    """
+
+    depth_noise: float = 0.003
+    slope_std: float = 0.1
+    slope_angle: float = 0.35
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a deviation.
+
+        Raises:
+            InputError: A value that is not positive and finite.
+        """
+        for name in ("depth_noise", "slope_std", "slope_angle"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"{name} must be positive, got {value:g}")
+
+    def transition(self, step: float) -> tuple[Array, Array]:
+        """F and Q of one step of the angle, exact for a step of any size.
+
+        The process dd = g dθ, dg = -g dθ/ℓ + s √(2/ℓ) dW with slope_angle ℓ and
+        slope_std s, integrated over the step: s is the slope's stationary deviation
+        however many spokes there are.
+
+        Args:
+            step: Angle between two spokes [rad].
+
+        Returns:
+            F and Q, shape (2, 2) each; the state is (d [m], g [m/rad]).
+        """
+        turned = step / self.slope_angle
+        kept, lost = math.exp(-turned), -math.expm1(-turned)
+        F = np.array([[1.0, self.slope_angle * lost], [0.0, kept]])
+        cross = self.slope_angle * lost**2
+        Q = self.slope_std**2 * np.array(
+            [
+                [self.slope_angle**2 * _integrated(turned), cross],
+                [cross, -math.expm1(-2.0 * turned)],
+            ]
+        )
+        return F, Q
+
+
+def _integrated(x: float) -> float:
+    """2x - 3 + 4e⁻ˣ - e⁻²ˣ, by its series where the sum would cancel to x³ [–]."""
+    if x < 0.1:
+        powers = range(3, 14)  # the next is below rounding
+        return sum((4.0 - 2.0**k) / math.factorial(k) * (-x) ** k for k in powers)
+    return 2.0 * x - 3.0 + 4.0 * math.exp(-x) - math.exp(-2.0 * x)
+
+
+@dataclass(frozen=True)
+class Contour:
+    """Radii of all sections.
+
+    Attributes:
+        radius: Shape (n_theta, n_z) [m]; a prediction where not observed.
+        variance: Its variance, same shape [m²].
+        observed: Where candidates were accepted, same shape.
+    """
+
+    radius: Array
+    variance: Array
+    observed: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Measurement:
+    """Associated measurement y, its variance, and whether there is one, (…,)."""
+
+    y: Array
+    variance: Array
+    seen: NDArray[np.bool_]
+
+
+def associate(
+    radius: Array, predicted: Array, variance: Array, depth_noise: float
+) -> _Measurement:
+    """Weigh candidates around a prediction (eqs. 3-5, D per surface).
+
+    Args:
+        radius: Candidates sorted along the last axis, padded with inf, (…, m) [m].
+        predicted: Predicted radius d̂, shape (…,) [m].
+        variance: Its variance P, so that S = P + σ², shape (…,) [m²].
+        depth_noise: σ [m].
+
+    Returns:
+        The measurement; where nothing is within the gate, not ``seen``.
+    """
+    S = (variance + depth_noise**2)[..., None]
+    # Relative to the prediction: padding (inf) falls outside every gate.
+    innovation = radius - predicted[..., None]
+    inside = innovation**2 < _GATE**2 * S
+    v = np.where(inside, innovation, 0.0)
+    weight = np.exp(-0.5 * v**2 / S) * inside * _far_weight(v, inside, depth_noise)
+    total = weight.sum(axis=-1)
+    seen = total > 0
+    weight /= np.where(seen, total, 1.0)[..., None]
+    y = (weight * v).sum(axis=-1)
+    spread = (weight * (v - y[..., None]) ** 2).sum(axis=-1)
+    # Two surfaces within the gate: unsure which, beyond what noise explains.
+    doubt = np.maximum(spread - 2.0 * depth_noise**2, 0.0)
+    noise = depth_noise**2 * (weight**2).sum(axis=-1)
+    return _Measurement(predicted + y, np.where(seen, noise + doubt, 1.0), seen)
+
+
+def _far_weight(v: Array, inside: NDArray[np.bool_], depth_noise: float) -> Array:
+    """D = (1 − (r − r_min)/(r_max − r_min))² of each candidate's surface, (…, m)."""
+    gap = _SAME_SURFACE * depth_noise
+    split = np.diff(v, axis=-1) > gap
+    split &= inside[..., 1:] & inside[..., :-1]
+    D = np.ones_like(v)
+    rows = split.any(axis=-1)
+    if not rows.any():  # one surface everywhere, the usual case: D = 1
+        return D
+    values, within = v[rows], inside[rows]
+    label = np.zeros(values.shape, dtype=np.int64)
+    label[:, 1:] = np.cumsum(split[rows], axis=-1)
+    row = np.arange(len(values))[:, None] * values.shape[1]
+    key = (row + label).reshape(-1)
+    counted = within.reshape(-1).astype(float)
+    size = np.bincount(key, counted, values.size)
+    mean = np.bincount(key, counted * values.reshape(-1), values.size)
+    mean = (mean / np.maximum(size, 1.0))[key].reshape(values.shape)
+    low = np.where(within, mean, np.inf).min(axis=1, keepdims=True)
+    # Half a gap further than the farthest surface: unlikely, not impossible.
+    high = np.where(within, mean, -np.inf).max(axis=1, keepdims=True) + gap / 2
+    D[rows] = (1.0 - (mean - low) / (high - low)) ** 2
+    return D
+
+
+def follow(candidates: Candidates, model: ContourModel) -> Contour:
+    """Filter all sections over the angle.
+
+    Args:
+        candidates: Radii near the spokes.
+        model: What the filter assumes.
+
+    Returns:
+        The contours.
+    """
+    radius = candidates.radius
+    prior = _prior_radius(radius)
+    jump = np.zeros(radius.shape[:2])
+    smooth = _two_laps(radius, prior, model, jump, None)
+    for _ in range(_N_REWEIGHT):
+        found = associate(radius, smooth.radius, smooth.variance, model.depth_noise)
+        smooth = _two_laps(radius, prior, model, jump, found)
+    return Contour(smooth.radius, smooth.variance, found.seen)
+
+
+def _prior_radius(radius: Array) -> Array:
+    """Median candidate of each slice, of all slices where one has none, (n_z,)."""
+    by_slice = np.where(np.isfinite(radius), radius, np.nan)
+    flat = by_slice.transpose(1, 0, 2).reshape(radius.shape[1], -1)
+    prior = np.full(len(flat), np.nanmedian(flat))
+    some = np.isfinite(flat).any(axis=1)
+    prior[some] = np.nanmedian(flat[some], axis=1)
+    return prior
+
+
+def _two_laps(
+    radius: Array,
+    prior: Array,
+    model: ContourModel,
+    jump: Array,
+    given: _Measurement | None,
+) -> Contour:
+    """Two laps forward, one pass backward; what is half a lap from either end.
+
+    With ``given`` measurements the filter is linear; without, each spoke's candidates
+    are associated around the filter's own prediction, and ``jump`` (n_theta, n_z) is
+    filled with the variance [m²] added where candidates lay outside the gate: the
+    contour has a step there (a shoulder) and the track must be found again.
+    """
+    n, n_z = radius.shape[:2]
+    F, Q = model.transition(2.0 * np.pi / n)
+    x = np.zeros((n_z, 2))
+    x[:, 0] = prior
+    P = np.tile(np.diag([0.05**2, model.slope_std**2]), (n_z, 1, 1))
+    states, covariances = np.empty((2 * n, n_z, 2)), np.empty((2 * n, n_z, 2, 2))
+    predictions, spreads = np.empty_like(states), np.empty_like(covariances)
+    for step in range(2 * n):
+        k = step % n
+        if step:
+            x, P = x @ F.T, F @ P @ F.T + Q
+            P[:, 0, 0] += jump[(step - 1) % n]
+        predictions[step], spreads[step] = x, P
+        if given is None:
+            m = associate(radius[k], x[:, 0], P[:, 0, 0], model.depth_noise)
+            missed = ~m.seen & np.isfinite(radius[k, :, 0])
+            jump[k] = np.where(missed, _JUMP**2, jump[k] if step >= n else 0.0)
+        else:
+            m = _Measurement(given.y[k], given.variance[k], given.seen[k])
+        gain = P[:, :, 0] / (P[:, 0, 0] + m.variance)[:, None] * m.seen[:, None]
+        x = x + gain * (m.y - x[:, 0])[:, None]
+        P = P - gain[:, :, None] * P[:, None, 0, :]
+        states[step], covariances[step] = x, P
+    for step in range(2 * n - 2, n // 2 - 1, -1):
+        back = covariances[step] @ F.T @ np.linalg.inv(spreads[step + 1])
+        x = states[step] + np.einsum("nij,nj->ni", back, x - predictions[step + 1])
+        change = back @ (P - spreads[step + 1]) @ back.transpose(0, 2, 1)
+        P = covariances[step] + change
+        states[step], covariances[step] = x, P
+    middle = slice(n // 2, n // 2 + n)
+    found = np.roll(states[middle, :, 0], n // 2, axis=0)
+    variance = np.roll(covariances[middle, :, 0, 0], n // 2, axis=0)
+    return Contour(found, np.maximum(variance, 1e-12), np.ones((n, n_z), dtype=bool))

@@ -1,0 +1,176 @@
+"""From a scan to a surface: sections, contour filter, filling.
+
+The steps: leave the supporting plane out, cut the body in slices, collect the points
+near the spokes (`ttus_opt.scan.candidates`), follow the contour over the angle
+(`ttus_opt.scan.contour_filter`, eqs. 1-5), fill what no camera saw
+(`ttus_opt.scan.fill`).
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.scan.candidates import collect, drop_strays, usable_range
+from ttus_opt.scan.contour_filter import Contour, ContourModel, follow
+from ttus_opt.scan.fill import fill_smoothly
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
+from ttus_opt.scan.surface import Surface
+
+_LARGEST_RADIUS = 0.5  # of a body [m]
+_LEAST_POINTS = 100
+_LEAST_OBSERVED = 0.05  # share of nodes below which nothing was really seen
+
+
+def extract_surface(
+    cloud: Array,
+    *,
+    axis: Axis,
+    n_theta: int = 180,
+    n_z: int = 60,
+    z_range: tuple[float, float] | None = None,
+    spoke_distance: float = 0.004,
+    slice_distance: float | None = None,
+    model: ContourModel | None = None,
+    support: SupportingPlane | Literal["find"] | None = "find",
+) -> Surface:
+    """Extract the skin r = R(θ, z) from a scan.
+
+    Args:
+        cloud: Scan, shape (n, 3) [m].
+        axis: The patient frame in the scan, inside the body (`Axis.from_cloud`).
+        n_theta: Number of spokes over the full turn.
+        n_z: Number of slices.
+        z_range: First and last height in the patient frame [m]; by default the
+            longest stretch whose sections show the body's side (no cut ends).
+        spoke_distance: Points up to this far from a spoke are its candidates [m].
+        slice_distance: Points up to this far from a slice belong to it [m]; by
+            default half the distance of the slices, from 3 to 6 mm.
+        model: Depth noise and smoothness the filter assumes.
+        support: The plane the body lies on, in the scan's frame; "find" to look for
+            it; None when the scan has none. Its points are never skin.
+
+    Returns:
+        The surface: closed, with its deviation, marked where it was observed.
+
+    Raises:
+        InputError: Counts, distances or a cloud that cannot be used.
+        GeometryError: The cloud never meets the axis or shows no body around it.
+    """
+    _check(cloud, n_theta, n_z, spoke_distance, slice_distance)
+    plane = find_supporting_plane(cloud) if support == "find" else support
+    body = cloud if plane is None else cloud[plane.above(cloud)]
+    points = axis.to_patient(body)
+    near = np.hypot(points[:, 0], points[:, 1]) < _LARGEST_RADIUS
+    points = points[near]
+    if len(points) < _LEAST_POINTS:
+        raise GeometryError(
+            f"only {len(points)} of {len(cloud)} points are within "
+            f"{_LARGEST_RADIUS:g} m of the axis and off the support: the cloud never "
+            "meets the axis, check axis and unit"
+        )
+    points = drop_strays(points)
+    z = _heights(points, z_range, n_z)
+    theta: Array = np.arange(n_theta, dtype=np.float64) * (2.0 * np.pi / n_theta)
+    dz = float(z[1] - z[0])
+    reach = float(np.clip(dz / 2, 0.003, 0.006))
+    candidates = collect(
+        points,
+        theta,
+        z,
+        spoke_distance=spoke_distance,
+        slice_distance=slice_distance or reach,
+    )
+    contour = follow(candidates, model or ContourModel())
+    _check_seen(contour)
+    filled = fill_smoothly(
+        contour.radius,
+        contour.variance,
+        contour.observed,
+        z_step=dz,
+        limit=None if plane is None else _plane_radius(plane, axis, theta, z),
+    )
+    return Surface(theta, z, filled.radius, filled.std, contour.observed, axis)
+
+
+def _check(
+    cloud: Array,
+    n_theta: int,
+    n_z: int,
+    spoke_distance: float,
+    slice_distance: float | None,
+) -> None:
+    for name, value, least in (("n_theta", n_theta, 8), ("n_z", n_z, 2)):
+        if int(value) != value or value < least:
+            raise InputError(f"{name} must be a whole number >= {least}, got {value}")
+    for name, distance in (
+        ("spoke_distance", spoke_distance),
+        ("slice_distance", slice_distance),
+    ):
+        if distance is not None and not 0 < distance < 0.1:
+            raise InputError(
+                f"{name} must be between 0 and 0.1 m, got {distance:g}: it is in metres"
+            )
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise InputError(f"a cloud must be (n, 3) [m], got {cloud.shape}: transposed?")
+    if len(cloud) < _LEAST_POINTS:
+        raise InputError(
+            f"a cloud of {len(cloud)} points is too small: give {_LEAST_POINTS} or more"
+        )
+    n_bad = int((~np.isfinite(cloud).all(axis=1)).sum())
+    if n_bad:
+        raise InputError(
+            f"{n_bad} of {len(cloud)} points have NaN or infinite coordinates: leave "
+            "them out (read_cloud(..., drop_nan=True))"
+        )
+    extent = float(np.ptp(cloud, axis=0).max())
+    if extent > 10.0:
+        raise InputError(
+            f"largest coordinate extent is {extent:.4g} m: are these millimetres? read "
+            "them with unit='mm'"
+        )
+
+
+def _heights(points: Array, z_range: tuple[float, float] | None, n_z: int) -> Array:
+    """Heights of the slices, given or found, shape (n_z,) [m]."""
+    if z_range is None:
+        found = usable_range(points)
+        low, high = found.z_min, found.z_max
+    else:
+        low, high = z_range
+        if not high > low:
+            raise InputError(
+                f"z_range must be (lowest, highest) [m], got ({low:g}, {high:g})"
+            )
+        inside = (points[:, 2] >= low) & (points[:, 2] <= high)
+        if not inside.any():
+            raise GeometryError(
+                f"no point has a height between {low:g} and {high:g} m: the body spans "
+                f"{points[:, 2].min():.3f} to {points[:, 2].max():.3f} m along the axis"
+            )
+    return np.linspace(low, high, n_z)
+
+
+def _check_seen(contour: Contour) -> None:
+    share = float(contour.observed.mean())
+    widest = contour.observed.sum(axis=0).max() / len(contour.observed)
+    if share < _LEAST_OBSERVED or widest < 0.2:
+        raise GeometryError(
+            f"points were found on {100 * share:.0f} % of the spokes only, at most "
+            f"{360 * widest:.0f}° of a section: does the axis run inside the body?"
+        )
+
+
+def _plane_radius(plane: SupportingPlane, axis: Axis, theta: Array, z: Array) -> Array:
+    """Radius at which each spoke meets the supporting plane, inf for none [m]."""
+    normal = axis.rotation.T @ plane.normal
+    offset = plane.offset - plane.normal @ axis.origin
+    towards = normal[0] * np.cos(theta) + normal[1] * np.sin(theta)
+    rest = offset - normal[2] * z
+    with np.errstate(divide="ignore", invalid="ignore"):
+        radius = rest[None, :] / towards[:, None]
+    return np.where((towards[:, None] < -1e-6) & (radius > 0), radius, np.inf)

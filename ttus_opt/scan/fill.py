@@ -1,0 +1,136 @@
+"""The unseen part of a surface: the smoothest one through what was seen.
+
+A thin plate on an elastic bed over the unrolled surface (periodic in θ, free at both
+ends), for the difference u between the radius and an ellipse-like outline of the body
+(`ttus_opt.scan.outline`): least Σ (u − u_seen)²/variance + (∫ bending + u²/ℓ⁴)/c². Near
+what was seen it continues smoothly; ℓ further on it is the outline. Where a supporting
+plane is known the skin cannot be behind it: the unseen part is held at the plane where
+the plate would pass through it. What was seen is smoothed by the plate too, within its
+own deviation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.sparse.linalg import spsolve
+
+from ttus_opt.arrays import Array
+from ttus_opt.scan.outline import outline
+
+#: Scale c of the plate's curvature, as the deviation of white noise [1/m · m].
+CURVATURE = 0.4
+#: Distance ℓ over which the plate returns to the outline [m].
+RETURN_LENGTH = 0.03
+#: Growth of the unseen radius' deviation with the distance from what was seen [–].
+GROWTH = 0.15
+_LEAST_RADIUS = 0.02  # [m]
+_HELD_STD = 0.002  # of a radius held at the supporting plane [m]
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A surface without gaps.
+
+    Attributes:
+        radius: Shape (n_theta, n_z) [m].
+        std: Its standard deviation, same shape [m].
+    """
+
+    radius: Array
+    std: Array
+
+
+def fill_smoothly(
+    radius: Array,
+    variance: Array,
+    observed: NDArray[np.bool_],
+    *,
+    z_step: float,
+    limit: Array | None = None,
+) -> Filled:
+    """Fill what was not observed.
+
+    Args:
+        radius: Radii, meaningful where observed, shape (n_theta, n_z) [m].
+        variance: Their variance there, same shape [m²].
+        observed: Where a radius was seen, same shape.
+        z_step: Distance between slices [m].
+        limit: Largest possible radius (the support), same shape; inf for none [m].
+
+    Returns:
+        Radius everywhere; its deviation grows with the distance from what was seen.
+    """
+    shape = radius.shape
+    arc = float(np.median(radius[observed])) * 2.0 * np.pi / shape[0]
+    stiffness = _bending(shape, arc, z_step)
+    stiffness += arc * z_step / RETURN_LENGTH**4 * sp.eye_array(radius.size)
+    stiffness /= CURVATURE**2
+    base = outline(radius, observed, limit).reshape(-1)
+    seen = observed.reshape(-1)
+    weight = np.where(seen, 1.0 / variance.reshape(-1), 0.0)
+    data = np.where(seen, radius.reshape(-1) - base, 0.0)
+    room = np.full(seen.size, np.inf) if limit is None else limit.reshape(-1) - base
+    for _ in range(4):
+        matrix = (stiffness + sp.diags_array(weight)).tocsc()
+        plate = np.asarray(spsolve(matrix, weight * data))
+        through = ~seen & (weight == 0) & (plate > room + 5e-4)
+        if not through.any():
+            break
+        weight = np.where(through, 1.0 / _HELD_STD**2, weight)
+        data = np.where(through, room, data)
+    solution = base + np.where(seen, plate, np.minimum(plate, room))
+    std = _std(variance, observed, arc, z_step)
+    return Filled(np.maximum(solution, _LEAST_RADIUS).reshape(shape), std)
+
+
+def _second_difference(n: int, step: float, *, periodic: bool) -> sp.csr_array:
+    """Second derivative at the nodes; no row at free ends."""
+    D = sp.diags_array([1.0, -2.0, 1.0], offsets=[-1, 0, 1], shape=(n, n)).tolil()
+    if periodic:
+        D[0, n - 1] = D[n - 1, 0] = 1.0
+    else:
+        D[0, :] = 0.0
+        D[n - 1, :] = 0.0
+    return sp.csr_array(D / step**2)
+
+
+def _first_difference(n: int, step: float, *, periodic: bool) -> sp.csr_array:
+    """First derivative between neighbouring nodes."""
+    rows = n if periodic else n - 1
+    D = sp.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(rows, n)).tolil()
+    if periodic:
+        D[n - 1, 0] = 1.0
+    return sp.csr_array(D / step)
+
+
+def _bending(shape: tuple[int, ...], arc: float, z_step: float) -> sp.csr_array:
+    """Matrix of the bending energy ∫ R_tt² + 2 R_tz² + R_zz² (t the arc length)."""
+    n_theta, n_z = shape
+    eye_t, eye_z = sp.eye_array(n_theta), sp.eye_array(n_z)
+    tt = sp.kron(_second_difference(n_theta, arc, periodic=True), eye_z)
+    zz = sp.kron(eye_t, _second_difference(n_z, z_step, periodic=False))
+    tz = sp.kron(
+        _first_difference(n_theta, arc, periodic=True),
+        _first_difference(n_z, z_step, periodic=False),
+    )
+    area = arc * z_step
+    return sp.csr_array(area * (tt.T @ tt + 2.0 * tz.T @ tz + zz.T @ zz))
+
+
+def _std(
+    variance: Array, observed: NDArray[np.bool_], arc: float, z_step: float
+) -> Array:
+    """Deviation: the filter's where observed, growing with distance elsewhere."""
+    from scipy.ndimage import distance_transform_edt
+
+    n = len(observed)
+    half = n // 2 + 1  # wrap around: half a turn on either side
+    wrapped = np.concatenate([observed[-half:], observed, observed[:half]])
+    edge = np.sqrt(np.median(variance[observed]))
+    distance = distance_transform_edt(~wrapped, sampling=(arc, z_step))
+    grown = np.hypot(edge, GROWTH * distance[half : half + n])
+    return np.where(observed, np.sqrt(variance), grown)

@@ -1,0 +1,163 @@
+"""The plane a body lies on (table, bed, floor), found in its scan.
+
+A plane through three points at random, many times (RANSAC); what tells a support
+from a flat part of the body is that everything else stands on one side of it and
+that it reaches beyond the body's outline, wide in both directions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+
+#: Points this close to the plane may belong to it [m]: tables in depth scans wave.
+TOLERANCE = 0.010
+#: A support is at least this wide in its narrower direction [m]; the patch in which
+#: a torso (radius of curvature below about 0.3 m) touches a plane is narrower.
+LEAST_WIDTH = 0.17
+_LEAST_SHARE = 0.02  # of all points
+_MOST_BELOW = 0.02  # of all points, further below than the tolerance
+_LEAST_OUTSIDE = 0.25  # of the plane's points, beyond the body's outline
+_OUTLINE_MARGIN = 0.015  # [m]
+_N_SAMPLE, _N_TRIALS, _N_ROUNDS = 4000, 600, 3
+
+
+@dataclass(frozen=True)
+class SupportingPlane:
+    """The plane n·x = offset, with the body where n·x > offset.
+
+    Attributes:
+        normal: Unit normal towards the body, shape (3,) [–].
+        offset: Distance from the scan's origin along the normal [m].
+        thickness: Heights up to this are not told apart from the plane [m].
+    """
+
+    normal: Array
+    offset: float
+    thickness: float
+
+    def height(self, points: Array) -> Array:
+        """Heights of scan points (n, 3) [m] above the plane, shape (n,) [m]."""
+        return np.asarray(points @ self.normal - self.offset)
+
+    def above(self, points: Array) -> NDArray[np.bool_]:
+        """Which scan points (n, 3) [m] stand clear of the plane, shape (n,)."""
+        return self.height(points) > self.thickness
+
+
+def find_supporting_plane(
+    cloud: Array, *, rng: np.random.Generator | None = None
+) -> SupportingPlane | None:
+    """Find the plane the body lies on.
+
+    Args:
+        cloud: Scan, shape (n, 3) [m].
+        rng: Draws the trial planes; a fixed seed when not given, so that the same
+            scan gives the same plane.
+
+    Returns:
+        The plane, or None when the scan shows none.
+
+    Raises:
+        InputError: The cloud is not (n, 3) or has fewer than 100 points.
+    """
+    if cloud.ndim != 2 or cloud.shape[1] != 3:
+        raise InputError(f"a cloud must be (n, 3) [m], got {cloud.shape}: transposed?")
+    if len(cloud) < 100:
+        raise InputError(f"a cloud of {len(cloud)} points is too small: 100 at least")
+    rng = rng or np.random.default_rng(0)
+    sample = rng.permutation(cloud)[:_N_SAMPLE]
+    for _ in range(_N_ROUNDS):  # a bed that shows little may escape one round
+        found = _one_round(sample, rng)
+        if found is not None:
+            return _finish(cloud, *found)
+    return None
+
+
+def _one_round(sample: Array, rng: np.random.Generator) -> tuple[Array, float] | None:
+    """The best of many trial planes that is a support, if there is one."""
+    normals, offsets = _trial_planes(sample, rng)
+    heights = normals @ sample.T - offsets[:, None]
+    below = (heights < -TOLERANCE).mean(axis=1)
+    near = (np.abs(heights) < TOLERANCE).mean(axis=1)
+    score = np.where((below < 3 * _MOST_BELOW) & (near > _LEAST_SHARE), near, 0.0)
+    # All of them: a body's flank may hold more points than what is seen of the bed.
+    for best in np.argsort(-score):
+        if score[best] == 0:
+            return None
+        normal, offset = _refine(sample, normals[best], float(offsets[best]))
+        if _supports(sample, normal, offset):
+            return normal, offset
+    return None
+
+
+def _trial_planes(sample: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """Planes through three points, each in both orientations.
+
+    Three quarters of the triples are neighbours: a bed that shows little is hardly
+    ever met by three points from anywhere.
+    """
+    from scipy.spatial import cKDTree
+
+    n = 3 * _N_TRIALS // 4
+    index = rng.integers(len(sample), size=(3, _N_TRIALS))
+    _, found = cKDTree(sample).query(sample[index[0, :n]], k=min(100, len(sample)))
+    near = np.asarray(found)
+    index[1:, :n] = near[np.arange(n), rng.integers(near.shape[1], size=(2, n))]
+    a, b, c = sample[index]
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    good = length > 1e-4  # m²; three points in a row span nothing
+    normals = normals[good] / length[good, None]
+    offsets = np.einsum("ij,ij->i", normals, a[good])
+    return np.concatenate([normals, -normals]), np.concatenate([offsets, -offsets])
+
+
+def _refine(sample: Array, normal: Array, offset: float) -> tuple[Array, float]:
+    """Least squares on the points within the tolerance, repeated."""
+    for _ in range(6):
+        near = sample[np.abs(sample @ normal - offset) < TOLERANCE]
+        if len(near) < 10:
+            break
+        centre = np.median(near, axis=0)
+        _, vectors = np.linalg.eigh(np.cov((near - centre).T))
+        refined = vectors[:, 0] * np.sign(vectors[:, 0] @ normal)
+        if refined @ normal < 0.95:
+            break
+        normal, offset = refined, float(np.mean(near @ refined))
+    return normal, offset
+
+
+def _supports(sample: Array, normal: Array, offset: float) -> bool:
+    """Whether the plane is one-sided, wide, and reaches beyond the body."""
+    height = sample @ normal - offset
+    near = sample[np.abs(height) < TOLERANCE]
+    body = sample[height > 2 * TOLERANCE]
+    if (height < -TOLERANCE).mean() > _MOST_BELOW or min(len(near), len(body)) < 30:
+        return False
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    angle = np.linspace(0, np.pi, 16, endpoint=False)
+    across = np.outer(np.cos(angle), first) + np.outer(
+        np.sin(angle), np.cross(normal, first)
+    )
+    seen = near @ across.T
+    width = np.ptp(np.percentile(seen, [2, 98], axis=0), axis=0).min()
+    if width < LEAST_WIDTH:
+        return False
+    low, high = np.percentile(body[::4] @ across.T, [0.5, 99.5], axis=0)
+    outside = (seen < low - _OUTLINE_MARGIN) | (seen > high + _OUTLINE_MARGIN)
+    return bool(outside.any(axis=1).mean() > _LEAST_OUTSIDE)
+
+
+def _finish(cloud: Array, normal: Array, offset: float) -> SupportingPlane:
+    """Refine on all points; the thickness follows from how flat the plane is."""
+    normal, offset = _refine(cloud, normal, offset)
+    height = cloud @ normal - offset
+    spread = 1.48 * np.median(np.abs(height[np.abs(height) < 2 * TOLERANCE]))
+    return SupportingPlane(normal, offset, float(max(TOLERANCE, 4.0 * spread)))

@@ -1,0 +1,242 @@
+"""The patient's surface as a radius over angle and height, r = R(θ, z).
+
+What the contour filter (`ttus_opt.scan.extraction`) produces, what the voxmap consumes,
+and its netCDF file. Between nodes the radius is bilinear, periodic in θ; above the
+last and below the first slice it keeps the nearest slice's value.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt import io
+from ttus_opt.arrays import Array
+from ttus_opt.compiled import compiled
+from ttus_opt.errors import FileError, GeometryError, InputError
+from ttus_opt.scan.frame import Axis
+
+KIND, VERSION = "surface", 1
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Radius of the skin on a regular (θ, z) grid.
+
+    Attributes:
+        theta: Angles, equally spaced over the full turn, shape (n_theta,) [rad].
+        z: Heights, equally spaced, increasing, shape (n_z,) [m].
+        radius: Radius R, shape (n_theta, n_z) [m].
+        radius_std: Standard deviation of the radius, same shape [m].
+        observed: False where no point was seen and the radius was filled in.
+        axis: Where the patient frame lies in the scan.
+    """
+
+    theta: Array
+    z: Array
+    radius: Array
+    radius_std: Array = field(repr=False)
+    observed: NDArray[np.bool_] = field(repr=False)
+    axis: Axis
+
+    def __post_init__(self) -> None:
+        """Refuse what is not a surface.
+
+        Raises:
+            InputError: Shapes that disagree, or steps that are not constant.
+            GeometryError: A radius that is not finite and positive.
+        """
+        shape = (len(self.theta), len(self.z))
+        if min(shape) < 2 or shape[0] < 4:
+            raise InputError(
+                f"a surface needs at least 4 angles and 2 slices, got {shape}"
+            )
+        for name in ("radius", "radius_std", "observed"):
+            found = getattr(self, name).shape
+            if found != shape:
+                raise InputError(
+                    f"{name} must have shape (n_theta, n_z) = {shape}, got {found}: "
+                    "transposed?"
+                )
+        step = 2.0 * np.pi / shape[0]
+        if not np.allclose(np.diff(self.theta), step, atol=1e-6 * step):
+            raise InputError(
+                f"theta must be {shape[0]} equal steps of {step:.4g} rad over the full "
+                "turn: resample the surface"
+            )
+        dz = np.diff(self.z)
+        if dz.min() <= 0 or np.ptp(dz) > 1e-5 * dz.mean():
+            raise InputError("z must increase in equal steps [m]: resample the surface")
+        bad = ~(np.isfinite(self.radius) & (self.radius > 0))
+        if bad.any():
+            raise GeometryError(
+                f"{int(bad.sum())} of {bad.size} surface radii are not positive and "
+                "finite: fill or drop them first"
+            )
+
+    @classmethod
+    def from_radius(
+        cls, radius: Array, z: Array, *, axis: Axis | None = None
+    ) -> Surface:
+        """A surface known exactly, for phantoms and tests.
+
+        Args:
+            radius: Shape (n_theta, n_z) [m]; angles start at 0.
+            z: Heights, shape (n_z,) [m].
+            axis: Patient frame in the scan; the scan's own frame when not given.
+
+        Returns:
+            The surface, with zero deviation, observed everywhere.
+        """
+        radius = np.asarray(radius, dtype=float)
+        if radius.ndim != 2:
+            raise InputError(
+                f"radius must have shape (n_theta, n_z), got {radius.shape}"
+            )
+        theta = np.arange(len(radius), dtype=np.float64)
+        theta *= 2.0 * np.pi / max(len(radius), 1)
+        return cls(
+            theta,
+            np.asarray(z, dtype=float),
+            radius,
+            np.zeros_like(radius),
+            np.ones(radius.shape, dtype=bool),
+            axis or Axis.identity(),
+        )
+
+    @property
+    def kernel_layout(self) -> Array:
+        """What compiled kernels need: θ0, 1/Δθ, z0, 1/Δz, shape (4,) [SI]."""
+        return np.array(
+            [
+                self.theta[0],
+                len(self.theta) / (2.0 * np.pi),
+                self.z[0],
+                (len(self.z) - 1) / (self.z[-1] - self.z[0]),
+            ]
+        )
+
+    def radius_at(self, theta: Array, z: Array) -> Array:
+        """Bilinear radius at given places.
+
+        Args:
+            theta: Angles, any shape [rad].
+            z: Heights, broadcast with ``theta`` [m].
+
+        Returns:
+            Radii, the broadcast shape [m].
+        """
+        theta, z = np.broadcast_arrays(np.asarray(theta, float), np.asarray(z, float))
+        flat = _radii(
+            np.ascontiguousarray(theta).reshape(-1),
+            np.ascontiguousarray(z).reshape(-1),
+            np.ascontiguousarray(self.radius),
+            self.kernel_layout,
+        )
+        return np.asarray(flat).reshape(theta.shape)
+
+    def points(self) -> Array:
+        """Nodes in the patient frame, shape (n_theta, n_z, 3) [m]."""
+        x = self.radius * np.cos(self.theta)[:, None]
+        y = self.radius * np.sin(self.theta)[:, None]
+        return np.stack([x, y, np.broadcast_to(self.z, x.shape)], axis=-1)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the surface as netCDF (design §4), replacing only on success."""
+        import xarray as xr
+
+        dims = ("theta", "z")
+        dataset = xr.Dataset(
+            {
+                "radius": (dims, self.radius, {"units": "m"}),
+                "radius_std": (dims, self.radius_std, {"units": "m"}),
+                "observed": (dims, self.observed.astype("i1"), {"units": "1"}),
+            },
+            coords={
+                "theta": ("theta", self.theta, {"units": "rad"}),
+                "z": ("z", self.z, {"units": "m"}),
+            },
+            attrs=self.axis.attributes(),
+        )
+        io.write_dataset(dataset, path, kind=KIND, version=VERSION)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Surface:
+        """Read a surface file, ours or one from elsewhere with ``radius(theta, z)``.
+
+        Raises:
+            FileError: Not netCDF, another kind or version, or no usable radius.
+        """
+        dataset = io.read_dataset(path, kind=KIND, version=VERSION, foreign=True)
+        if "radius" not in dataset or set(dataset["radius"].dims) != {"theta", "z"}:
+            raise FileError(
+                f"{path} has no variable radius(theta, z): not a surface file"
+            )
+        dataset = dataset.transpose("theta", "z", ...).sortby("theta").sortby("z")
+        for name in ("radius", "radius_std", "z"):
+            told = dataset[name].attrs if name in dataset.variables else {}
+            # only the radius must state its unit; none may state another one
+            units = told.get("units", None if name == "radius" else "m")
+            if units != "m":
+                raise FileError(
+                    f"{path}: {name} has units {units!r}, expected 'm': convert it and "
+                    "state the unit"
+                )
+        radius = dataset["radius"].to_numpy().astype(float)
+        std = dataset.get("radius_std")
+        observed = dataset.get("observed")
+        try:
+            return cls(
+                dataset["theta"].to_numpy().astype(float),
+                dataset["z"].to_numpy().astype(float),
+                radius,
+                np.zeros_like(radius) if std is None else std.to_numpy().astype(float),
+                np.ones(radius.shape, dtype=bool)
+                if observed is None
+                else observed.to_numpy().astype(bool),
+                Axis.from_attributes(dataset.attrs),
+            )
+        except (InputError, KeyError, json.JSONDecodeError) as error:
+            raise FileError(f"{path}: {error}") from error
+
+
+@compiled(inline="always")
+def bilinear_radius(theta: float, z: float, radius: Array, layout: Array) -> float:
+    """Radius at (θ, z), periodic in θ, constant beyond the end slices (compiled).
+
+    Args:
+        theta: Angle [rad].
+        z: Height [m].
+        radius: Nodes, shape (n_theta, n_z) [m].
+        layout: `Surface.kernel_layout`.
+
+    Returns:
+        The radius [m].
+    """
+    n_theta, n_z = radius.shape
+    u = (theta - layout[0]) * layout[1]
+    floor_u = np.floor(u)
+    a: float = u - floor_u
+    j0 = int(floor_u) % n_theta
+    j1 = j0 + 1
+    if j1 == n_theta:
+        j1 = 0
+    v = (z - layout[2]) * layout[3]
+    v = min(max(v, 0.0), n_z - 1.0)
+    k0 = min(int(v), n_z - 2)
+    b: float = v - k0
+    here: float = (1.0 - b) * radius[j0, k0] + b * radius[j0, k0 + 1]
+    after: float = (1.0 - b) * radius[j1, k0] + b * radius[j1, k0 + 1]
+    return (1.0 - a) * here + a * after
+
+
+@compiled()
+def _radii(theta: Array, z: Array, radius: Array, layout: Array) -> Array:
+    out = np.empty(theta.size)
+    for m in range(theta.size):
+        out[m] = bilinear_radius(theta[m], z[m], radius, layout)
+    return out

@@ -1,0 +1,204 @@
+"""Bounds on voxels and least growth along spokes, read off a program.
+
+What `structured` can hold exactly: lower ≤ p ≤ upper voxel by voxel, p_v - p_w ≥ s
+for a voxel v and the next one outwards w, and given values (hard Dirichlet voxels).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.members import ProgramConstraint
+from ttus_opt.problem.program import Program
+
+
+@dataclass(frozen=True)
+class SpokeLimits:
+    """Limits of one field; -inf and inf where there are none.
+
+    Attributes:
+        shape: Of the grid, (n_r, n_θ, n_z).
+        lower: Shape (V,).
+        upper: Shape (V,).
+        given: Voxels whose value is given: lower = upper there, shape (V,).
+        least: s of the link from a voxel to the next one outwards, shape (V,).
+        links: Per constraint, by name: the deeper voxel of every row, the row's sign,
+            +1 for p_v - p_w ≥ s and -1 for p_w - p_v ≤ -s, and s, shape (m,) each.
+    """
+
+    shape: tuple[int, int, int]
+    lower: Array = field(repr=False)
+    upper: Array = field(repr=False)
+    given: NDArray[np.bool_] = field(repr=False)
+    least: Array = field(repr=False)
+    links: dict[str, tuple[IntArray, Array, Array]] = field(repr=False)
+
+    @classmethod
+    def of(cls, program: Program) -> SpokeLimits:
+        """Read a program's constraints and bounds.
+
+        Raises:
+            ValueError: A row is no such limit; the message names the constraint.
+        """
+        shape = program.laplace.grid.shape
+        own = program.variables["p"]
+        lower, upper = (limit[own].copy() for limit in program.box)
+        given = np.zeros(len(lower), dtype=bool)
+        least = np.full(len(lower), -np.inf)
+        links = {}
+        for constraint in program.constraints:
+            if constraint.name == HardBoundary.name:
+                given[~program.laplace.free] = True
+                # a value beyond its bound leaves nothing between the two limits
+                lower[given] = np.maximum(lower[given], constraint.lower)
+                upper[given] = np.minimum(upper[given], constraint.upper)
+                continue
+            deeper, sign = _links(constraint, shape)
+            bound = np.where(sign > 0.0, constraint.lower, -constraint.upper)
+            least[deeper] = np.maximum(least[deeper], bound)
+            links[constraint.name] = (deeper, sign, bound)
+        return cls(shape, lower, upper, given, least, links)
+
+    @property
+    def stride(self) -> int:
+        """From a voxel to the next one outwards, in flat indices [–]."""
+        return self.shape[1] * self.shape[2]
+
+    @property
+    def binding(self) -> bool:
+        """Whether there is any limit beside given values."""
+        open_ = ~self.given
+        return bool(
+            np.isfinite(self.lower[open_]).any()
+            or np.isfinite(self.upper[open_]).any()
+            or np.isfinite(self.least).any()
+        )
+
+    def by_layer(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Voxel values as one row per layer, shape (n_r, n_θ·n_z)."""
+        return values.reshape(self.shape[0], -1)
+
+    def contradiction(self) -> float:
+        """By how much the limits contradict each other at worst; 0 for not at all.
+
+        Links along a spoke carry bounds from voxel to voxel: what comes out of both
+        sweeps is what the limits leave of every voxel.
+        """
+        lower, upper = self._carried()
+        with np.errstate(invalid="ignore"):
+            gap = lower - upper
+        return float(np.max(np.nan_to_num(gap, nan=0.0, neginf=0.0), initial=0.0))
+
+    def proof_of_contradiction(self) -> Duals | None:
+        """Multipliers that prove the worst contradiction; None where there is none.
+
+        A bound of a voxel, carried outwards or inwards along links, meets another:
+        one at either end and one on every link between.
+        """
+        low, up = self._carried()
+        with np.errstate(invalid="ignore"):
+            gap = np.nan_to_num(low - up, nan=0.0, neginf=0.0)
+        layer, spoke = np.unravel_index(int(np.argmax(gap)), gap.shape)
+        if gap[layer, spoke] <= 0.0:
+            return None
+        own_low = self.by_layer(self.lower)[:, spoke]
+        own_up = self.by_layer(self.upper)[:, spoke]
+        outer, inner = int(layer), int(layer)
+        while own_low[outer] < low[outer, spoke]:
+            outer += 1
+        while own_up[inner] > up[inner, spoke]:
+            inner -= 1
+        if inner == outer:  # two limits of one voxel: which ones is not known here
+            return None
+        pull, push = np.zeros(gap.shape), np.zeros(gap.shape)
+        pull[inner, spoke], pull[outer, spoke] = 1.0, -1.0
+        push[inner:outer, spoke] = 1.0
+        return self.duals(pull.reshape(-1), push.reshape(-1))
+
+    def without_implied(self) -> SpokeLimits:
+        """The same feasible set without bounds that others imply along links.
+
+        What grows inwards and is at least 0 at the skin is at least 0 everywhere: that
+        all these bounds touch at once where one does would leave multipliers open, and
+        a search over active sets going round in circles.
+        """
+        low, up = self._carried()
+        least, given = self.by_layer(self.least), self.by_layer(self.given)
+        by_outer = np.zeros(low.shape, dtype=bool)
+        by_inner = np.zeros(low.shape, dtype=bool)
+        own_low, own_up = self.by_layer(self.lower), self.by_layer(self.upper)
+        by_outer[:-1] = low[1:] + least[:-1] >= own_low[:-1]
+        by_inner[1:] = up[:-1] - least[:-1] <= own_up[1:]
+        return replace(
+            self,
+            lower=np.where((by_outer & ~given).reshape(-1), -np.inf, self.lower),
+            upper=np.where((by_inner & ~given).reshape(-1), np.inf, self.upper),
+        )
+
+    def _carried(self) -> tuple[Array, Array]:
+        """Bounds with what links carry to them from voxel to voxel, by layer."""
+        low, up = self.by_layer(self.lower).copy(), self.by_layer(self.upper).copy()
+        least = self.by_layer(self.least)
+        for i in range(len(low) - 2, -1, -1):
+            np.maximum(low[i], low[i + 1] + least[i], out=low[i])
+        for i in range(len(up) - 1):
+            np.minimum(up[i + 1], up[i] - least[i], out=up[i + 1])
+        return low, up
+
+    def duals(self, pull: Array, push: Array) -> Duals:
+        """Multipliers by name.
+
+        Args:
+            pull: Of bounds and given values: positive at an upper limit, (V,).
+            push: Of links, at their deeper voxel, not negative, (V,).
+
+        Returns:
+            Signs as in `ttus_opt.problem.kkt`.
+        """
+        left = push.copy()
+        rows = {}
+        for name, (deeper, sign, bound) in self.links.items():
+            # of several constraints on one link the tightest carries its multiplier,
+            # of equals the first
+            carried = np.where(bound >= self.least[deeper], left[deeper], 0.0)
+            rows[name] = -sign * carried
+            left[deeper] -= carried
+        if self.given.any():
+            rows[HardBoundary.name] = pull[self.given]
+        bounds = np.where(self.given, 0.0, pull)
+        return Duals(rows, bounds)
+
+
+def _links(
+    constraint: ProgramConstraint, shape: tuple[int, int, int]
+) -> tuple[IntArray, Array]:
+    """Deeper voxels and signs of rows ±(p_v - p_w), limited on one side."""
+    M, stride = constraint.matrix, shape[1] * shape[2]
+    refusal = f"{constraint.name} is no bound and no growth along spokes"
+    if M.indices.max(initial=0) >= stride * shape[0] or (np.diff(M.indptr) != 2).any():
+        raise ValueError(refusal)
+    columns = M.indices.reshape(-1, 2).astype(np.int64)
+    values = M.data.reshape(-1, 2)
+    order = np.argsort(columns, axis=1)
+    columns = np.take_along_axis(columns, order, axis=1)
+    values = np.take_along_axis(values, order, axis=1)
+    sign = values[:, 0]
+    one_sided = np.where(sign > 0.0, constraint.upper == np.inf, True)
+    one_sided &= np.where(sign < 0.0, constraint.lower == -np.inf, True)
+    neighbours = columns[:, 1] - columns[:, 0] == stride
+    if not (
+        neighbours.all()
+        and (values[:, 1] == -sign).all()
+        and (np.abs(sign) == 1.0).all()
+        and one_sided.all()
+        and len(np.unique(columns[:, 0])) == len(columns)
+    ):
+        raise ValueError(refusal)
+    return columns[:, 0], sign

@@ -1,0 +1,274 @@
+"""A face of two fields' feasible set: what is left when some limits are active.
+
+Each voxel v has an unknown x_v of the first field and y_v of the second. Where a bound
+is active its value is held; where the link x_v - y_v ≥ s is, y_v follows x_v. With
+(x, y) = P z + o, what is left is a problem of the same structure and without limits:
+
+- what is free keeps its own Laplace row; these make the square system;
+- the row of what is held is a measured row like those of forces, and so is the row of
+  a y_v that follows x_v; but where all neighbours follow too, it says of z what the
+  row of x_v says, and both become one row of their joint weight.
+
+So as few rows are left over as voxels lie at the rim of an active region.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.laplace.system import RTOL, LaplaceSystem
+from ttus_opt.multigrid import Multigrid
+from ttus_opt.solvers.dual.activity import Activity
+from ttus_opt.solvers.dual.bordered import BorderedSolver
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.pair_laplace import PairBlock, PairLaplace
+from ttus_opt.solvers.dual.solver import NEARBY, DualAnswer
+from ttus_opt.solvers.dual.system import DualSystem
+
+
+@dataclass(frozen=True)
+class PairRows:
+    """The objective of two fields, Σ (L x + B c - b)²/ω + ‖w (D x) + E c - t‖².
+
+    Attributes:
+        laplace: Of one field.
+        L: Of both, shape (2V, 2V).
+        softness: ω, 0 where a row must hold exactly, shape (2V,).
+        b: Shape (2V,).
+        column: B, of an unknown c beside the fields, shape (2V,).
+        rows: D, measured rows without weights, shape (m, 2V).
+        root_weights: w, shape (m,).
+        t: Weighted targets, shape (m,).
+        measured_column: E, shape (m,).
+        bounds: Of c.
+    """
+
+    laplace: LaplaceSystem
+    L: sp.csr_array = field(repr=False)
+    softness: Array = field(repr=False)
+    b: Array = field(repr=False)
+    column: Array = field(repr=False)
+    rows: sp.csr_array = field(repr=False)
+    root_weights: Array = field(repr=False)
+    t: Array = field(repr=False)
+    measured_column: Array = field(repr=False)
+    bounds: tuple[float, float]
+
+    @cached_property
+    def neighbours(self) -> sp.csr_array:
+        """Ones where L has entries."""
+        pattern = np.ones(self.L.nnz, dtype=np.int8), self.L.indices, self.L.indptr
+        return sp.csr_array(pattern, shape=self.L.shape)
+
+    def beside(self, x: Array) -> float:
+        """The best c between its bounds beside two fields, (2V,)."""
+        soft = self.softness > 0.0
+        root = 1.0 / np.sqrt(self.softness[soft])
+        column = np.concatenate([root * self.column[soft], self.measured_column])
+        misfit = np.concatenate(
+            [
+                root * (self.b - self.L @ x)[soft],
+                self.t - self.root_weights * (self.rows @ x),
+            ]
+        )
+        square = float(column @ column)
+        best = float(column @ misfit) / square if square > 0.0 else 0.0
+        return float(np.clip(best, *self.bounds))
+
+
+@dataclass(frozen=True)
+class _Unknowns:
+    """What moves on a face, and how.
+
+    Attributes:
+        spread: P, shape (2V, 2V).
+        offset: o, shape (2V,).
+        own: Entries with an unknown of their own, shape (2V,).
+        held: Entries that do not move, shape (2V,).
+        follows: Voxels whose y follows their x, shape (V,).
+    """
+
+    spread: sp.csr_array
+    offset: Array
+    own: Mask
+    held: Mask
+    follows: Mask
+
+    @classmethod
+    def of(cls, limits: SpokeLimits, active: Activity) -> _Unknowns:
+        n = len(active.pins)
+        V = n // 2
+        fixed = (active.pins != 0) | limits.given
+        value = np.where(active.pins > 0, limits.upper, limits.lower)
+        held = active.pins != 0
+        offset = np.where(held, value, 0.0)
+        tied = active.ties[:V]
+        gap = np.where(tied, limits.least[:V], 0.0)
+        # of a pair at most one is fixed, then the other is so too
+        for one, other, sign in ((0, V, -1.0), (V, 0, 1.0)):
+            a, b = slice(one, one + V), slice(other, other + V)
+            drawn = tied & fixed[a] & ~held[b]
+            offset[b] = np.where(drawn, value[a] + sign * gap, offset[b])
+            held[b] |= drawn
+        follows = tied & ~fixed[:V] & ~fixed[V:]
+        offset[V:] = np.where(follows, -gap, offset[V:])
+        own = ~held
+        own[V:] &= ~follows
+        columns = np.arange(n)
+        columns[V:] = np.where(follows, np.arange(V), columns[V:])
+        spread = sp.csr_array(
+            (
+                np.ones(np.count_nonzero(~held)),
+                columns[~held],
+                np.concatenate([[0], np.cumsum(~held)]),
+            ),
+            shape=(n, n),
+        )
+        return cls(spread, offset, own, held, follows)
+
+
+class PairFace:
+    """The problem on one face, and the solver of its dual."""
+
+    def __init__(self, whole: PairRows, limits: SpokeLimits, active: Activity) -> None:
+        """Reduce the problem.
+
+        Args:
+            whole: The objective.
+            limits: Its limits; a pair is a spoke of two voxels.
+            active: Which of them are active.
+        """
+        unknowns = _Unknowns.of(limits, active)
+        self._whole, self._unknowns = whole, unknowns
+        V = len(unknowns.follows)
+        joined = self._joined(whole, unknowns)
+        # the rows of both in proportion to their weights
+        share = whole.softness[V:] + whole.softness[:V]
+        share = np.divide(whole.softness[V:], share, out=np.ones(V), where=joined)
+
+        def square_rows(values: Array) -> Array:
+            both = share * values[:V] + (1.0 - share) * values[V:]
+            return np.where(unknowns.own, np.concatenate([both, values[V:]]), 0.0)
+
+        rest = whole.b - whole.L @ unknowns.offset
+        left = ~unknowns.own & (whole.softness > 0.0)
+        left[V:] &= ~joined
+        at = np.flatnonzero(left)
+        L = sp.csr_array(whole.L[at] @ unknowns.spread)
+        moved = np.diff(L.indptr) > 0
+        left[at] = ~moved
+        alone = self._alone(whole, rest, left, joined)
+        at, L = at[moved], L[moved]
+        root = 1.0 / np.sqrt(whole.softness[at])
+        rows = [whole.rows @ unknowns.spread, L, sp.csr_array((1, 2 * V))]
+        softness = whole.softness * np.concatenate([share, np.ones(V)])
+        system = DualSystem(
+            _laplace(whole, unknowns),
+            np.where(unknowns.own, softness, 0.0),
+            sp.csr_array(sp.vstack(rows, format="csr")),
+            np.concatenate([whole.root_weights, root, [1.0]]),
+            len(whole.root_weights),
+        )
+        measured = whole.t - whole.root_weights * (whole.rows @ unknowns.offset)
+        self._b = square_rows(rest)
+        self._t = np.concatenate([measured, root * rest[at], alone[1:]])
+        # c as a column of the measured rows alone, when the fields it makes by itself
+        # are taken off
+        column = np.concatenate(
+            [whole.measured_column, root * whole.column[at], alone[:1]]
+        )
+        self._made = system.laplace.solve(square_rows(whole.column))
+        column -= system.measure(self._made)
+        self._solver = BorderedSolver(system, column, whole.bounds)
+
+    @staticmethod
+    def _joined(whole: PairRows, unknowns: _Unknowns) -> Mask:
+        """Voxels whose two rows say the same of the unknowns, shape (V,)."""
+        V = len(unknowns.follows)
+        apart = ~unknowns.follows & ~(unknowns.held[:V] & unknowns.held[V:])
+        near = whole.neighbours[:V, :V] @ apart.astype(np.int8)
+        return np.asarray(unknowns.follows & (near == 0))
+
+    @staticmethod
+    def _alone(whole: PairRows, rest: Array, still: Mask, joined: Mask) -> Array:
+        """One row for all those that no field takes part in any more: E and t of it.
+
+        Rows of voxels that are held with all their neighbours, and the difference of
+        two rows that were joined.
+        """
+        V = len(joined)
+        root = 1.0 / np.sqrt(whole.softness[still])
+        apart = 1.0 / np.sqrt(whole.softness[:V] + whole.softness[V:])[joined]
+        column, target = (
+            np.concatenate([root * v[still], apart * (v[:V] - v[V:])[joined]])
+            for v in (whole.column, rest)
+        )
+        size = float(np.linalg.norm(column))
+        return np.array([size, float(column @ target) / size if size > 0.0 else 0.0])
+
+    @property
+    def system(self) -> DualSystem:
+        """Its dual system."""
+        return self._solver.system
+
+    def solve(
+        self,
+        *,
+        rtol: float,
+        field_rtol: float = RTOL,
+        deadline: float | None,
+        guess: Array | None,
+    ) -> DualAnswer:
+        """The best fields on it."""
+        near, z = 0.0 if guess is None else self._whole.beside(guess), None
+        if guess is not None and rtol <= NEARBY:
+            moved = guess - self._unknowns.offset
+            z = np.where(self._unknowns.own, moved, 0.0) + near * self._made
+        answer = self._solver.solve(
+            self._b,
+            self._t,
+            near=near,
+            guess=z,
+            rtol=rtol,
+            field_rtol=field_rtol,
+            deadline=deadline,
+        )
+        z = answer.p - answer.c * self._made
+        p = np.asarray(self._unknowns.spread @ z + self._unknowns.offset)
+        return DualAnswer(p, answer.steps, answer.late)
+
+
+def _laplace(whole: PairRows, unknowns: _Unknowns) -> PairLaplace:
+    """The square system of a face."""
+    one = whole.laplace
+    V = len(one.free)
+    free = np.tile(one.free, 2) & unknowns.own
+    radii = np.tile(one.radii, 2)
+    # rows of what is free that lie next to anything that is not
+    at = np.flatnonzero(free & (whole.neighbours @ (~free).astype(np.int8) > 0))
+    L = sp.csr_array(whole.L[at] @ unknowns.spread)
+    row = np.repeat(at, np.diff(L.indptr))
+    inward = ~free[L.indices]
+    across = ~inward & (row >= V) & (L.indices < V)
+    coupling = sp.csr_array(
+        (L.data[inward], (row[inward], L.indices[inward])), shape=whole.L.shape
+    )
+    entries = -radii[row[across]] * L.data[across]
+    block = PairBlock(
+        _multigrid(one, free[:V]),
+        _multigrid(one, free[V:]),
+        sp.csr_array((entries, (row[across] - V, L.indices[across])), shape=(V, V)),
+    )
+    return PairLaplace(free, radii, (coupling, sp.csr_array(coupling.T)), block)
+
+
+def _multigrid(laplace: LaplaceSystem, free: Mask) -> Multigrid:
+    """Solver of one field's block, the whole problem's where nothing is held."""
+    if np.array_equal(free, laplace.free):
+        return laplace.multigrid
+    return Multigrid(laplace.grid, laplace.grid.unflatten(free))

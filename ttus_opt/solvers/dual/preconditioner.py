@@ -1,0 +1,125 @@
+"""The dual operator I + K roughly: one V-cycle where `system` solves.
+
+A V-cycle B ≈ A⁻¹ errs by a fixed part of every field, however small, so that the
+rough K̃ = D B ω B Dᵀ is spectrally equivalent to K: solving (I + K̃) z = r roughly
+preconditions (I + K) y = t at any weight, in a number of steps that hardly grows. It
+takes many steps of its own, but only a box of the grid around the contact matters to
+them (`multigrid.window`): on a million voxels hundreds cost as much as one exact
+product. Rows of a face that lie beyond it weigh little and are left alone. A coarser
+grid's K is not equivalent: its error is small against K's largest eigenvalues only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array
+from ttus_opt.solvers.dual.conjugate_directions import Directions
+from ttus_opt.solvers.dual.system import DualSystem
+
+#: To which part the preconditioner reduces a residual, or the error in the energy
+#: norm: the residual's may stall in what single precision leaves of large K [–]
+RESIDUAL, ENERGY = 0.002, 0.01
+
+#: Steps over which the error is estimated (Hestenes and Stiefel's rule)
+DELAY = 4
+
+#: Most directions of the preconditioner
+MAX_STEPS = 1500
+
+
+class RoughDual:
+    """y ↦ y + K̃ y, in single precision and around the contact alone.
+
+    Attributes:
+        root_weights: As of `DualSystem`, shape (m,) [–].
+    """
+
+    def __init__(self, system: DualSystem) -> None:
+        """Gather what a product touches.
+
+        Args:
+            system: The exact dual system.
+        """
+        laplace, softness = system.laplace, system.softness
+        inward, outward = laplace.coupling
+        touched = np.unique(system.rows.indices)
+        contact = np.unique(system.rows[: system.n_measured].indices)
+        self.root_weights = system.root_weights
+        self._cycle = laplace.multigrid.rough(near=contact[laplace.free[contact]])
+        free = self._cycle.free
+        own = touched[free[touched]]
+        rim = np.flatnonzero((np.diff(inward.indptr) > 0) & free)
+        fixed = np.union1d(inward[rim].indices, touched[~laplace.free[touched]])
+        fixed = fixed[softness[fixed] > 0.0]
+        self._own, self._rim = self._cycle.places(own), self._cycle.places(rim)
+        self._rows = system.rows[:, np.concatenate([own, fixed])].astype(np.float32)
+        self._adjoint = sp.csr_array(self._rows.T)
+        radii = sp.diags_array(laplace.radii[rim])
+        self._inward = sp.csr_array(radii @ inward[rim][:, fixed]).astype(np.float32)
+        self._outward = sp.csr_array(outward[fixed][:, rim] @ radii).astype(np.float32)
+        self._softness_fixed = softness[fixed].astype(np.float32)
+        every = np.flatnonzero(free)
+        self._middle = np.zeros_like(self._cycle.b)
+        self._middle[self._cycle.places(every)] = (softness * laplace.radii**2)[every]
+
+    def apply(self, y: Array, rtol: float = 0.0) -> Array:
+        """(I + K̃) y.
+
+        Args:
+            y: Shape (m,).
+            rtol: Has no meaning here: a V-cycle is as exact as it is.
+
+        Returns:
+            Shape (m,).
+        """
+        cycle, count = self._cycle, len(self._own)
+        load = self._adjoint @ (self.root_weights * y).astype(np.float32)
+        # Lᵀ: A x = load, then q = -R x on free voxels, and what flows to fixed ones
+        cycle.b.fill(0.0)
+        cycle.b[self._own] = load[:count]
+        cycle.run_adjoint()
+        p_fixed = load[count:] + self._outward @ cycle.x[self._rim]
+        p_fixed *= self._softness_fixed
+        # L: A p = R ω R x + what flows in from fixed voxels
+        np.multiply(self._middle, cycle.x, out=cycle.b)
+        cycle.b[self._rim] += self._inward @ p_fixed
+        cycle.run()
+        measured = self._rows @ np.concatenate([cycle.x[self._own], p_fixed])
+        return np.asarray(y + self.root_weights * measured)
+
+
+def rough_preconditioner(system: DualSystem) -> Callable[[Array], Array]:
+    """An approximation of (I + K)⁻¹ by conjugate directions of I + K̃.
+
+    Its directions are kept from call to call: the first pays for most of them.
+
+    Args:
+        system: The exact dual system.
+
+    Returns:
+        A function from (m,) to (m,), almost linear and positive definite.
+    """
+    directions = Directions(RoughDual(system), np.float32)
+
+    def precondition(residual: Array) -> Array:
+        goal = RESIDUAL * float(np.linalg.norm(residual))
+        answer, rest = directions.project(residual)
+        energy = float(answer @ residual)
+        recent = np.full(DELAY, np.inf)
+        while (
+            np.linalg.norm(rest) > goal
+            and recent.sum() > ENERGY**2 * energy
+            and len(directions) < MAX_STEPS
+        ):
+            directions.extend(rest, 0.0)
+            step, rest = directions.step(rest)
+            answer = answer + step
+            recent = np.append(recent[1:], abs(float(step @ residual)))
+            energy += recent[-1]
+        return answer
+
+    return precondition

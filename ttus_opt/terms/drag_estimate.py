@@ -1,0 +1,65 @@
+"""A first estimate of drag with the shape of the Laplace field alone.
+
+With p₁ the Laplace field of boundary value 1, forces s (N − μ F) p₁ and torques are
+linear in (s, s μ): a least squares problem of two unknowns tells μ, the boundary
+scale with drag in view, and whether drag acts at the contact or through the probe's
+reference point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttus_opt.contact.friction import DEADBAND, Sliding, coulomb_rows
+from ttus_opt.scene import Scene
+
+
+@dataclass(frozen=True)
+class DragEstimate:
+    """What the Laplace field's shape tells of drag.
+
+    Attributes:
+        friction_coefficient: μ, not negative [–].
+        boundary_scale: Factor on the scene's boundary values [–].
+        acts_at: ``contact`` or ``reference``.
+        misfit: Root mean square of force residuals and torque residuals over ℓ [N].
+    """
+
+    friction_coefficient: float
+    boundary_scale: float
+    acts_at: str
+    misfit: float
+
+
+def estimate_drag(
+    scene: Scene, acts_at: str = "auto", deadband: float = DEADBAND
+) -> DragEstimate:
+    """Estimate drag by least squares.
+
+    Args:
+        scene: With measured wrenches.
+        acts_at: ``contact``, ``reference``, or "auto" for what fits better.
+        deadband: Sliding slower than this is on its way to rest [m/s].
+
+    Returns:
+        The estimate; μ is 0 where nothing slides.
+    """
+    places = ("contact", "reference") if acts_at == "auto" else (acts_at,)
+    p = scene.laplace.solve(scene.b)
+    scale = 1.0 / scene.torque_length
+    measured = np.concatenate([scene.f, scale * scene.tau])
+    pressed = np.concatenate([scene.N @ p, scale * (scene.W @ p)])
+    found = []
+    for place in places:
+        sliding = Sliding.of(scene.voxmap, scene.shell, scene.trajectory, place)
+        rows = coulomb_rows(sliding, scene.rows, deadband=deadband)
+        dragged = np.concatenate([rows.force @ p, scale * (rows.torque @ p)])
+        columns = np.stack([pressed, -dragged], axis=1)
+        (s, s_mu), *_ = np.linalg.lstsq(columns, measured, rcond=None)
+        rest = measured - columns @ [s, s_mu]
+        mu = max(float(s_mu / s), 0.0) if s > 0.0 else 0.0
+        misfit = float(np.sqrt((rest @ rest) / max(len(rest), 1)))
+        found.append(DragEstimate(mu, float(s), place, misfit))
+    return min(found, key=lambda e: e.misfit)

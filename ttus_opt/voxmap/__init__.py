@@ -1,0 +1,1 @@
+"""The voxel grid of the patient and the potential field on it."""

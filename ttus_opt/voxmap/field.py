@@ -1,0 +1,167 @@
+"""The fitted potential field: values on a voxmap, and its netCDF file.
+
+The file holds all that rendering needs (grid, surface, regions, sampling) and where
+the field came from.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ttus_opt import io
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.grid import CylindricalGrid
+from ttus_opt.voxmap.voxmap import Voxmap
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+
+KIND, VERSION = "field", 1
+
+#: Dimensions of voxel values and of the surface in the file
+DIMS, SKIN = ("r", "theta", "z"), ("surface_theta", "surface_z")
+
+#: Unit of the field for each sampling (design §2)
+FIELD_UNIT: dict[str, str] = {"voxel-mean": "N", "trilinear": "N cm-2"}
+
+
+@dataclass(frozen=True)
+class PotentialField:
+    """A potential field p, positive inside the patient.
+
+    Attributes:
+        voxmap: Grid, surface and regions.
+        values: p per voxel, shape ``grid.shape`` [N, or N/cm² when trilinear].
+        sampling: How contact samples it: ``voxel-mean`` or ``trilinear``.
+        parameters: What was identified beside the field, by name (boundary_scale).
+        provenance: Free text by key: formulation, solver, trajectory, …
+        standard_errors: Of those parameters that have one, by name.
+    """
+
+    voxmap: Voxmap
+    values: Array = field(repr=False)
+    sampling: str
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    provenance: Mapping[str, str] = field(default_factory=dict, repr=False)
+    standard_errors: Mapping[str, float] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        """Refuse values that do not fit the grid.
+
+        Raises:
+            InputError: Wrong shape, a value that is not finite, unknown sampling.
+        """
+        if self.values.shape != self.voxmap.grid.shape:
+            raise InputError(
+                f"field values must have shape {self.voxmap.grid.shape}, got "
+                f"{self.values.shape}"
+            )
+        if not np.isfinite(self.values).all():
+            raise InputError("field values contain NaN or infinity: the fit failed")
+        if self.sampling not in FIELD_UNIT:
+            raise InputError(
+                f"sampling must be one of {', '.join(FIELD_UNIT)}, got "
+                f"{self.sampling!r}"
+            )
+
+    @property
+    def unit(self) -> str:
+        """Unit of the values."""
+        return FIELD_UNIT[self.sampling]
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the field as netCDF, replacing ``path`` only on success."""
+        import xarray as xr
+
+        grid, surface = self.voxmap.grid, self.voxmap.surface
+        dataset = xr.Dataset(
+            {
+                "potential": (DIMS, self.values, {"units": self.unit}),
+                "region": (
+                    DIMS,
+                    self.voxmap.region,
+                    {"units": "1", "flags": "1 inside, 0 surface, -1 outside"},
+                ),
+                "radius": (SKIN, surface.radius, {"units": "m"}),
+                "radius_std": (SKIN, surface.radius_std, {"units": "m"}),
+                "observed": (SKIN, surface.observed.astype("i1"), {"units": "1"}),
+            },
+            coords={
+                "r": ("r", grid.r, {"units": "m"}),
+                "theta": ("theta", grid.theta, {"units": "rad"}),
+                "z": ("z", grid.z, {"units": "m"}),
+                "surface_theta": ("surface_theta", surface.theta, {"units": "rad"}),
+                "surface_z": ("surface_z", surface.z, {"units": "m"}),
+            },
+            attrs={
+                "sampling": self.sampling,
+                "grid_limits": json.dumps(
+                    [grid.r_inner, grid.r_outer, grid.z_min, grid.z_max]
+                ),
+                "parameters": json.dumps(dict(self.parameters)),
+                "provenance": json.dumps(dict(self.provenance)),
+                "standard_errors": json.dumps(dict(self.standard_errors)),
+                **surface.axis.attributes(),
+            },
+        )
+        io.write_dataset(dataset, path, kind=KIND, version=VERSION)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> PotentialField:
+        """Read a field file.
+
+        Raises:
+            FileError: Not a field file, another version, or damaged.
+        """
+        data = io.read_dataset(path, kind=KIND, version=VERSION)
+        try:
+            return _from_dataset(data)
+        except (KeyError, InputError, TypeError, ValueError) as error:
+            raise FileError(f"{path}: damaged field file: {error}") from error
+
+
+def _from_dataset(data: xr.Dataset) -> PotentialField:
+    """The field that `PotentialField.save` wrote.
+
+    Raises:
+        InputError: A variable that is missing, has other dimensions or units, or
+            does not fit the grid; also KeyError, TypeError or ValueError.
+    """
+    sampling = data.attrs["sampling"]
+    if sampling not in FIELD_UNIT:
+        raise InputError(
+            f"sampling must be one of {', '.join(FIELD_UNIT)}, got {sampling!r}"
+        )
+    values = io.array_of(data, "potential", DIMS, FIELD_UNIT[sampling])
+    r_inner, r_outer, z_min, z_max = json.loads(data.attrs["grid_limits"])
+    grid = CylindricalGrid(r_inner, r_outer, z_min, z_max, values.shape)
+    for name, units in zip(DIMS, ("m", "rad", "m"), strict=True):
+        centres = io.array_of(data, name, (name,), units)
+        if not np.allclose(centres, getattr(grid, name), rtol=0.0, atol=1e-9):
+            raise InputError(f"{name} is not where grid_limits puts the voxels")
+    surface = Surface(
+        io.array_of(data, "surface_theta", SKIN[:1], "rad"),
+        io.array_of(data, "surface_z", SKIN[1:], "m"),
+        io.array_of(data, "radius", SKIN, "m"),
+        io.array_of(data, "radius_std", SKIN, "m"),
+        io.array_of(data, "observed", SKIN, "1").astype(bool),
+        Axis.from_attributes(data.attrs),
+    )
+    return PotentialField(
+        Voxmap(grid, surface, io.array_of(data, "region", DIMS, "1")),
+        values,
+        sampling,
+        json.loads(data.attrs["parameters"]),
+        json.loads(data.attrs["provenance"]),
+        json.loads(data.attrs.get("standard_errors", "{}")),
+    )

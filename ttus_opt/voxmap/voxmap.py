@@ -1,0 +1,191 @@
+"""The voxmap: which voxels lie inside the patient, on its skin, and outside.
+
+The voxels nearest to the surface R(θ, z) along their spoke form the surface layer.
+Where the layer steps between neighbouring spokes, inside and outside would touch:
+of each such pair the voxel nearer to the surface joins the layer, so that the layer
+is closed and inside and outside never couple (design §3, structure b). Where the
+surface is a grid layer, the surface layer is exactly that layer.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.grid import BYTES_PER_VOXEL, CylindricalGrid
+
+#: How far the grid reaches beyond the largest surface radius by default [m]
+OUTER_MARGIN = 0.02
+
+INSIDE, SURFACE, OUTSIDE = 1, 0, -1
+
+
+@dataclass(frozen=True)
+class Voxmap:
+    """A grid laid over a surface.
+
+    Attributes:
+        grid: Voxel centres.
+        surface: The patient's surface; a point is inside when r < R(θ, z).
+        region: `INSIDE`, `SURFACE` or `OUTSIDE` per voxel, shape ``grid.shape``.
+    """
+
+    grid: CylindricalGrid
+    surface: Surface = field(repr=False)
+    region: NDArray[np.int8] = field(repr=False)
+
+    def __post_init__(self) -> None:
+        """Refuse regions that are none of this grid.
+
+        Raises:
+            InputError: Another shape, or a value that names no region.
+        """
+        if self.region.shape != self.grid.shape:
+            raise InputError(
+                f"region must have the grid's shape {self.grid.shape}, got "
+                f"{self.region.shape}"
+            )
+        if not np.isin(self.region, (INSIDE, SURFACE, OUTSIDE)).all():
+            raise InputError(
+                f"region must hold {INSIDE} inside, {SURFACE} on the surface and "
+                f"{OUTSIDE} outside only"
+            )
+
+    @classmethod
+    def from_surface(
+        cls,
+        surface: Surface,
+        *,
+        shape: Sequence[int] = (48, 120, 60),
+        r_inner: float = 0.03,
+        r_outer: float | None = None,
+        memory_limit: float | None = None,
+    ) -> Voxmap:
+        """Lay a grid over a surface and classify its voxels.
+
+        Args:
+            surface: The patient.
+            shape: Counts (n_r, n_theta, n_z) [–].
+            r_inner: Radius of the inner layer, inside the patient everywhere [m].
+            r_outer: Radius of the outer layer; by default the largest surface
+                radius and 20 mm more [m].
+            memory_limit: Most memory a fit on this grid may take; by default what
+                the machine has free [bytes].
+
+        Returns:
+            The voxmap.
+
+        Raises:
+            InputError: A count is too small or no whole number, or the grid would
+                not fit in memory (the estimate is told before anything is
+                allocated).
+            GeometryError: The surface does not lie between the two layers.
+        """
+        counts = tuple(shape)
+        if len(counts) != 3 or any(int(n) != n for n in counts):
+            raise InputError(f"shape must be three whole numbers, got {tuple(shape)}")
+        outer = float(surface.radius.max()) + OUTER_MARGIN
+        grid = CylindricalGrid(
+            float(r_inner),
+            outer if r_outer is None else float(r_outer),
+            float(surface.z[0]),
+            float(surface.z[-1]),
+            (int(counts[0]), int(counts[1]), int(counts[2])),
+        )
+        _check_memory(grid, memory_limit)
+        theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
+        radius = surface.radius_at(theta, z)
+        _check_radius(radius, grid)
+        return cls(grid, surface, _classify(grid, radius))
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Voxels of the patient without its surface layer, shape ``grid.shape``."""
+        return np.asarray(self.region == INSIDE)
+
+    @property
+    def on_surface(self) -> NDArray[np.bool_]:
+        """Voxels of the surface layer, shape ``grid.shape``."""
+        return np.asarray(self.region == SURFACE)
+
+    @property
+    def dirichlet(self) -> NDArray[np.bool_]:
+        """Voxels with a given value: surface, inner, outer layer and both ends."""
+        fixed = self.on_surface.copy()
+        fixed[[0, -1]] = True
+        fixed[:, :, [0, -1]] = True
+        return fixed
+
+
+def _check_memory(grid: CylindricalGrid, limit: float | None) -> None:
+    if limit is None:
+        limit = float(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    need = grid.n_voxels * BYTES_PER_VOXEL
+    if need > limit:
+        raise InputError(
+            f"a fit on {'x'.join(map(str, grid.shape))} = {grid.n_voxels:,} voxels "
+            f"takes about {need / 2**30:.1f} GiB, {limit / 2**30:.1f} GiB are free: "
+            "choose a smaller shape"
+        )
+
+
+def _check_radius(radius: NDArray[np.float64], grid: CylindricalGrid) -> None:
+    low, high = float(radius.min()), float(radius.max())
+    if low <= grid.r_inner + grid.r_step / 2:
+        raise GeometryError(
+            f"the surface comes within {low:.4g} m of the axis, r_inner is "
+            f"{grid.r_inner:.4g} m: choose r_inner below {low - grid.r_step / 2:.3g} "
+            "or move the axis"
+        )
+    if high > grid.r_outer:
+        raise GeometryError(
+            f"the surface reaches {high:.4g} m, r_outer is {grid.r_outer:.4g} m: "
+            "choose a larger r_outer or none"
+        )
+
+
+def skin_layer(grid: CylindricalGrid, radius: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The layer of voxels nearest to a skin, the lower one of two.
+
+    Args:
+        grid: The grid.
+        radius: Of the skin, any shape [m].
+
+    Returns:
+        Layers, the same shape.
+    """
+    # a radius on a layer stays on that layer whatever rounding did to it
+    layer = np.ceil((radius - grid.r_inner) / grid.r_step - 0.5 - 1e-9)
+    return np.asarray(layer.astype(np.int64))
+
+
+def _classify(grid: CylindricalGrid, radius: NDArray[np.float64]) -> NDArray[np.int8]:
+    """Region of every voxel from the surface radius at (θ_j, z_k) [m]."""
+    depth = (radius[None] - grid.r[:, None, None]) / grid.r_step  # [voxels]
+    layer = skin_layer(grid, radius)
+    index = np.arange(grid.shape[0])[:, None, None]
+    region = np.sign(layer[None] - index).astype(np.int8)
+    closed = region.copy()
+    for axis, wraps in ((1, True), (2, False)):
+        here = np.arange(grid.shape[axis])
+        if not wraps:
+            here = here[:-1]
+        there = (here + 1) % grid.shape[axis]
+        a, b = np.take(region, here, axis), np.take(region, there, axis)
+        crossing = a * b == -1
+        a_is_nearer = np.abs(np.take(depth, here, axis)) <= np.abs(
+            np.take(depth, there, axis)
+        )
+        for side, nearer in ((here, a_is_nearer), (there, ~a_is_nearer)):
+            spots = np.zeros_like(closed, dtype=bool)
+            sel: list[slice | NDArray[np.int64]] = [slice(None)] * 3
+            sel[axis] = side
+            spots[tuple(sel)] = crossing & nearer
+            closed[spots] = SURFACE
+    return np.asarray(closed)
