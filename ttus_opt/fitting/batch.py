@@ -59,11 +59,10 @@ def fit(
         time_limit: Most seconds the solver may take, each time it is called [s].
         options: The formulation's own (``force_weight``, ``torque_weight``, …).
 
-    Returns:
-        The solution; its ``field`` is there only when its residuals, computed here,
-        hold to the tolerance. Parameters beside the field come with standard errors,
-        see `ttus_opt.fitting.identification`; those that the data do not bear have their
-        neutral value, for which the field is fitted, and are named.
+    Returns: The solution; its ``field`` is there only when its residuals, computed
+    here, hold to the tolerance. Parameters beside the field come with standard errors,
+    see `ttus_opt.fitting.identification`; those that the data do not bear have their
+    neutral value, for which the field is fitted, and are named.
 
     Raises:
         InputError: Unknown formulation, option or solver, or a solver that cannot

@@ -1,9 +1,9 @@
 """Eq. 10 one measurement at a time, equal to the batch fit.
 
-The linear algebra is `ttus_opt.fitting.dual_recursion`; here are poses and wrenches, the
-test for outliers, and which measurements are held. The test compares a measurement with
-what all earlier ones predict for its pose: with p ~ Normal(p₀, s (LᵀL)⁻¹) and noise
-variances s/λ_f and s ℓ²/λ_τ, νᵀS⁻¹ν of the innovation ν is χ² distributed.
+The linear algebra is `ttus_opt.fitting.dual_recursion`; here are poses and wrenches,
+the test for outliers, and which measurements are held. The test compares a measurement
+with what all earlier ones predict for its pose: with p ~ Normal(p₀, s (LᵀL)⁻¹) and
+noise variances s/λ_f and s ℓ²/λ_τ, νᵀS⁻¹ν of the innovation ν is χ² distributed.
 """
 
 from __future__ import annotations
