@@ -110,15 +110,13 @@ def signals_deferred() -> Iterator[None]:
         yield
         return
     received: list[int] = []
-    before = {
-        number: signal.signal(number, lambda n, _: received.append(n))
-        for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    deferred = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(s, lambda n, _: received.append(n)) for s in deferred]
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for kind, handler in zip(deferred, before, strict=True):
+            signal.signal(kind, handler)
         for number in received[:1]:
             signal.raise_signal(number)
 

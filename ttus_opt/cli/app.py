@@ -21,6 +21,7 @@ from ttus_opt.cli import (
     list_commands,
     render_command,
     surface_command,
+    warm_up_command,
 )
 from ttus_opt.cli.console import as_options, one_line, warnings_in_one_line
 from ttus_opt.errors import TtusError
@@ -43,6 +44,7 @@ for module in (
     render_command,
     benchmark_command,
     list_commands,
+    warm_up_command,
 ):
     module.register(app)
 
