@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ttus_opt.multigrid.cycle import Hierarchy, Level
+from ttus_opt.multigrid.hierarchy import Hierarchy, Level
 
 #: An array counts as beyond a cache at so many times its size
 BEYOND = 2
