@@ -45,22 +45,32 @@ def inverse_pivots(aside: Single, R: Single) -> Single:
     Returns:
         Same shape as ``aside``, zero at fixed nodes [1/m].
     """
-    links = R.astype(float)
-    if R.ndim == 1:
-        links = links[None, :, None]
     inverse = np.zeros_like(aside)
-    held: Array = np.zeros((2, aside.shape[2]))
-    for i in range(1, aside.shape[1] - 1):
-        own = aside[:, i].astype(float)
-        free = own > 0.0
-        link = links[:, i - 1]
-        both = link + held
-        both[both == 0.0] = 1.0
-        own += np.where(free, link * held / both, 0.0)
-        held = own
-        ahead = np.where(aside[:, i + 1] > 0.0, links[:, i], 0.0)
-        np.divide(1.0, own + ahead, out=inverse[:, i], where=free, casting="same_kind")
+    links = R if R.ndim > 1 else R[None, :, None]
+    _invert_pivots(inverse, aside, links, np.zeros(aside.shape[2]))
     return inverse
+
+
+@compiled(nogil=True)
+def _invert_pivots(inverse: Single, aside: Single, R: Single, held: Array) -> None:
+    """Set ``inverse`` of `inverse_pivots` (compiled).
+
+    R has three dimensions; ``held`` is what lines hold their last nodes with [m].
+    """
+    tied = 1 if R.shape[2] > 1 else 0
+    for c in range(2):
+        for h in range(held.size):
+            held[h] = 0.0
+        for i in range(1, aside.shape[1] - 1):
+            for h in range(held.size):
+                own = np.float64(aside[c, i, h])
+                if own > 0.0:
+                    if held[h] > 0.0:
+                        r = np.float64(R[c * tied, i - 1, h * tied])
+                        own += r * held[h] / (r + held[h])
+                    ahead = R[c * tied, i, h * tied] if aside[c, i + 1, h] > 0.0 else 0
+                    inverse[c, i, h] = 1.0 / (own + ahead)
+                held[h] = own
 
 
 @compiled(inner=True, nogil=True, fastmath=FAST)
