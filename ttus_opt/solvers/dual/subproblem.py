@@ -22,8 +22,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.laplace.system import BlockSolves, LaplaceSystem
-from ttus_opt.multigrid import Multigrid, AggregatedMultigrid
+from ttus_opt.laplace.square_system import BlockSolves
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.multigrid import AggregatedMultigrid, Multigrid
 from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
