@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,10 +9,9 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.benchmark.traffic import Bandwidth, Traffic, last_level_cache
-from ttus_opt.multigrid import cycle as cycle_module
-from ttus_opt.multigrid import kernels, line_smoother, transfer
-from ttus_opt.multigrid.cycle import Hierarchy, Workspace, cycle
-from ttus_opt.multigrid.kernels import Single
+from ttus_opt.multigrid import cycle
+from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
+from ttus_opt.multigrid.kernels import LevelIndex
 
 
 def hierarchy(n_theta: int) -> Hierarchy:
@@ -21,59 +19,51 @@ def hierarchy(n_theta: int) -> Hierarchy:
     return scene.laplace.multigrid.hierarchy
 
 
-def seen(made: Hierarchy, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
-    """Bytes of one V-cycle by kernel, from the arguments of its calls."""
-    found: dict[str, int] = {}
+def seen(made: Hierarchy, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Bytes of one V-cycle, from the arguments its kernels are called with.
 
-    def size(a: Any, *, one_colour: bool = False) -> int:
-        if a is None or a.ndim == 1:  # one number per layer is nothing
-            return 0
-        return int(a.nbytes) // (2 if one_colour and a.ndim == 3 else 1)
+    Without the weights of interpolation.
+    """
+    counts: list[int] = []
 
-    def record(owner: Any, name: str, count: Callable[..., int]) -> None:
-        held = getattr(owner, name)
+    def colour(at: LevelIndex) -> int:
+        return 4 * int(at.n_r * at.width)
 
-        def called(*arguments: Any) -> None:
-            found[name] = found.get(name, 0) + count(*arguments)
-            held(*arguments)
+    def swept(row: Any, fields: Any, work: Any, c: int, x: int, *rest: int) -> None:
+        at = LevelIndex(*row)
+        opposite, load = (int(start != at.zeros) for start in rest)
+        links = at.is_tied + 4 * at.is_uneven * opposite
+        counts.append((2 + opposite + load + links) * colour(at))
 
-        monkeypatch.setattr(owner, name, called)
+    def flowed(row: Any, fields: Any, work: Any, out: int, x: int, kept: float) -> None:
+        at = LevelIndex(*row)
+        coefficients = 4 if at.is_uneven else 1  # T and Z, or which nodes are free
+        counts.append((2 + (kept != 0) + coefficients) * colour(at))
 
-    def swept(x: Single, *others: Any) -> int:
-        *arrays, R, T, Z = others
-        total = size(x, one_colour=True) + sum(map(size, arrays))
-        return total + size(R, one_colour=True) + size(T) + size(Z)
+    def moved(at: LevelIndex, below: LevelIndex, times: int) -> None:
+        counts.append(times * colour(at) + 2 * colour(below))
 
-    record(line_smoother, "sweep", lambda *a: swept(*a[:7]))
-    record(line_smoother, "sweep_unloaded", lambda *a: swept(*a[:6]))
-    record(
-        line_smoother,
-        "sweep_alone",
-        lambda x, b, inv, R, *_: swept(x, b, inv, R, R0, R0),
-    )
-    R0 = np.zeros(1)
+    def solved(at: LevelIndex, work: Any, places: Any, inverse: Any, _: bool) -> None:
+        counts.append(4 * colour(at) + inverse.nbytes)
 
-    def coupled(
-        out: Any, x: Any, less: Any, inverse: Any, T: Any, Z: Any, _: Any
-    ) -> int:
-        own = size(out) * (2 if less else 1)
-        return own + size(x) + (size(inverse) if T.ndim == 1 else 0) + size(T) + size(Z)
-
-    record(kernels, "couple", coupled)
-    record(transfer, "restrict", lambda out, r, *_: size(out) + size(r))
-    record(transfer, "prolong", lambda out, x, *_: 2 * size(out) + size(x))
-    record(kernels, "direct", lambda x, b0, b1, p, inv: size(x) * 2 + size(inv))
+    replaced = {
+        "sweep": swept,
+        "flow": flowed,
+        "restrict": lambda at, below, *_: moved(at, below, 1),
+        "prolong": lambda at, below, *_: moved(at, below, 2),
+        "fill": lambda work, out, value, count: counts.append(4 * int(count)),
+        "_solve_coarsest": solved,
+        "close_circle": lambda *_: None,
+        "level_index": lambda row: LevelIndex(*row),
+    }
+    for name, called in replaced.items():
+        monkeypatch.setattr(cycle, name, called)
+    work = np.zeros(made.work_size, np.float32)
+    bottom = (made.places, made.inverse)
     # compiled code would not call what is put in the kernels' place
-    for name in ("cycle_below", "direct"):
-        monkeypatch.setattr(cycle_module, name, getattr(cycle_module, name).py_func)
-    work = Workspace(made)
-    for n, level in enumerate(made.levels):
-        if (n or level.is_odd) and n < len(made.levels) - 1:
-            found["fill"] = found.get("fill", 0) + work.x[n].nbytes
-    b = work.b[0]
-    b[:] = made.levels[0].inverse
-    cycle(made, work, (b[0] if made.levels[0].is_odd else None, b[1]))
-    return found
+    run = getattr(cycle.v_cycle, "py_func", cycle.v_cycle)
+    run(made.table, made.fields, work, *bottom, 1, made.levels[0].is_odd)
+    return sum(counts)
 
 
 @pytest.mark.parametrize("n_theta", [32, 33])
@@ -83,9 +73,9 @@ def test_bytes_are_those_of_the_arrays_handed_over(
     made = hierarchy(n_theta)
     assert len(made.levels) > 2
     counted = Traffic.of(made, 12 * n_theta * 16)
-    without = sum(seen(made, monkeypatch).values())
-    # told by none of these arguments: two halves of weights per direction coarsened,
-    # both ways; on the finest level all weights are one array of two halves
+    without = seen(made, monkeypatch)
+    # told by none of these arguments: two colours of weights per direction coarsened,
+    # both ways; on the finest level all weights are one array of two colours
     weights = 0
     for number, level in enumerate(made.levels[:-1]):
         r, theta, z = level.flags

@@ -17,7 +17,7 @@ from scipy.sparse.linalg import splu
 from tests.multigrid.test_solver import box, explicit, make_grid, neck, pockets, torso
 from ttus_opt.arrays import Mask
 from ttus_opt.errors import NumericalError
-from ttus_opt.multigrid import Multigrid, StiffMultigrid
+from ttus_opt.multigrid import AggregatedMultigrid, Multigrid
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 GRIDS = {
@@ -87,14 +87,14 @@ def spread(
     return P, member
 
 
-def stiff(
+def aggregated(
     grid: CylindricalGrid, free: Mask, ties: Mask
-) -> tuple[StiffMultigrid, NDArray[np.bool_]]:
+) -> tuple[AggregatedMultigrid, NDArray[np.bool_]]:
     """The solver, and the voxels at which chains stand."""
     _, member = spread(free, ties, np.random.default_rng(0))
     shown = np.zeros(free.size, dtype=bool)
     shown[member] = True
-    return StiffMultigrid(grid, free.reshape(-1), ties.reshape(-1), shown), shown
+    return AggregatedMultigrid(grid, free.reshape(-1), ties.reshape(-1), shown), shown
 
 
 def check(grid: CylindricalGrid, free: Mask, ties: Mask, seed: int = 0) -> None:
@@ -104,7 +104,7 @@ def check(grid: CylindricalGrid, free: Mask, ties: Mask, seed: int = 0) -> None:
     K = sp.csc_array(P.T @ explicit(grid, free) @ P)
     shown = np.zeros(free.size, dtype=bool)
     shown[member] = True
-    solver = StiffMultigrid(grid, free.reshape(-1), ties.reshape(-1), shown)
+    solver = AggregatedMultigrid(grid, free.reshape(-1), ties.reshape(-1), shown)
     b = np.where(shown, rng.standard_normal(free.size), 0.0)
     np.testing.assert_allclose(
         solver.apply(b)[member], K @ b[member], atol=1e-12 * abs(K).max()
@@ -169,7 +169,7 @@ def test_equals_a_factorisation_on_any_mask_and_ties(
 def test_is_linear_in_sizes_and_symmetric() -> None:
     grid = GRIDS["odd"]
     free = torso(grid)
-    solver, shown = stiff(grid, free, some_ties(free, 1))
+    solver, shown = aggregated(grid, free, some_ties(free, 1))
     rng = np.random.default_rng(1)
     a, b = (np.where(shown, rng.standard_normal(free.size), 0.0) for _ in range(2))
     x, y = solver.solve(a).x, solver.solve(b).x
@@ -184,7 +184,7 @@ def test_what_stands_elsewhere_is_left_out() -> None:
     grid = GRIDS["even"]
     free = box(grid)
     ties = some_ties(free, 2)
-    solver, shown = stiff(grid, free, ties)
+    solver, shown = aggregated(grid, free, ties)
     b = np.random.default_rng(3).standard_normal(free.size)
     kept = solver.solve(np.where(shown, b, 0.0)).x
     np.testing.assert_array_equal(solver.solve(b).x, kept)
@@ -194,7 +194,7 @@ def test_a_residual_out_of_reach_is_an_error() -> None:
     grid = GRIDS["even"]
     free = box(grid)
     ties = every_spoke(free, 0)
-    solver, shown = stiff(grid, free, ties)
+    solver, shown = aggregated(grid, free, ties)
     b = np.where(shown, 1.0 + np.arange(free.size), 0.0)
     with pytest.raises(NumericalError, match=r"residual of .* after 1 cycles"):
         solver.solve(b, max_iterations=1)
@@ -205,7 +205,7 @@ def test_pickles() -> None:
     grid = GRIDS["even"]
     free = torso(grid)
     ties = some_ties(free, 1)
-    solver, shown = stiff(grid, free, ties)
+    solver, shown = aggregated(grid, free, ties)
     b = np.where(shown, np.random.default_rng(3).standard_normal(free.size), 0.0)
     copy = pickle.loads(pickle.dumps(solver))
     np.testing.assert_array_equal(copy.solve(b).x, solver.solve(b).x)
@@ -219,5 +219,5 @@ def test_chains_cost_hardly_more_cycles_than_none() -> None:
     )
     plain = Multigrid(grid, free).solve(b).iterations
     for ties in (some_ties, nearly_whole):
-        solver, _ = stiff(grid, free, ties(free, 1))
+        solver, _ = aggregated(grid, free, ties(free, 1))
         assert solver.solve(b).iterations <= 1.5 * plain

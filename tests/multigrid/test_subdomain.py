@@ -11,8 +11,8 @@ from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from tests.multigrid.test_solver import explicit, make_grid, torso
 from ttus_opt.arrays import Array, Mask
-from ttus_opt.multigrid import Multigrid, StiffMultigrid, VCycle
-from ttus_opt.multigrid.subdomain import LARGE, MARGIN, SPOKES, Window
+from ttus_opt.multigrid import AggregatedMultigrid, Multigrid, VCycle
+from ttus_opt.multigrid.subdomain import LARGE, MARGIN, SPOKES, Subdomain
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 GRID = make_grid((24, 64, 40))
@@ -44,10 +44,10 @@ def test_holds_the_voxels_and_their_margin(spoke: int) -> None:
     """Also where the box passes θ = 0."""
     free = torso(GRID)
     near = patch(GRID, free, spoke)
-    window = Window.around(GRID, near)
-    inside = GRID.unflatten(window.spread(np.ones(window.shape, dtype=bool)))
-    assert inside.sum() == np.prod(window.shape) < LARGE * GRID.n_voxels
-    assert window.shape[1] % SPOKES == 0
+    box = Subdomain.around(GRID, near)
+    inside = GRID.unflatten(box.extend(np.ones(box.shape, dtype=bool)))
+    assert inside.sum() == np.prod(box.shape) < LARGE * GRID.n_voxels
+    assert box.shape[1] % SPOKES == 0
     i, j, k = np.unravel_index(near, GRID.shape)
     for a in (-MARGIN, 0, MARGIN):
         assert inside[(i + a).clip(0, GRID.shape[0] - 1), j, k].all()
@@ -58,24 +58,24 @@ def test_holds_the_voxels_and_their_margin(spoke: int) -> None:
 @pytest.mark.parametrize("spoke", [30, 0])
 def test_its_arrays_are_the_grids(spoke: int) -> None:
     free = torso(GRID)
-    window = Window.around(GRID, patch(GRID, free, spoke))
+    box = Subdomain.around(GRID, patch(GRID, free, spoke))
     values = np.arange(GRID.n_voxels, dtype=float)
-    known = window.spread(window.free(free))
+    known = box.extend(box.free(free))
     at = np.flatnonzero(known)
     assert known.any() and not (known & ~free.reshape(-1)).any()
     np.testing.assert_array_equal(
-        window.cut(GRID.unflatten(values))[window.nodes(at)], values[at]
+        box.restrict(GRID.unflatten(values))[box.nodes(at)], values[at]
     )
 
 
 def test_large_boxes_are_the_grid() -> None:
     free = torso(GRID)
     everywhere = np.flatnonzero(free)
-    assert Window.around(GRID, everywhere).is_whole
-    assert Window.around(GRID, None).is_whole
-    assert Window.around(GRID, everywhere[:0]).is_whole
+    assert Subdomain.around(GRID, everywhere).is_whole
+    assert Subdomain.around(GRID, None).is_whole
+    assert Subdomain.around(GRID, everywhere[:0]).is_whole
     ring = np.ravel_multi_index((8, np.arange(GRID.shape[1]), 20), GRID.shape)
-    around = Window.around(GRID, ring)
+    around = Subdomain.around(GRID, ring)
     assert around.shape[1] == GRID.shape[1] and not around.is_whole
 
 
@@ -92,7 +92,7 @@ def test_v_cycle_nearly_inverts_the_box(spoke: int, ties: bool) -> None:
         own = near[np.isin(near + stride, near) & ~np.isin(near - stride, near)]
         tied[own[::3]] = True
         shown = flat & ~np.roll(tied, stride)
-        cycle = StiffMultigrid(GRID, flat, tied, shown).rough(near)
+        cycle = AggregatedMultigrid(GRID, flat, tied, shown).rough(near)
     else:
         shown = flat
         cycle = Multigrid(GRID, free).rough(near)
@@ -117,14 +117,16 @@ def test_zero_around_a_box_hardly_matters_near_its_voxels() -> None:
     free = torso(GRID)
     near = patch(GRID, free, 0)
     whole = Multigrid(GRID, free)
-    window = Window.around(GRID, near)
-    part = Multigrid(GRID, free & GRID.unflatten(window.spread(window.free(free))))
+    box = Subdomain.around(GRID, near)
+    part = Multigrid(GRID, free & GRID.unflatten(box.extend(box.free(free))))
     loads = np.zeros((len(near), GRID.n_voxels))
     loads[np.arange(len(near)), near] = 1.0
     r = GRID.r.repeat(GRID.strides[0])
     grams = []
     for solver in (part, whole):
-        fields = np.array([r * v.x for v in solver.solve_many(loads, rtol=1e-8)])
+        fields = np.array(
+            [r * v.x for v in (solver.solve(load, rtol=1e-8) for load in loads)]
+        )
         grams.append(fields @ fields.T)
     ratios = scipy.linalg.eigh(*grams, eigvals_only=True)
     assert 0.5 < ratios.min() < ratios.max() < 1.01

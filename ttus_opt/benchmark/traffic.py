@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ttus_opt.multigrid.cycle import Hierarchy, Level
+from ttus_opt.multigrid.hierarchy import Hierarchy, Level
 
 #: An array counts as beyond a cache at so many times its size
 BEYOND = 2
@@ -27,7 +27,7 @@ UNKNOWN_CACHE = 2**28
 #: Copies of which the fastest counts, and how long they may take together [s]
 COPIES, COPY_SECONDS = 50, 2.0
 
-#: One half of one array of one level: name, level, colour
+#: One colour of one array of one level: name, level, colour
 Piece = tuple[str, int, int]
 Pass = tuple[Piece, ...]
 
@@ -119,7 +119,7 @@ def _passes(hierarchy: Hierarchy, number: int) -> Iterator[Pass]:
         return
     # the finest level is called with a right-hand side on colour 1 alone
     loaded = (True, True) if number or level.is_odd else (False, True)
-    if number or level.is_odd:
+    if level.is_odd:
         yield tuple(x)
     uneven = level.R.ndim > 1
     inverse = [("inverse", number, colour) for colour in range(2)]
@@ -138,7 +138,7 @@ def _passes(hierarchy: Hierarchy, number: int) -> Iterator[Pass]:
     couple: Pass = (x[0], *across, residual[1])
     if not uneven:
         couple = (*couple, inverse[1])
-    yield sweep(1) if number else alone(1)
+    yield alone(1)
     yield sweep(0)
     yield couple
     if number:

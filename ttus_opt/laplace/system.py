@@ -1,10 +1,18 @@
-"""Laplace's equation on the voxmap: L p = b (paper eq. 8; design §3).
+"""Laplace's equation in cylindrical coordinates on the voxmap: L p = b (paper eq. 8).
 
-Central differences of ∇²p = p_r/r + p_rr + p_θθ/r² + p_zz, every row multiplied by
-Δr², so that rows are dimensionless stencils. Voxels with a given value are identity
-rows: +p_in on the inner layer, -p_out on the outer layer, 0 on the surface layer,
-and at both ends the solution of the same problem in polar coordinates. With the
-free rows scaled by -r, their square block is symmetric positive definite (A).
+    ∇²p = p_rr + p_r/r + p_θθ/r² + p_zz = 0
+
+Central differences, every row multiplied by Δr², so that rows are dimensionless: for a
+voxel in layer r
+
+    (1 - Δr/2r) p(r-Δr) + (1 + Δr/2r) p(r+Δr) - 2 p
+        + (Δr / rΔθ)² (p(θ-Δθ) + p(θ+Δθ) - 2 p)
+        + (Δr / Δz)² (p(z-Δz) + p(z+Δz) - 2 p) = 0.
+
+Dirichlet voxels have identity rows: +p_in on the inner layer, -p_out on the outer
+layer, 0 on the surface layer, and at both ends the solution of the same problem in
+polar coordinates. With the free rows scaled by -r, their square block A is symmetric
+positive definite.
 
 Variants: conductivities k_r, k_θ, k_z in front of the three parts, and screening,
 ∇²p - κ²p. Only the plain operator has a multigrid.
@@ -14,131 +22,58 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.compiled import compiled
 from ttus_opt.errors import InputError
-from ttus_opt.multigrid import Multigrid, MultigridResult
+from ttus_opt.laplace.square_system import RTOL as RTOL
+from ttus_opt.laplace.square_system import BlockSolves
+from ttus_opt.multigrid import Multigrid
 from ttus_opt.voxmap.grid import CylindricalGrid, flat_index
 from ttus_opt.voxmap.voxmap import Voxmap
 
-#: Relative residual to which `LaplaceSystem` solves; fields agree to about 1e-11
-RTOL = 1e-12
 
+class _Stencil(NamedTuple):
+    """Weights of a free voxel's neighbours, and what is taken off its own.
 
-class RoughCycle(Protocol):
-    """A⁻¹ roughly, as `VCycle`; the block A need not be symmetric."""
-
-    @property
-    def free(self) -> NDArray[np.bool_]:
-        """Unknown voxels that it knows of."""
-
-    @property
-    def b(self) -> NDArray[np.float32]:
-        """Right-hand side, to be written to."""
-
-    @property
-    def x(self) -> NDArray[np.float32]:
-        """Answer of the last run."""
-
-    def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Where free voxels lie in both."""
-
-    def run(self) -> None:
-        """Set x to A⁻¹ b."""
-
-    def run_adjoint(self) -> None:
-        """Set x to A⁻ᵀ b."""
-
-
-class Block(Protocol):
-    """The square block A on free voxels."""
-
-    def rough(self, near: NDArray[np.integer]) -> RoughCycle:
-        """One V-cycle at a time, of use near some voxels."""
-
-
-class BlockSolver(Block, Protocol):
-    """A solver of a symmetric block A."""
-
-    def solve(self, rhs: Array, *, rtol: float) -> MultigridResult:
-        """Its answer to one right-hand side."""
-
-
-class SquareSystem(Protocol):
-    """L of some problem: what solves with it need, and the solves.
-
-    Voxels are free, or fixed with an identity row, or take no part: these have no
-    row and no column, and right-hand sides are zero there.
+    Attributes:
+        inner: Of the next layer inwards, shape (n_r,) [–].
+        outer: Of the next layer outwards, shape (n_r,) [–].
+        theta: Of the next spokes, shape (n_r,) [–].
+        z: Of the next slices [–].
+        own: (κ Δr)² [–].
     """
 
-    @property
-    def free(self) -> NDArray[np.bool_]:
-        """Voxels with an unknown of their own, shape (V,)."""
+    inner: Array
+    outer: Array
+    theta: Array
+    z: float
+    own: float
 
-    @property
-    def radii(self) -> Array:
-        """What turns a row of A into minus one of L, shape (V,) [m]."""
-
-    @property
-    def coupling(self) -> tuple[sp.csr_array, sp.csr_array]:
-        """L's entries from fixed voxels to free rows, and their adjoint, (V, V)."""
-
-    @property
-    def multigrid(self) -> Block:
-        """What A is on the free voxels."""
-
-    def solve(self, right_side: Array, *, rtol: float = RTOL) -> Array:
-        """Solve L p = g."""
-
-    def solve_adjoint(self, right_side: Array, *, rtol: float = RTOL) -> Array:
-        """Solve Lᵀ q = g."""
-
-
-class SymmetricSystem(SquareSystem, Protocol):
-    """A `SquareSystem` whose block A is symmetric."""
-
-    @property
-    def multigrid(self) -> BlockSolver:
-        """Solver of A on the free voxels."""
-
-
-class BlockSolves:
-    """The solves of a `SymmetricSystem`."""
-
-    def solve(self: SymmetricSystem, right_side: Array, *, rtol: float = RTOL) -> Array:
-        """Solve L p = g.
-
-        Args:
-            right_side: g, shape (V,).
-            rtol: Relative residual of the symmetric block.
-
-        Returns:
-            p, shape (V,).
-
-        Raises:
-            NumericalError: The residual was not reached.
-        """
-        p = np.where(self.free, 0.0, right_side)
-        rest = self.radii * (self.coupling[0] @ p - right_side)
-        rest[~self.free] = 0.0
-        p += self.multigrid.solve(rest, rtol=rtol).x
-        return p
-
-    def solve_adjoint(
-        self: SymmetricSystem, right_side: Array, *, rtol: float = RTOL
-    ) -> Array:
-        """Solve Lᵀ q = g; arguments as `solve`."""
-        rest = np.where(self.free, -right_side, 0.0)
-        q = self.radii * self.multigrid.solve(rest, rtol=rtol).x
-        # the adjoint of the identity rows: what flows from free to fixed voxels
-        return np.where(self.free, q, right_side - self.coupling[1] @ q)
+    @classmethod
+    def of(
+        cls,
+        grid: CylindricalGrid,
+        conductivities: tuple[float, float, float],
+        screening: float,
+    ) -> _Stencil:
+        """Scaled so that the radial weights of the plain operator are 1 ∓ Δr/2r."""
+        r = grid.r
+        k_r, k_theta, k_z = conductivities
+        half = grid.r_step / (2.0 * r)
+        return cls(
+            k_r * (1.0 - half),
+            k_r * (1.0 + half),
+            k_theta * (grid.r_step / (r * grid.theta_step)) ** 2,
+            k_z * (grid.r_step / grid.z_step) ** 2,
+            (screening * grid.r_step) ** 2,
+        )
 
 
 @dataclass(frozen=True)
@@ -186,12 +121,8 @@ class LaplaceSystem(BlockSolves):
         _check_variant(conductivities, screening)
         grid = voxmap.grid
         fixed = voxmap.dirichlet
-        stencil = _coefficients(grid, conductivities, screening)
-        indptr, indices, data = _stencil_rows(
-            grid.flatten(fixed), *stencil, np.array(grid.shape)
-        )
-        L = sp.csr_array((data, indices, indptr), shape=(grid.n_voxels,) * 2)
-        L.has_sorted_indices = True
+        stencil = _Stencil.of(grid, conductivities, screening)
+        L = _matrix(grid, fixed, stencil)
         inner = np.zeros(grid.shape)
         outer = np.zeros(grid.shape)
         inner[0] = 1.0
@@ -214,7 +145,7 @@ class LaplaceSystem(BlockSolves):
 
     @property
     def is_plain(self) -> bool:
-        """Whether this is ∇² itself, which the multigrid knows."""
+        """Whether this is ∇² itself, which the multigrid solves."""
         return self.conductivities == (1.0, 1.0, 1.0) and self.screening == 0.0
 
     @property
@@ -258,15 +189,12 @@ class LaplaceSystem(BlockSolves):
 
     @cached_property
     def coupling(self) -> tuple[sp.csr_array, sp.csr_array]:
-        """L's entries from fixed voxels to free rows, and their adjoint, (V, V)."""
+        """Entries of L in free rows and fixed columns, and their adjoint, (V, V)."""
         row = np.repeat(np.arange(self.L.shape[0]), np.diff(self.L.indptr))
         keep = self.free[row] & ~self.free[self.L.indices]
         entries = (self.L.data[keep], (row[keep], self.L.indices[keep]))
         coupling = sp.csr_array(entries, shape=self.L.shape)
         return coupling, sp.csr_array(coupling.T)
-
-
-_Stencil = tuple[Array, Array, Array, float, float]
 
 
 def _check_variant(
@@ -283,95 +211,81 @@ def _check_variant(
         raise InputError(f"screening must not be negative [1/m], got {screening}")
 
 
-def _coefficients(
-    grid: CylindricalGrid,
-    conductivities: tuple[float, float, float] = (1.0, 1.0, 1.0),
-    screening: float = 0.0,
-) -> _Stencil:
-    """Stencil weights per layer: towards -r, +r, θ, the ones of z and of p itself [–].
+def _matrix(
+    grid: CylindricalGrid, fixed: NDArray[np.bool_], stencil: _Stencil
+) -> sp.csr_array:
+    """L with sorted columns.
 
-    Scaled so that the radial weights of the plain operator stay 1 ∓ Δr/2r.
+    Columns of a free voxel's row are at seven offsets, which ascend in another order on
+    the first and on the last spoke, where θ closes.
     """
-    r = grid.r
-    k_r, k_theta, k_z = conductivities
-    half = grid.r_step / (2.0 * r)
-    c_theta = k_theta * (grid.r_step / (r * grid.theta_step)) ** 2
-    c_z = k_z * (grid.r_step / grid.z_step) ** 2
-    return (
-        k_r * (1.0 - half),
-        k_r * (1.0 + half),
-        c_theta,
-        c_z,
-        (screening * grid.r_step) ** 2,
+    ring, row, one = grid.strides
+    turn = ring - row
+    inner, outer, theta, z, own = stencil
+    along_z = np.full_like(theta, z)
+    diagonal = -(inner + outer + 2.0 * theta + 2.0 * z) - own
+    middle = (along_z, diagonal, along_z)
+    offsets = np.array(
+        [
+            (-ring, -one, 0, one, row, turn, ring),
+            (-ring, -row, -one, 0, one, row, ring),
+            (-ring, -turn, -row, -one, 0, one, ring),
+        ]
     )
+    weights = np.array(
+        [
+            (inner, *middle, theta, theta, outer),
+            (inner, theta, *middle, theta, outer),
+            (inner, theta, theta, *middle, outer),
+        ]
+    )
+    V = grid.n_voxels
+    nnz = 7 * V - 6 * int(np.count_nonzero(fixed))
+    indptr, indices = np.zeros(V + 1, np.int32), np.empty(nnz, np.int32)
+    data = np.empty(nnz)
+    _fill_rows(fixed, offsets, weights, indptr, indices, data)
+    L = sp.csr_array((data, indices, indptr), shape=(V, V))
+    L.has_sorted_indices = True
+    return L
 
 
 @compiled()
-def _stencil_rows(
+def _fill_rows(
     fixed: NDArray[np.bool_],
-    c_minus: Array,
-    c_plus: Array,
-    c_theta: Array,
-    c_z: float,
-    c_self: float,
-    shape: NDArray[np.int64],
-) -> tuple[NDArray[np.int32], NDArray[np.int32], Array]:
-    """Rows of L in CSR with sorted columns (compiled)."""
-    n_r, n_theta, n_z = shape
-    n = n_r * n_theta * n_z
-    n_fixed = 0
-    for v in range(n):
-        n_fixed += fixed[v]
-    nnz = n_fixed + 7 * (n - n_fixed)
-    indptr = np.empty(n + 1, dtype=np.int32)
-    indices = np.empty(nnz, dtype=np.int32)
-    data = np.empty(nnz)
+    offsets: IntArray,
+    weights: Array,
+    indptr: NDArray[np.int32],
+    indices: NDArray[np.int32],
+    data: Array,
+) -> None:
+    """Rows of L in CSR, from seven entries per kind of spoke and layer (compiled).
+
+    Args:
+        fixed: Dirichlet voxels, shape (n_r, n_theta, n_z).
+        offsets: From a voxel's index to the columns, on the first spoke, those
+            between and the last one, shape (3, 7).
+        weights: Their entries in every layer, shape (3, 7, n_r).
+        indptr: Out, shape (V + 1,).
+        indices: Out, shape (nnz,).
+        data: Out, shape (nnz,).
+    """
+    n_r, n_theta, n_z = fixed.shape
     at = 0
-    indptr[0] = 0
     for i in range(n_r):
-        diagonal = -(c_minus[i] + c_plus[i] + 2.0 * c_theta[i] + 2.0 * c_z) - c_self
         for j in range(n_theta):
+            kind = 0 if j == 0 else (2 if j == n_theta - 1 else 1)
             for k in range(n_z):
                 v = flat_index(i, j, k, n_theta, n_z)
-                if fixed[v]:
+                if fixed[i, j, k]:
                     indices[at] = v
                     data[at] = 1.0
                     at += 1
                 else:
-                    before = flat_index(i, (j - 1) % n_theta, k, n_theta, n_z)
-                    after = flat_index(i, (j + 1) % n_theta, k, n_theta, n_z)
-                    low, high = min(before, after), max(before, after)
-                    # columns ascend; at the seam both θ neighbours lie on one side
-                    indices[at] = flat_index(i - 1, j, k, n_theta, n_z)
-                    data[at] = c_minus[i]
-                    if low < v:
-                        indices[at + 1] = low
-                        data[at + 1] = c_theta[i]
-                        at += 1
-                    if high < v:
-                        indices[at + 1] = high
-                        data[at + 1] = c_theta[i]
-                        at += 1
-                    indices[at + 1] = v - 1
-                    data[at + 1] = c_z
-                    indices[at + 2] = v
-                    data[at + 2] = diagonal
-                    indices[at + 3] = v + 1
-                    data[at + 3] = c_z
-                    at += 3
-                    if low > v:
-                        indices[at + 1] = low
-                        data[at + 1] = c_theta[i]
-                        at += 1
-                    if high > v:
-                        indices[at + 1] = high
-                        data[at + 1] = c_theta[i]
-                        at += 1
-                    indices[at + 1] = flat_index(i + 1, j, k, n_theta, n_z)
-                    data[at + 1] = c_plus[i]
-                    at += 2
+                    for e in range(7):
+                        indices[at + e] = v + offsets[kind, e]
+                        data[at + e] = weights[kind, e, i]
+                    at += 7
                 indptr[v + 1] = at
-    return indptr, indices, data
 
 
 def _polar_ends(
@@ -388,22 +302,20 @@ def _polar_ends(
         Both solutions, shape (n_r, n_theta) each [–].
     """
     n_r, n_theta, _ = grid.shape
-    c_minus, c_plus, c_theta, _, c_self = stencil
+    inner, outer, theta, _, own = stencil
     fixed = region == 0
     fixed[[0, -1]] = True
     radial = (
-        sp.diags_array(c_minus[1:], offsets=-1)
-        + sp.diags_array(-(c_minus + c_plus) - c_self)
-        + sp.diags_array(c_plus[:-1], offsets=1)
+        sp.diags_array(inner[1:], offsets=-1)
+        + sp.diags_array(-(inner + outer) - own)
+        + sp.diags_array(outer[:-1], offsets=1)
     )
     ring = sp.diags_array(
         [1.0, 1.0, -2.0, 1.0, 1.0],
         offsets=[1 - n_theta, -1, 0, 1, n_theta - 1],
         shape=(n_theta, n_theta),
     )
-    full = sp.kron(radial, sp.eye_array(n_theta)) + sp.kron(
-        sp.diags_array(c_theta), ring
-    )
+    full = sp.kron(radial, sp.eye_array(n_theta)) + sp.kron(sp.diags_array(theta), ring)
     at = fixed.reshape(-1)
     M = sp.diags_array((~at).astype(float)) @ full + sp.diags_array(at.astype(float))
     sides = np.zeros((n_r, n_theta, 2))

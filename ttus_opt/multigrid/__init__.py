@@ -1,12 +1,13 @@
 """Geometric multigrid for Laplace's equation on the voxel grid.
 
-`solver` and `stiff` are what the rest of the package sees; below them, from top to
-bottom, `v_cycle`, `window`, `gradients`, `chains`, `cycle`, `levels`, and the compiled
-loops: `lines`, `transfer`, `kernels`, `double`.
+The rest of the package sees `solver`, `aggregated` (with tied voxels) and `v_cycle` (a
+preconditioner). Below them, from top to bottom: `refinement` in double precision,
+`pcg`, `subdomain`, `hierarchy` with `coarsening`, `cycle`, and its compiled parts
+`line_smoother`, `transfer` and `kernels` on vectors in `red_black` order.
 """
 
-from ttus_opt.multigrid.aggregated import StiffMultigrid
+from ttus_opt.multigrid.aggregated import AggregatedMultigrid
 from ttus_opt.multigrid.solver import Multigrid, MultigridResult
 from ttus_opt.multigrid.v_cycle import VCycle
 
-__all__ = ["Multigrid", "MultigridResult", "StiffMultigrid", "VCycle"]
+__all__ = ["AggregatedMultigrid", "Multigrid", "MultigridResult", "VCycle"]

@@ -1,9 +1,9 @@
-"""Multigrid where voxels of a spoke are tied together: one value for a whole chain.
+"""Multigrid where voxels of a spoke are aggregated: one value for a pooled block.
 
-The operator is PᵀA P, P giving every voxel of a chain its chain's one value. Chains lie
-in radial lines, which the smoother solves exactly, ties and all: to single precision
-it sees them as links so stiff that nothing moves against them. What is left to do is
-to count residuals by chain.
+The operator is PᵀA P, P giving every voxel of a block its block's one value. Blocks lie
+in radial lines, which the smoother solves exactly, ties included: in single precision
+these are links so strong that both ends have the same value. What is left to do is to
+sum residuals over blocks.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, Mask
-from ttus_opt.multigrid.chains import Chains
+from ttus_opt.multigrid.chains import PooledBlocks
 from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.multigrid.solver import Multigrid, MultigridResult
 from ttus_opt.multigrid.v_cycle import VCycle
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 
-class StiffMultigrid(Multigrid):
-    """Solver of PᵀA P z = b; z and b stand at one voxel of every chain.
+class AggregatedMultigrid(Multigrid):
+    """Solver of PᵀA P z = b; z and b stand at one voxel of every block.
 
-    Vectors are (V,) as those of `Multigrid`, zero but at free voxels outside chains
-    and at every chain's leader. In all else it is a `Multigrid`.
+    Vectors are (V,) as those of `Multigrid`, zero but at free voxels outside blocks
+    and at every block's leader. In all else it is a `Multigrid`.
     """
 
     def __init__(
@@ -35,35 +35,35 @@ class StiffMultigrid(Multigrid):
 
         Args:
             grid: The grid.
-            free: Unknown voxels, shape (V,); a chain is free as a whole.
+            free: Unknown voxels, shape (V,); a block is free as a whole.
             ties: Voxels tied to the next one outwards, shape (V,).
-            leads: Free voxels outside chains, and one of each, shape (V,).
+            leads: Free voxels outside blocks, and one of each, shape (V,).
         """
         self._leads = leads
-        self._chains = Chains.of(free, ties, leads, grid.strides[0])
+        self._blocks = PooledBlocks.of(free, ties, leads, grid.strides[0])
         super().__init__(grid, grid.unflatten(free), ties=grid.unflatten(ties))
-        self.norm_bound *= math.sqrt(self._chains.longest)
+        self.norm_bound *= math.sqrt(self._blocks.longest)
 
     def __reduce__(self) -> tuple[type[Multigrid], tuple[object, ...]]:
         """Pickle as what it was built from."""
         assert self._ties is not None
         ties = self.grid.flatten(self._ties)
-        return StiffMultigrid, (self.grid, self.free, ties, self._leads)
+        return AggregatedMultigrid, (self.grid, self.free, ties, self._leads)
 
     def rough(self, near: NDArray[np.integer] | None = None) -> VCycle:
-        """One V-cycle at a time, as `Multigrid.rough`; it knows all chains."""
+        """One V-cycle at a time, as `Multigrid.rough`; it knows all blocks."""
         assert self._ties is not None
         ties = self.grid.flatten(self._ties)
-        if near is not None:  # a chain that is cut would be held fixed
+        if near is not None:  # a block that is cut would be held fixed
             near = np.union1d(near, np.flatnonzero(ties))
         return VCycle.near(near, self._hierarchy, self.grid, self.free, ties)
 
     def apply(self, x: Array) -> Array:
         """PᵀA P z, shape (V,)."""
         x = self._vector(x, "z")
-        self._chains.spread(x)
+        self._blocks.prolong(x)
         out = self._operate(x)
-        self._chains.gather(out)
+        self._blocks.restrict(out)
         return out
 
     def solve(
@@ -76,23 +76,22 @@ class StiffMultigrid(Multigrid):
     ) -> MultigridResult:
         """Solve PᵀA P z = b; as `Multigrid.solve`."""
         answer = super().solve(rhs, rtol=rtol, x0=x0, max_iterations=max_iterations)
-        answer.x[self._chains.followers] = 0.0
+        answer.x[self._blocks.followers] = 0.0
         return answer
 
     def _vectors(self) -> Vectors:
-        along = self._conductances[0].astype(np.float32)
-        return Vectors(self._hierarchy, (along, self._chains))
+        return Vectors(self._hierarchy, self._blocks)
 
     def _vector(self, values: Array, name: str) -> Array:
         vector = super()._vector(values, name)
-        vector[self._chains.followers] = 0.0
+        vector[self._blocks.followers] = 0.0
         return vector
 
     def _residual(
         self, work: Vectors, x: Array | None, b: Array, scale: float
     ) -> float:
         if x is not None:
-            self._chains.spread(x)
+            self._blocks.prolong(x)
             b = b - self._operate(x)
-            self._chains.gather(b)
+            self._blocks.restrict(b)
         return super()._residual(work, None, b, scale)

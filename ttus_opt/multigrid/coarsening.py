@@ -1,41 +1,35 @@
-"""The levels of the geometric multigrid: coarse grids, their operators, transfers.
+"""Coarsening of a grid with Dirichlet nodes in it, as a network of conductances.
 
 Every level is a box of nodes (i, j, k) with a conductance on each link to the next
-node in r, θ and z, and per direction a conductance to the grounded (Dirichlet)
-nodes around. Coarsening drops every second node along an axis and eliminates it
-from its own line (the one-dimensional Schur complement), so that
+node in r, θ and z, and per direction a conductance to the Dirichlet nodes around.
+Coarsening drops every second node along an axis and eliminates it from its own line
+(the one-dimensional Schur complement), as in black-box multigrid (J. E. Dendy, J.
+Comput. Phys. 48, 1982, 366-386), so that
 
 - a surface that lies between two coarse nodes cuts their link and grounds both
   sides at the true distance: closed surfaces stay closed on every level, and the
-  boundary keeps its place to second order (a symmetric ghost-fluid scheme);
+  boundary keeps its place to second order, as with ghost values (F. Gibou and others,
+  J. Comput. Phys. 176, 2002, 205-227);
 - grids of any size coarsen (the last cell may be narrower than the others);
 - interpolation along a line is the same elimination read backwards.
 
-Of θ and z, only the one with the smaller step is coarsened until both steps are
-about equal, because an error that is rough along the wider one would neither be
-smoothed nor seen on the coarse level. Lines along r are solved exactly: r waits only
-while its own step is the wide one.
-
-Values of a level are stored in two halves, like the fields of a chessboard over
-(θ, z): the plane index m = (j + 1)·pitch + k, with an odd pitch, has the colour m % 2
-and the place m // 2 in that half. All four neighbours of a column have the other
-colour and lie at constant offsets, so that kernels run over whole planes. Rows
-j = -1 and j = n_theta are copies that close the circle; for even n_z the last slice
-(always grounded) shares its place with slice 0 of the next row.
+Semicoarsening: of θ and z, only the one with the smaller step is coarsened until both
+steps are about equal, because an error that oscillates along the wider one would
+neither be smoothed nor seen on the coarse level. Lines along r are solved exactly, so r
+is left out only while its own step is the wide one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
-from ttus_opt.multigrid.kernels import Single
+from ttus_opt.multigrid.red_black import Single
 
 #: A level with at most this many free nodes is solved directly.
 DIRECT_NODES = 100
@@ -43,8 +37,6 @@ DIRECT_NODES = 100
 STEP_RATIO = 1.6
 #: Conductance of a tie over that of its link: none moves in single precision [–]
 STIFFNESS = 1e7
-#: Values per row of a half are rounded up to whole vector registers.
-LANES = 16
 
 R, THETA, Z = 0, 1, 2
 
@@ -71,52 +63,6 @@ class Box(Protocol):
     @property
     def z_step(self) -> float:
         """Step along the axis [m]."""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Where the nodes of a level are stored.
-
-    Attributes:
-        shape: Nodes (n_r, n_theta, n_z) [–].
-        pitch: Distance between rows in the plane index, odd [–].
-        width: Places per layer in each half [–].
-    """
-
-    shape: tuple[int, int, int]
-    pitch: int
-    width: int
-
-    @classmethod
-    def of(cls, shape: tuple[int, int, int]) -> Layout:
-        """Layout of a box of nodes."""
-        n_r, n_theta, n_z = (int(n) for n in shape)
-        pitch = n_z if n_z % 2 else n_z - 1
-        places = ((n_theta + 2) * pitch + 2) // 2
-        return cls((n_r, n_theta, n_z), pitch, -(-places // LANES) * LANES)
-
-    @cached_property
-    def numbers(self) -> tuple[int, int, int]:
-        """What kernels need: (n_theta, n_z, pitch)."""
-        return self.shape[1], self.shape[2], self.pitch
-
-    def split(self, values: NDArray[np.float32]) -> Single:
-        """Values (n_r, n_theta, n_z) as two halves (2, n_r, width)."""
-        n_r, n_theta, n_z = self.shape
-        kept = min(n_z, self.pitch)
-        plane = np.zeros((n_r, 2 * self.width), dtype=values.dtype)
-        rows = plane[:, : (n_theta + 2) * self.pitch]
-        rows = rows.reshape(n_r, n_theta + 2, self.pitch)
-        rows[:, 1:-1, :kept] = values[:, :, :kept]
-        rows[:, 0], rows[:, -1] = rows[:, -2], rows[:, 1]
-        halves = plane.reshape(n_r, self.width, 2).transpose(2, 0, 1)
-        return np.ascontiguousarray(halves)
-
-    def places(self, nodes: tuple[NDArray[np.int64], ...]) -> NDArray[np.int64]:
-        """Flat places of nodes (i, j, k) in an array (2, n_r, width)."""
-        i, j, k = nodes
-        m = (j + 1) * self.pitch + k
-        return ((m % 2) * self.shape[0] + i) * self.width + m // 2
 
 
 @dataclass(frozen=True)

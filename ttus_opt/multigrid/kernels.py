@@ -1,305 +1,300 @@
-"""Compiled kernels of the multigrid solver: operators and vectors in halves.
+"""Compiled kernels of the multigrid: what a level is to them, and loops over vectors.
 
-Arrays in halves have shape (n_r, width) per colour as `levels.Layout`
-stores them. Conductances R, T, Z are one number per layer on the finest level,
-arrays in halves on the others; the compiler keeps one of the two ways. Inverse
-pivots are those of `lines`, zero at fixed nodes. ``numbers`` is (n_theta,
-n_z, pitch). Kernels hold no lock and release the interpreter's: several solves may
-run side by side, each on one core, which wastes less than sharing one among cores.
+All coefficients of a hierarchy lie in one array, ``fields``; all vectors of a solve lie
+in another, ``work``. A `LevelIndex` says where each begins, in red-black order
+(`red_black`). This keeps compiling short: a function of two flat arrays compiles in a
+fraction of the time of one of ten arrays and their slices. Places are unsigned in
+loops, since a signed one might count from the end, which every access would have to
+allow for. Colours in calls are numbers of numba's, not literals: a function is compiled
+for every literal it is given.
+
+Kernels release the interpreter's lock: several solves may run side by side, each on one
+core, which wastes less than sharing one among cores.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.compiled import compiled
-
-Single = NDArray[np.float32]
-Numbers = tuple[int, int, int]
+from ttus_opt.multigrid.red_black import Single
 
 FAST = {"contract", "reassoc"}  # sums may be reordered; NaN and inf keep their sense
 
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def span(colour: int, numbers: Numbers) -> tuple[int, int]:
-    """First place of the real rows of one colour, and the place after the last."""
-    n_theta, _, pitch = numbers
-    return (pitch - colour + 1) // 2, ((n_theta + 1) * pitch - colour + 1) // 2
+#: Sizes and beginnings of all levels, a `LevelIndex` per row
+Table = NDArray[np.int64]
 
 
-@compiled(nogil=True)
-def close_circle(x: Single, colour: int, numbers: Numbers) -> None:
-    """Copy the outer rows of one colour to where θ closes (compiled).
+class LevelIndex(NamedTuple):
+    """Sizes of a level, and where its arrays begin.
 
-    With an odd number of rows the copy of a row has the other colour.
-
-    Args:
-        x: Both halves, shape (2, n_r, width).
-        colour: Colour whose values have changed.
-        numbers: See the module.
+    Attributes:
+        n_r: Layers [–].
+        width: Places per layer and colour [–].
+        n_theta: Spokes [–].
+        n_z: Slices [–].
+        pitch: Distance between spokes in the plane's numbering [–].
+        coarsens_r: Whether the next level has half the layers, 0 or 1.
+        coarsens_theta: Likewise the spokes.
+        coarsens_z: Likewise the slices.
+        is_tied: Whether every link along r has a conductance of its own, 0 or 1.
+        is_uneven: Whether every link has; else there is one per layer.
+        along: In ``fields``: conductances along r, one per layer, without ties; on the
+            finest level only [m].
+        R: Conductances to the next layer [m].
+        T: Conductances to the next spoke [m].
+        Z: Conductances to the next slice [m].
+        inverse: Inverse pivots of the radial lines, zero at fixed nodes [1/m].
+        before_r: Interpolation weights of the node before, along r [–].
+        after_r: Likewise of the node after.
+        before_theta: Likewise along θ.
+        after_theta: Likewise.
+        before_z: Likewise along z.
+        after_z: Likewise.
+        b: In ``work``: the right-hand side.
+        x: The correction.
+        residual: The residual of black nodes.
+        zeros: Zeros, as many as a row and its neighbours; given in the place of a
+            whole vector, they stand for a vector of zeros.
+        scratch: Scratch space of transfers.
     """
-    n_theta, _, pitch = numbers
-    turn = n_theta * pitch
-    target = (colour + turn) % 2
-    low, high = span(target, numbers)
-    end = ((n_theta + 2) * pitch - target + 1) // 2
-    up = (target + turn - colour) // 2
-    down = (turn + colour - target) // 2
-    for i in range(1, x.shape[1] - 1):
-        source, out = x[colour, i], x[target, i]
-        for h in range(low):
-            out[h] = source[h + up]
-        for h in range(high, end):
-            out[h] = source[h - down]
 
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_couple(
-    out: Single,
-    zl: Single,
-    zr: Single,
-    tl: Single,
-    tr: Single,
-    z: np.float32,
-    t: np.float32,
-    inverse: Single,
-    less: np.float32,
-) -> None:
-    """What flows into one layer (compiled)."""
-    for n in range(out.size):
-        load = z * (zl[n] + zr[n]) + t * (tl[n] + tr[n]) - less * out[n]
-        out[n] = load if inverse[n] != 0 else np.float32(0)
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_couple_uneven(
-    out: Single,
-    zl: Single,
-    zr: Single,
-    tl: Single,
-    tr: Single,
-    cl: Single,
-    cr: Single,
-    dl: Single,
-    dr: Single,
-    less: np.float32,
-) -> None:
-    """The same with a conductance for every link (compiled)."""
-    for n in range(out.size):
-        load = cl[n] * zl[n] + cr[n] * zr[n] + dl[n] * tl[n] + dr[n] * tr[n]
-        out[n] = load - less * out[n]
-
-
-@compiled(nogil=True, fastmath=FAST)
-def couple(
-    out: Single,
-    opposite: Single,
-    less: np.float32,
-    inverse: Single,
-    T: Single,
-    Z: Single,
-    numbers: Numbers,
-) -> None:
-    """What flows into colour 1 from colour 0 (compiled).
-
-    Args:
-        out: Result, shape (n_r, width).
-        opposite: Values of colour 0, shape (n_r, width).
-        less: How often to take off what ``out`` held, 0 or 1.
-        inverse: Inverse pivots of colour 1, shape (n_r, width).
-        T: Conductances to the next spoke.
-        Z: Conductances to the next slice.
-        numbers: See the module.
-    """
-    s, e = span(1, numbers)
-    q = numbers[2] // 2
-    for i in range(1, out.shape[0] - 1):
-        x, own = opposite[i], out[i, s:e]
-        zl, zr = x[s:e], x[s + 1 : e + 1]
-        tl, tr = x[s - q : e - q], x[s + q + 1 : e + q + 1]
-        if T.ndim == 1:
-            _row_couple(own, zl, zr, tl, tr, Z[i], T[i], inverse[i, s:e], less)
-        else:
-            cl, cr = Z[0, i, s:e], Z[1, i, s:e]
-            dl, dr = T[0, i, s - q : e - q], T[1, i, s:e]
-            _row_couple_uneven(own, zl, zr, tl, tr, cl, cr, dl, dr, less)
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_operator(
-    out: Single,
-    own: Single,
-    below: Single,
-    above: Single,
-    zl: Single,
-    zr: Single,
-    tl: Single,
-    tr: Single,
-    rl: np.float32,
-    rr: np.float32,
-    z: np.float32,
-    t: np.float32,
-    inverse: Single,
-) -> np.float32:
-    total = np.float32(0)
-    d = rl + rr + np.float32(2) * (z + t)
-    for n in range(out.size):
-        value = d * own[n] - rl * below[n] - rr * above[n]
-        value -= z * (zl[n] + zr[n]) + t * (tl[n] + tr[n])
-        value = value if inverse[n] != 0 else np.float32(0)
-        out[n] = value
-        total += value * own[n]
-    return total
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def operate(
-    out: Single,
-    own: Single,
-    opposite: Single,
-    inverse: Single,
-    R: Single,
-    T: Single,
-    Z: Single,
-    colour: int,
-    numbers: Numbers,
-) -> float:
-    """Rows of one colour of A x on the finest level, and their share of x·Ax.
-
-    Args:
-        out: Result, shape (n_r, width).
-        own: x of this colour.
-        opposite: x of the other colour; other arguments as `couple`.
-        inverse: See `couple`.
-        R: See `couple`.
-        T: See `couple`.
-        Z: See `couple`.
-        colour: 0 or 1.
-        numbers: See the module.
-
-    Returns:
-        The sum of own · out.
-    """
-    s, e = span(colour, numbers)
-    q, c = numbers[2] // 2, colour
-    total = 0.0
-    for i in range(1, out.shape[0] - 1):
-        x = opposite[i]
-        zl, zr = x[s - 1 + c : e - 1 + c], x[s + c : e + c]
-        tl, tr = x[s - q - 1 + c : e - q - 1 + c], x[s + q + c : e + q + c]
-        total += _row_operator(
-            out[i, s:e],
-            own[i, s:e],
-            own[i - 1, s:e],
-            own[i + 1, s:e],
-            zl,
-            zr,
-            tl,
-            tr,
-            R[i - 1],
-            R[i],
-            Z[i],
-            T[i],
-            inverse[i, s:e],
-        )
-    return total
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_dot(a: Single, b: Single) -> np.float32:
-    total = np.float32(0)
-    for n in range(a.size):
-        total += a[n] * b[n]
-    return total
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def dot(a: Single, b: Single, colour: int, numbers: Numbers) -> float:
-    """Sum of a · b over the real rows of one colour (compiled)."""
-    s, e = span(colour, numbers)
-    total = 0.0
-    for i in range(1, a.shape[0] - 1):
-        total += _row_dot(a[i, s:e], b[i, s:e])
-    return total
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_step(
-    x: Single, r: Single, p: Single, q: Single, alpha: np.float32
-) -> np.float32:
-    total = np.float32(0)
-    for n in range(x.size):
-        x[n] += alpha * p[n]
-        r[n] -= alpha * q[n]
-        total += r[n] * r[n]
-    return total
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def step(
-    x: Single,
-    r: Single,
-    p: Single,
-    q: Single,
-    alpha: np.float32,
-    colour: int,
-    numbers: Numbers,
-) -> float:
-    """One step: x += α p, r -= α q in the real rows; returns r · r (compiled)."""
-    s, e = span(colour, numbers)
-    total = 0.0
-    for i in range(1, x.shape[0] - 1):
-        total += _row_step(x[i, s:e], r[i, s:e], p[i, s:e], q[i, s:e], alpha)
-    return total
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_turn(p: Single, z: Single, beta: np.float32) -> None:
-    for n in range(p.size):
-        p[n] = z[n] + beta * p[n]
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def turn(p: Single, z: Single, beta: np.float32) -> None:
-    """Next direction: p = z + β p, closing rows included (compiled)."""
-    for i in range(1, p.shape[0] - 1):
-        _row_turn(p[i], z[i], beta)
+    n_r: int
+    width: int
+    n_theta: int
+    n_z: int
+    pitch: int
+    coarsens_r: int
+    coarsens_theta: int
+    coarsens_z: int
+    is_tied: int
+    is_uneven: int
+    along: int
+    R: int
+    T: int
+    Z: int
+    inverse: int
+    before_r: int
+    after_r: int
+    before_theta: int
+    after_theta: int
+    before_z: int
+    after_z: int
+    b: int
+    x: int
+    residual: int
+    zeros: int
+    scratch: int
 
 
 @compiled(inner=True, nogil=True)
-def copy(out: Single, a: Single) -> None:
-    """Copy one colour (compiled).
+def level_index(row: NDArray[np.int64]) -> LevelIndex:
+    """A `LevelIndex` from its row of a table (compiled)."""
+    # fmt: off
+    return LevelIndex(
+        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9],
+        row[10], row[11], row[12], row[13], row[14], row[15], row[16], row[17], row[18],
+        row[19], row[20], row[21], row[22], row[23], row[24], row[25],
+    )
+    # fmt: on
 
-    A slice set to another takes seconds to compile: for the message that would say
-    their shapes differ.
-    """
-    for i in range(out.shape[0]):
-        for n in range(out.shape[1]):
-            out[i, n] = a[i, n]
+
+@compiled(inner=True, nogil=True)
+def span(at: LevelIndex, colour: int) -> tuple[int, int]:
+    """First place of the real rows of one colour, and the place after the last."""
+    return (
+        (at.pitch - colour + 1) // 2,
+        ((at.n_theta + 1) * at.pitch - colour + 1) // 2,
+    )
 
 
-@compiled(nogil=True, fastmath=FAST)
-def direct(
-    x: Single, b0: Single | None, b1: Single, places: NDArray[np.int64], inverse: Single
-) -> None:
-    """Solve the coarsest level (compiled).
+@compiled(inner=True, nogil=True)
+def fill(work: Single, out: int, value: np.float32, count: int) -> None:
+    """Set ``count`` values of ``work`` (compiled)."""
+    start = np.uint64(out)
+    for n in range(np.uint64(count)):
+        work[start + n] = value
+
+
+@compiled(inner=True, nogil=True)
+def copy(work: Single, out: int, source: int, count: int) -> None:
+    """Copy ``count`` values within ``work`` (compiled)."""
+    to, start = np.uint64(out), np.uint64(source)
+    for n in range(np.uint64(count)):
+        work[to + n] = work[start + n]
+
+
+@compiled(inner=True, nogil=True)
+def close_circle(at: LevelIndex, work: Single, x: int, colour: int) -> None:
+    """Copy the outer rows of one colour to where θ closes (compiled).
+
+    With an odd number of spokes the copy of a row has the other colour.
 
     Args:
-        x: Result in halves, shape (2, n_r, width).
-        b0: Right-hand side of colour 0, None for zero, shape (n_r, width).
-        b1: Right-hand side of colour 1, same shape.
-        places: Flat places of the unknowns in halves, shape (n,).
-        inverse: Inverse of the matrix, shape (n, n).
+        at: The level.
+        work: Vectors.
+        x: Where red values begin; black ones follow.
+        colour: Colour whose values have changed.
     """
-    half, width = x.shape[1] * x.shape[2], x.shape[2]
-    load = np.zeros(places.size, dtype=np.float32)
-    for n in range(places.size):
-        i, h = (places[n] % half) // width, places[n] % width
-        if places[n] >= half:
-            load[n] = b1[i, h]
-        elif b0 is not None:
-            load[n] = b0[i, h]
-    for n in range(places.size):
-        i, h = (places[n] % half) // width, places[n] % width
-        x[places[n] // half, i, h] = _row_dot(inverse[n], load)
+    turn = at.n_theta * at.pitch
+    target = (colour + turn) % 2
+    low, high = span(at, target)
+    end = ((at.n_theta + 2) * at.pitch - target + 1) // 2
+    up = (target + turn - colour) // 2
+    down = (turn + colour - target) // 2
+    for i in range(1, at.n_r - 1):
+        source = x + (colour * at.n_r + i) * at.width
+        out = x + (target * at.n_r + i) * at.width
+        copy(work, out, source + up, low)
+        copy(work, out + high, source + high - down, end - high)
+
+
+class Rows(NamedTuple):
+    """Where the rows of one layer begin in ``work``, and pivots in ``fields``.
+
+    Attributes:
+        out: The result.
+        load: The right-hand side.
+        west: The other colour, previous slice.
+        east: Next slice.
+        south: Previous spoke.
+        north: Next spoke.
+        inverse: Inverse pivots.
+        count: How many values there are.
+    """
+
+    out: np.uint64
+    load: np.uint64
+    west: np.uint64
+    east: np.uint64
+    south: np.uint64
+    north: np.uint64
+    inverse: np.uint64
+    count: np.uint64
+
+
+class Links(NamedTuple):
+    """Where the conductances of one row's links begin in ``fields``.
+
+    Attributes:
+        west: To the previous slice.
+        east: To the next slice.
+        south: To the previous spoke.
+        north: To the next spoke.
+    """
+
+    west: np.uint64
+    east: np.uint64
+    south: np.uint64
+    north: np.uint64
+
+
+@compiled(inner=True, nogil=True)
+def rows_of(
+    at: LevelIndex, colour: int, p: int, out: int, opposite: int, load: int, count: int
+) -> Rows:
+    """Rows at place p of a colour's layers (compiled).
+
+    Args:
+        at: The level.
+        colour: Of the result.
+        p: Layer · width + place in the layer.
+        out: Where the result begins.
+        opposite: Where values of the other colour begin.
+        load: Where the right-hand side begins.
+        count: How many values there are.
+    """
+    q = at.pitch // 2
+    west = east = south = north = at.zeros
+    if opposite != at.zeros:
+        y = opposite + p + colour
+        west, east, south, north = y - 1, y, y - q - 1, y + q
+    return Rows(
+        np.uint64(out + p),
+        np.uint64(load + p if load != at.zeros else load),
+        np.uint64(west),
+        np.uint64(east),
+        np.uint64(south),
+        np.uint64(north),
+        np.uint64(at.inverse + colour * at.n_r * at.width + p),
+        np.uint64(count),
+    )
+
+
+@compiled(inner=True, nogil=True)
+def links_of(at: LevelIndex, colour: int, p: int) -> Links:
+    """Links of the row at place p of a colour's layers (compiled)."""
+    size, q = at.n_r * at.width, at.pitch // 2
+    own, other = colour * size + p, (1 - colour) * size + p + colour
+    return Links(
+        np.uint64(at.Z + other - 1),
+        np.uint64(at.Z + own),
+        np.uint64(at.T + other - q - 1),
+        np.uint64(at.T + own),
+    )
+
+
+@compiled(inner=True, nogil=True, fastmath=FAST)
+def _flow(
+    work: Single,
+    fields: Single,
+    rows: Rows,
+    z: np.float32,
+    t: np.float32,
+    kept: np.float32,
+) -> None:
+    """Set what flows into free nodes, plus ``kept`` times what was there (compiled)."""
+    for n in range(rows.count):
+        flow = z * (work[rows.west + n] + work[rows.east + n])
+        flow += t * (work[rows.south + n] + work[rows.north + n])
+        flow += kept * work[rows.out + n]
+        work[rows.out + n] = flow if fields[rows.inverse + n] != 0 else np.float32(0)
+
+
+@compiled(inner=True, nogil=True, fastmath=FAST)
+def _flow_uneven(
+    work: Single, fields: Single, rows: Rows, links: Links, kept: np.float32
+) -> None:
+    """The same with a conductance for every link, zero at fixed nodes (compiled)."""
+    for n in range(rows.count):
+        flow = fields[links.west + n] * work[rows.west + n]
+        flow += fields[links.east + n] * work[rows.east + n]
+        flow += fields[links.south + n] * work[rows.south + n]
+        flow += fields[links.north + n] * work[rows.north + n]
+        work[rows.out + n] = flow + kept * work[rows.out + n]
+
+
+@compiled(nogil=True)
+def flow(
+    row: NDArray[np.int64],
+    fields: Single,
+    work: Single,
+    out: int,
+    opposite: int,
+    kept: float,
+) -> None:
+    """What flows into black nodes from red ones (compiled).
+
+    Right after black lines were solved from zero and red ones after them, this is the
+    residual of black nodes; after a second sweep it is what the residual has grown by.
+
+    Args:
+        row: The level.
+        fields: Coefficients.
+        work: Vectors.
+        out: Where the result begins, n_r · width values.
+        opposite: Where red values begin.
+        kept: Factor of what the result held before [–].
+    """
+    at, black, factor = level_index(row), np.int64(1), np.float32(kept)
+    first, last = span(at, black)
+    for i in range(1, at.n_r - 1):
+        p = i * at.width + first
+        rows = rows_of(at, black, p, out, opposite, at.zeros, last - first)
+        if at.is_uneven:
+            _flow_uneven(work, fields, rows, links_of(at, black, p), factor)
+        else:
+            _flow(work, fields, rows, fields[at.Z + i], fields[at.T + i], factor)

@@ -1,11 +1,9 @@
-"""Conjugate gradients in single precision, preconditioned by a V-cycle (compiled).
+"""Conjugate gradients in single precision, preconditioned by a V-cycle.
 
-As colour 0 follows exactly from colour 1, they run on colour 1 alone (the Schur
-complement), unless an odd number of spokes spoils the chessboard; chains lie in lines
-of one colour, which are solved exactly with all their ties, so that this holds for
-them too. A correction is one call of compiled code: pieces of work on a small grid
-take microseconds, and solves side by side would spend their time waiting for the
-interpreter's lock.
+As red nodes follow exactly from black ones, conjugate gradients run on black nodes
+alone (the Schur complement), unless an odd number of spokes spoils the colouring.
+Pooled blocks lie in lines of one colour, which are solved exactly with all their ties,
+so that this holds for them too.
 """
 
 from __future__ import annotations
@@ -16,81 +14,56 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.compiled import compiled
-from ttus_opt.multigrid import kernels, line_smoother, transfer
-from ttus_opt.multigrid.chains import Chains, Places, gather_half
-from ttus_opt.multigrid.cycle import (
-    Coarser,
-    Hierarchy,
-    Work,
-    Workspace,
-    cycle_below,
-    direct,
-    work_of,
+from ttus_opt.multigrid.chains import PooledBlocks, pool
+from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
+from ttus_opt.multigrid.kernels import (
+    FAST,
+    Rows,
+    flow,
+    level_index,
+    rows_of,
+    span,
 )
-from ttus_opt.multigrid.kernels import Numbers, Single
-
-#: Conductances, inverse pivots, transfer weights, coarsened directions and sizes
-Finest = tuple[
-    Single, Single, Single, Single, tuple[Single, ...], tuple[bool, ...], Numbers
-]
-
-#: Places of the coarsest level's unknowns, inverse matrix
-Bottom = tuple[NDArray[np.int64], Single]
-
-#: The places of chains in both colours; None if there are none
-Chained = tuple[Places, Places] | None
-
-#: Direction, its image and the residual of one colour
-Colour = tuple[Single, Single, Single]
+from ttus_opt.multigrid.line_smoother import sweep
+from ttus_opt.multigrid.red_black import BLACK, RED, Single
 
 
 class Vectors(Workspace):
     """What one solve writes to: conjugate gradients beside the V-cycle.
 
     Attributes:
-        answer: Correction in halves, shape (2, n_r, width).
+        answer: Correction in red-black order, shape (2, n_r, width).
     """
 
     def __init__(
-        self,
-        hierarchy: Hierarchy,
-        ties: tuple[Single, Chains] | None = None,
+        self, hierarchy: Hierarchy, blocks: PooledBlocks | None = None
     ) -> None:
-        """Take scratch arrays.
+        """Take memory.
 
         Args:
             hierarchy: The levels.
-            ties: Conductances to the next layer without ties, shape (n_r,), and who is
-                tied; None where nobody is.
+            blocks: Voxels that move as one; None where there are none.
         """
-        super().__init__(hierarchy)
-        v = hierarchy.levels[0]
-        # of ties nothing flows: all voxels of a chain have one value
-        self._along = v.R if ties is None else ties[0]
-        self._chained = None if ties is None else ties[1].places(v.layout)
-        self._finest = (
-            (v.R, v.T, v.Z, v.inverse, v.weights, v.flags, v.layout.numbers),
-            (self.b[0], self.x[0], self.residual[0]),
+        super().__init__(hierarchy, more=6)
+        layout = hierarchy.levels[0].layout
+        size = layout.colour_size
+        # where red and black values of every vector begin
+        self._b, self._x, self._e, self._p, self._q = (
+            (start, start + size)
+            for start in (
+                self.index.b,
+                self.index.x,
+                *(hierarchy.work_size + n * size for n in (0, 2, 4)),
+            )
         )
-        self._below = (
-            hierarchy.coarser,
-            self.coarser,
-            (hierarchy.places, hierarchy.inverse),
-        )
-        self.answer = np.zeros(v.shape, np.float32)
-        self._one = tuple(np.zeros(v.shape[1:], np.float32) for _ in range(3))
-        self._zero = None
-        if v.is_odd:
-            self._zero = tuple(np.zeros(v.shape[1:], np.float32) for _ in range(3))
-
-    @property
-    def memory_bytes(self) -> int:
-        """Size of its arrays."""
-        vectors = (self.answer, *self._one, *(self._zero or ()))
-        return super().memory_bytes + sum(v.nbytes for v in vectors)
+        self.answer = self._vector(self._e[RED], layout.stored_shape)
+        self._direction = self._vector(self._p[RED], layout.stored_shape)
+        self._is_odd = hierarchy.levels[0].is_odd
+        self._colours = (RED, BLACK) if self._is_odd else (BLACK,)
+        self._blocks = None if blocks is None else blocks.places(layout, self.index.b)
 
     def correct(self, goal: float, limit: int) -> int:
-        """Solve A e = ``b[0]`` roughly, into ``answer``.
+        """Solve A e = ``b`` roughly, into ``answer``; ``b`` becomes the residual.
 
         Args:
             goal: Relative residual to reach [–].
@@ -99,150 +72,207 @@ class Vectors(Workspace):
         Returns:
             V-cycles spent.
         """
-        vectors = (self._along, self._chained, self.answer, self._zero, self._one)
-        # 0 and 1 as values: numba would compile for every constant
-        colours = (0, 1)
-        return int(
-            _correct(*self._finest, *self._below, *vectors, colours, goal, limit)
+        self.answer.fill(0.0)
+        self._direction.fill(0.0)
+        if not self._is_odd:  # what red loads do to black nodes
+            self._relax_red(self._x, self.index.zeros, self._b[RED])
+            flow(*self._arrays, self._b[BLACK], self._x[RED], 1.0)
+        self._pool()
+        first = self._dot(self._b, self._b)
+        spent, before = 0, math.inf
+        while first > 0.0 and spent < limit:
+            spent += 1
+            self.v_cycle(has_red=self._is_odd)
+            rz = self._dot(self._b, self._x)
+            for c in self._colours:
+                extend(self.values, self._p[c], self._x[c], rz / before, *self._sizes)
+            pq = self._operate()
+            if not (pq > 0.0 and rz > 0.0):  # down to rounding
+                break
+            now = self._step(rz / pq)
+            if self._blocks is not None:
+                self._pool()
+                now = self._dot(self._b, self._b)
+            if now <= goal**2 * first:
+                break
+            before = rz
+        if not self._is_odd:
+            self._relax_red(self._e, self._e[BLACK], self._b[RED])
+        return spent
+
+    def _operate(self) -> float:
+        """Set q = A p; returns p · q."""
+        if self._is_odd:
+            others = self._p
+        else:  # red values that follow from black ones
+            others = self._x
+            self._relax_red(self._x, self._p[BLACK], self.index.zeros)
+        return sum(
+            operate(*self._arrays, c, self._q[c], self._p[c], others[1 - c])
+            for c in self._colours
         )
 
+    def _step(self, alpha: float) -> float:
+        """Set e += α p and b -= α q; returns b · b."""
+        return sum(
+            step(
+                self.values,
+                (self._e[c], self._b[c], self._p[c], self._q[c]),
+                alpha,
+                *self._sizes,
+            )
+            for c in self._colours
+        )
 
-@compiled(inline="always")
-def _cycle(
-    finest: Finest,
-    work: Work,
-    coarser: Coarser,
-    lower: Single,
-    bottom: Bottom,
-    b0: Single | None,
-    b1: Single,
-    colours: tuple[int, int],
-) -> None:
-    """The V-cycle of `cycle.cycle`, without Python between its pieces (compiled)."""
-    R, T, Z, inverse, weights, flags, numbers = finest
-    places, inverted = bottom
-    values, sizes = coarser
-    zero, one = colours
-    _, x, residual = work
-    if len(sizes) == 0:
-        direct(x, b0, b1, places, inverted, numbers)
-    else:
-        if numbers[0] % 2:
-            x[:] = 0
-        line_smoother.sweep_alone(x, b1, inverse[1], R, one, numbers)
-        _sweep_zero(finest, x, b0, zero)
-        kernels.couple(residual, x[0], np.float32(0), inverse[1], T, Z, numbers)
-        coarse = (sizes[0, 6], sizes[0, 7], sizes[0, 8])
-        load, below, _ = work_of(lower, sizes, 0)
-        transfer.restrict(load, residual, weights, flags, numbers, coarse)
-        cycle_below(values, sizes, lower, places, inverted)
-        transfer.prolong(x[1], below, weights, flags, numbers, coarse)
-        kernels.close_circle(x, one, numbers)
-        _sweep_zero(finest, x, b0, zero)
-        line_smoother.sweep(x, x[0], b1, inverse[1], R, T, Z, one, numbers)
+    def _dot(self, a: tuple[int, int], b: tuple[int, int]) -> float:
+        return sum(dot(self.values, a[c], b[c], *self._sizes) for c in self._colours)
+
+    def _relax_red(self, x: tuple[int, int], opposite: int, load: int) -> None:
+        sweep(*self._arrays, RED, x[RED], opposite, load)
+
+    def _pool(self) -> None:
+        if self._blocks is not None:
+            pool(self.values, *self._blocks)
 
 
-@compiled(inline="always")
-def _sweep_zero(finest: Finest, x: Single, b0: Single | None, zero: int) -> None:
-    """Solve the lines of colour 0, given colour 1 (compiled)."""
-    R, T, Z, inverse, _, _, numbers = finest
-    if b0 is None:
-        line_smoother.sweep_unloaded(x, x[1], inverse[0], R, T, Z, zero, numbers)
-    else:
-        line_smoother.sweep(x, x[1], b0, inverse[0], R, T, Z, zero, numbers)
+# Loops run over closing rows too: there, b and q are zero and p is a copy.
+
+
+@compiled(inner=True, nogil=True, fastmath=FAST)
+def _row_dot(work: Single, a: np.uint64, b: np.uint64, count: np.uint64) -> np.float32:
+    total = np.float32(0)
+    for n in range(count):
+        total += work[a + n] * work[b + n]
+    return total
 
 
 @compiled(nogil=True)
-def _correct(
-    finest: Finest,
-    work: Work,
-    coarser: Coarser,
-    lower: Single,
-    bottom: Bottom,
-    along: Single,
-    chained: Chained,
-    e: Single,
-    zero: Colour | None,
-    one: Colour,
-    colours: tuple[int, int],
-    goal: float,
-    limit: int,
-) -> int:
-    """Solve A e = b roughly (compiled).
+def dot(work: Single, a: int, b: int, n_r: int, width: int) -> float:
+    """Sum of a · b over one colour; rows are added in double precision (compiled)."""
+    total = 0.0
+    for start in range(0, n_r * width, width):
+        total += _row_dot(
+            work, np.uint64(a + start), np.uint64(b + start), np.uint64(width)
+        )
+    return total
+
+
+@compiled(nogil=True, fastmath=FAST)
+def extend(work: Single, p: int, z: int, beta: float, n_r: int, width: int) -> None:
+    """Set p = z + β p, the next direction, for one colour (compiled)."""
+    own, new, factor = np.uint64(p), np.uint64(z), np.float32(beta)
+    for n in range(np.uint64(n_r * width)):
+        work[own + n] = work[new + n] + factor * work[own + n]
+
+
+@compiled(inner=True, nogil=True, fastmath=FAST)
+def _row_step(
+    work: Single,
+    x: np.uint64,
+    r: np.uint64,
+    p: np.uint64,
+    q: np.uint64,
+    alpha: np.float32,
+    count: np.uint64,
+) -> np.float32:
+    total = np.float32(0)
+    for n in range(count):
+        work[x + n] += alpha * work[p + n]
+        left = work[r + n] - alpha * work[q + n]
+        work[r + n] = left
+        total += left * left
+    return total
+
+
+@compiled(nogil=True)
+def step(
+    work: Single,
+    vectors: tuple[int, int, int, int],
+    alpha: float,
+    n_r: int,
+    width: int,
+) -> float:
+    """Set x += α p and r -= α q for one colour; returns r · r (compiled).
 
     Args:
-        finest: The finest level.
-        work: Its right-hand side b, correction and residual.
-        coarser: What is below, see `Hierarchy`.
-        lower: Its work.
-        bottom: Its last level.
-        along: Conductances to the next layer without ties, shape (n_r,).
-        chained: Who is tied to whom on the finest level.
-        e: Answer in halves.
-        zero: Vectors of colour 0; None where it follows from colour 1.
-        one: Vectors of colour 1.
-        colours: 0 and 1.
-        goal: Relative residual to reach [–].
-        limit: Most V-cycles [–].
-
-    Returns:
-        V-cycles spent.
+        work: Vectors.
+        vectors: Where x, r, p and q begin.
+        alpha: α [–].
+        n_r: Layers [–].
+        width: Places per layer [–].
     """
-    R, T, Z, inverse, _, _, numbers = finest
-    b, x, _ = work
-    c0, c1 = colours
-    p, q, r = one
-    e[:] = 0
-    p[:] = 0
-    if zero is None:
-        line_smoother.sweep_alone(x, b[0], inverse[0], R, c0, numbers)
-        kernels.couple(r, x[0], np.float32(0), inverse[1], T, Z, numbers)
-        kernels.turn(r, b[1], np.float32(1))
-    else:
-        zero[0][:] = 0
-        kernels.copy(zero[2], b[0])
-        kernels.copy(r, b[1])
-    if chained is not None:
-        gather_half(r, chained[1])
-        if zero is not None:
-            gather_half(zero[2], chained[0])
-    first = kernels.dot(r, r, c1, numbers)
-    if zero is not None:
-        first += kernels.dot(zero[2], zero[2], c0, numbers)
-    spent, before = 0, math.inf
-    while first > 0.0 and spent < limit:
-        spent += 1
-        if zero is None:
-            _cycle(finest, work, coarser, lower, bottom, None, r, colours)
-            rz = kernels.dot(r, x[1], c1, numbers)
-            kernels.turn(p, x[1], np.float32(rz / before))
-            line_smoother.sweep_unloaded(x, p, inverse[0], R, T, Z, c0, numbers)
-            pq = kernels.operate(q, p, x[0], inverse[1], along, T, Z, c1, numbers)
-        else:
-            p0, q0, r0 = zero
-            _cycle(finest, work, coarser, lower, bottom, r0, r, colours)
-            rz = kernels.dot(r0, x[0], c0, numbers)
-            rz += kernels.dot(r, x[1], c1, numbers)
-            kernels.turn(p0, x[0], np.float32(rz / before))
-            kernels.turn(p, x[1], np.float32(rz / before))
-            pq = kernels.operate(q0, p0, p, inverse[0], along, T, Z, c0, numbers)
-            pq += kernels.operate(q, p, p0, inverse[1], along, T, Z, c1, numbers)
-        if not (pq > 0.0 and rz > 0.0):  # down to rounding
-            break
-        alpha = np.float32(rz / pq)
-        now = kernels.step(e[1], r, p, q, alpha, c1, numbers)
-        if zero is not None:
-            now += kernels.step(e[0], zero[2], zero[0], zero[1], alpha, c0, numbers)
-        if chained is not None:
-            gather_half(r, chained[1])
-            now = kernels.dot(r, r, c1, numbers)
-            if zero is not None:
-                gather_half(zero[2], chained[0])
-                now += kernels.dot(zero[2], zero[2], c0, numbers)
-        if now <= goal**2 * first:
-            break
-        before = rz
-    if zero is None:
-        kernels.close_circle(e, c1, numbers)
-        line_smoother.sweep(e, e[1], b[0], inverse[0], R, T, Z, c0, numbers)
-    return spent
+    x, r, p, q = vectors
+    total = 0.0
+    for start in range(0, n_r * width, width):
+        total += _row_step(
+            work,
+            np.uint64(x + start),
+            np.uint64(r + start),
+            np.uint64(p + start),
+            np.uint64(q + start),
+            np.float32(alpha),
+            np.uint64(width),
+        )
+    return total
+
+
+@compiled(inner=True, nogil=True, fastmath=FAST)
+def _row_operate(
+    work: Single,
+    fields: Single,
+    rows: Rows,
+    along: tuple[np.uint64, np.uint64],
+    r: tuple[np.float32, np.float32],
+    z: np.float32,
+    t: np.float32,
+) -> np.float32:
+    """One layer of A p, p at ``rows.load``; returns its p · A p (compiled)."""
+    (inner, outer), (r_in, r_out) = along, r
+    total = np.float32(0)
+    diagonal = r_in + r_out + np.float32(2) * (z + t)
+    for n in range(rows.count):
+        own = work[rows.load + n]
+        value = diagonal * own - r_in * work[inner + n] - r_out * work[outer + n]
+        value -= z * (work[rows.west + n] + work[rows.east + n])
+        value -= t * (work[rows.south + n] + work[rows.north + n])
+        value = value if fields[rows.inverse + n] != 0 else np.float32(0)
+        work[rows.out + n] = value
+        total += value * own
+    return total
+
+
+@compiled(nogil=True)
+def operate(
+    row: NDArray[np.int64],
+    fields: Single,
+    work: Single,
+    colour: int,
+    out: int,
+    own: int,
+    opposite: int,
+) -> float:
+    """Rows of one colour of A p on the finest level; returns their p · A p (compiled).
+
+    Of ties nothing flows, since all voxels of a block have one value: conductances
+    along r are those without ties.
+
+    Args:
+        row: The finest level.
+        fields: Coefficients.
+        work: Vectors.
+        colour: 0 (red) or 1 (black).
+        out: Where the result begins.
+        own: Where p of this colour begins.
+        opposite: Where p of the other colour begins.
+    """
+    at = level_index(row)
+    first, last = span(at, colour)
+    total = 0.0
+    for i in range(1, at.n_r - 1):
+        p = i * at.width + first
+        rows = rows_of(at, colour, p, out, opposite, own, last - first)
+        along = np.uint64(own + p - at.width), np.uint64(own + p + at.width)
+        r = fields[at.along + i - 1], fields[at.along + i]
+        z, t = fields[at.Z + i], fields[at.T + i]
+        total += _row_operate(work, fields, rows, along, r, z, t)
+    return total

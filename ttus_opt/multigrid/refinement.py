@@ -1,184 +1,179 @@
-"""The operator A in double precision, on whole grids of voxels in C order.
+"""Iterative refinement: residuals and the solution in double precision.
 
-The outer part of the multigrid solver: residuals, and corrections from the single
-precision halves of `levels.Layout`.
+Corrections are found in single precision (N. J. Higham, Accuracy and Stability of
+Numerical Algorithms, 2002, chapter 12). Here are the parts in double precision, on
+whole grids of voxels in C order, and the ways to and from the red-black order.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
-from ttus_opt.multigrid.kernels import FAST, Numbers, Single
+from ttus_opt.multigrid.kernels import FAST
+from ttus_opt.multigrid.red_black import Single
+from ttus_opt.voxmap.grid import flat_index
+
+
+class Operator(NamedTuple):
+    """A on the grid.
+
+    Attributes:
+        free: Unknown voxels, shape (V,).
+        r: Conductances to the next layer, shape (n_r,) [m].
+        t: Conductances to the next spoke, shape (n_r,) [m].
+        z: Conductances to the next slice, shape (n_r,) [m].
+        n_theta: Spokes [–].
+        n_z: Slices [–].
+        pitch: Of the red-black order [–].
+    """
+
+    free: NDArray[np.bool_]
+    r: Array
+    t: Array
+    z: Array
+    n_theta: int
+    n_z: int
+    pitch: int
+
+
+class _Starts(NamedTuple):
+    """Where voxels in a row begin, and their neighbours across it."""
+
+    out: np.uint64
+    own: np.uint64
+    inner: np.uint64
+    outer: np.uint64
+    before: np.uint64
+    after: np.uint64
 
 
 @compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_operator(
-    out: Array,
-    own: Array,
-    below: Array,
-    above: Array,
-    before: Array,
-    after: Array,
-    rl: float,
-    rr: float,
-    t: float,
-    z: float,
+def _row_operate(
+    out: Array, x: Array, at: _Starts, i: int, a: Operator, count: np.uint64
 ) -> None:
-    """A x for rows in a row, apart from the ends; own has one more each side."""
-    d = rl + rr + 2.0 * t + 2.0 * z
-    for n in range(out.size):
-        value = d * own[n + 1] - rl * below[n] - rr * above[n]
-        out[n] = value - t * (before[n] + after[n]) - z * (own[n] + own[n + 2])
+    """A x in a row of voxels of layer i (compiled)."""
+    r_in, r_out, t, z = a.r[i - 1], a.r[i], a.t[i], a.z[i]
+    diagonal, one = r_in + r_out + 2.0 * t + 2.0 * z, np.uint64(1)
+    for n in range(count):
+        value = diagonal * x[at.own + n] - r_in * x[at.inner + n]
+        value -= r_out * x[at.outer + n] + t * (x[at.before + n] + x[at.after + n])
+        out[at.out + n] = value - z * (x[at.own + n - one] + x[at.own + n + one])
 
 
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _layer(
-    out: Array, x: Array, i: int, r: Array, t: Array, z: Array, shape: Numbers
-) -> None:
-    """A x in layer i, with nonsense in the first and last slice (compiled)."""
-    _, n_theta, n_z = shape
-    ring = n_theta * n_z
-    start = i * ring
+@compiled(inner=True, nogil=True)
+def _layer(out: Array, start: int, x: Array, i: int, a: Operator) -> None:
+    """A x in layer i, with nonsense in the first and last slice (compiled).
+
+    Args:
+        out: Result.
+        start: Where it begins there.
+        x: Values, zero at fixed voxels, shape (V,).
+        i: Neither the first nor the last layer.
+        a: The operator.
+    """
+    n_z, ring = a.n_z, a.n_theta * a.n_z
+    layer = flat_index(i, 0, 0, a.n_theta, n_z)
+    # the spokes next to the seam on their own
     for low, high in ((0, n_z), (n_z, ring - n_z), (ring - n_z, ring)):
-        a, b = start + low, start + high  # the rows next to the seam on their own
-        before = a - n_z if low > 0 else start + ring - n_z
-        after = a + n_z if high < ring else start
-        _row_operator(
-            out[low:high],
-            x[a - 1 : b + 1],
-            x[a - ring : b - ring],
-            x[a + ring : b + ring],
-            x[before : before + high - low],
-            x[after : after + high - low],
-            r[i - 1],
-            r[i],
-            t[i],
-            z[i],
+        own = layer + low
+        at = _Starts(
+            np.uint64(start + low),
+            np.uint64(own),
+            np.uint64(own - ring),
+            np.uint64(own + ring),
+            np.uint64(own - n_z if low > 0 else layer + ring - n_z),
+            np.uint64(own + n_z if high < ring else layer),
         )
+        _row_operate(out, x, at, i, a, np.uint64(high - low))
 
 
-@compiled(nogil=True, fastmath=FAST)
-def operate(
-    out: Array,
-    x: Array,
-    free: NDArray[np.bool_],
-    r: Array,
-    t: Array,
-    z: Array,
-    shape: Numbers,
-) -> None:
+@compiled(nogil=True)
+def operate(out: Array, x: Array, a: Operator) -> None:
     """A x (compiled).
 
     Args:
         out: Result, shape (V,); zero at fixed voxels.
         x: Values, zero at fixed voxels, shape (V,).
-        free: Unknown voxels, shape (V,).
-        r: Conductances to the next layer, shape (n_r,).
-        t: Conductances to the next spoke, shape (n_r,).
-        z: Conductances to the next slice, shape (n_r,).
-        shape: Of the grid.
+        a: The operator.
     """
-    n_r, n_theta, n_z = shape
-    ring = n_theta * n_z
-    for i in range(1, n_r - 1):
-        _layer(out[i * ring : (i + 1) * ring], x, i, r, t, z, shape)
+    for i in range(1, a.r.size - 1):
+        _layer(out, flat_index(i, 0, 0, a.n_theta, a.n_z), x, i, a)
     for n in range(out.size):
-        out[n] = out[n] if free[n] else 0.0
+        out[n] = out[n] if a.free[n] else 0.0
 
 
 @compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_residual(line: Array, b: Array, free: NDArray[np.bool_]) -> float:
-    """Turn a row of A x into that of b - A x; returns its square (compiled)."""
-    total = 0.0
-    for k in range(line.size):
-        value = b[k] - line[k] if free[k] else 0.0
+def _row_residual(
+    line: Array, b: Array, free: NDArray[np.bool_], start: int, known: float
+) -> float:
+    """Turn A x of a layer into b - known · A x; returns its square (compiled)."""
+    total, first = 0.0, np.uint64(start)
+    for k in range(np.uint64(line.size)):
+        value = b[first + k] - known * line[k] if free[first + k] else 0.0
         line[k] = value
         total += value * value
     return total
 
 
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _pick(out: Single, a: Array, scale: float) -> None:
-    for n in range(out.size):
-        out[n] = scale * a[n]
-
-
-@compiled(nogil=True, fastmath=FAST)
+@compiled(nogil=True)
 def residual(
-    out: Single,
-    x: Array | None,
-    b: Array,
-    free: NDArray[np.bool_],
-    r: Array,
-    t: Array,
-    z: Array,
-    scale: float,
-    pitch: int,
-    shape: Numbers,
+    out: Single, x: Array, b: Array, a: Operator, scale: float, is_zero: bool
 ) -> float:
-    """Residual b - A x, scaled, into halves (compiled).
+    """Residual b - A x, scaled, in red-black order (compiled).
 
     Args:
-        out: Result in halves, single precision, shape (2, n_r, width).
-        x: Values, zero at fixed voxels, shape (V,), or None for zero.
+        out: Result in single precision, shape (2, n_r, width).
+        x: Values, zero at fixed voxels, shape (V,).
         b: Right-hand side, shape (V,).
-        free: See `operate`.
-        r: See `operate`.
-        t: See `operate`.
-        z: See `operate`.
+        a: The operator.
         scale: Factor of ``out`` [–].
-        pitch: Of the finest level [–].
-        shape: Of the grid.
+        is_zero: Whether to take x for zero, whatever is there.
 
     Returns:
         Sum of the squared residuals, unscaled.
     """
-    n_r, n_theta, n_z = shape
-    ring = n_theta * n_z
+    line = np.zeros(a.n_theta * a.n_z)
     total = 0.0
-    layer = np.zeros(ring)
-    for i in range(1, n_r - 1):
-        own, end = i * ring, (i + 1) * ring
-        if x is not None:
-            _layer(layer, x, i, r, t, z, shape)
-        else:
-            layer[:] = 0.0
-        total += _row_residual(layer, b[own:end], free[own:end])
-        for j in range(n_theta):
-            row = layer[j * n_z : (j + 1) * n_z]
+    for i in range(1, a.r.size - 1):
+        if not is_zero:
+            _layer(line, 0, x, i, a)
+        start = flat_index(i, 0, 0, a.n_theta, a.n_z)
+        total += _row_residual(line, b, a.free, start, 0.0 if is_zero else 1.0)
+        for j in range(a.n_theta):
             for odd in range(2):
-                m = (j + 1) * pitch + 1 + odd
-                place = out[m & 1, i, m >> 1 : (m >> 1) + (n_z - 1 - odd) // 2]
-                _pick(place, row[1 + odd :: 2], scale)
+                m = (j + 1) * a.pitch + 1 + odd
+                row, place = out[m & 1, i], np.uint64(m >> 1)
+                first = np.uint64(j * a.n_z + 1 + odd)
+                for n in range(np.uint64((a.n_z - 1 - odd) // 2)):
+                    row[place + n] = scale * line[first + n + n]
     return total
 
 
 @compiled(nogil=True, fastmath=FAST)
-def add(x: Array, halves: Single, scale: float, pitch: int, shape: Numbers) -> float:
-    """Correct x by scale · halves; returns the sum of the new x² (compiled).
+def add(x: Array, correction: Single, scale: float, a: Operator) -> float:
+    """Correct x by scale · correction; returns the sum of the new x² (compiled).
 
     Args:
         x: Values, shape (V,).
-        halves: Correction in halves, zero at fixed voxels, shape (2, n_r, width).
+        correction: In red-black order, zero at fixed voxels, shape (2, n_r, width).
         scale: Factor [–].
-        pitch: Of the finest level [–].
-        shape: Of the grid.
+        a: The operator.
     """
-    n_r, n_theta, n_z = shape
     total = 0.0
-    for i in range(1, n_r - 1):
-        for j in range(n_theta):
-            own = (i * n_theta + j) * n_z
-            start = (j + 1) * pitch
+    for i in range(1, a.r.size - 1):
+        for j in range(a.n_theta):
+            own = flat_index(i, j, 0, a.n_theta, a.n_z)
             for odd in range(2):
-                m = start + 1 + odd
-                place = halves[m & 1, i, m >> 1 : (m >> 1) + (n_z - 1 - odd) // 2]
-                row = x[own + 1 + odd : own + n_z : 2]
-                for n in range(place.size):
-                    value = row[n] + scale * place[n]
-                    row[n] = value
+                m = (j + 1) * a.pitch + 1 + odd
+                row, place = correction[m & 1, i], np.uint64(m >> 1)
+                first = np.uint64(own + 1 + odd)
+                for n in range(np.uint64((a.n_z - 1 - odd) // 2)):
+                    value = x[first + n + n] + scale * row[place + n]
+                    x[first + n + n] = value
                     total += value * value
     return total

@@ -1,19 +1,16 @@
-"""Geometric multigrid for the symmetric block A of Laplace's equation (design §3).
+"""Geometric multigrid for the symmetric block A of Laplace's equation.
 
 On the free voxels of a cylindrical grid, A is r times the negative stencil of
-`laplace`: symmetric positive definite. A solve is iterative refinement: residuals
-and x in double precision, each correction by conjugate gradients in single
-precision, preconditioned by a V-cycle whose smoother solves radial lines exactly,
-one colour of a chessboard over (θ, z) after the other (`kernels`), on levels that
-keep the surface closed (`levels`).
+`laplace`: symmetric positive definite. A solve is iterative refinement (`refinement`):
+residuals and x in double precision, each correction by conjugate gradients in single
+precision (`pcg`), preconditioned by a V-cycle (`cycle`) with red-black zebra line
+relaxation (`line_smoother`) on levels that keep the surface closed (`coarsening`).
 """
 
 from __future__ import annotations
 
 import math
-import os
 from collections import deque
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,8 +20,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, NumericalError
 from ttus_opt.multigrid import refinement
 from ttus_opt.multigrid.coarsening import conductances
-from ttus_opt.multigrid.cycle import Hierarchy, cycle
-from ttus_opt.multigrid.kernels import Single
+from ttus_opt.multigrid.hierarchy import Hierarchy
 from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.multigrid.v_cycle import VCycle
 from ttus_opt.voxmap.grid import CylindricalGrid
@@ -76,7 +72,7 @@ class Multigrid:
             free: Unknown voxels, shape ``grid.shape``; none in the first and last
                 layer and slice.
             ties: Of those, the ones that move with the next one outwards, same shape:
-                for `StiffMultigrid`, which knows what that means for a residual.
+                for `AggregatedMultigrid`, which knows what that means for a residual.
 
         Raises:
             InputError: The mask has another shape, or frees a voxel on the rim.
@@ -94,12 +90,15 @@ class Multigrid:
             )
         self.grid = grid
         self.free = grid.flatten(free)
-        self._conductances = conductances(grid)
-        r, t, z = self._conductances
+        r, t, z = conductances(grid)
         #: Bound of the operator's norm (Gershgorin) [m].
         self.norm_bound = float(np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z)))
         self._ties = ties
         self._hierarchy = Hierarchy.build(grid, free, ties)
+        pitch = self._hierarchy.levels[0].layout.pitch
+        self._operator = refinement.Operator(
+            self.free, r, t, z, grid.shape[1], grid.shape[2], pitch
+        )
         self._idle: deque[Vectors] = deque()
 
     def __reduce__(self) -> tuple[type[Multigrid], tuple[object, ...]]:
@@ -120,11 +119,6 @@ class Multigrid:
         """The levels, for who counts what they hold."""
         return self._hierarchy
 
-    @property
-    def level_shapes(self) -> tuple[tuple[int, int, int], ...]:
-        """Nodes (n_r, n_theta, n_z) of every level, from fine to coarse [–]."""
-        return tuple(level.layout.shape for level in self._hierarchy.levels)
-
     def apply(self, x: Array) -> Array:
         """A x.
 
@@ -138,34 +132,6 @@ class Multigrid:
             InputError: x has another shape or is not finite.
         """
         return self._operate(self._vector(x, "x"))
-
-    def v_cycle(self, rhs: Array) -> Array:
-        """Approximate A⁻¹ b by one V-cycle.
-
-        It is linear, symmetric and positive definite up to single precision, so that
-        plain conjugate gradients may be preconditioned with it.
-
-        Args:
-            rhs: b, shape (V,).
-
-        Returns:
-            Approximate solution, zero at fixed voxels, shape (V,).
-
-        Raises:
-            InputError: b has another shape or is not finite.
-        """
-        rhs = self._vector(rhs, "the right-hand side")
-        x = np.zeros_like(rhs)
-        size = _largest(rhs)
-        if size == 0.0:
-            return x
-        work = self._borrow()
-        rhs /= size
-        self._residual(work, None, rhs, 1.0)
-        cycle(self._hierarchy, work, (work.b[0][0], work.b[0][1]))
-        self._add(x, work.x[0], size)
-        self._idle.append(work)
-        return x
 
     def rough(self, near: NDArray[np.integer] | None = None) -> VCycle:
         """One V-cycle at a time, in arrays of its own and without copies.
@@ -223,35 +189,6 @@ class Multigrid:
         result = self._refine(b, x, rtol, max_iterations)
         return replace(result, x=result.x * unit)
 
-    def solve_many(
-        self, rhs: Array, *, rtol: float = 1e-12, threads: int | None = None
-    ) -> tuple[MultigridResult, ...]:
-        """Solve for several right-hand sides, one per core at a time.
-
-        Args:
-            rhs: One b per row, shape (k, V).
-            rtol: As in `solve`.
-            threads: Solves side by side; by default the machine's cores.
-
-        Returns:
-            One result per row.
-
-        Raises:
-            InputError: As in `solve`.
-            NumericalError: As in `solve`.
-        """
-        rows = np.asarray(rhs)
-        if rows.ndim != 2:
-            raise InputError(
-                f"right-hand sides must have shape (k, {self.grid.n_voxels}), got "
-                f"{rows.shape}"
-            )
-        count = min(len(rows), threads or len(os.sched_getaffinity(0)))
-        if count <= 1:
-            return tuple(self.solve(row, rtol=rtol) for row in rows)
-        with ThreadPoolExecutor(count) as pool:
-            return tuple(pool.map(lambda row: self.solve(row, rtol=rtol), rows))
-
     def _refine(
         self, b: Array, x: Array | None, rtol: float, limit: int
     ) -> MultigridResult:
@@ -286,7 +223,8 @@ class Multigrid:
                 )
             goal = max(REDUCTION, 0.5 * target / now)
             iterations += work.correct(goal, limit - iterations)
-            norm_x = math.sqrt(self._add(x, work.answer, 1.0 / scale))
+            squares = refinement.add(x, work.answer, 1.0 / scale, self._operator)
+            norm_x = math.sqrt(squares)
             before, scale = now, 1.0 / now
             now = self._residual(work, x, b, scale)
             failures = failures + 1 if now > 0.5 * before else 0
@@ -315,7 +253,7 @@ class Multigrid:
     def _operate(self, x: Array) -> Array:
         """A x for a vector that is zero at fixed voxels."""
         out = np.zeros_like(x)
-        refinement.operate(out, x, self.free, *self._conductances, self.grid.shape)
+        refinement.operate(out, x, self._operator)
         return out
 
     def _vectors(self) -> Vectors:
@@ -325,19 +263,11 @@ class Multigrid:
     def _residual(
         self, work: Vectors, x: Array | None, b: Array, scale: float
     ) -> float:
-        """‖b - A x‖; leaves its scaled halves in ``work.b[0]``."""
-        pitch, shape = self._hierarchy.levels[0].layout.pitch, self.grid.shape
-        r, t, z = self._conductances
+        """‖b - A x‖, x zero if None; leaves it scaled in ``work.b``."""
+        given = b if x is None else x
         return math.sqrt(
-            refinement.residual(
-                work.b[0], x, b, self.free, r, t, z, scale, pitch, shape
-            )
+            refinement.residual(work.b, given, b, self._operator, scale, x is None)
         )
-
-    def _add(self, x: Array, halves: Single, scale: float) -> float:
-        """Correct x by scale · halves; returns ‖x‖²."""
-        pitch = self._hierarchy.levels[0].layout.pitch
-        return float(refinement.add(x, halves, scale, pitch, self.grid.shape))
 
 
 def _largest(values: Array) -> float:

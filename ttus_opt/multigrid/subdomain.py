@@ -1,8 +1,9 @@
-"""A box of the grid: as much of it as a rough solve near some voxels needs.
+"""A Dirichlet subdomain: the box of the grid that a preconditioner near voxels needs.
 
-Contact lies under a small part of the skin, and what a load there does fades within
-a few times its own extent. A V-cycle of the box alone, with zero around it, is as
-good a preconditioner there as one of the whole grid, and costs the box's share.
+Contact lies under a small part of the skin, and the effect of a load there decays
+within a few times its own extent. A V-cycle of the box alone, with zero Dirichlet
+values around it, is as good a preconditioner there as one of the whole grid, and costs
+the box's share.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ Index = NDArray[np.integer]
 #: How far a box goes beyond its voxels, over their smaller width on the skin [–],
 #: and in voxels at least
 REACH, MARGIN = 0.5, 4
-#: Spokes of a box are a multiple: an odd number on some level spoils the chessboard
+#: Spokes of a box are a multiple: an odd number on some level spoils the colouring
 SPOKES = 8
 #: A box with this share of the grid or more is taken to be the whole [–]
 LARGE = 0.7
 
 
 @dataclass(frozen=True)
-class Window:
+class Subdomain:
     """Layers, spokes and slices of a grid; the spokes may pass θ = 0.
 
     Attributes:
@@ -44,7 +45,7 @@ class Window:
     shape: tuple[int, int, int]
 
     @classmethod
-    def around(cls, grid: CylindricalGrid, voxels: Index | None) -> Window:
+    def around(cls, grid: CylindricalGrid, voxels: Index | None) -> Subdomain:
         """A box around voxels with a margin, or the whole grid if that is hardly more.
 
         Args:
@@ -61,8 +62,8 @@ class Window:
         )
         reach = REACH * min(arc * steps[1], (np.ptp(slices) + 1) * steps[2])
         margins = [max(math.ceil(reach / step), MARGIN) for step in steps]
-        r, width_r = _stretch(layers, grid.shape[0], margins[0])
-        z, width_z = _stretch(slices, grid.shape[2], margins[2])
+        r, width_r = _interval(layers, grid.shape[0], margins[0])
+        z, width_z = _interval(slices, grid.shape[2], margins[2])
         start -= margins[1]
         # one spoke more stays fixed and parts the circle
         width = -(-(arc + 2 * margins[1] + 1) // SPOKES) * SPOKES
@@ -97,24 +98,24 @@ class Window:
         """Step along the axis [m]."""
         return self.grid.z_step
 
-    def cut(self, values: NDArray[Value]) -> NDArray[Value]:
-        """Values of the grid, (n_r, n_theta, n_z), inside the window."""
+    def restrict(self, values: NDArray[Value]) -> NDArray[Value]:
+        """Values of the grid, (n_r, n_theta, n_z), inside the subdomain, a copy."""
         (i, j, k), (n_r, n_theta, n_z) = self.first, self.shape
         spokes = (j + np.arange(n_theta)) % self.grid.shape[1]
         part = values[i : i + n_r, :, k : k + n_z]
         return np.ascontiguousarray(part[:, spokes])
 
     def free(self, free: Mask) -> Mask:
-        """Unknown voxels inside, with all fixed around it, of those of the grid."""
-        inside = self.cut(free)
+        """Unknown voxels of the grid that are unknown here: its rim is fixed."""
+        inside = self.restrict(free)
         inside[[0, -1]] = False
         inside[:, :, [0, -1]] = False
         if self.shape[1] < self.grid.shape[1]:
             inside[:, -1] = False
         return inside
 
-    def spread(self, inside: Mask) -> Mask:
-        """Voxels of the grid, shape (V,), that are marked inside."""
+    def extend(self, inside: Mask) -> Mask:
+        """Mask of the grid, shape (V,), from one of the subdomain."""
         nodes = np.nonzero(inside)
         turned = (nodes[1] + self.first[1]) % self.grid.shape[1]
         marked = np.zeros(self.grid.shape, dtype=np.bool_)
@@ -122,7 +123,7 @@ class Window:
         return self.grid.flatten(marked)
 
     def nodes(self, voxels: Index) -> tuple[NDArray[np.int64], ...]:
-        """Layer, spoke and slice within the window of voxels that lie in it.
+        """Layer, spoke and slice within the subdomain of voxels that lie in it.
 
         Args:
             voxels: Flat indices on the grid, shape (k,).
@@ -138,8 +139,8 @@ class Window:
         )
 
 
-def _stretch(places: Index, count: int, margin: int) -> tuple[int, int]:
-    """First place and number of places of a stretch around some, with its margin."""
+def _interval(places: Index, count: int, margin: int) -> tuple[int, int]:
+    """First place and number of places of an interval around some, with its margin."""
     low = max(int(places.min()) - margin, 0)
     return low, min(int(places.max()) + margin + 1, count) - low
 

@@ -1,295 +1,354 @@
-"""Compiled transfers between two levels of the multigrid solver.
+"""Restriction and prolongation between two levels (compiled).
 
-Residuals live on colour 1 alone: a sweep ends with colour 0, whose equations then
-hold, and what is added to colour 0 would be overwritten by the sweep that follows.
-Colour 1 has the spokes and slices that are both even (nodes of a coarse level) or
-both odd (in the middle of four of them). Interpolation goes one direction after the
-other, θ, z, then r, by the weights of each line, so that a value never passes
-through a fixed node; restriction is exactly its transpose.
+Operator-dependent interpolation as in black-box multigrid (Dendy, J. Comput. Phys. 48,
+1982), here along one line after the other, θ, z, then r, so that no value passes
+through a Dirichlet node. Restriction is exactly the transpose.
 
-In a layer of colour 1, even row j starts at place (j + 1)·pitch // 2 with slice 0,
-odd row j with slice 1. Rows j and j + 2 lie a whole pitch apart, so that one loop
-runs over all rows of a layer; where a formula is meant for odd rows only, it leaves
-nonsense in even ones, which nobody reads.
-
-``flags`` says which of r, θ, z were coarsened; ``fine`` and ``coarse`` are the
-(n_theta, n_z, pitch) of the levels; ``weights`` are six arrays in halves: of the
-node before and after in r, θ, z.
+Residuals live on black nodes alone: a sweep ends with the red ones, whose equations
+then hold, and what is added to red nodes would be overwritten by the sweep that
+follows. Black are the nodes whose spoke and slice are both even (nodes of a coarse
+level) or both odd (in the middle of four of them). In a layer, even spoke j starts at
+place (j + 1)·pitch // 2 with slice 0, odd spoke j with slice 1. Spokes j and j + 2 lie
+a whole pitch apart, so that one loop runs over all spokes of a layer; where a formula
+is meant for odd spokes only, it leaves values in even ones that nobody reads.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ttus_opt.compiled import compiled
-from ttus_opt.multigrid.kernels import FAST, Numbers, Single, span
-
-Weights = tuple[Single, ...]
-Flags = tuple[bool, bool, bool]
+from ttus_opt.multigrid.kernels import FAST, LevelIndex, copy, fill, span
+from ttus_opt.multigrid.red_black import Single
 
 
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _copy(out: Single, a: Single) -> None:
-    for n in range(out.size):
-        out[n] = a[n]
+class Mean(NamedTuple):
+    """Places of a weighted mean of two vectors, added to a third.
 
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _add(out: Single, a: Single) -> None:
-    for n in range(out.size):
-        out[n] += a[n]
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _add_product(out: Single, w: Single, a: Single) -> None:
-    for n in range(w.size):
-        out[n] += w[n] * a[n]
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _mix(out: Single, wa: Single, a: Single, wb: Single, b: Single) -> None:
-    """Set wa · a + wb · b (compiled)."""
-    for n in range(wb.size):
-        out[n] = wa[n] * a[n] + wb[n] * b[n]
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _add_mix(out: Single, wa: Single, a: Single, wb: Single, b: Single) -> None:
-    """Add wa · a + wb · b (compiled)."""
-    for n in range(wb.size):
-        out[n] += wa[n] * a[n] + wb[n] * b[n]
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _exchange(
-    rows: Single,
-    plane: Single,
-    row: int,
-    j: int,
-    into: bool,
-    flags: Flags,
-    fine: Numbers,
-    coarse: Numbers,
-) -> None:
-    """Copy between a fine row of colour 1 and the coarse slices it meets (compiled).
-
-    A coarse plane is one row after the other if z was coarsened, else one half after
-    the other. On the way ``into`` it, sums for coarse slice n of an odd row stand at
-    the place of fine slice 2n - 1; on the way out, slice n goes to that of 2n + 1.
+    Attributes:
+        out: The result.
+        base: What the mean is added to.
+        weight: Weights of the first vector, in ``fields``.
+        first: The first vector.
+        other_weight: Weights of the second vector.
+        second: The second vector.
     """
-    pitch = coarse[2]
-    start = (j + 1) * fine[2] // 2
-    odd = j % 2
-    if flags[2]:
-        a = (row + 1) * pitch
-        count = fine[1] // 2
+
+    out: int
+    base: int
+    weight: int
+    first: int
+    other_weight: int
+    second: int
+
+
+class Buffers(NamedTuple):
+    """Scratch space of a transfer, in ``work``.
+
+    Attributes:
+        values: Values of one fine layer.
+        between: Their means along one direction.
+        total: Their sums.
+        plane: One coarse layer, both colours.
+        here: A fine layer on the way from the coarse one.
+        below: The one before it.
+        is_odd: 1 on odd spokes, else 0.
+    """
+
+    values: int
+    between: int
+    total: int
+    plane: int
+    here: int
+    below: int
+    is_odd: int
+
+
+def scratch_size(width: int, pitch: int) -> int:
+    """Numbers that the scratch space of the finest level takes."""
+    return 3 * (width + 2 * pitch) + 5 * width
+
+
+@compiled(inline="always")
+def _buffers(at: LevelIndex, work: Single) -> Buffers:
+    """Empty scratch space of a level (compiled)."""
+    width, long = at.width, at.width + 2 * at.pitch
+    fill(work, at.scratch, np.float32(0), 3 * long + 5 * width)
+    plane = at.scratch + 3 * long
+    return Buffers(
+        at.scratch,
+        at.scratch + long,
+        at.scratch + 2 * long,
+        plane,
+        plane + 2 * width,
+        plane + 3 * width,
+        plane + 4 * width,
+    )
+
+
+@compiled(inner=True, nogil=True, fastmath=FAST)
+def _add_mean(work: Single, fields: Single, at: Mean, count: int) -> None:
+    """Set base + weight · first + other weight · second (compiled)."""
+    out, base = np.uint64(at.out), np.uint64(at.base)
+    weight, first = np.uint64(at.weight), np.uint64(at.first)
+    other, second = np.uint64(at.other_weight), np.uint64(at.second)
+    for n in range(np.uint64(count)):
+        mean = fields[weight + n] * work[first + n]
+        mean += fields[other + n] * work[second + n]
+        work[out + n] = work[base + n] + mean
+
+
+@compiled(inner=True, nogil=True, fastmath=FAST)
+def _add(work: Single, out: int, source: int, count: int) -> None:
+    """Add one vector to another (compiled)."""
+    to, start = np.uint64(out), np.uint64(source)
+    for n in range(np.uint64(count)):
+        work[to + n] += work[start + n]
+
+
+@compiled(inner=True, nogil=True)
+def _split(work: Single, plane: int, red: int, black: int, count: int) -> None:
+    """Part a plane in which colours alternate into its colours (compiled)."""
+    start, one, other = np.uint64(plane), np.uint64(red), np.uint64(black)
+    for n in range(np.uint64(count)):
+        work[one + n] = work[start + n + n]
+        work[other + n] = work[start + n + n + np.uint64(1)]
+
+
+@compiled(inner=True, nogil=True)
+def _merge(work: Single, plane: int, red: int, black: int, count: int) -> None:
+    """The reverse of `_split` (compiled)."""
+    start, one, other = np.uint64(plane), np.uint64(red), np.uint64(black)
+    for n in range(np.uint64(count)):
+        work[start + n + n] = work[one + n]
+        work[start + n + n + np.uint64(1)] = work[other + n]
+
+
+@compiled(inner=True, nogil=True)
+def _swap(
+    at: LevelIndex,
+    below: LevelIndex,
+    work: Single,
+    places: tuple[int, int],
+    spokes: tuple[int, int],
+    into: bool,
+) -> None:
+    """Copy between a fine spoke of black nodes and the coarse slices it meets.
+
+    A coarse plane is one spoke after the other if z was coarsened, else one colour
+    after the other. On the way ``into`` it, sums for coarse slice n of an odd spoke
+    stand at the place of fine slice 2n - 1; on the way out, slice n goes to that of
+    2n + 1.
+    """
+    (values, plane), (coarse_spoke, j) = places, spokes
+    start, odd = (j + 1) * at.pitch // 2, j % 2
+    if at.coarsens_z:
+        a = (coarse_spoke + 1) * below.pitch
+        count = at.n_z // 2
         if into:
-            a, count = a + 1, count - 1  # the first slice and the last are fixed
+            a, count = a + 1, count - 1  # the first slice and the last are Dirichlet
             start += 1 - odd
         else:
             count += odd
     else:
-        m = (row + 1) * pitch + odd
-        a = (m % 2) * (plane.size // 2) + m // 2
-        count = (fine[1] - odd) // 2
+        m = (coarse_spoke + 1) * below.pitch + odd
+        a = (m % 2) * below.width + m // 2
+        count = (at.n_z - odd) // 2
     if into:
-        _copy(plane[a : a + count], rows[start : start + count])
+        copy(work, plane + a, values + start, count)
     else:
-        _copy(rows[start : start + count], plane[a : a + count])
+        copy(work, values + start, plane + a, count)
 
 
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _restrict_rows(
-    plane: Single,
-    values: Single,
-    between: Single,
-    total: Single,
-    i: int,
-    weights: Weights,
-    flags: Flags,
-    fine: Numbers,
-    coarse: Numbers,
+@compiled(inner=True, nogil=True)
+def _swap_plane(
+    at: LevelIndex,
+    below: LevelIndex,
+    work: Single,
+    even: int,
+    odd: int,
+    plane: int,
+    into: bool,
 ) -> None:
-    """Residuals of one layer onto the coarse rows and slices (compiled)."""
-    rows, _, pitch = fine
-    size = weights[0].shape[2]
-    q = pitch // 2
-    if rows % 2 == 0:  # row -1 is the last one; of an odd number of rows, none is
-        last = rows * pitch // 2
-        _copy(values[:q], values[last : last + q])
+    """Copy between a fine layer and a coarse plane (compiled).
+
+    ``even`` and ``odd`` are where the fine layer is kept for even and odd spokes.
+    """
+    if at.coarsens_theta:
+        # an even number of spokes has one more at hand where the circle closes
+        more = 0 if into else 1 - at.n_theta % 2
+        for spoke in range(below.n_theta + more):
+            ends = (spoke, 2 * spoke)
+            _swap(at, below, work, (even, plane), ends, into)
+            if not at.coarsens_z:
+                ends = (spoke, 2 * spoke + 1)
+                _swap(at, below, work, (odd, plane), ends, into)
+    else:
+        for j in range(at.n_theta):
+            source = odd if j % 2 else even
+            _swap(at, below, work, (source, plane), (j, j), into)
+
+
+@compiled(inline="always")
+def _restrict_layer(
+    at: LevelIndex,
+    below: LevelIndex,
+    fields: Single,
+    work: Single,
+    buffers: Buffers,
+    i: int,
+) -> None:
+    """Residuals of fine layer i onto the coarse spokes and slices (compiled)."""
+    width, q, zeros = at.width, at.pitch // 2, at.zeros
+    red, black = i * width, (at.n_r + i) * width
+    values, between, total = buffers.values, buffers.between, buffers.total
+    if at.n_theta % 2 == 0:  # spoke -1 is the last one; of an odd number, none is
+        copy(work, values, values + at.n_theta * at.pitch // 2, q)
     odd = values
-    if flags[2]:
-        after, before = weights[5][1, i], weights[4][1, i]
-        n = size - 1
-        _mix(between, after[:n], values, before[1:], values[1:])
+    if at.coarsens_z:
+        after, before = at.after_z + black, at.before_z + black + 1
+        mean = Mean(between, zeros, after, values, before, values + 1)
+        _add_mean(work, fields, mean, width - 1)
         odd = between
-    if not flags[1]:
-        for j in range(rows):
-            source = odd if j % 2 else values
-            _exchange(source, plane, j, j, True, flags, fine, coarse)
-        return
-    colour = 0 if flags[2] else 1
-    before, after = weights[2][colour, i], weights[3][colour, i]
-    if flags[2]:
-        _copy(total, values)
-        n = size - 2 * q - 1
-        below, above = after[1 : 1 + n], before[2 * q + 2 :]
-        _add_mix(total[q + 1 :], below, odd, above, odd[2 * q + 1 :])
-        for row in range(coarse[0]):
-            _exchange(total, plane, row, 2 * row, True, flags, fine, coarse)
-        return
-    n = size - pitch
-    _mix(total[pitch:], after[:n], odd, before[pitch:], odd[pitch:])
-    for row in range(coarse[0]):
-        _exchange(values, plane, row, 2 * row, True, flags, fine, coarse)
-        _exchange(total, plane, row, 2 * row + 1, True, flags, fine, coarse)
+    even = values
+    if at.coarsens_theta and at.coarsens_z:
+        copy(work, total, values, width + 2 * at.pitch)
+        after, before = at.after_theta + red + 1, at.before_theta + red + 2 * q + 2
+        out = total + q + 1
+        mean = Mean(out, out, after, odd, before, odd + 2 * q + 1)
+        _add_mean(work, fields, mean, width - 2 * q - 2)
+        even = total
+    elif at.coarsens_theta:
+        after, before = at.after_theta + black, at.before_theta + black + at.pitch
+        mean = Mean(total + at.pitch, zeros, after, odd, before, odd + at.pitch)
+        _add_mean(work, fields, mean, width - at.pitch)
+        odd = total
+    _swap_plane(at, below, work, even, odd, buffers.plane, True)
 
 
-@compiled(nogil=True, fastmath=FAST)
-def restrict(
-    out: Single,
-    residual: Single,
-    weights: Weights,
-    flags: Flags,
-    fine: Numbers,
-    coarse: Numbers,
-) -> None:
-    """Right-hand side of the coarse level (compiled).
+@compiled(inner=True, nogil=True)
+def restrict(at: LevelIndex, below: LevelIndex, fields: Single, work: Single) -> None:
+    """Set the coarse right-hand side from the residual of black nodes (compiled).
 
     Args:
-        out: Result in halves, shape (2, n_r, width) of the coarse level.
-        residual: Residuals of colour 1, shape (n_r, width) of the fine level, zero
-            where rows close the circle.
-        weights: See the module.
-        flags: See the module.
-        fine: See the module.
-        coarse: See the module.
+        at: The fine level; its residual is zero where spokes close the circle.
+        below: The coarse level.
+        fields: Coefficients.
+        work: Vectors.
     """
-    size, width = residual.shape[1], out.shape[2]
-    values = np.zeros(size + 2 * fine[2], dtype=np.float32)
-    between, total = np.zeros_like(values), np.zeros_like(values)
-    plane = np.zeros(2 * width, dtype=np.float32)
-    before, after = weights[0][1], weights[1][1]
-    for layer in range(1, out.shape[1] - 1):
-        i = 2 * layer if flags[0] else layer
-        _copy(values[:size], residual[i])
-        if flags[0]:
-            low, high = residual[i - 1], residual[i + 1]
-            _add_mix(values, after[i - 1], low, before[i + 1], high)
-        _restrict_rows(plane, values, between, total, i, weights, flags, fine, coarse)
-        one, other = out[0, layer], out[1, layer]
-        if flags[2]:
-            for n in range(width):
-                one[n] = plane[2 * n]
-                other[n] = plane[2 * n + 1]
+    width = at.width
+    buffers = _buffers(at, work)
+    for layer in range(1, below.n_r - 1):
+        i = 2 * layer if at.coarsens_r else layer
+        row = at.residual + i * width
+        if at.coarsens_r:
+            black = (at.n_r + i) * width
+            after, before = at.after_r + black - width, at.before_r + black + width
+            mean = Mean(buffers.values, row, after, row - width, before, row + width)
+            _add_mean(work, fields, mean, width)
         else:
-            _copy(one, plane[:width])
-            _copy(other, plane[width:])
+            copy(work, buffers.values, row, width)
+        _restrict_layer(at, below, fields, work, buffers, i)
+        red = below.b + layer * below.width
+        black = red + below.n_r * below.width
+        if at.coarsens_z:
+            _split(work, buffers.plane, red, black, below.width)
+        else:
+            copy(work, red, buffers.plane, below.width)
+            copy(work, black, buffers.plane + below.width, below.width)
 
 
 @compiled(inner=True, nogil=True, fastmath=FAST)
-def _prolong_rows(
-    out: Single,
-    plane: Single,
-    known: Single,
-    between: Single,
-    is_odd: Single,
+def _choose(work: Single, out: int, even: int, odd: int, is_odd: int, n: int) -> None:
+    """Set ``odd`` where ``is_odd`` is 1, else ``even`` (compiled)."""
+    to, first, second = np.uint64(out), np.uint64(even), np.uint64(odd)
+    which = np.uint64(is_odd)
+    for m in range(np.uint64(n)):
+        value = work[first + m]
+        work[to + m] = value + work[which + m] * (work[second + m] - value)
+
+
+@compiled(inline="always")
+def _prolong_layer(
+    at: LevelIndex,
+    below: LevelIndex,
+    fields: Single,
+    work: Single,
+    buffers: Buffers,
+    here: int,
     i: int,
-    weights: Weights,
-    flags: Flags,
-    fine: Numbers,
-    coarse: Numbers,
 ) -> None:
-    """Add to out one coarse layer at the rows and slices of a fine one (compiled)."""
-    rows, _, pitch = fine
-    size = weights[0].shape[2]
-    q = pitch // 2
-    if flags[1]:
-        for row in range(coarse[0] + 1 - rows % 2):
-            _exchange(known, plane, row, 2 * row, False, flags, fine, coarse)
-            if not flags[2]:
-                _exchange(known, plane, row, 2 * row + 1, False, flags, fine, coarse)
-    else:
-        for j in range(rows):
-            _exchange(known, plane, j, j, False, flags, fine, coarse)
+    """Set ``here`` to one coarse layer at the places of fine layer i (compiled)."""
+    width, q, zeros = at.width, at.pitch // 2, at.zeros
+    red, black = i * width, (at.n_r + i) * width
+    known, between = buffers.values, buffers.between
+    _swap_plane(at, below, work, known, known, buffers.plane, False)
     odd = known
-    if flags[1]:
-        colour = 0 if flags[2] else 1
-        before, after = weights[2][colour, i], weights[3][colour, i]
-        if flags[2]:
-            low, high = before[q + 1 :], after[q + 1 :]
-            _mix(between[q + 1 :], low, known, high, known[2 * q + 1 :])
-        else:
-            _mix(between, before, known, after, known[pitch:])
+    if at.coarsens_theta and at.coarsens_z:
+        before, after = at.before_theta + red + q + 1, at.after_theta + red + q + 1
+        out = between + q + 1
+        mean = Mean(out, zeros, before, known, after, known + 2 * q + 1)
+        _add_mean(work, fields, mean, width - q - 1)
         odd = between
-    if flags[2]:
-        before, after = weights[4][1, i], weights[5][1, i]
-        _mix(out, before, odd, after, odd[1:])
-        odd = out
-    for n in range(size):
-        out[n] = known[n] + is_odd[n] * (odd[n] - known[n])
+    elif at.coarsens_theta:
+        before, after = at.before_theta + black, at.after_theta + black
+        mean = Mean(between, zeros, before, known, after, known + at.pitch)
+        _add_mean(work, fields, mean, width)
+        odd = between
+    if at.coarsens_z:
+        before, after = at.before_z + black, at.after_z + black
+        mean = Mean(here, zeros, before, odd, after, odd + 1)
+        _add_mean(work, fields, mean, width)
+        odd = here
+    _choose(work, here, known, odd, buffers.is_odd, width)
 
 
-@compiled(nogil=True, fastmath=FAST)
-def prolong(
-    out: Single,
-    x: Single,
-    weights: Weights,
-    flags: Flags,
-    fine: Numbers,
-    coarse: Numbers,
-) -> None:
-    """Add the coarse correction to colour 1 (compiled).
+@compiled(inner=True, nogil=True)
+def prolong(at: LevelIndex, below: LevelIndex, fields: Single, work: Single) -> None:
+    """Add the coarse correction to black nodes (compiled).
 
     Args:
-        out: Values of colour 1, shape (n_r, width) of the fine level; its closing
-            rows, which may hold the other colour, are left alone.
-        x: Correction in halves, shape (2, n_r, width) of the coarse level, closed.
-        weights: See the module.
-        flags: See the module.
-        fine: See the module.
-        coarse: See the module.
+        at: The fine level; the spokes that close its circle are left alone.
+        below: The coarse level, its circle closed.
+        fields: Coefficients.
+        work: Vectors.
     """
-    n_r, size = out.shape
-    width, pitch = x.shape[2], fine[2]
-    s, e = span(1, fine)
-    before, after = weights[0][1], weights[1][1]
-    below = np.zeros(size, dtype=np.float32)
-    here = np.zeros(size, dtype=np.float32)
-    known = np.zeros(size + 2 * pitch, dtype=np.float32)
-    between = np.zeros_like(known)
-    plane = np.empty(2 * width, dtype=np.float32)
-    is_odd = np.zeros(size, dtype=np.float32)
-    for j in range(-1, fine[0] + 1, 2):
-        start = (j + 1) * pitch // 2
-        is_odd[start : start + pitch // 2] = 1
-    for layer in range(1, x.shape[1] - 1):
-        i = 2 * layer if flags[0] else layer
-        one, other = x[0, layer], x[1, layer]
-        if flags[2]:
-            for n in range(width):
-                plane[2 * n] = one[n]
-                plane[2 * n + 1] = other[n]
+    width = at.width
+    s, e = span(at, 1)
+    buffers = _buffers(at, work)
+    here, inner = buffers.here, buffers.below
+    for j in range(-1, at.n_theta + 1, 2):
+        start = buffers.is_odd + (j + 1) * at.pitch // 2
+        fill(work, start, np.float32(1), at.pitch // 2)
+    out = at.x + at.n_r * width + s
+    for layer in range(1, below.n_r - 1):
+        i = 2 * layer if at.coarsens_r else layer
+        red = below.x + layer * below.width
+        black = red + below.n_r * below.width
+        if at.coarsens_z:
+            _merge(work, buffers.plane, red, black, below.width)
         else:
-            _copy(plane[:width], one)
-            _copy(plane[width:], other)
-        _prolong_rows(
-            here,
-            plane,
-            known,
-            between,
-            is_odd,
-            i,
-            weights,
-            flags,
-            fine,
-            coarse,
-        )
-        _add(out[i, s:e], here[s:e])
-        if flags[0]:
-            low, high = before[i - 1, s:e], after[i - 1, s:e]
-            _add_mix(out[i - 1, s:e], low, below[s:e], high, here[s:e])
-            below, here = here, below
-    last = 2 * x.shape[1] - 3
-    if flags[0] and last < n_r - 1:
-        _add_product(out[last, s:e], before[last, s:e], below[s:e])
+            copy(work, buffers.plane, red, below.width)
+            copy(work, buffers.plane + below.width, black, below.width)
+        _prolong_layer(at, below, fields, work, buffers, here, i)
+        _add(work, out + i * width, here + s, e - s)
+        if at.coarsens_r:
+            _prolong_between(at, fields, work, i - 1, inner, here)
+            inner, here = here, inner
+    last = 2 * below.n_r - 3
+    if at.coarsens_r and last < at.n_r - 1:
+        _prolong_between(at, fields, work, last, inner, at.zeros)
+
+
+@compiled(inner=True, nogil=True)
+def _prolong_between(
+    at: LevelIndex, fields: Single, work: Single, i: int, inner: int, outer: int
+) -> None:
+    """Add to fine layer i the mean of its neighbours (compiled)."""
+    s, e = span(at, 1)
+    p = (at.n_r + i) * at.width + s
+    out = at.x + p
+    mean = Mean(out, out, at.before_r + p, inner + s, at.after_r + p, outer + s)
+    _add_mean(work, fields, mean, e - s)

@@ -1,9 +1,9 @@
-"""One V-cycle on arrays in the multigrid's own order: A⁻¹ roughly, and fast.
+"""One V-cycle as a preconditioner, on vectors in red-black order.
 
-A single V-cycle costs a tenth of a solve, as long as its right-hand side and answer
-are not copied to whole grids of double precision and back. Who needs A⁻¹ roughly at
-some voxels only, many times over, writes and reads these halves directly, and may do
-with a part of the grid (`window`).
+A V-cycle costs a tenth of a solve, as long as its right-hand side and answer are not
+copied to whole grids in double precision and back. Who needs A⁻¹ approximately at some
+voxels only, many times over, writes and reads these vectors directly, and a part of
+the grid may do (`subdomain`).
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.multigrid.cycle import Hierarchy, Workspace, cycle
-from ttus_opt.multigrid.kernels import Single
-from ttus_opt.multigrid.subdomain import Window
+from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
+from ttus_opt.multigrid.red_black import Single
+from ttus_opt.multigrid.subdomain import Subdomain
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 
 class VCycle:
-    """x ≈ A⁻¹ b by one V-cycle, b and x flat and in halves (see `levels`).
+    """x ≈ A⁻¹ b by one V-cycle, b and x flat, in red-black order.
 
     The map is linear, symmetric and positive definite up to single precision. It
     works in arrays of its own: several may run side by side.
@@ -33,7 +33,7 @@ class VCycle:
     def __init__(
         self,
         hierarchy: Hierarchy,
-        window: Window,
+        subdomain: Subdomain,
         free: NDArray[np.bool_],
         *,
         sweeps: int = 1,
@@ -41,16 +41,18 @@ class VCycle:
         """Take scratch arrays.
 
         Args:
-            hierarchy: The levels of the window.
-            window: The grid, or a part of it.
+            hierarchy: The levels of the subdomain.
+            subdomain: The grid, or a part of it.
             free: Unknown voxels of the whole grid, shape (V,).
-            sweeps: On the finest level, see `cycle` [–].
+            sweeps: Before and after on the finest level [–].
         """
-        self._hierarchy, self._window, self._sweeps = hierarchy, window, sweeps
-        self.free = window.spread(window.free(window.grid.unflatten(free)))
+        self._layout = hierarchy.levels[0].layout
+        self._subdomain, self._sweeps = subdomain, sweeps
+        inside = subdomain.free(subdomain.grid.unflatten(free))
+        self.free = subdomain.extend(inside)
         self._work = Workspace(hierarchy)
-        self.b: Single = self._work.b[0].reshape(-1)
-        self.x: Single = self._work.x[0].reshape(-1)
+        self.b: Single = self._work.b.reshape(-1)
+        self.x: Single = self._work.x.reshape(-1)
 
     @classmethod
     def near(
@@ -70,12 +72,12 @@ class VCycle:
             free: Its unknown voxels, shape (V,).
             ties: Those that move with the next one outwards, shape (V,); None for none.
         """
-        window = Window.around(grid, voxels)
-        if not window.is_whole:
-            inside = window.free(grid.unflatten(free))
-            tied = None if ties is None else window.cut(grid.unflatten(ties))
-            hierarchy = Hierarchy.build(window, inside, tied)
-        return cls(hierarchy, window, free, sweeps=1 if voxels is None else 2)
+        part = Subdomain.around(grid, voxels)
+        if not part.is_whole:
+            inside = part.free(grid.unflatten(free))
+            tied = None if ties is None else part.restrict(grid.unflatten(ties))
+            hierarchy = Hierarchy.build(part, inside, tied)
+        return cls(hierarchy, part, free, sweeps=1 if voxels is None else 2)
 
     def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:
         """Where voxels lie in ``b`` and ``x``.
@@ -86,13 +88,11 @@ class VCycle:
         Returns:
             Places, shape (k,).
         """
-        layout = self._hierarchy.levels[0].layout
-        return layout.places(self._window.nodes(voxels))
+        return self._layout.places(self._subdomain.nodes(voxels))
 
     def run(self) -> None:
         """Set ``x`` to one V-cycle's answer for ``b``."""
-        b = self._work.b[0]
-        cycle(self._hierarchy, self._work, (b[0], b[1]), sweeps=self._sweeps)
+        self._work.v_cycle(sweeps=self._sweeps)
 
     def run_adjoint(self) -> None:
         """The same, as the map is symmetric."""

@@ -31,7 +31,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.fitting import batch
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
-from ttus_opt.multigrid import Multigrid, v_cycle
+from ttus_opt.multigrid import Multigrid, VCycle
 from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
@@ -71,7 +71,7 @@ WATCHES = (
     Watch(Vectors, "correct", name.CORRECTION),
     Watch(Multigrid, "_residual", name.DOUBLE),
     Watch(Multigrid, "_add", name.DOUBLE),
-    Watch(v_cycle, "cycle", name.CYCLE),
+    Watch(VCycle, "run", name.CYCLE),
     Watch(batch, "judged", name.VERIFY),
 )
 

@@ -22,8 +22,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.laplace.system import BlockSolves, LaplaceSystem
-from ttus_opt.multigrid import Multigrid, StiffMultigrid
+from ttus_opt.laplace.square_system import BlockSolves
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.multigrid import AggregatedMultigrid, Multigrid
 from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
@@ -53,11 +54,11 @@ class ReducedLaplace(BlockSolves):
     ties: Mask = field(repr=False)
 
     @cached_property
-    def multigrid(self) -> Multigrid | StiffMultigrid:
+    def multigrid(self) -> Multigrid | AggregatedMultigrid:
         """Solver of the symmetric block."""
         if not self.ties.any():
             return Multigrid(self.grid, self.grid.unflatten(self.members))
-        return StiffMultigrid(self.grid, self.members, self.ties, self.free)
+        return AggregatedMultigrid(self.grid, self.members, self.ties, self.free)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
-from ttus_opt.laplace.system import RTOL, SquareSystem
+from ttus_opt.laplace.square_system import RTOL, SquareSystem
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,259 @@
+"""What a mask on a grid amounts to, and what one solve writes to.
+
+A `Hierarchy` never changes; a `Workspace` belongs to one solve at a time. Solves with a
+workspace each may run side by side.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.multigrid.coarsening import (
+    DIRECT_NODES,
+    Box,
+    Network,
+    coarsen,
+    conductances,
+    finest,
+    plan,
+)
+from ttus_opt.multigrid.cycle import v_cycle
+from ttus_opt.multigrid.kernels import LevelIndex, Table
+from ttus_opt.multigrid.line_smoother import TILE, inverse_pivots
+from ttus_opt.multigrid.red_black import LANES, Layout, Single
+from ttus_opt.multigrid.transfer import scratch_size
+
+
+@dataclass(frozen=True)
+class Level:
+    """Operator of one level and transfers to the next one.
+
+    Attributes:
+        layout: Where nodes are stored.
+        R: Conductances to the next layer; on the finest level one number per layer,
+            shape (n_r,), elsewhere and with ties in red-black order [m].
+        T: Conductances to the next spoke, likewise but for ties [m].
+        Z: Conductances to the next slice, likewise [m].
+        inverse: Inverse pivots of the radial lines, in red-black order [1/m].
+        weights: Interpolation weights of the node before and after in r, θ, z, each in
+            red-black order [–].
+        flags: Which of r, θ, z the next level coarsens.
+    """
+
+    layout: Layout
+    R: Single = field(repr=False)
+    T: Single = field(repr=False)
+    Z: Single = field(repr=False)
+    inverse: Single = field(repr=False)
+    weights: tuple[Single, ...] = field(repr=False)
+    flags: tuple[bool, bool, bool]
+
+    @classmethod
+    def finest(
+        cls, grid: Box, network: Network, flags: tuple[bool, bool, bool]
+    ) -> Level:
+        """The grid itself: conductances depend on the layer alone."""
+        layout = Layout.of(grid.shape)
+        R, T, Z = (v.astype(np.float32) for v in conductances(grid))
+        # a dropped node has equal neighbours, and none if it is fixed
+        half = layout.split(network.free * np.float32(0.5))
+        inverse = inverse_pivots(layout.split(network.aside), R)
+        return cls(layout, R, T, Z, inverse, (half,) * 6, flags)
+
+    def tied(self, network: Network) -> Level:
+        """The grid itself with ties, of which only links along r know."""
+        R = self.layout.split(network.links[0])
+        inverse = inverse_pivots(self.layout.split(network.aside), R)
+        along = (self.layout.split(w) for w in network.weights(0))
+        weights = (*along, *self.weights[2:])
+        return replace(self, R=R, inverse=inverse, weights=weights)
+
+    @classmethod
+    def coarse(cls, network: Network, flags: tuple[bool, bool, bool]) -> Level:
+        """A coarser level."""
+        layout = Layout.of(network.shape)
+        R, T, Z = (layout.split(v) for v in network.links)
+        inverse = inverse_pivots(layout.split(network.aside), R)
+        weights = tuple(
+            layout.split(w) for axis in range(3) for w in network.weights(axis)
+        )
+        return cls(layout, R, T, Z, inverse, weights, flags)
+
+    @property
+    def is_odd(self) -> bool:
+        """Whether the number of spokes is odd: both colours meet where θ closes."""
+        return self.layout.shape[1] % 2 == 1
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Shape of values in red-black order."""
+        return self.layout.stored_shape
+
+    @property
+    def arrays(self) -> tuple[Single, ...]:
+        """Coefficients in the order of a `LevelIndex`."""
+        return (self.R, self.T, self.Z, self.inverse, *self.weights)
+
+
+@dataclass(frozen=True)
+class Hierarchy:
+    """All levels, and the direct solution of the coarsest.
+
+    Attributes:
+        levels: From fine to coarse; their arrays are parts of ``fields``.
+        places: Flat places of the coarsest level's free nodes.
+        inverse: Inverse of the coarsest level's matrix [1/m].
+        table: A `LevelIndex` per level, for compiled code.
+        fields: Coefficients of all levels.
+        work_size: Numbers that the vectors of all levels take.
+    """
+
+    levels: tuple[Level, ...]
+    places: NDArray[np.int64] = field(repr=False)
+    inverse: Single = field(repr=False)
+    table: Table = field(repr=False)
+    fields: Single = field(repr=False)
+    work_size: int
+
+    @classmethod
+    def build(
+        cls,
+        grid: Box,
+        free: NDArray[np.bool_],
+        ties: NDArray[np.bool_] | None = None,
+    ) -> Hierarchy:
+        """Coarsen until the rest is small.
+
+        Args:
+            grid: The grid.
+            free: Unknown voxels, shape ``grid.shape``.
+            ties: Those that move with the next layer, same shape; None for none.
+        """
+        network = finest(grid, free)
+        if ties is not None:
+            network = network.tied(ties)
+        levels: list[Level] = []
+        for flags in (*plan(grid), (False, False, False)):
+            if network.n_free <= DIRECT_NODES:
+                flags = (False, False, False)
+            if levels:
+                levels.append(Level.coarse(network, flags))
+            else:
+                level = Level.finest(grid, network, flags)
+                levels.append(level if ties is None else level.tied(network))
+            if not any(flags):
+                break
+            for axis in np.flatnonzero(flags):
+                network = coarsen(network, int(axis))
+        inverse = np.linalg.inv(network.matrix()).astype(np.float32)
+        places = levels[-1].layout.places(np.nonzero(network.free))
+        along = conductances(grid)[0].astype(np.float32)
+        return cls(tuple(levels), places, inverse, *_packed(levels, along))
+
+    @property
+    def memory_bytes(self) -> int:
+        """Size of its arrays."""
+        return self.fields.nbytes + self.inverse.nbytes + self.table.nbytes
+
+
+class Workspace:
+    """Vectors that one solve writes to.
+
+    Attributes:
+        values: All of them.
+        b: The finest level's right-hand side, shape (2, n_r, width).
+        x: Its correction, same shape.
+        index: Where the finest level's vectors begin.
+    """
+
+    def __init__(self, hierarchy: Hierarchy, more: int = 0) -> None:
+        """Take memory.
+
+        Args:
+            hierarchy: The levels.
+            more: Further vectors of one colour of the finest level [–].
+        """
+        layout = hierarchy.levels[0].layout
+        size = hierarchy.work_size + more * layout.colour_size
+        self.values: Single = np.zeros(size, np.float32)
+        self.index = LevelIndex(*(int(n) for n in hierarchy.table[0]))
+        self.b = self._vector(self.index.b, layout.stored_shape)
+        self.x = self._vector(self.index.x, layout.stored_shape)
+        self._hierarchy = hierarchy
+        #: What kernels of the finest level begin with
+        self._arrays = (hierarchy.table[0], hierarchy.fields, self.values)
+        self._sizes = (layout.shape[0], layout.width)
+
+    def _vector(self, start: int, shape: tuple[int, ...]) -> Single:
+        """The part of ``values`` that begins somewhere."""
+        return self.values[start : start + math.prod(shape)].reshape(shape)
+
+    @property
+    def memory_bytes(self) -> int:
+        """Size of the vectors."""
+        return self.values.nbytes
+
+    def v_cycle(self, *, sweeps: int = 1, has_red: bool = True) -> None:
+        """Set ``x`` to one V-cycle's answer for ``b``; see `cycle.v_cycle`."""
+        h = self._hierarchy
+        v_cycle(h.table, h.fields, self.values, h.places, h.inverse, sweeps, has_red)
+
+
+def _packed(levels: list[Level], along: Single) -> tuple[Table, Single, int]:
+    """Coefficients of all levels in one array, which levels then refer to.
+
+    Args:
+        levels: From fine to coarse; their arrays become parts of the one.
+        along: Conductances along r on the finest level, without ties.
+
+    Returns:
+        Where each level's arrays begin, that array, and the size of a workspace.
+    """
+    # what several names refer to, as the finest level's weights, is kept once
+    arrays = {id(a): a for level in levels for a in level.arrays}
+    arrays[id(along)] = along
+    starts, end = {}, 0
+    for key, array in arrays.items():
+        starts[key] = end
+        end += -(-array.size // LANES) * LANES
+    fields = np.zeros(end, np.float32)
+    parts = {}
+    for key, array in arrays.items():
+        part = fields[starts[key] : starts[key] + array.size].reshape(array.shape)
+        part[:] = array
+        parts[key] = part
+
+    top = levels[0].layout
+    zeros = max(TILE, top.width + 2 * top.pitch) + LANES
+    scratch = scratch_size(top.width, top.pitch)
+    table, end = [], zeros + -(-scratch // LANES) * LANES
+    for n, level in enumerate(levels):
+        size = level.layout.colour_size
+        table.append(
+            LevelIndex(
+                level.shape[1],
+                level.shape[2],
+                *level.layout.shape[1:],
+                level.layout.pitch,
+                *level.flags,
+                level.R.ndim > 1,
+                level.T.ndim > 1,
+                starts[id(along)],
+                *(starts[id(a)] for a in level.arrays),
+                b=end,
+                x=end + 2 * size,
+                residual=end + 4 * size,
+                zeros=0,
+                scratch=zeros,
+            )
+        )
+        end += 5 * size
+        R, T, Z, inverse, *weights = (parts[id(a)] for a in level.arrays)
+        levels[n] = replace(
+            level, R=R, T=T, Z=Z, inverse=inverse, weights=tuple(weights)
+        )
+    return np.array(table, np.int64), fields, end
