@@ -20,6 +20,23 @@ from ttus_opt.multigrid.coarsening import Layout
 Places = tuple[IntArray, IntArray]
 
 
+def chain_heads(ties: Mask, stride: int) -> IntArray:
+    """The innermost voxel of every voxel's chain; a voxel alone is its own.
+
+    Args:
+        ties: Voxels tied to the next one outwards, shape (V,).
+        stride: Flat distance to the next voxel outwards [–].
+
+    Returns:
+        Flat indices, shape (V,).
+    """
+    head = np.arange(len(ties))
+    for start in range(stride, len(ties), stride):  # layer by layer, outwards
+        own, inner = slice(start, start + stride), slice(start - stride, start)
+        head[own] = np.where(ties[inner], head[inner], head[own])
+    return head
+
+
 @dataclass(frozen=True)
 class Chains:
     """Who follows whom.
@@ -42,12 +59,8 @@ class Chains:
             leads: Free voxels outside chains, and one of each chain, shape (V,).
             stride: From a voxel to the next one outwards.
         """
-        n = len(free)
-        head = np.arange(n)
-        for start in range(stride, n, stride):  # a layer takes over what it is tied to
-            own, inner = slice(start, start + stride), slice(start - stride, start)
-            head[own] = np.where(ties[inner], head[inner], head[own])
-        leader = np.arange(n)
+        head = chain_heads(ties, stride)
+        leader = np.arange(len(free))
         leader[head[leads]] = np.flatnonzero(leads)
         followers = np.flatnonzero(free & ~leads)
         return cls(followers, leader[head[followers]])
