@@ -24,14 +24,18 @@ from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.structured import Structured
 
 #: By name: formulation, perturbation of the data, sampling and weight; None for the
-#: formulation's own
+#: formulation's own. "heavy" is beyond what single precision can precondition.
 PROBLEMS: dict[str, tuple[str, str, str, float | None]] = {
     "sign": ("eq10_sign", "reversed", "trilinear", 100.0),
     "growth": ("eq10_sign_monotone", "reversed", "trilinear", 100.0),
     "noise": ("eq10_sign_monotone", "noise", "voxel-mean", 100.0),
+    "noise, trilinear": ("eq10_sign_monotone", "noise", "trilinear", 100.0),
     "drag": ("coulomb_drag", "reversed", "trilinear", 100.0),
     "no drag": ("coulomb_drag", "", "trilinear", None),
+    "heavy": ("eq10", "noise", "trilinear", 1e6),
 }
+
+WEIGHTS = ("force_weight", "torque_weight")
 
 #: KKT tolerance, and most seconds per solve
 REQUEST = Request(1e-6, 600.0)
@@ -43,9 +47,6 @@ def build(case: str, problem: str) -> Program:
     spec = reference_cases(case)[0].sampled(sampling).contested(contest)
     weights = {} if weight is None else dict.fromkeys(WEIGHTS, weight)
     return formulation.load(name, spec.build(), **weights).compile()
-
-
-WEIGHTS = ("force_weight", "torque_weight")
 
 
 def variants(only: list[str]) -> Iterator[tuple[str, DualOptions]]:

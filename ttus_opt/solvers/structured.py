@@ -34,7 +34,7 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual.active_set import ActiveSetAnswer, Goal, LimitedProblem
+from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
 from ttus_opt.solvers.dual.limits import SpokeLimits
@@ -177,17 +177,18 @@ class _Limited(Prepared):
 
     def _within(
         self, problem: LimitedProblem, limits: SpokeLimits, accuracy: Accuracy
-    ) -> ActiveSetAnswer:
+    ) -> ActiveSetIteration:
         """The best field within limits, from the last working set on."""
-        goal = Goal(self._request.tolerance, accuracy.rtol, accuracy.deadline)
-        answer = primal_dual_active_set(problem, limits, self._last, goal)
+        answer = primal_dual_active_set(
+            problem, limits, self._last, self._request.tolerance, accuracy
+        )
         if answer.settled:
             self._last = answer.p, answer.active
         return answer
 
 
-def _candidate(answer: ActiveSetAnswer, x: Array, duals: Duals) -> Candidate:
-    """An iteration's answer as a solver's."""
+def _candidate(answer: ActiveSetIteration, x: Array, duals: Duals) -> Candidate:
+    """An iteration's end as a solver's answer."""
     claim = Claim.TIME_LIMIT if answer.late else Claim.GAVE_UP
     return Candidate(
         x,

@@ -138,6 +138,12 @@ def test_limits_that_hardly_matter_end_the_iteration() -> None:
     cut = solved(program, 1e-2, soon)
     assert cut.claim is Claim.DONE
     assert kkt_residuals(program, cut.x, cut.duals).worst_relative <= 1e-2
+    # multipliers of what remains are told with the sign that they should have
+    assert (cut.duals.rows["monotone"] <= 0.0).all()
+    lower, upper = program.box
+    assert cut.duals.bounds is not None
+    assert (cut.duals.bounds[upper == INF] <= 0.0).all()
+    assert (cut.duals.bounds[lower == -INF] >= 0.0).all()
     assert working_sets(cut) < working_sets(whole)
 
 
@@ -151,7 +157,8 @@ def test_too_few_working_sets_are_no_answer() -> None:
     assert cut.claim is not Claim.DONE
     assert cut.detail.startswith("2 working sets")
     prepared._options = DualOptions()
-    whole = prepared.solve()
+    whole, fresh = prepared.solve(), solved(program)
+    assert (whole.detail, whole.iterations) == (fresh.detail, fresh.iterations)
     assert whole.claim is Claim.DONE
     assert kkt_residuals(program, whole.x, whole.duals).worst_relative <= TOLERANCE
     assert np.linalg.norm(cut.x - whole.x) > 1e-6 * np.linalg.norm(whole.x)

@@ -23,9 +23,9 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import multipliers
-from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualSolver
-from ttus_opt.solvers.dual.subproblem import Subproblem, reduced
+from ttus_opt.solvers.dual.subproblem import reduced
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -116,13 +116,9 @@ def eliminated(program: Program, limits: SpokeLimits, active: WorkingSet) -> Arr
 
 
 def solved(program: Program, limits: SpokeLimits, active: WorkingSet) -> Array:
-    left = reduced(program.laplace, limits, active, DualData.of(program))
-    return field_of(left)
-
-
-def field_of(left: Subproblem) -> Array:
-    answer = DualSolver(left.system).solve(left.b, left.t, Accuracy(1e-12))
-    return left.field_of(answer.p)
+    data = DualData.of(program)
+    left = reduced(program.laplace, limits, active, data, DualOptions())
+    return left.solve(Accuracy(1e-12)).p
 
 
 def compare(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> None:
@@ -186,9 +182,8 @@ def test_no_limit_active_is_the_whole_problem() -> None:
     nothing = random_working_set(limits, 0, 0.0, 0.0)
     assert nothing.count == 0
     data = DualData.of(program)
-    left = reduced(program.laplace, limits, nothing, data)
     whole = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-12)).p
-    found = field_of(left)
+    found = solved(program, limits, nothing)
     assert np.linalg.norm(found - whole) <= 1e-10 * np.linalg.norm(whole)
 
 

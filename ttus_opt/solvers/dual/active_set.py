@@ -6,10 +6,7 @@ solved.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Protocol
-
-import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.laplace.system import RTOL
@@ -28,8 +25,8 @@ from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
 class SolvableSubproblem(Protocol):
     """The problem of a working set, without limits."""
 
-    def solve(self, accuracy: Accuracy, guess: Array | None) -> DualAnswer:
-        """The best field, near a guess of shape (V,)."""
+    def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
+        """The best field, after that of the last working set, shape (V,)."""
 
 
 class LimitedProblem(Protocol):
@@ -57,53 +54,19 @@ class LimitedProblem(Protocol):
         """The objective."""
 
 
-@dataclass(frozen=True)
-class Goal:
-    """What is asked of the iteration.
-
-    Attributes:
-        tolerance: KKT tolerance [–].
-        rtol: Residual of the dual of the last working set, relative [–].
-        deadline: `time.perf_counter` at which to stop; None for never [s].
-    """
-
-    tolerance: float
-    rtol: float
-    deadline: float | None = None
-
-
-@dataclass(frozen=True)
-class ActiveSetAnswer:
-    """What the iteration ended with.
-
-    Attributes:
-        p: The field, shape (V,).
-        multipliers: Of its limits.
-        active: The last working set.
-        sets: How many were solved [–].
-        steps: Directions of all their solves [–].
-        late: Whether the deadline cut it short.
-        settled: Whether no KKT violation remains but what may.
-    """
-
-    p: Array = field(repr=False)
-    multipliers: Multipliers = field(repr=False)
-    active: WorkingSet
-    sets: int
-    steps: int
-    late: bool
-    settled: bool
-
-
 class ActiveSetIteration:
     """Where the iteration stands.
 
     Attributes:
         problem: The problem.
         limits: Its limits, those that others imply left out.
-        goal: What is asked.
         active: The working set to begin with, then the last one solved.
-        settled: Whether no KKT violation remains there but what may.
+        rtol: Residual of the dual of the last working set, relative [–].
+        multipliers: Of its limits, with the right signs.
+        sets: Working sets solved [–].
+        steps: Directions of all their solves [–].
+        late: Whether the deadline is over.
+        settled: Whether no KKT violation remains but what may.
     """
 
     def __init__(
@@ -111,7 +74,8 @@ class ActiveSetIteration:
         problem: LimitedProblem,
         limits: SpokeLimits,
         start: tuple[Array, WorkingSet] | None,
-        goal: Goal,
+        tolerance: float,
+        accuracy: Accuracy,
     ) -> None:
         """Stand at the start; nothing is solved.
 
@@ -120,20 +84,23 @@ class ActiveSetIteration:
             limits: Its limits.
             start: A field, (V,), and the working set to begin with; None for no limit
                 active.
-            goal: What is asked.
+            tolerance: KKT tolerance [–].
+            accuracy: Of the last working set.
         """
         self.problem, self.limits = problem, limits.without_implied()
-        self.goal, self.settled = goal, False
+        self.rtol, self._tolerance = accuracy.rtol, tolerance
+        self._deadline = accuracy.deadline
         size = len(limits.lower)
-        self.active = WorkingSet.empty(size)
-        self._p: Array | None = None
+        self.active, self._p = WorkingSet.empty(size), None
         if start is not None and len(start[0]) == size:
-            existing = start[1].existing(self.limits)
-            self._p, self.active = start[0], one_bound_each(self.limits, existing)
+            self._p, active = start[0], start[1].existing(self.limits)
+            self.active = one_bound_each(self.limits, active)
         self._subproblem: SolvableSubproblem | None = None
-        self._multipliers = Multipliers(np.zeros(size), np.zeros(size))
-        self._sets, self._steps, self._late = 0, 0, False
+        self.sets, self.steps, self.late, self.settled = 0, 0, False, False
         self._acceptable = 0  # working sets with no violation but what may remain
+
+    _p: Array | None
+    multipliers: Multipliers
 
     @property
     def p(self) -> Array:
@@ -144,8 +111,8 @@ class ActiveSetIteration:
     @property
     def over(self) -> bool:
         """Whether there is nothing more to do, or no more time or working sets."""
-        enough = self._sets == self.problem.options.max_working_sets
-        return self.settled or self._late or enough
+        enough = self.sets == self.problem.options.max_working_sets
+        return self.settled or self.late or enough
 
     def solve(self, active: WorkingSet, rtol: float) -> Violations:
         """Solve a working set's subproblem.
@@ -157,34 +124,23 @@ class ActiveSetIteration:
         Returns:
             The KKT violations there.
         """
-        options, goal = self.problem.options, self.goal
+        options = self.problem.options
         if self._subproblem is None or active.differs(self.active):
             self._subproblem, self.active = self.problem.subproblem(active), active
-        last = rtol == goal.rtol
+        last = rtol == self.rtol
         field_rtol = RTOL if last else max(RTOL, options.field_accuracy * rtol)
-        accuracy = Accuracy(rtol, field_rtol, goal.deadline)
+        accuracy = Accuracy(rtol, field_rtol, self._deadline)
         answer = self._subproblem.solve(accuracy, self._p)
         self._p = p = answer.p
-        self._sets, self._steps = self._sets + 1, self._steps + answer.steps
-        self._late = accuracy.late
+        self.sets, self.steps = self.sets + 1, self.steps + answer.steps
+        self.late = accuracy.late
         gradient = self.problem.gradient(p)
-        signs = self._multipliers = multipliers(self.limits, active, gradient)
-        margin = options.violation * goal.tolerance
+        signs = multipliers(self.limits, active, gradient)
+        self.multipliers = signs.right_signs(self.limits, active)
+        margin = options.violation * self._tolerance
         found = find_violations(self.limits, active, p, signs, gradient, margin)
-        acceptable = found.worst + margin <= options.acceptable * goal.tolerance
+        acceptable = found.worst + margin <= options.acceptable * self._tolerance
         self._acceptable += last and acceptable
         done = found.count == 0 or self._acceptable > options.acceptable_sets
         self.settled = last and done and not answer.late
         return found
-
-    def answer(self) -> ActiveSetAnswer:
-        """The last working set solved."""
-        return ActiveSetAnswer(
-            self.p,
-            self._multipliers.right_signs(self.limits, self.active),
-            self.active,
-            self._sets,
-            self._steps,
-            self._late,
-            self.settled,
-        )

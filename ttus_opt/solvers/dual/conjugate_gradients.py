@@ -13,7 +13,7 @@ little harm (Bouras and Frayssé, SIAM J. Matrix Anal. Appl. 26, 2005).
 
 from __future__ import annotations
 
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
 from ttus_opt.laplace.system import RTOL
+from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 
 #: Directions may be kept in single precision; sums are of double
@@ -68,9 +69,6 @@ class DualOperator(Protocol):
         """S y to a relative accuracy, shape (m,)."""
 
 
-Operator = TypeVar("Operator", bound=DualOperator)
-
-
 class _Rows:
     """Rows of equal length that grow in number without being copied each time."""
 
@@ -98,7 +96,7 @@ class _Rows:
         self._store, self._count = rows, len(rows)
 
 
-class RecycledSubspace(Generic[Operator]):
+class RecycledSubspace:
     """Conjugate directions of one operator, growing as right-hand sides ask for them.
 
     With d normalised, S d is kept beside it. A change of the weights w² makes the
@@ -107,7 +105,7 @@ class RecycledSubspace(Generic[Operator]):
     """
 
     def __init__(
-        self, system: Operator, kept_as: type[np.floating[Any]] = np.float64
+        self, system: DualOperator, kept_as: type[np.floating[Any]] = np.float64
     ) -> None:
         """Start without directions.
 
@@ -124,7 +122,7 @@ class RecycledSubspace(Generic[Operator]):
         """Number of directions."""
         return len(self._directions.all)
 
-    def adopt(self, system: Operator) -> None:
+    def adopt(self, system: DualOperator) -> None:
         """Take a system that differs by the weights of its rows; no solve is spent."""
         ratio = system.root_weights / self.system.root_weights
         self.system = system
@@ -184,21 +182,11 @@ class RecycledSubspace(Generic[Operator]):
         return True
 
 
-class Preconditioner(Protocol):
-    """What the iteration needs to know of the multipliers' space."""
-
-    def part(self, residual: Array) -> Array:
-        """The part of a residual that lies in it, shape (m,)."""
-
-    def precondition(self, residual: Array) -> Array:
-        """Roughly S⁻¹ on it, symmetric positive definite, shape (m,)."""
-
-
 def conjugate_gradients(
-    subspace: RecycledSubspace[Any],
+    subspace: RecycledSubspace,
     right_side: Array,
     goal: float,
-    space: Preconditioner,
+    space: Complement,
     accuracy: Accuracy,
     options: DualOptions,
 ) -> tuple[Array, int]:

@@ -21,7 +21,7 @@ from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
 from ttus_opt.solvers.dual.optimality import Multipliers
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.pair_subproblem import PairRows, PairSubproblem
@@ -231,17 +231,12 @@ def _links(
     constraint: ProgramConstraint, start: int, n_voxels: int
 ) -> tuple[IntArray, Array, Array]:
     """Voxels v of rows a (p_v - q_v/μ), with a and μ."""
-    M = constraint.matrix
-    columns, values = M.indices, M.data
-    if (np.diff(M.indptr) == 2).all():
-        order = np.argsort(columns.reshape(-1, 2), axis=1)
-        columns = np.take_along_axis(columns.reshape(-1, 2), order, axis=1)
-        values = np.take_along_axis(values.reshape(-1, 2), order, axis=1)
-        at = columns[:, 0].astype(np.int64)
-        pairs = (at < n_voxels) & (columns[:, 1] == at + start)
-        opposed = values[:, 0] * values[:, 1] < 0.0
-        if pairs.all() and opposed.all() and np.bincount(at).max(initial=0) <= 1:
-            return at, values[:, 0], -values[:, 0] / values[:, 1]
+    pairs = two_entries(constraint.matrix)
+    if pairs is not None:
+        (at, other), (a, b) = pairs[0].T, pairs[1].T
+        opposed = (at < n_voxels) & (other == at + start) & (a * b < 0.0)
+        if opposed.all() and np.bincount(at).max(initial=0) <= 1:
+            return at, a, -a / b
     raise ValueError(f"{constraint.name} is no bound and no share of the field")
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
@@ -177,19 +178,26 @@ class SpokeLimits:
         return Duals(rows, bounds)
 
 
+def two_entries(matrix: sp.csr_array) -> tuple[IntArray, Array] | None:
+    """Columns and values of rows of two entries, (m, 2) each; None where others are."""
+    if (np.diff(matrix.indptr) != 2).any():
+        return None
+    columns = matrix.indices.reshape(-1, 2).astype(np.int64)
+    order = np.argsort(columns, axis=1)
+    values = np.take_along_axis(matrix.data.reshape(-1, 2), order, axis=1)
+    return np.take_along_axis(columns, order, axis=1), values
+
+
 def _links(
     constraint: ProgramConstraint, shape: tuple[int, int, int]
 ) -> tuple[IntArray, Array]:
     """Deeper voxels and signs of rows ±(p_v - p_w), limited on one side."""
-    M, stride = constraint.matrix, shape[1] * shape[2]
+    stride = shape[1] * shape[2]
     refusal = f"{constraint.name} is no bound and no growth along spokes"
-    if M.indices.max(initial=0) >= stride * shape[0] or (np.diff(M.indptr) != 2).any():
+    pairs = two_entries(constraint.matrix)
+    if pairs is None or pairs[0].max(initial=0) >= stride * shape[0]:
         raise ValueError(refusal)
-    columns = M.indices.reshape(-1, 2).astype(np.int64)
-    values = M.data.reshape(-1, 2)
-    order = np.argsort(columns, axis=1)
-    columns = np.take_along_axis(columns, order, axis=1)
-    values = np.take_along_axis(values, order, axis=1)
+    columns, values = pairs
     sign = values[:, 0]
     one_sided = np.where(sign > 0.0, constraint.upper == np.inf, True)
     one_sided &= np.where(sign < 0.0, constraint.lower == -np.inf, True)

@@ -35,13 +35,13 @@ class DualOptions:
         divergence: A dual residual that has grown by this factor will not come back:
             the Schur complement is too large for a preconditioner in single precision,
             and the best answer so far is kept [–].
-        max_directions: Most new directions of a dual solve [–].
+        max_directions: Most new directions of a dual solve, and most of the
+            preconditioner [–].
         preconditioner_residual: To which part the preconditioner reduces a residual,
-        preconditioner_energy: or the error in the energy norm, estimated over a few
-            steps: the residual may stall at what single precision leaves [–].
-        warm_start: A subproblem starts from the multipliers of the one before where it
-            is solved to this relative residual or better; the start costs a response,
-            and gains less than that where less is asked for [–].
+        preconditioner_energy: or the error in the energy norm: the residual may stall
+            at what single precision leaves [–].
+        preconditioner_delay: Steps over which that error is estimated (Hestenes and
+            Stiefel's rule; Strakoš and Tichý, ETNA 13, 2002) [–].
         max_working_sets: Most working sets [–].
         subproblem_accuracy: Relative residual of a working set's dual over its worst
             KKT violation [–].
@@ -52,15 +52,13 @@ class DualOptions:
         acceptable: What may remain, over the KKT tolerance, after more than
         acceptable_sets working sets with no more than that: thousands of limits may
             lie so near to active that it hardly matters which of them are [–].
-        patience: Iterations without progress (worst violation, their number, active
-            limits) before the safeguard [–].
+        patience: Iterations without progress before the safeguard [–].
+        progress: The worst violation or their number has to fall below this part of
+            the least so far, or the active limits to become more than ever [–].
         share: An order constraint along spokes joins the working set where it is
             violated by this share of the worst in its neighbourhood; by less where
             the worst of all, relative, is below a tenth [–].
         neighbourhood: How many voxels to each side are compared [–].
-        pair_share: The same share for the link of two fields, to one voxel each side,
-        pair_settled: once the worst violation, relative, is below this: by then what
-            contact presses apart is settled, and sheets of voxels barely touch [–].
     """
 
     dual_margin: float = _option(1e-2, 1e-4, 1.0, 1.0)
@@ -73,7 +71,7 @@ class DualOptions:
     max_directions: int = _option(2000, 1, 10_000)
     preconditioner_residual: float = _option(0.002, 1e-4, 0.1, 0.05)
     preconditioner_energy: float = _option(0.01, 0.0, 0.5, 0.0, 0.1)
-    warm_start: float = _option(3e-4, 0.0, 1.0, 0.0, 1.0)
+    preconditioner_delay: int = _option(4, 1, 20, 1)
     max_working_sets: int = _option(100, 1, 10_000)
     subproblem_accuracy: float = _option(1e-2, 0.0, 1.0, 0.0, 0.1)
     loosest_subproblem: float = _option(1e-3, 1e-6, 0.1, 1e-4, 1e-2)
@@ -82,10 +80,9 @@ class DualOptions:
     acceptable: float = _option(0.1, 0.0, 1.0, 0.0)
     acceptable_sets: int = _option(2, 0, 100, 0)
     patience: int = _option(5, 0, 10_000, 0, 10_000)
+    progress: float = _option(0.8, 0.1, 1.0, 1.0)
     share: float = _option(0.3, 0.01, 1.0, 0.1, 1.0)
     neighbourhood: int = _option(4, 1, 16, 1)
-    pair_share: float = _option(0.8, 0.1, 1.0, 1.0)
-    pair_settled: float = _option(1e-3, 0.0, 1.0, 0.0, 1.0)
 
     def __post_init__(self) -> None:
         """Check the ranges.

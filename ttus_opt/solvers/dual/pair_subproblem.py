@@ -152,7 +152,7 @@ class PairSubproblem:
             options: Of the method.
         """
         unknowns = _Unknowns.of(limits, active)
-        self._whole, self._unknowns, self._options = whole, unknowns, options
+        self._whole, self._unknowns = whole, unknowns
         V = len(unknowns.follows)
         joined = self._joined(whole, unknowns)
         # the rows of both in proportion to their weights
@@ -225,13 +225,10 @@ class PairSubproblem:
         """Its dual system."""
         return self._solver.system
 
-    def solve(self, accuracy: Accuracy, guess: Array | None) -> DualAnswer:
-        """The best fields of the working set."""
-        near, z = 0.0 if guess is None else self._whole.beside(guess), None
-        if guess is not None and accuracy.rtol <= self._options.warm_start:
-            moved = guess - self._unknowns.offset
-            z = np.where(self._unknowns.own, moved, 0.0) + near * self._made
-        answer = self._solver.solve(self._b, self._t, accuracy, z, np.array([near]))
+    def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
+        """The best fields of the working set, after those of the last one."""
+        near = 0.0 if last is None else self._whole.beside(last)
+        answer = self._solver.solve(self._b, self._t, accuracy, np.array([near]))
         z = answer.p - answer.c[0] * self._made
         p = np.asarray(self._unknowns.expansion @ z + self._unknowns.offset)
         return replace(answer, p=p)

@@ -22,13 +22,6 @@ from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.system import DualSystem
 
-#: Steps over which the error in the energy norm is estimated (Hestenes and Stiefel's
-#: rule; Strakoš and Tichý, ETNA 13, 2002)
-DELAY = 4
-
-#: Most directions of the preconditioner
-MAX_DIRECTIONS = 1500
-
 
 class ApproximateSchur:
     """y ↦ S̃ y, in single precision and around the contact alone.
@@ -112,11 +105,11 @@ def schur_preconditioner(
         goal = options.preconditioner_residual * float(np.linalg.norm(residual))
         answer, rest = subspace.project(residual)
         energy = float(answer @ residual)
-        recent = np.full(DELAY, np.inf)
+        recent = np.full(options.preconditioner_delay, np.inf)
         while (
             np.linalg.norm(rest) > goal
             and recent.sum() > options.preconditioner_energy**2 * energy
-            and len(subspace) < MAX_DIRECTIONS
+            and len(subspace) < options.max_directions
         ):
             subspace.extend(rest, 0.0)
             step, rest = subspace.step(rest)

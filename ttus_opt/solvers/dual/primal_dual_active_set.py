@@ -26,28 +26,20 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from ttus_opt.arrays import Array, Mask
-from ttus_opt.solvers.dual.active_set import (
-    ActiveSetAnswer,
-    ActiveSetIteration,
-    Goal,
-    LimitedProblem,
-)
+from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import Violations
-from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.working_set import WorkingSet
-
-#: The worst violation or their number has to fall below this part of the least so far
-#: to count as progress [–]
-PROGRESS = 0.8
 
 
 def primal_dual_active_set(
     problem: LimitedProblem,
     limits: SpokeLimits,
     start: tuple[Array, WorkingSet] | None,
-    goal: Goal,
-) -> ActiveSetAnswer:
+    tolerance: float,
+    accuracy: Accuracy,
+) -> ActiveSetIteration:
     """Find the minimiser and its working set.
 
     Args:
@@ -55,36 +47,40 @@ def primal_dual_active_set(
         limits: Its limits.
         start: A field, (V,), and the working set to begin with; None for no limit
             active.
-        goal: What is asked.
+        tolerance: KKT tolerance [–].
+        accuracy: Of the last working set.
+
+    Returns:
+        Where the iteration ended.
     """
     options = problem.options
-    iteration = ActiveSetIteration(problem, limits, start, goal)
-    progress, safeguard = _Progress(options.patience), _Safeguard()
+    iteration = ActiveSetIteration(problem, limits, start, tolerance, accuracy)
+    progress, safeguard = _Progress(options), _Safeguard()
     rtol = options.loosest_subproblem
     found = iteration.solve(iteration.active, rtol)
     while not iteration.over:
         active = iteration.active
-        if found.count == 0 or (progress.stalled and rtol > goal.rtol):
-            rtol = goal.rtol
+        if found.count == 0 or (progress.stalled and rtol > accuracy.rtol):
+            rtol = accuracy.rtol
         elif progress.stalled:
             height = problem.objective(iteration.p)
             chosen = _chosen(found, active, problem)
             active = safeguard.following(iteration.limits, active, chosen, height)
         else:
             progress.note(found, active)
-            rtol = max(options.subproblem_accuracy * found.worst, goal.rtol)
+            rtol = max(options.subproblem_accuracy * found.worst, accuracy.rtol)
             rtol = min(rtol, options.loosest_subproblem)
             chosen = _chosen(found, active, problem)
             active = chosen.exchanged(iteration.limits, active)
         found = iteration.solve(active, rtol)
-    return iteration.answer()
+    return iteration
 
 
 class _Progress:
     """Whether the iteration still gets anywhere."""
 
-    def __init__(self, patience: int) -> None:
-        self._patience = self._left = patience
+    def __init__(self, options: DualOptions) -> None:
+        self._options, self._left = options, options.patience
         self._worst, self._fewest, self._most = np.inf, np.inf, 0
 
     @property
@@ -94,10 +90,11 @@ class _Progress:
 
     def note(self, found: Violations, active: WorkingSet) -> None:
         """Take in the KKT violations of a working set."""
-        better = found.worst < PROGRESS * self._worst
-        better |= found.count < PROGRESS * self._fewest
+        part = self._options.progress
+        better = found.worst < part * self._worst
+        better |= found.count < part * self._fewest
         better |= active.count > self._most  # a cycle does not grow
-        self._left = self._patience if better else self._left - 1
+        self._left = self._options.patience if better else self._left - 1
         self._worst = min(self._worst, found.worst)
         self._fewest = min(self._fewest, found.count)
         self._most = max(self._most, active.count)

@@ -9,7 +9,7 @@ Comput. Oper. Res. 21, 1994, with Murty's rule where a set comes again).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -110,7 +110,6 @@ class DualSolver:
         b: Array,
         t: Array,
         accuracy: Accuracy,
-        guess: Array | None = None,
         near: Array | None = None,
     ) -> DualAnswer:
         """Solve for one right-hand side.
@@ -119,7 +118,6 @@ class DualSolver:
             b: Of L p = b, shape (V,).
             t: Weighted targets, shape (m,).
             accuracy: How exactly, and until when.
-            guess: A field near the answer, shape (V,); None for none.
             near: Where c may lie, shape (k,): at a bound it is tried first whether it
                 stays there. None to begin with what was free last.
 
@@ -128,40 +126,28 @@ class DualSolver:
         """
         parameters, E = self.parameters, self.parameters.columns
         base = self._prior_field(b, accuracy.field_rtol)
-        misfit = None if guess is None else t - self.system.measure(guess)
-        goal = accuracy.rtol * float(np.linalg.norm(t - self.system.measure(base)))
+        right_side = t - self.system.measure(base)
+        goal = accuracy.rtol * float(np.linalg.norm(right_side))
+        point = start = _Point(np.zeros_like(right_side), base)
         c = parameters.clipped(np.zeros(E.shape[1]) if near is None else near)
         free = self._free if near is None else parameters.between(c)
-        last: tuple[Mask, _Point] | None = None
         seen: set[bytes] = set()
         while True:
             given = np.where(free, 0.0, c)
             seen.add(free.tobytes() + given.tobytes())
             target, complement = t - E @ given, self._complement_of(free)
-            if last is not None and (free <= last[0]).all():
-                point = last[1]
-            else:
-                steps = 0 if last is None else last[1].steps
-                y = None if misfit is None else complement.part(misfit - E @ given)
-                point = self._start(base, y, accuracy, steps)
             point, rest = self._refined(point, target, complement, goal, accuracy)
             c = given.copy()
             c[free] = complement.coefficients(rest)
             wrong = parameters.wrong(c, point.y, free)
-            last, c = (free, point), parameters.clipped(c)
+            c = parameters.clipped(c)
             following = _next_set(free, wrong, c, seen)
             if following is None or accuracy.late:
                 self._free = free
                 return DualAnswer(point.p, c, point.steps, accuracy.late)
+            if (following & ~free).any():  # y has to lie across more columns
+                point = replace(start, steps=point.steps)
             free = following
-
-    def _start(
-        self, base: Array, y: Array | None, accuracy: Accuracy, steps: int
-    ) -> _Point:
-        """Multipliers to begin with, zero for None."""
-        if y is None:
-            return _Point(np.zeros_like(self.system.root_weights), base, steps)
-        return _Point(y, base + self.system.response(y, accuracy.field_rtol), steps)
 
     def _refined(
         self,

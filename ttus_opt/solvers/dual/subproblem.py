@@ -71,29 +71,23 @@ class Subproblem:
     """The problem of a working set.
 
     Attributes:
-        system: Its dual system.
+        solver: Of its dual.
         b: Right-hand side of its square system, shape (V,).
         t: Weighted targets of measured rows, then of the Laplace rows left over.
         expansion: P, shape (V, V).
         offset: o, shape (V,).
     """
 
-    system: DualSystem
+    solver: DualSolver
     b: Array = field(repr=False)
     t: Array = field(repr=False)
     expansion: sp.csr_array = field(repr=False)
     offset: Array = field(repr=False)
 
-    @classmethod
-    def whole(cls, data: DualData) -> Subproblem:
-        """The problem itself, no limit being active."""
-        n = len(data.b)
-        one = sp.csr_array(sp.eye_array(n, format="csr"))
-        return cls(data.system, data.b, data.t, one, np.zeros(n))
-
-    def field_of(self, z: Array) -> Array:
-        """The field p = P z + o."""
-        return np.asarray(self.expansion @ z + self.offset)
+    def solve(self, accuracy: Accuracy, last: Array | None = None) -> DualAnswer:
+        """The best field of the working set; the last one's does not matter."""
+        answer = self.solver.solve(self.b, self.t, accuracy)
+        return replace(answer, p=self.expansion @ answer.p + self.offset)
 
 
 @dataclass(frozen=True)
@@ -120,12 +114,15 @@ class LimitedField:
         """Of the grid."""
         return self.limits.shape
 
-    def subproblem(self, active: WorkingSet) -> FieldSubproblem:
+    def subproblem(self, active: WorkingSet) -> Subproblem:
         """The problem of a working set."""
+        data = self.data
         if active.count == 0:
-            return FieldSubproblem(Subproblem.whole(self.data), self.whole)
-        left = reduced(self.program.laplace, self.limits, active, self.data)
-        return FieldSubproblem(left, DualSolver(left.system, options=self.options))
+            n = len(data.b)
+            one = sp.csr_array(sp.eye_array(n, format="csr"))
+            return Subproblem(self.whole, data.b, data.t, one, np.zeros(n))
+        laplace = self.program.laplace
+        return reduced(laplace, self.limits, active, data, self.options)
 
     def objective(self, p: Array) -> float:
         """The objective."""
@@ -134,19 +131,6 @@ class LimitedField:
     def gradient(self, p: Array) -> Array:
         """Gradient of the objective, shape (V,)."""
         return np.add(*self.program.gradient(p))
-
-
-@dataclass(frozen=True)
-class FieldSubproblem:
-    """A subproblem and the solver of its dual."""
-
-    left: Subproblem
-    solver: DualSolver
-
-    def solve(self, accuracy: Accuracy, guess: Array | None) -> DualAnswer:
-        """The best field of the working set; no guess is needed."""
-        answer = self.solver.solve(self.left.b, self.left.t, accuracy)
-        return replace(answer, p=self.left.field_of(answer.p))
 
 
 @dataclass(frozen=True)
@@ -194,7 +178,11 @@ class _Blocks:
 
 
 def reduced(
-    laplace: LaplaceSystem, limits: SpokeLimits, active: WorkingSet, data: DualData
+    laplace: LaplaceSystem,
+    limits: SpokeLimits,
+    active: WorkingSet,
+    data: DualData,
+    options: DualOptions,
 ) -> Subproblem:
     """The problem left when some limits are active.
 
@@ -203,6 +191,7 @@ def reduced(
         limits: The limits.
         active: Which of them are active.
         data: The whole problem's dual.
+        options: Of the method.
     """
     system, n = data.system, len(data.b)
     voxels = np.arange(n)
@@ -232,14 +221,15 @@ def reduced(
     inward.eliminate_zeros()
     coupling = inward, sp.csr_array(inward.T)
     links = pooled & active.links
+    left = DualSystem(
+        ReducedLaplace(laplace.grid, own, radii, coupling, members, links),
+        np.where(own, 1.0, np.where(fixed, system.compliance, 0.0)),
+        sp.csr_array(rows),
+        np.concatenate([system.root_weights, np.ones(np.count_nonzero(filled))]),
+        len(system.root_weights),
+    )
     return Subproblem(
-        DualSystem(
-            ReducedLaplace(laplace.grid, own, radii, coupling, members, links),
-            np.where(own, 1.0, np.where(fixed, system.compliance, 0.0)),
-            sp.csr_array(rows),
-            np.concatenate([system.root_weights, np.ones(np.count_nonzero(filled))]),
-            len(system.root_weights),
-        ),
+        DualSolver(left, options=options),
         np.where(own, sums @ target, np.where(fixed, target, 0.0)),
         np.concatenate([measured, (rest @ target)[filled]]),
         expansion,

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.arrays import Mask
 from ttus_opt.solvers.dual.limits import SpokeLimits
 
 #: Beside -1 and +1 for its bounds: what holds a voxel whose value is given
@@ -59,48 +59,6 @@ class WorkingSet:
         return WorkingSet(bounds, self.links & np.isfinite(limits.least))
 
 
-class _Spokes:
-    """What holds the block so far, spoke by spoke, in a sweep from the inside out.
-
-    Attributes:
-        kind: -1, +1 or `GIVEN`; 0 where nothing holds it, shape (n_θ·n_z,).
-        place: The voxel at which it is held.
-        value: The value this gives the layer reached.
-    """
-
-    def __init__(self, kind: NDArray[np.int8], place: IntArray, value: Array) -> None:
-        self.kind, self.place, self.value = kind.copy(), place.copy(), value.copy()
-
-    def carry(self, linked: Mask, least: Array) -> None:
-        """Go one layer outwards."""
-        linked = linked & (self.kind != 0)
-        step = np.where(linked, least, 0.0)
-        self.value = np.where(linked, self.value - step, 0.0)
-        self.kind = np.where(linked, self.kind, 0)
-
-    def dropped(self, own: NDArray[np.int8], values: Array) -> tuple[Mask, Mask, Mask]:
-        """Where the layer's bound goes, the block's goes, or the block is cut."""
-        kind, value = self.kind, self.value
-        both = (kind != 0) & (own != 0)
-        slack = np.where(both, value - np.where(own != 0, values, 0.0), 0.0)
-        near = SAME * (np.abs(value) + np.abs(np.where(both, values, 0.0)))
-        wide, short = both & (slack > near), both & (slack < -near)
-        even = both & ~wide & ~short
-        new = (wide & (kind == -1) & (own == -1)) | (even & (own != GIVEN))
-        new |= short & (kind != -1) & (own == 1)
-        old = (wide & (kind == 1) & (own == 1)) | (short & (kind == -1))
-        old |= even & (own == GIVEN) & (kind != GIVEN)
-        return new, old, both & ~new & ~old
-
-    def take(
-        self, where: Mask, kind: NDArray[np.int8], place: IntArray, value: Array
-    ) -> None:
-        """Be held by a layer's own bounds."""
-        self.kind = np.where(where, kind, self.kind)
-        self.place = np.where(where, place, self.place)
-        self.value = np.where(where, value, self.value)
-
-
 def one_bound_each(limits: SpokeLimits, active: WorkingSet) -> WorkingSet:
     """The same with at most one active bound or given value a block.
 
@@ -112,12 +70,27 @@ def one_bound_each(limits: SpokeLimits, active: WorkingSet) -> WorkingSet:
     held = np.where(limits.given, np.int8(GIVEN), bounds)
     values = limits.by_layer(np.where(held > 0, limits.upper, limits.lower))
     kinds, places = limits.by_layer(held), limits.by_layer(np.arange(len(bounds)))
-    block = _Spokes(kinds[0], places[0], values[0])
+    # of the block so far: what holds it, at which voxel, and its value here
+    kind, place, value = kinds[0].copy(), places[0].copy(), values[0].copy()
     for i in range(1, len(kinds)):
-        block.carry(linked[i - 1], least[i - 1])
-        new, old, cut = block.dropped(kinds[i], values[i])
-        linked[i - 1] &= ~cut
-        bounds[places[i][new]] = 0
-        bounds[block.place[old]] = 0
-        block.take((kinds[i] != 0) & ~new, kinds[i], places[i], values[i])
+        goes_on = linked[i - 1] & (kind != 0)
+        value = np.where(goes_on, value - np.where(goes_on, least[i - 1], 0.0), 0.0)
+        kind = np.where(goes_on, kind, 0)
+        own = kinds[i]
+        both = (kind != 0) & (own != 0)
+        slack = np.where(both, value - np.where(own != 0, values[i], 0.0), 0.0)
+        near = SAME * (np.abs(value) + np.abs(np.where(both, values[i], 0.0)))
+        wide, short = both & (slack > near), both & (slack < -near)
+        even = both & ~wide & ~short
+        drop_own = (wide & (kind == -1) & (own == -1)) | (even & (own != GIVEN))
+        drop_own |= short & (kind != -1) & (own == 1)
+        drop_old = (wide & (kind == 1) & (own == 1)) | (short & (kind == -1))
+        drop_old |= even & (own == GIVEN) & (kind != GIVEN)
+        linked[i - 1] &= ~(both & ~drop_own & ~drop_old)
+        bounds[places[i][drop_own]] = 0
+        bounds[place[drop_old]] = 0
+        takes = (own != 0) & ~drop_own
+        kind = np.where(takes, own, kind)
+        place = np.where(takes, places[i], place)
+        value = np.where(takes, values[i], value)
     return WorkingSet(bounds, links)
