@@ -23,8 +23,7 @@ from ttus_opt.problem.solution import Solution, Status, Timings
 from ttus_opt.solvers import cvxpy_clarabel, cvxpy_scs, osqp, registry, scs
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.clarabel import Clarabel
-from ttus_opt.solvers.dual import active_set
-from ttus_opt.solvers.dual import solver as dual_solver
+from ttus_opt.solvers.dual.options import DualOptions
 
 TOLERANCE = 1e-6
 TIMES = Timings(0.0, 0.0, 0.0)
@@ -140,9 +139,8 @@ def _few_clarabel(patch: pytest.MonkeyPatch, n: int) -> None:
 
 
 def _few_dual(patch: pytest.MonkeyPatch, n: int) -> None:
-    patch.setattr(dual_solver, "MAX_STEPS", n)
-    patch.setattr(dual_solver, "ROUNDS", 1)
-    patch.setattr(active_set, "MAX_FACES", 1 + n // 10)
+    few = DualOptions(max_directions=n, refinements=1, max_working_sets=1 + n // 10)
+    patch.setattr(registry.solvers()["structured"], "options", few)
 
 
 def _few_iterations(module: Any) -> Callable[[pytest.MonkeyPatch, int], None]:

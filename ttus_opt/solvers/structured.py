@@ -1,16 +1,16 @@
 """The structured solver: eq. 10 without ever forming Q (design §3, structures a-d).
 
-The dual system is solved by conjugate directions that are all kept, preconditioned by
-a rough dual (`ttus_opt.solvers.dual`); L⁻¹ is a multigrid (`ttus_opt.multigrid`). Where
-the field has bounds or must grow along spokes, or a second field may be at most a share
-of it, this is done on one face of the feasible set after the other. What a new solve
-costs, in solves with L or Lᵀ:
+The dual system is solved by conjugate gradients in a recycled subspace, with an
+approximate Schur preconditioner (`ttus_opt.solvers.dual`); L⁻¹ is a multigrid
+(`ttus_opt.multigrid`). Where the field has bounds or must grow along spokes, or a
+second field may be at most a share of it, a primal-dual active set goes from working
+set to working set. What a new solve costs, in solves with L or Lᵀ:
 
     new measured values     2 for p, and 2 per direction the old ones lack
     new boundary values     1 for p₀ more
     new weights             the same: kept directions are made conjugate again
     another trajectory      all directions anew, the multigrid is kept
-    any, with limits        starts from the last face; its directions are made anew
+    any, with limits        starts from the last working set, with new directions
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import (
@@ -33,37 +34,40 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual.active_set import FaceAnswer, LimitedProblem
-from ttus_opt.solvers.dual.activity import Activity
+from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
-from ttus_opt.solvers.dual.field_faces import LimitedField
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.linear_parameters import MOST, solve_with_columns
-from ttus_opt.solvers.dual.primal_dual_active_set import exchange
+from ttus_opt.solvers.dual.linear_parameters import LinearParameters
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.primal_dual_active_set import primal_dual_active_set
 from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.subproblem import LimitedField
+from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.terms.base import Penalty
 
-#: How far below the KKT tolerance the dual system is solved, and its floor
-MARGIN, FLOOR = 1e-2, 1e-12
-
-#: Most times a dual is solved more exactly where the answer does not hold, and by how
-#: much each time: the dual's residual is relative to measurements, the tolerance to
-#: what they leave of each other
-TIGHTENINGS, TIGHTER = 4, 1e-3
+#: Most unknowns beside the field: each costs a rough dual solve
+MOST = 64
 
 
 class Structured(Solver):
-    """Kept conjugate directions on the dual system, L⁻¹ by multigrid."""
+    """Conjugate gradients on the dual system, L⁻¹ by multigrid; active sets.
+
+    Attributes:
+        options: Of the method.
+    """
 
     name = "structured"
-    summary = "never forms Q: multigrid, conjugate directions in the dual, active sets"
+    summary = "never forms Q: multigrid, conjugate gradients in the dual, active sets"
     capabilities = Capabilities(
         inequalities=True,
         equalities=True,
         any_terms=False,
-        keeps="the multigrid, every direction while the rows stay, the last face",
+        keeps="the multigrid, all directions while the rows stay, the working set",
     )
+
+    def __init__(self, options: DualOptions | None = None) -> None:
+        self.options = options or DualOptions()
 
     def refusal(self, program: Program) -> str:
         """A Laplace term, measured rows, limits as `SpokeLimits` or `FieldPair`."""
@@ -114,18 +118,18 @@ class Structured(Solver):
         """Set up the multigrid and the dual system."""
         self.require(program)
         if second_field(program) is not None:
-            return _LoadedPair(program, request)
-        return _Loaded(program, request)
+            return _LoadedPair(program, request, self.options)
+        return _Loaded(program, request, self.options)
 
 
 class _Limited(Prepared):
-    """What is solved on one face of its feasible set after the other."""
+    """A program, its last working set, and what is asked of the solver."""
 
     _program: Program
 
-    def __init__(self, request: Request) -> None:
-        self._request = request
-        self._last: tuple[Array, Activity] | None = None
+    def __init__(self, request: Request, options: DualOptions) -> None:
+        self._request, self._options = request, options
+        self._last: tuple[Array, WorkingSet] | None = None
 
     def _contradiction(self, limits: SpokeLimits) -> Candidate | None:
         """What to answer where limits leave nothing."""
@@ -141,18 +145,18 @@ class _Limited(Prepared):
         """Multipliers that prove a contradiction; none where they are not known."""
         return Duals()
 
-    def _tightened(
-        self, attempt: Callable[[float, float | None], Candidate]
-    ) -> Candidate:
+    def _tightened(self, attempt: Callable[[Accuracy], Candidate]) -> Candidate:
         """Try until the answer holds, each time more exactly; the best answer.
 
         Args:
-            attempt: Solves to a residual of the dual, within a deadline.
+            attempt: Solves to an accuracy of the dual.
         """
-        deadline, rtol, steps = self._deadline(), self._rtol, 0
-        best, least = Candidate(None), np.inf
-        for _ in range(TIGHTENINGS):
-            candidate = attempt(rtol, deadline)
+        limit = self._request.time_limit
+        deadline = None if limit is None else time.perf_counter() + limit
+        rtol = max(self._request.tolerance * self._options.dual_margin, RTOL)
+        steps, best, least = 0, Candidate(None), np.inf
+        for _ in range(self._options.tightenings):
+            candidate = attempt(Accuracy(rtol, deadline=deadline))
             assert candidate.x is not None
             steps += candidate.iterations
             kkt = kkt_residuals(
@@ -168,74 +172,61 @@ class _Limited(Prepared):
                 break
             if candidate.claim is Claim.TIME_LIMIT:
                 break
-            rtol *= TIGHTER
+            rtol *= self._options.tightening
         return replace(best, iterations=steps)
 
-    def _faces(
-        self,
-        problem: LimitedProblem,
-        limits: SpokeLimits,
-        rtol: float,
-        deadline: float | None,
-    ) -> FaceAnswer:
-        """Face after face, from the last one of an earlier solve."""
-        answer = exchange(
-            problem,
-            limits,
-            self._last,
-            tolerance=self._request.tolerance,
-            rtol=rtol,
-            deadline=deadline,
+    def _within(
+        self, problem: LimitedProblem, limits: SpokeLimits, accuracy: Accuracy
+    ) -> ActiveSetIteration:
+        """The best field within limits, from the last working set on."""
+        answer = primal_dual_active_set(
+            problem, limits, self._last, self._request.tolerance, accuracy
         )
         if answer.settled:
             self._last = answer.p, answer.active
         return answer
 
-    def _deadline(self) -> float | None:
-        limit = self._request.time_limit
-        return None if limit is None else time.perf_counter() + limit
 
-    @property
-    def _rtol(self) -> float:
-        return max(self._request.tolerance * MARGIN, FLOOR)
-
-
-def _candidate(answer: FaceAnswer, x: Array, duals: Duals) -> Candidate:
-    """A search's answer as a solver's."""
+def _candidate(answer: ActiveSetIteration, x: Array, duals: Duals) -> Candidate:
+    """An iteration's end as a solver's answer."""
     claim = Claim.TIME_LIMIT if answer.late else Claim.GAVE_UP
     return Candidate(
         x,
         duals,
         answer.steps,
         Claim.DONE if answer.settled else claim,
-        f"{answer.faces} faces, {answer.active.count} limits active",
+        f"{answer.sets} working sets, {answer.active.count} active limits",
     )
 
 
 class _LoadedPair(_Limited):
-    def __init__(self, program: Program, request: Request) -> None:
-        super().__init__(request)
+    def __init__(
+        self, program: Program, request: Request, options: DualOptions
+    ) -> None:
+        super().__init__(request, options)
         self.update(program)
 
     def update(self, program: Program) -> None:
-        """Take other data; the multigrid and the last face are kept."""
-        self._program, self._pair = program, FieldPair.of(program)
+        """Take other data; the multigrid and the last working set are kept."""
+        self._program, self._pair = program, FieldPair.of(program, self._options)
         program.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
 
     def solve(self) -> Candidate:
-        """Solve the duals of faces."""
+        """Solve the duals of working sets."""
         return self._contradiction(self._pair.limits) or self._tightened(self._limited)
 
-    def _limited(self, rtol: float, deadline: float | None) -> Candidate:
+    def _limited(self, accuracy: Accuracy) -> Candidate:
         pair = self._pair
-        found = self._faces(pair, pair.limits, rtol, deadline)
+        found = self._within(pair, pair.limits, accuracy)
         x = pair.variables(found.p)
-        return _candidate(found, x, pair.duals(x, found.pull, found.push))
+        return _candidate(found, x, pair.duals(x, found.multipliers))
 
 
 class _Loaded(_Limited):
-    def __init__(self, program: Program, request: Request) -> None:
-        super().__init__(request)
+    def __init__(
+        self, program: Program, request: Request, options: DualOptions
+    ) -> None:
+        super().__init__(request, options)
         self._solver: DualSolver | None = None
         self.update(program)
 
@@ -245,14 +236,18 @@ class _Loaded(_Limited):
         self._data = DualData.of(program)
         self._limits = SpokeLimits.of(program)
         program.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
-        system = self._data.system
+        system, bounds = (
+            self._data.system,
+            (b[len(self._data.b) :] for b in program.box),
+        )
+        beside = LinearParameters(self._data.columns, *bounds)
         if self._solver is None or not system.same_rows(self._solver.system):
-            self._solver = DualSolver(system)
-        elif not np.array_equal(system.root_weights, self._solver.system.root_weights):
-            self._solver.adopt(system)
+            self._solver = DualSolver(system, beside, self._options)
+        else:
+            self._solver.adopt(system, beside)
 
     def solve(self) -> Candidate:
-        """Solve the dual, or where there are limits the duals of faces."""
+        """Solve the dual, or where there are limits the duals of working sets."""
         if self._limits.binding:
             impossible = self._contradiction(self._limits)
             return impossible or self._tightened(self._limited)
@@ -261,24 +256,23 @@ class _Loaded(_Limited):
     def _proof(self, limits: SpokeLimits) -> Duals:
         return limits.proof_of_contradiction() or Duals()
 
-    def _limited(self, rtol: float, deadline: float | None) -> Candidate:
+    def _limited(self, accuracy: Accuracy) -> Candidate:
         """The field within its limits."""
         assert self._solver is not None
         limits = self._limits
-        problem = LimitedField(self._program, limits, self._data, self._solver)
-        found = self._faces(problem, limits, rtol, deadline)
-        return _candidate(found, found.p, limits.duals(found.pull, found.push))
+        problem = LimitedField(
+            self._program, limits, self._data, self._solver, self._options
+        )
+        found = self._within(problem, limits, accuracy)
+        return _candidate(found, found.p, found.multipliers.duals(limits))
 
-    def _unlimited(self, rtol: float, deadline: float | None) -> Candidate:
+    def _unlimited(self, accuracy: Accuracy) -> Candidate:
         """The field without limits, and the unknowns beside it."""
         assert self._solver is not None
-        bounds = (limit[len(self._data.b) :] for limit in self._program.box)
-        fitted = solve_with_columns(
-            self._solver, self._data, *bounds, rtol=rtol, deadline=deadline
-        )
-        x = np.concatenate([fitted.p, fitted.c])
-        claim = Claim.TIME_LIMIT if fitted.late else Claim.DONE
-        return Candidate(x, self._duals(x), fitted.steps, claim)
+        answer = self._solver.solve(self._data.b, self._data.t, accuracy)
+        x = np.concatenate([answer.p, answer.c])
+        claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
+        return Candidate(x, self._duals(x), answer.steps, claim)
 
     def _duals(self, x: Array) -> Duals:
         """Multipliers of given values and of other unknowns' bounds."""
@@ -286,11 +280,11 @@ class _Loaded(_Limited):
         hard = hard_values(program) is not None
         if not (hard or program.bounds):
             return Duals()
-        pull = -np.add(*program.gradient(x))
-        rows = {HardBoundary.name: pull[:V][~program.laplace.free]} if hard else {}
+        slope = -np.add(*program.gradient(x))
+        rows = {HardBoundary.name: slope[:V][~program.laplace.free]} if hard else {}
         lower, upper = program.box
-        z = np.where(x <= lower, np.minimum(pull, 0.0), 0.0)
-        z += np.where(x >= upper, np.maximum(pull, 0.0), 0.0)
+        z = np.where(x <= lower, np.minimum(slope, 0.0), 0.0)
+        z += np.where(x >= upper, np.maximum(slope, 0.0), 0.0)
         z[:V] = 0.0
         return Duals(rows, z if program.bounds else None)
 

@@ -27,8 +27,9 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Status
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.solvers.dual import primal_dual_active_set
+from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.registry import choose, solvers
+from ttus_opt.solvers.structured import Structured
 
 STRUCTURED, CLARABEL = solvers()["structured"], solvers()["clarabel"]
 TOLERANCE = 1e-6
@@ -60,15 +61,20 @@ def coulomb(
     return declared.with_constraints(*constraints)
 
 
-def solved(program: Program) -> Candidate:
-    return STRUCTURED.prepare(program, Request(TOLERANCE, 120.0)).solve()
+def solved(program: Program, options: DualOptions | None = None) -> Candidate:
+    return Structured(options).prepare(program, Request(TOLERANCE, 120.0)).solve()
 
 
-def check(declared: Formulation, least_active: int, close: float = 1e-5) -> None:
+def check(
+    declared: Formulation,
+    least_active: int,
+    close: float = 1e-5,
+    options: DualOptions | None = None,
+) -> None:
     """Verified to the tolerance, and Clarabel's fields and objective."""
     program = declared.compile()
     assert not STRUCTURED.refusal(program)
-    candidate = solved(program)
+    candidate = solved(program, options)
     assert candidate.claim is Claim.DONE, candidate.detail
     residuals = kkt_residuals(program, candidate.x, candidate.duals)
     assert residuals.worst_relative <= TOLERANCE, residuals
@@ -114,13 +120,13 @@ def test_contested(forces: tuple[float, float], weight: float, share: float) -> 
 @pytest.mark.slow
 @pytest.mark.parametrize("weight", [1.0, 100.0])
 @pytest.mark.parametrize("share", [1.0, 0.1])
-def test_carefully_from_the_first_face_on(
-    monkeypatch: pytest.MonkeyPatch, share: float, weight: float
+def test_the_safeguard_from_the_first_working_set_on(
+    share: float, weight: float
 ) -> None:
-    """What is kept for where the exchange goes round in circles finds the same."""
-    monkeypatch.setattr(primal_dual_active_set, "PATIENCE", 0)
+    """What is kept for where the iteration cycles finds the same."""
     scene = contested(4, scale=-3.0)
-    check(coulomb(scene, weight, largest_friction=share), least_active=3)
+    declared = coulomb(scene, weight, largest_friction=share)
+    check(declared, least_active=3, options=DualOptions(patience=0))
 
 
 @pytest.mark.parametrize("smoothness", [1e-2, 1e2])
@@ -165,7 +171,7 @@ def test_with_given_values_sign_and_bounds(share: float) -> None:
         check(coulomb(scene, 1.0, *more, largest_friction=share), least_active=3)
 
 
-def test_a_new_solve_starts_from_the_last_face() -> None:
+def test_a_new_solve_starts_from_the_last_working_set() -> None:
     scene = contested(1)
     loaded = coulomb(scene, 1.0, largest_friction=0.1)
     prepared = STRUCTURED.prepare(loaded.compile(), Request(TOLERANCE, 60.0))

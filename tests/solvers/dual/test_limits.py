@@ -119,9 +119,9 @@ def test_a_row_may_be_written_the_other_way_round(small: Scene) -> None:
     assert limits.least[3] == 0.5
     assert limits.least[9] == 0.25
     assert np.isfinite(limits.least).sum() == 2
-    push = np.zeros(small.n_voxels)
-    push[[3, 9]] = 2.0, 5.0
-    duals = limits.duals(np.zeros(small.n_voxels), push)
+    of_links = np.zeros(small.n_voxels)
+    of_links[[3, 9]] = 2.0, 5.0
+    duals = limits.duals(np.zeros(small.n_voxels), of_links)
     # at a lower limit negative, at an upper one positive
     np.testing.assert_array_equal(duals.rows["mine"], [-2.0, 5.0])
 
@@ -219,16 +219,17 @@ def test_contradiction_leaves_the_limits_alone() -> None:
 
 
 def test_duals_have_names_signs_and_balance_the_gradient(small: Scene) -> None:
-    """Any pull and push, put back through the rows, is what was handed in."""
+    """Any multipliers, put back through the rows, is what was handed in."""
     declared = shelf.load("eq10", small).with_constraints(
         Sign(small), Monotone(small), HardBoundary(small)
     )
     loaded = declared.compile()
     limits = SpokeLimits.of(loaded)
     rng = np.random.default_rng(3)
-    pull = rng.normal(size=small.n_voxels)
-    push = np.where(np.isfinite(limits.least), rng.random(small.n_voxels), 0.0)
-    duals = limits.duals(pull, push)
+    of_bounds = rng.normal(size=small.n_voxels)
+    linked = np.isfinite(limits.least)
+    of_links = np.where(linked, rng.random(small.n_voxels), 0.0)
+    duals = limits.duals(of_bounds, of_links)
     assert set(duals.rows) == {"monotone", "boundary"}
     assert (duals.rows["monotone"] <= 0.0).all()  # at lower limits all
     assert duals.bounds is not None
@@ -236,8 +237,8 @@ def test_duals_have_names_signs_and_balance_the_gradient(small: Scene) -> None:
     total = duals.bounds.copy()
     for constraint in loaded.constraints:
         total += constraint.matrix.T @ duals.rows[constraint.name]
-    expected = pull - push
-    expected[limits.stride :] += push[: -limits.stride]
+    expected = of_bounds - of_links
+    expected[limits.stride :] += of_links[: -limits.stride]
     np.testing.assert_allclose(total, expected, atol=1e-14)
 
 
@@ -248,8 +249,8 @@ def test_of_two_constraints_on_a_link_the_tighter_one_carries_it(small: Scene) -
         .compile()
     )
     limits = SpokeLimits.of(loaded)
-    push = np.where(np.isfinite(limits.least), 1.0, 0.0)
-    duals = limits.duals(np.zeros(small.n_voxels), push)
+    of_links = np.where(np.isfinite(limits.least), 1.0, 0.0)
+    duals = limits.duals(np.zeros(small.n_voxels), of_links)
     assert not duals.rows["monotone"].any()
     np.testing.assert_array_equal(duals.rows["steeper"], -1.0)
 

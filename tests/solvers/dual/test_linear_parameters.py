@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -14,7 +12,8 @@ from tests.dragging import dragged_scene
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.linear_parameters import solve_with_columns
+from ttus_opt.solvers.dual.linear_parameters import LinearParameters
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.solver import DualSolver
 
 
@@ -29,7 +28,6 @@ def test_equals_dense_bounded_least_squares(weight: float) -> None:
     m, V = len(data.t), len(data.b)
     E = np.random.default_rng(4).normal(size=(m, 4))
     E[:, 2] = 0.0
-    data = replace(data, columns=E)
     rows = sp.diags_array(data.system.root_weights) @ data.system.rows
     M = np.block([[program.laplace.L.toarray(), np.zeros((V, 4))], [rows.toarray(), E]])
     target = np.concatenate([data.b, data.t])
@@ -37,9 +35,8 @@ def test_equals_dense_bounded_least_squares(weight: float) -> None:
     # 0 ≤ c for a positive and a negative one, c ≤ half of what the last would be
     lower = np.where([True, True, True, False], 0.0, -np.inf)
     upper = np.array([np.inf, np.inf, np.inf, loose[3] - 0.5 * abs(loose[3])])
-    answer = solve_with_columns(
-        DualSolver(data.system), data, lower, upper, rtol=1e-11, deadline=None
-    )
+    solver = DualSolver(data.system, LinearParameters(E, lower, upper))
+    answer = solver.solve(data.b, data.t, Accuracy(1e-11))
     free = np.full(V, np.inf)
     dense = lsq_linear(
         M,

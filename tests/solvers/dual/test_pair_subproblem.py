@@ -1,4 +1,4 @@
-"""Faces of two fields against dense least squares over what moves on them."""
+"""Working sets of two fields against dense least squares over what moves on them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from tests.dragging import dragged_scene
 from ttus_opt.arrays import Array
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem import formulation
-from ttus_opt.solvers.dual.activity import Activity
 from ttus_opt.solvers.dual.field_pair import FieldPair
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.pair_laplace import PairLaplace
+from ttus_opt.solvers.dual.working_set import WorkingSet
 
 
 @functools.cache
@@ -39,34 +40,35 @@ def pair(weight: float, smoothness: float, share: float, hard: bool) -> FieldPai
     return FieldPair.of(declared.compile())
 
 
-def active(of: FieldPair, pinned: float, tied: float, seed: int) -> Activity:
+def active(of: FieldPair, held: float, linked: float, seed: int) -> WorkingSet:
     """Parts of the bounds and links, at random."""
     rng = np.random.default_rng(seed)
     limits = of.limits
     bounded = np.isfinite(limits.lower) & ~limits.given
     bounded[: len(bounded) // 2] = False
-    pins = np.where(bounded & (rng.random(len(bounded)) < pinned), -1, 0)
-    linked = np.isfinite(limits.least)
-    # at most one of two tied voxels is held
-    half = len(linked) // 2
-    linked[:half] &= ~limits.given[:half] | (pins[half:] == 0)
-    return Activity(pins.astype(np.int8), linked & (rng.random(len(linked)) < tied))
+    bounds = np.where(bounded & (rng.random(len(bounded)) < held), -1, 0)
+    links = np.isfinite(limits.least)
+    # at most one of two linked voxels is held
+    half = len(links) // 2
+    links[:half] &= ~limits.given[:half] | (bounds[half:] == 0)
+    links &= rng.random(len(links)) < linked
+    return WorkingSet(bounds.astype(np.int8), links)
 
 
-def dense_answer(of: FieldPair, active: Activity) -> tuple[Array, Array]:
-    """Minimiser over the face from its definition, entry by entry.
+def dense_answer(of: FieldPair, active: WorkingSet) -> tuple[Array, Array]:
+    """Minimiser of a working set from its definition, entry by entry.
 
-    Unknowns: one per entry that is neither pinned nor tied, and the mean coefficient
+    Unknowns: one per entry that is neither held nor linked, and the mean coefficient
     where its bounds leave it; given rows weigh so much that they hold.
     """
     rows, limits = of.rows, of.limits
     n = len(rows.b)
     V = n // 2
     value = np.full(n, np.nan)
-    value[active.pins < 0] = limits.lower[active.pins < 0]
+    value[active.bounds < 0] = limits.lower[active.bounds < 0]
     given = np.where(limits.given, limits.lower, np.nan)
     stands = np.arange(n)
-    for v in np.flatnonzero(active.ties[:V]):
+    for v in np.flatnonzero(active.links[:V]):
         ends = np.array([v, v + V])
         known = np.where(np.isnan(value[ends]), given[ends], value[ends])
         known = known[~np.isnan(known)]
@@ -79,9 +81,9 @@ def dense_answer(of: FieldPair, active: Activity) -> tuple[Array, Array]:
     P[np.flatnonzero(moves), stands[moves]] = 1.0
     P = P[:, P.any(axis=0)]
     o = np.where(moves, 0.0, value)
-    soft = rows.softness > 0.0
+    soft = rows.compliance > 0.0
     root = np.full(n, 1e4)
-    root[soft] = 1.0 / np.sqrt(rows.softness[soft])
+    root[soft] = 1.0 / np.sqrt(rows.compliance[soft])
     M = np.vstack(
         [root[:, None] * (rows.L @ P), rows.root_weights[:, None] * (rows.rows @ P)]
     )
@@ -97,10 +99,10 @@ def dense_answer(of: FieldPair, active: Activity) -> tuple[Array, Array]:
 
 KINDS = {
     "none": (0.0, 0.0),
-    "pins": (0.3, 0.0),
-    "all pins": (1.0, 0.0),
-    "ties": (0.0, 0.3),
-    "all ties": (0.0, 1.0),
+    "bounds": (0.3, 0.0),
+    "all bounds": (1.0, 0.0),
+    "links": (0.0, 0.3),
+    "all links": (0.0, 1.0),
     "both": (0.3, 0.3),
     "both everywhere": (0.1, 1.0),
 }
@@ -111,29 +113,15 @@ KINDS = {
 def test_equals_dense_least_squares(kind: str, hard: bool) -> None:
     for weight, smoothness, share in ((1.0, 1.0, 0.1), (0.1, 30.0, 1.0)):
         of = pair(weight, smoothness, share, hard)
-        face = active(of, *KINDS[kind], seed=3)
-        expected, c = dense_answer(of, face)
-        found = of.face(face).solve(rtol=1e-11, deadline=None, guess=None).p
+        own = active(of, *KINDS[kind], seed=3)
+        expected, c = dense_answer(of, own)
+        found = of.subproblem(own).solve(Accuracy(1e-11), None).p
         np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
         assert of.variables(found)[of.others] == pytest.approx(c, abs=1e-6)
 
 
-@pytest.mark.parametrize("share", [0.02, 1.0], ids=["c at its bound", "c within"])
-def test_a_guess_nearby_saves_directions(share: float) -> None:
-    of = pair(1.0, 1.0, share, hard=False)
-    face = active(of, 0.3, 0.3, seed=3)
-    first = of.face(face).solve(rtol=1e-9, deadline=None, guess=None)
-    noise = np.random.default_rng(0).standard_normal(first.p.shape)
-    guess = first.p + 1e-5 * np.abs(first.p).max() * noise
-    again = of.face(face).solve(rtol=1e-9, deadline=None, guess=guess)
-    assert again.steps < first.steps
-    np.testing.assert_allclose(
-        again.p, first.p, rtol=0.0, atol=1e-7 * np.abs(first.p).max()
-    )
-
-
-def system_of(of: FieldPair, face: Activity) -> PairLaplace:
-    laplace = of.face(face).system.laplace
+def system_of(of: FieldPair, own: WorkingSet) -> PairLaplace:
+    laplace = of.subproblem(own).system.laplace
     assert isinstance(laplace, PairLaplace)
     return laplace
 
@@ -148,7 +136,7 @@ def test_solves_and_adjoint_solves_belong_together() -> None:
     assert there == pytest.approx(float(laplace.solve_adjoint(h) @ g), rel=1e-9)
 
 
-def test_rough_cycle_is_near_the_solve_and_has_an_adjoint() -> None:
+def test_one_cycle_is_near_the_solve_and_has_an_adjoint() -> None:
     of = pair(1.0, 1.0, 0.1, False)
     laplace = system_of(of, active(of, 0.2, 0.4, seed=5))
     voxels = np.flatnonzero(laplace.free)
@@ -157,7 +145,7 @@ def test_rough_cycle_is_near_the_solve_and_has_an_adjoint() -> None:
     places = cycle.places(voxels)
     g, h = np.random.default_rng(2).normal(size=(2, len(laplace.free))) * laplace.free
 
-    def rough(run: str, values: Array) -> Array:
+    def once(run: str, values: Array) -> Array:
         cycle.b.fill(0.0)
         cycle.b[places] = values[voxels]
         getattr(cycle, run)()
@@ -165,7 +153,7 @@ def test_rough_cycle_is_near_the_solve_and_has_an_adjoint() -> None:
         out[voxels] = cycle.x[places]
         return out
 
-    there, back = rough("run", g), rough("run_adjoint", h)
+    there, back = once("run", g), once("run_adjoint", h)
     assert float(h @ there) == pytest.approx(float(back @ g), rel=1e-4)
     exact = laplace.multigrid.solve(g, rtol=1e-10)
     assert np.linalg.norm(there - exact) < 0.3 * np.linalg.norm(exact)

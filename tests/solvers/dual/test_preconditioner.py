@@ -1,4 +1,4 @@
-"""The rough dual against the exact one, written down as matrices."""
+"""The approximate Schur complement against the exact one, written down as matrices."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import scipy.sparse as sp
 from tests.conftest import small_scene
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.preconditioner import RoughDual, rough_preconditioner
+from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, schur_preconditioner
 from ttus_opt.solvers.dual.system import DualSystem
 
 
@@ -29,14 +30,14 @@ def dual_system(sampling: str, weight: float, name: str = "eq10") -> DualSystem:
 def test_is_spectrally_equivalent_at_light_and_heavy_weights(
     sampling: str, name: str
 ) -> None:
-    """Ratios of (I + K̃) to (I + K) stay in one band, whatever the weight."""
+    """Ratios of S̃ to S stay in one band, whatever the weight."""
     for weight in (1e-4, 1.0, 1e2):
         system = dual_system(sampling, weight, name)
         unit = np.eye(len(system.root_weights))
         exact = np.array([system.apply(e) for e in unit])
-        rough = np.array([RoughDual(system).apply(e) for e in unit])
-        assert np.abs(rough - rough.T).max() < 1e-5 * np.abs(rough).max()
-        ratios = scipy.linalg.eigh((rough + rough.T) / 2, exact, eigvals_only=True)
+        tilde = np.array([ApproximateSchur(system).apply(e) for e in unit])
+        assert np.abs(tilde - tilde.T).max() < 1e-5 * np.abs(tilde).max()
+        ratios = scipy.linalg.eigh((tilde + tilde.T) / 2, exact, eigvals_only=True)
         assert 0.4 < ratios.min() <= ratios.max() < 1.3
 
 
@@ -54,16 +55,16 @@ def test_a_box_of_the_grid_is_enough(name: str) -> None:
         system = replace(system, rows=rows, root_weights=np.full(len(touched), weight))
         unit = np.eye(len(touched))
         exact = np.array([system.apply(e, 1e-8) for e in unit])
-        operator = RoughDual(system)
-        rough = np.array([operator.apply(e) for e in unit])
-        ratios = scipy.linalg.eigh((rough + rough.T) / 2, exact, eigvals_only=True)
+        operator = ApproximateSchur(system)
+        tilde = np.array([operator.apply(e) for e in unit])
+        ratios = scipy.linalg.eigh((tilde + tilde.T) / 2, exact, eigvals_only=True)
         assert 0.3 < ratios.min() <= ratios.max() < 1.3
 
 
 def test_preconditioner_nearly_inverts() -> None:
     system = dual_system("voxel-mean", 1e2)
     right_side = np.random.default_rng(0).normal(size=len(system.root_weights))
-    precondition = rough_preconditioner(system)
+    precondition = schur_preconditioner(system, DualOptions())
     rest = right_side - system.apply(precondition(right_side))
     exact = np.array([system.apply(e) for e in np.eye(len(right_side))])
     inverse = np.linalg.inv(exact)

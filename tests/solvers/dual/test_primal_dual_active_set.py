@@ -1,4 +1,4 @@
-"""Contested limits: faces to the end, against Clarabel and all active sets."""
+"""Contested limits: the iteration to its end, against Clarabel and all active sets."""
 
 from __future__ import annotations
 
@@ -25,16 +25,19 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.solvers.dual import active_set
-from ttus_opt.solvers.dual.field_faces import LimitedField
+from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.registry import solvers
+from ttus_opt.solvers.structured import Structured
 
 STRUCTURED, CLARABEL = solvers()["structured"], solvers()["clarabel"]
 TOLERANCE = 1e-6
 
 
-def solved(program: Program, tolerance: float = TOLERANCE) -> Candidate:
-    return STRUCTURED.prepare(program, Request(tolerance, 60.0)).solve()
+def solved(
+    program: Program, tolerance: float = TOLERANCE, options: DualOptions | None = None
+) -> Candidate:
+    return Structured(options).prepare(program, Request(tolerance, 60.0)).solve()
 
 
 def active_limits(program: Program, p: Array) -> int:
@@ -106,14 +109,14 @@ def test_contested_with_hard_boundary(kind: str, sampling: str) -> None:
     check(eq10(scene, 1.0, HardBoundary(scene), *limits_of(scene, kind)))
 
 
-def faces_of(candidate: Candidate) -> int:
-    return int(candidate.detail.split(" faces")[0])
+def working_sets(candidate: Candidate) -> int:
+    return int(candidate.detail.split(" working sets")[0])
 
 
 def test_a_volume_of_growth_limits_does_not_grow_by_layers(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """With the peaks alone, as for bounds, the same face takes far more of them."""
+    """With the peaks alone, as for bounds, the same takes far more working sets."""
     scene = contested(0, (18, 36, 20), n_poses=60, scale=-3.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
     found = solved(program)
@@ -123,36 +126,39 @@ def test_a_volume_of_growth_limits_does_not_grow_by_layers(
     assert found.claim is slowly.claim is Claim.DONE
     assert np.linalg.norm(found.x - slowly.x) <= 1e-6 * np.linalg.norm(slowly.x)
     assert active_limits(program, found.x) > 100
-    assert faces_of(found) < 0.75 * faces_of(slowly)
+    assert working_sets(found) < 0.75 * working_sets(slowly)
 
 
-def test_limits_that_hardly_matter_end_the_search(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """What may be left is within the tolerance, also if it may be left at once."""
+def test_limits_that_hardly_matter_end_the_iteration() -> None:
+    """What may remain is within the tolerance, also if it may remain at once."""
     scene = contested(2, (12, 24, 14), noise=4.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
     whole = solved(program, 1e-2)
-    with monkeypatch.context() as soon:
-        soon.setattr(active_set, "ENOUGH", 1.0)
-        soon.setattr(active_set, "MORE", 0)
-        cut = solved(program, 1e-2)
+    soon = DualOptions(acceptable=1.0, acceptable_sets=0)
+    cut = solved(program, 1e-2, soon)
     assert cut.claim is Claim.DONE
     assert kkt_residuals(program, cut.x, cut.duals).worst_relative <= 1e-2
-    assert faces_of(cut) < faces_of(whole)
+    # multipliers of what remains are told with the sign that they should have
+    assert (cut.duals.rows["monotone"] <= 0.0).all()
+    lower, upper = program.box
+    assert cut.duals.bounds is not None
+    assert (cut.duals.bounds[upper == INF] <= 0.0).all()
+    assert (cut.duals.bounds[lower == -INF] >= 0.0).all()
+    assert working_sets(cut) < working_sets(whole)
 
 
-def test_too_few_faces_are_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_few_working_sets_are_no_answer() -> None:
     """What it ended on is told as that, and not started from."""
     scene = contested(1, scale=-3.0, noise=2.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
     prepared = STRUCTURED.prepare(program, Request(TOLERANCE))
-    with monkeypatch.context() as few:
-        few.setattr(active_set, "MAX_FACES", 2)
-        cut = prepared.solve()
+    prepared._options = DualOptions(max_working_sets=2)
+    cut = prepared.solve()
     assert cut.claim is not Claim.DONE
-    assert cut.detail.startswith("2 faces")
-    whole = prepared.solve()
+    assert cut.detail.startswith("2 working sets")
+    prepared._options = DualOptions()
+    whole, fresh = prepared.solve(), solved(program)
+    assert (whole.detail, whole.iterations) == (fresh.detail, fresh.iterations)
     assert whole.claim is Claim.DONE
     assert kkt_residuals(program, whole.x, whole.duals).worst_relative <= TOLERANCE
     assert np.linalg.norm(cut.x - whole.x) > 1e-6 * np.linalg.norm(whole.x)
@@ -443,8 +449,8 @@ def test_an_update_after_too_little_time_agrees_with_a_fresh_solve() -> None:
     assert np.linalg.norm(again.x - fresh.x) <= 1e-6 * np.linalg.norm(fresh.x)
 
 
-def test_a_bound_parts_a_voxel_from_the_given_value_it_is_tied_to() -> None:
-    """Forces pull below the skin's 0 what has a bound above it: bound, not tie."""
+def test_a_bound_parts_a_voxel_from_the_given_value_it_is_pooled_with() -> None:
+    """Forces pull below the skin's 0 what has a bound above it: bound, not link."""
     scene = contested(scale=-3.0)
     where = inside(scene) & scene.laplace.free
     lower = np.where(where, 0.05, -INF)
@@ -453,14 +459,14 @@ def test_a_bound_parts_a_voxel_from_the_given_value_it_is_tied_to() -> None:
 
 
 @pytest.mark.parametrize(("seed", "hard"), [(1, True), (5, False)])
-def test_of_two_bounds_on_a_chain_the_tighter_one_holds(seed: int, hard: bool) -> None:
+def test_of_two_bounds_in_a_block_the_tighter_one_holds(seed: int, hard: bool) -> None:
     """Random bounds and links together."""
     scene = contested(seed, (6, 9, 5), n_poses=6, scale=[1.0, -3.0][seed % 2])
     more = [HardBoundary(scene)] if hard else []
     check(eq10(scene, 1.0, random_box(scene, seed, hard), Monotone(scene), *more))
 
 
-def test_of_two_upper_bounds_on_a_chain_the_tighter_one_holds() -> None:
+def test_of_two_upper_bounds_in_a_block_the_tighter_one_holds() -> None:
     """Tight outside, loose inside, and all of the spoke is pulled up."""
     scene = contested(2, (6, 9, 5), n_poses=6)
     rng = np.random.default_rng(2)

@@ -1,4 +1,4 @@
-"""Faces against direct least squares over P z + o, and their multipliers."""
+"""Subproblems against direct least squares over P z + o, and their multipliers."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import multipliers
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualSolver
-from ttus_opt.solvers.dual.subproblem import Activity, Face, face_of
+from ttus_opt.solvers.dual.subproblem import reduced
+from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
@@ -41,55 +43,55 @@ def limited(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> Program
     return eq10(scene, weight, *constraints).compile()
 
 
-def chains(limits: SpokeLimits, ties: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Which chain a voxel belongs to, from the graph of ties."""
-    n = len(ties)
-    tied = np.flatnonzero(ties)
+def blocks(limits: SpokeLimits, links: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Which pooled block a voxel belongs to, from the graph of links."""
+    n = len(links)
+    linked = np.flatnonzero(links)
     graph = sp.coo_array(
-        (np.ones(len(tied)), (tied, tied + limits.stride)), shape=(n, n)
+        (np.ones(len(linked)), (linked, linked + limits.stride)), shape=(n, n)
     )
     return connected_components(graph, directed=False)[1]
 
 
-def random_activity(
-    limits: SpokeLimits, seed: int, pinned: float, tied: float
-) -> Activity:
-    """Ties and pins at random; at most one pin or given value a chain."""
+def random_working_set(
+    limits: SpokeLimits, seed: int, held: float, linked: float
+) -> WorkingSet:
+    """Links and bounds at random; at most one bound or given value a block."""
     rng = np.random.default_rng(seed)
     n = len(limits.lower)
-    ties = np.isfinite(limits.least) & (rng.random(n) < tied)
-    label = chains(limits, ties)
-    while True:  # ties between two given values are cut
+    links = np.isfinite(limits.least) & (rng.random(n) < linked)
+    label = blocks(limits, links)
+    while True:  # links between two given values are cut
         count = np.bincount(label, limits.given)
-        crowded = ties & (count[label] > 1)
+        crowded = links & (count[label] > 1)
         if not crowded.any():
             break
-        ties[np.flatnonzero(crowded)[0]] = False
-        label = chains(limits, ties)
-    pins = np.zeros(n, dtype=np.int8)
+        links[np.flatnonzero(crowded)[0]] = False
+        label = blocks(limits, links)
+    bounds = np.zeros(n, dtype=np.int8)
     taken = np.bincount(label, limits.given, minlength=n) > 0
-    for v in rng.permutation(n)[: int(pinned * n)]:
+    for v in rng.permutation(n)[: int(held * n)]:
         if not taken[label[v]]:
-            pins[v] = rng.choice([-1, 1])
+            bounds[v] = rng.choice([-1, 1])
             taken[label[v]] = True
-    return Activity(pins, ties)
+    return WorkingSet(bounds, links)
 
 
-def eliminated(program: Program, limits: SpokeLimits, active: Activity) -> Array:
-    """The minimiser on the face: constraints eliminated, the augmented system solved.
+def eliminated(program: Program, limits: SpokeLimits, active: WorkingSet) -> Array:
+    """The minimiser: constraints eliminated, the augmented system solved.
 
-    Every chain has one unknown unless it has a value; offsets come from walking the
-    ties, nothing is shared with `face`.
+    Every block has one unknown unless it has a value; offsets come from walking the
+    links, nothing is shared with `subproblem`.
     """
-    n = len(active.pins)
-    label = chains(limits, active.ties)
+    n = len(active.bounds)
+    label = blocks(limits, active.links)
     depth = np.zeros(n)
     for v in range(n):  # from the inside out
-        if active.ties[v]:
+        if active.links[v]:
             depth[v + limits.stride] = depth[v] - limits.least[v]
     level = np.full(label.max() + 1, np.nan)
-    value = np.where(active.pins > 0, limits.upper, limits.lower)
-    for v in np.flatnonzero((active.pins != 0) | limits.given):
+    value = np.where(active.bounds > 0, limits.upper, limits.lower)
+    for v in np.flatnonzero((active.bounds != 0) | limits.given):
         level[label[v]] = value[v] - depth[v]
     known = ~np.isnan(level[label])
     offset = depth + np.where(known, level[label], 0.0)
@@ -113,26 +115,23 @@ def eliminated(program: Program, limits: SpokeLimits, active: Activity) -> Array
     return np.asarray(P @ z + offset)
 
 
-def solved(program: Program, limits: SpokeLimits, active: Activity) -> Array:
-    face = face_of(program.laplace, limits, active, DualData.of(program))
-    return field_on(face)
-
-
-def field_on(face: Face) -> Array:
-    return face.field_of(DualSolver(face.system).solve(face.b, face.t, rtol=1e-12).p)
+def solved(program: Program, limits: SpokeLimits, active: WorkingSet) -> Array:
+    data = DualData.of(program)
+    left = reduced(program.laplace, limits, active, data, DualOptions())
+    return left.solve(Accuracy(1e-12)).p
 
 
 def compare(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> None:
     program = limited(scene, seed, hard, weight)
     limits = SpokeLimits.of(program)
-    for k, (pinned, tied) in enumerate(
+    for k, (held, linked) in enumerate(
         [(0.1, 0.0), (0.0, 0.3), (0.1, 0.5), (0.6, 0.9), (0.0, 1.0)]
     ):
-        active = random_activity(limits, seed + k, pinned, tied)
+        active = random_working_set(limits, seed + k, held, linked)
         expected = eliminated(program, limits, active)
         found = solved(program, limits, active)
         apart = np.linalg.norm(found - expected)
-        assert apart <= 1e-8 * np.linalg.norm(expected), (pinned, tied)
+        assert apart <= 1e-8 * np.linalg.norm(expected), (held, linked)
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
@@ -171,7 +170,7 @@ def shaped(
     ids=["touches the edge", "pockets", "pockets at the edge", "one slice", "tiny"],
 )
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
-def test_geometry_that_breaks_careless_faces(
+def test_geometry_that_breaks_careless_subproblems(
     surface: Surface, shape: tuple[int, int, int], r_outer: float | None, hard: bool
 ) -> None:
     compare(shaped(surface, shape, r_outer), 5, hard)
@@ -180,22 +179,21 @@ def test_geometry_that_breaks_careless_faces(
 def test_no_limit_active_is_the_whole_problem() -> None:
     program = limited(contested(3), 3, False)
     limits = SpokeLimits.of(program)
-    nothing = random_activity(limits, 0, 0.0, 0.0)
+    nothing = random_working_set(limits, 0, 0.0, 0.0)
     assert nothing.count == 0
     data = DualData.of(program)
-    face = face_of(program.laplace, limits, nothing, data)
-    whole = DualSolver(data.system).solve(data.b, data.t, rtol=1e-12).p
-    found = field_on(face)
+    whole = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-12)).p
+    found = solved(program, limits, nothing)
     assert np.linalg.norm(found - whole) <= 1e-10 * np.linalg.norm(whole)
 
 
-def test_all_voxels_pinned_leave_nothing_to_solve() -> None:
+def test_all_voxels_held_leave_nothing_to_solve() -> None:
     program = limited(contested(3), 3, False)
     limits = SpokeLimits.of(program)
     V = len(limits.lower)
-    pins = np.random.default_rng(0).choice([-1, 1], V).astype(np.int8)
-    p = solved(program, limits, Activity(pins, np.zeros(V, dtype=bool)))
-    np.testing.assert_array_equal(p, np.where(pins > 0, limits.upper, limits.lower))
+    bounds = np.random.default_rng(0).choice([-1, 1], V).astype(np.int8)
+    p = solved(program, limits, WorkingSet(bounds, np.zeros(V, dtype=bool)))
+    np.testing.assert_array_equal(p, np.where(bounds > 0, limits.upper, limits.lower))
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
@@ -204,23 +202,23 @@ def test_multipliers_solve_the_dense_balance(seed: int, hard: bool) -> None:
     """Cᵀμ = -g, a row of C per active limit or given value; C has full rank."""
     program = limited(contested(seed, (6, 10, 5), n_poses=5), seed, hard)
     limits = SpokeLimits.of(program)
-    active = random_activity(limits, seed, 0.3, 0.6)
+    active = random_working_set(limits, seed, 0.3, 0.6)
     assert active.count > 50
     p = eliminated(program, limits, active)
     g = np.add(*program.gradient(p))
     n = len(p)
-    pinned = np.flatnonzero((active.pins != 0) | limits.given)
-    tied = np.flatnonzero(active.ties)
-    C = np.zeros((len(pinned) + len(tied), n))
-    C[np.arange(len(pinned)), pinned] = 1.0
-    at = len(pinned) + np.arange(len(tied))
-    C[at, tied], C[at, tied + limits.stride] = -1.0, 1.0  # p_w - p_v ≤ -s
+    held = np.flatnonzero((active.bounds != 0) | limits.given)
+    linked = np.flatnonzero(active.links)
+    C = np.zeros((len(held) + len(linked), n))
+    C[np.arange(len(held)), held] = 1.0
+    at = len(held) + np.arange(len(linked))
+    C[at, linked], C[at, linked + limits.stride] = -1.0, 1.0  # p_w - p_v ≤ -s
     mu, _, rank, _ = np.linalg.lstsq(C.T, -g, rcond=None)
     assert rank == len(C)
     size = np.abs(g).max()
-    assert np.abs(C.T @ mu + g).max() <= 1e-9 * size, "the face's minimiser balances"
-    pull, push = multipliers(limits, active, g)
-    np.testing.assert_allclose(pull[pinned], mu[: len(pinned)], atol=1e-9 * size)
-    np.testing.assert_allclose(push[tied], mu[len(pinned) :], atol=1e-9 * size)
-    assert not np.delete(pull, pinned).any()
-    assert not np.delete(push, tied).any()
+    assert np.abs(C.T @ mu + g).max() <= 1e-9 * size, "the minimiser balances"
+    found = multipliers(limits, active, g)
+    np.testing.assert_allclose(found.bounds[held], mu[: len(held)], atol=1e-9 * size)
+    np.testing.assert_allclose(found.links[linked], mu[len(held) :], atol=1e-9 * size)
+    assert not np.delete(found.bounds, held).any()
+    assert not np.delete(found.links, linked).any()

@@ -38,8 +38,8 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.dual import solver as dual_solver
-from ttus_opt.solvers.dual.conjugate_directions import Directions
-from ttus_opt.solvers.dual.preconditioner import RoughDual
+from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
+from ttus_opt.solvers.dual.preconditioner import ApproximateSchur
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.structured import Structured
@@ -59,12 +59,12 @@ WATCHES = (
     Watch(DualSolver, "solve", name.DUAL),
     Watch(DualSolver, "_prior_field", name.PRIOR),
     Watch(
-        dual_solver, "rough_preconditioner", name.ROUGH_SETUP, returns=name.ROUGH_DUAL
+        dual_solver, "schur_preconditioner", name.ROUGH_SETUP, returns=name.ROUGH_DUAL
     ),
-    Watch(RoughDual, "apply", name.ROUGH),
-    Watch(Directions, "extend", name.ALGEBRA, aside=True),
-    Watch(Directions, "project", name.ALGEBRA, aside=True),
-    Watch(Directions, "step", name.ALGEBRA, aside=True),
+    Watch(ApproximateSchur, "apply", name.ROUGH),
+    Watch(RecycledSubspace, "extend", name.ALGEBRA, aside=True),
+    Watch(RecycledSubspace, "project", name.ALGEBRA, aside=True),
+    Watch(RecycledSubspace, "step", name.ALGEBRA, aside=True),
     Watch(DualSystem, "apply", name.EXACT),
     Watch(DualSystem, "response", name.RESPONSE, outside=name.EXACT),
     Watch(Multigrid, "solve", name.SOLVE),

@@ -1,9 +1,13 @@
-"""Eq. 10 through its dual: what the structured solver is made of.
+"""The structured solver's method: eq. 10 through its dual, within limits.
 
-From top to bottom: `exchange` goes from face to face (`activity`, `face_walk`,
-`optimality`) of one field (`field_faces`, `face`, `spoke_limits`) or of two
-(`field_pair`, `pair_face`, `pair_laplace`); `few_columns` adds unknowns beside the
-fields; each solves duals by `solver` (`bordered` with one unknown more), with
-`conjugate_directions` on the exact operator (`system`), preconditioned by `rough`.
-`data` reads the dual off a program.
+From top to bottom:
+
+- `primal_dual_active_set` goes from working set to working set (`active_set`,
+  `working_set`, `optimality`) of one field (`subproblem`, `limits`) or of two
+  (`field_pair`, `pair_subproblem`, `pair_laplace`);
+- `solver` solves the dual of each, with unknowns beside the field
+  (`linear_parameters`), by conjugate gradients in a recycled subspace
+  (`conjugate_gradients`) on the Schur complement (`system`), preconditioned by an
+  approximate one (`preconditioner`);
+- `data` reads the dual off a program; `options` has the numbers.
 """

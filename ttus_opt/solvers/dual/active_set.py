@@ -1,59 +1,40 @@
-"""Faces solved one after the other; `exchange` says which comes next, how exactly."""
+"""The active-set iteration: one working set's subproblem after the other.
+
+`primal_dual_active_set` says which working set comes next, and how exactly it is to be
+solved.
+"""
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field
 from typing import Protocol
-
-import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.laplace.system import RTOL
-from ttus_opt.solvers.dual.activity import Activity, no_limits_active
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import (
-    Wrong,
-    find_wrong,
+    Multipliers,
+    Violations,
+    find_violations,
     multipliers,
-    one_pin_each,
-    possible,
-    right_signs,
 )
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualAnswer
-
-#: Most faces
-MAX_FACES = 100
-
-#: Residual of the solves behind a field that is not yet the last, over its dual's [–]
-FINER = 1e-3
-
-#: What may be an error of the field only, over the residual of the dual: where a limit
-#: holds with equality by itself, its voxels are no violations [–]
-DOUBTFUL = 0.1
-
-#: What counts as a violation or a wrong sign, over the KKT tolerance; what may be left
-#: where that takes more than so many faces more: thousands of limits may lie so near
-#: to active that it hardly matters which of them are [–]
-MARGIN, ENOUGH, MORE = 1e-3, 0.1, 2
+from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
 
 
-class SolvableFace(Protocol):
-    """A face of the feasible set."""
+class SolvableSubproblem(Protocol):
+    """The problem of a working set, without limits."""
 
-    def solve(
-        self,
-        *,
-        rtol: float,
-        field_rtol: float = RTOL,
-        deadline: float | None,
-        guess: Array | None,
-    ) -> DualAnswer:
-        """The best field on it, near a guess, as `DualSolver.solve` gives it."""
+    def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
+        """The best field, after that of the last working set, shape (V,)."""
 
 
 class LimitedProblem(Protocol):
-    """What the search needs of a problem beside its limits."""
+    """What the iteration needs of a problem beside its limits."""
+
+    @property
+    def options(self) -> DualOptions:
+        """Of the method."""
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -63,8 +44,8 @@ class LimitedProblem(Protocol):
     def links_hold_slopes(self) -> bool:
         """Whether links are between neighbours of a field, not between two fields."""
 
-    def face(self, active: Activity) -> SolvableFace:
-        """The problem left when some limits are active."""
+    def subproblem(self, active: WorkingSet) -> SolvableSubproblem:
+        """The problem of a working set."""
 
     def gradient(self, p: Array) -> Array:
         """Gradient of the objective, shape (V,)."""
@@ -73,130 +54,93 @@ class LimitedProblem(Protocol):
         """The objective."""
 
 
-@dataclass(frozen=True)
-class FaceAnswer:
-    """What the search ended with.
+class ActiveSetIteration:
+    """Where the iteration stands.
 
     Attributes:
-        p: The field, shape (V,).
-        pull: Multipliers of bounds and given values, positive at upper limits, (V,).
-        push: Multipliers of links, at their deeper voxel, not negative, (V,).
-        active: The face.
-        faces: How many were solved [–].
-        steps: Directions of all their solves [–].
-        late: Whether the deadline cut it short.
-        settled: Whether nothing is wrong on the last face but what may be left.
-    """
-
-    p: Array = field(repr=False)
-    pull: Array = field(repr=False)
-    push: Array = field(repr=False)
-    active: Activity
-    faces: int
-    steps: int
-    late: bool
-    settled: bool
-
-
-class FaceWalk:
-    """Where a search stands.
-
-    Attributes:
-        problem: Its faces, and its gradient, which multipliers come from.
+        problem: The problem.
         limits: Its limits, those that others imply left out.
-        active: The face to begin with, then the last one solved.
-        rtol: Residual of the dual on the last face, relative [–].
-        settled: Whether nothing is wrong on the last face but what may be left.
+        active: The working set to begin with, then the last one solved.
+        rtol: Residual of the dual of the last working set, relative [–].
+        multipliers: Of its limits, with the right signs.
+        sets: Working sets solved [–].
+        steps: Directions of all their solves [–].
+        late: Whether the deadline is over.
+        settled: Whether no KKT violation remains but what may.
     """
 
     def __init__(
         self,
         problem: LimitedProblem,
         limits: SpokeLimits,
-        start: tuple[Array, Activity] | None,
-        *,
+        start: tuple[Array, WorkingSet] | None,
         tolerance: float,
-        rtol: float,
-        deadline: float | None,
+        accuracy: Accuracy,
     ) -> None:
         """Stand at the start; nothing is solved.
 
         Args:
             problem: The problem.
             limits: Its limits.
-            start: A field, (V,), and the face to begin with; None for no limit active.
+            start: A field, (V,), and the working set to begin with; None for no limit
+                active.
             tolerance: KKT tolerance [–].
-            rtol: Residual of the dual on the last face, relative [–].
-            deadline: `time.perf_counter` at which to stop; None for never [s].
+            accuracy: Of the last working set.
         """
         self.problem, self.limits = problem, limits.without_implied()
-        self.rtol, self.settled = rtol, False
-        self._tolerance, self._deadline = tolerance, deadline
+        self.rtol, self._tolerance = accuracy.rtol, tolerance
+        self._deadline = accuracy.deadline
         size = len(limits.lower)
-        self.active = no_limits_active(size)
-        self._p: Array | None = None
+        self.active, self._p = WorkingSet.empty(size), None
         if start is not None and len(start[0]) == size:
-            there = possible(self.limits, start[1])
-            self._p, self.active = start[0], one_pin_each(self.limits, there)
-        self._face: SolvableFace | None = None
-        self._signs = np.zeros(size), np.zeros(size)
-        self._faces, self._steps, self._late = 0, 0, False
-        self._near = 0  # faces with nothing wrong but what may be left
+            self._p, active = start[0], start[1].existing(self.limits)
+            self.active = one_bound_each(self.limits, active)
+        self._subproblem: SolvableSubproblem | None = None
+        self.sets, self.steps, self.late, self.settled = 0, 0, False, False
+        self._acceptable = 0  # working sets with no violation but what may remain
+
+    _p: Array | None
+    multipliers: Multipliers
 
     @property
     def p(self) -> Array:
-        """The field on the last face solved, shape (V,)."""
-        assert self._p is not None, "no face is solved"
+        """The field of the last working set solved, shape (V,)."""
+        assert self._p is not None, "no working set is solved"
         return self._p
 
     @property
     def over(self) -> bool:
-        """Whether there is nothing more to do, or no more time or faces."""
-        return self.settled or self._late or self._faces == MAX_FACES
+        """Whether there is nothing more to do, or no more time or working sets."""
+        enough = self.sets == self.problem.options.max_working_sets
+        return self.settled or self.late or enough
 
-    def solve(self, active: Activity, accuracy: float) -> Wrong:
-        """Solve a face.
+    def solve(self, active: WorkingSet, rtol: float) -> Violations:
+        """Solve a working set's subproblem.
 
         Args:
-            active: The face.
-            accuracy: Residual of its dual, relative [–].
+            active: The working set.
+            rtol: Residual of its dual, relative [–].
 
         Returns:
-            What is wrong there.
+            The KKT violations there.
         """
-        if self._face is None or active.differs(self.active):
-            self._face, self.active = self.problem.face(active), active
-        last = accuracy == self.rtol
-        field_rtol = RTOL if last else max(RTOL, FINER * accuracy)
-        answer = self._face.solve(
-            rtol=accuracy,
-            field_rtol=field_rtol,
-            deadline=self._deadline,
-            guess=self._p,
-        )
+        options = self.problem.options
+        if self._subproblem is None or active.differs(self.active):
+            self._subproblem, self.active = self.problem.subproblem(active), active
+        last = rtol == self.rtol
+        field_rtol = RTOL if last else max(RTOL, options.field_accuracy * rtol)
+        accuracy = Accuracy(rtol, field_rtol, self._deadline)
+        answer = self._subproblem.solve(accuracy, self._p)
         self._p = p = answer.p
-        self._faces, self._steps = self._faces + 1, self._steps + answer.steps
+        self.sets, self.steps = self.sets + 1, self.steps + answer.steps
+        self.late = accuracy.late
         gradient = self.problem.gradient(p)
-        self._signs = pull, push = multipliers(self.limits, active, gradient)
-        self._late = self._deadline is not None and time.perf_counter() > self._deadline
-        margin = MARGIN * self._tolerance
-        margins = margin, max(margin, DOUBTFUL * accuracy)
-        wrong = find_wrong(self.limits, active, p, pull, push, gradient, *margins)
-        self._near += last and wrong.worst + margin <= ENOUGH * self._tolerance
-        done = wrong.count == 0 or self._near > MORE
+        signs = multipliers(self.limits, active, gradient)
+        self.multipliers = signs.right_signs(self.limits, active)
+        margin = options.violation * self._tolerance
+        found = find_violations(self.limits, active, p, signs, gradient, margin)
+        acceptable = found.worst + margin <= options.acceptable * self._tolerance
+        self._acceptable += last and acceptable
+        done = found.count == 0 or self._acceptable > options.acceptable_sets
         self.settled = last and done and not answer.late
-        return wrong
-
-    def answer(self) -> FaceAnswer:
-        """The last face solved."""
-        pull, push = right_signs(self.limits, self.active, *self._signs)
-        return FaceAnswer(
-            self.p,
-            pull,
-            push,
-            self.active,
-            self._faces,
-            self._steps,
-            self._late,
-            self.settled,
-        )
+        return found

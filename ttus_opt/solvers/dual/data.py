@@ -71,11 +71,11 @@ def _dual_system(
     """The dual system of a program, b, weighted targets and weighted columns."""
     measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
     V = len(program.laplace.free)
-    softness = np.ones(V)
+    compliance = np.ones(V)
     if prior.laplace_scale is not None:
-        softness /= prior.laplace_scale**2
+        compliance /= prior.laplace_scale**2
     if hard_values(program) is not None:
-        softness[~program.laplace.free] = 0.0
+        compliance[~program.laplace.free] = 0.0
     roots = [np.full(len(t.target), np.sqrt(t.weight / prior.weight)) for t in measured]
     root = np.concatenate([*roots, np.zeros(0)])
     empty = sp.csr_array((0, program.n_variables))
@@ -83,5 +83,5 @@ def _dual_system(
     target = root * np.concatenate([*(t.target for t in measured), np.zeros(0)])
     columns = root[:, None] * rows[:, V:].toarray()
     own = rows if rows.shape[1] == V else sp.csr_array(rows[:, :V])
-    system = DualSystem(program.laplace, softness, own, root)
+    system = DualSystem(program.laplace, compliance, own, root)
     return system, _right_side(program, prior), target, columns

@@ -3,7 +3,7 @@
 What `structured` can hold of two fields p and q with a Laplace prior each: bounds of
 both voxel by voxel, and Coulomb's limit, q between 0 and μ p. In x = σ p and
 y = σ q/μ, with σ = 1 inside and -1 outside (which no row of L couples), this is one
-link x - y ≥ s per voxel, and the pair of a voxel is a spoke of two (`spoke_limits`).
+link x - y ≥ s per voxel, and the pair of a voxel is a spoke of two (`limits`).
 """
 
 from __future__ import annotations
@@ -21,9 +21,11 @@ from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.dual.activity import Activity
-from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.pair_subproblem import PairFace, PairRows
+from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
+from ttus_opt.solvers.dual.optimality import Multipliers
+from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.pair_subproblem import PairRows, PairSubproblem
+from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.terms.base import Penalty
 
 #: Relative difference of ratios that count as one [–]
@@ -43,6 +45,7 @@ class FieldPair:
         limits: Of x and y.
         links: Per constraint, by name: the voxel of every row, and by what the row is
             more than x - y, shape (m,) each.
+        options: Of the method.
     """
 
     program: Program
@@ -52,11 +55,16 @@ class FieldPair:
     units: Array = field(repr=False)
     limits: SpokeLimits = field(repr=False)
     links: dict[str, tuple[IntArray, Array]] = field(repr=False)
+    options: DualOptions
     links_hold_slopes: ClassVar[bool] = False
 
     @classmethod
-    def of(cls, program: Program) -> FieldPair:
+    def of(cls, program: Program, options: DualOptions | None = None) -> FieldPair:
         """Read a program.
+
+        Args:
+            program: The problem.
+            options: Of the method; None for the defaults.
 
         Raises:
             ValueError: It is no such problem; the message says why.
@@ -99,15 +107,10 @@ class FieldPair:
             links[member.name] = (at, scale)
         lower, upper, given = _box(program, places)
         ends = lower / units, upper / units
-        limits = SpokeLimits(
-            (2, V, 1),
-            np.minimum(*ends),
-            np.maximum(*ends),
-            given,
-            least,
-            {},
-        )
-        return cls(program, prior, places, others, units, limits, links)
+        ends = np.minimum(*ends), np.maximum(*ends)
+        limits = SpokeLimits((2, V, 1), *ends, given, least, {})
+        options = options or DualOptions()
+        return cls(program, prior, places, others, units, limits, links, options)
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -123,13 +126,13 @@ class FieldPair:
         V = len(laplace.free)
         L = laplace.L.copy()
         L.data *= np.repeat(units[:V], np.diff(L.indptr)) * units[L.indices]
-        softness = np.ones(2 * V)
-        softness[V:] = first.weight / prior.weight / units[V:] ** 2
+        compliance = np.ones(2 * V)
+        compliance[V:] = first.weight / prior.weight / units[V:] ** 2
         both = sp.vstack([first.matrix, prior.matrix], format="csr")
         column = both[:, self.others].sum(axis=1) / units
         b = np.concatenate([first.target, prior.target]) / units
         given = self.limits.given
-        softness[given], column[given] = 0.0, 0.0
+        compliance[given], column[given] = 0.0, 0.0
         b[given] = self.limits.lower[given]
         measured = [
             t
@@ -147,7 +150,7 @@ class FieldPair:
         return PairRows(
             laplace,
             sp.csr_array(sp.block_diag([L, L], format="csr")),
-            softness,
+            compliance,
             b,
             column,
             sp.csr_array(matrix[:, self.places] @ sp.diags_array(units)),
@@ -157,9 +160,9 @@ class FieldPair:
             self.bounds,
         )
 
-    def face(self, active: Activity) -> PairFace:
-        """The problem left when some limits are active."""
-        return PairFace(self.rows, self.limits, active)
+    def subproblem(self, active: WorkingSet) -> PairSubproblem:
+        """The problem of a working set."""
+        return PairSubproblem(self.rows, self.limits, active, self.options)
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -183,26 +186,24 @@ class FieldPair:
         x[self.others] = self.rows.beside(p)
         return x
 
-    def duals(self, x: Array, pull: Array, push: Array) -> Duals:
+    def duals(self, x: Array, multipliers: Multipliers) -> Duals:
         """Multipliers by name.
 
         Args:
             x: The program's unknowns, shape (n,).
-            pull: As of `SpokeLimits.duals`.
-            push: As there.
+            multipliers: Of the limits of x and y.
         """
-        V = len(pull) // 2
-        left = push[:V].copy()
+        left = multipliers.links[: len(multipliers.links) // 2].copy()
         named = {}
         for name, (at, scale) in self.links.items():
             named[name] = -left[at] / scale
             left[at] = 0.0
         z = np.zeros(self.program.n_variables)
-        z[self.places] = pull / self.units
-        pull = -np.add(*self.program.gradient(x))[self.others]
+        z[self.places] = multipliers.bounds / self.units
+        slope = -np.add(*self.program.gradient(x))[self.others]
         low, high = (x[self.others] == limit for limit in self.bounds)
-        z[self.others] = np.where(low, np.minimum(pull, 0.0), 0.0)
-        z[self.others] += np.where(high, np.maximum(pull, 0.0), 0.0)
+        z[self.others] = np.where(low, np.minimum(slope, 0.0), 0.0)
+        z[self.others] += np.where(high, np.maximum(slope, 0.0), 0.0)
         if any(c.name == HardBoundary.name for c in self.program.constraints):
             fixed = np.flatnonzero(~self.program.laplace.free)
             named[HardBoundary.name] = z[fixed]
@@ -230,17 +231,12 @@ def _links(
     constraint: ProgramConstraint, start: int, n_voxels: int
 ) -> tuple[IntArray, Array, Array]:
     """Voxels v of rows a (p_v - q_v/μ), with a and μ."""
-    M = constraint.matrix
-    columns, values = M.indices, M.data
-    if (np.diff(M.indptr) == 2).all():
-        order = np.argsort(columns.reshape(-1, 2), axis=1)
-        columns = np.take_along_axis(columns.reshape(-1, 2), order, axis=1)
-        values = np.take_along_axis(values.reshape(-1, 2), order, axis=1)
-        at = columns[:, 0].astype(np.int64)
-        pairs = (at < n_voxels) & (columns[:, 1] == at + start)
-        opposed = values[:, 0] * values[:, 1] < 0.0
-        if pairs.all() and opposed.all() and np.bincount(at).max(initial=0) <= 1:
-            return at, values[:, 0], -values[:, 0] / values[:, 1]
+    pairs = two_entries(constraint.matrix)
+    if pairs is not None:
+        (at, other), (a, b) = pairs[0].T, pairs[1].T
+        opposed = (at < n_voxels) & (other == at + start) & (a * b < 0.0)
+        if opposed.all() and np.bincount(at).max(initial=0) <= 1:
+            return at, a, -a / b
     raise ValueError(f"{constraint.name} is no bound and no share of the field")
 
 

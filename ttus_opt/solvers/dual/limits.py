@@ -1,7 +1,8 @@
-"""Bounds on voxels and least growth along spokes, read off a program.
+"""Bounds on voxels and order constraints along spokes, read off a program.
 
-What `structured` can hold exactly: lower ≤ p ≤ upper voxel by voxel, p_v - p_w ≥ s
-for a voxel v and the next one outwards w, and given values (hard Dirichlet voxels).
+What `structured` can hold exactly: bounds lower ≤ p ≤ upper voxel by voxel; links, the
+order constraints p_v - p_w ≥ s of a voxel v and the next one outwards w; and given
+values (hard Dirichlet voxels).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
@@ -117,17 +119,17 @@ class SpokeLimits:
             inner -= 1
         if inner == outer:  # two limits of one voxel: which ones is not known here
             return None
-        pull, push = np.zeros(gap.shape), np.zeros(gap.shape)
-        pull[inner, spoke], pull[outer, spoke] = 1.0, -1.0
-        push[inner:outer, spoke] = 1.0
-        return self.duals(pull.reshape(-1), push.reshape(-1))
+        bounds, links = np.zeros(gap.shape), np.zeros(gap.shape)
+        bounds[inner, spoke], bounds[outer, spoke] = 1.0, -1.0
+        links[inner:outer, spoke] = 1.0
+        return self.duals(bounds.reshape(-1), links.reshape(-1))
 
     def without_implied(self) -> SpokeLimits:
         """The same feasible set without bounds that others imply along links.
 
-        What grows inwards and is at least 0 at the skin is at least 0 everywhere: that
-        all these bounds touch at once where one does would leave multipliers open, and
-        a search over active sets going round in circles.
+        What grows inwards and is at least 0 at the skin is at least 0 everywhere. All
+        these bounds would be active where one is: multipliers would not be unique, and
+        the active-set iteration would cycle.
         """
         low, up = self._carried()
         least, given = self.by_layer(self.least), self.by_layer(self.given)
@@ -152,17 +154,17 @@ class SpokeLimits:
             np.minimum(up[i + 1], up[i] - least[i], out=up[i + 1])
         return low, up
 
-    def duals(self, pull: Array, push: Array) -> Duals:
+    def duals(self, of_bounds: Array, of_links: Array) -> Duals:
         """Multipliers by name.
 
         Args:
-            pull: Of bounds and given values: positive at an upper limit, (V,).
-            push: Of links, at their deeper voxel, not negative, (V,).
+            of_bounds: Of bounds and given values: positive at an upper limit, (V,).
+            of_links: Of links, at their deeper voxel, not negative, (V,).
 
         Returns:
             Signs as in `ttus_opt.problem.kkt`.
         """
-        left = push.copy()
+        left = of_links.copy()
         rows = {}
         for name, (deeper, sign, bound) in self.links.items():
             # of several constraints on one link the tightest carries its multiplier,
@@ -171,24 +173,31 @@ class SpokeLimits:
             rows[name] = -sign * carried
             left[deeper] -= carried
         if self.given.any():
-            rows[HardBoundary.name] = pull[self.given]
-        bounds = np.where(self.given, 0.0, pull)
+            rows[HardBoundary.name] = of_bounds[self.given]
+        bounds = np.where(self.given, 0.0, of_bounds)
         return Duals(rows, bounds)
+
+
+def two_entries(matrix: sp.csr_array) -> tuple[IntArray, Array] | None:
+    """Columns and values of rows of two entries, (m, 2) each; None where others are."""
+    if (np.diff(matrix.indptr) != 2).any():
+        return None
+    columns = matrix.indices.reshape(-1, 2).astype(np.int64)
+    order = np.argsort(columns, axis=1)
+    values = np.take_along_axis(matrix.data.reshape(-1, 2), order, axis=1)
+    return np.take_along_axis(columns, order, axis=1), values
 
 
 def _links(
     constraint: ProgramConstraint, shape: tuple[int, int, int]
 ) -> tuple[IntArray, Array]:
     """Deeper voxels and signs of rows ±(p_v - p_w), limited on one side."""
-    M, stride = constraint.matrix, shape[1] * shape[2]
+    stride = shape[1] * shape[2]
     refusal = f"{constraint.name} is no bound and no growth along spokes"
-    if M.indices.max(initial=0) >= stride * shape[0] or (np.diff(M.indptr) != 2).any():
+    pairs = two_entries(constraint.matrix)
+    if pairs is None or pairs[0].max(initial=0) >= stride * shape[0]:
         raise ValueError(refusal)
-    columns = M.indices.reshape(-1, 2).astype(np.int64)
-    values = M.data.reshape(-1, 2)
-    order = np.argsort(columns, axis=1)
-    columns = np.take_along_axis(columns, order, axis=1)
-    values = np.take_along_axis(values, order, axis=1)
+    columns, values = pairs
     sign = values[:, 0]
     one_sided = np.where(sign > 0.0, constraint.upper == np.inf, True)
     one_sided &= np.where(sign < 0.0, constraint.lower == -np.inf, True)

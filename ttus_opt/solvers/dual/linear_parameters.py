@@ -1,88 +1,112 @@
-"""A few unknowns beside the field, each with a column of the measured rows.
+"""A few unknowns c beside the field, each with a column of the measured rows.
 
-For fixed c the problem is that of the field alone with targets t - E c, and the best
-field is linear in c. With y(c) = y_t - Y c its multipliers, what is left is
+With D p + E c = t the multipliers y and the unknowns that are free satisfy
 
-    minimise ½ cᵀS c - cᵀEᵀy_t,  S = EᵀY,  subject to the bounds of c,
+    S y + E c = t - D p₀,   Eᵀy = 0.
 
-one more dual solve per column, by directions that are largely kept from the first.
+Conjugate gradients in the complement of E's columns solve both at once: what the
+residual then has along E is E c (projected, or null-space, conjugate gradients: Gould,
+Hribar and Nocedal, SIAM J. Sci. Comput. 23, 2001). The Schur complement EᵀS⁻¹E would
+cost one more solve per column and loses c where S⁻¹E is small beside E.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
-from ttus_opt.arrays import Array
-from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.arrays import Array, Mask
 
-#: Most columns: each costs a dual solve
-MOST = 64
+#: Relative threshold for a column that depends on others [–]
+DEPENDENT = 1e-12
 
-#: Curvature of c below this part of the largest counts as none [–]
-FLAT = 1e-12
+#: Relative threshold for a zero slope of the objective in c [–]
+FLAT = 1e-10
 
 
 @dataclass(frozen=True)
-class ColumnsAnswer:
-    """Field and coefficients.
+class LinearParameters:
+    """Unknowns beside the field.
 
     Attributes:
-        p: The field, shape (V,).
-        c: The coefficients, shape (k,).
-        steps: New directions [–].
-        late: Whether the deadline cut it short.
-    """
-
-    p: Array = field(repr=False)
-    c: Array
-    steps: int
-    late: bool
-
-
-def solve_with_columns(
-    solver: DualSolver,
-    data: DualData,
-    lower: Array,
-    upper: Array,
-    *,
-    rtol: float,
-    deadline: float | None,
-) -> ColumnsAnswer:
-    """Best field and best coefficients within their bounds.
-
-    Args:
-        solver: Of the field alone.
-        data: What it solves, with weighted columns E, shape (m, k).
+        columns: E, with the rows' weights, shape (m, k).
         lower: Of c, shape (k,).
         upper: Of c, shape (k,).
-        rtol: Relative residual of each dual solve [–].
-        deadline: `time.perf_counter` at which to stop; None for never [s].
     """
-    E, measure = data.columns, solver.system.measure
-    first = solver.solve(data.b, data.t, rtol=rtol, deadline=deadline)
-    steps, late = first.steps, first.late
-    fields, Y = np.zeros((E.shape[1], len(data.b))), np.zeros_like(E)
-    nothing = np.zeros_like(data.b)
-    for k, column in enumerate(E.T):
-        if late or not column.any():
-            continue
-        answer = solver.solve(nothing, column, rtol=rtol, deadline=deadline)
-        fields[k], Y[:, k] = answer.p, column - measure(answer.p)
-        steps, late = steps + answer.steps, late or answer.late
-    c = _bounded(E.T @ Y, E.T @ (data.t - measure(first.p)), lower, upper)
-    return ColumnsAnswer(first.p - c @ fields, c, steps, late)
+
+    columns: Array = field(repr=False)
+    lower: Array
+    upper: Array
+
+    @classmethod
+    def none(cls, n_rows: int) -> LinearParameters:
+        """No unknowns."""
+        return cls(np.zeros((n_rows, 0)), np.zeros(0), np.zeros(0))
+
+    @cached_property
+    def moving(self) -> Mask:
+        """Those that change a measurement, shape (k,)."""
+        return np.asarray(self.columns.any(axis=0))
+
+    def between(self, c: Array) -> Mask:
+        """Those that move and lie between their bounds, shape (k,)."""
+        return self.moving & (self.lower < c) & (c < self.upper)
+
+    def clipped(self, c: Array) -> Array:
+        """The nearest values within the bounds, shape (k,)."""
+        return np.clip(c, self.lower, self.upper)
+
+    def wrong(self, c: Array, y: Array, free: Mask) -> Mask:
+        """Free ones beyond a bound, and others that a bound keeps from a lesser cost.
+
+        Args:
+            c: Shape (k,).
+            y: Multipliers of the measured rows, shape (m,).
+            free: Which were free, shape (k,).
+        """
+        slope = self.columns.T @ y
+        flat = FLAT * np.linalg.norm(self.columns, axis=0) * np.linalg.norm(y)
+        held_back = (c < self.upper) & (slope > flat)
+        held_back |= (c > self.lower) & (slope < -flat)
+        beyond = (c < self.lower) | (c > self.upper)
+        return np.asarray(np.where(free, beyond, self.moving & held_back))
 
 
-def _bounded(S: Array, r: Array, lower: Array, upper: Array) -> Array:
-    """Minimise ½ cᵀS c - rᵀc between bounds."""
-    size, turn = np.linalg.eigh((S + S.T) / 2.0)
-    curved = size > FLAT * max(size.max(initial=0.0), np.finfo(float).tiny)
-    root = np.sqrt(size[curved])
-    if not curved.any():
-        return np.clip(np.zeros(len(r)), lower, upper)
-    A, target = root[:, None] * turn[:, curved].T, turn[:, curved].T @ r / root
-    return np.asarray(lsq_linear(A, target, (lower, upper), method="bvls", tol=1e-14).x)
+class Complement:
+    """Multipliers with Eᵀy = 0, and what a residual has along E's columns."""
+
+    def __init__(self, columns: Array, schur: Callable[[Array], Array]) -> None:
+        """Decompose the columns.
+
+        Args:
+            columns: E of the free unknowns, shape (m, k); k may be 0.
+            schur: Roughly S⁻¹.
+        """
+        U, size, V = np.linalg.svd(columns, full_matrices=False)
+        kept = size > DEPENDENT * size.max(initial=0.0)
+        self._basis = U[:, kept]
+        self._inverse = V[kept].T / size[kept] @ self._basis.T
+        self._schur = schur
+
+    def part(self, residual: Array) -> Array:
+        """The part across E, shape (m,)."""
+        return np.asarray(residual - self._basis @ (self._basis.T @ residual))
+
+    def coefficients(self, residual: Array) -> Array:
+        """The least c with E c nearest to a residual, shape (k,)."""
+        return np.asarray(self._inverse @ residual)
+
+    def precondition(self, residual: Array) -> Array:
+        """Roughly S⁻¹ across E, shape (m,)."""
+        z, made = self._schur(residual), self._made
+        inner = self._basis.T @ made
+        return np.asarray(z - made @ np.linalg.solve(inner, self._basis.T @ z))
+
+    @cached_property
+    def _made(self) -> Array:
+        """Roughly S⁻¹ of the basis, shape (m, k)."""
+        made = [self._schur(column) for column in self._basis.T]
+        return np.array(made).reshape(-1, len(self._basis)).T

@@ -1,7 +1,7 @@
-"""What is wrong with limits on a face, and the face to which that leads.
+"""KKT violations of a working set, and the working set to which they lead.
 
-A limit is wrong if it is violated, or if it is active and its multiplier says that
-the objective would be less without it. Where nothing is, the minimiser is found.
+A limit is in violation if it is not kept, or if it is active and its multiplier says
+that the objective would be less without it. Where none is, the minimiser is found.
 """
 
 from __future__ import annotations
@@ -11,181 +11,148 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.solvers.dual.activity import Activity
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.problem.kkt import Duals
 from ttus_opt.solvers.dual.limits import SpokeLimits
-
-#: Beside -1 and +1 for its bounds: what holds a voxel whose value is given
-GIVEN = 2
-
-#: Two pins of a chain agree when they differ by less, relative [–]
-SAME = 1e-12
+from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
 
 
 @dataclass(frozen=True)
-class Wrong:
-    """By how much limits are violated or multipliers have the wrong sign; > 0 is.
+class Multipliers:
+    """Multipliers of limits.
 
     Attributes:
-        pins: By voxel, shape (V,).
-        side: Which bound a violation is of, -1 or +1, shape (V,).
-        ties: By link, shape (V,).
+        bounds: Of bounds and given values, positive at upper limits, shape (V,).
+        links: Of order constraints, at their deeper voxel, not negative, shape (V,).
     """
 
-    pins: Array
+    bounds: Array
+    links: Array
+
+    def duals(self, limits: SpokeLimits) -> Duals:
+        """By the names of the constraints."""
+        return limits.duals(self.bounds, self.links)
+
+    def right_signs(self, limits: SpokeLimits, active: WorkingSet) -> Multipliers:
+        """Without wrong signs too small to count."""
+        lower, upper = np.minimum(self.bounds, 0.0), np.maximum(self.bounds, 0.0)
+        bounds = np.where(active.bounds < 0, lower, upper)
+        bounds = np.where(limits.given, self.bounds, bounds)
+        return Multipliers(bounds, np.maximum(self.links, 0.0))
+
+
+@dataclass(frozen=True)
+class Violations:
+    """By how much limits are violated, or multipliers have the wrong sign: above 0.
+
+    Attributes:
+        bounds: By voxel, shape (V,).
+        side: Which bound is violated, -1 or +1, shape (V,).
+        links: By order constraint, shape (V,).
+    """
+
+    bounds: Array
     side: NDArray[np.int8]
-    ties: Array
+    links: Array
 
     @property
     def count(self) -> int:
         """How many [–]."""
-        pins = int(np.count_nonzero(self.pins > 0.0))
-        return pins + int(np.count_nonzero(self.ties > 0.0))
+        bounds = int(np.count_nonzero(self.bounds > 0.0))
+        return bounds + int(np.count_nonzero(self.links > 0.0))
 
     @property
     def worst(self) -> float:
         """The largest of all, relative [–]."""
-        return float(max(self.pins.max(), self.ties.max()))
+        return float(max(self.bounds.max(), self.links.max()))
+
+    def among(self, bounds: Mask, links: Mask) -> Violations:
+        """Some of them."""
+        return replace(
+            self,
+            bounds=np.where(bounds, self.bounds, -np.inf),
+            links=np.where(links, self.links, -np.inf),
+        )
+
+    def worse_half(self) -> Violations:
+        """The worse half of them."""
+        sizes = np.concatenate([self.bounds, self.links])
+        kept = np.zeros(len(sizes), dtype=bool)
+        kept[np.argsort(sizes)[len(sizes) - self.count // 2 :]] = True
+        return self.among(*np.split(kept, 2))
+
+    def exchanged(self, limits: SpokeLimits, active: WorkingSet) -> WorkingSet:
+        """The working set in which each of these limits is active if it was not."""
+        bounds, links = self.bounds > 0.0, self.links > 0.0
+        other = np.where(active.bounds != 0, 0, self.side)
+        changed = np.where(bounds, other, active.bounds).astype(np.int8)
+        return one_bound_each(limits, WorkingSet(changed, active.links ^ links))
 
 
 def multipliers(
-    limits: SpokeLimits, active: Activity, gradient: Array
-) -> tuple[Array, Array]:
+    limits: SpokeLimits, active: WorkingSet, gradient: Array
+) -> Multipliers:
     """Multipliers of active limits that balance the objective's gradient.
 
-    Along a chain the links carry what pulls at the voxels, from its ends to where it
-    is pinned; a chain that is not pinned balances by itself.
+    Along a block the links carry the gradient of the voxels, from its ends to where it
+    is held; a block that is not held balances by itself.
 
     Args:
-        limits: The limits; at most one pin a chain.
+        limits: The limits; at most one active bound a block.
         active: Which are active.
         gradient: Of the objective, shape (V,).
-
-    Returns:
-        Pull, of bounds and given values, and push, of links, (V,) each.
     """
     g = limits.by_layer(gradient)
-    ties = limits.by_layer(active.ties)
-    pinned = limits.by_layer((active.pins != 0) | limits.given)
+    links = limits.by_layer(active.links)
+    held = limits.by_layer((active.bounds != 0) | limits.given)
     inner, outer = g.copy(), g.copy()
-    deeper = pinned.copy()  # whether the pin is here or deeper
+    deeper = held.copy()  # whether the block is held here or deeper
     for i in range(1, len(g)):
-        deeper[i] |= ties[i - 1] & deeper[i - 1]
-        inner[i] += np.where(ties[i - 1] & ~deeper[i - 1], inner[i - 1], 0.0)
+        deeper[i] |= links[i - 1] & deeper[i - 1]
+        inner[i] += np.where(links[i - 1] & ~deeper[i - 1], inner[i - 1], 0.0)
     for i in range(len(g) - 2, -1, -1):
-        outer[i] += np.where(ties[i], outer[i + 1], 0.0)
-    push = np.zeros_like(g)
-    push[:-1] = np.where(deeper[:-1], -outer[1:], inner[:-1])
-    push = np.where(ties, push, 0.0)
-    pull = np.where(pinned, -(inner + outer - g), 0.0)
-    return pull.reshape(-1), push.reshape(-1)
+        outer[i] += np.where(links[i], outer[i + 1], 0.0)
+    of_links = np.zeros_like(g)
+    of_links[:-1] = np.where(deeper[:-1], -outer[1:], inner[:-1])
+    of_links = np.where(links, of_links, 0.0)
+    of_bounds = np.where(held, -(inner + outer - g), 0.0)
+    return Multipliers(of_bounds.reshape(-1), of_links.reshape(-1))
 
 
-def find_wrong(
+def find_violations(
     limits: SpokeLimits,
-    active: Activity,
+    active: WorkingSet,
     p: Array,
-    pull: Array,
-    push: Array,
+    signs: Multipliers,
     gradient: Array,
     margin: float,
-    doubtful: float,
-) -> Wrong:
-    """Violations over the field's size, wrong signs over the gradient's.
+) -> Violations:
+    """Violated limits over the field's size, wrong signs over the gradient's.
 
     Args:
         limits: The limits.
         active: Which are active.
         p: The field, shape (V,).
-        pull: As `multipliers` gives it.
-        push: As there.
+        signs: As `multipliers` gives them.
         gradient: Of the objective, shape (V,).
         margin: What is none of either, relative [–].
-        doubtful: What is no violation, relative [–].
 
     Returns:
-        By how much they are more than a margin.
+        By how much they are more than the margin.
     """
     size = max(float(np.abs(p).max()), np.finfo(float).tiny)
     force = max(float(np.abs(gradient).max()), np.finfo(float).tiny)
-    held = (active.pins != 0) | limits.given
+    held = (active.bounds != 0) | limits.given
     below, above = limits.lower - p, p - limits.upper
-    violated = np.where(held, -np.inf, np.maximum(below, above) / size - doubtful)
-    signs = -pull * active.pins / force - margin
-    backwards = np.where(active.pins != 0, signs, -np.inf)
+    beyond = np.where(held, -np.inf, np.maximum(below, above) / size)
+    backwards = np.where(active.bounds != 0, -signs.bounds * active.bounds, -np.inf)
     growth = np.full(len(p), np.inf)
     growth[: -limits.stride] = p[: -limits.stride] - p[limits.stride :]
-    short = (limits.least - growth) / size - doubtful
-    short = np.where(active.ties, -push / force - margin, short)
+    short = (limits.least - growth) / size
+    short = np.where(active.links, -signs.links / force, short)
     short[~np.isfinite(limits.least)] = -np.inf
-    return Wrong(
-        np.maximum(violated, backwards),
+    return Violations(
+        np.maximum(beyond, backwards / force) - margin,
         np.where(below > above, -1, 1).astype(np.int8),
-        short,
+        short - margin,
     )
-
-
-def change(limits: SpokeLimits, active: Activity, wrong: Wrong) -> Activity:
-    """The face to which letting go and taking up all that is wrong leads."""
-    pins, ties = wrong.pins > 0.0, wrong.ties > 0.0
-    released = np.where(active.pins != 0, 0, wrong.side).astype(np.int8)
-    changed = replace(
-        active,
-        pins=np.where(pins, released, active.pins).astype(np.int8),
-        ties=active.ties ^ ties,
-    )
-    return one_pin_each(limits, changed)
-
-
-def possible(limits: SpokeLimits, active: Activity) -> Activity:
-    """Without limits that are not, or no longer, there."""
-    bound = np.where(active.pins < 0, limits.lower, limits.upper)
-    there = np.isfinite(bound) & ~limits.given
-    pins = np.where(there, active.pins, 0).astype(np.int8)
-    return Activity(pins, active.ties & np.isfinite(limits.least))
-
-
-def one_pin_each(limits: SpokeLimits, active: Activity) -> Activity:
-    """The same with at most one pinned or given voxel a chain.
-
-    Where a chain has a second pin, either one of the two follows from the other and
-    the ties between them, or it leaves them slack; then the chain is cut.
-    """
-    pins, ties = active.pins.copy(), active.ties.copy()
-    tied, least = limits.by_layer(ties), limits.by_layer(limits.least)
-    held = np.where(limits.given, np.int8(GIVEN), pins)
-    values = limits.by_layer(np.where(held > 0, limits.upper, limits.lower))
-    kinds = limits.by_layer(held)
-    flat = limits.by_layer(np.arange(len(pins)))
-    # of the chain so far: what holds it, at which voxel, and its value here
-    kind, place, value = kinds[0].copy(), flat[0].copy(), values[0].copy()
-    for i in range(1, len(kinds)):
-        goes_on = tied[i - 1] & (kind != 0)
-        value = np.where(goes_on, value - np.where(goes_on, least[i - 1], 0.0), 0.0)
-        kind = np.where(goes_on, kind, 0)
-        own = kinds[i]
-        both = (kind != 0) & (own != 0)
-        slack = np.where(both, value - np.where(own != 0, values[i], 0.0), 0.0)
-        near = SAME * (np.abs(value) + np.abs(np.where(both, values[i], 0.0)))
-        wide, short = both & (slack > near), both & (slack < -near)
-        even = both & ~wide & ~short
-        drop_own = (wide & (kind == -1) & (own == -1)) | (even & (own != GIVEN))
-        drop_own |= short & (kind != -1) & (own == 1)
-        drop_old = (wide & (kind == 1) & (own == 1)) | (short & (kind == -1))
-        drop_old |= even & (own == GIVEN) & (kind != GIVEN)
-        tied[i - 1] &= ~(both & ~drop_own & ~drop_old)
-        pins[flat[i][drop_own]] = 0
-        pins[place[drop_old]] = 0
-        takes = (own != 0) & ~drop_own
-        kind = np.where(takes, own, kind)
-        place = np.where(takes, flat[i], place)
-        value = np.where(takes, values[i], value)
-    return Activity(pins, ties)
-
-
-def right_signs(
-    limits: SpokeLimits, active: Activity, pull: Array, push: Array
-) -> tuple[Array, Array]:
-    """Multipliers without what is wrong in sign by less than counts."""
-    low = np.where(active.pins < 0, np.minimum(pull, 0.0), np.maximum(pull, 0.0))
-    return np.where(limits.given, pull, low), np.maximum(push, 0.0)

@@ -2,8 +2,8 @@
 
 Both stand on one grid; entries are (2V,), the first field's before the second's. Each
 has free voxels of its own. Free voxels of the second may neighbour unknowns of the
-first (what stands for both, see `pair_face`), never the other way round, so that a
-solve is one with each field's A, the first before the second:
+first that stand for both (`pair_subproblem`), never the other way round: a solve is one
+with each field's A, the first before the second:
 
     [A₁    ]
     [X   A₂]

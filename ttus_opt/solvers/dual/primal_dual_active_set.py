@@ -1,170 +1,160 @@
-"""Exchange of active limits, from face to face until all limits and signs hold.
+"""The primal-dual active-set method, safeguarded.
 
-On each face the problem without limits is solved. Active limits whose multiplier has
-the wrong sign are let go, all at once (Bergounioux, Ito and Kunisch, SIAM J. Control
-Optim. 37, 1999). What becomes active of all that is violated depends on what it holds:
+For each working set the problem without limits is solved. Active limits whose
+multiplier has the wrong sign leave the working set, all at once (block pivoting: Júdice
+and Pires, Comput. Oper. Res. 21, 1994; Bergounioux, Ito and Kunisch, SIAM J. Control
+Optim. 37, 1999). Which of the violated limits join it depends on what they hold:
 
 - a value: where a prior of second order holds a field, few points of contact hold a
-  whole region away from its bound. Only the peaks of what is violated become active,
-  as in Remez' exchange. To add all of a region gives faces whose active regions shrink
-  by one voxel at a time, 50 and more of them; with peaks it takes 10 to 20;
-- a slope along spokes: what is active at last fills volumes. All that is violated by a
-  share of the worst around it becomes active, and the less there is left to mend the
-  smaller a share will do: by peaks alone a volume grows by one layer a face.
+  whole region away from its bound. Only the peaks of the violation join, as in Remez'
+  algorithm. With all of a region the active regions shrink by one voxel at a time, in
+  50 working sets and more; with peaks it takes 10 to 20;
+- a slope along spokes: active order constraints fill volumes in the end. All that is
+  violated by a share of the worst around it joins, and the less violation is left the
+  smaller a share will do: by peaks alone a volume grows by one layer a working set.
 
-To let go of wrong signs and to add peaks at once is fast but may go round in circles.
-Where it does, peaks are added only to a face without wrong signs, as in Lawson and
-Hanson's method. Such a face is the minimum over its limits as inequalities, which with
-every limit that was missing can only rise: where it has not risen fewer were to be
-added, and no face without wrong signs comes twice.
+Changing all at once is fast but may cycle. The safeguard then lets violated limits join
+a working set without wrong signs only, as in Lawson and Hanson's method. Such a set
+holds the minimum over its limits as inequalities, which can only rise with every limit
+that joins: where it has not risen fewer were to join, and no set without wrong signs
+comes twice.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 from scipy.ndimage import maximum_filter
 
 from ttus_opt.arrays import Array, Mask
-from ttus_opt.solvers.dual.active_set import FaceAnswer, FaceWalk, LimitedProblem
-from ttus_opt.solvers.dual.activity import Activity
+from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.optimality import Wrong, change
-
-#: Residual of a face's dual over its worst violation, and at most, relative [–]
-ACCURACY, LOOSEST = 1e-2, 1e-3
-
-#: A slope becomes active where it is violated by this share of the worst so many voxels
-#: around it; by less where the worst violation of all, relative, is less than a tenth
-SHARE, AROUND = 0.3, 4
-
-#: So does a link of two fields, but from below that worst violation on only: by then
-#: what contact presses apart is settled, and sheets of voxels barely touch [–]
-SHARE_OF_PAIR, AROUND_PAIR, SETTLED = 0.8, 1, 1e-3
-
-#: Faces that are better in nothing, the worst limit, the number of wrong ones or that
-#: of active ones, before the exchange goes carefully
-PATIENCE = 5
+from ttus_opt.solvers.dual.optimality import Violations
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.working_set import WorkingSet
 
 
-def exchange(
+def primal_dual_active_set(
     problem: LimitedProblem,
     limits: SpokeLimits,
-    start: tuple[Array, Activity] | None = None,
-    *,
+    start: tuple[Array, WorkingSet] | None,
     tolerance: float,
-    rtol: float,
-    deadline: float | None,
-) -> FaceAnswer:
-    """Find the face on which the minimiser lies, and the minimiser.
+    accuracy: Accuracy,
+) -> ActiveSetIteration:
+    """Find the minimiser and its working set.
 
     Args:
-        problem: Its faces, its gradient, which multipliers come from, and what its
-            links hold.
+        problem: Its subproblems, its gradient and what its links hold.
         limits: Its limits.
-        start: A field, (V,), and the face to begin with; None for no limit active.
+        start: A field, (V,), and the working set to begin with; None for no limit
+            active.
         tolerance: KKT tolerance [–].
-        rtol: Residual of the dual on the last face, relative [–].
-        deadline: `time.perf_counter` at which to stop; None for never [s].
+        accuracy: Of the last working set.
+
+    Returns:
+        Where the iteration ended.
     """
-    walk = FaceWalk(
-        problem, limits, start, tolerance=tolerance, rtol=rtol, deadline=deadline
-    )
-    accuracy, best, fewest, patience = LOOSEST, np.inf, np.inf, PATIENCE
-    most, carefully = 0, _Careful()
-    wrong = walk.solve(walk.active, accuracy)
-    while not walk.over:
-        active = walk.active
-        if wrong.count == 0 or (patience == 0 and accuracy > rtol):
-            accuracy = rtol
-        elif patience == 0:
-            height = problem.objective(walk.p)
-            chosen = _chosen(wrong, active, problem)
-            active = carefully.next(walk.limits, active, chosen, height)
+    options = problem.options
+    iteration = ActiveSetIteration(problem, limits, start, tolerance, accuracy)
+    progress, safeguard = _Progress(options), _Safeguard()
+    rtol = options.loosest_subproblem
+    found = iteration.solve(iteration.active, rtol)
+    while not iteration.over:
+        active = iteration.active
+        if found.count == 0 or (progress.stalled and rtol > accuracy.rtol):
+            rtol = accuracy.rtol
+        elif progress.stalled:
+            height = problem.objective(iteration.p)
+            chosen = _chosen(found, active, problem)
+            active = safeguard.following(iteration.limits, active, chosen, height)
         else:
-            better = wrong.worst < 0.8 * best or wrong.count < 0.8 * fewest
-            better |= active.count > most  # circles do not grow
-            patience = PATIENCE if better else patience - 1
-            best, fewest = min(best, wrong.worst), min(fewest, wrong.count)
-            most = max(most, active.count)
-            accuracy = min(max(ACCURACY * wrong.worst, rtol), LOOSEST)
-            chosen = _chosen(wrong, active, problem)
-            active = change(walk.limits, active, chosen)
-        wrong = walk.solve(active, accuracy)
-    return walk.answer()
+            progress.note(found, active)
+            rtol = max(options.subproblem_accuracy * found.worst, accuracy.rtol)
+            rtol = min(rtol, options.loosest_subproblem)
+            chosen = _chosen(found, active, problem)
+            active = chosen.exchanged(iteration.limits, active)
+        found = iteration.solve(active, rtol)
+    return iteration
 
 
-class _Careful:
-    """Exchange that cannot go round in circles."""
+class _Progress:
+    """Whether the iteration still gets anywhere."""
+
+    def __init__(self, options: DualOptions) -> None:
+        self._options, self._left = options, options.patience
+        self._worst, self._fewest, self._most = np.inf, np.inf, 0
+
+    @property
+    def stalled(self) -> bool:
+        """Whether patience is at its end."""
+        return self._left == 0
+
+    def note(self, found: Violations, active: WorkingSet) -> None:
+        """Take in the KKT violations of a working set."""
+        part = self._options.progress
+        better = found.worst < part * self._worst
+        better |= found.count < part * self._fewest
+        better |= active.count > self._most  # a cycle does not grow
+        self._left = self._options.patience if better else self._left - 1
+        self._worst = min(self._worst, found.worst)
+        self._fewest = min(self._fewest, found.count)
+        self._most = max(self._most, active.count)
+
+
+class _Safeguard:
+    """Changes of the working set that cannot cycle."""
 
     def __init__(self) -> None:
         self._height = -np.inf
-        self._last: tuple[Activity, Wrong] | None = None
+        self._last: tuple[WorkingSet, Violations] | None = None
 
-    def next(
-        self, limits: SpokeLimits, active: Activity, wrong: Wrong, height: float
-    ) -> Activity:
-        """The next face.
+    def following(
+        self,
+        limits: SpokeLimits,
+        active: WorkingSet,
+        found: Violations,
+        height: float,
+    ) -> WorkingSet:
+        """The next working set.
 
         Args:
             limits: The limits.
-            active: The face.
-            wrong: What is to change of what is wrong on it.
+            active: The working set.
+            found: Its KKT violations that are to be mended.
             height: Its minimum.
         """
-        pins, ties = wrong.pins > 0.0, wrong.ties > 0.0
-        backwards = pins & (active.pins != 0), ties & active.ties
-        if backwards[0].any() or backwards[1].any():
-            return change(limits, active, _only(wrong, *backwards))
+        backwards = found.among(active.bounds != 0, active.links)
+        if backwards.count:
+            return backwards.exchanged(limits, active)
         # a single one that was missing cannot fail, but for rounding
         if self._last is None or height > self._height or self._last[1].count == 1:
-            self._height, self._last = height, (active, wrong)
+            self._height, self._last = height, (active, found)
         else:
-            self._last = self._last[0], _worse_half(self._last[1])
-        return change(limits, *self._last)
+            self._last = self._last[0], self._last[1].worse_half()
+        return self._last[1].exchanged(limits, self._last[0])
 
 
-def _worse_half(wrong: Wrong) -> Wrong:
-    """The worse half of what is wrong."""
-    sizes = np.concatenate([wrong.pins, wrong.ties])
-    kept = np.zeros(len(sizes), dtype=bool)
-    kept[np.argsort(sizes)[len(sizes) - wrong.count // 2 :]] = True
-    return _only(wrong, *np.split(kept, 2))
-
-
-def _only(wrong: Wrong, pins: Mask, ties: Mask) -> Wrong:
-    """Some of what is wrong."""
-    return replace(
-        wrong,
-        pins=np.where(pins, wrong.pins, -np.inf),
-        ties=np.where(ties, wrong.ties, -np.inf),
-    )
-
-
-def _chosen(wrong: Wrong, active: Activity, problem: LimitedProblem) -> Wrong:
-    """What is to change of what is wrong: wrong signs, and some violations."""
-    pins, ties = (
+def _chosen(
+    found: Violations, active: WorkingSet, problem: LimitedProblem
+) -> Violations:
+    """The KKT violations to mend: all wrong signs, and some violated limits."""
+    bounds, links = (
         np.maximum(size, 0.0).reshape(-1, *problem.shape)
-        for size in (wrong.pins, wrong.ties)
+        for size in (found.bounds, found.links)
     )
     if problem.links_hold_slopes:
-        share = min(SHARE, SHARE / 0.1 * float(ties.max()))
-        added = _strong(ties, share, AROUND)
+        joining = _strong(links, problem.options)
     else:
-        added = _peak(ties)
-        if wrong.worst < SETTLED:
-            added |= _strong(ties, SHARE_OF_PAIR, AROUND_PAIR)
-    return _only(
-        wrong,
-        (active.pins != 0) | _peak(pins).reshape(-1),
-        active.ties | added.reshape(-1),
+        joining = _peak(links)
+    return found.among(
+        (active.bounds != 0) | _peak(bounds).reshape(-1),
+        active.links | joining.reshape(-1),
     )
 
 
-def _strong(values: Array, share: float, around: int) -> Mask:
+def _strong(values: Array, options: DualOptions) -> Mask:
     """Where sizes, shape (fields, n_r, n_θ, n_z), are a share of the worst around."""
-    size = (1, *[2 * around + 1] * 3)
+    share = options.share * min(1.0, 10.0 * float(values.max()))
+    size = (1, *[2 * options.neighbourhood + 1] * 3)
     worst = maximum_filter(values, size, mode=("nearest", "nearest", "wrap", "nearest"))
     return np.asarray((values > 0.0) & (values >= share * worst))
 

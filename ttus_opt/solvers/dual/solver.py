@@ -1,33 +1,27 @@
-"""The minimiser of Σ (L p - b)²/ω + ‖D p - t‖² through its dual.
+"""The minimiser of Σ (L p - b)²/ω + ‖D p + E c - t‖² through its dual.
 
-Conjugate directions, all kept (`conjugate_directions`), preconditioned by a rough
-dual (`rough`), and rounds of refinement for what inexact products left.
+Preconditioned conjugate gradients (`conjugate_gradients`, `preconditioner`), and rounds
+of iterative refinement for what inexact products left. Unknowns c beside the field
+have bounds: a primal-dual active set over these few (block pivoting, Júdice and Pires,
+Comput. Oper. Res. 21, 1994, with Murty's rule where a set comes again).
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.laplace.system import RTOL
-from ttus_opt.solvers.dual.conjugate_directions import Directions, solve_dual
-from ttus_opt.solvers.dual.preconditioner import rough_preconditioner
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.solvers.dual.conjugate_gradients import (
+    RecycledSubspace,
+    conjugate_gradients,
+)
+from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
 from ttus_opt.solvers.dual.system import DualSystem
-
-#: Most directions
-MAX_STEPS = 2000
-
-#: Where no less is asked for, the multipliers of a face nearby are no better to begin
-#: with than none, and cost a response: residual of the dual, relative [–]
-NEARBY = 3e-4
-
-#: Most rounds of solving for the residual that inexact products left; they end where
-#: one leaves more than this part of what was there before [–]
-ROUNDS, GAINED = 8, 0.5
 
 
 @dataclass(frozen=True)
@@ -36,90 +30,171 @@ class DualAnswer:
 
     Attributes:
         p: The minimiser, shape (V,).
+        c: The unknowns beside it, shape (k,).
         steps: New directions [–].
         late: Whether the deadline cut it short.
     """
 
     p: Array = field(repr=False)
+    c: Array
     steps: int
     late: bool
 
 
+@dataclass(frozen=True)
+class _Point:
+    """Multipliers y, the field p₀ + L⁻¹ ω L⁻ᵀ Dᵀy, and directions spent on them."""
+
+    y: Array
+    p: Array
+    steps: int = 0
+
+
 class DualSolver:
-    """One dual system, its directions and its preconditioner."""
+    """One dual system, its recycled subspace and its preconditioner.
 
-    def __init__(self, system: DualSystem) -> None:
-        self._directions = Directions(system)
-        self._precondition: Callable[[Array], Array] | None = None
+    Attributes:
+        system: The system.
+        parameters: The unknowns beside its field.
+    """
+
+    def __init__(
+        self,
+        system: DualSystem,
+        parameters: LinearParameters | None = None,
+        options: DualOptions | None = None,
+    ) -> None:
+        """Take a problem; nothing is solved yet.
+
+        Args:
+            system: The dual of the field alone.
+            parameters: The unknowns beside it; None for none.
+            options: Of the method; None for the defaults.
+        """
+        self.system = system
+        self.parameters = parameters or LinearParameters.none(len(system.root_weights))
+        self._options = options or DualOptions()
         self._base: tuple[Array, float, Array] | None = None
+        self._forget()
 
-    @property
-    def system(self) -> DualSystem:
-        """The system."""
-        return self._directions.system
+    def _forget(self) -> None:
+        """Start with an empty subspace, which lies across all columns."""
+        k = len(self.parameters.lower)
+        self._subspace = RecycledSubspace(self.system)
+        self._across = np.ones(k, dtype=bool)
+        self._free = self.parameters.moving
+        self._schur: Callable[[Array], Array] | None = None
+        self._complement: tuple[bytes, Complement] | None = None
 
-    def adopt(self, system: DualSystem) -> None:
-        """Take a system with other weights of the same rows; no solve is spent."""
-        self._directions.adopt(system)
-        self._precondition = None
+    def adopt(self, system: DualSystem, parameters: LinearParameters) -> None:
+        """Take a system with other weights of the same rows; no solve is spent.
+
+        Args:
+            system: The same rows with other weights.
+            parameters: Unknowns beside its field; the subspace is lost where these
+                have other columns.
+        """
+        ratio = system.root_weights / self.system.root_weights
+        old, self.system, self.parameters = self.parameters, system, parameters
+        same = old.columns.shape == parameters.columns.shape and np.allclose(
+            parameters.columns, ratio[:, None] * old.columns, rtol=1e-12, atol=0.0
+        )
+        if not same:
+            self._forget()
+        elif not (ratio == 1.0).all():
+            self._subspace.adopt(system)
+            self._schur = self._complement = None
 
     def solve(
         self,
         b: Array,
         t: Array,
-        *,
-        rtol: float,
-        deadline: float | None = None,
-        guess: Array | None = None,
-        field_rtol: float = RTOL,
+        accuracy: Accuracy,
+        near: Array | None = None,
     ) -> DualAnswer:
         """Solve for one right-hand side.
 
         Args:
             b: Of L p = b, shape (V,).
             t: Weighted targets, shape (m,).
-            rtol: Residual of the dual, relative to t - D p₀ [–].
-            deadline: `time.perf_counter` at which to stop; None for never [s].
-            guess: A field near the answer, shape (V,).
-            field_rtol: Residual of the solves behind the answer's field, relative [–].
+            accuracy: How exactly, and until when.
+            near: Where c may lie, shape (k,): at a bound it is tried first whether it
+                stays there. None to begin with what was free last.
 
         Returns:
             The answer; whether it is exact is for the caller to verify.
         """
-        system = self.system
-        base = self._prior_field(b, field_rtol)
-        right_side = t - system.measure(base)
-        goal = rtol * float(np.linalg.norm(right_side))
-        if guess is None:
-            y, p, residual = np.zeros_like(right_side), base, right_side
-        else:
-            y = t - system.measure(guess)
-            p = base + system.response(y, field_rtol)
-            residual = right_side - y - system.measure(p - base)
-        steps, before = 0, np.inf
-        for _ in range(ROUNDS):
-            size = float(np.linalg.norm(residual))
-            if size <= goal or size > GAINED * before:
+        parameters, E = self.parameters, self.parameters.columns
+        base = self._prior_field(b, accuracy.field_rtol)
+        right_side = t - self.system.measure(base)
+        goal = accuracy.rtol * float(np.linalg.norm(right_side))
+        point = start = _Point(np.zeros_like(right_side), base)
+        c = parameters.clipped(np.zeros(E.shape[1]) if near is None else near)
+        free = self._free if near is None else parameters.between(c)
+        seen: set[bytes] = set()
+        while True:
+            given = np.where(free, 0.0, c)
+            seen.add(free.tobytes() + given.tobytes())
+            target, complement = t - E @ given, self._complement_of(free)
+            point, rest = self._refined(point, target, complement, goal, accuracy)
+            c = given.copy()
+            c[free] = complement.coefficients(rest)
+            wrong = parameters.wrong(c, point.y, free)
+            c = parameters.clipped(c)
+            following = _next_set(free, wrong, c, seen)
+            if following is None or accuracy.late:
+                self._free = free
+                return DualAnswer(point.p, c, point.steps, accuracy.late)
+            if (following & ~free).any():  # y has to lie across more columns
+                point = replace(start, steps=point.steps)
+            free = following
+
+    def _refined(
+        self,
+        point: _Point,
+        target: Array,
+        complement: Complement,
+        goal: float,
+        accuracy: Accuracy,
+    ) -> tuple[_Point, Array]:
+        """Multipliers from a point on, and the residual, shape (m,), they leave."""
+        system, before = self.system, np.inf
+        y, p, steps = point.y, point.p, point.steps
+        residual = target - system.measure(p) - y
+        for _ in range(self._options.refinements):
+            rest = complement.part(residual)
+            size = float(np.linalg.norm(rest))
+            if size <= goal or size > self._options.refinement_gain * before:
                 break
             before = size
-            if self._precondition is None:
-                self._precondition = rough_preconditioner(system)
-            step, taken = solve_dual(
-                self._directions,
-                residual,
-                goal,
-                self._precondition,
-                max_steps=MAX_STEPS - steps,
-                deadline=deadline,
+            step, taken = conjugate_gradients(
+                self._subspace, rest, goal, complement, accuracy, self._options
             )
             y, steps = y + step, steps + taken
             # added to p, not made of all of y again: measurements that contradict each
             # other leave a large y, whose rounding would then be all the accuracy
-            p = p + system.response(step, field_rtol)
-            if deadline is not None and time.perf_counter() > deadline:
-                return DualAnswer(p, steps, late=True)
-            residual = t - system.measure(p) - y
-        return DualAnswer(p, steps, late=False)
+            p = p + system.response(step, accuracy.field_rtol)
+            residual = target - system.measure(p) - y
+            if accuracy.late:
+                break
+        return _Point(y, p, steps), residual
+
+    def _complement_of(self, free: Mask) -> Complement:
+        """Across the columns that are free; the subspace lies there, too."""
+        if (free & ~self._across).any():
+            self._subspace = RecycledSubspace(self.system)
+            self._across = free
+        self._across = self._across & free
+        key = free.tobytes()
+        if self._complement is None or self._complement[0] != key:
+            columns = self.parameters.columns[:, free]
+            self._complement = key, Complement(columns, self._rough_inverse)
+        return self._complement[1]
+
+    def _rough_inverse(self, residual: Array) -> Array:
+        if self._schur is None:
+            self._schur = schur_preconditioner(self.system, self._options)
+        return self._schur(residual)
 
     def _prior_field(self, b: Array, rtol: float) -> Array:
         """p₀ = L⁻¹b, kept while b stays and no more is asked of it."""
@@ -127,3 +202,22 @@ class DualSolver:
         if kept is None or rtol < kept[1] or not np.array_equal(kept[0], b):
             kept = self._base = b, rtol, self.system.laplace.solve(b, rtol=rtol)
         return kept[2]
+
+
+def _next_set(free: Mask, wrong: Mask, c: Array, seen: set[bytes]) -> Mask | None:
+    """The free unknowns to try next; None where nothing is wrong, or new.
+
+    Args:
+        free: Those tried last, shape (k,).
+        wrong: Those on the wrong side, shape (k,).
+        c: Their values within their bounds, shape (k,).
+        seen: What was tried: the free ones and the values of the others.
+    """
+    if not wrong.any():
+        return None
+    last = np.arange(len(free)) == np.flatnonzero(wrong)[-1]  # Murty's rule
+    for change in (wrong, last):
+        following = free ^ change
+        if following.tobytes() + np.where(following, 0.0, c).tobytes() not in seen:
+            return following
+    return None

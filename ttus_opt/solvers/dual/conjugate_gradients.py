@@ -1,20 +1,19 @@
-"""Conjugate gradients in the dual, every direction kept.
+"""Conjugate gradients, fully reorthogonalised, in a subspace that is recycled.
 
 The dual is small (a few thousand rows) while each product costs two solves over all
-voxels, so all directions are kept and each new one is made conjugate to all of them.
-Plain conjugate gradients lose that to rounding when K has eigenvalues of 1e5 and
-more and then repeat themselves (150 steps and more where these take 75). Kept
-directions also answer other right sides, and other weights, at no solve at all.
+voxels. All directions are kept, and each new one is made conjugate to all of them.
+Plain conjugate gradients lose conjugacy to rounding when the Schur complement has
+eigenvalues of 1e5 and more, and need 150 steps and more where these take 75. The kept
+subspace also serves other right-hand sides and other weights, at no solve at all
+(recycling: Parks et al., SIAM J. Sci. Comput. 28, 2006).
 
-Products are as inexact as the residual allows, an error in a late, short step does
+Products are as inexact as the residual allows: an error in a late, short step does
 little harm (Bouras and Frayssé, SIAM J. Matrix Anal. Appl. 26, 2005).
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,16 +21,11 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
 from ttus_opt.laplace.system import RTOL
+from ttus_opt.solvers.dual.linear_parameters import Complement
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 
 #: Directions may be kept in single precision; sums are of double
 Kept = NDArray[np.floating[Any]]
-
-#: Loosest solve inside a product [–]
-LOOSEST = 1e-6
-
-#: A residual that has grown by so much will not come back: K is too large for what the
-#: preconditioner works in, and the answer is best left where it is [–]
-GROWN = 1e3
 
 #: Directions whose norm falls below this part of the largest are dropped [–]
 DEPENDENT = 1e-12
@@ -65,17 +59,14 @@ def _combination(parts: Array, rows: Kept) -> Array:
 
 
 class DualOperator(Protocol):
-    """A symmetric positive definite I + K."""
+    """A Schur complement S, symmetric positive definite."""
 
     @property
     def root_weights(self) -> Array:
-        """Roots c of the weights, shape (m,) [–]."""
+        """Roots of the rows' weights, shape (m,) [–]."""
 
     def apply(self, y: Array, rtol: float) -> Array:
-        """(I + K) y to a relative accuracy, shape (m,)."""
-
-
-Operator = TypeVar("Operator", bound=DualOperator)
+        """S y to a relative accuracy, shape (m,)."""
 
 
 class _Rows:
@@ -105,18 +96,18 @@ class _Rows:
         self._store, self._count = rows, len(rows)
 
 
-class Directions(Generic[Operator]):
-    """Conjugate directions of one dual system, growing as right sides ask for them.
+class RecycledSubspace:
+    """Conjugate directions of one operator, growing as right-hand sides ask for them.
 
-    With d normalised, (I + K) d is kept beside it. A change of the weights c makes
-    the directions conjugate again without a solve, as c·d and c⁻¹·K d do not know
+    With d normalised, S d is kept beside it. A change of the weights w² makes the
+    directions conjugate again without a solve: w d and (S - I) d / w do not depend on
     the weights.
     """
 
     def __init__(
-        self, system: Operator, kept_as: type[np.floating[Any]] = np.float64
+        self, system: DualOperator, kept_as: type[np.floating[Any]] = np.float64
     ) -> None:
-        """Know nothing yet.
+        """Start without directions.
 
         Args:
             system: The operator.
@@ -131,12 +122,8 @@ class Directions(Generic[Operator]):
         """Number of directions."""
         return len(self._directions.all)
 
-    def adopt(self, system: Operator) -> None:
-        """Take a system that differs by its weights; no solve is spent.
-
-        Args:
-            system: The same K but for the weights of its rows.
-        """
+    def adopt(self, system: DualOperator) -> None:
+        """Take a system that differs by the weights of its rows; no solve is spent."""
         ratio = system.root_weights / self.system.root_weights
         self.system = system
         bare = self._images.all - self._directions.all
@@ -150,13 +137,13 @@ class Directions(Generic[Operator]):
         self._images.replace(mix @ image)
 
     def project(self, right_side: Array) -> tuple[Array, Array]:
-        """Best y in the span of what is kept, and the residual it leaves.
+        """Best y in the subspace, and the residual it leaves.
 
         Args:
             right_side: Shape (m,).
 
         Returns:
-            y and right_side - (I + K) y, shape (m,) each.
+            y and right_side - S y, shape (m,) each.
         """
         d, images = self._directions.all, self._images.all
         parts = _products(d, right_side)
@@ -179,9 +166,9 @@ class Directions(Generic[Operator]):
 
         Returns:
             Whether there is a direction to keep: where weights are so large that I
-            drowns in K, rounding leaves none.
+            drowns in S, rounding leaves none.
         """
-        for _ in range(2):  # twice is enough; once goes astray where K is large
+        for _ in range(2):  # twice is enough; once goes astray where S is large
             parts = _products(self._images.all, direction)
             direction = direction - _combination(parts, self._directions.all)
         if not np.isfinite(direction).all():
@@ -195,44 +182,42 @@ class Directions(Generic[Operator]):
         return True
 
 
-def solve_dual(
-    directions: Directions[Any],
+def conjugate_gradients(
+    subspace: RecycledSubspace,
     right_side: Array,
     goal: float,
-    precondition: Callable[[Array], Array],
-    *,
-    max_steps: int,
-    deadline: float | None,
+    space: Complement,
+    accuracy: Accuracy,
+    options: DualOptions,
 ) -> tuple[Array, int]:
-    """Solve (I + K) y = right_side until ‖residual‖ ≤ goal.
+    """Solve S y = right_side in a space until ‖part of the residual‖ ≤ goal.
 
     Args:
-        directions: What is known already; extended along the way.
+        subspace: What is known already; extended along the way.
         right_side: Shape (m,).
         goal: Norm of the residual to reach.
-        precondition: Approximation of (I + K)⁻¹, symmetric positive definite.
-        max_steps: Most new directions.
-        deadline: `time.perf_counter` at which to stop; None for never [s].
+        space: In which y lies and the residual counts.
+        accuracy: Its deadline.
+        options: Of the solver.
 
     Returns:
         y, shape (m,), and the number of new directions. Whether the goal was reached
         is for the caller to verify.
     """
-    y, residual = directions.project(right_side)
+    y, residual = subspace.project(right_side)
     steps = 0
     best, least = np.zeros_like(y), float(np.linalg.norm(right_side))
-    while (size := float(np.linalg.norm(residual))) > goal and steps < max_steps:
+    while True:
+        residual = space.part(residual)
+        size = float(np.linalg.norm(residual))
+        if size <= goal or steps == options.max_directions or accuracy.late:
+            return y, steps
         if size < least:
             best, least = y, size
-        if not size <= GROWN * least:
-            return best, steps
-        if deadline is not None and time.perf_counter() > deadline:
-            break
-        rtol = min(max(0.1 * goal / size, RTOL), LOOSEST)
-        if not directions.extend(precondition(residual), rtol):
+        rtol = min(max(0.1 * goal / size, RTOL), options.loosest_product)
+        diverged = not size <= options.divergence * least
+        if diverged or not subspace.extend(space.precondition(residual), rtol):
             return best, steps
         # onto all directions, not the last alone: inexact images leave a rest on each
-        step, residual = directions.project(residual)
-        y = y + step
-        steps += 1
-    return y, steps
+        step, residual = subspace.project(residual)
+        y, steps = y + step, steps + 1

@@ -1,0 +1,94 @@
+"""What each number of the structured solver buys, on problems with contested limits.
+
+    python benchmarks/ablation.py
+    python benchmarks/ablation.py --case M --only patience,share --problems growth
+
+Every option of `DualOptions` is moved alone to each of its trials. A row has CPU
+seconds, working sets, directions and the relative KKT residual per problem; a problem
+that is not solved to the tolerance is marked. The first row is the defaults'.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import fields
+
+from ttus_opt.benchmark import reference_cases
+from ttus_opt.problem import formulation
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import Claim, Request
+from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.structured import Structured
+
+#: By name: formulation, perturbation of the data, sampling and weight; None for the
+#: formulation's own. "heavy" is beyond what single precision can precondition.
+PROBLEMS: dict[str, tuple[str, str, str, float | None]] = {
+    "sign": ("eq10_sign", "reversed", "trilinear", 100.0),
+    "growth": ("eq10_sign_monotone", "reversed", "trilinear", 100.0),
+    "noise": ("eq10_sign_monotone", "noise", "voxel-mean", 100.0),
+    "noise, trilinear": ("eq10_sign_monotone", "noise", "trilinear", 100.0),
+    "drag": ("coulomb_drag", "reversed", "trilinear", 100.0),
+    "no drag": ("coulomb_drag", "", "trilinear", None),
+    "heavy": ("eq10", "noise", "trilinear", 1e6),
+}
+
+WEIGHTS = ("force_weight", "torque_weight")
+
+#: KKT tolerance, and most seconds per solve
+REQUEST = Request(1e-6, 600.0)
+
+
+def build(case: str, problem: str) -> Program:
+    """A problem on a reference case."""
+    name, contest, sampling, weight = PROBLEMS[problem]
+    spec = reference_cases(case)[0].sampled(sampling).contested(contest)
+    weights = {} if weight is None else dict.fromkeys(WEIGHTS, weight)
+    return formulation.load(name, spec.build(), **weights).compile()
+
+
+def variants(only: list[str]) -> Iterator[tuple[str, DualOptions]]:
+    """The defaults, then every option at each of its trials."""
+    yield "defaults", DualOptions()
+    for option in fields(DualOptions):
+        if not only or option.name in only:
+            for value in option.metadata["trials"]:
+                label = f"{option.name} {value:g}"
+                yield label, DualOptions(**{option.name: value})
+
+
+def measured(program: Program, options: DualOptions) -> str:
+    """One solve in a few words."""
+    program.laplace.__dict__.pop("multigrid", None)
+    begin = time.process_time()
+    found = Structured(options).prepare(program, REQUEST).solve()
+    seconds = time.process_time() - begin
+    assert found.x is not None
+    kkt = kkt_residuals(program, found.x, found.duals).worst_relative
+    failed = found.claim is not Claim.DONE or kkt > REQUEST.tolerance
+    sets = found.detail.split(" ")[0]
+    mark = "!" if failed else " "
+    return f"{seconds:6.2f} s {sets:>3} {found.iterations:4} {kkt:.0e}{mark}"
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--case", default="S")
+    parser.add_argument("--only", default="", help="options, separated by commas")
+    parser.add_argument("--problems", default=",".join(PROBLEMS))
+    chosen = parser.parse_args()
+    problems = chosen.problems.split(",")
+    programs = [build(chosen.case, name) for name in problems]
+    for program in programs:  # compiles, imports
+        Structured().prepare(program, Request(1e-2, 5.0)).solve()
+    print(f"{'':32}", " | ".join(f"{name:26}" for name in problems))
+    for label, options in variants(chosen.only.split(",") if chosen.only else []):
+        cells = [measured(program, options) for program in programs]
+        print(f"{label:32}", " | ".join(cells), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,105 @@
+"""One dual solve: refinement, and unknowns beside the field that change sides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.solvers.dual.user_limits import contested, eq10
+from ttus_opt.errors import InputError
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.solver import DualSolver
+
+
+def data_of(weight: float, seed: int = 0) -> DualData:
+    return DualData.of(eq10(contested(seed), weight).compile())
+
+
+def test_refinement_makes_up_for_inexact_products() -> None:
+    """What products with errors of 1e-3 leave is solved for again."""
+    data = data_of(100.0)
+    system, rtol = data.system, 1e-9
+    base = system.laplace.solve(data.b)
+    goal = rtol * np.linalg.norm(data.t - system.measure(base))
+
+    def residual(refinements: int) -> float:
+        options = DualOptions(loosest_product=1e-3, refinements=refinements)
+        answer = DualSolver(system, options=options).solve(
+            data.b, data.t, Accuracy(rtol)
+        )
+        y = data.t - system.measure(answer.p)
+        return float(
+            np.linalg.norm(system.measure(base + system.response(y) - answer.p))
+        )
+
+    assert residual(1) > 10.0 * goal
+    assert residual(8) <= 2.0 * goal
+
+
+def dense(data: DualData, beside: LinearParameters) -> np.ndarray:
+    """The best c between its bounds, by projected coordinate descent on EᵀS⁻¹E."""
+    system = data.system
+    S = np.array([system.apply(e) for e in np.eye(len(data.t))])
+    E = beside.columns
+    H, g = (
+        E.T @ np.linalg.solve(S, E),
+        E.T @ np.linalg.solve(S, data.t - system.measure(system.laplace.solve(data.b))),
+    )
+    c = np.zeros(E.shape[1])
+    for _ in range(2000):
+        for k in range(len(c)):
+            step = (g[k] - H[k] @ c) / H[k, k]
+            c[k] = np.clip(c[k] + step, beside.lower[k], beside.upper[k])
+    return c
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_bounds_of_many_unknowns_beside_the_field(seed: int) -> None:
+    """Correlated columns and narrow bounds: several sets are tried."""
+    data = data_of(1.0, seed)
+    rng = np.random.default_rng(seed)
+    E = rng.normal(size=(len(data.t), 6)) @ rng.normal(size=(6, 6))
+    reach = rng.uniform(0.05, 1.0, 6)
+    beside = LinearParameters(E, -reach, reach)
+    solver = DualSolver(data.system, beside)
+    expected = dense(data, beside)
+    assert 0 < np.sum(np.abs(expected) == reach) < 6
+    for near in (None, reach, np.zeros(6)):
+        answer = solver.solve(data.b, data.t, Accuracy(1e-10), near)
+        np.testing.assert_allclose(answer.c, expected, atol=1e-7)
+
+
+def test_other_weights_keep_the_subspace_and_other_columns_lose_it() -> None:
+    data = data_of(1.0)
+    rng = np.random.default_rng(1)
+    E = rng.normal(size=(len(data.t), 2))
+    free = np.full(2, np.inf)
+    solver = DualSolver(data.system, LinearParameters(E, -free, free))
+    first = solver.solve(data.b, data.t, Accuracy(1e-9))
+    heavier = data_of(2.0)
+    ratio = heavier.system.root_weights / data.system.root_weights
+    for columns, most in ((ratio[:, None] * E, first.steps // 2), (E[::-1], None)):
+        beside = LinearParameters(columns, -free, free)
+        solver.adopt(heavier.system, beside)
+        again = solver.solve(heavier.b, heavier.t, Accuracy(1e-9))
+        fresh = DualSolver(heavier.system, beside).solve(
+            heavier.b, heavier.t, Accuracy(1e-9)
+        )
+        np.testing.assert_allclose(again.c, fresh.c, rtol=1e-6)
+        np.testing.assert_allclose(again.p, fresh.p, atol=1e-7 * np.abs(fresh.p).max())
+        assert most is None or again.steps <= most
+
+
+def test_dependent_columns_share_what_they_explain() -> None:
+    E = np.random.default_rng(0).normal(size=(9, 2))
+    twice = Complement(np.column_stack([E, E[:, 0]]), lambda r: r)
+    residual = E @ np.array([2.0, 3.0])
+    np.testing.assert_allclose(twice.coefficients(residual), [1.0, 3.0, 1.0])
+    np.testing.assert_allclose(twice.part(residual), 0.0, atol=1e-14)
+
+
+def test_options_outside_their_range_are_refused() -> None:
+    with pytest.raises(InputError, match="patience must lie between 0 and 10000"):
+        DualOptions(patience=-1)
