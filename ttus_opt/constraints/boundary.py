@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.constraints.base import Constraint, LinearRows
+from ttus_opt.terms.structure import Tag
 
 
 @dataclass(frozen=True)
@@ -26,4 +27,4 @@ class HardBoundary(Constraint):
             shape=(len(fixed), n),
         )
         values = self.scene.b[fixed]
-        return LinearRows({"p": rows}, values, values)
+        return LinearRows({"p": rows}, values, values, frozenset({Tag.DIRICHLET}))

@@ -13,7 +13,7 @@ from ttus_opt.errors import InputError
 
 
 def check_coefficient(largest: float) -> None:
-    """Refuse a largest friction coefficient that is none.
+    """Validate a largest friction coefficient.
 
     Raises:
         InputError: It is not positive.
@@ -36,7 +36,7 @@ class DragLimit(Constraint):
     formula = "q ≤ μ_max p inside, q ≥ μ_max p outside"
 
     def __post_init__(self) -> None:
-        """Refuse a coefficient that is none.
+        """Validate the coefficient.
 
         Raises:
             InputError: μ_max is not positive.

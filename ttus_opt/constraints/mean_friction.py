@@ -27,7 +27,7 @@ class MeanFriction(Constraint):
     formula = "0 ≤ m ≤ μ_max"
 
     def __post_init__(self) -> None:
-        """Refuse a coefficient that is none.
+        """Validate the coefficient.
 
         Raises:
             InputError: μ_max is not positive.

@@ -29,10 +29,15 @@ class Monotone(Constraint):
     least_slope: float = 0.0
 
     name = "monotone"
-    formula = "p_deeper − p_shallower ≥ s Δr along spokes, inside"
+
+    @property
+    def formula(self) -> str:
+        """With the least slope."""
+        least = "0" if self.least_slope == 0.0 else f"{self.least_slope:g}/m · Δr"
+        return f"p_deeper − p_shallower ≥ {least} along spokes, inside"
 
     def __post_init__(self) -> None:
-        """Refuse a slope that is none.
+        """Validate the slope.
 
         Raises:
             InputError: The slope is negative or not finite.
@@ -41,10 +46,6 @@ class Monotone(Constraint):
             raise InputError(
                 f"least_slope must not be negative [unit/m], got {self.least_slope}"
             )
-        least = "0" if self.least_slope == 0.0 else f"{self.least_slope:g}/m · Δr"
-        object.__setattr__(
-            self, "formula", f"p_deeper − p_shallower ≥ {least} along spokes, inside"
-        )
 
     def rows(self) -> LinearRows:
         """One row per pair, sorted by the deeper voxel."""

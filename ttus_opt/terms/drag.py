@@ -7,7 +7,6 @@ A model knows its variables and rows (`ttus_opt.contact.friction`); the terms
 from __future__ import annotations
 
 import abc
-import copy
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -25,6 +24,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import Fitted
 from ttus_opt.terms.drag_smoothness import MEAN_FRICTION
+from ttus_opt.terms.kept import replaced
 
 Blocks = dict[str, sp.csr_array]
 
@@ -135,7 +135,7 @@ class GlobalCoulomb(DragModel):
         return f"{self.coefficient:.4g} F p"
 
     def __post_init__(self) -> None:
-        """Refuse a coefficient that is none.
+        """Validate the coefficient.
 
         Raises:
             InputError: μ is negative or not finite.
@@ -147,10 +147,7 @@ class GlobalCoulomb(DragModel):
 
     def with_coefficient(self, coefficient: float) -> Self:
         """The same drag with another μ; sliding and rows are kept."""
-        other = copy.copy(self)
-        object.__setattr__(other, "coefficient", float(coefficient))
-        other.__post_init__()
-        return other
+        return replaced(self, "sliding", "rows", coefficient=float(coefficient))
 
     def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
         return {"p": sp.csr_array(contact - self.coefficient * drag)}

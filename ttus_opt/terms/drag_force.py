@@ -24,17 +24,12 @@ class DragForceTerm(Term):
     drag: DragModel = field(kw_only=True, repr=False)
 
     name = "force"
-    formula = "‖N p − drag − f‖²"
     measures = True
 
-    def __post_init__(self) -> None:
-        """Say which drag it is.
-
-        Raises:
-            InputError: The weight is not usable.
-        """
-        super().__post_init__()
-        object.__setattr__(self, "formula", f"‖N p − {self.drag.formula} − f‖²")
+    @property
+    def formula(self) -> str:
+        """With what drag takes away."""
+        return f"‖N p − {self.drag.formula} − f‖²"
 
     def rows(self) -> AffineRows:
         """N and drag's rows by variable, and f."""

@@ -16,6 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.terms.base import AffineRows, Fitted, Term
+from ttus_opt.terms.structure import LaplaceRows
 
 #: Name under which a fitted field carries m
 MEAN_FRICTION = "mean_friction_coefficient"
@@ -32,25 +33,21 @@ class DragSmoothnessTerm(Term):
     has_mean: bool = True
 
     name = "drag_smoothness"
-    formula = "‖L q − m b‖²"
 
-    def __post_init__(self) -> None:
-        """Say whether there is an m.
-
-        Raises:
-            InputError: The weight is not usable.
-        """
-        super().__post_init__()
-        if not self.has_mean:
-            object.__setattr__(self, "formula", "‖L q‖²")
+    @property
+    def formula(self) -> str:
+        """With m or without."""
+        return "‖L q − m b‖²" if self.has_mean else "‖L q‖²"
 
     def rows(self) -> AffineRows:
         """L over q, and -b over the mean friction coefficient m."""
         b = self.scene.b
         if not self.has_mean:
-            return AffineRows({"q": self.scene.L}, np.zeros(len(b)))
+            tags = frozenset({LaplaceRows("q")})
+            return AffineRows({"q": self.scene.L}, np.zeros(len(b)), tags)
         mean = sp.csr_array(-b[:, None])
-        return AffineRows({"q": self.scene.L, "m": mean}, np.zeros(len(b)))
+        tags = frozenset({LaplaceRows("q", beside=("m",))})
+        return AffineRows({"q": self.scene.L, "m": mean}, np.zeros(len(b)), tags)
 
     def parameters(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         """The mean friction coefficient."""

@@ -22,17 +22,12 @@ class DragTorqueTerm(TorqueTerm):
     drag: DragModel = field(kw_only=True, repr=False)
 
     name = "torque"
-    formula = "‖(W p − torque of drag − τ)/ℓ‖²"
 
-    def __post_init__(self) -> None:
-        """Say which drag it is.
-
-        Raises:
-            InputError: The weight or the length is not usable.
-        """
-        super().__post_init__()
+    @property
+    def formula(self) -> str:  # type: ignore[override]
+        """With what drag takes away."""
         drag = self.drag.formula.replace("F", "G")
-        object.__setattr__(self, "formula", f"‖(W p − {drag} − τ)/ℓ‖²")
+        return f"‖(W p − {drag} − τ)/ℓ‖²"
 
     def rows(self) -> AffineRows:
         """W/ℓ and drag's rows by variable, and τ/ℓ."""

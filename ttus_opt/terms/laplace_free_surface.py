@@ -34,7 +34,7 @@ class LaplaceFreeSurfaceTerm(Term):
     formula = "‖L p − b‖² without the skin's rows"
 
     def __post_init__(self) -> None:
-        """Refuse a share that is none.
+        """Validate weight and share.
 
         Raises:
             InputError: The weight or the skin's share is not usable.

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.terms.base import AffineRows, Penalty, Term
+from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.penalties.absolute import Absolute
 
 
 @dataclass(frozen=True)
@@ -21,9 +22,9 @@ class SparseSourcesTerm(Term):
     formula = "Σ |L p − b| over free voxels"
 
     @property
-    def penalty(self) -> Penalty:
+    def penalty(self) -> Absolute:
         """Absolute values."""
-        return Penalty.ABSOLUTE
+        return Absolute()
 
     def rows(self) -> AffineRows:
         """Free rows of L and b."""

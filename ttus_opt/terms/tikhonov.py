@@ -27,7 +27,7 @@ class TikhonovTerm(Term):
     formula = "‖p − p_ref‖² over free voxels"
 
     def __post_init__(self) -> None:
-        """Refuse an unknown reference.
+        """Validate weight and reference.
 
         Raises:
             InputError: The weight or the reference is not usable.

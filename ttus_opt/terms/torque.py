@@ -29,7 +29,7 @@ class TorqueTerm(Term):
     measures = True
 
     def __post_init__(self) -> None:
-        """Refuse a length that is no length.
+        """Validate weight and length.
 
         Raises:
             InputError: The weight or the length is not usable.

@@ -15,7 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.terms.base import AffineRows, Penalty, Term
+from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.terms.penalties.base import Penalty
+from ttus_opt.terms.penalties.groups import Groups
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 
@@ -31,17 +34,16 @@ class TotalVariationTerm(Term):
     isotropic: bool = False
 
     name = "total_variation"
-    formula = "Σ |D (p − p₀)|"
+
+    @property
+    def formula(self) -> str:
+        """Of components or of lengths."""
+        return "Σ ‖D (p − p₀)‖" if self.isotropic else "Σ |D (p − p₀)|"
 
     @property
     def penalty(self) -> Penalty:
         """Absolute values, or lengths of groups of three."""
-        return Penalty.GROUPS if self.isotropic else Penalty.ABSOLUTE
-
-    @property
-    def group_size(self) -> int:
-        """The three differences of a voxel."""
-        return 3 if self.isotropic else 1
+        return Groups(3) if self.isotropic else Absolute()
 
     def rows(self) -> AffineRows:
         """D and D p₀, rows r, θ, z of each voxel together."""

@@ -15,6 +15,7 @@ import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
 from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.structure import LaplaceRows
 
 #: Unit of length of the integral, ℓ [m]
 LENGTH = 0.01
@@ -28,7 +29,7 @@ class VolumeWeightedTerm(Term):
     formula = "∫ (ℓ²∇²p)² dV/ℓ³"
 
     @property
-    def laplace_scale(self) -> Array:
+    def _scale(self) -> Array:
         """√(volume/ℓ³)·(ℓ/Δr)² of every voxel, shape (V,) [–]."""
         grid = self.scene.laplace.grid
         step = grid.r_step * grid.theta_step * grid.z_step
@@ -39,6 +40,8 @@ class VolumeWeightedTerm(Term):
         """Free rows of L, each times √(volume/ℓ³)·(ℓ/Δr)²."""
         laplace = self.scene.laplace
         free = np.flatnonzero(laplace.free)
-        scale = self.laplace_scale[free]
-        rows = sp.diags_array(scale) @ laplace.L[free]
-        return AffineRows({"p": sp.csr_array(rows)}, scale * self.scene.b[free])
+        of_voxels = self._scale
+        scale = of_voxels[free]
+        rows = sp.csr_array(sp.diags_array(scale) @ laplace.L[free])
+        tags = frozenset({LaplaceRows("p", of_voxels)})
+        return AffineRows({"p": rows}, scale * self.scene.b[free], tags)
