@@ -20,7 +20,7 @@ from tests.solvers.problems import (
 from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.solvers.base import Claim, Request, Solver
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.linear import Linear
 
 #: Relative KKT residual asked for, and the largest error of x and of the duals that
 #: may come with it; one line for all, exceptions by name
@@ -115,7 +115,7 @@ def test_no_minimum_is_never_called_done(solver: Solver) -> None:
     downhill = program(
         [
             term([[1, 0]], [0]),
-            term([[0, 1]], [0], 1.0, Penalty.LINEAR, name="downhill"),
+            term([[0, 1]], [0], 1.0, Linear(), name="downhill"),
         ],
         (),
         [bounds("half", [-1, -np.inf], [1, 3])],

@@ -75,7 +75,7 @@ def fit(
         raise InputError("the formulation speaks of another scene: build it anew")
     request = Request(tolerance, time_limit)
     doubts = declared.unborne()
-    declared = declared.without(doubts)
+    declared = declared.with_neutral(doubts)
     if declared.search is None:
         return _told(Found(declared, {}), doubts, solver, request, start)
     loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
@@ -120,7 +120,7 @@ def _told(
             # none, or what is in doubt is neutral already, held there by its bound
             known |= more
             break
-        declared = declared.without(more)
+        declared = declared.with_neutral(more)
         known = declared.unborne() | known | more
         estimates = {n: e for n, e in estimates.items() if n not in known}
         solution = Fitter(declared, solver=solver, request=request).solve()

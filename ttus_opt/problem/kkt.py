@@ -8,6 +8,10 @@ lower limit; those of the wrong sign, at a limit that is not there, count as zer
     dual    r = P x + q + Aᵀy + z = 0
     gap     how far below f(x) the optimum may lie
 
+Rows s = A x + h in second-order cones have a multiplier y with −y in the cones, which
+are their own duals: it adds Aᵀy to r and −yᵀs ≥ 0 to the gap; how far s lies outside
+its cones belongs to ``primal``.
+
 A penalty φ that is no sum of squares has a multiplier g of its residual, brought back
 into the set of φ's subgradients; it adds w Mᵀg to r and w (φ(r) + φ*(g) − gᵀr) ≥ 0 to
 the gap (Fenchel), which vanish together exactly where g is a subgradient of φ at r.
@@ -37,9 +41,9 @@ import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.problem.distance import energy, held_by_equalities
-from ttus_opt.problem.members import QUADRATIC, ProgramConstraint
+from ttus_opt.problem.members import ProgramCones, ProgramConstraint
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.linear import Linear
 
 _TINY = np.finfo(float).tiny
 
@@ -52,7 +56,7 @@ class Duals:
     """Multipliers by constraint name, signs as in the module's docstring.
 
     Attributes:
-        rows: y per linear constraint, shape (m,) each.
+        rows: y per linear constraint and per set of cones, shape (m,) each.
         bounds: z of the box, shape (n,); None where nothing is bounded.
         terms: g per term whose penalty is neither squares nor linear, shape (m,)
             each; the subgradient of least length where it is missing.
@@ -163,59 +167,99 @@ def kkt_residuals(
 
 def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KKT:
     blocks = _Blocks(program)
-    gap = 0.0
-    for summand in _quadratic_summands(program, x):
-        blocks.add(summand)
-    for term in program.terms:
-        if term.penalty in QUADRATIC:
-            continue
-        r = term.residual(x)
-        g = term.admissible(duals.terms.get(term.name, term.subgradient(r)))
-        blocks.add(term.weight * (term.matrix.T @ g))
-        missing = term.value(r) + term.conjugate(g) - float(g @ r)
-        gap += term.weight * max(missing, 0.0)
+    gap = _of_terms(program, x, duals, blocks)
+    gap += _of_bounds(program, x, duals, blocks)
+    gap += _of_rows(program, x, duals, blocks)
+    gap += _of_cones(program, x, duals, blocks)
+    largest = float(np.abs(x).max(initial=0.0))
     violation = relative = 0.0
-    members = [_row_member(c, x) for c in program.constraints]
-    if program.bounds:
-        lower, upper = program.box
-        z = np.zeros_like(x) if duals.bounds is None else duals.bounds
-        z, stray = _present(z, lower, upper)
-        blocks.add(z)
-        blocks.add_stray(stray)
-        gap += _complementarity(z, lower, upper, x)
-        members += [
-            _Member(x[b.part], b.lower[b.part], b.upper[b.part]) for b in program.bounds
-        ]
-    for constraint in program.constraints:
-        y, stray = _multiplier(constraint, duals)
-        blocks.add(constraint.matrix.T @ y)
-        blocks.add_stray(constraint.matrix.T @ stray)
-        value = constraint.matrix @ x
-        gap += _complementarity(y, constraint.lower, constraint.upper, value)
-    least = _ROUNDING * float(np.abs(x).max(initial=0.0))
-    for member in members:
+    for member in _members(program, x):
         violation = _largest_of(violation, member.violation)
-        relative = _largest_of(relative, member.relative(least))
+        relative = _largest_of(relative, member.relative(_ROUNDING * largest))
     fixed = held_by_equalities(program)
     # with nothing fitted: equalities keep what they hold, all else is zero
     objective, scale = program.objective(x), program.objective(np.where(fixed, x, 0.0))
-    missing, is_bound = _below(
-        program,
-        x,
-        blocks.gradient,
-        fixed,
-        CLOSE_ENOUGH * tolerance * objective,
-    )
+    enough = CLOSE_ENOUGH * tolerance * objective
+    missing, is_bound = _below(program, x, blocks.gradient, fixed, enough)
     gap += missing
     return KKT(
         violation,
         blocks.error,
         gap,
         relative,
-        blocks.worst(float(np.abs(x).max(initial=0.0))),
+        blocks.worst(largest),
         _relative_gap(gap, objective, scale, is_bound),
         float(np.sqrt(gap)) if is_bound else None,
     )
+
+
+def _of_terms(program: Program, x: Array, duals: Duals, blocks: _Blocks) -> float:
+    """Add the objective's gradient; what penalties that bend add to the gap."""
+    gap = 0.0
+    for summand in _quadratic_summands(program, x):
+        blocks.add(summand)
+    for term in program.terms:
+        if term.penalty.quadratic:
+            continue
+        r, penalty = term.residual(x), term.penalty
+        g = penalty.admissible(duals.terms.get(term.name, penalty.subgradient(r)))
+        blocks.add(term.weight * (term.matrix.T @ g))
+        missing = penalty.value(r) + penalty.conjugate(g) - float(g @ r)
+        gap += term.weight * max(missing, 0.0)
+    return gap
+
+
+def _of_bounds(program: Program, x: Array, duals: Duals, blocks: _Blocks) -> float:
+    """Add the multipliers of bounds; their part of the gap."""
+    if not program.bounds:
+        return 0.0
+    lower, upper = program.box
+    z = np.zeros_like(x) if duals.bounds is None else duals.bounds
+    z, stray = _present(z, lower, upper)
+    blocks.add(z)
+    blocks.add_stray(stray)
+    return _complementarity(z, lower, upper, x)
+
+
+def _of_rows(program: Program, x: Array, duals: Duals, blocks: _Blocks) -> float:
+    """Add the multipliers of linear rows; their part of the gap."""
+    gap = 0.0
+    for constraint in program.constraints:
+        y, stray = _multiplier(constraint, duals)
+        blocks.add(constraint.matrix.T @ y)
+        blocks.add_stray(constraint.matrix.T @ stray)
+        value = constraint.matrix @ x
+        gap += _complementarity(y, constraint.lower, constraint.upper, value)
+    return gap
+
+
+def _of_cones(program: Program, x: Array, duals: Duals, blocks: _Blocks) -> float:
+    """Add the multipliers of cones; their part of the gap."""
+    gap = 0.0
+    for cone in program.cones:
+        given = duals.rows.get(cone.name, np.zeros(len(cone.offset)))
+        y = cone.admissible(given)
+        blocks.add(cone.matrix.T @ y)
+        blocks.add_stray(cone.matrix.T @ (given - y))
+        gap += abs(float(y @ cone.value(x)))
+    return gap
+
+
+def _members(program: Program, x: Array) -> Iterator[_Member]:
+    """What must lie between limits, or in cones, at x."""
+    for b in program.bounds:
+        yield _Member(x[b.part], b.lower[b.part], b.upper[b.part])
+    for c in program.constraints:
+        yield _Member(c.matrix @ x, c.lower, c.upper)
+    for cone in program.cones:
+        yield _in_cones(cone, x)
+
+
+def _in_cones(cone: ProgramCones, x: Array) -> _Member:
+    """Values of cone rows, whose limits are the nearest point of the cones."""
+    s = cone.value(x)
+    nearest = cone.projected(s)
+    return _Member(s, nearest, nearest)
 
 
 def _below(
@@ -331,10 +375,6 @@ class _Member:
         return max(sizes)
 
 
-def _row_member(constraint: ProgramConstraint, x: Array) -> _Member:
-    return _Member(constraint.matrix @ x, constraint.lower, constraint.upper)
-
-
 def _multiplier(constraint: ProgramConstraint, duals: Duals) -> tuple[Array, Array]:
     y = duals.rows.get(constraint.name, np.zeros(len(constraint.lower)))
     return _present(y, constraint.lower, constraint.upper)
@@ -385,11 +425,11 @@ def _least_pull(program: Program, part: slice, largest: float) -> float:
     """
     least, whole = 0.0, len(program.variables) == 1
     for term in program.terms:
-        if term.penalty is Penalty.LINEAR:
+        if isinstance(term.penalty, Linear):
             continue
         longest = _longest_row(term.matrix if whole else term.matrix[:, part])
         row = term.weight * longest
-        if term.penalty in (Penalty.SQUARES, Penalty.HUBER):
+        if term.penalty.smooth:
             row *= 2.0 * longest * largest * _ROUNDING
         least = max(least, row)
     return least

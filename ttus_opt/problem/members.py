@@ -14,10 +14,6 @@ from ttus_opt.terms.penalties.squares import Squares
 from ttus_opt.terms.structure import LaplaceRows, Tag, Tags, laplace_rows
 
 
-#: Guards a division by a length that is zero
-TINY = np.finfo(float).tiny
-
-
 @dataclass(frozen=True)
 class ProgramTerm:
     """Rows of one term over all variables.
@@ -35,7 +31,7 @@ class ProgramTerm:
     weight: float
     matrix: sp.csr_array = field(repr=False)
     target: Array = field(repr=False)
-    penalty: Penalty = Squares()
+    penalty: Penalty = field(default_factory=Squares)
     tags: Tags = frozenset()
 
     @property
@@ -126,11 +122,11 @@ class ProgramCones:
         Source: N. Parikh, S. Boyd, Proximal Algorithms (2014), section 6.3.2.
         """
         head, length = s[self.first], self._lengths(s)
-        scale = np.clip(0.5 * (1.0 + head / np.maximum(length, TINY)), 0.0, 1.0)
-        nearest = np.where(length <= head, head, scale * length)
-        scale = np.where(length <= head, 1.0, scale)
-        out = np.repeat(scale, self.sizes) * s
-        out[self.first] = np.where(scale > 0.0, np.maximum(nearest, 0.0), 0.0)
+        inside, opposite = length <= head, length <= -head
+        share = 0.5 * (1.0 + head / np.where(length > 0.0, length, 1.0))
+        share = np.where(inside, 1.0, np.where(opposite, 0.0, share))
+        out = np.repeat(share, self.sizes) * s
+        out[self.first] = np.where(inside, head, share * length)
         return np.asarray(out)
 
     def admissible(self, y: Array) -> Array:

@@ -23,10 +23,6 @@ from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
 from ttus_opt.solvers.verified import Verified
-from ttus_opt.terms.base import Penalty
-
-#: Names of the terms of eq. 10
-TERMS = {"laplace", "force", "torque"}
 
 #: Relative residual of the solves with A as a part of that of u, and its floor
 INNER, FLOOR = 1e-1, 1e-13
@@ -56,9 +52,9 @@ class AmgPcg(Solver):
         prior = program.laplace_term
         if prior is None or prior.weight == 0.0:
             return "it needs a Laplace term"
-        plain = all(t.penalty is Penalty.SQUARES for t in program.terms)
-        names = {t.name for t in program.terms}
-        if not plain or names - TERMS or set(program.variables) != {"p"}:
+        others = [t for t in program.terms if t is not prior]
+        eq10 = all(t.is_measured and t.is_squares for t in others)
+        if not eq10 or set(program.variables) != {"p"}:
             return "it takes eq. 10 only"
         return ""
 

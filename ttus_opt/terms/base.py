@@ -21,6 +21,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.declared_rows import uniform_blocks, uniform_vector
 from ttus_opt.terms.kept import replaced
+from ttus_opt.terms.limits import ConeRows, LinearRows
 from ttus_opt.terms.penalties.base import Penalty
 from ttus_opt.terms.penalties.squares import Squares
 from ttus_opt.terms.structure import Tags, check_structure
@@ -134,6 +135,11 @@ class Term(abc.ABC):
         check_structure(owner, rows.tags, blocks, self.scene.laplace)
         return AffineRows(blocks, target, rows.tags)
 
+    @property
+    def requires(self) -> Mapping[str, LinearRows | ConeRows]:
+        """Rows that define auxiliary variables of its own, by name; mostly none."""
+        return {}
+
     def with_weight(self, weight: float) -> Self:
         """The same term with another weight; nothing is assembled again.
 
@@ -165,6 +171,6 @@ class Term(abc.ABC):
         """Parameters of which its rows say nothing, and why, by name."""
         return {}
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """The same term with these of its parameters at their neutral value."""
         return self

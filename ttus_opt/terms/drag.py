@@ -85,7 +85,7 @@ class DragModel(abc.ABC):
     def unborne(self) -> dict[str, str]:
         """Coefficients of which no pose tells, and why, by name."""
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """The same model with these of its coefficients at 0."""
         return self
 
@@ -217,7 +217,7 @@ class CoulombField(DragModel):
         why = "the drag field is left out" if self.silent else self.silence()
         return {friction.FRICTION: why, MEAN_FRICTION: why} if why else {}
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """Without q where μ is among the names."""
         return replace(self, silent=True) if friction.FRICTION in names else self
 
@@ -328,7 +328,7 @@ class Viscous(DragModel):
             found[friction.VISCOUS] = self.silence() or "no patch of it is identified"
         return found
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """With the coefficients of these patches given as 0.
 
         One that was never touched stays: it has the mean.

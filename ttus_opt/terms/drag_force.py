@@ -47,7 +47,7 @@ class DragForceTerm(Term):
         """Drag's coefficients of which no pose tells."""
         return self.drag.unborne()
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """The same term without this drag."""
-        drag = self.drag.without(names)
+        drag = self.drag.with_neutral(names)
         return self if drag is self.drag else replace(self, drag=drag)

@@ -57,6 +57,6 @@ class DragSmoothnessTerm(Term):
         """m, as far from 0 as drag that is as large as the normal force."""
         return {MEAN_FRICTION: Fitted({"m": np.ones(1)}, 1.0)} if self.has_mean else {}
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """The same prior, towards 0 where m is among the names."""
         return replace(self, has_mean=False) if MEAN_FRICTION in names else self

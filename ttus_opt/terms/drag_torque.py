@@ -35,7 +35,7 @@ class DragTorqueTerm(TorqueTerm):
         blocks = {k: M * scale for k, M in self.drag.torque_blocks().items()}
         return AffineRows(blocks, self.scene.tau * scale)
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """The same term without this drag."""
-        drag = self.drag.without(names)
+        drag = self.drag.with_neutral(names)
         return self if drag is self.drag else replace(self, drag=drag)

@@ -108,9 +108,7 @@ def _are_laplace(
     return bool(np.abs(own @ probe - expected).max(initial=0.0) <= ROUNDING * size)
 
 
-def _are_dirichlet(
-    blocks: Mapping[str, sp.csr_array], laplace: LaplaceSystem
-) -> bool:
+def _are_dirichlet(blocks: Mapping[str, sp.csr_array], laplace: LaplaceSystem) -> bool:
     fixed = np.flatnonzero(~laplace.free)
     if set(blocks) != {"p"}:
         return False

@@ -22,7 +22,7 @@ class Absolute(Penalty):
 
     @property
     def split(self) -> Split:
-        """min Σ (above + below) over r = above − below."""
+        """Min Σ (above + below) over r = above − below."""
         return Split(1.0, squares_rest=False)
 
     def value(self, r: Array) -> float:

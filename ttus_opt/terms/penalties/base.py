@@ -21,8 +21,8 @@ from ttus_opt.arrays import Array
 class Split:
     """A penalty as the minimum of a quadratic program over parts of its residual.
 
-    φ(r) = min over above, below ≥ 0 of  slope · Σ (above + below) + rest, where the rest
-    is ‖r − above + below‖², or zero and r = above − below.
+    φ(r) = min over above, below ≥ 0 of  slope · Σ (above + below) + rest, where the
+    rest is ‖r − above + below‖², or zero and r = above − below.
 
     Attributes:
         slope: Charge of each part [–].

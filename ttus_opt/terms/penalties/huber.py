@@ -29,7 +29,7 @@ class Huber(Penalty):
 
     @property
     def split(self) -> Split:
-        """min ‖r − above + below‖² + 2δ Σ (above + below)."""
+        """Min ‖r − above + below‖² + 2δ Σ (above + below)."""
         return Split(2.0 * self.threshold, squares_rest=True)
 
     def value(self, r: Array) -> float:
