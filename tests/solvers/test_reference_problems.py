@@ -66,7 +66,7 @@ def check(solver: Solver, reference: Reference) -> None:
         bent = reference.program.term(name)
         assert bent is not None
         # Huber's is a function of x: a solver need not return it
-        got = duals.terms.get(name, bent.subgradient(bent.residual(x)))
+        got = duals.terms.get(name, bent.penalty.subgradient(bent.residual(x)))
         assert error_of(got, expected) <= largest, name
     # where the objective is zero too, its distance from zero is open to √ε as x is
     ours = np.sqrt(TOLERANCE) if reference.weak else TOLERANCE

@@ -24,7 +24,8 @@ from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Attempt, Solution, Status, Timings
 from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
-from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
+from ttus_opt.user_code import told_by_line
 from ttus_opt.voxmap.field import PotentialField
 
 #: Seconds spent on naming the constraints in conflict, when no limit is given
@@ -44,7 +45,7 @@ def fit(
     scene: Scene,
     formulation: str | Path | Formulation = "eq10",
     *,
-    solver: str = "auto",
+    solver: str | Path | Solver = "auto",
     tolerance: float = 1e-6,
     time_limit: float | None = None,
     **options: Any,
@@ -54,7 +55,8 @@ def fit(
     Args:
         scene: Patient, probe and measurements.
         formulation: A name, a path to a file with ``build``, or a Formulation.
-        solver: A solver's name, or "auto".
+        solver: A solver's name, "auto", the path of a file with ``SOLVERS``, or an
+            object of a class over `ttus_opt.solvers.base.Solver`.
         tolerance: Largest relative KKT residual of a solution [–].
         time_limit: Most seconds the solver may take, each time it is called [s].
         options: The formulation's own (``force_weight``, ``torque_weight``, …).
@@ -90,7 +92,7 @@ def fit(
 def _told(
     found: Found,
     doubts: Mapping[str, str],
-    solver: str,
+    solver: str | Path | Solver,
     request: Request,
     started: float | None,
     spent: float = 0.0,
@@ -100,7 +102,7 @@ def _told(
     Args:
         found: The formulation, and estimates of what was searched for.
         doubts: Why a parameter is not identified, by name.
-        solver: A solver's name, or "auto".
+        solver: As of `fit`.
         request: Tolerance and time limit.
         started: When declaring it began; None where a search came between.
         spent: On the search [s].
@@ -110,10 +112,13 @@ def _told(
     known |= {name: e.doubt for name, e in found.estimates.items() if e.doubt}
     estimates = {n: e for n, e in found.estimates.items() if n not in known}
     n_searched = len(estimates)
-    solution = Fitter(declared, solver=solver, request=request, started=started).solve()
+    fitter = Fitter(declared, solver=solver, request=request, started=started)
+    solution = fitter.solve()
     while True:
         begun = time.perf_counter()
-        estimates |= fitted_estimates(declared, solution, request, n_searched)
+        estimates |= fitted_estimates(
+            declared, solution, request, n_searched, fitter.solver
+        )
         spent += time.perf_counter() - begun
         more = {n: e.doubt for n, e in estimates.items() if e.doubt}
         if not any(estimates[name].value for name in more):
@@ -123,7 +128,8 @@ def _told(
         declared = declared.with_neutral(more)
         known = declared.unborne() | known | more
         estimates = {n: e for n, e in estimates.items() if n not in known}
-        solution = Fitter(declared, solver=solver, request=request).solve()
+        fitter = Fitter(declared, solver=solver, request=request)
+        solution = fitter.solve()
     if spent and (estimates or found.estimates or found.trouble):
         timings = replace(solution.timings, search=spent)
         solution = replace(solution, timings=timings)
@@ -133,7 +139,7 @@ def _told(
 class Again:
     """Fits of one formulation after the other by one solver that keeps its state."""
 
-    def __init__(self, solver: str, request: Request) -> None:
+    def __init__(self, solver: str | Path | Solver, request: Request) -> None:
         self._solver, self._request = solver, request
         self._fitter: Fitter | None = None
 
@@ -154,7 +160,7 @@ class Fitter:
 
     Args:
         declared: The formulation.
-        solver: A solver's name, or "auto".
+        solver: As of `fit`.
         request: Tolerance and time limit.
         started: When declaring it began, of `time.perf_counter` [s].
     """
@@ -163,7 +169,7 @@ class Fitter:
         self,
         declared: Formulation,
         *,
-        solver: str = "auto",
+        solver: str | Path | Solver = "auto",
         request: Request | None = None,
         started: float | None = None,
     ) -> None:
@@ -181,15 +187,20 @@ class Fitter:
             solver, self._reduction.program
         )
         compiled = time.perf_counter()
-        self._prepared = self._backend.prepare(self._reduction.program, self._request)
+        self._prepared = self._loaded()
         self._assembly = declared.scene.seconds + compiled - start
         self._setup = time.perf_counter() - compiled
         self._first: float | None = None
         self._taken_in = 0.0
 
     @property
-    def solver_name(self) -> str:
+    def solver(self) -> Solver:
         """The solver that was chosen."""
+        return self._backend
+
+    @property
+    def solver_name(self) -> str:
+        """Its name."""
         return self._backend.name
 
     def update(self, declared: Formulation) -> None:
@@ -197,7 +208,8 @@ class Fitter:
         start = time.perf_counter()
         self._declared = declared
         self._reduction = reduce(declared.compile())
-        self._prepared.update(self._reduction.program)
+        with told_by_line(f"solver {self._backend.name}"):
+            self._prepared.update(self._reduction.program)
         self._taken_in = time.perf_counter() - start
 
     def solve(self) -> Solution:
@@ -221,17 +233,24 @@ class Fitter:
             attempts = [a for a in attempts if a.solver != best.solver]
         return replace(best, attempts=tuple(attempts))
 
+    def _loaded(self) -> Prepared:
+        """The solver in charge with the program."""
+        with told_by_line(f"solver {self._backend.name}"):
+            return self._backend.prepare(self._reduction.program, self._request)
+
     def _take_next(self) -> None:
         start = time.perf_counter()
         self._backend = self._others.pop(0)
-        self._prepared = self._backend.prepare(self._reduction.program, self._request)
+        self._prepared = self._loaded()
         self._setup += time.perf_counter() - start
         self._first = None
 
     def _solved(self) -> Solution:
         """What the solver in charge answers, verified."""
         start = time.perf_counter()
-        candidate = self._prepared.solve()
+        with told_by_line(f"solver {self._backend.name}"):
+            candidate = self._prepared.solve()
+        _check_candidate(candidate, self._reduction.program, self._backend.name)
         spent = time.perf_counter() - start
         again = None
         if self._first is None:
@@ -248,6 +267,34 @@ class Fitter:
             self._request,
             timings,
         )
+
+
+def _check_candidate(candidate: Candidate, program: Program, solver: str) -> None:
+    """Validate the form of what a solver answers, which may be a user's.
+
+    Raises:
+        InputError: It is no candidate, or its vectors have other lengths.
+    """
+    if not isinstance(candidate, Candidate):
+        raise InputError(
+            f"solver {solver}: solve() must return a Candidate, got "
+            f"{type(candidate).__name__}"
+        )
+    n, duals = program.n_variables, candidate.duals
+    sizes = {c.name: len(c.lower) for c in program.constraints}
+    sizes |= {c.name: len(c.offset) for c in program.cones}
+    vectors = [("x", candidate.x, n), ("duals.bounds", duals.bounds, n)]
+    vectors += [
+        (f"duals.rows[{name!r}]", y, sizes[name])
+        for name, y in duals.rows.items()
+        if name in sizes
+    ]
+    for name, vector, size in vectors:
+        if vector is not None and np.shape(vector) != (size,):
+            raise InputError(
+                f"solver {solver}: its {name} must have shape ({size},), got "
+                f"{np.shape(vector)}"
+            )
 
 
 def judged(
@@ -376,4 +423,5 @@ def _better(one: Solution, other: Solution) -> Solution:
 def _slacks(program: Program, x: Array) -> dict[str, Array]:
     """Distance of every constraint row to its nearer limit, negative when broken."""
     slacks = {member.name: member.slack(x) for member in program.constraints}
+    slacks |= {member.name: member.slack(x) for member in program.cones}
     return slacks | {member.name: member.slack(x) for member in program.bounds}

@@ -96,6 +96,10 @@ def load(
     return built.named(name)
 
 
+#: As `ttus_opt` calls it
+load_formulation = load
+
+
 def _check_option(what: str, parameter: inspect.Parameter, value: Any) -> None:
     """Validate the kind of an option by its default and its annotation.
 

@@ -128,6 +128,15 @@ class Program:
             tuple(cones),
         )
 
+    def __repr__(self) -> str:
+        """Sizes and names in one line."""
+        variables = self.variables.items()
+        sizes = ", ".join(f"{n} in R^{p.stop - p.start:,}" for n, p in variables)
+        held = [m.name for m in (*self.constraints, *self.cones, *self.bounds)]
+        terms = ", ".join(term.name for term in self.terms)
+        limits = f" subject to {', '.join(held)}" if held else ""
+        return f"<Program over {sizes}: {terms}{limits}>"
+
     @property
     def n_variables(self) -> int:
         """Length n of x [–]."""

@@ -18,7 +18,6 @@ verified here and are refused.
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -148,12 +147,11 @@ class CvxpyRows(Term):
         """
         import cvxpy as cp
 
-        shape, V = self.scene.voxmap.grid.shape, self.scene.n_voxels
+        shape = self.scene.voxmap.grid.shape
         names = list(inspect.signature(self.expression).parameters)
-        variables = {name: cp.Variable(V, name=name) for name in names}
+        variables = {name: cp.Variable(shape, name=name) for name in names}
         with told_by_line(f"the expression of term {self.name}"):
-            fields = [cp.reshape(v, shape, order="C") for v in variables.values()]
-            said = self.expression(*fields)
+            said = self.expression(*variables.values())
         what = f"term {self.name}: its expression"
         if not (isinstance(said, cp.Expression) and said.is_scalar()):
             raise InputError(
@@ -177,16 +175,26 @@ class CvxpyRows(Term):
             raise InputError(f"term {self.name}: integer variables are not convex")
         with told_by_line(f"cvxpy's canonical form of term {self.name}"):
             data, _, _ = problem.get_problem_data(
-                cp.CLARABEL, solver_opts={"use_quad_obj": False}
+                cp.CLARABEL,
+                canon_backend=cp.SCIPY_CANON_BACKEND,  # takes three dimensions
+                solver_opts={"use_quad_obj": False},
             )
         self._refuse_other_cones(data)
         M, form, dims = sp.csc_array(data["A"]), data["param_prob"], data["dims"]
         cost, constant = np.asarray(data["c"]), float(form.apply_parameters()[1])
+        numbers = np.concatenate([M.data, np.asarray(data["b"]), cost, [constant]])
+        if not np.isfinite(numbers).all():
+            raise InputError(
+                f"term {self.name}: its canonical form is not finite: check the "
+                "numbers in the expression"
+            )
         columns, auxiliary = {}, np.ones(M.shape[1], dtype=bool)
         for name, variable in variables.items():
             start = form.var_id_to_col.get(variable.id)
             if start is not None:  # an expression may do without a variable
-                columns[name] = np.arange(start, start + variable.size)
+                # cvxpy counts the first index fastest, the grid the last one
+                number = np.arange(variable.size).reshape(variable.shape, order="F")
+                columns[name] = start + number.reshape(-1)
                 auxiliary[columns[name]] = False
         if auxiliary.any():
             columns[f"{self.name}:aux"] = np.flatnonzero(auxiliary)
@@ -194,7 +202,7 @@ class CvxpyRows(Term):
             {name: sp.csr_array(M[:, at]) for name, at in columns.items()},
             np.asarray(data["b"], dtype=np.float64),
             {name: cost[at] for name, at in columns.items()},
-            constant if math.isfinite(constant) else 0.0,
+            constant,
             int(dims.zero),
             int(dims.nonneg),
             tuple(int(size) for size in dims.soc),

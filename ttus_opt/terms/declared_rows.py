@@ -100,6 +100,6 @@ def uniform_vector(owner: str, name: str, values: Any, *, finite: bool) -> Array
 def _described(value: Any) -> str:
     """What was given, in a few words."""
     if isinstance(value, np.ndarray) or sp.issparse(value):
-        sort = "array" if isinstance(value, np.ndarray) else "sparse matrix"
-        return f"a {sort} of {value.dtype} of shape {value.shape}"
+        sort = "an array" if isinstance(value, np.ndarray) else "a sparse matrix"
+        return f"{sort} of {value.dtype} of shape {value.shape}"
     return "None" if value is None else f"a {type(value).__name__}"
