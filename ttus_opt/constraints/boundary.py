@@ -1,4 +1,7 @@
-"""Dirichlet values as equalities, p = b on the boundary voxels (design §3)."""
+"""Dirichlet values as equalities, p = b on the boundary voxels.
+
+See docs/method.md, Boundary values.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Coulomb's limit of a drag field, |q| ≤ μ_max |p| with one sign (design §3)."""
+"""Coulomb's limit of a drag field, |q| ≤ μ_max |p| with one sign.
+
+See docs/method.md, Friction.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,10 @@
-"""Growth with depth along every spoke (design §3).
+"""Growth with depth along every spoke.
 
 The deeper voxel of two neighbours on a spoke has at least the value of the shallower
 one, and ``least_slope`` times their distance more. Pairs lie inside or between
 inside and the skin; pairs of two given boundary values are left out.
+
+See docs/method.md, The shelf.
 """
 
 from __future__ import annotations

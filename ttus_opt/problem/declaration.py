@@ -231,7 +231,8 @@ class Formulation:
         Raises:
             InputError: There is none of that name, or no term would be left.
         """
-        known = [member.name for member in (*self.terms, *self.constraints)]
+        known = [term.name for term in self.terms]
+        known += [constraint.name for constraint in self.constraints]
         for name in names:
             if name not in known:
                 near = difflib.get_close_matches(name, known, n=1)

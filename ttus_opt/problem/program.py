@@ -132,7 +132,8 @@ class Program:
         """Sizes and names in one line."""
         variables = self.variables.items()
         sizes = ", ".join(f"{n} in R^{p.stop - p.start:,}" for n, p in variables)
-        held = [m.name for m in (*self.constraints, *self.cones, *self.bounds)]
+        held = [c.name for c in self.constraints] + [c.name for c in self.cones]
+        held += [bound.name for bound in self.bounds]
         terms = ", ".join(term.name for term in self.terms)
         limits = f" subject to {', '.join(held)}" if held else ""
         return f"<Program over {sizes}: {terms}{limits}>"

@@ -66,8 +66,8 @@ class Reduction:
         if self.program is self.original:
             return Point(x, duals)
         n = self.original.n_variables
-        members = (*self.original.constraints, *self.original.cones)
-        own = {member.name for member in members}
+        own = {constraint.name for constraint in self.original.constraints}
+        own |= {cone.name for cone in self.original.cones}
         rows = {name: y for name, y in duals.rows.items() if name in own}
         terms = dict(duals.terms)
         for term in self.original.terms:

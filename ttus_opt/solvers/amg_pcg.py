@@ -1,4 +1,4 @@
-"""Off the shelf: conjugate gradients over algebraic multigrid, eq. 10 (design §3, c).
+"""Off the shelf: conjugate gradients over algebraic multigrid, eq. 10.
 
 With D the weighted measured rows, t their targets and u = L p - b, the objective is
 ‖u‖² + ‖D L⁻¹(u + b) - t‖², the identity plus a term of low rank:
@@ -8,6 +8,8 @@ With D the weighted measured rows, t their targets and u = L p - b, the objectiv
 SciPy's conjugate gradients take one solve with L and one with Lᵀ per step; each is
 SciPy's conjugate gradients again, on the block A, preconditioned with a V-cycle of
 pyamg. It is what `structured` is compared with.
+
+See docs/method.md, Other solvers.
 """
 
 from __future__ import annotations

@@ -45,7 +45,7 @@ LARGEST = {name: 30_000 for name in ("clarabel", "piqp", "osqp", "cvxpy_clarabel
 @functools.cache
 def solvers() -> dict[str, Solver]:
     """Every solver by name, installed or not, ours before another package's."""
-    found = {}
+    found: dict[str, Solver] = {}
     for entry in importlib.metadata.entry_points(group=ENTRY_POINTS):
         found |= _of(_loaded(entry), f"entry point {entry.name} of {ENTRY_POINTS}")
     for module in pkgutil.iter_modules(ttus_opt.solvers.__path__):

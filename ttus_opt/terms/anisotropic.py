@@ -1,7 +1,9 @@
-"""Anisotropic Laplace prior, ‖Δr² ∇·(K ∇p) − b‖² (design §3).
+"""Anisotropic Laplace prior, ‖Δr² ∇·(K ∇p) − b‖².
 
 Conductivities k_r, k_θ, k_z, constant along their coordinate: muscle and skin carry
 load further along one direction than across it.
+
+See docs/method.md, Variants.
 """
 
 from __future__ import annotations

@@ -44,24 +44,26 @@ def _matrix(owner: str, variable: str, matrix: Any, n_rows: int) -> sp.csr_array
             f"{what} must be sparse, got {_described(matrix)}: wrap it in "
             "scipy.sparse.csr_array"
         )
-    if np.iscomplexobj(matrix) or matrix.dtype.kind not in "fiub" or matrix.ndim != 2:
-        raise InputError(f"{what} must be real and 2-D, got {_described(matrix)}")
-    if not (isinstance(matrix, sp.csr_array) and matrix.dtype == np.float64):
-        matrix = sp.csr_array(matrix, dtype=np.float64)
-    if matrix.shape[0] != n_rows:
+    given: Any = matrix
+    if given.dtype.kind not in "fiub" or given.ndim != 2:
+        raise InputError(f"{what} must be real and 2-D, got {_described(given)}")
+    if not (isinstance(given, sp.csr_array) and given.dtype == np.float64):
+        given = sp.csr_array(given.astype(np.float64))
+    rows: sp.csr_array = given
+    if rows.shape[0] != n_rows:
         raise InputError(
-            f"{owner}: {matrix.shape[0]} rows over {variable}, and {n_rows} entries "
+            f"{owner}: {rows.shape[0]} rows over {variable}, and {n_rows} entries "
             "beside them: give one for every row"
         )
-    wrong = ~np.isfinite(matrix.data)
+    wrong = ~np.isfinite(rows.data)
     if wrong.any():
         at = int(np.flatnonzero(wrong)[0])
-        row = int(np.searchsorted(matrix.indptr, at, side="right")) - 1
+        row = int(np.searchsorted(rows.indptr, at, side="right")) - 1
         raise InputError(
-            f"{owner}: its rows over {variable} hold {matrix.data[at]} (row {row}, "
+            f"{owner}: its rows over {variable} hold {rows.data[at]} (row {row}, "
             f"{int(wrong.sum())} in all): check the data they are made of"
         )
-    return matrix
+    return rows
 
 
 def uniform_vector(owner: str, name: str, values: Any, *, finite: bool) -> Array:
@@ -99,7 +101,7 @@ def uniform_vector(owner: str, name: str, values: Any, *, finite: bool) -> Array
 
 def _described(value: Any) -> str:
     """What was given, in a few words."""
-    if isinstance(value, np.ndarray) or sp.issparse(value):
-        sort = "an array" if isinstance(value, np.ndarray) else "a sparse matrix"
+    if hasattr(value, "dtype"):
+        sort = "a sparse matrix" if sp.issparse(value) else "an array"
         return f"{sort} of {value.dtype} of shape {value.shape}"
     return "None" if value is None else f"a {type(value).__name__}"

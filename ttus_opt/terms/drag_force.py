@@ -1,4 +1,7 @@
-"""Measured forces with drag, λ_f ‖N p − drag − f‖² (design §3, friction)."""
+"""Measured forces with drag, λ_f ‖N p − drag − f‖².
+
+See docs/method.md, Friction.
+"""
 
 from __future__ import annotations
 

@@ -1,8 +1,10 @@
-"""Prior of the drag field q, ‖L q − m b‖² (design §3, friction).
+"""Prior of the drag field q, ‖L q − m b‖².
 
 Measurements tell q only where the probe slid. Where friction is the same everywhere
 q = μ p, which satisfies L q = μ b as p satisfies L p = b: between, q is what a mean
 friction coefficient m makes of p, and m is found with it.
+
+See docs/method.md, Friction.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Measured torques with drag, λ_τ ‖(W p − torque of drag − τ)/ℓ‖² (design §3)."""
+"""Measured torques with drag, λ_τ ‖(W p − torque of drag − τ)/ℓ‖².
+
+See docs/method.md, Friction.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,9 @@
-"""Measured forces, robust against outliers: Huber's penalty of N p − f (design §3).
+"""Measured forces, robust against outliers: Huber's penalty of N p − f.
 
 Up to δ a residual is charged by its square as in eq. 10, beyond it in proportion to
 its size, so that slipped frames, hairs and cable pulls do not bend the field.
+
+See docs/method.md, Penalties.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
-"""Sparse sources, Σ |L p − b| over the free voxels (design §3).
+"""Sparse sources, Σ |L p − b| over the free voxels.
 
 L p − b is what the field emits or swallows between the boundaries. Squares spread it
 thinly over all voxels; absolute values put it into few: the edge of a rib, a lump.
+
+See docs/method.md, Penalties.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Tikhonov's term ‖p − p_ref‖², over the free voxels (design §3)."""
+"""Tikhonov's term ‖p − p_ref‖², over the free voxels.
+
+See docs/method.md, The shelf.
+"""
 
 from __future__ import annotations
 

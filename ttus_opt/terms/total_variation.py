@@ -1,4 +1,4 @@
-"""Total variation of the departure from the Laplace field p₀ (design §3).
+"""Total variation of the departure from the Laplace field p₀.
 
 Differences between neighbouring voxels, divided by their distance in units of Δr:
 D ∇(p − p₀). Departures then come in plateaus with edges, like a stiff lump in soft
@@ -6,6 +6,8 @@ tissue. Two readings:
 
 - anisotropic (default): Σ of all absolute differences, a quadratic program;
 - isotropic: Σ over voxels of the length of (D_r, D_θ, D_z), a cone program.
+
+See docs/method.md, Penalties.
 """
 
 from __future__ import annotations
