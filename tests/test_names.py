@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 
 import pytest
 
@@ -21,9 +22,31 @@ KEPT = {
 }
 
 
+#: Public names that are called otherwise where they live
+OTHERWISE = {
+    "constraints": "ttus_opt.constraints",
+    "load_formulation": "load",
+    "terms": "ttus_opt.terms",
+}
+
+
 @pytest.mark.parametrize("name", tt.__all__)
 def test_a_public_name_is_loaded_on_first_use(name: str) -> None:
-    assert getattr(tt, name).__name__ == name
+    assert getattr(tt, name).__name__ == OTHERWISE.get(name, name)
+
+
+def test_a_shelf_gives_its_classes_by_name() -> None:
+    from ttus_opt.terms.laplace import LaplaceTerm
+
+    assert tt.terms.LaplaceTerm is LaplaceTerm
+    assert {"CvxpyTerm", "ForceTerm"} <= set(dir(tt.terms))
+    assert {"Sign", "HardBoundary"} <= set(dir(tt.constraints))
+    with pytest.raises(AttributeError, match="no attribute 'LaplaseTerm'"):
+        tt.terms.LaplaseTerm  # noqa: B018
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    assert tt.__version__ == importlib.metadata.version("ttus-opt")
 
 
 @pytest.mark.parametrize("module", KEPT)

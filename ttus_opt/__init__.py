@@ -7,9 +7,12 @@ packages, a notebook never waits for what it does not touch.
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ttus_opt import constraints as constraints
+    from ttus_opt import terms as terms
     from ttus_opt.errors import TtusError as TtusError
     from ttus_opt.errors import TtusWarning as TtusWarning
     from ttus_opt.fitting.batch import Fitter as Fitter
@@ -21,6 +24,7 @@ if TYPE_CHECKING:
     from ttus_opt.probe.trajectory import Trajectory as Trajectory
     from ttus_opt.probe.trajectory import read_trajectory as read_trajectory
     from ttus_opt.problem.formulation import Formulation as Formulation
+    from ttus_opt.problem.formulation import load_formulation as load_formulation
     from ttus_opt.problem.solution import NoSolutionError as NoSolutionError
     from ttus_opt.problem.solution import Solution as Solution
     from ttus_opt.problem.solution import Status as Status
@@ -30,12 +34,17 @@ if TYPE_CHECKING:
     from ttus_opt.scan.frame import Axis as Axis
     from ttus_opt.scan.surface import Surface as Surface
     from ttus_opt.scene import Scene as Scene
+    from ttus_opt.terms.base import AffineRows as AffineRows
+    from ttus_opt.terms.base import Term as Term
+    from ttus_opt.terms.cvxpy_term import CvxpyTerm as CvxpyTerm
     from ttus_opt.voxmap.field import PotentialField as PotentialField
     from ttus_opt.voxmap.voxmap import Voxmap as Voxmap
 
 _HOME = {
+    "AffineRows": "terms.base",
     "Axis": "scan.frame",
     "BlendLaw": "haptic.blend",
+    "CvxpyTerm": "terms.cvxpy_term",
     "Fitter": "fitting.batch",
     "Formulation": "problem.formulation",
     "NoSolutionError": "problem.solution",
@@ -47,6 +56,7 @@ _HOME = {
     "Solution": "problem.solution",
     "Status": "problem.solution",
     "Surface": "scan.surface",
+    "Term": "terms.base",
     "Trajectory": "probe.trajectory",
     "TtusError": "errors",
     "TtusWarning": "errors",
@@ -54,22 +64,39 @@ _HOME = {
     "evaluate": "report.metrics",
     "extract_surface": "scan.extraction",
     "fit": "fitting.batch",
+    "load_formulation": "problem.formulation",
     "read_cloud": "scan.cloud",
     "read_trajectory": "probe.trajectory",
 }
 
-__all__ = list(_HOME)
+#: Folders whose classes are found by name, such as ``tt.terms.LaplaceTerm``
+_SHELVES = ("constraints", "terms")
+
+__all__ = [*_HOME, *_SHELVES]
 
 
 def __getattr__(name: str) -> Any:
     """Load a public name from its module on first use."""
-    if name not in _HOME:
+    value: Any
+    if name == "__version__":
+        value = _version()
+    elif name in _SHELVES:
+        value = importlib.import_module(f"ttus_opt.{name}")
+    elif name in _HOME:
+        value = getattr(importlib.import_module(f"ttus_opt.{_HOME[name]}"), name)
+    else:
         raise AttributeError(f"module 'ttus_opt' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"ttus_opt.{_HOME[name]}"), name)
     globals()[name] = value
     return value
 
 
+def _version() -> str:
+    try:
+        return importlib.metadata.version("ttus-opt")
+    except importlib.metadata.PackageNotFoundError:  # run from its source
+        return "0+unknown"
+
+
 def __dir__() -> list[str]:
     """Public names, loaded or not."""
-    return sorted({*globals(), *_HOME})
+    return sorted({*globals(), *__all__})

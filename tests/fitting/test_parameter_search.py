@@ -197,9 +197,9 @@ class Pair(ForceTerm):
 def test_the_neutral_value_lies_in_the_range() -> None:
     build = declared().search
     assert build is not None
-    assert Search("value", 1.0, 2.0, build.build).neutral == 1.0
-    assert Search("value", -2.0, -1.0, build.build).neutral == -1.0
-    assert Search("value", -1.0, 1.0, build.build).neutral == 0.0
+    assert Search("value", 1.0, 2.0, build.build).neutral_value == 1.0
+    assert Search("value", -2.0, -1.0, build.build).neutral_value == -1.0
+    assert Search("value", -1.0, 1.0, build.build).neutral_value == 0.0
     with pytest.raises(
         InputError, match=r"neutral value of value must lie in \[0, 1\]"
     ):

@@ -8,7 +8,7 @@ import pytest
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.problem.certificate import contradicts, falling_ray, falls_for_ever
 from ttus_opt.problem.kkt import Duals
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.linear import Linear
 
 INF = np.inf
 
@@ -26,7 +26,7 @@ POSSIBLE = program(
 
 #: x² + y over y ≤ 3
 DOWNHILL = program(
-    [term([[1, 0]], [0]), term([[0, 1]], [0], 1.0, Penalty.LINEAR, name="downhill")],
+    [term([[1, 0]], [0]), term([[0, 1]], [0], 1.0, Linear(), name="downhill")],
     (),
     [bounds("half", [-1, -INF], [1, 3])],
 )
@@ -71,6 +71,6 @@ def test_a_minimum_has_no_ray() -> None:
     assert falling_ray(held) is None
     assert not falls_for_ever(held, np.array([0.0, -1.0]))
     assert falling_ray(IMPOSSIBLE) is None
-    weightless = program([term([[1, 0]], [0]), term([[0, 1]], [0], 0.0, Penalty.LINEAR,
+    weightless = program([term([[1, 0]], [0]), term([[0, 1]], [0], 0.0, Linear(),
                          name="downhill")])  # fmt: skip
     assert falling_ray(weightless) is None

@@ -16,7 +16,7 @@ from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.registry import solvers
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.linear import Linear
 
 SCENE = small_scene("trilinear", shape=(6, 12, 7), n_poses=6)
 SLIDING = dragged_scene("contact", mu=0.2, viscous=30.0, shape=(7, 12, 8))
@@ -31,7 +31,7 @@ def dense(program: Program, r: np.ndarray, fixed: np.ndarray) -> float:
     """½ rᵀP⁻¹r over what is free to move."""
     P = np.zeros((program.n_variables, program.n_variables))
     for member in program.terms:
-        if member.penalty is Penalty.SQUARES:
+        if member.is_squares:
             M = member.matrix.toarray()
             P += 2.0 * member.weight * M.T @ M
     free = ~fixed
@@ -89,7 +89,7 @@ def test_nothing_is_said_where_squares_leave_something_open() -> None:
     tied = bare([term([[1.0, 1.0]], [1.0])])
     assert energy(tied, np.array([1.0, -1.0]), free) is None
     assert energy(one, np.zeros(2), free) == 0.0
-    nothing = bare([term([[1.0, 0.0]], [1.0], penalty=Penalty.LINEAR)])
+    nothing = bare([term([[1.0, 0.0]], [1.0], penalty=Linear())])
     assert energy(nothing, np.array([1.0, 0.0]), free) is None
 
 

@@ -170,31 +170,82 @@ def test_a_word_where_a_number_belongs(word: str) -> None:
         load("coulomb_drag", SCENE, largest_friction=word)
 
 
-def test_a_users_file_that_raises_keeps_its_traceback(tmp_path: Path) -> None:
+def test_a_users_file_that_raises_is_told_in_one_sentence(tmp_path: Path) -> None:
+    """With its own line; the cause begins in the user's file, not in the package."""
     own = tmp_path / "broken.py"
     own.write_text("def build(scene):\n    return scene.nonsense\n")
-    with pytest.raises(AttributeError, match="nonsense") as caught:
+    expected = (
+        rf"build\(\) of formulation broken raised AttributeError: .*nonsense.*{own}"
+    )
+    with pytest.raises(InputError, match=rf"{expected}, line 2\)") as caught:
         load(own, SCENE)
-    assert caught.value.__notes__ == [
-        f"raised by build() of formulation broken ({own})"
-    ]
-    frames = traceback.extract_tb(caught.value.__traceback__)
-    assert frames[-1].filename == str(own)
-    assert frames[-1].lineno == 2
+    assert "\n" not in str(caught.value)
+    assert caught.value.__cause__ is not None
+    frames = traceback.extract_tb(caught.value.__cause__.__traceback__)
+    assert [f.filename for f in frames] == [str(own)]
 
 
-def test_a_users_file_that_cannot_be_read(tmp_path: Path) -> None:
-    own = tmp_path / "typo.py"
-    own.write_text("def build(scene:\n")
-    with pytest.raises(SyntaxError) as caught:
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("def build(scene:\n", "SyntaxError.*line 1"),
+        ("import sys\nsys.exit(3)\n", "SystemExit: 3 .*line 2"),
+        ("import nowhere_to_be_found\n", "ModuleNotFoundError.*line 1"),
+        ("x = 1\n", r"no function build\(scene"),
+        ("def build(scene):\n    return 3\n", "returned int, expected a Formulation"),
+        (
+            "from ttus_opt.terms.base import Term\n"
+            "class T(Term):\n"
+            "    name = 'own'\n"
+            "def build(scene):\n"
+            "    return T(scene)\n",
+            "TypeError: .*abstract .*rows.*line 5",
+        ),
+    ],
+)
+def test_a_users_file_that_cannot_be_used(tmp_path: Path, text: str, told: str) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(text)
+    with pytest.raises(InputError, match=told):
         load(own, SCENE)
-    assert caught.value.__notes__ == [f"raised while loading formulation file {own}"]
-    own.write_text("x = 1\n")
-    with pytest.raises(InputError, match=r"no function build\(scene"):
-        load(own, SCENE)
-    own.write_text("def build(scene):\n    return 3\n")
-    with pytest.raises(InputError, match="returned int, expected a Formulation"):
-        load(own, SCENE)
+
+
+@pytest.mark.parametrize(
+    ("name", "option", "value", "told"),
+    [
+        ("eq10", "torque_length", "abc", "takes a number, got 'abc'"),
+        ("total_variation", "variation", float("nan"), "takes a number, got nan"),
+        ("total_variation", "isotropic", 3, "takes true or false, got 3"),
+        ("viscous_drag", "sectors", 1.5, "takes a whole number such as 1, got 1.5"),
+        ("tikhonov", "reference", 2, "takes a word such as laplace, got 2"),
+        ("eq10", "force_weight", [1.0], r"takes a number such as 0.0001, got \[1.0\]"),
+        ("eq10", "force_weight", True, "takes a number such as 0.0001, got True"),
+    ],
+)
+def test_options_are_checked_by_their_kind(
+    name: str, option: str, value: object, told: str
+) -> None:
+    with pytest.raises(InputError, match=told):
+        load(name, SCENE, **{option: value})
+    assert load("eq10", SCENE, torque_length=None).terms
+
+
+def test_the_package_is_not_blamed_on_a_user(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error of a formulation of our own is no InputError."""
+    from formulations import eq10 as module
+
+    monkeypatch.setattr(module, "LaplaceTerm", len)
+    with pytest.raises(TypeError, match="len"):
+        load("eq10", SCENE)
+
+
+def test_members_are_left_out_by_name() -> None:
+    both = eq10().with_constraints(Sign(SCENE))
+    left = both.without("force", "sign")
+    assert [term.name for term in left.terms] == ["laplace"]
+    assert not left.constraints
+    with pytest.raises(InputError, match=r"no term or constraint 'sing'.*mean sign"):
+        both.without("sing")
 
 
 def test_a_users_file_may_take_any_keyword(tmp_path: Path) -> None:

@@ -10,7 +10,9 @@ from tests.conftest import small_scene
 from ttus_opt.problem.kkt import KKT, Duals, bound_duals, kkt_residuals
 from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.terms.penalties.groups import Groups
+from ttus_opt.terms.penalties.huber import Huber
 
 LAPLACE = small_scene(shape=(5, 6, 4), n_poses=2).laplace
 
@@ -101,7 +103,7 @@ def test_absolute_penalty_has_a_multiplier_within_one() -> None:
     for target, solution, g in ((0.3, 0.0, 0.6), (3.0, 2.5, 1.0)):
         terms = [
             squares([target]),
-            ProgramTerm("size", 1.0, eye, np.zeros(1), Penalty.ABSOLUTE),
+            ProgramTerm("size", 1.0, eye, np.zeros(1), Absolute()),
         ]
         problem = program(1, terms)
         x = np.array([solution])
@@ -119,7 +121,7 @@ def test_absolute_penalty_has_a_multiplier_within_one() -> None:
 def test_huber_penalty_needs_no_multiplier() -> None:
     """min huber(x - 4; 1) + x²: slope 2 beyond the limit, so x = 1."""
     eye = sp.csr_array(sp.eye_array(1))
-    bent = ProgramTerm("bent", 1.0, eye, np.array([4.0]), Penalty.HUBER, 1.0)
+    bent = ProgramTerm("bent", 1.0, eye, np.array([4.0]), Huber(1.0))
     problem = program(1, [squares([0]), bent])
     assert problem.objective(np.ones(1)) == pytest.approx(1.0 + 2 * 3 - 1)
     assert_optimal(kkt_residuals(problem, np.ones(1), Duals()))
@@ -129,7 +131,7 @@ def test_huber_penalty_needs_no_multiplier() -> None:
 def test_group_norm_shrinks_a_group_by_its_length() -> None:
     """min ‖x - (3, 4)‖² + 2‖x‖: shrinks the length 5 by 1; near zero to zero."""
     eye = sp.csr_array(sp.eye_array(2))
-    length = ProgramTerm("length", 2.0, eye, np.zeros(2), Penalty.GROUPS, group_size=2)
+    length = ProgramTerm("length", 2.0, eye, np.zeros(2), Groups(2))
     x = 0.8 * np.array([3.0, 4.0])
     problem = program(2, [squares([3, 4]), length])
     assert_optimal(kkt_residuals(problem, x, Duals(terms={"length": x / 4.0})))

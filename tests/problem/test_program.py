@@ -14,11 +14,13 @@ from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.errors import InputError
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.program import Program
+from ttus_opt.problem.program import Program, QuadraticForm
 from ttus_opt.scene import Scene
-from ttus_opt.terms.base import AffineRows, Penalty, Term
+from ttus_opt.terms.base import AffineRows, Term
 from ttus_opt.terms.force import ForceTerm
 from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.terms.penalties.linear import Linear
 from ttus_opt.terms.torque import TorqueTerm
 
 TINY = small_scene(shape=(5, 6, 4), n_poses=5)
@@ -83,6 +85,20 @@ def test_normal_equations_are_the_dense_ones() -> None:
     )
 
 
+def explicit_qp(program: Program) -> QuadraticForm:
+    """The QP with P = 2Q formed, by the definition."""
+    Q, d = program.normal_equations()
+    rows = program.constraints
+    limits = [
+        np.concatenate([getattr(c, side) for c in rows]) for side in ("lower", "upper")
+    ]
+    n = program.n_variables
+    A = sp.vstack([sp.csr_array((0, n)), *(c.matrix for c in rows)])
+    return QuadraticForm(
+        sp.csc_array(2.0 * Q), -2.0 * d, sp.csc_array(A), *limits, *program.box
+    )
+
+
 def lifted_value(form: object, x: np.ndarray) -> float:
     return float(0.5 * x @ (form.P @ x) + form.q @ x)  # type: ignore[attr-defined]
 
@@ -92,7 +108,7 @@ def test_explicit_and_least_squares_forms_say_the_same() -> None:
     program = Program.build(
         TINY, [*eq10(), TwoVariables(TINY)], [HardBoundary(TINY), Sign(TINY)]
     )
-    explicit, squares = program.explicit_qp(), program.least_squares_qp()
+    explicit, squares = explicit_qp(program), program.least_squares_qp()
     n, m = program.n_variables, squares.n_lifted
     assert squares.A.shape == (m + explicit.A.shape[0], n + m)
     constant = program.objective(np.zeros(n))
@@ -115,7 +131,7 @@ def test_a_linear_penalty_goes_into_q_and_d() -> None:
     plain = Program.build(TINY, eq10(), [])
     c = RNG.normal(size=TINY.n_voxels)
     row = sp.csr_array(c[None])
-    slope = ProgramTerm("slope", 2.0, row, np.array([0.5]), Penalty.LINEAR)
+    slope = ProgramTerm("slope", 2.0, row, np.array([0.5]), Linear())
     program = replace(plain, terms=(*plain.terms, slope))
     x = RNG.normal(size=TINY.n_voxels)
     assert program.is_quadratic
@@ -184,7 +200,7 @@ def test_weights_change_without_stacking_again() -> None:
 
 def test_bent_penalties_have_no_quadratic_form() -> None:
     program = Program.build(TINY, eq10(), [])
-    bent = replace(program.terms[1], penalty=Penalty.ABSOLUTE)
+    bent = replace(program.terms[1], penalty=Absolute())
     program = replace(program, terms=(program.terms[0], bent))
     assert not program.is_quadratic
     with pytest.raises(InputError, match="force is not a sum of squares"):
@@ -202,7 +218,7 @@ def test_constraint_rows_keep_their_limits() -> None:
             return LinearRows({"p": row}, np.array([-1.0]), np.array([2.0]))
 
     program = Program.build(TINY, [LaplaceTerm(TINY)], [Band(TINY), HardBoundary(TINY)])
-    form = program.explicit_qp()
+    form = explicit_qp(program)
     assert (form.lower[0], form.upper[0]) == (-1.0, 2.0)
     np.testing.assert_array_equal(form.lower[1:], form.upper[1:])
     x = np.full(TINY.n_voxels, 3.0)

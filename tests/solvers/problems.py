@@ -11,24 +11,28 @@ import scipy.sparse as sp
 
 from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.terms.penalties.base import Penalty
+from ttus_opt.terms.penalties.groups import Groups
+from ttus_opt.terms.penalties.huber import Huber
+from ttus_opt.terms.penalties.linear import Linear
+from ttus_opt.terms.penalties.squares import Squares
 
 INF = np.inf
+SQUARES = Squares()
 
 
 def term(
     M: Any,
     t: Any,
     weight: float = 1.0,
-    penalty: Penalty = Penalty.SQUARES,
+    penalty: Penalty = SQUARES,
     name: str = "fit",
-    threshold: float = INF,
-    group_size: int = 1,
 ) -> ProgramTerm:
     """A term over all variables."""
     rows = sp.csr_array(np.asarray(M, dtype=float))
     target = np.asarray(t, dtype=float)
-    return ProgramTerm(name, weight, rows, target, penalty, threshold, group_size)
+    return ProgramTerm(name, weight, rows, target, penalty)
 
 
 def rows(name: str, A: Any, lower: Any, upper: Any) -> ProgramConstraint:
@@ -173,7 +177,7 @@ def references() -> list[Reference]:
             program(
                 [
                     term(eye2, [0, 0]),
-                    term(eye2, [0, 0], 3.0, Penalty.LINEAR, name="slope"),
+                    term(eye2, [0, 0], 3.0, Linear(), name="slope"),
                 ],
                 (),
                 [bounds("box", [-1, -INF], [INF, INF])],
@@ -191,18 +195,14 @@ def bending_references() -> list[Reference]:
         # ‖x‖² + 2 |x - 3|: 2 x + 2 g = 0 with g = -1
         Reference(
             "absolute",
-            program(
-                [term(eye1, [0]), term(eye1, [3], 2.0, Penalty.ABSOLUTE, name="bent")]
-            ),
+            program([term(eye1, [0]), term(eye1, [3], 2.0, Absolute(), name="bent")]),
             [1],
             terms={"bent": [-1]},
         ),
         # ‖x‖² + 10 |x - 3| sticks at 3 with g = -0.6
         Reference(
             "absolute_kink",
-            program(
-                [term(eye1, [0]), term(eye1, [3], 10.0, Penalty.ABSOLUTE, name="bent")]
-            ),
+            program([term(eye1, [0]), term(eye1, [3], 10.0, Absolute(), name="bent")]),
             [3],
             terms={"bent": [-0.6]},
         ),
@@ -212,7 +212,7 @@ def bending_references() -> list[Reference]:
             program(
                 [
                     term(eye1, [0]),
-                    term(eye1, [9], 1.0, Penalty.HUBER, name="bent", threshold=2.0),
+                    term(eye1, [9], 1.0, Huber(2.0), name="bent"),
                 ]
             ),
             [2],
@@ -224,7 +224,7 @@ def bending_references() -> list[Reference]:
             program(
                 [
                     term(eye2, [3, 4]),
-                    term(eye2, [0, 0], 2.0, Penalty.GROUPS, "bent", group_size=2),
+                    term(eye2, [0, 0], 2.0, Groups(2), "bent"),
                 ]
             ),
             [2.4, 3.2],

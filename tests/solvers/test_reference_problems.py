@@ -20,7 +20,7 @@ from tests.solvers.problems import (
 from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.solvers.base import Claim, Request, Solver
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.linear import Linear
 
 #: Relative KKT residual asked for, and the largest error of x and of the duals that
 #: may come with it; one line for all, exceptions by name
@@ -66,7 +66,7 @@ def check(solver: Solver, reference: Reference) -> None:
         bent = reference.program.term(name)
         assert bent is not None
         # Huber's is a function of x: a solver need not return it
-        got = duals.terms.get(name, bent.subgradient(bent.residual(x)))
+        got = duals.terms.get(name, bent.penalty.subgradient(bent.residual(x)))
         assert error_of(got, expected) <= largest, name
     # where the objective is zero too, its distance from zero is open to √ε as x is
     ours = np.sqrt(TOLERANCE) if reference.weak else TOLERANCE
@@ -115,7 +115,7 @@ def test_no_minimum_is_never_called_done(solver: Solver) -> None:
     downhill = program(
         [
             term([[1, 0]], [0]),
-            term([[0, 1]], [0], 1.0, Penalty.LINEAR, name="downhill"),
+            term([[0, 1]], [0], 1.0, Linear(), name="downhill"),
         ],
         (),
         [bounds("half", [-1, -np.inf], [1, 3])],

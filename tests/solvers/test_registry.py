@@ -16,7 +16,7 @@ from ttus_opt.problem.program import Program
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Claim, Request, Solver
 from ttus_opt.solvers.qpsolvers_base import claim_from
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.groups import Groups
 
 ALL = list(registry.solvers().values())
 
@@ -59,7 +59,7 @@ def test_auto_never_takes_a_reference() -> None:
 
 
 def test_auto_takes_cones_for_group_norms() -> None:
-    bent = program([term(np.eye(2), [1, 1], 1.0, Penalty.GROUPS, group_size=2)])
+    bent = program([term(np.eye(2), [1, 1], 1.0, Groups(2))])
     assert registry.choose("auto", bent).name == "cvxpy_clarabel"
 
 
@@ -93,7 +93,7 @@ def test_solver_that_is_not_installed_gives_its_pip_name(
         ),
         (program([term(np.eye(1), [1])]), ["structured", "highs", "amg_pcg"]),
         (
-            program([term(np.eye(1), [1], 1.0, Penalty.GROUPS)]),
+            program([term(np.eye(1), [1], 1.0, Groups(1))]),
             ["clarabel", "osqp", "closed_form"],
         ),
     ],

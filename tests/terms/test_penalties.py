@@ -12,7 +12,7 @@ from tests.conftest import small_scene
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.formulation import Formulation, load
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.groups import Groups
 from ttus_opt.terms.robust_force import RobustForceTerm
 from ttus_opt.terms.sparse_sources import SparseSourcesTerm
 from ttus_opt.terms.total_variation import TotalVariationTerm, difference_rows
@@ -113,7 +113,7 @@ def test_total_variation_of_a_gradient_is_its_length() -> None:
         program = Formulation([term]).compile()
         steps = grid.shape[0] * grid.shape[1] * (grid.shape[2] - 1)
         assert program.objective(departure) == pytest.approx(steps)
-    assert term.penalty is Penalty.GROUPS
+    assert term.penalty == Groups(3)
 
 
 def test_isotropic_variation_is_a_cone_program_with_a_certificate() -> None:
@@ -124,7 +124,7 @@ def test_isotropic_variation_is_a_cone_program_with_a_certificate() -> None:
         scene, "total_variation", solver="cvxpy_clarabel", isotropic=True, **options
     )
     assert solution.field is not None
-    assert solution.program.terms[0].penalty is Penalty.GROUPS
+    assert solution.program.terms[0].penalty == Groups(3)
     lengths = np.linalg.norm(
         solution.duals.terms["total_variation"].reshape(-1, 3), axis=1
     )

@@ -7,7 +7,6 @@ import importlib.metadata
 import signal
 import sys
 import threading
-import traceback
 from collections.abc import Iterator, Sequence
 from typing import Annotated, NoReturn
 
@@ -96,11 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         # what the parser raises when an option is unknown, missing or of another type
         told = getattr(error, "format_message", None)
         if told is None:
-            notes = getattr(error, "__notes__", [])
-            if not notes:
-                raise
-            _show_own_part(error)
-            _end(f"{type(error).__name__}: {error}: {notes[-1]}", BAD_INPUT)
+            raise
         _end(f"{told()}" or "see ttus-opt --help", BAD_INPUT)
     if status == INTERRUPTED:  # typer may have turned the interrupt into a status
         _end("interrupted: nothing further was written", INTERRUPTED)
@@ -118,16 +113,6 @@ def _termination_as_exit() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-def _show_own_part(error: Exception) -> None:
-    """The traceback of a user's formulation file, without the way that led there."""
-    from ttus_opt.problem import formulation
-
-    frames = traceback.extract_tb(error.__traceback__)
-    last = max(n for n, f in enumerate(frames) if f.filename == formulation.__file__)
-    own = [f for f in frames[last + 1 :] if not f.filename.startswith("<frozen")]
-    typer.echo("".join(traceback.format_list(own)).rstrip(), err=True)
 
 
 def _end(message: str, status: int) -> NoReturn:

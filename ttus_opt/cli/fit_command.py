@@ -60,7 +60,11 @@ def fit(
         str, typer.Option(help="A formulation's name, or the path of your own file.")
     ] = "eq10",
     solver: Annotated[
-        str, typer.Option(help="A solver's name, or auto; see ttus-opt solvers.")
+        str,
+        typer.Option(
+            help="A solver's name, the path of your own file, or auto; see "
+            "ttus-opt solvers."
+        ),
     ] = "auto",
     shape: Annotated[
         str, typer.Option(help="Voxels in r, θ, z: n_r,n_theta,n_z.")

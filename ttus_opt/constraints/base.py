@@ -6,48 +6,20 @@ The same knowledge may be a term (soft) or a constraint (hard); the caller decid
 from __future__ import annotations
 
 import abc
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
 
 import numpy as np
-import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
-from ttus_opt.terms.declared_rows import check_declared
-
-
-@dataclass(frozen=True)
-class LinearRows:
-    """Rows lower ≤ Σ_k M_k x_k ≤ upper.
-
-    Attributes:
-        blocks: Matrix per variable, each of shape (m, size of the variable).
-        lower: Lower limits, -inf where there is none, shape (m,).
-        upper: Upper limits, +inf where there is none, shape (m,).
-    """
-
-    blocks: Mapping[str, sp.csr_array]
-    lower: Array
-    upper: Array
-
-
-@dataclass(frozen=True)
-class Bounds:
-    """Bounds lower ≤ x_k ≤ upper on one whole variable.
-
-    Attributes:
-        variable: Its name.
-        lower: Shape of the variable, -inf where there is none.
-        upper: Shape of the variable, +inf where there is none.
-    """
-
-    variable: str
-    lower: Array
-    upper: Array
+from ttus_opt.terms.declared_rows import uniform_blocks, uniform_vector
+from ttus_opt.terms.limits import Bounds as Bounds
+from ttus_opt.terms.limits import ConeRows as ConeRows
+from ttus_opt.terms.limits import LinearRows as LinearRows
+from ttus_opt.terms.structure import check_structure
+from ttus_opt.user_code import defined_at, told_by_line
 
 
 @dataclass(frozen=True)
@@ -60,36 +32,81 @@ class Constraint(abc.ABC):
 
     scene: Scene = field(repr=False)
 
-    #: Name under which slack and dual are returned
-    name: ClassVar[str]
-    #: The mathematics, for `repr` of a formulation
-    formula: ClassVar[str]
+    @property
+    def name(self) -> str:
+        """Name under which slack and dual are returned.
+
+        Raises:
+            InputError: The class gives none.
+        """
+        kind = type(self).__name__
+        raise InputError(f'{kind} has no name: add name = "…" to the class')
+
+    @property
+    def formula(self) -> str:
+        """The mathematics, for `repr` of a formulation."""
+        return "lower ≤ M x ≤ upper"
 
     @abc.abstractmethod
-    def rows(self) -> LinearRows | Bounds:
+    def rows(self) -> LinearRows | ConeRows | Bounds:
         """The constraint's rows, or bounds on a variable."""
 
     @cached_property
-    def assembled(self) -> LinearRows | Bounds:
-        """`rows`, made once.
+    def assembled(self) -> LinearRows | ConeRows | Bounds:
+        """`rows`, made once and in one format.
 
         Raises:
-            InputError: A row or limit is NaN, a limit can hold for no number at all,
-                or they do not fit together.
+            InputError: `rows` raises, a row or limit is no number, a limit can hold for
+                no number at all, they do not fit together, or they are not what they
+                are tagged to be.
         """
-        rows, owner = self.rows(), f"constraint {self.name}"
-        blocks = rows.blocks if isinstance(rows, LinearRows) else {}
-        check_declared(
-            owner, blocks, {"lower limit": rows.lower, "upper limit": rows.upper}
+        owner = f"constraint {self.name}{defined_at(type(self).rows)}"
+        with told_by_line(f"rows() of constraint {self.name}"):
+            rows = self.rows()
+        if isinstance(rows, ConeRows):
+            return _uniform_cones(owner, rows)
+        if not isinstance(rows, LinearRows | Bounds):
+            raise InputError(
+                f"{owner}: rows() must return LinearRows, ConeRows or Bounds, got "
+                f"{type(rows).__name__}"
+            )
+        lower, upper = (
+            uniform_vector(owner, f"{side} limit", values, finite=False)
+            for side, values in (("lower", rows.lower), ("upper", rows.upper))
         )
-        for name, none in (
-            ("lower", rows.lower == np.inf),
-            ("upper", rows.upper == -np.inf),
-        ):
-            if none.any():
-                raise InputError(
-                    f"{owner}: {int(none.sum())} {name} limits are infinite on the "
-                    "wrong side, nothing obeys them: use -inf below and inf above "
-                    "where there is no limit"
-                )
-        return rows
+        if len(lower) != len(upper):
+            raise InputError(
+                f"{owner}: {len(lower)} lower limits and {len(upper)} upper ones: give "
+                "-inf below and inf above where there is no limit"
+            )
+        _check_sides(owner, lower, upper)
+        if isinstance(rows, Bounds):
+            return Bounds(rows.variable, lower, upper)
+        blocks = uniform_blocks(owner, rows.blocks, len(lower))
+        check_structure(owner, rows.tags, blocks, self.scene.laplace)
+        return LinearRows(blocks, lower, upper, rows.tags)
+
+
+def _uniform_cones(owner: str, rows: ConeRows) -> ConeRows:
+    offset = uniform_vector(owner, "offset", rows.offset, finite=True)
+    if sum(rows.sizes) != len(offset) or min(rows.sizes, default=1) < 1:
+        raise InputError(
+            f"{owner}: cones of {sum(rows.sizes)} rows in all, and {len(offset)} "
+            "offsets: give the rows of one cone after the other"
+        )
+    return ConeRows(uniform_blocks(owner, rows.blocks, len(offset)), offset, rows.sizes)
+
+
+def _check_sides(owner: str, lower: Array, upper: Array) -> None:
+    """Validate infinite limits.
+
+    Raises:
+        InputError: A limit is infinite on the side where nothing obeys it.
+    """
+    for name, none in (("lower", lower == np.inf), ("upper", upper == -np.inf)):
+        if none.any():
+            raise InputError(
+                f"{owner}: {int(none.sum())} {name} limits are infinite on the "
+                "wrong side, nothing obeys them: use -inf below and inf above "
+                "where there is no limit"
+            )

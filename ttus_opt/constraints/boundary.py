@@ -1,4 +1,7 @@
-"""Dirichlet values as equalities, p = b on the boundary voxels (design §3)."""
+"""Dirichlet values as equalities, p = b on the boundary voxels.
+
+See docs/method.md, Boundary values.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.constraints.base import Constraint, LinearRows
+from ttus_opt.terms.structure import Tag
 
 
 @dataclass(frozen=True)
@@ -26,4 +30,4 @@ class HardBoundary(Constraint):
             shape=(len(fixed), n),
         )
         values = self.scene.b[fixed]
-        return LinearRows({"p": rows}, values, values)
+        return LinearRows({"p": rows}, values, values, frozenset({Tag.DIRICHLET}))

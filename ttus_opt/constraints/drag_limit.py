@@ -1,4 +1,7 @@
-"""Coulomb's limit of a drag field, |q| ≤ μ_max |p| with one sign (design §3)."""
+"""Coulomb's limit of a drag field, |q| ≤ μ_max |p| with one sign.
+
+See docs/method.md, Friction.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from ttus_opt.errors import InputError
 
 
 def check_coefficient(largest: float) -> None:
-    """Refuse a largest friction coefficient that is none.
+    """Validate a largest friction coefficient.
 
     Raises:
         InputError: It is not positive.
@@ -36,7 +39,7 @@ class DragLimit(Constraint):
     formula = "q ≤ μ_max p inside, q ≥ μ_max p outside"
 
     def __post_init__(self) -> None:
-        """Refuse a coefficient that is none.
+        """Validate the coefficient.
 
         Raises:
             InputError: μ_max is not positive.

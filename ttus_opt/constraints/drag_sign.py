@@ -1,7 +1,9 @@
-"""Sign of a drag field: that of the field it is a share of (design §3, friction).
+"""Sign of a drag field: that of the field it is a share of.
 
 Inside q ≥ 0. The skin's voxels have p = 0, and outside p ≤ 0 mirrors the inside, so
 that a sample between inside and outside goes through zero at the skin: q does as p.
+
+See docs/method.md, Friction.
 """
 
 from __future__ import annotations

@@ -1,6 +1,8 @@
-"""Limits of the mean friction coefficient m, 0 ≤ m ≤ μ_max (design §3, friction).
+"""Limits of the mean friction coefficient m, 0 ≤ m ≤ μ_max.
 
 The drag field is between 0 and μ_max p, so is what a mean coefficient makes of p.
+
+See docs/method.md, Friction.
 """
 
 from __future__ import annotations
@@ -27,7 +29,7 @@ class MeanFriction(Constraint):
     formula = "0 ≤ m ≤ μ_max"
 
     def __post_init__(self) -> None:
-        """Refuse a coefficient that is none.
+        """Validate the coefficient.
 
         Raises:
             InputError: μ_max is not positive.

@@ -1,8 +1,10 @@
-"""Growth with depth along every spoke (design §3).
+"""Growth with depth along every spoke.
 
 The deeper voxel of two neighbours on a spoke has at least the value of the shallower
 one, and ``least_slope`` times their distance more. Pairs lie inside or between
 inside and the skin; pairs of two given boundary values are left out.
+
+See docs/method.md, The shelf.
 """
 
 from __future__ import annotations
@@ -29,10 +31,15 @@ class Monotone(Constraint):
     least_slope: float = 0.0
 
     name = "monotone"
-    formula = "p_deeper − p_shallower ≥ s Δr along spokes, inside"
+
+    @property
+    def formula(self) -> str:
+        """With the least slope."""
+        least = "0" if self.least_slope == 0.0 else f"{self.least_slope:g}/m · Δr"
+        return f"p_deeper − p_shallower ≥ {least} along spokes, inside"
 
     def __post_init__(self) -> None:
-        """Refuse a slope that is none.
+        """Validate the slope.
 
         Raises:
             InputError: The slope is negative or not finite.
@@ -41,10 +48,6 @@ class Monotone(Constraint):
             raise InputError(
                 f"least_slope must not be negative [unit/m], got {self.least_slope}"
             )
-        least = "0" if self.least_slope == 0.0 else f"{self.least_slope:g}/m · Δr"
-        object.__setattr__(
-            self, "formula", f"p_deeper − p_shallower ≥ {least} along spokes, inside"
-        )
 
     def rows(self) -> LinearRows:
         """One row per pair, sorted by the deeper voxel."""

@@ -1,4 +1,7 @@
-"""p ≥ 0 inside and on the skin, whose value is free (design §3, free surface)."""
+"""p ≥ 0 inside and on the skin, whose value is free.
+
+See docs/method.md, The shelf.
+"""
 
 from __future__ import annotations
 

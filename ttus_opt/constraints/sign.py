@@ -1,4 +1,7 @@
-"""Sign of the field: p ≥ 0 inside, p ≤ 0 outside, p = 0 between (design §3)."""
+"""Sign of the field: p ≥ 0 inside, p ≤ 0 outside, p = 0 between.
+
+See docs/method.md, The shelf.
+"""
 
 from __future__ import annotations
 

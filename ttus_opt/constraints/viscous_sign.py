@@ -1,4 +1,7 @@
-"""Sign of the viscous coefficients, c ≥ 0 (design §3, friction)."""
+"""Sign of the viscous coefficients, c ≥ 0.
+
+See docs/method.md, Friction.
+"""
 
 from __future__ import annotations
 

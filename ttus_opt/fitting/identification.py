@@ -104,7 +104,7 @@ def noise_variance(
         if term.name not in names or term.weight == 0.0:
             continue
         informative = np.asarray(abs(term.matrix).sum(axis=1)).reshape(-1) > 0.0
-        cost -= term.weight * term.value(term.residual(x)[~informative])
+        cost -= term.weight * term.penalty.value(term.residual(x)[~informative])
         count += int(informative.sum())
     freedom = count - n_parameters
     return max(cost, 0.0) / freedom if freedom > 0 else math.nan
@@ -144,7 +144,11 @@ def judged_estimate(
 
 
 def fitted_estimates(
-    declared: Formulation, solution: Solution, request: Request, n_searched: int = 0
+    declared: Formulation,
+    solution: Solution,
+    request: Request,
+    n_searched: int = 0,
+    solver: Solver | None = None,
 ) -> dict[str, Estimate]:
     """Estimates of the parameters among the variables of a solved fit.
 
@@ -153,6 +157,7 @@ def fitted_estimates(
         solution: Its solution.
         request: Tolerance and time limit of the additional fits.
         n_searched: How many parameters were searched for [–].
+        solver: Who is asked; by default the one that solved it, by its name.
 
     Returns:
         By name; empty where nothing was solved or there are none.
@@ -170,7 +175,7 @@ def fitted_estimates(
         return {n: Estimate(v, math.nan, NOTHING_WEIGHS) for n, v in values.items()}
     if not all(one.gradient for one in fitted.values()):
         return {n: Estimate(v, math.nan, NOTHING_PRESSES) for n, v in values.items()}
-    pseudo = _PseudoMeasurements(solution, fitted, variance, request)
+    pseudo = _PseudoMeasurements(solution, fitted, variance, request, solver)
     try:
         spread = pseudo.covariance()
     except _NoResponseError as trouble:
@@ -204,11 +209,12 @@ class _PseudoMeasurements:
         fitted: Mapping[str, Fitted],
         variance: float,
         request: Request,
+        solver: Solver | None,
     ) -> None:
         program, x = solution.program, solution.candidate
         assert x is not None
         self._variance, self._request = variance, request
-        self._solver = solution.solver
+        self._solver = solver or solution.solver
         self._rows = _stacked(program, fitted.values())
         self._at = self._rows @ x
         spans = np.array([one.span for one in fitted.values()])

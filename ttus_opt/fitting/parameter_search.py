@@ -95,7 +95,7 @@ def searched(
     for each in chain:
         if each.parameter in known:
             doubt = known[each.parameter]
-            estimates[each.parameter] = Estimate(each.neutral, math.nan, doubt)
+            estimates[each.parameter] = Estimate(each.neutral_value, math.nan, doubt)
     return Found(_at(search, values), estimates)
 
 
@@ -124,7 +124,7 @@ def _minimum(
     level: Search | None = search
     while level is not None:
         neutral = level.parameter in known
-        value = level.neutral if neutral else _least(level, solve)
+        value = level.neutral_value if neutral else _least(level, solve)
         values.append(value)
         chain.append(level)
         level = level.build(value).search
@@ -165,7 +165,7 @@ def _least(search: Search, solve: Solve) -> float:
         raise _NoMinimumError(
             f"none of the fits along the search for {name} was solved, the last: "
             f"{advice}",
-            search.build(search.neutral),
+            search.build(search.neutral_value),
         )
     best = min(solved, key=solved.__getitem__)
     if not found.success:
@@ -310,7 +310,7 @@ def _reported(
         high - low,
         low,
         high,
-        reported(one.neutral),
+        reported(one.neutral_value),
     )
 
 

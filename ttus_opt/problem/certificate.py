@@ -17,7 +17,7 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.linear import Linear
 
 #: What should cancel is rounding below this part of its summands [–]
 ROUNDING = 1e-9
@@ -64,9 +64,13 @@ def falls_for_ever(program: Program, ray: Array) -> bool:
     d, slope = ray / size, 0.0
     for term in program.terms:
         change, reach = term.matrix @ d, _reach(term.matrix)
-        if term.penalty is Penalty.LINEAR:
+        if isinstance(term.penalty, Linear):
             slope += term.weight * float(change.sum())
         elif term.weight and np.abs(change).max(initial=0.0) > ROUNDING * reach:
+            return False
+    for cone in program.cones:
+        s = cone.matrix @ d
+        if np.abs(s - cone.projected(s)).max(initial=0.0) > ROUNDING:
             return False
     limits = [(c.matrix @ d, c.lower, c.upper) for c in program.constraints]
     limits.append((d, *program.box))
@@ -88,7 +92,7 @@ def falling_ray(program: Program, *, time_limit: float | None = None) -> Array |
     Returns:
         d, shape (n,), verified by `falls_for_ever`.
     """
-    linear = [t for t in program.terms if t.penalty is Penalty.LINEAR and t.weight]
+    linear = [t for t in program.terms if isinstance(t.penalty, Linear) and t.weight]
     if not linear:  # sums of squares, lengths and sizes are never negative
         return None
     from scipy.optimize import linprog
@@ -97,7 +101,7 @@ def falling_ray(program: Program, *, time_limit: float | None = None) -> Array |
     slope = np.sum(
         [t.weight * (t.matrix.T @ np.ones(len(t.target))) for t in linear], 0
     )
-    still = [t.matrix for t in program.terms if t.penalty is not Penalty.LINEAR]
+    still = [t.matrix for t in program.terms if not isinstance(t.penalty, Linear)]
     down = [sp.csr_array((0, n))]
     for c in program.constraints:
         down += [c.matrix[np.isfinite(c.upper)], -c.matrix[np.isfinite(c.lower)]]

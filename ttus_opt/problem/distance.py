@@ -37,7 +37,7 @@ from ttus_opt.errors import NumericalError
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.structure import LaplaceRows
 
 _Map = Callable[[Array], Array]
 
@@ -80,7 +80,7 @@ def energy(
     r = np.where(fixed, 0.0, residual)
     if not r.any():
         return 0.0
-    squares = [t for t in program.terms if t.penalty is Penalty.SQUARES and t.weight]
+    squares = [t for t in program.terms if t.is_squares and t.weight]
     if not squares:
         return None
     fields = _fields(program, squares, fixed)
@@ -128,43 +128,36 @@ class _Field:
 
 def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_Field]:
     """The variables that a Laplace term of their own holds; none unless all are."""
-    laplace, found = program.laplace, []
+    laplace = program.laplace
     if laplace is None:
         return []
-    V = len(laplace.free)
-    for part in program.variables.values():
+    V, found = len(laplace.free), []
+    for name, part in program.variables.items():
         if part.stop - part.start != V:
             continue
-        holds = [t for t in squares if _is_laplace(t, part, laplace, fixed[part])]
-        if not holds:
+        holds = [(t, t.laplace_rows) for t in squares]
+        own = [
+            (term, rows.scale)
+            for term, rows in holds
+            if rows is not None and _holds(rows, name, fixed[part], laplace)
+        ]
+        if not own:
             return []
-        scale = holds[0].laplace_scale
+        term, scale = own[0]
         softness = np.ones(V) if scale is None else 1.0 / scale**2
         softness[fixed[part]] = 0.0
-        found.append(_Field(part, holds[0], laplace, softness))
+        found.append(_Field(part, term, laplace, softness))
     return found
 
 
-def _is_laplace(
-    term: ProgramTerm, part: slice, laplace: LaplaceSystem, fixed: Mask
+def _holds(
+    rows: LaplaceRows, variable: str, fixed: Mask, laplace: LaplaceSystem
 ) -> bool:
-    """Whether a term's rows over a variable are those of L, or scaled free ones."""
-    L, own = laplace.L, term.matrix
-    scale = term.laplace_scale
-    if scale is not None:  # of the free rows; the others' values must be fixed
-        if not fixed[~laplace.free].all():
-            return False
-        L = sp.csr_array(sp.diags_array(scale[laplace.free]) @ L[laplace.free])
-    if own.shape[0] != L.shape[0] or own.nnz < L.nnz:
+    """Whether rows are L's over a variable and determine what is not fixed."""
+    if rows.variable != variable:
         return False
-    if own.shape[1] != L.shape[1]:
-        own = sp.csr_array(own[:, part])
-    return bool(
-        own.nnz == L.nnz
-        and np.array_equal(own.indptr, L.indptr)
-        and np.array_equal(own.indices, L.indices)
-        and np.allclose(own.data, L.data, rtol=1e-12, atol=0.0)
-    )
+    # scaled rows are the free ones: the others' values must be fixed
+    return rows.scale is None or bool(fixed[~laplace.free].all())
 
 
 def _by_steps(
@@ -259,16 +252,13 @@ def _beside_parameters(
     for one in fields:
         C = one.term.matrix[:, at].toarray()
         for k in np.flatnonzero(C.any(axis=0)):
-            if one.term.laplace_scale is not None:
+            rows = one.term.laplace_rows
+            if rows is None or rows.scale is not None:
                 return None
             column = one.laplace.solve(C[:, k], rtol=RTOL)
             E[:, k] -= R[:, one.part] @ column
             pull[k] -= float(column @ r[one.part])
     parts = [(one, sp.csr_array(R[:, one.part])) for one in fields]
-    for one in fields:  # a field's term may hold no other field
-        for other in fields:
-            if other is not one and one.term.matrix[:, other.part].nnz:
-                return None
     square = E.T @ E
     size, turn = np.linalg.eigh(square)
     told = size > 1e-10 * max(float(size.max(initial=0.0)), _TINY)

@@ -8,6 +8,10 @@ lower limit; those of the wrong sign, at a limit that is not there, count as zer
     dual    r = P x + q + Aᵀy + z = 0
     gap     how far below f(x) the optimum may lie
 
+Rows s = A x + h in second-order cones have a multiplier y with −y in the cones, which
+are their own duals: it adds Aᵀy to r and −yᵀs ≥ 0 to the gap; how far s lies outside
+its cones belongs to ``primal``.
+
 A penalty φ that is no sum of squares has a multiplier g of its residual, brought back
 into the set of φ's subgradients; it adds w Mᵀg to r and w (φ(r) + φ*(g) − gᵀr) ≥ 0 to
 the gap (Fenchel), which vanish together exactly where g is a subgradient of φ at r.
@@ -33,18 +37,18 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
-import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.problem.distance import energy, held_by_equalities
-from ttus_opt.problem.members import QUADRATIC, ProgramConstraint
+from ttus_opt.problem.gradient_blocks import (
+    ROUNDING,
+    TINY,
+    GradientBlocks,
+    largest_of,
+    quadratic_summands,
+)
+from ttus_opt.problem.members import ProgramCones, ProgramConstraint
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.base import Penalty
-
-_TINY = np.finfo(float).tiny
-
-#: What cancelling leaves of a sum of squares, generously
-_ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
@@ -52,7 +56,7 @@ class Duals:
     """Multipliers by constraint name, signs as in the module's docstring.
 
     Attributes:
-        rows: y per linear constraint, shape (m,) each.
+        rows: y per linear constraint and per set of cones, shape (m,) each.
         bounds: z of the box, shape (n,); None where nothing is bounded.
         terms: g per term whose penalty is neither squares nor linear, shape (m,)
             each; the subgradient of least length where it is missing.
@@ -114,7 +118,7 @@ class KKT:
     @property
     def worst_relative(self) -> float:
         """The largest relative residual [–]."""
-        return _largest_of(self.primal_relative, self.dual_relative, self.gap_relative)
+        return largest_of(self.primal_relative, self.dual_relative, self.gap_relative)
 
     @property
     def is_bound(self) -> bool:
@@ -162,60 +166,106 @@ def kkt_residuals(
 
 
 def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KKT:
-    blocks = _Blocks(program)
-    gap = 0.0
-    for summand in _quadratic_summands(program, x):
-        blocks.add(summand)
-    for term in program.terms:
-        if term.penalty in QUADRATIC:
-            continue
-        r = term.residual(x)
-        g = term.admissible(duals.terms.get(term.name, term.subgradient(r)))
-        blocks.add(term.weight * (term.matrix.T @ g))
-        missing = term.value(r) + term.conjugate(g) - float(g @ r)
-        gap += term.weight * max(missing, 0.0)
+    blocks = GradientBlocks(program)
+    gap = _of_terms(program, x, duals, blocks)
+    gap += _of_bounds(program, x, duals, blocks)
+    gap += _of_rows(program, x, duals, blocks)
+    gap += _of_cones(program, x, duals, blocks)
+    largest = float(np.abs(x).max(initial=0.0))
     violation = relative = 0.0
-    members = [_row_member(c, x) for c in program.constraints]
-    if program.bounds:
-        lower, upper = program.box
-        z = np.zeros_like(x) if duals.bounds is None else duals.bounds
-        z, stray = _present(z, lower, upper)
-        blocks.add(z)
-        blocks.add_stray(stray)
-        gap += _complementarity(z, lower, upper, x)
-        members += [
-            _Member(x[b.part], b.lower[b.part], b.upper[b.part]) for b in program.bounds
-        ]
-    for constraint in program.constraints:
-        y, stray = _multiplier(constraint, duals)
-        blocks.add(constraint.matrix.T @ y)
-        blocks.add_stray(constraint.matrix.T @ stray)
-        value = constraint.matrix @ x
-        gap += _complementarity(y, constraint.lower, constraint.upper, value)
-    least = _ROUNDING * float(np.abs(x).max(initial=0.0))
-    for member in members:
-        violation = _largest_of(violation, member.violation)
-        relative = _largest_of(relative, member.relative(least))
+    for member in _members(program, x):
+        violation = largest_of(violation, member.violation)
+        relative = largest_of(relative, member.relative(ROUNDING * largest))
     fixed = held_by_equalities(program)
     # with nothing fitted: equalities keep what they hold, all else is zero
     objective, scale = program.objective(x), program.objective(np.where(fixed, x, 0.0))
-    missing, is_bound = _below(
-        program,
-        x,
-        blocks.gradient,
-        fixed,
-        CLOSE_ENOUGH * tolerance * objective,
-    )
+    enough = CLOSE_ENOUGH * tolerance * objective
+    missing, is_bound = _below(program, x, blocks.gradient, fixed, enough)
     gap += missing
     return KKT(
         violation,
         blocks.error,
         gap,
         relative,
-        blocks.worst(float(np.abs(x).max(initial=0.0))),
+        blocks.worst(largest),
         _relative_gap(gap, objective, scale, is_bound),
         float(np.sqrt(gap)) if is_bound else None,
     )
+
+
+def _of_terms(
+    program: Program, x: Array, duals: Duals, blocks: GradientBlocks
+) -> float:
+    """Add the objective's gradient; what penalties that bend add to the gap."""
+    gap = 0.0
+    for summand in quadratic_summands(program, x):
+        blocks.add(summand)
+    for term in program.terms:
+        if term.penalty.quadratic:
+            continue
+        r, penalty = term.residual(x), term.penalty
+        g = penalty.admissible(duals.terms.get(term.name, penalty.subgradient(r)))
+        blocks.add(term.weight * (term.matrix.T @ g))
+        missing = penalty.value(r) + penalty.conjugate(g) - float(g @ r)
+        gap += term.weight * max(missing, 0.0)
+    return gap
+
+
+def _of_bounds(
+    program: Program, x: Array, duals: Duals, blocks: GradientBlocks
+) -> float:
+    """Add the multipliers of bounds; their part of the gap."""
+    if not program.bounds:
+        return 0.0
+    lower, upper = program.box
+    z = np.zeros_like(x) if duals.bounds is None else duals.bounds
+    z, stray = _present(z, lower, upper)
+    blocks.add(z)
+    blocks.add_stray(stray)
+    return _complementarity(z, lower, upper, x)
+
+
+def _of_rows(program: Program, x: Array, duals: Duals, blocks: GradientBlocks) -> float:
+    """Add the multipliers of linear rows; their part of the gap."""
+    gap = 0.0
+    for constraint in program.constraints:
+        y, stray = _multiplier(constraint, duals)
+        blocks.add(constraint.matrix.T @ y)
+        blocks.add_stray(constraint.matrix.T @ stray)
+        value = constraint.matrix @ x
+        gap += _complementarity(y, constraint.lower, constraint.upper, value)
+    return gap
+
+
+def _of_cones(
+    program: Program, x: Array, duals: Duals, blocks: GradientBlocks
+) -> float:
+    """Add the multipliers of cones; their part of the gap."""
+    gap = 0.0
+    for cone in program.cones:
+        given = duals.rows.get(cone.name, np.zeros(len(cone.offset)))
+        y = cone.admissible(given)
+        blocks.add(cone.matrix.T @ y)
+        blocks.add_stray(cone.matrix.T @ (given - y))
+        gap += abs(float(y @ cone.value(x)))
+    return gap
+
+
+def _members(program: Program, x: Array) -> Iterator[_Member]:
+    """What must lie between limits, or in cones, at x."""
+    for b in program.bounds:
+        yield _Member(x[b.part], b.lower[b.part], b.upper[b.part])
+    for c in program.constraints:
+        yield _Member(c.matrix @ x, c.lower, c.upper)
+    for cone in program.cones:
+        yield _in_cones(cone, x)
+
+
+def _in_cones(cone: ProgramCones, x: Array) -> _Member:
+    """Values of cone rows, whose limits are the nearest point of the cones."""
+    s = cone.value(x)
+    nearest = cone.projected(s)
+    return _Member(s, nearest, nearest)
 
 
 def _below(
@@ -247,53 +297,10 @@ def _relative_gap(gap: float, objective: float, scale: float, squares: bool) -> 
     """The gap over the objective, or strictly over that of nothing fitted."""
     if gap == 0.0:
         return 0.0
-    by_objective = gap / max(abs(objective), _TINY)
-    share = gap / max(abs(scale), _TINY)
+    by_objective = gap / max(abs(objective), TINY)
+    share = gap / max(abs(scale), TINY)
     by_distance = STRICTER * (math.sqrt(share) if squares else share)
     return _least_of(by_objective, by_distance)
-
-
-class _Blocks:
-    """The Lagrangian's gradient, and the sizes of its summands by block."""
-
-    def __init__(self, program: Program) -> None:
-        self.gradient = np.zeros(program.n_variables)
-        self._stray = np.zeros(program.n_variables)
-        self._program = program
-        self._sizes = dict.fromkeys(program.variables, 0.0)
-
-    def add(self, summand: Array) -> None:
-        """Add one of the summands that should cancel, shape (n,)."""
-        self.gradient = self.gradient + summand
-        self._measure(summand)
-
-    def add_stray(self, summand: Array) -> None:
-        """Add what multipliers of absent limits pull: an error of its own."""
-        if summand.any():
-            self._stray = self._stray + summand
-            self._measure(summand)
-
-    @property
-    def error(self) -> float:
-        """Norm of the gradient, and of what multipliers of absent limits pull."""
-        return _length(self.gradient, self._stray)
-
-    def _measure(self, summand: Array) -> None:
-        for name, part in self._program.variables.items():
-            size = float(np.linalg.norm(summand[part]))
-            self._sizes[name] = _largest_of(self._sizes[name], size)
-
-    def worst(self, largest: float) -> float:
-        """The largest block of the gradient over its largest summand [–]."""
-        worst = 0.0
-        for name, part in self._program.variables.items():
-            size = _length(self.gradient[part], self._stray[part])
-            if size == 0.0:
-                continue
-            least = _least_pull(self._program, part, largest)
-            scale = _largest_of(self._sizes[name], least, _TINY)
-            worst = _largest_of(worst, size / scale)
-        return worst
 
 
 @dataclass(frozen=True)
@@ -310,7 +317,7 @@ class _Member:
         if not len(self.value):
             return 0.0
         below, above = self.lower - self.value, self.value - self.upper
-        return _largest_of(float(np.max(below)), float(np.max(above)), 0.0)
+        return largest_of(float(np.max(below)), float(np.max(above)), 0.0)
 
     def relative(self, least: float) -> float:
         """The same over the largest finite limit or value [–].
@@ -320,7 +327,7 @@ class _Member:
                 zero but for rounding have no size of their own.
         """
         violation = self.violation
-        return violation / _largest_of(self._span, least, _TINY) if violation else 0.0
+        return violation / largest_of(self._span, least, TINY) if violation else 0.0
 
     @property
     def _span(self) -> float:
@@ -329,10 +336,6 @@ class _Member:
             for part in (self.value, self.lower, self.upper)
         ]
         return max(sizes)
-
-
-def _row_member(constraint: ProgramConstraint, x: Array) -> _Member:
-    return _Member(constraint.matrix @ x, constraint.lower, constraint.upper)
 
 
 def _multiplier(constraint: ProgramConstraint, duals: Duals) -> tuple[Array, Array]:
@@ -353,56 +356,5 @@ def _complementarity(dual: Array, lower: Array, upper: Array, value: Array) -> f
     return float(np.abs(dual * (limit - value)).sum())
 
 
-def _largest_of(*values: float) -> float:
-    """The largest; infinite where one is NaN, which Python's ``max`` lets pass."""
-    return float("inf") if any(np.isnan(v) for v in values) else max(values)
-
-
 def _least_of(*values: float) -> float:
     return float("inf") if any(np.isnan(v) for v in values) else min(values)
-
-
-def _quadratic_summands(program: Program, x: Array) -> Iterator[Array]:
-    """What P x + q is made of, variable by variable, shape (n,) each.
-
-    What two variables give each other may cancel within P x: only apart do they tell
-    how large that is.
-    """
-    parts = list(program.variables.values())
-    alone = np.zeros_like(x)
-    for part in parts:
-        alone[part] = x[part]
-        yield program.quadratic_gradient(alone)[0]
-        alone[part] = 0.0
-    yield program.quadratic_gradient(alone)[1]
-
-
-def _least_pull(program: Program, part: slice, largest: float) -> float:
-    """The least size of a block's gradient that counts, where residuals may vanish.
-
-    For absolute values and lengths one row at its limit; for squares what rounding
-    leaves of one row when the largest entry of x cancels.
-    """
-    least, whole = 0.0, len(program.variables) == 1
-    for term in program.terms:
-        if term.penalty is Penalty.LINEAR:
-            continue
-        longest = _longest_row(term.matrix if whole else term.matrix[:, part])
-        row = term.weight * longest
-        if term.penalty in (Penalty.SQUARES, Penalty.HUBER):
-            row *= 2.0 * longest * largest * _ROUNDING
-        least = max(least, row)
-    return least
-
-
-def _length(*vectors: Array) -> float:
-    """Euclidean norm of all of them together."""
-    return math.hypot(*(float(np.linalg.norm(vector)) for vector in vectors))
-
-
-def _longest_row(matrix: sp.csr_array) -> float:
-    """Euclidean length of the longest row."""
-    starts = matrix.indptr[:-1][np.diff(matrix.indptr) > 0]
-    if not len(starts):
-        return 0.0
-    return float(np.sqrt(np.add.reduceat(matrix.data**2, starts).max()))

@@ -1,25 +1,17 @@
-"""Members of a program: terms, rows and bounds, each still knowing its name.
-
-A term's penalty φ comes with what optimality needs of it: a subgradient, the set of
-all subgradients (to which a multiplier is brought back) and the conjugate φ*. For
-g in that set φ(r) + φ*(g) ≥ gᵀr, with equality exactly where g belongs to r.
-"""
+"""Members of a program: terms, rows, cones and bounds, each still knowing its name."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
-from ttus_opt.terms.base import Penalty
-
-#: Penalties a quadratic program states as they are
-QUADRATIC = (Penalty.SQUARES, Penalty.LINEAR)
-
-#: Penalties a quadratic program states with auxiliary variables
-LIFTABLE = (Penalty.HUBER, Penalty.ABSOLUTE)
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.terms.penalties.base import Penalty
+from ttus_opt.terms.penalties.squares import Squares
+from ttus_opt.terms.structure import LaplaceRows, Tag, Tags, laplace_rows
 
 
 @dataclass(frozen=True)
@@ -32,20 +24,30 @@ class ProgramTerm:
         matrix: M, shape (m, n).
         target: t, shape (m,).
         penalty: φ.
-        threshold: Huber's δ.
-        group_size: Rows per group of a group norm; they are consecutive.
-        laplace_scale: Where M is the free rows of the scene's L, each times a number
-            of its own: those numbers, shape (V,); None otherwise.
+        tags: Structure of the rows, see `ttus_opt.terms.structure`.
     """
 
     name: str
     weight: float
     matrix: sp.csr_array = field(repr=False)
     target: Array = field(repr=False)
-    penalty: Penalty = Penalty.SQUARES
-    threshold: float = np.inf
-    group_size: int = 1
-    laplace_scale: Array | None = field(default=None, repr=False)
+    penalty: Penalty = field(default_factory=Squares)
+    tags: Tags = frozenset()
+
+    @property
+    def laplace_rows(self) -> LaplaceRows | None:
+        """Where its rows are declared to be L's over a field; None otherwise."""
+        return laplace_rows(self.tags)
+
+    @property
+    def is_squares(self) -> bool:
+        """Whether it is a sum of squares."""
+        return isinstance(self.penalty, Squares)
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether its rows are declared to be measurements."""
+        return Tag.MEASURED in self.tags
 
     def with_weight(self, weight: float) -> ProgramTerm:
         """The same rows with another weight."""
@@ -57,57 +59,7 @@ class ProgramTerm:
 
     def cost(self, x: Array) -> float:
         """Weighted penalty w φ(M x - t)."""
-        return self.weight * self.value(self.residual(x))
-
-    def value(self, r: Array) -> float:
-        """Penalty φ(r) without the weight."""
-        if self.penalty is Penalty.SQUARES:
-            return float(r @ r)
-        if self.penalty is Penalty.LINEAR:
-            return float(r.sum())
-        if self.penalty is Penalty.GROUPS:
-            return float(self._lengths(r).sum())
-        size = np.abs(r)
-        if self.penalty is Penalty.ABSOLUTE:
-            return float(size.sum())
-        small = np.minimum(size, self.threshold)
-        return float((small * (2.0 * size - small)).sum())
-
-    def subgradient(self, r: Array) -> Array:
-        """A subgradient of φ at r, the one of least length, shape (m,)."""
-        if self.penalty is Penalty.SQUARES:
-            return 2.0 * r
-        if self.penalty is Penalty.LINEAR:
-            return np.ones_like(r)
-        if self.penalty is Penalty.HUBER:
-            return np.asarray(2.0 * np.clip(r, -self.threshold, self.threshold))
-        if self.penalty is Penalty.ABSOLUTE:
-            return np.sign(r)
-        lengths = np.repeat(self._lengths(r), self.group_size)
-        return np.divide(r, lengths, out=np.zeros_like(r), where=lengths > 0.0)
-
-    def admissible(self, g: Array) -> Array:
-        """The nearest multiplier that is a subgradient of φ somewhere, shape (m,)."""
-        if self.penalty is Penalty.SQUARES:
-            return g
-        if self.penalty is Penalty.LINEAR:
-            return np.ones_like(g)
-        if self.penalty is Penalty.HUBER:
-            return np.clip(g, -2.0 * self.threshold, 2.0 * self.threshold)
-        if self.penalty is Penalty.ABSOLUTE:
-            return np.clip(g, -1.0, 1.0)
-        lengths = np.repeat(self._lengths(g), self.group_size)
-        return np.asarray(g / np.maximum(lengths, 1.0))
-
-    def conjugate(self, g: Array) -> float:
-        """φ*(g) of an admissible multiplier."""
-        if self.penalty in (Penalty.SQUARES, Penalty.HUBER):
-            return float(g @ g) / 4.0
-        return 0.0
-
-    def _lengths(self, r: Array) -> Array:
-        """Euclidean length of every group."""
-        return np.asarray(np.linalg.norm(r.reshape(-1, self.group_size), axis=1))
+        return self.weight * self.penalty.value(self.residual(x))
 
 
 @dataclass(frozen=True)
@@ -119,17 +71,76 @@ class ProgramConstraint:
         matrix: A, shape (m, n).
         lower: Shape (m,).
         upper: Shape (m,).
+        tags: Structure of the rows, see `ttus_opt.terms.structure`.
     """
 
     name: str
     matrix: sp.csr_array = field(repr=False)
     lower: Array = field(repr=False)
     upper: Array = field(repr=False)
+    tags: Tags = frozenset()
 
     def slack(self, x: Array) -> Array:
         """Distance to the nearer limit, negative where it is broken, shape (m,)."""
         value = self.matrix @ x
         return np.asarray(np.minimum(value - self.lower, self.upper - value))
+
+
+@dataclass(frozen=True)
+class ProgramCones:
+    """Rows s = A x + h of one constraint in second-order cones, s₀ ≥ ‖(s₁, …)‖ each.
+
+    Attributes:
+        name: The constraint's name.
+        matrix: A, shape (m, n).
+        offset: h, shape (m,).
+        sizes: Rows of each cone, one after the other.
+    """
+
+    name: str
+    matrix: sp.csr_array = field(repr=False)
+    offset: Array = field(repr=False)
+    sizes: tuple[int, ...] = field(repr=False)
+
+    @cached_property
+    def first(self) -> IntArray:
+        """The first row of every cone."""
+        return np.concatenate([[0], np.cumsum(self.sizes)[:-1]]).astype(np.int64)
+
+    def value(self, x: Array) -> Array:
+        """A x + h, shape (m,)."""
+        return np.asarray(self.matrix @ x + self.offset)
+
+    def slack(self, x: Array) -> Array:
+        """s₀ − ‖(s₁, …)‖ of every cone, negative where it is left."""
+        s = self.value(x)
+        return np.asarray(s[self.first] - self._lengths(s))
+
+    def projected(self, s: Array) -> Array:
+        """The nearest point of the cones, shape (m,).
+
+        Source: N. Parikh, S. Boyd, Proximal Algorithms (2014), section 6.3.2.
+        """
+        head, length = s[self.first], self._lengths(s)
+        inside, opposite = length <= head, length <= -head
+        share = 0.5 * (1.0 + head / np.where(length > 0.0, length, 1.0))
+        share = np.where(inside, 1.0, np.where(opposite, 0.0, share))
+        out = np.repeat(share, self.sizes) * s
+        out[self.first] = np.where(inside, head, share * length)
+        return np.asarray(out)
+
+    def admissible(self, y: Array) -> Array:
+        """The nearest multiplier that a cone can have: minus a point of it.
+
+        A second-order cone is its own dual.
+        """
+        return -self.projected(-y)
+
+    def _lengths(self, s: Array) -> Array:
+        """‖(s₁, …)‖ of every cone."""
+        tail = s**2
+        tail[self.first] = 0.0
+        return np.asarray(np.sqrt(np.add.reduceat(tail, self.first)))
 
 
 @dataclass(frozen=True)

@@ -4,9 +4,9 @@ minimise Σ_k w_k φ_k(M_k x - t_k)  subject to  lower ≤ A x ≤ upper, lb ≤
 
 x stacks the variables, the field p first. Where all penalties are squares or linear
 this is a quadratic program (Huber's and absolute ones become such by
-`ttus_opt.problem.reduction`; group norms need a cone solver), in two forms: explicit
-(`explicit_qp`, P = 2 Σ w MᵀM, which the measured rows fill in) and least-squares
-(`least_squares_qp`, the residuals as variables of their own, which stays sparse).
+`ttus_opt.problem.reduction`; group norms and cones need a cone solver). Solvers get it
+in least-squares form (`least_squares_qp`): the residuals are variables of their own,
+so that what is measured does not fill in P = 2 Σ w MᵀM.
 """
 
 from __future__ import annotations
@@ -18,18 +18,21 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
-from ttus_opt.constraints.base import Bounds, Constraint, LinearRows
+from ttus_opt.constraints.base import Bounds, ConeRows, Constraint, LinearRows
 from ttus_opt.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import (
-    QUADRATIC,
     ProgramBounds,
+    ProgramCones,
     ProgramConstraint,
     ProgramTerm,
 )
 from ttus_opt.scene import Scene
-from ttus_opt.terms.base import AffineRows, Penalty, Term
-from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.penalties.linear import Linear
+from ttus_opt.terms.structure import Tag
+
+_Held = LinearRows | ConeRows | Bounds
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,8 @@ class Program:
         terms: What is minimised.
         constraints: Linear rows that must hold.
         bounds: Bounds that must hold.
-        laplace: The structure of the scene's Laplace term.
+        laplace: The scene's L, whose structure solvers use.
+        cones: Second-order cones that must hold.
     """
 
     variables: Mapping[str, slice]
@@ -74,6 +78,7 @@ class Program:
     constraints: tuple[ProgramConstraint, ...]
     bounds: tuple[ProgramBounds, ...]
     laplace: LaplaceSystem = field(repr=False)
+    cones: tuple[ProgramCones, ...] = ()
 
     @classmethod
     def build(
@@ -87,58 +92,51 @@ class Program:
         Raises:
             InputError: Two members give a variable different sizes.
         """
-        term_rows = [(term, term.assembled) for term in terms]
-        constraint_rows = [
-            (constraint, constraint.assembled) for constraint in constraints
-        ]
-        sizes = {"p": scene.n_voxels}
-        members: list[tuple[Term | Constraint, AffineRows | LinearRows | Bounds]] = [
-            *term_rows,
-            *constraint_rows,
-        ]
-        for member, rows in members:
+        stated = tuple(terms)
+        held = [(member.name, member.assembled) for member in constraints]
+        held += [pair for term in stated for pair in term.requires.items()]
+        sizes = _sizes(scene, stated, held)
+        n = sum(sizes.values())
+        ends = np.cumsum(list(sizes.values())).tolist()
+        variables = {
+            name: slice(end - size, end)
+            for (name, size), end in zip(sizes.items(), ends, strict=True)
+        }
+        linear: list[ProgramConstraint] = []
+        cones: list[ProgramCones] = []
+        bounds: list[ProgramBounds] = []
+        for name, rows in held:
             if isinstance(rows, Bounds):
-                found = {rows.variable: len(rows.lower)}
+                part = variables[rows.variable]
+                lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
+                lower[part], upper[part] = rows.lower, rows.upper
+                bounds.append(ProgramBounds(name, lower, upper, part))
+            elif isinstance(rows, ConeRows):
+                A = _stack(rows.blocks, sizes, len(rows.offset))
+                cones.append(ProgramCones(name, A, rows.offset, rows.sizes))
             else:
-                found = {k: M.shape[1] for k, M in rows.blocks.items()}
-            for name, size in found.items():
-                if sizes.setdefault(name, size) != size:
-                    raise InputError(
-                        f"{member.name} gives variable {name!r} {size} entries, others "
-                        f"{sizes[name]}"
-                    )
-        variables, start = {}, 0
-        for name, size in sizes.items():
-            variables[name] = slice(start, start + size)
-            start += size
-        program_terms = tuple(
-            ProgramTerm(
-                term.name,
-                term.weight,
-                _stack(rows.blocks, sizes, len(rows.target)),
-                rows.target,
-                term.penalty,
-                term.threshold,
-                term.group_size,
-                term.laplace_scale,
-            )
-            for term, rows in term_rows
-        )
-        linear, bounds = [], []
-        for constraint, given in constraint_rows:
-            if isinstance(given, Bounds):
-                lower, upper = np.full(start, -np.inf), np.full(start, np.inf)
-                part = variables[given.variable]
-                lower[part], upper[part] = given.lower, given.upper
-                bounds.append(ProgramBounds(constraint.name, lower, upper, part))
-            else:
-                A = _stack(given.blocks, sizes, len(given.lower))
+                A = _stack(rows.blocks, sizes, len(rows.lower))
                 linear.append(
-                    ProgramConstraint(constraint.name, A, given.lower, given.upper)
+                    ProgramConstraint(name, A, rows.lower, rows.upper, rows.tags)
                 )
         return cls(
-            variables, program_terms, tuple(linear), tuple(bounds), scene.laplace
+            variables,
+            tuple(_program_term(term, sizes) for term in stated),
+            tuple(linear),
+            tuple(bounds),
+            scene.laplace,
+            tuple(cones),
         )
+
+    def __repr__(self) -> str:
+        """Sizes and names in one line."""
+        variables = self.variables.items()
+        sizes = ", ".join(f"{n} in R^{p.stop - p.start:,}" for n, p in variables)
+        held = [c.name for c in self.constraints] + [c.name for c in self.cones]
+        held += [bound.name for bound in self.bounds]
+        terms = ", ".join(term.name for term in self.terms)
+        limits = f" subject to {', '.join(held)}" if held else ""
+        return f"<Program over {sizes}: {terms}{limits}>"
 
     @property
     def n_variables(self) -> int:
@@ -147,8 +145,8 @@ class Program:
 
     @property
     def is_quadratic(self) -> bool:
-        """Whether every penalty is a sum of squares or a plain sum."""
-        return all(term.penalty in QUADRATIC for term in self.terms)
+        """Whether it is a quadratic program: squares, plain sums, and no cones."""
+        return not self.cones and all(t.penalty.quadratic for t in self.terms)
 
     def with_weights(self, **weights: float) -> Program:
         """The same program with other weights by term name; nothing is stacked again.
@@ -172,7 +170,7 @@ class Program:
     @property
     def is_unconstrained(self) -> bool:
         """Whether nothing but the objective is given."""
-        return not (self.constraints or self.bounds)
+        return not (self.constraints or self.bounds or self.cones)
 
     @property
     def box(self) -> tuple[Array, Array]:
@@ -188,10 +186,37 @@ class Program:
         """The term of that name, if there is one."""
         return next((term for term in self.terms if term.name == name), None)
 
+    def laplace_term_of(self, variable: str) -> ProgramTerm | None:
+        """The sum of squares that is declared to be L's rows over a field.
+
+        Args:
+            variable: The field's name.
+
+        Returns:
+            One with the rows as they are, before one with free rows that are scaled;
+            None where there is neither.
+        """
+        found = []
+        for term in self.terms:
+            rows = term.laplace_rows
+            if rows is not None and rows.variable == variable and term.is_squares:
+                if rows.scale is None:
+                    return term
+                found.append(term)
+        return found[0] if found else None
+
     @property
     def laplace_term(self) -> ProgramTerm | None:
-        """The term whose matrix is the scene's L, if there is one."""
-        return self.term(LaplaceTerm.name)
+        """The term whose rows are those of the scene's L over p, if there is one."""
+        term = self.laplace_term_of("p")
+        rows = None if term is None else term.laplace_rows
+        return None if rows is None or rows.scale is not None else term
+
+    @property
+    def dirichlet(self) -> ProgramConstraint | None:
+        """The constraint that is declared to give p its Dirichlet values, if any."""
+        tagged = (c for c in self.constraints if Tag.DIRICHLET in c.tags)
+        return next(tagged, None)
 
     def costs(self, x: Array) -> dict[str, float]:
         """Weighted cost per term."""
@@ -217,7 +242,7 @@ class Program:
         """`gradient` of those terms that are squares or linear."""
         curved, linear = np.zeros(self.n_variables), self._slope()
         for term in self.terms:
-            if term.penalty is Penalty.SQUARES:
+            if term.is_squares:
                 adjoint = term.matrix.T
                 curved += 2.0 * term.weight * (adjoint @ (term.matrix @ x))
                 linear -= 2.0 * term.weight * (adjoint @ term.target)
@@ -227,7 +252,7 @@ class Program:
         """Gradient of the linear penalties, shape (n,)."""
         slope = np.zeros(self.n_variables)
         for term in self.terms:
-            if term.penalty is Penalty.LINEAR:
+            if isinstance(term.penalty, Linear):
                 slope += term.weight * (term.matrix.T @ np.ones(len(term.target)))
         return slope
 
@@ -245,24 +270,11 @@ class Program:
         n = self.n_variables
         Q, d = sp.csr_array((n, n)), -0.5 * self._slope()
         for term in self.terms:
-            if term.penalty is Penalty.SQUARES:
+            if term.is_squares:
                 adjoint = sp.csr_array(term.matrix.T)
                 Q = Q + term.weight * (adjoint @ term.matrix)
                 d = d + term.weight * (adjoint @ term.target)
         return sp.csc_array(Q), d
-
-    def explicit_qp(self) -> QuadraticForm:
-        """The QP with P = 2Q formed."""
-        Q, d = self.normal_equations()
-        rows = [c.matrix for c in self.constraints]
-        A = sp.vstack([*rows, sp.csr_array((0, self.n_variables))], format="csr")
-        return QuadraticForm(
-            sp.csc_array(2.0 * Q),
-            -2.0 * d,
-            sp.csc_array(A),
-            *self._limits(),
-            *self.box,
-        )
 
     def least_squares_qp(self) -> QuadraticForm:
         """The QP over (x, u) with u = √w (M x - t) and ½ ‖√2 u‖² minimised.
@@ -271,7 +283,7 @@ class Program:
         """
         self._require_quadratic()
         n = self.n_variables
-        squares = [t for t in self.terms if t.penalty is Penalty.SQUARES]
+        squares = [t for t in self.terms if t.is_squares]
         root = [np.sqrt(term.weight) for term in squares]
         blocks = [w * s.matrix for w, s in zip(root, squares, strict=True)]
         rows = [*blocks, *(c.matrix for c in self.constraints), sp.csr_array((0, n))]
@@ -309,11 +321,52 @@ class Program:
 
     def _require_quadratic(self) -> None:
         if not self.is_quadratic:
-            bent = [t.name for t in self.terms if t.penalty not in QUADRATIC]
+            bent = [t.name for t in self.terms if not t.penalty.quadratic]
+            bent += [cone.name for cone in self.cones]
             raise InputError(
                 f"{', '.join(bent)} is not a sum of squares: reduce() the program "
                 "first, or choose a cone solver"
             )
+
+
+def _sizes(
+    scene: Scene, terms: Iterable[Term], held: Iterable[tuple[str, _Held]]
+) -> dict[str, int]:
+    """Entries of every variable, the field p first.
+
+    Raises:
+        InputError: Two members give a variable different sizes.
+    """
+    sizes = {"p": scene.n_voxels}
+    members: list[tuple[str, AffineRows | _Held]] = [
+        *((term.name, term.assembled) for term in terms),
+        *held,
+    ]
+    for owner, rows in members:
+        if isinstance(rows, Bounds):
+            found = {rows.variable: len(rows.lower)}
+        else:
+            found = {name: M.shape[1] for name, M in rows.blocks.items()}
+        for name, size in found.items():
+            if sizes.setdefault(name, size) != size:
+                raise InputError(
+                    f"{owner} gives variable {name!r} {size} entries, others "
+                    f"{sizes[name]}"
+                )
+    return sizes
+
+
+def _program_term(term: Term, sizes: Mapping[str, int]) -> ProgramTerm:
+    """A term's rows over all variables."""
+    rows = term.assembled
+    return ProgramTerm(
+        term.name,
+        term.weight,
+        _stack(rows.blocks, sizes, len(rows.target)),
+        rows.target,
+        term.penalty,
+        rows.tags | ({Tag.MEASURED} if term.measures else set()),
+    )
 
 
 def _stack(

@@ -1,6 +1,6 @@
-"""Huber's and absolute penalties as a quadratic program with auxiliary variables.
+"""Penalties that have a `Split`, as a quadratic program with auxiliary variables.
 
-With above, below ≥ 0 per row (r = M x - t):
+With above, below ≥ 0 per row (r = M x - t), for instance
 
     Huber     φ(r) = min  ‖r − above + below‖² + 2δ Σ (above + below)
     absolute  φ(r) = min  Σ (above + below)   over   r = above − below
@@ -19,13 +19,12 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import (
-    LIFTABLE,
     ProgramBounds,
     ProgramConstraint,
     ProgramTerm,
 )
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.base import Penalty
+from ttus_opt.terms.penalties.linear import Linear
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ class Reduction:
 
     Attributes:
         original: As it was declared.
-        program: Without Huber's and absolute penalties; the original itself where
+        program: Without penalties that have a `Split`; the original itself where
             there are none.
     """
 
@@ -68,12 +67,13 @@ class Reduction:
             return Point(x, duals)
         n = self.original.n_variables
         own = {constraint.name for constraint in self.original.constraints}
+        own |= {cone.name for cone in self.original.cones}
         rows = {name: y for name, y in duals.rows.items() if name in own}
         terms = dict(duals.terms)
         for term in self.original.terms:
             y = duals.rows.get(_split_name(term.name))
             if y is not None and term.weight > 0.0:
-                terms[term.name] = term.admissible(y / term.weight)
+                terms[term.name] = term.penalty.admissible(y / term.weight)
         bounds = None
         if self.original.bounds and duals.bounds is not None:
             bounds = duals.bounds[:n]
@@ -81,17 +81,17 @@ class Reduction:
 
 
 def reduce(program: Program) -> Reduction:
-    """State Huber's and absolute penalties with auxiliary variables.
+    """State penalties that have a `Split` with auxiliary variables.
 
     Args:
-        program: Any program; group norms stay as they are.
+        program: Any program; penalties without a `Split` stay as they are.
 
     Returns:
         The program and its reduced form. New members are called after their term:
         variables ``term:above`` and ``term:below``, bound ``term:excess`` and, for
         an absolute penalty, the rows ``term:split``.
     """
-    lifted = [term for term in program.terms if term.penalty in LIFTABLE]
+    lifted = [term for term in program.terms if term.penalty.split is not None]
     if not lifted:
         return Reduction(program, program)
     variables = dict(program.variables)
@@ -110,41 +110,49 @@ def reduce(program: Program) -> Reduction:
         for b in program.bounds
     ]
     for term in program.terms:
-        if term.penalty not in LIFTABLE:
+        split = term.penalty.split
+        if split is None:
             terms.append(replace(term, matrix=_widened(term.matrix, n)))
             continue
         start = variables[f"{term.name}:above"].start
-        m = len(term.target)
-        split = _split_rows(term.matrix, start, n)
-        excess = sp.csr_array(
-            (np.ones(2 * m), np.arange(start, start + 2 * m), np.arange(2 * m + 1)),
-            shape=(2 * m, n),
-        )
-        if term.penalty is Penalty.HUBER:
-            terms.append(ProgramTerm(term.name, term.weight, split, term.target))
-            name, weight = f"{term.name}:excess", 2.0 * term.threshold * term.weight
+        parts = _split_rows(term.matrix, start, n)
+        name = term.name
+        if split.squares_rest:
+            terms.append(ProgramTerm(name, term.weight, parts, term.target))
+            name = f"{name}:excess"
         else:
             rows.append(
-                ProgramConstraint(
-                    _split_name(term.name), split, term.target, term.target
-                )
+                ProgramConstraint(_split_name(name), parts, term.target, term.target)
             )
-            name, weight = term.name, term.weight
-        terms.append(ProgramTerm(name, weight, excess, np.zeros(2 * m), Penalty.LINEAR))
-        lower = np.full(n, -np.inf)
-        part = slice(start, start + 2 * m)
-        lower[part] = 0.0
-        bounds.append(
-            ProgramBounds(f"{term.name}:excess", lower, np.full(n, np.inf), part)
-        )
+        slope = split.slope * term.weight
+        terms.append(_sum_of_parts(name, slope, start, len(term.target), n))
+        bounds.append(_not_negative(f"{term.name}:excess", terms[-1], start, n))
     reduced = replace(
         program,
         variables=variables,
         terms=tuple(terms),
         constraints=tuple(rows),
         bounds=tuple(bounds),
+        cones=tuple(replace(c, matrix=_widened(c.matrix, n)) for c in program.cones),
     )
     return Reduction(program, reduced)
+
+
+def _sum_of_parts(name: str, weight: float, start: int, m: int, n: int) -> ProgramTerm:
+    """The term weight · Σ (above + below)."""
+    parts = sp.csr_array(
+        (np.ones(2 * m), np.arange(start, start + 2 * m), np.arange(2 * m + 1)),
+        shape=(2 * m, n),
+    )
+    return ProgramTerm(name, weight, parts, np.zeros(2 * m), Linear())
+
+
+def _not_negative(name: str, parts: ProgramTerm, start: int, n: int) -> ProgramBounds:
+    """Bounds above, below ≥ 0."""
+    part = slice(start, start + len(parts.target))
+    lower = np.full(n, -np.inf)
+    lower[part] = 0.0
+    return ProgramBounds(name, lower, np.full(n, np.inf), part)
 
 
 def _split_name(term: str) -> str:

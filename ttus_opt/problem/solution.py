@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
+
+import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import TtusError
+from ttus_opt.problem.html import page, table
 from ttus_opt.problem.kkt import KKT, Duals, bound_duals
 from ttus_opt.problem.program import Program
 from ttus_opt.voxmap.field import PotentialField
+
+#: A multiplier below this part of its member's largest is not counted [–]
+NEGLIGIBLE = 1e-6
 
 
 class Status(enum.Enum):
@@ -192,6 +198,53 @@ class Solution:
     def variables(self) -> Mapping[str, Array]:
         """The candidate's variables by name, verified or not; empty without one."""
         return {} if self.candidate is None else self.program.split(self.candidate)
+
+    def summary(self) -> str:
+        """What came of the solve, its costs and what holds the field, as plain text."""
+        lines = [self._verdict, f"  {self.status.value}", f"  {self._effort}"]
+        lines += [f"  {name}: cost {cost:.4g}" for name, cost in self.costs.items()]
+        lines += [f"  {name}: {told}" for name, told in self._limits_told()]
+        lines += [f"  {line}" for line in self.identified]
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        """The verdict in one line; `summary` says more."""
+        return f"<Solution {self._verdict}>"
+
+    def _repr_html_(self) -> str:
+        """The summary as a table, for notebooks."""
+        rows = [["term", name, f"cost {cost:.4g}"] for name, cost in self.costs.items()]
+        rows += [["limits", name, told] for name, told in self._limits_told()]
+        lines = [self.status.value, self._effort, *self.identified]
+        return page(self._verdict, lines, table(["", "name", ""], rows))
+
+    @property
+    def _verdict(self) -> str:
+        """Who solved what, and how well, in one line."""
+        residual = "" if self.kkt is None else f", KKT {self.kkt.worst_relative:.1e}"
+        objective = "" if not self.costs else f", objective {self.objective:.6g}"
+        status = self.status.name.lower().replace("_", " ")
+        return f"{self.formulation} by {self.solver}: {status}{residual}{objective}"
+
+    @property
+    def _effort(self) -> str:
+        """Size, iterations and time."""
+        times, variables = self.timings, self.program.variables.items()
+        sizes = ", ".join(f"{n} in R^{p.stop - p.start:,}" for n, p in variables)
+        return (
+            f"{sizes}; {self.iterations:,} iterations, "
+            f"{times.setup + times.solve:.2g} s"
+        )
+
+    def _limits_told(self) -> Iterator[tuple[str, str]]:
+        """Per constraint, how many of its rows hold the field back."""
+        duals = self.duals_by_name
+        for name, slack in self.slacks.items():
+            y = np.abs(duals.get(name, np.zeros(0)))
+            largest = float(y.max(initial=0.0))
+            active = int((y > NEGLIGIBLE * largest).sum()) if largest else 0
+            count = int((slack < np.inf).sum())
+            yield name, f"{active:,} multipliers on {count:,} limits"
 
     @property
     def duals_by_name(self) -> Mapping[str, Array]:

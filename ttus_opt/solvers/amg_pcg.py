@@ -1,4 +1,4 @@
-"""Off the shelf: conjugate gradients over algebraic multigrid, eq. 10 (design §3, c).
+"""Off the shelf: conjugate gradients over algebraic multigrid, eq. 10.
 
 With D the weighted measured rows, t their targets and u = L p - b, the objective is
 ‖u‖² + ‖D L⁻¹(u + b) - t‖², the identity plus a term of low rank:
@@ -8,6 +8,8 @@ With D the weighted measured rows, t their targets and u = L p - b, the objectiv
 SciPy's conjugate gradients take one solve with L and one with Lᵀ per step; each is
 SciPy's conjugate gradients again, on the block A, preconditioned with a V-cycle of
 pyamg. It is what `structured` is compared with.
+
+See docs/method.md, Other solvers.
 """
 
 from __future__ import annotations
@@ -23,10 +25,6 @@ from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
 from ttus_opt.solvers.verified import Verified
-from ttus_opt.terms.base import Penalty
-
-#: Names of the terms of eq. 10
-TERMS = {"laplace", "force", "torque"}
 
 #: Relative residual of the solves with A as a part of that of u, and its floor
 INNER, FLOOR = 1e-1, 1e-13
@@ -56,9 +54,9 @@ class AmgPcg(Solver):
         prior = program.laplace_term
         if prior is None or prior.weight == 0.0:
             return "it needs a Laplace term"
-        plain = all(t.penalty is Penalty.SQUARES for t in program.terms)
-        names = {t.name for t in program.terms}
-        if not plain or names - TERMS or set(program.variables) != {"p"}:
+        others = [t for t in program.terms if t is not prior]
+        eq10 = all(t.is_measured and t.is_squares for t in others)
+        if not eq10 or set(program.variables) != {"p"}:
             return "it takes eq. 10 only"
         return ""
 

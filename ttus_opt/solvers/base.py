@@ -135,7 +135,7 @@ class Solver(abc.ABC):
         """Why it cannot take a program, in words; empty when it can."""
         can = self.capabilities
         if not (can.nonquadratic or program.is_quadratic):
-            return "a penalty is no sum of squares"
+            return "a penalty is no sum of squares, or there are cones"
         if program.bounds and not can.inequalities:
             return "it takes no bounds"
         for constraint in program.constraints:

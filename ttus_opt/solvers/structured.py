@@ -22,7 +22,6 @@ from dataclasses import replace
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.program import Program
@@ -35,7 +34,7 @@ from ttus_opt.solvers.base import (
     Solver,
 )
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
-from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
+from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior, row_scale
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
@@ -44,7 +43,6 @@ from ttus_opt.solvers.dual.primal_dual_active_set import primal_dual_active_set
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.dual.working_set import WorkingSet
-from ttus_opt.terms.base import Penalty
 
 #: Most unknowns beside the field: each costs a rough dual solve
 MOST = 64
@@ -77,9 +75,9 @@ class Structured(Solver):
         prior = laplace_prior(program)
         if prior is None or prior.weight == 0.0:
             return "it needs a Laplace term"
-        if prior.laplace_scale is not None and hard_values(program) is None:
+        if row_scale(prior) is not None and hard_values(program) is None:
             return f"it takes {prior.name} with hard boundary values only"
-        bent = [t.name for t in program.terms if t.penalty is not Penalty.SQUARES]
+        bent = [t.name for t in program.terms if not t.is_squares]
         if bent:
             return f"it takes sums of squares only, {bent[0]} is none"
         if second_field(program) is not None:
@@ -91,7 +89,7 @@ class Structured(Solver):
             limits = SpokeLimits.of(program)
         except ValueError as error:
             return f"it takes bounds and growth along spokes: {error}"
-        if limits.binding and prior.laplace_scale is not None:
+        if limits.binding and row_scale(prior) is not None:
             return f"it takes {prior.name} without bounds only"
         if limits.binding and others:
             return "it takes no limits of the field where there are other unknowns"
@@ -277,11 +275,13 @@ class _Loaded(_Limited):
     def _duals(self, x: Array) -> Duals:
         """Multipliers of given values and of other unknowns' bounds."""
         program, V = self._program, len(self._data.b)
-        hard = hard_values(program) is not None
-        if not (hard or program.bounds):
+        given = program.dirichlet
+        if given is None and not program.bounds:
             return Duals()
         slope = -np.add(*program.gradient(x))
-        rows = {HardBoundary.name: slope[:V][~program.laplace.free]} if hard else {}
+        rows = {}
+        if given is not None:
+            rows[given.name] = slope[:V][~program.laplace.free]
         lower, upper = program.box
         z = np.where(x <= lower, np.minimum(slope, 0.0), 0.0)
         z += np.where(x >= upper, np.maximum(slope, 0.0), 0.0)

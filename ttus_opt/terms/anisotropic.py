@@ -1,7 +1,9 @@
-"""Anisotropic Laplace prior, ‖Δr² ∇·(K ∇p) − b‖² (design §3).
+"""Anisotropic Laplace prior, ‖Δr² ∇·(K ∇p) − b‖².
 
 Conductivities k_r, k_θ, k_z, constant along their coordinate: muscle and skin carry
 load further along one direction than across it.
+
+See docs/method.md, Variants.
 """
 
 from __future__ import annotations
@@ -23,17 +25,12 @@ class AnisotropicTerm(Term):
     conductivities: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     name = "anisotropic"
-    formula = "‖L(k_r, k_θ, k_z) p − b‖²"
 
-    def __post_init__(self) -> None:
-        """Say which conductivities they are.
-
-        Raises:
-            InputError: The weight is not usable.
-        """
-        super().__post_init__()
+    @property
+    def formula(self) -> str:
+        """With the conductivities."""
         given = ", ".join(f"{k:g}" for k in self.conductivities)
-        object.__setattr__(self, "formula", f"‖L(k = {given}) p − b‖²")
+        return f"‖L(k = {given}) p − b‖²"
 
     def rows(self) -> AffineRows:
         """The anisotropic operator and its b."""

@@ -8,8 +8,6 @@ changed without assembling anything again.
 from __future__ import annotations
 
 import abc
-import copy
-import enum
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
@@ -21,17 +19,13 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
-from ttus_opt.terms.declared_rows import check_declared
-
-
-class Penalty(enum.Enum):
-    """How a residual r is charged."""
-
-    SQUARES = "Σ r²"
-    HUBER = "Σ huber(r; δ), r² up to δ and 2δ|r| − δ² beyond"
-    ABSOLUTE = "Σ |r|"
-    GROUPS = "Σ ‖r_g‖ over groups of consecutive rows"
-    LINEAR = "Σ r"
+from ttus_opt.terms.declared_rows import uniform_blocks, uniform_vector
+from ttus_opt.terms.kept import replaced
+from ttus_opt.terms.limits import ConeRows, LinearRows
+from ttus_opt.terms.penalties.base import Penalty
+from ttus_opt.terms.penalties.squares import Squares
+from ttus_opt.terms.structure import Tags, check_structure
+from ttus_opt.user_code import defined_at, told_by_line
 
 
 @dataclass(frozen=True)
@@ -41,10 +35,12 @@ class AffineRows:
     Attributes:
         blocks: Matrix per variable, each of shape (m, size of the variable).
         target: t, shape (m,).
+        tags: Structure that solvers may use, see `ttus_opt.terms.structure`.
     """
 
     blocks: Mapping[str, sp.csr_array]
     target: Array
+    tags: Tags = frozenset()
 
 
 @dataclass(frozen=True)
@@ -75,15 +71,11 @@ class Term(abc.ABC):
     scene: Scene = field(repr=False)
     weight: float = 1.0
 
-    #: Name under which cost and weight are addressed
-    name: ClassVar[str]
-    #: The mathematics, for `repr` of a formulation
-    formula: ClassVar[str]
     #: Whether its rows are measurements, whose noise the residuals show
     measures: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        """Refuse a weight that is no weight.
+        """Validate the weight.
 
         Raises:
             InputError: The weight is negative or not finite.
@@ -95,28 +87,24 @@ class Term(abc.ABC):
             )
 
     @property
+    def name(self) -> str:
+        """Name under which cost and weight are addressed.
+
+        Raises:
+            InputError: The class gives none.
+        """
+        kind = type(self).__name__
+        raise InputError(f'{kind} has no name: add name = "…" to the class')
+
+    @property
+    def formula(self) -> str:
+        """The mathematics, for `repr` of a formulation."""
+        return f"{self.penalty.formula}, r = M x − t"
+
+    @property
     def penalty(self) -> Penalty:
         """How the residual is charged."""
-        return Penalty.SQUARES
-
-    @property
-    def threshold(self) -> float:
-        """Huber's δ; unused by other penalties."""
-        return math.inf
-
-    @property
-    def group_size(self) -> int:
-        """Rows per group of `Penalty.GROUPS`; unused by other penalties."""
-        return 1
-
-    @property
-    def laplace_scale(self) -> Array | None:
-        """For solvers that use L's structure: what the rows of L are multiplied by.
-
-        Shape (V,), where the rows are the free rows of the scene's L in order, each
-        times its own positive number; None for anything else.
-        """
-        return None
+        return Squares()
 
     @abc.abstractmethod
     def rows(self) -> AffineRows:
@@ -124,14 +112,33 @@ class Term(abc.ABC):
 
     @cached_property
     def assembled(self) -> AffineRows:
-        """`rows`, made once and kept by every copy with another weight.
+        """`rows`, made once, in one format, and kept by copies with another weight.
 
         Raises:
-            InputError: A row or a target is not finite, or they do not fit together.
+            InputError: `rows` raises, a row or a target is no finite number, they do
+                not fit together, or they are not what they are tagged to be.
         """
-        rows = self.rows()
-        check_declared(f"term {self.name}", rows.blocks, {"target": rows.target})
-        return rows
+        owner = f"term {self.name}{defined_at(type(self).rows)}"
+        with told_by_line(f"rows() of term {self.name}"):
+            rows = self.rows()
+        if not isinstance(rows, AffineRows):
+            raise InputError(
+                f"{owner}: rows() must return AffineRows, got {type(rows).__name__}"
+            )
+        target = uniform_vector(owner, "target", rows.target, finite=True)
+        blocks = uniform_blocks(owner, rows.blocks, len(target))
+        group = self.penalty.rows_per_group
+        if len(target) % group:
+            raise InputError(
+                f"{owner}: its penalty takes groups of {group} rows, got {len(target)}"
+            )
+        check_structure(owner, rows.tags, blocks, self.scene.laplace)
+        return AffineRows(blocks, target, rows.tags)
+
+    @property
+    def requires(self) -> Mapping[str, LinearRows | ConeRows]:
+        """Rows that define auxiliary variables of its own, by name; mostly none."""
+        return {}
 
     def with_weight(self, weight: float) -> Self:
         """The same term with another weight; nothing is assembled again.
@@ -139,10 +146,7 @@ class Term(abc.ABC):
         Raises:
             InputError: The weight is negative or not finite.
         """
-        other = copy.copy(self)  # the assembled rows come along
-        object.__setattr__(other, "weight", weight)
-        other.__post_init__()
-        return other
+        return replaced(self, "assembled", weight=weight)
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """What the solution identifies beside the field, by name.
@@ -167,6 +171,6 @@ class Term(abc.ABC):
         """Parameters of which its rows say nothing, and why, by name."""
         return {}
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """The same term with these of its parameters at their neutral value."""
         return self

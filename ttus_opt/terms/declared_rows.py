@@ -1,8 +1,13 @@
-"""What terms and constraints declare must be numbers, said by the member's name."""
+"""Rows as terms and constraints declare them: made uniform, or refused by name.
+
+Sparse matrices of any format become ``csr_array`` of floats, lists of numbers arrays.
+What no solver and no check could make sense of is refused in one sentence.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -10,41 +15,93 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 
+Blocks = dict[str, sp.csr_array]
 
-def check_declared(
-    owner: str, blocks: Mapping[str, sp.csr_array], sides: Mapping[str, Array]
-) -> None:
-    """Refuse rows that no solver and no check could make sense of.
+
+def uniform_blocks(owner: str, blocks: Any, n_rows: int) -> Blocks:
+    """Matrices by variable as ``csr_array`` of floats.
 
     Args:
         owner: What declares them, for the message.
-        blocks: Matrix per variable.
-        sides: Vectors with one entry per row, by what they are; limits may be
-            infinite, targets not.
+        blocks: As declared.
+        n_rows: How many rows each has.
 
     Raises:
-        InputError: Something is NaN, a number is infinite, or lengths differ.
+        InputError: No matrices, dense or complex ones, of other shapes, or not finite.
     """
-    for variable, matrix in blocks.items():
-        wrong = ~np.isfinite(matrix.data)
-        if wrong.any():
-            at = int(np.flatnonzero(wrong)[0])
-            row = int(np.searchsorted(matrix.indptr, at, side="right")) - 1
-            raise InputError(
-                f"{owner}: its rows over {variable} hold {matrix.data[at]} (row {row}, "
-                f"{int(wrong.sum())} in all): check the data they are made of"
-            )
-    for name, values in sides.items():
-        for variable, matrix in blocks.items():
-            if matrix.shape[0] != len(values):
-                raise InputError(
-                    f"{owner}: {matrix.shape[0]} rows over {variable}, {name} has "
-                    f"{len(values)} entries: give one for every row"
-                )
-        wrong = ~np.isfinite(values) if name == "target" else np.isnan(values)
-        if wrong.any():
-            row = int(np.flatnonzero(wrong)[0])
-            raise InputError(
-                f"{owner}: its {name} holds {values[row]} (row {row}, "
-                f"{int(wrong.sum())} in all): leave those rows out"
-            )
+    if not (isinstance(blocks, Mapping) and blocks):
+        raise InputError(
+            f"{owner}: blocks must be sparse matrices by variable, such as "
+            f'{{"p": M}}, got {_described(blocks)}'
+        )
+    return {name: _matrix(owner, name, M, n_rows) for name, M in blocks.items()}
+
+
+def _matrix(owner: str, variable: str, matrix: Any, n_rows: int) -> sp.csr_array:
+    what = f"{owner}: its matrix over {variable}"
+    if not sp.issparse(matrix):
+        raise InputError(
+            f"{what} must be sparse, got {_described(matrix)}: wrap it in "
+            "scipy.sparse.csr_array"
+        )
+    given: Any = matrix
+    if given.dtype.kind not in "fiub" or given.ndim != 2:
+        raise InputError(f"{what} must be real and 2-D, got {_described(given)}")
+    if not (isinstance(given, sp.csr_array) and given.dtype == np.float64):
+        given = sp.csr_array(given.astype(np.float64))
+    rows: sp.csr_array = given
+    if rows.shape[0] != n_rows:
+        raise InputError(
+            f"{owner}: {rows.shape[0]} rows over {variable}, and {n_rows} entries "
+            "beside them: give one for every row"
+        )
+    wrong = ~np.isfinite(rows.data)
+    if wrong.any():
+        at = int(np.flatnonzero(wrong)[0])
+        row = int(np.searchsorted(rows.indptr, at, side="right")) - 1
+        raise InputError(
+            f"{owner}: its rows over {variable} hold {rows.data[at]} (row {row}, "
+            f"{int(wrong.sum())} in all): check the data they are made of"
+        )
+    return rows
+
+
+def uniform_vector(owner: str, name: str, values: Any, *, finite: bool) -> Array:
+    """A vector of floats with one entry per row.
+
+    Args:
+        owner: What declares it, for the message.
+        name: What it is: target, lower limit, upper limit.
+        values: As declared.
+        finite: Whether infinite entries are refused; NaN always is.
+
+    Raises:
+        InputError: No vector of real numbers, or one that is not a number.
+    """
+    try:
+        vector = np.asarray(values)
+    except ValueError:  # a ragged list
+        vector = np.asarray(None)
+    if vector.ndim != 1 or vector.dtype.kind not in "fiub":
+        raise InputError(
+            f"{owner}: its {name} must be a vector of real numbers, one per row, got "
+            f"{_described(values)}"
+        )
+    if vector.dtype != np.float64:
+        vector = vector.astype(np.float64)
+    wrong = ~np.isfinite(vector) if finite else np.isnan(vector)
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise InputError(
+            f"{owner}: its {name} holds {vector[row]} (row {row}, "
+            f"{int(wrong.sum())} in all): leave those rows out"
+        )
+    return vector
+
+
+def _described(value: Any) -> str:
+    """What was given, in a few words."""
+    if hasattr(value, "dtype"):
+        sort = "a sparse matrix" if sp.issparse(value) else "an array"
+        return f"{sort} of {value.dtype} of shape {value.shape}"
+    return "None" if value is None else f"a {type(value).__name__}"

@@ -7,7 +7,6 @@ A model knows its variables and rows (`ttus_opt.contact.friction`); the terms
 from __future__ import annotations
 
 import abc
-import copy
 import math
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
@@ -25,6 +24,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import Fitted
 from ttus_opt.terms.drag_smoothness import MEAN_FRICTION
+from ttus_opt.terms.kept import replaced
 
 Blocks = dict[str, sp.csr_array]
 
@@ -85,7 +85,7 @@ class DragModel(abc.ABC):
     def unborne(self) -> dict[str, str]:
         """Coefficients of which no pose tells, and why, by name."""
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """The same model with these of its coefficients at 0."""
         return self
 
@@ -135,7 +135,7 @@ class GlobalCoulomb(DragModel):
         return f"{self.coefficient:.4g} F p"
 
     def __post_init__(self) -> None:
-        """Refuse a coefficient that is none.
+        """Validate the coefficient.
 
         Raises:
             InputError: μ is negative or not finite.
@@ -147,10 +147,7 @@ class GlobalCoulomb(DragModel):
 
     def with_coefficient(self, coefficient: float) -> Self:
         """The same drag with another μ; sliding and rows are kept."""
-        other = copy.copy(self)
-        object.__setattr__(other, "coefficient", float(coefficient))
-        other.__post_init__()
-        return other
+        return replaced(self, "sliding", "rows", coefficient=float(coefficient))
 
     def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
         return {"p": sp.csr_array(contact - self.coefficient * drag)}
@@ -220,7 +217,7 @@ class CoulombField(DragModel):
         why = "the drag field is left out" if self.silent else self.silence()
         return {friction.FRICTION: why, MEAN_FRICTION: why} if why else {}
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """Without q where μ is among the names."""
         return replace(self, silent=True) if friction.FRICTION in names else self
 
@@ -331,7 +328,7 @@ class Viscous(DragModel):
             found[friction.VISCOUS] = self.silence() or "no patch of it is identified"
         return found
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """With the coefficients of these patches given as 0.
 
         One that was never touched stays: it has the mean.

@@ -1,4 +1,7 @@
-"""Measured forces with drag, λ_f ‖N p − drag − f‖² (design §3, friction)."""
+"""Measured forces with drag, λ_f ‖N p − drag − f‖².
+
+See docs/method.md, Friction.
+"""
 
 from __future__ import annotations
 
@@ -24,17 +27,12 @@ class DragForceTerm(Term):
     drag: DragModel = field(kw_only=True, repr=False)
 
     name = "force"
-    formula = "‖N p − drag − f‖²"
     measures = True
 
-    def __post_init__(self) -> None:
-        """Say which drag it is.
-
-        Raises:
-            InputError: The weight is not usable.
-        """
-        super().__post_init__()
-        object.__setattr__(self, "formula", f"‖N p − {self.drag.formula} − f‖²")
+    @property
+    def formula(self) -> str:
+        """With what drag takes away."""
+        return f"‖N p − {self.drag.formula} − f‖²"
 
     def rows(self) -> AffineRows:
         """N and drag's rows by variable, and f."""
@@ -52,7 +50,7 @@ class DragForceTerm(Term):
         """Drag's coefficients of which no pose tells."""
         return self.drag.unborne()
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """The same term without this drag."""
-        drag = self.drag.without(names)
+        drag = self.drag.with_neutral(names)
         return self if drag is self.drag else replace(self, drag=drag)

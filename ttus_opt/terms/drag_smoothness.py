@@ -1,8 +1,10 @@
-"""Prior of the drag field q, ‖L q − m b‖² (design §3, friction).
+"""Prior of the drag field q, ‖L q − m b‖².
 
 Measurements tell q only where the probe slid. Where friction is the same everywhere
 q = μ p, which satisfies L q = μ b as p satisfies L p = b: between, q is what a mean
 friction coefficient m makes of p, and m is found with it.
+
+See docs/method.md, Friction.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.terms.base import AffineRows, Fitted, Term
+from ttus_opt.terms.structure import LaplaceRows
 
 #: Name under which a fitted field carries m
 MEAN_FRICTION = "mean_friction_coefficient"
@@ -32,25 +35,21 @@ class DragSmoothnessTerm(Term):
     has_mean: bool = True
 
     name = "drag_smoothness"
-    formula = "‖L q − m b‖²"
 
-    def __post_init__(self) -> None:
-        """Say whether there is an m.
-
-        Raises:
-            InputError: The weight is not usable.
-        """
-        super().__post_init__()
-        if not self.has_mean:
-            object.__setattr__(self, "formula", "‖L q‖²")
+    @property
+    def formula(self) -> str:
+        """With m or without."""
+        return "‖L q − m b‖²" if self.has_mean else "‖L q‖²"
 
     def rows(self) -> AffineRows:
         """L over q, and -b over the mean friction coefficient m."""
         b = self.scene.b
         if not self.has_mean:
-            return AffineRows({"q": self.scene.L}, np.zeros(len(b)))
+            tags = frozenset({LaplaceRows("q")})
+            return AffineRows({"q": self.scene.L}, np.zeros(len(b)), tags)
         mean = sp.csr_array(-b[:, None])
-        return AffineRows({"q": self.scene.L, "m": mean}, np.zeros(len(b)))
+        tags = frozenset({LaplaceRows("q", beside=("m",))})
+        return AffineRows({"q": self.scene.L, "m": mean}, np.zeros(len(b)), tags)
 
     def parameters(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         """The mean friction coefficient."""
@@ -60,6 +59,6 @@ class DragSmoothnessTerm(Term):
         """m, as far from 0 as drag that is as large as the normal force."""
         return {MEAN_FRICTION: Fitted({"m": np.ones(1)}, 1.0)} if self.has_mean else {}
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """The same prior, towards 0 where m is among the names."""
         return replace(self, has_mean=False) if MEAN_FRICTION in names else self

@@ -1,4 +1,7 @@
-"""Measured torques with drag, λ_τ ‖(W p − torque of drag − τ)/ℓ‖² (design §3)."""
+"""Measured torques with drag, λ_τ ‖(W p − torque of drag − τ)/ℓ‖².
+
+See docs/method.md, Friction.
+"""
 
 from __future__ import annotations
 
@@ -22,17 +25,12 @@ class DragTorqueTerm(TorqueTerm):
     drag: DragModel = field(kw_only=True, repr=False)
 
     name = "torque"
-    formula = "‖(W p − torque of drag − τ)/ℓ‖²"
 
-    def __post_init__(self) -> None:
-        """Say which drag it is.
-
-        Raises:
-            InputError: The weight or the length is not usable.
-        """
-        super().__post_init__()
+    @property
+    def formula(self) -> str:  # type: ignore[override]
+        """With what drag takes away."""
         drag = self.drag.formula.replace("F", "G")
-        object.__setattr__(self, "formula", f"‖(W p − {drag} − τ)/ℓ‖²")
+        return f"‖(W p − {drag} − τ)/ℓ‖²"
 
     def rows(self) -> AffineRows:
         """W/ℓ and drag's rows by variable, and τ/ℓ."""
@@ -40,7 +38,7 @@ class DragTorqueTerm(TorqueTerm):
         blocks = {k: M * scale for k, M in self.drag.torque_blocks().items()}
         return AffineRows(blocks, self.scene.tau * scale)
 
-    def without(self, names: Collection[str]) -> Self:
+    def with_neutral(self, names: Collection[str]) -> Self:
         """The same term without this drag."""
-        drag = self.drag.without(names)
+        drag = self.drag.with_neutral(names)
         return self if drag is self.drag else replace(self, drag=drag)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ttus_opt.errors import InputError
 from ttus_opt.scene import BOUNDARY_SCALE
 from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.structure import LaplaceRows
 
 
 @dataclass(frozen=True)
@@ -26,10 +27,15 @@ class LaplaceTerm(Term):
     factor: float = 1.0
 
     name = "laplace"
-    formula = "‖L p − b‖²"
+
+    @property
+    def formula(self) -> str:
+        """With the factor on b where there is one."""
+        factor = "" if self.factor == 1.0 else f"{self.factor:.4g} "
+        return f"‖L p − {factor}b‖²"
 
     def __post_init__(self) -> None:
-        """Say which boundary values it has.
+        """Validate weight and factor.
 
         Raises:
             InputError: The weight or the factor is not usable.
@@ -37,8 +43,6 @@ class LaplaceTerm(Term):
         super().__post_init__()
         if not (math.isfinite(self.factor) and self.factor > 0.0):
             raise InputError(f"factor on b must be positive, got {self.factor}")
-        if self.factor != 1.0:
-            object.__setattr__(self, "formula", f"‖L p − {self.factor:.4g} b‖²")
 
     def with_factor(self, factor: float) -> Self:
         """The same prior with its boundary values times a factor."""
@@ -46,7 +50,8 @@ class LaplaceTerm(Term):
 
     def rows(self) -> AffineRows:
         """L and s b of the scene."""
-        return AffineRows({"p": self.scene.L}, self.factor * self.scene.b)
+        tags = frozenset({LaplaceRows("p")})
+        return AffineRows({"p": self.scene.L}, self.factor * self.scene.b, tags)
 
     def parameters(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
         """The boundary scale, where the scene has fitted one."""

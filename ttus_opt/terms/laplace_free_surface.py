@@ -1,10 +1,12 @@
-"""Laplace prior without p = 0 on the skin (design §3, free surface).
+"""Laplace prior without p = 0 on the skin.
 
 With p = 0 on the skin the force of a round tip grows like depth²; real tissue grows
 like depth¹ to depth^1.5 and pushes back from the first touch. Here the rows of the
 skin's voxels are kept with a small weight only, which decides where nothing was
 measured (there the field is the Laplace field of eq. 8) and gives way elsewhere.
 The skin at both ends keeps its values.
+
+See docs/method.md, The shelf.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ class LaplaceFreeSurfaceTerm(Term):
     formula = "‖L p − b‖² without the skin's rows"
 
     def __post_init__(self) -> None:
-        """Refuse a share that is none.
+        """Validate weight and share.
 
         Raises:
             InputError: The weight or the skin's share is not usable.

@@ -1,7 +1,9 @@
-"""Measured forces, robust against outliers: Huber's penalty of N p − f (design §3).
+"""Measured forces, robust against outliers: Huber's penalty of N p − f.
 
 Up to δ a residual is charged by its square as in eq. 10, beyond it in proportion to
 its size, so that slipped frames, hairs and cable pulls do not bend the field.
+
+See docs/method.md, Penalties.
 """
 
 from __future__ import annotations
@@ -10,7 +12,8 @@ import math
 from dataclasses import dataclass
 
 from ttus_opt.errors import InputError
-from ttus_opt.terms.base import AffineRows, Penalty, Term
+from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.penalties.huber import Huber
 
 
 @dataclass(frozen=True)
@@ -25,11 +28,15 @@ class RobustForceTerm(Term):
     limit: float = 0.5
 
     name = "robust_force"
-    formula = "Σ huber(N p − f; δ)"
     measures = True
 
+    @property
+    def formula(self) -> str:
+        """With δ."""
+        return f"Σ huber(N p − f; {self.limit:g} N)"
+
     def __post_init__(self) -> None:
-        """Refuse a limit that is none.
+        """Validate weight and limit.
 
         Raises:
             InputError: The weight or the limit is not usable.
@@ -39,17 +46,11 @@ class RobustForceTerm(Term):
             raise InputError(
                 f"robust_force limit must be positive [N], got {self.limit}"
             )
-        object.__setattr__(self, "formula", f"Σ huber(N p − f; {self.limit:g} N)")
 
     @property
-    def penalty(self) -> Penalty:
-        """Huber's."""
-        return Penalty.HUBER
-
-    @property
-    def threshold(self) -> float:
-        """δ [N]."""
-        return self.limit
+    def penalty(self) -> Huber:
+        """Huber's, with δ [N]."""
+        return Huber(self.limit)
 
     def rows(self) -> AffineRows:
         """N and f of the scene."""

@@ -1,7 +1,9 @@
-"""Screened Laplace (Helmholtz) prior, ‖Δr²(∇²p − κ²p) − b‖² (design §3).
+"""Screened Laplace (Helmholtz) prior, ‖Δr²(∇²p − κ²p) − b‖².
 
 κ is the inverse of a length over which the boundary is felt: the deeper inside, the
 flatter the field, as if tissue further than 1/κ away did not push back.
+
+See docs/method.md, Variants.
 """
 
 from __future__ import annotations
@@ -23,18 +25,11 @@ class ScreenedTerm(Term):
     screening: float = 10.0
 
     name = "screened"
-    formula = "‖(L − Δr²κ²) p − b‖²"
 
-    def __post_init__(self) -> None:
-        """Say which κ it is.
-
-        Raises:
-            InputError: The weight is not usable.
-        """
-        super().__post_init__()
-        object.__setattr__(
-            self, "formula", f"‖(L − Δr²κ²) p − b‖², κ = {self.screening:g}/m"
-        )
+    @property
+    def formula(self) -> str:
+        """With κ."""
+        return f"‖(L − Δr²κ²) p − b‖², κ = {self.screening:g}/m"
 
     def rows(self) -> AffineRows:
         """The screened operator and its b, whose end slices are screened too."""

@@ -1,7 +1,9 @@
-"""Sparse sources, Σ |L p − b| over the free voxels (design §3).
+"""Sparse sources, Σ |L p − b| over the free voxels.
 
 L p − b is what the field emits or swallows between the boundaries. Squares spread it
 thinly over all voxels; absolute values put it into few: the edge of a rib, a lump.
+
+See docs/method.md, Penalties.
 """
 
 from __future__ import annotations
@@ -10,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.terms.base import AffineRows, Penalty, Term
+from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.penalties.absolute import Absolute
 
 
 @dataclass(frozen=True)
@@ -21,9 +24,9 @@ class SparseSourcesTerm(Term):
     formula = "Σ |L p − b| over free voxels"
 
     @property
-    def penalty(self) -> Penalty:
+    def penalty(self) -> Absolute:
         """Absolute values."""
-        return Penalty.ABSOLUTE
+        return Absolute()
 
     def rows(self) -> AffineRows:
         """Free rows of L and b."""

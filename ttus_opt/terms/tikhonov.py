@@ -1,4 +1,7 @@
-"""Tikhonov's term ‖p − p_ref‖², over the free voxels (design §3)."""
+"""Tikhonov's term ‖p − p_ref‖², over the free voxels.
+
+See docs/method.md, The shelf.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,7 @@ class TikhonovTerm(Term):
     formula = "‖p − p_ref‖² over free voxels"
 
     def __post_init__(self) -> None:
-        """Refuse an unknown reference.
+        """Validate weight and reference.
 
         Raises:
             InputError: The weight or the reference is not usable.

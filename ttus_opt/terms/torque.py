@@ -1,7 +1,9 @@
-"""Measured torques, λ_τ ‖(W p - τ)/ℓ‖² (paper eqs. 7, 10; design §3).
+"""Measured torques, λ_τ ‖(W p - τ)/ℓ‖² (paper eqs. 7, 10).
 
 N and N·m differ by a length: rows are divided by a characteristic length ℓ, by
 default the shell's root-mean-square radius, so that λ_τ is comparable with λ_f.
+
+See docs/method.md, Eq. 10.
 """
 
 from __future__ import annotations
@@ -29,7 +31,7 @@ class TorqueTerm(Term):
     measures = True
 
     def __post_init__(self) -> None:
-        """Refuse a length that is no length.
+        """Validate weight and length.
 
         Raises:
             InputError: The weight or the length is not usable.

@@ -1,4 +1,4 @@
-"""Total variation of the departure from the Laplace field p₀ (design §3).
+"""Total variation of the departure from the Laplace field p₀.
 
 Differences between neighbouring voxels, divided by their distance in units of Δr:
 D ∇(p − p₀). Departures then come in plateaus with edges, like a stiff lump in soft
@@ -6,6 +6,8 @@ tissue. Two readings:
 
 - anisotropic (default): Σ of all absolute differences, a quadratic program;
 - isotropic: Σ over voxels of the length of (D_r, D_θ, D_z), a cone program.
+
+See docs/method.md, Penalties.
 """
 
 from __future__ import annotations
@@ -15,7 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.terms.base import AffineRows, Penalty, Term
+from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.terms.penalties.base import Penalty
+from ttus_opt.terms.penalties.groups import Groups
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 
@@ -31,17 +36,16 @@ class TotalVariationTerm(Term):
     isotropic: bool = False
 
     name = "total_variation"
-    formula = "Σ |D (p − p₀)|"
+
+    @property
+    def formula(self) -> str:
+        """Of components or of lengths."""
+        return "Σ ‖D (p − p₀)‖" if self.isotropic else "Σ |D (p − p₀)|"
 
     @property
     def penalty(self) -> Penalty:
         """Absolute values, or lengths of groups of three."""
-        return Penalty.GROUPS if self.isotropic else Penalty.ABSOLUTE
-
-    @property
-    def group_size(self) -> int:
-        """The three differences of a voxel."""
-        return 3 if self.isotropic else 1
+        return Groups(3) if self.isotropic else Absolute()
 
     def rows(self) -> AffineRows:
         """D and D p₀, rows r, θ, z of each voxel together."""

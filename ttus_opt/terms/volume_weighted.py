@@ -1,9 +1,11 @@
-"""Laplace prior that does not depend on the grid, ∫ (ℓ² ∇²p)² dV/ℓ³ (design §3).
+"""Laplace prior that does not depend on the grid, ∫ (ℓ² ∇²p)² dV/ℓ³.
 
 Eq. 10 sums squares of Δr² ∇²p over voxels: with every step halved that sum is half
 as large (2⁻⁴ each, 2³ times as many), so that λ means something else on every grid.
 Here each free row is weighted by its voxel's volume, ℓ = 1 cm being the unit of
 length. Boundary values are no part of the integral: they belong into a constraint.
+
+See docs/method.md, The shelf.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
 from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.structure import LaplaceRows
 
 #: Unit of length of the integral, ℓ [m]
 LENGTH = 0.01
@@ -28,7 +31,7 @@ class VolumeWeightedTerm(Term):
     formula = "∫ (ℓ²∇²p)² dV/ℓ³"
 
     @property
-    def laplace_scale(self) -> Array:
+    def _scale(self) -> Array:
         """√(volume/ℓ³)·(ℓ/Δr)² of every voxel, shape (V,) [–]."""
         grid = self.scene.laplace.grid
         step = grid.r_step * grid.theta_step * grid.z_step
@@ -39,6 +42,8 @@ class VolumeWeightedTerm(Term):
         """Free rows of L, each times √(volume/ℓ³)·(ℓ/Δr)²."""
         laplace = self.scene.laplace
         free = np.flatnonzero(laplace.free)
-        scale = self.laplace_scale[free]
-        rows = sp.diags_array(scale) @ laplace.L[free]
-        return AffineRows({"p": sp.csr_array(rows)}, scale * self.scene.b[free])
+        of_voxels = self._scale
+        scale = of_voxels[free]
+        rows = sp.csr_array(sp.diags_array(scale) @ laplace.L[free])
+        tags = frozenset({LaplaceRows("p", of_voxels)})
+        return AffineRows({"p": rows}, scale * self.scene.b[free], tags)

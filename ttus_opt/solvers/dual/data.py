@@ -8,7 +8,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
-from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.system import DualSystem
@@ -39,27 +38,32 @@ class DualData:
 
 
 def laplace_prior(program: Program) -> ProgramTerm | None:
-    """The Laplace term, or the one whose rows are L's times numbers."""
-    scaled = [t for t in program.terms if t.laplace_scale is not None]
-    return program.laplace_term or (scaled[0] if scaled else None)
+    """The term that holds p by L's rows alone, as they are or scaled."""
+    term = program.laplace_term_of("p")
+    rows = None if term is None else term.laplace_rows
+    return None if rows is None or rows.beside else term
+
+
+def row_scale(prior: ProgramTerm) -> Array | None:
+    """What L's free rows are multiplied by, shape (V,); None where they are all L's."""
+    rows = prior.laplace_rows
+    return None if rows is None else rows.scale
 
 
 def hard_values(program: Program) -> Array | None:
     """Hard Dirichlet values in the order of the fixed voxels; None where soft."""
-    for constraint in program.constraints:
-        if constraint.name == HardBoundary.name:
-            return constraint.lower
-    return None
+    given = program.dirichlet
+    return None if given is None else given.lower
 
 
 def _right_side(program: Program, prior: ProgramTerm) -> Array:
     """Vector b of L p = b, from scaled free rows and hard boundary values."""
-    free, hard = program.laplace.free, hard_values(program)
-    if prior.laplace_scale is None:
+    free, hard, scale = program.laplace.free, hard_values(program), row_scale(prior)
+    if scale is None:
         b = prior.target.copy()
     else:  # such a term has free rows only, its boundary values are hard
         b = np.empty(len(free))
-        b[free] = prior.target / prior.laplace_scale[free]
+        b[free] = prior.target / scale[free]
     if hard is not None:
         b[~free] = hard
     return b
@@ -71,9 +75,9 @@ def _dual_system(
     """The dual system of a program, b, weighted targets and weighted columns."""
     measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
     V = len(program.laplace.free)
-    compliance = np.ones(V)
-    if prior.laplace_scale is not None:
-        compliance /= prior.laplace_scale**2
+    compliance, scale = np.ones(V), row_scale(prior)
+    if scale is not None:
+        compliance /= scale**2
     if hard_values(program) is not None:
         compliance[~program.laplace.free] = 0.0
     roots = [np.full(len(t.target), np.sqrt(t.weight / prior.weight)) for t in measured]

@@ -17,7 +17,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
-from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
@@ -26,7 +25,6 @@ from ttus_opt.solvers.dual.optimality import Multipliers
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.pair_subproblem import PairRows, PairSubproblem
 from ttus_opt.solvers.dual.working_set import WorkingSet
-from ttus_opt.terms.base import Penalty
 
 #: Relative difference of ratios that count as one [–]
 SAME = 1e-12
@@ -86,7 +84,7 @@ class FieldPair:
             raise ValueError(f"one unknown beside the fields, not {len(others)}")
         region = program.laplace.voxmap.grid.flatten(program.laplace.voxmap.region)
         sign = np.where(region < 0, -1.0, 1.0)
-        linear = [c for c in program.constraints if c.name != HardBoundary.name]
+        linear = [c for c in program.constraints if c is not program.dirichlet]
         read = {c.name: _links(c, program.variables[name].start, V) for c in linear}
         ratio = _common_ratio([r for _, _, r in read.values()])
         units = np.concatenate([sign, ratio * sign])
@@ -204,26 +202,21 @@ class FieldPair:
         low, high = (x[self.others] == limit for limit in self.bounds)
         z[self.others] = np.where(low, np.minimum(slope, 0.0), 0.0)
         z[self.others] += np.where(high, np.maximum(slope, 0.0), 0.0)
-        if any(c.name == HardBoundary.name for c in self.program.constraints):
+        dirichlet = self.program.dirichlet
+        if dirichlet is not None:
             fixed = np.flatnonzero(~self.program.laplace.free)
-            named[HardBoundary.name] = z[fixed]
+            named[dirichlet.name] = z[fixed]
             z[fixed] = 0.0
         return Duals(named, z if self.program.bounds else None)
 
 
 def second_field(program: Program) -> tuple[str, ProgramTerm] | None:
     """Name of a field beside p that has L's rows to itself, and the term of these."""
-    L = program.laplace.L
-    V = L.shape[0]
-    for name, part in program.variables.items():
-        if name == "p" or part.stop - part.start != V:
-            continue
-        for term in program.terms:
-            if len(term.target) == V and term.penalty is Penalty.SQUARES:
-                own = sp.csr_array(term.matrix[:, part])
-                alone = term.matrix[:, program.variables["p"]].nnz == 0
-                if alone and own.nnz == L.nnz and abs(own - L).max() == 0.0:
-                    return name, term
+    for name in program.variables:
+        term = None if name == "p" else program.laplace_term_of(name)
+        rows = None if term is None else term.laplace_rows
+        if term is not None and rows is not None and rows.scale is None:
+            return name, term
     return None
 
 
@@ -254,10 +247,9 @@ def _box(program: Program, places: IntArray) -> tuple[Array, Array, NDArray[np.b
     """Bounds of both fields, and where a Dirichlet value is given by them."""
     lower, upper = (limit[places] for limit in program.box)
     fixed = ~program.laplace.free
-    for constraint in program.constraints:
-        if constraint.name == HardBoundary.name:
-            own = np.flatnonzero(fixed)
-            # a value beyond its bound leaves nothing between the two limits
-            lower[own] = np.maximum(lower[own], constraint.lower)
-            upper[own] = np.minimum(upper[own], constraint.upper)
+    if program.dirichlet is not None:
+        own, values = np.flatnonzero(fixed), program.dirichlet.lower
+        # a value beyond its bound leaves nothing between the two limits
+        lower[own] = np.maximum(lower[own], values)
+        upper[own] = np.minimum(upper[own], values)
     return lower, upper, np.tile(fixed, 2) & (lower >= upper)

@@ -15,7 +15,6 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
-from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramConstraint
 from ttus_opt.problem.program import Program
@@ -33,6 +32,7 @@ class SpokeLimits:
         least: s of the link from a voxel to the next one outwards, shape (V,).
         links: Per constraint, by name: the deeper voxel of every row, the row's sign,
             +1 for p_v - p_w ≥ s and -1 for p_w - p_v ≤ -s, and s, shape (m,) each.
+        given_by: Name of the constraint that gives values.
     """
 
     shape: tuple[int, int, int]
@@ -41,6 +41,7 @@ class SpokeLimits:
     given: NDArray[np.bool_] = field(repr=False)
     least: Array = field(repr=False)
     links: dict[str, tuple[IntArray, Array, Array]] = field(repr=False)
+    given_by: str = ""
 
     @classmethod
     def of(cls, program: Program) -> SpokeLimits:
@@ -54,9 +55,9 @@ class SpokeLimits:
         lower, upper = (limit[own].copy() for limit in program.box)
         given = np.zeros(len(lower), dtype=bool)
         least = np.full(len(lower), -np.inf)
-        links = {}
+        links, dirichlet = {}, program.dirichlet
         for constraint in program.constraints:
-            if constraint.name == HardBoundary.name:
+            if constraint is dirichlet:
                 given[~program.laplace.free] = True
                 # a value beyond its bound leaves nothing between the two limits
                 lower[given] = np.maximum(lower[given], constraint.lower)
@@ -66,7 +67,8 @@ class SpokeLimits:
             bound = np.where(sign > 0.0, constraint.lower, -constraint.upper)
             least[deeper] = np.maximum(least[deeper], bound)
             links[constraint.name] = (deeper, sign, bound)
-        return cls(shape, lower, upper, given, least, links)
+        name = "" if dirichlet is None else dirichlet.name
+        return cls(shape, lower, upper, given, least, links, name)
 
     @property
     def stride(self) -> int:
@@ -172,8 +174,8 @@ class SpokeLimits:
             carried = np.where(bound >= self.least[deeper], left[deeper], 0.0)
             rows[name] = -sign * carried
             left[deeper] -= carried
-        if self.given.any():
-            rows[HardBoundary.name] = of_bounds[self.given]
+        if self.given_by:
+            rows[self.given_by] = of_bounds[self.given]
         bounds = np.where(self.given, 0.0, of_bounds)
         return Duals(rows, bounds)
 

@@ -1,0 +1,110 @@
+"""Laws of every penalty on the shelf: a new file there is tested by existing."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import pkgutil
+
+import cvxpy as cp
+import numpy as np
+import pytest
+from scipy.optimize import linprog, minimize
+
+import ttus_opt.terms.penalties
+from ttus_opt.terms.penalties.base import Penalty
+
+RNG = np.random.default_rng(0)
+
+#: What a penalty needs to be made
+OPTIONS: dict[str, dict[str, float]] = {
+    "Huber": {"threshold": 0.7},
+    "Groups": {"size": 3},
+}
+
+
+def members() -> list[Penalty]:
+    found = []
+    for info in pkgutil.iter_modules(ttus_opt.terms.penalties.__path__):
+        module = importlib.import_module(f"ttus_opt.terms.penalties.{info.name}")
+        for kind in vars(module).values():
+            own = inspect.isclass(kind) and kind.__module__ == module.__name__
+            if own and issubclass(kind, Penalty) and kind is not Penalty:
+                found.append(kind(**OPTIONS.get(kind.__name__, {})))
+    return found
+
+
+each_penalty = pytest.mark.parametrize("phi", members(), ids=lambda p: type(p).__name__)
+
+
+def test_the_shelf_is_found() -> None:
+    names = {type(phi).__name__ for phi in members()}
+    assert {"Squares", "Huber", "Absolute", "Groups", "Linear"} <= names
+
+
+@each_penalty
+def test_the_value_is_cvxpys(phi: Penalty) -> None:
+    """Two statements of the same penalty, for our checks and for cone solvers."""
+    for scale in (0.1, 1.0, 10.0):
+        r = scale * RNG.normal(size=12)
+        said = phi.in_cvxpy(cp.Constant(r), cp)
+        assert said.is_convex()
+        assert phi.value(r) == pytest.approx(float(said.value))
+    assert phi.value(np.zeros(12)) == 0.0
+
+
+@each_penalty
+def test_the_subgradient_lies_below_the_penalty(phi: Penalty) -> None:
+    for _ in range(10):
+        r, other = RNG.normal(size=(2, 12))
+        below = phi.value(r) + float(phi.subgradient(r) @ (other - r))
+        assert below <= phi.value(other) + 1e-12
+    at_zero = phi.subgradient(np.zeros(12))
+    assert (np.abs(at_zero).max() == 0.0) or not phi.smooth
+
+
+@each_penalty
+def test_a_smooth_penaltys_gradient_vanishes_with_the_residual(phi: Penalty) -> None:
+    steep = np.abs(phi.subgradient(np.full(12, 1e-9))).max()
+    assert (steep < 1e-8) == phi.smooth
+
+
+@each_penalty
+def test_multipliers_are_projected(phi: Penalty) -> None:
+    """Nearest, and left alone where they are subgradients already."""
+    for _ in range(10):
+        g, r = 4.0 * RNG.normal(size=(2, 12))
+        nearest = phi.admissible(g)
+        np.testing.assert_allclose(phi.admissible(nearest), nearest, rtol=1e-14)
+        own = phi.subgradient(r)
+        np.testing.assert_allclose(phi.admissible(own), own, rtol=1e-12)
+        # the obtuse angle of a projection onto a convex set
+        assert float((g - nearest) @ (own - nearest)) <= 1e-12
+
+
+@each_penalty
+def test_fenchels_inequality(phi: Penalty) -> None:
+    for _ in range(10):
+        r = RNG.normal(size=12)
+        own, other = phi.subgradient(r), phi.admissible(3.0 * RNG.normal(size=12))
+        assert phi.value(r) + phi.conjugate(own) == pytest.approx(float(own @ r))
+        assert phi.value(r) + phi.conjugate(other) >= float(other @ r) - 1e-12
+
+
+@each_penalty
+def test_a_split_has_the_penalty_as_its_least_value(phi: Penalty) -> None:
+    split = phi.split
+    if split is None:
+        return
+    for r in (-2.0, -0.3, 0.0, 0.4, 3.0):
+        price = np.full(2, split.slope)
+        if split.squares_rest:
+            least = minimize(
+                lambda v, r=r, c=price: (r - v[0] + v[1]) ** 2 + float(c @ v),
+                np.ones(2),
+                bounds=[(0.0, None)] * 2,
+                tol=1e-12,
+            ).fun
+        else:
+            least = linprog(price, A_eq=[[1.0, -1.0]], b_eq=[r]).fun
+        assert least == pytest.approx(phi.value(np.array([r])), abs=1e-6)

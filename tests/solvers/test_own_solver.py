@@ -1,0 +1,162 @@
+"""A user's own solver: as an object, by path, from another package."""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import small_scene
+from ttus_opt.errors import InputError
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.solution import Status
+from ttus_opt.solvers import registry
+from ttus_opt.solvers.base import (
+    Candidate,
+    Capabilities,
+    Prepared,
+    Request,
+    Solver,
+)
+
+SCENE = small_scene(shape=(5, 8, 6), n_poses=5)
+
+FILE = """
+import numpy as np
+from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Solver
+
+class Loaded(Prepared):
+    def __init__(self, program):
+        self.update(program)
+    def update(self, program):
+        self.program = program
+    def solve(self):
+        Q, d = self.program.normal_equations()
+        return Candidate(ANSWER)
+
+class Mine(Solver):
+    name = "mine"
+    summary = "dense"
+    capabilities = Capabilities(inequalities=False, equalities=False)
+    def prepare(self, program, request):
+        return Loaded(program)
+
+SOLVERS = [Mine()]
+"""
+DENSE = "np.linalg.solve(Q.toarray(), d)"
+
+
+class Dense(Solver):
+    name = "dense"
+    summary = "dense normal equations"
+    capabilities = Capabilities(inequalities=False, equalities=False)
+
+    def __init__(self, scale: float = 1.0) -> None:
+        self.scale = scale
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        self.require(program)
+        return _Loaded(program, self.scale)
+
+
+class _Loaded(Prepared):
+    def __init__(self, program: Program, scale: float) -> None:
+        self.scale = scale
+        self.update(program)
+
+    def update(self, program: Program) -> None:
+        self.Q, self.d = program.normal_equations()
+
+    def solve(self) -> Candidate:
+        return Candidate(self.scale * np.linalg.solve(self.Q.toarray(), self.d))
+
+
+@pytest.fixture
+def fresh() -> Iterator[None]:
+    registry.solvers.cache_clear()
+    yield
+    registry.solvers.cache_clear()
+
+
+def test_an_object_is_verified_like_any_other() -> None:
+    """A right answer is solved, one that is 1 % off is not."""
+    solution = tt.fit(SCENE, "eq10", solver=Dense())
+    assert (solution.solver, solution.status) == ("dense", Status.SOLVED)
+    expected = tt.fit(SCENE, "eq10", solver="closed_form")
+    np.testing.assert_allclose(solution.field.values, expected.field.values, atol=1e-8)
+    assert tt.fit(SCENE, "eq10", solver=Dense(1.01)).status is Status.INACCURATE
+
+
+def test_an_object_says_what_it_cannot_take() -> None:
+    with pytest.raises(InputError, match=r"solver dense cannot take .* no bounds"):
+        tt.fit(SCENE, "eq10_sign", solver=Dense())
+
+
+def test_a_file_by_path(tmp_path: Path) -> None:
+    own = tmp_path / "mine.py"
+    own.write_text(FILE.replace("ANSWER", DENSE))
+    for given in (own, str(own)):
+        solution = tt.fit(SCENE, "eq10", solver=given)
+        assert (solution.solver, solution.status) == ("mine", Status.SOLVED)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        (
+            FILE.replace("ANSWER", "1 / 0"),
+            r"solver mine raised ZeroDiv.*own.py, line 12",
+        ),
+        (FILE.replace("ANSWER", "d[:3]"), r"x must have shape \(240,\), got \(3,\)"),
+        (
+            FILE.replace("Candidate(ANSWER)", "d"),
+            "must return a Candidate, got ndarray",
+        ),
+        ("SOLVERS = [3]\n", "has no solvers"),
+        ("x = 1\n", "has no solvers"),
+        ("def broken(:\n", "SyntaxError.*line 1"),
+    ],
+)
+def test_a_file_that_cannot_be_used(tmp_path: Path, text: str, told: str) -> None:
+    own = tmp_path / "own.py"
+    own.write_text(text)
+    with pytest.raises(InputError, match=told) as caught:
+        tt.fit(SCENE, "eq10", solver=own)
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_solver_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="solver file not found"):
+        tt.fit(SCENE, "eq10", solver=tmp_path / "none.py")
+    with pytest.raises(InputError, match="takes a name, the path of a file, or an obj"):
+        tt.fit(SCENE, "eq10", solver=3)  # type: ignore[arg-type]
+
+
+@pytest.mark.usefixtures("fresh")
+def test_another_package_offers_solvers_and_formulations(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By entry points; a name of ours stays ours."""
+    from formulations.laplace_only import build
+    from ttus_opt.problem import formulation as shelf
+
+    def entries(*, group: str) -> list[SimpleNamespace]:
+        offered = {
+            registry.ENTRY_POINTS: [("dense", Dense)],
+            shelf.ENTRY_POINTS: [("theirs", build), ("eq10", 3)],
+        }
+        return [
+            SimpleNamespace(name=name, load=lambda given=given: given)
+            for name, given in offered.get(group, [])
+        ]
+
+    monkeypatch.setattr(importlib.metadata, "entry_points", entries)
+    solution = tt.fit(SCENE, "theirs", solver="dense")
+    assert (solution.solver, solution.formulation) == ("dense", "theirs")
+    assert tt.fit(SCENE, "eq10").status is Status.SOLVED
+    assert "theirs" in [info.name for info in shelf.available()]

@@ -1,0 +1,185 @@
+"""From a solver's candidate to a solution: residuals and certificates decide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.problem.certificate import falling_ray
+from ttus_opt.problem.conflict import conflicting
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.kkt import KKT, kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import Reduction
+from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.voxmap.field import PotentialField
+
+#: Seconds spent on naming the constraints in conflict, when no limit is given
+CONFLICT_SECONDS = 30.0
+
+#: Claims that take an answer back, unless the residuals prove it without the solver
+_DOUBTS = (Claim.DOUBTS, Claim.GAVE_UP, Claim.INFEASIBLE, Claim.UNBOUNDED)
+
+
+def check_candidate(candidate: Candidate, program: Program, solver: str) -> None:
+    """Validate the form of what a solver answers, which may be a user's.
+
+    Raises:
+        InputError: It is no candidate, or its vectors have other lengths.
+    """
+    if not isinstance(candidate, Candidate):
+        raise InputError(
+            f"solver {solver}: solve() must return a Candidate, got "
+            f"{type(candidate).__name__}"
+        )
+    n, duals = program.n_variables, candidate.duals
+    sizes = {c.name: len(c.lower) for c in program.constraints}
+    sizes |= {c.name: len(c.offset) for c in program.cones}
+    vectors = [("x", candidate.x, n), ("duals.bounds", duals.bounds, n)]
+    vectors += [
+        (f"duals.rows[{name!r}]", y, sizes[name])
+        for name, y in duals.rows.items()
+        if name in sizes
+    ]
+    for name, vector, size in vectors:
+        if vector is not None and np.shape(vector) != (size,):
+            raise InputError(
+                f"solver {solver}: its {name} must have shape ({size},), got "
+                f"{np.shape(vector)}"
+            )
+
+
+def judged(
+    declared: Formulation,
+    reduction: Reduction,
+    solver: str,
+    candidate: Candidate,
+    request: Request,
+    timings: Timings,
+) -> Solution:
+    """Turn a candidate into a solution by its own residuals.
+
+    Args:
+        declared: The formulation.
+        reduction: Its program, and the one the solver was given.
+        solver: The solver's name.
+        candidate: The solver's answer.
+        request: Tolerance and time limit.
+        timings: Where the time went.
+
+    Returns:
+        The solution of the original program.
+    """
+    scene, program = declared.scene, reduction.original
+    x, duals = candidate.x, candidate.duals
+    if x is not None:
+        point = reduction.restore(x, duals)
+        x, duals = point.x, point.duals
+    kkt = None
+    if x is not None:
+        kkt = kkt_residuals(program, x, duals, tolerance=request.tolerance)
+    verdict = _verdict(candidate, reduction, kkt, request)
+    status, conflict = verdict.status, verdict.conflict
+    parameters = dict(scene.parameters)
+    if x is not None and np.isfinite(x).all():
+        parameters = declared.parameters(program.split(x))
+    costs: dict[str, float] = {}
+    if x is not None:
+        with np.errstate(over="ignore", invalid="ignore"):  # of an answer that is none
+            costs = program.costs(x)
+    return Solution(
+        status=status,
+        solver=solver,
+        formulation=declared.name,
+        kkt=kkt,
+        objective=float("nan") if not costs else sum(costs.values()),
+        costs=costs,
+        slacks={} if x is None else _slacks(program, x),
+        duals=duals,
+        timings=timings,
+        iterations=candidate.iterations,
+        parameters=parameters,
+        program=program,
+        candidate=x,
+        detail="; ".join(filter(None, (candidate.detail, verdict.remark))),
+        verified_field=_field(declared, program, solver, x, parameters)
+        if status is Status.SOLVED and x is not None
+        else None,
+        conflict=conflict,
+    )
+
+
+def _field(
+    declared: Formulation,
+    program: Program,
+    solver: str,
+    x: Array,
+    parameters: dict[str, float],
+) -> PotentialField:
+    """The field of a verified answer."""
+    scene = declared.scene
+    return PotentialField(
+        scene.voxmap,
+        scene.voxmap.grid.unflatten(x[program.variables["p"]]).copy(),
+        scene.sampling,
+        parameters,
+        {"formulation": repr(declared), "solver": solver},
+    )
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    """A status, the constraints to blame, and what there is to say of a claim."""
+
+    status: Status
+    conflict: tuple[str, ...] = ()
+    remark: str = ""
+
+
+def _verdict(
+    candidate: Candidate, reduction: Reduction, kkt: KKT | None, request: Request
+) -> _Verdict:
+    """What comes of an answer: decided by residuals and certificates, not by claims."""
+    claim = candidate.claim
+    holds = kkt is not None and kkt.worst_relative <= request.tolerance
+    if kkt is not None and holds and (kkt.is_bound or claim not in _DOUBTS):
+        return _Verdict(Status.SOLVED)
+    broken = kkt is None or kkt.primal_relative > request.tolerance
+    if claim is Claim.INFEASIBLE or (claim is not Claim.TIME_LIMIT and broken):
+        conflict = _conflict(reduction.original, candidate, request)
+        if conflict:
+            return _Verdict(Status.INFEASIBLE, conflict)
+    if claim is Claim.UNBOUNDED:
+        seconds = request.time_limit or CONFLICT_SECONDS
+        if falling_ray(reduction.program, time_limit=seconds) is not None:
+            return _Verdict(Status.UNBOUNDED)
+    if claim is Claim.TIME_LIMIT:
+        return _Verdict(Status.TIME_LIMIT)
+    remark = ""
+    if claim in (Claim.INFEASIBLE, Claim.UNBOUNDED):
+        remark = f'"{claim.value}" is the solver\'s word, without a proof that holds'
+    elif holds:
+        remark = "the residuals hold but the solver doubts its answer"
+    return _Verdict(Status.FAILED if kkt is None else Status.INACCURATE, (), remark)
+
+
+def _conflict(
+    program: Program, candidate: Candidate, request: Request
+) -> tuple[str, ...]:
+    """Names of constraints that are proved to contradict each other."""
+    if program.is_unconstrained:
+        return ()
+    claimed = candidate.duals if candidate.x is None else None
+    seconds = request.time_limit or CONFLICT_SECONDS
+    return conflicting(program, claimed=claimed, time_limit=seconds)
+
+
+def _slacks(program: Program, x: Array) -> dict[str, Array]:
+    """Distance of every constraint row to its nearer limit, negative when broken."""
+    slacks = {member.name: member.slack(x) for member in program.constraints}
+    slacks |= {member.name: member.slack(x) for member in program.cones}
+    return slacks | {member.name: member.slack(x) for member in program.bounds}

@@ -1,0 +1,180 @@
+"""A program in cvxpy's words, for its cone solvers and for whoever goes on from there.
+
+Every constraint is said row by row as the program has it, by its name, so that its
+multipliers come back by name. cvxpy's convention for linear rows is ours: the dual of
+g(x) ≤ 0 is not negative and pulls back. Of a cone s ∈ K it gives λ ∈ K, ours is −λ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.members import ProgramCones, ProgramTerm
+from ttus_opt.problem.program import Program
+
+
+@dataclass(frozen=True)
+class CvxpyProgram:
+    """A cvxpy problem and what it is made of.
+
+    Attributes:
+        problem: The ``cvxpy.Problem``.
+        variables: Its ``cvxpy.Variable`` per variable of the program, by name.
+        constraints: Its constraints by the name of the program's own; those of all
+            bounds together are called ``bounds``, and what names the residual of a
+            penalty that bends is called after its term.
+    """
+
+    problem: Any
+    variables: Mapping[str, Any]
+    constraints: Mapping[str, list[Any]]
+    _rows: Mapping[str, _TwoSided | _Cones] = field(repr=False)
+    _box: _TwoSided | None = field(repr=False)
+    _bent: Mapping[str, tuple[ProgramTerm, Any]] = field(repr=False)
+
+    @classmethod
+    def of(cls, program: Program) -> CvxpyProgram:
+        """Say a program to cvxpy.
+
+        Args:
+            program: Any program; a term of weight 0 is left out.
+        """
+        import cvxpy as cp
+
+        variables = {
+            name: cp.Variable(part.stop - part.start, name=name)
+            for name, part in program.variables.items()
+        }
+        x = next(iter(variables.values()))
+        if len(variables) > 1:
+            x = cp.hstack(list(variables.values()))
+        cost, bent = cp.Constant(0.0), {}
+        for term in program.terms:
+            if term.weight == 0.0:
+                continue
+            residual = term.matrix @ x - term.target
+            if not term.penalty.quadratic:
+                # a name for the residual gives it a multiplier, w times a subgradient
+                named = cp.Variable(len(term.target))
+                bent[term.name] = term, residual == named
+                residual = named
+            cost += term.weight * term.penalty.in_cvxpy(residual, cp)
+        rows: dict[str, _TwoSided | _Cones] = {
+            c.name: _TwoSided.of(c.matrix @ x, c.lower, c.upper)
+            for c in program.constraints
+        }
+        rows |= {c.name: _Cones.of(c.matrix @ x + c.offset, c) for c in program.cones}
+        box = _TwoSided.of(x, *program.box) if program.bounds else None
+        said = {name: list(member.said.values()) for name, member in rows.items()}
+        if box is not None:
+            said["bounds"] = list(box.said.values())
+        said |= {name: [row] for name, (_, row) in bent.items()}
+        problem = cp.Problem(
+            cp.Minimize(cost), [part for parts in said.values() for part in parts]
+        )
+        return cls(problem, variables, said, rows, box, bent)
+
+    def point(self) -> Array | None:
+        """All variables as cvxpy has them now, shape (n,); None where it has none."""
+        values = [variable.value for variable in self.variables.values()]
+        if any(v is None or not np.isfinite(v).all() for v in values):
+            return None
+        return np.concatenate(values)
+
+    def duals(self) -> Duals:
+        """The multipliers cvxpy has now, by the program's names."""
+        return Duals(
+            {name: rows.dual() for name, rows in self._rows.items()},
+            None if self._box is None else self._box.dual(),
+            {
+                name: term.penalty.admissible(row.dual_value / term.weight)
+                for name, (term, row) in self._bent.items()
+                if row.dual_value is not None
+            },
+        )
+
+
+@dataclass(frozen=True)
+class _TwoSided:
+    """What one set of rows between limits became."""
+
+    size: int
+    masks: Mapping[str, Mask]
+    said: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, value: Any, lower: Array, upper: Array) -> _TwoSided:
+        equal = lower == upper
+        masks = {
+            "equal": equal,
+            "above": ~equal & np.isfinite(upper),
+            "below": ~equal & np.isfinite(lower),
+        }
+        said = {}
+        for name, mask in masks.items():
+            picked = np.flatnonzero(mask)
+            if not len(picked):
+                continue
+            part = value[picked]
+            if name == "equal":
+                said[name] = part == lower[picked]
+            elif name == "above":
+                said[name] = part <= upper[picked]
+            else:
+                said[name] = part >= lower[picked]
+        return cls(len(lower), masks, said)
+
+    def dual(self) -> Array:
+        y = np.zeros(self.size)
+        for name, said in self.said.items():
+            if said.dual_value is not None:
+                sign = -1.0 if name == "below" else 1.0
+                y[self.masks[name]] += sign * said.dual_value
+        return y
+
+
+@dataclass(frozen=True)
+class _Cones:
+    """What one set of second-order cones became: a constraint for each size."""
+
+    size: int
+    rows: Mapping[int, IntArray]
+    said: Mapping[int, Any]
+
+    @classmethod
+    def of(cls, value: Any, cones: ProgramCones) -> _Cones:
+        import cvxpy as cp
+
+        sizes = np.asarray(cones.sizes)
+        rows, said = {}, {}
+        for size in np.unique(sizes).tolist():
+            at = cones.first[sizes == size][:, None] + np.arange(size)
+            rows[size] = at
+            if size == 1:
+                said[size] = value[at[:, 0]] >= 0.0
+                continue
+            shape = (len(at), size - 1)
+            tails = cp.reshape(value[at[:, 1:].reshape(-1)], shape, order="C")
+            said[size] = cp.SOC(value[at[:, 0]], tails, axis=1)
+        return cls(len(cones.offset), rows, said)
+
+    def dual(self) -> Array:
+        y = np.zeros(self.size)
+        for size, said in self.said.items():
+            given = said.dual_value
+            if given is None or (size > 1 and any(part is None for part in given)):
+                continue
+            at = self.rows[size]
+            if size == 1:
+                y[at[:, 0]] = -np.asarray(given)
+                continue
+            head, tails = given
+            y[at[:, 0]] = -np.asarray(head).reshape(-1)
+            y[at[:, 1:]] = -np.asarray(tails).reshape(len(at), size - 1)
+        return y

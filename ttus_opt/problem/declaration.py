@@ -1,0 +1,354 @@
+"""A formulation: terms to minimise subject to constraints, over a scene."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.constraints.base import Bounds, ConeRows, Constraint
+from ttus_opt.errors import InputError
+from ttus_opt.problem.cvxpy_form import CvxpyProgram
+from ttus_opt.problem.html import page, table
+from ttus_opt.problem.program import Program
+from ttus_opt.scene import Scene
+from ttus_opt.terms.base import Fitted, Term
+
+
+class Unplaced(Protocol):
+    """A term of no scene yet, such as `ttus_opt.terms.cvxpy_term.CvxpyTerm`."""
+
+    def over(self, scene: Scene) -> Term:
+        """The term over a scene."""
+
+
+@dataclass(frozen=True)
+class Search:
+    """One number of a formulation that is found by a search over convex fits.
+
+    Attributes:
+        parameter: Its name.
+        low: Least value.
+        high: Largest value.
+        build: The formulation for a given value, convex in all the rest; one with
+            a search of its own is searched next, at the value found.
+        neutral: What is used where the data do not bear the parameter; None stands
+            for 0, or the limit nearest to it.
+    """
+
+    parameter: str
+    low: float
+    high: float
+    build: Callable[[float], Formulation] = field(repr=False)
+    neutral: float | None = None
+
+    def __post_init__(self) -> None:
+        """Validate the range.
+
+        Raises:
+            InputError: The limits are not finite or out of order, or the neutral
+                value is not between them.
+        """
+        if not (math.isfinite(self.low) and self.low < self.high < math.inf):
+            raise InputError(
+                f"{self.parameter} needs a range low < high, got {self.low} to "
+                f"{self.high}"
+            )
+        if not self.low <= self.neutral_value <= self.high:
+            raise InputError(
+                f"the neutral value of {self.parameter} must lie in [{self.low:g}, "
+                f"{self.high:g}], got {self.neutral:g}"
+            )
+
+    @property
+    def neutral_value(self) -> float:
+        """What is used where the data do not bear the parameter."""
+        nearest = min(max(0.0, self.low), self.high)
+        return nearest if self.neutral is None else self.neutral
+
+    def then(self, change: Callable[[Formulation], Formulation]) -> Search:
+        """The same search over changed formulations."""
+        build = self.build
+        return replace(self, build=lambda value: change(build(value)))
+
+
+class Formulation:
+    """Minimise the sum of the terms subject to the constraints.
+
+    A formulation does not change; ``+`` and the methods that begin with ``with`` give
+    new ones.
+
+    Args:
+        terms: What is minimised, each with its weight. A term of no scene yet is put
+            over that of the others.
+        constraints: What must hold.
+        name: For reports.
+        search: A number to search for beside; the terms are those of a first guess.
+    """
+
+    def __init__(
+        self,
+        terms: Iterable[Term | Unplaced],
+        constraints: Iterable[Constraint] = (),
+        name: str = "user",
+        search: Search | None = None,
+    ) -> None:
+        """Collect terms and constraints.
+
+        Raises:
+            InputError: No terms, names used twice, or members of different scenes.
+        """
+        self._terms = _placed(terms)
+        self._constraints = tuple(constraints)
+        self._name, self._search = name, search
+        members: list[Term | Constraint] = [*self.terms, *self.constraints]
+        names = [member.name for member in members]
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise InputError(
+                f"{', '.join(twice)} appears twice in the formulation: change the "
+                "weight of the one that is there (with_weights)"
+            )
+        if any(member.scene is not self.scene for member in members):
+            raise InputError("all terms and constraints must speak of the same scene")
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """What is minimised."""
+        return self._terms
+
+    @property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """What must hold."""
+        return self._constraints
+
+    @property
+    def name(self) -> str:
+        """For reports."""
+        return self._name
+
+    @property
+    def search(self) -> Search | None:
+        """A number that is searched for beside, if there is one."""
+        return self._search
+
+    @property
+    def scene(self) -> Scene:
+        """The scene it speaks of."""
+        return self.terms[0].scene
+
+    def __add__(self, term: Term | Unplaced) -> Formulation:
+        """With one more term."""
+        if not (isinstance(term, Term) or hasattr(term, "over")):
+            return NotImplemented
+        return self._changed(
+            (*self.terms, term), self.constraints, lambda built: built + term
+        )
+
+    def with_constraints(self, *constraints: Constraint) -> Formulation:
+        """With more constraints."""
+        return self._changed(
+            self.terms,
+            (*self.constraints, *constraints),
+            lambda built: built.with_constraints(*constraints),
+        )
+
+    def with_weights(self, **weights: float) -> Formulation:
+        """With other weights by term name; nothing is assembled again.
+
+        Raises:
+            InputError: No term has that name, or a weight is negative.
+        """
+        known = [term.name for term in self.terms]
+        for name in weights:
+            if name not in known:
+                raise InputError(f"no term {name!r}, there are {', '.join(known)}")
+        return self._changed(
+            (t.with_weight(weights.get(t.name, t.weight)) for t in self.terms),
+            self.constraints,
+            lambda built: built.with_weights(**weights),
+        )
+
+    def named(self, name: str) -> Formulation:
+        """Under another name."""
+        return Formulation(self.terms, self.constraints, name, self.search)
+
+    def with_search(self, search: Search) -> Formulation:
+        """With a number to search for beside."""
+        return Formulation(self.terms, self.constraints, self.name, search)
+
+    def _changed(
+        self,
+        terms: Iterable[Term | Unplaced],
+        constraints: Iterable[Constraint],
+        change: Callable[[Formulation], Formulation],
+    ) -> Formulation:
+        search = None if self.search is None else self.search.then(change)
+        return Formulation(terms, constraints, self.name, search)
+
+    def compile(self) -> Program:
+        """The matrices with named rows."""
+        return Program.build(self.scene, self.terms, self.constraints)
+
+    def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
+        """What a solution identifies beside the field, by name.
+
+        Args:
+            values: The solution's variables by name.
+        """
+        found = dict(self.scene.parameters)
+        for term in self.terms:
+            found |= term.parameters(values)
+        return found
+
+    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
+        """Those of its `parameters` that are found among the variables, by name.
+
+        Args:
+            values: The solution's variables by name.
+        """
+        found: dict[str, Fitted] = {}
+        for term in self.terms:
+            found |= term.fitted(values)
+        return found
+
+    def unborne(self) -> dict[str, str]:
+        """Parameters of which no row says anything, and why, by name."""
+        found: dict[str, str] = {}
+        for term in self.terms:
+            if term.weight > 0.0:
+                found |= term.unborne()
+        return found
+
+    def without(self, *names: str) -> Formulation:
+        """Without some of the terms and constraints.
+
+        Raises:
+            InputError: There is none of that name, or no term would be left.
+        """
+        known = [term.name for term in self.terms]
+        known += [constraint.name for constraint in self.constraints]
+        for name in names:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=1)
+                raise InputError(
+                    f"no term or constraint {name!r}, there are {', '.join(known)}"
+                    + (f": did you mean {near[0]}?" if near else "")
+                )
+        return self._changed(
+            [t for t in self.terms if t.name not in names],
+            [c for c in self.constraints if c.name not in names],
+            lambda built: built.without(*names),
+        )
+
+    def to_cvxpy(self) -> CvxpyProgram:
+        """The problem in cvxpy's words, to go on from there.
+
+        Returns:
+            ``problem`` with its ``variables`` and ``constraints`` by name. What is
+            solved there is not verified by this package. A number to search for keeps
+            the value of the first guess.
+        """
+        return CvxpyProgram.of(self.compile())
+
+    def with_neutral(self, names: Collection[str]) -> Formulation:
+        """With these parameters at their neutral values, known and not fitted.
+
+        Bounds of a variable that no term has any more are left out.
+        """
+        if not names:
+            return self
+        terms = [term.with_neutral(names) for term in self.terms]
+        left = {name for term in terms for name in term.assembled.blocks}
+        kept = [c for c in self.constraints if _speaks_of(c, left)]
+        return self._changed(terms, kept, lambda built: built.with_neutral(names))
+
+    def __repr__(self) -> str:
+        """The mathematics with sizes and weights."""
+        lines = [
+            f"  + {weight} · {formula}    [{name}: {size}]"
+            for name, weight, formula, size in self._term_lines()
+        ]
+        lines += [
+            f"  subject to {formula}    [{name}: {size}]"
+            for name, formula, size in self._constraint_lines()
+        ]
+        if self.search is not None:
+            lines.append(f"  {self._search_line()}")
+        return "\n".join([f"{self.name}: minimise over {self._over()}", *lines])
+
+    def _repr_html_(self) -> str:
+        """The same as a table, for notebooks."""
+        rows = [
+            [weight, formula, name, size]
+            for name, weight, formula, size in self._term_lines()
+        ]
+        rows += [
+            ["subject to", formula, name, size]
+            for name, formula, size in self._constraint_lines()
+        ]
+        notes = [] if self.search is None else [self._search_line()]
+        heads = ["weight", "", "name", "size"]
+        return page(
+            self.name, [f"minimise over {self._over()}", *notes], table(heads, rows)
+        )
+
+    def _over(self) -> str:
+        """The variables and their sizes."""
+        sizes = {"p": self.scene.n_voxels}
+        for term in self.terms:
+            blocks = term.assembled.blocks.items()
+            sizes |= {name: M.shape[1] for name, M in blocks}
+        return ", ".join(f"{name} in R^{size:,}" for name, size in sizes.items())
+
+    def _term_lines(self) -> list[tuple[str, str, str, str]]:
+        """Name, weight, mathematics and size of every term."""
+        return [
+            (t.name, f"{t.weight:g}", t.formula, f"{len(t.assembled.target):,} rows")
+            for t in self.terms
+        ]
+
+    def _constraint_lines(self) -> list[tuple[str, str, str]]:
+        """Name, mathematics and size of every constraint."""
+        return [(c.name, c.formula, _size(c)) for c in self.constraints]
+
+    def _search_line(self) -> str:
+        search = self.search
+        assert search is not None
+        return f"searching {search.parameter} in [{search.low:g}, {search.high:g}]"
+
+
+def _placed(terms: Iterable[Term | Unplaced]) -> tuple[Term, ...]:
+    """The terms, all of them over a scene.
+
+    Raises:
+        InputError: There are none, or none that tells the scene.
+    """
+    given = tuple(terms)
+    if not given:
+        raise InputError("a formulation needs at least one term")
+    scene = next((t.scene for t in given if isinstance(t, Term)), None)
+    if scene is None:
+        raise InputError("a formulation needs at least one term of a scene")
+    return tuple(t if isinstance(t, Term) else t.over(scene) for t in given)
+
+
+def _size(constraint: Constraint) -> str:
+    """How many rows or bounds a constraint has."""
+    rows = constraint.assembled
+    if isinstance(rows, Bounds):
+        finite = np.isfinite(rows.lower) | np.isfinite(rows.upper)
+        return f"{int(finite.sum()):,} bounds"
+    if isinstance(rows, ConeRows):
+        return f"{len(rows.sizes):,} cones"
+    return f"{len(rows.lower):,} rows"
+
+
+def _speaks_of(constraint: Constraint, variables: Collection[str]) -> bool:
+    rows = constraint.assembled
+    return not isinstance(rows, Bounds) or rows.variable in variables

@@ -1,0 +1,117 @@
+"""The Lagrangian's gradient, and how large its summands are, block by block.
+
+A block is one variable of a program: the field, each parameter, each second field. Its
+gradient is judged over the largest of the summands that should cancel in it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array
+from ttus_opt.problem.program import Program
+from ttus_opt.terms.penalties.linear import Linear
+
+#: What cancelling leaves of a sum of squares, generously
+ROUNDING = 1e-6
+
+#: Guards a division by a size that is zero
+TINY = float(np.finfo(float).tiny)
+
+
+class GradientBlocks:
+    """The Lagrangian's gradient, and the sizes of its summands by block."""
+
+    def __init__(self, program: Program) -> None:
+        self.gradient = np.zeros(program.n_variables)
+        self._stray = np.zeros(program.n_variables)
+        self._program = program
+        self._sizes = dict.fromkeys(program.variables, 0.0)
+
+    def add(self, summand: Array) -> None:
+        """Add one of the summands that should cancel, shape (n,)."""
+        self.gradient = self.gradient + summand
+        self._measure(summand)
+
+    def add_stray(self, summand: Array) -> None:
+        """Add what multipliers of absent limits pull: an error of its own."""
+        if summand.any():
+            self._stray = self._stray + summand
+            self._measure(summand)
+
+    @property
+    def error(self) -> float:
+        """Norm of the gradient, and of what multipliers of absent limits pull."""
+        return _length(self.gradient, self._stray)
+
+    def _measure(self, summand: Array) -> None:
+        for name, part in self._program.variables.items():
+            size = float(np.linalg.norm(summand[part]))
+            self._sizes[name] = largest_of(self._sizes[name], size)
+
+    def worst(self, largest: float) -> float:
+        """The largest block of the gradient over its largest summand [–]."""
+        worst = 0.0
+        for name, part in self._program.variables.items():
+            size = _length(self.gradient[part], self._stray[part])
+            if size == 0.0:
+                continue
+            least = _least_pull(self._program, part, largest)
+            scale = largest_of(self._sizes[name], least, TINY)
+            worst = largest_of(worst, size / scale)
+        return worst
+
+
+def quadratic_summands(program: Program, x: Array) -> Iterator[Array]:
+    """What P x + q is made of, variable by variable, shape (n,) each.
+
+    What two variables give each other may cancel within P x: only apart do they tell
+    how large that is.
+    """
+    parts = list(program.variables.values())
+    alone = np.zeros_like(x)
+    for part in parts:
+        alone[part] = x[part]
+        yield program.quadratic_gradient(alone)[0]
+        alone[part] = 0.0
+    yield program.quadratic_gradient(alone)[1]
+
+
+def _least_pull(program: Program, part: slice, largest: float) -> float:
+    """The least size of a block's gradient that counts, where residuals may vanish.
+
+    For absolute values and lengths one row at its limit; for squares what rounding
+    leaves of one row when the largest entry of x cancels.
+    """
+    least, whole = 0.0, len(program.variables) == 1
+    for term in program.terms:
+        if isinstance(term.penalty, Linear):
+            continue
+        longest = _longest_row(term.matrix if whole else term.matrix[:, part])
+        row = term.weight * longest
+        if term.penalty.smooth:
+            row *= 2.0 * longest * largest * ROUNDING
+        least = max(least, row)
+    return least
+
+
+def _length(*vectors: Array) -> float:
+    """Euclidean norm of all of them together."""
+    return math.hypot(*(float(np.linalg.norm(vector)) for vector in vectors))
+
+
+def _longest_row(matrix: sp.csr_array) -> float:
+    """Euclidean length of the longest row."""
+    starts = matrix.indptr[:-1][np.diff(matrix.indptr) > 0]
+    if not len(starts):
+        return 0.0
+    return float(np.sqrt(np.add.reduceat(matrix.data**2, starts).max()))
+
+
+def largest_of(*values: float) -> float:
+    """The largest; infinite where one is NaN, which Python's ``max`` lets pass."""
+    return float("inf") if any(np.isnan(v) for v in values) else max(values)

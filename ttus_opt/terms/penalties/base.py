@@ -1,0 +1,87 @@
+"""What a penalty φ of a residual r is, and what optimality and solvers need of it.
+
+Optimality needs a subgradient, the set of all subgradients (onto which a multiplier is
+projected) and the conjugate φ*. For g in that set φ(r) + φ*(g) ≥ gᵀr, with equality
+exactly where g is a subgradient at r (Fenchel; Rockafellar, Convex Analysis, section
+23). Solvers need the penalty in cvxpy's words or, for quadratic programs, as a `Split`.
+
+A new penalty is a class in a file of its own.
+"""
+
+from __future__ import annotations
+
+import abc
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from ttus_opt.arrays import Array
+
+
+@dataclass(frozen=True)
+class Split:
+    """A penalty as the minimum of a quadratic program over parts of its residual.
+
+    φ(r) = min over above, below ≥ 0 of  slope · Σ (above + below) + rest, where the
+    rest is ‖r − above + below‖², or zero and r = above − below.
+
+    Attributes:
+        slope: Charge of each part [–].
+        squares_rest: Whether the rest is charged by its squares; it is zero otherwise.
+    """
+
+    slope: float
+    squares_rest: bool
+
+
+@dataclass(frozen=True)
+class Penalty(abc.ABC):
+    """How a residual is charged; convex, and zero at zero unless it is linear."""
+
+    #: The mathematics, for `repr`
+    formula: ClassVar[str]
+    #: Whether a quadratic program states it as it is
+    quadratic: ClassVar[bool] = False
+    #: Whether its gradient vanishes with the residual, as that of a square
+    smooth: ClassVar[bool] = False
+
+    @property
+    def rows_per_group(self) -> int:
+        """The number of residuals is a multiple of this [–]."""
+        return 1
+
+    @property
+    def split(self) -> Split | None:
+        """As a quadratic program; None where there is no such form."""
+        return None
+
+    @abc.abstractmethod
+    def value(self, r: Array) -> float:
+        """Evaluate φ(r).
+
+        Args:
+            r: Residuals, shape (m,).
+        """
+
+    @abc.abstractmethod
+    def subgradient(self, r: Array) -> Array:
+        """The subgradient of φ at r of least length, shape (m,)."""
+
+    @abc.abstractmethod
+    def admissible(self, g: Array) -> Array:
+        """The nearest multiplier that is a subgradient of φ somewhere, shape (m,)."""
+
+    @abc.abstractmethod
+    def conjugate(self, g: Array) -> float:
+        """Evaluate φ*(g) of an admissible multiplier."""
+
+    @abc.abstractmethod
+    def in_cvxpy(self, r: Any, cp: Any) -> Any:
+        """The penalty in cvxpy's words, for cone solvers.
+
+        Args:
+            r: A cvxpy expression of the residuals, shape (m,).
+            cp: The module cvxpy, which this package loads only where it is used.
+
+        Returns:
+            A scalar cvxpy expression.
+        """

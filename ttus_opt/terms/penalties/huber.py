@@ -1,0 +1,55 @@
+"""Huber's penalty: squares of small residuals, absolute values of large ones.
+
+Source: P. J. Huber, Robust Estimation of a Location Parameter (1964).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.terms.penalties.base import Penalty, Split
+
+
+@dataclass(frozen=True)
+class Huber(Penalty):
+    """Σ huber(r; δ): r² up to δ and 2δ|r| − δ² beyond.
+
+    Attributes:
+        threshold: δ, where squares end [unit of r].
+    """
+
+    threshold: float
+
+    formula = "Σ huber(r; δ)"
+    smooth = True
+
+    @property
+    def split(self) -> Split:
+        """Min ‖r − above + below‖² + 2δ Σ (above + below)."""
+        return Split(2.0 * self.threshold, squares_rest=True)
+
+    def value(self, r: Array) -> float:
+        """Σ huber(r; δ)."""
+        size = np.abs(r)
+        small = np.minimum(size, self.threshold)
+        return float((small * (2.0 * size - small)).sum())
+
+    def subgradient(self, r: Array) -> Array:
+        """2 r, cut at ±2δ."""
+        return np.asarray(2.0 * np.clip(r, -self.threshold, self.threshold))
+
+    def admissible(self, g: Array) -> Array:
+        """Between −2δ and 2δ."""
+        return np.clip(g, -2.0 * self.threshold, 2.0 * self.threshold)
+
+    def conjugate(self, g: Array) -> float:
+        """‖g‖²/4."""
+        return float(g @ g) / 4.0
+
+    def in_cvxpy(self, r: Any, cp: Any) -> Any:
+        """Σ huber(r; δ)."""
+        return cp.sum(cp.huber(r, self.threshold))

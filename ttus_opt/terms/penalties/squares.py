@@ -1,0 +1,38 @@
+"""Sum of squares, Σ r²."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ttus_opt.arrays import Array
+from ttus_opt.terms.penalties.base import Penalty
+
+
+@dataclass(frozen=True)
+class Squares(Penalty):
+    """Σ r², the penalty of eq. 10."""
+
+    formula = "Σ r²"
+    quadratic = True
+    smooth = True
+
+    def value(self, r: Array) -> float:
+        """Σ r²."""
+        return float(r @ r)
+
+    def subgradient(self, r: Array) -> Array:
+        """2 r."""
+        return 2.0 * r
+
+    def admissible(self, g: Array) -> Array:
+        """Every multiplier is a gradient somewhere."""
+        return g
+
+    def conjugate(self, g: Array) -> float:
+        """‖g‖²/4."""
+        return float(g @ g) / 4.0
+
+    def in_cvxpy(self, r: Any, cp: Any) -> Any:
+        """Σ r²."""
+        return cp.sum_squares(r)

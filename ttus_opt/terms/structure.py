@@ -1,0 +1,121 @@
+"""Structure that terms and constraints declare of their rows, for solvers to read.
+
+A solver that can use more than the numbers of a matrix looks for these tags; it never
+recognises a matrix by its entries or a member by its name. What a tag says is compared
+with the rows once, when they are assembled, so that a solver may rely on it. The idea
+is that of lineax (Rader, Lyons, Kidger, 2023).
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.laplace.system import LaplaceSystem
+
+#: Relative difference of two products that is rounding
+ROUNDING = 1e-12
+
+
+class Tag(enum.Enum):
+    """What rows are, where one word says it."""
+
+    MEASURED = "rows are measurements, whose noise their residuals show"
+    DIRICHLET = "row k gives the k-th Dirichlet voxel of p its value"
+
+
+@dataclass(frozen=True, eq=False)
+class LaplaceRows:
+    """Rows over one voxel field are those of the scene's L; they touch no other field.
+
+    Attributes:
+        variable: The field's name.
+        scale: None where the rows are those of L as they are; otherwise they are L's
+            free rows in order, each times its voxel's positive number, shape (V,) [–].
+        beside: Names of parameters, a few numbers each, that have columns there too.
+    """
+
+    variable: str = "p"
+    scale: Array | None = field(default=None, repr=False)
+    beside: tuple[str, ...] = ()
+
+
+Tags = frozenset[Tag | LaplaceRows]
+
+
+def laplace_rows(tags: Iterable[Tag | LaplaceRows]) -> LaplaceRows | None:
+    """The declaration of L's rows among tags, if there is one."""
+    return next((tag for tag in tags if isinstance(tag, LaplaceRows)), None)
+
+
+def check_structure(
+    owner: str,
+    tags: Tags,
+    blocks: Mapping[str, sp.csr_array],
+    laplace: LaplaceSystem,
+) -> None:
+    """Compare declared structure with the rows.
+
+    Args:
+        owner: What declares them, for the message.
+        tags: The declaration.
+        blocks: Matrix per variable.
+        laplace: The scene's L.
+
+    Raises:
+        InputError: The rows are not what they are declared to be.
+    """
+    declared = laplace_rows(tags)
+    if declared is not None and not _are_laplace(declared, blocks, laplace):
+        raise InputError(
+            f"{owner}: it declares the rows of the scene's L over "
+            f"{declared.variable!r}, its rows are others: drop the tag LaplaceRows"
+        )
+    if Tag.DIRICHLET in tags and not _are_dirichlet(blocks, laplace):
+        raise InputError(
+            f"{owner}: it declares a row for each Dirichlet voxel of p, its rows are "
+            "others: drop the tag DIRICHLET"
+        )
+
+
+def _are_laplace(
+    declared: LaplaceRows, blocks: Mapping[str, sp.csr_array], laplace: LaplaceSystem
+) -> bool:
+    """Whether rows have L's size and do to a random field what L does."""
+    V = len(laplace.free)
+    beside = [blocks[name].shape[1] for name in declared.beside if name in blocks]
+    if {declared.variable, *declared.beside} != set(blocks) or V in beside:
+        return False
+    own, L, scale = blocks[declared.variable], laplace.L, declared.scale
+    if own is L and scale is None:
+        return True
+    if scale is not None and not (scale.shape == (V,) and (scale > 0.0).all()):
+        return False
+    n_rows = V if scale is None else int(laplace.free.sum())
+    if own.shape != (n_rows, V):
+        return False
+    probe = np.random.default_rng(0).normal(size=V)
+    expected = L @ probe
+    if scale is not None:
+        expected = (scale * expected)[laplace.free]
+    size = float(np.abs(expected).max(initial=0.0))
+    return bool(np.abs(own @ probe - expected).max(initial=0.0) <= ROUNDING * size)
+
+
+def _are_dirichlet(blocks: Mapping[str, sp.csr_array], laplace: LaplaceSystem) -> bool:
+    fixed = np.flatnonzero(~laplace.free)
+    if set(blocks) != {"p"}:
+        return False
+    own = blocks["p"]
+    return bool(
+        own.shape == (len(fixed), len(laplace.free))
+        and np.array_equal(own.indptr, np.arange(len(fixed) + 1))
+        and np.array_equal(own.indices, fixed)
+        and (own.data == 1.0).all()
+    )
