@@ -29,6 +29,7 @@ from ttus_opt.compiled import compiled
 from ttus_opt.cylindrical import turn_angle as turn_angle
 from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.pose import rotations
 from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table
 from ttus_opt.voxmap.surface_kernels import skin_between, skin_cell, skin_layout
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -75,7 +76,7 @@ def checked_sampling(sampling: str) -> Sampling:
 
 
 def checked_poses(rotation: Array, position: Array) -> tuple[Array, Array]:
-    """Poses as contiguous arrays (T, 3, 3) and (T, 3).
+    """Poses as contiguous arrays (T, 3, 3) and (T, 3), rounding corrected.
 
     Raises:
         InputError: Shapes, values that are not finite, or no rotation matrices.
@@ -88,17 +89,9 @@ def checked_poses(rotation: Array, position: Array) -> tuple[Array, Array]:
         raise InputError(
             f"rotations must be ({len(position)}, 3, 3), got {rotation.shape}"
         )
-    if not (np.isfinite(rotation).all() and np.isfinite(position).all()):
-        raise InputError("poses contain NaN or infinite values: drop those frames")
-    gram = np.einsum("tij,tik->tjk", rotation, rotation)
-    if len(gram) and np.abs(gram - np.eye(3)).max() > 1e-6:
-        raise InputError("rotations must be orthonormal 3×3 matrices, probe to patient")
-    if len(gram) and np.linalg.det(rotation).min() < 0.0:
-        raise InputError(
-            "a rotation is a reflection (determinant −1): swap two of its axes or "
-            "change one's sign"
-        )
-    return rotation, position
+    if not np.isfinite(position).all():
+        raise InputError("positions contain NaN or infinite values: drop those frames")
+    return np.ascontiguousarray(rotations(rotation)), position
 
 
 def contact_rows(

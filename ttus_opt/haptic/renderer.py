@@ -14,13 +14,13 @@ import math
 import threading
 import warnings
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ttus_opt.arrays import Array
 from ttus_opt.contact.friction import FRICTION, VISCOUS
-from ttus_opt.contact.rows import checked_poses
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.haptic.blend import (
@@ -47,7 +47,11 @@ from ttus_opt.haptic.wrench import (
     render_frame,
 )
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.pose import PoseLike, QuaternionOrder, pose_of, rotations
 from ttus_opt.voxmap.field import PotentialField
+
+if TYPE_CHECKING:
+    from ttus_opt.haptic.c_interface import CFunction, Context
 
 #: The field has no drag; or its drag is of the twist that was given, of a twist
 #: estimated from poses and times, or left out because the motion is not known
@@ -158,6 +162,7 @@ class Renderer:
         self._waiting = False  # an update wants the turn
         self._updates = threading.Lock()  # one update at a time
         self._told = False  # that drag is left out
+        self._c: Context | None = None  # of a loop in C
         self.warm_up()
 
     def warm_up(self) -> None:
@@ -180,21 +185,26 @@ class Renderer:
 
     def render(
         self,
-        rotation: Array,
-        position: Array,
+        rotation: PoseLike,
+        position: ArrayLike | None = None,
         twist: Array | None = None,
         *,
         time: float | None = None,
+        order: QuaternionOrder | None = None,
     ) -> Wrench:
         """Force and torque of one pose and motion.
 
         Args:
-            rotation: Probe to patient, shape (3, 3) [–].
-            position: Of the probe frame's origin, patient frame, shape (3,) [m].
+            rotation: Probe to patient: a matrix (3, 3), a SciPy `Rotation`, or a
+                quaternion (4,) with its ``order``; or the whole pose as a matrix
+                (4, 4). Rounding of up to 1e-5 is corrected (`ttus_opt.probe.pose`).
+            position: Of the probe frame's origin, patient frame, shape (3,) [m]; not
+                with a whole pose.
             twist: Velocity of that origin and angular velocity, patient axes, shape
                 (6,) [m/s, rad/s].
             time: Of the pose [s], where the twist is not known: it is estimated from
                 this and the poses before, `ttus_opt.haptic.motion`.
+            order: Of a quaternion: ``wxyz``, or ``xyzw`` as in ROS.
 
         Returns:
             The wrench, the caller's own; zero, and ``in_grid`` False, for a pose
@@ -204,7 +214,7 @@ class Renderer:
             InputError: Wrong shapes, NaN, no rotation matrix, both twist and time,
                 or a time before the last one.
         """
-        counts, drag = self._render(rotation, position, twist, time)
+        counts, drag = self._render(rotation, position, twist, time, order)
         wrench = self._desk.rows[WRENCH].copy()
         contact_points, in_grid, beyond, saturated = counts
         return Wrench(
@@ -213,21 +223,25 @@ class Renderer:
 
     def render_into(
         self,
-        rotation: Array,
-        position: Array,
+        rotation: PoseLike,
+        position: ArrayLike | None,
         out: Array,
         twist: Array | None = None,
         *,
         time: float | None = None,
+        order: QuaternionOrder | None = None,
     ) -> int:
-        """The same frame into the caller's array: nothing is allocated.
+        """The same frame into the caller's array.
+
+        Nothing is allocated when the rotation is an array (3, 3).
 
         Args:
-            rotation: Probe to patient, shape (3, 3) [–].
-            position: Of the probe frame's origin, patient frame, shape (3,) [m].
+            rotation: As for `render`.
+            position: As for `render`, shape (3,) [m]; None with a whole pose.
             out: Force, then torque, shape (6,) [N, N·m]; written.
             twist: As for `render`, shape (6,) [m/s, rad/s].
             time: As for `render` [s].
+            order: As for `render`.
 
         Returns:
             Points in contact, or -1 when no shell point lies within the grid.
@@ -238,24 +252,26 @@ class Renderer:
         if out.shape != (6,):
             raise InputError(f"out must have shape (6,), got {out.shape}")
         (contact_points, in_grid, _, _), _ = self._render(
-            rotation, position, twist, time
+            rotation, position, twist, time, order
         )
         out[:] = self._desk.rows[WRENCH]
         return contact_points if in_grid else -1
 
     def _render(
         self,
-        rotation: Array,
-        position: Array,
+        rotation: PoseLike,
+        position: ArrayLike | None,
         twist: Array | None,
         time: float | None,
+        order: QuaternionOrder | None,
     ) -> tuple[tuple[int, bool, int, bool], DragSource]:
         """Render one pose and motion onto the desk; what `render_frame` returns."""
-        if np.shape(rotation) != (3, 3) or np.shape(position) != (3,):
-            raise InputError(
-                "a pose needs rotation (3, 3) and position (3,) [m], got "
-                f"{np.shape(rotation)} and {np.shape(position)}"
-            )
+        if (
+            getattr(rotation, "shape", None) != (3, 3)
+            or getattr(position, "shape", None) != (3,)
+            or order is not None
+        ):
+            rotation, position = pose_of(rotation, position, order)
         desk, source = self._desk, self._lay_motion(twist, time)
         desk.R[:], desk.at[:] = rotation, position
         now = math.nan if time is None else float(time)
@@ -305,7 +321,8 @@ class Renderer:
                 f"time must be finite and not go back [s], got {time} after "
                 f"{self._desk.motion[TIME]}"
             )
-        checked_poses(self._desk.R[None], self._desk.at[None])
+        rotations(self._desk.R)
+        raise InputError("position contains NaN or infinite values [m]")
 
     def _tell(self, drag: str) -> None:
         """Warn, once, that drag is left out."""
@@ -340,9 +357,13 @@ class Renderer:
             self._waiting = True
             try:
                 with self._turn:
+                    if self._c:
+                        self._c.pause()
                     self._fields = self._swapped(
                         values, drag.numbers, _drag_name(field, drag), stage
                     )
+                    if self._c:
+                        self._c.resume(self._fields.pair)
             finally:
                 self._waiting = False
 
@@ -362,6 +383,24 @@ class Renderer:
         return _Fields(
             FieldPair(current, values, old_drag, drag, ledger), old_name, name
         )
+
+    def c_function(self) -> CFunction:
+        """The frame for a loop in C or C++ (`ttus_opt.haptic.c_interface`).
+
+        It renders as `render_into` does, without the interpreter, and follows later
+        calls of `update`. One loop at a time: a frame in C and one in Python share
+        where a swap of fields stands.
+
+        Returns:
+            Addresses of the function and of its context, which live as long as the
+            renderer.
+        """
+        from ttus_opt.haptic.c_interface import CFunction, Context, frame_address
+
+        with self._updates:
+            if self._c is None:
+                self._c = Context(self._stage, self._limits, self._fields.pair)
+        return CFunction(frame_address(), self._c.words.ctypes.data, self)
 
     def _require_alike(self, new: PotentialField) -> None:
         old = self._field

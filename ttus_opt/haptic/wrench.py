@@ -27,6 +27,7 @@ from ttus_opt.haptic.drag import (
 from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import Stage
 from ttus_opt.haptic.motion import MOTION, estimate_twist
+from ttus_opt.probe.pose import EXACT, ROUNDING, STEPS
 
 #: What a frame returns in place of a count when its input is unusable
 BAD_POSE, BAD_TWIST, BAD_TIME = -1, -2, -3
@@ -121,7 +122,7 @@ def render_frame(
     R, at, rows, numbers = desk.R, desk.at, desk.rows, limits.numbers
     twist, patch, wrench, drag = rows[TWIST], rows[PATCH], rows[WRENCH], rows[DRAG]
     ledger, reference = pair.ledger, stage.reference
-    if not is_rigid(R, at):
+    if not (orthonormalise(R) and math.isfinite(at[0] + at[1] + at[2])):
         return BAD_POSE, False, 0, False
     if not math.isnan(time) and not estimate_twist(
         desk.motion, R, at, time, reference, numbers[FILTER:], twist
@@ -199,20 +200,36 @@ def _cut(wrench: Array, limit: float) -> bool:
 
 
 @compiled()
-def is_rigid(R: Array, at: Array) -> bool:
-    """Whether a pose is finite and its matrix a rotation, no reflection (compiled)."""
-    for a in range(3):
-        for b in range(3):
-            dot = R[0, a] * R[0, b] + R[1, a] * R[1, b] + R[2, a] * R[2, b]
-            # written so that NaN fails
-            if not abs(dot - (1.0 if a == b else 0.0)) <= 1e-6:
-                return False
+def orthonormalise(R: Array) -> bool:
+    """Undo a rotation's rounding in place, as `probe.pose.rotations` (compiled).
+
+    Returns:
+        False for what is no rotation: scaled, sheared, reflected, not finite.
+    """
+    for _ in range(STEPS + 1):
+        xx = R[0, 0] * R[0, 0] + R[1, 0] * R[1, 0] + R[2, 0] * R[2, 0] - 1.0
+        yy = R[0, 1] * R[0, 1] + R[1, 1] * R[1, 1] + R[2, 1] * R[2, 1] - 1.0
+        zz = R[0, 2] * R[0, 2] + R[1, 2] * R[1, 2] + R[2, 2] * R[2, 2] - 1.0
+        xy = R[0, 0] * R[0, 1] + R[1, 0] * R[1, 1] + R[2, 0] * R[2, 1]
+        xz = R[0, 0] * R[0, 2] + R[1, 0] * R[1, 2] + R[2, 0] * R[2, 2]
+        yz = R[0, 1] * R[0, 2] + R[1, 1] * R[1, 2] + R[2, 1] * R[2, 2]
+        # NaN may escape here, and fails below
+        error = max(abs(xx), abs(yy), abs(zz), abs(xy), abs(xz), abs(yz))
+        if error <= EXACT:
+            break
+        if not error <= ROUNDING:
+            return False
+        for c in range(3):
+            x, y, z = R[c, 0], R[c, 1], R[c, 2]
+            R[c, 0] = x - 0.5 * (x * xx + y * xy + z * xz)
+            R[c, 1] = y - 0.5 * (x * xy + y * yy + z * yz)
+            R[c, 2] = z - 0.5 * (x * xz + y * yz + z * zz)
     volume = (
         R[0, 0] * (R[1, 1] * R[2, 2] - R[1, 2] * R[2, 1])
         + R[0, 1] * (R[1, 2] * R[2, 0] - R[1, 0] * R[2, 2])
         + R[0, 2] * (R[1, 0] * R[2, 1] - R[1, 1] * R[2, 0])
     )
-    return volume > 0.0 and math.isfinite(at[0] + at[1] + at[2])
+    return volume > 0.0
 
 
 @compiled(nogil=True)
