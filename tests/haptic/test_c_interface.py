@@ -235,6 +235,6 @@ def test_an_update_gives_up_on_a_frame_that_never_ends(
     assert renderer._c is not None
     renderer._c.words[DONE] -= 1
     monkeypatch.setattr(c_interface, "PATIENCE", 0.01)
-    with pytest.raises(TtusError, match="has not ended within 0.01 s"):
+    with pytest.raises(TtusError, match=r"has not ended within 0\.01 s"):
         renderer.update(pressing(scene))
     assert renderer._c.words[WAITING] == 0

@@ -81,7 +81,9 @@ def test_rounding_is_undone_to_the_nearest_rotation() -> None:
         U, _, Vt = np.linalg.svd(rounded.astype(float))
         np.testing.assert_allclose(found, U @ Vt, atol=2e-11)
         gram = found.transpose(0, 2, 1) @ found
-        np.testing.assert_allclose(gram, np.broadcast_to(np.eye(3), gram.shape), atol=EXACT)
+        np.testing.assert_allclose(
+            gram, np.broadcast_to(np.eye(3), gram.shape), atol=EXACT
+        )
 
 
 def test_exact_rotations_are_left_as_they_are() -> None:
@@ -110,6 +112,8 @@ def test_no_rotation_is_refused_and_its_frame_told(
 
 
 def test_quaternions_there_and_back() -> None:
-    quaternions = Rotation.random(20, rng=RNG).as_quat(canonical=True, scalar_first=True)
+    quaternions = Rotation.random(20, rng=RNG).as_quat(
+        canonical=True, scalar_first=True
+    )
     again = to_quaternions(from_quaternions(quaternions, "wxyz"))
     np.testing.assert_allclose(again, quaternions, atol=1e-15)

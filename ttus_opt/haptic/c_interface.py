@@ -6,10 +6,10 @@
 probe, the skin, scratch of its own) whose memory stays where it is while the renderer
 lives; `Renderer.update` reaches a running loop through it.
 
-A frame in C never waits. `begun` and `done` count frames; an update that wants to write
-sets `waiting` and lets the frames that were under way end. Frames begun meanwhile render
-the fields as they stand and leave the ledger alone. The new fields' table is then put
-in place by one store, and the old one is kept until no frame can still read it.
+A frame in C never waits. It counts itself as begun and as done. An update announces
+itself (`WAITING`), lets frames under way end, and makes the new fields while frames
+begun meanwhile render the old ones and leave the blend's ledger alone. One store then
+puts the new fields in place, and the old ones are kept until no frame can read them.
 """
 
 from __future__ import annotations

@@ -117,7 +117,7 @@ def from_quaternions(quaternions: Array, order: QuaternionOrder | None) -> Array
 
     if order not in get_args(QuaternionOrder):
         raise InputError(
-            f"a quaternion needs order='wxyz' or order='xyzw' (as in ROS), got {order!r}"
+            f"a quaternion needs order='wxyz' or order='xyzw' (ROS), got {order!r}"
         )
     length = np.linalg.norm(quaternions, axis=1)
     if not (np.abs(length - 1.0) <= QUATERNION_TOLERANCE).all():
