@@ -20,16 +20,15 @@ from ttus_opt.arrays import Array
 from ttus_opt.fitting.batch import fit
 from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.problem.solution import Solution
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.report.tables import Comparison, write_report
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
+from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 #: How often `run` reports progress.
 N_STAGES = 7
@@ -142,13 +141,8 @@ def run(
         begin("scan to surface")
         surface = extract_surface(cloud, axis=truth.axis)
         begin("assembling (first run compiles)")
-        scene = Scene.assemble(
-            Voxmap.from_surface(surface, shape=shape),
-            shell,
-            Trajectory.concatenate([recordings[name] for name in FITTED]),
-            inner="fit",
-            sampling="trilinear",
-        )
+        plan = ScenePlan(shape=shape, inner="fit", sampling="trilinear")
+        scene = plan.build(surface, shell, [recordings[name] for name in FITTED])
         begin("Laplace prior alone")
         before = fit(scene, "laplace_only")
     begin("with forces and torques")

@@ -1,14 +1,15 @@
 """A scene: everything a formulation speaks of, assembled once.
 
 Patient (voxmap, L, b), probe (point shell) and measurements (trajectory, N, f, W, τ),
-all measurements linear in the field: f = N p, τ = W p.
+all measurements linear in the field: f = N p, τ = W p. `ScenePlan` builds one from a scan
+or a surface.
 """
 
 from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -21,6 +22,9 @@ from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.extraction import extract_surface
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Name under which a scene and a solution carry the scale of boundary values
@@ -194,6 +198,64 @@ class Scene:
     def torque_length(self) -> float:
         """Default length ℓ that makes torque rows comparable with force rows [m]."""
         return self.shell.rms_radius
+
+
+@dataclass(frozen=True)
+class ScenePlan:
+    """How a scene is built from a scan or a surface.
+
+    Attributes:
+        shape: Voxel counts (n_r, n_theta, n_z) [–].
+        r_inner: Radius of the inner layer [m].
+        r_outer: Radius of the outer layer; None for 20 mm beyond the surface [m].
+        inner: p_in, or "fit", as for `Scene.assemble`.
+        outer: p_out; with "fit" the ratio p_out / p_in.
+        sampling: ``voxel-mean`` or ``trilinear``.
+    """
+
+    shape: Sequence[int] = (48, 120, 60)
+    r_inner: float = 0.03
+    r_outer: float | None = None
+    inner: float | Literal["fit"] = 1.0
+    outer: float = 1.0
+    sampling: str = "voxel-mean"
+
+    def build(
+        self,
+        patient: Surface | Array,
+        shell: PointShell,
+        recordings: Trajectory | Sequence[Trajectory],
+        *,
+        axis: Axis | None = None,
+    ) -> Scene:
+        """Surface, voxmap and scene, one after the other.
+
+        Args:
+            patient: The surface, or a scan of it, shape (n, 3) [m].
+            shell: The probe.
+            recordings: One or several.
+            axis: The patient frame in a scan; estimated when not given.
+
+        Raises:
+            InputError: Input that cannot be used; see the steps.
+            GeometryError: The scan shows no body, or the surface does not fit the grid.
+        """
+        if not isinstance(patient, Surface):
+            frame = Axis.from_cloud(patient) if axis is None else axis
+            patient = extract_surface(patient, axis=frame)
+        if not isinstance(recordings, Trajectory):
+            recordings = Trajectory.concatenate(recordings)
+        voxmap = Voxmap.from_surface(
+            patient, shape=self.shape, r_inner=self.r_inner, r_outer=self.r_outer
+        )
+        return Scene.assemble(
+            voxmap,
+            shell,
+            recordings,
+            inner=self.inner,
+            outer=self.outer,
+            sampling=self.sampling,
+        )
 
 
 def _measured(values: Array | None, what: str) -> Array:

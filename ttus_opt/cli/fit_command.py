@@ -99,8 +99,7 @@ def fit(
     """Fit a potential field to measured forces and torques."""
     from ttus_opt.fitting.batch import fit as fit_scene
     from ttus_opt.scan.surface import Surface
-    from ttus_opt.scene import Scene
-    from ttus_opt.voxmap.voxmap import Voxmap
+    from ttus_opt.scene import ScenePlan
 
     given = {
         "force_weight": force_weight,
@@ -112,16 +111,12 @@ def fit(
     counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
     with Stages(4) as begin:
         begin("reading surface and recordings")
-        skin = Surface.load(surface)
+        patient = Surface.load(surface)
         recorded = read_trajectories(trajectory)
-        voxmap = Voxmap.from_surface(
-            skin, shape=counts, r_inner=r_inner, r_outer=r_outer
-        )
         shell = read_probe(probe, points, probe_unit, probe_surface)
         begin("assembling (first run compiles)")
-        scene = Scene.assemble(
-            voxmap, shell, recorded, inner=boundary, outer=outer, sampling=sampling
-        )
+        plan = ScenePlan(counts, r_inner, r_outer, boundary, outer, sampling)
+        scene = plan.build(patient, shell, recorded)
         begin("solving")
         solution = fit_scene(
             scene,

@@ -18,7 +18,7 @@ from ttus_opt.scan.candidates import collect, drop_strays, usable_range
 from ttus_opt.scan.contour_filter import Contour, ContourModel, follow
 from ttus_opt.scan.fill import fill_smoothly
 from ttus_opt.scan.frame import Axis
-from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
+from ttus_opt.scan.supporting_plane import SupportingPlane
 from ttus_opt.scan.surface import Surface
 
 _LARGEST_RADIUS = 0.5  # of a body [m]
@@ -51,8 +51,9 @@ def extract_surface(
         slice_distance: Points up to this far from a slice belong to it [m]; by
             default half the distance of the slices, from 3 to 6 mm.
         model: Depth noise and smoothness the filter assumes.
-        support: The plane the body lies on, in the scan's frame; "find" to look for
-            it; None when the scan has none. Its points are never skin.
+        support: The plane the body lies on, in the scan's frame, whose points are left
+            out; "find" for the one the frame knows (`Axis.support`), looked for where
+            it knows of none yet; None when the scan has none.
 
     Returns:
         The surface: closed, with its deviation, marked where it was observed.
@@ -62,7 +63,7 @@ def extract_surface(
         GeometryError: The cloud never meets the axis or shows no body around it.
     """
     _check(cloud, n_theta, n_z, spoke_distance, slice_distance)
-    plane = find_supporting_plane(cloud) if support == "find" else support
+    plane = axis.supporting_plane(cloud) if support == "find" else support
     body = cloud if plane is None else cloud[plane.above(cloud)]
     points = axis.to_patient(body)
     near = np.hypot(points[:, 0], points[:, 1]) < _LARGEST_RADIUS
