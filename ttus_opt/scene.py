@@ -1,8 +1,8 @@
 """A scene: everything a formulation speaks of, assembled once.
 
 Patient (voxmap, L, b), probe (point shell) and measurements (trajectory, N, f, W, τ),
-all measurements linear in the field: f = N p, τ = W p. `ScenePlan` builds one from a scan
-or a surface.
+all measurements linear in the field: f = N p, τ = W p. `ScenePlan` builds one from a
+scan or a surface.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
 from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.html_card import card, sections_svg
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -143,6 +144,31 @@ class Scene:
             errors,
             doubts,
         )
+
+    def __repr__(self) -> str:
+        return f"Scene({', '.join(self._facts().values())})"
+
+    def _repr_html_(self) -> str:
+        surface, grid = self.voxmap.surface, self.voxmap.grid
+        outline = surface.points()[:, len(surface.z) // 2, :2]
+        touching = self.rows.contact_points > 0
+        places = self.trajectory.position[touching, :2]
+        thinned = places[:: max(1, len(places) // 100)]
+        picture = sections_svg([outline], (grid.r_inner, grid.r_outer), thinned)
+        return card("Scene", self._facts(), picture)
+
+    def _facts(self) -> dict[str, str]:
+        """What it is in a few words, by name."""
+        touching = int((self.rows.contact_points > 0).sum())
+        wrench = "measured" if self.trajectory.has_wrench else "no"
+        return {
+            "grid": self.voxmap.grid.sizes,
+            "poses": f"{len(self.trajectory)} poses, {touching} in contact",
+            "wrenches": f"{wrench} wrenches",
+            "probe": f"{len(self.shell)} shell points",
+            "sampling": self.sampling,
+            "boundary": f"p_in {self.inner:.4g}, p_out {self.outer:.4g}",
+        }
 
     def with_boundary(self, inner: float, outer: float) -> Scene:
         """The same scene with other boundary values; nothing is assembled again."""

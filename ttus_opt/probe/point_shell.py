@@ -95,6 +95,9 @@ class PointShell:
         """Number of points M [–]."""
         return len(self.points)
 
+    def __repr__(self) -> str:
+        return f"PointShell({len(self)} points, {1e4 * self.total_area:.4g} cm²)"
+
     @property
     def total_area(self) -> float:
         """Area of the surface [m²]."""

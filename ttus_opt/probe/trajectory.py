@@ -120,6 +120,12 @@ class Trajectory:
         """Number of frames T [–]."""
         return len(self.time)
 
+    def __repr__(self) -> str:
+        parts = len(self._segments())
+        recordings = f" in {parts} recordings" if parts > 1 else ""
+        wrench = "with" if self.has_wrench else "without"
+        return f"Trajectory({len(self)} frames{recordings}, {wrench} wrenches)"
+
     @property
     def has_wrench(self) -> bool:
         """Whether forces and torques were measured."""

@@ -18,6 +18,7 @@ from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
 from ttus_opt.errors import FileError, GeometryError, InputError
+from ttus_opt.html_card import card, sections_svg
 from ttus_opt.scan.frame import Axis
 
 KIND, VERSION = "surface", 1
@@ -145,8 +146,26 @@ class Surface:
         y = self.radius * np.sin(self.theta)[:, None]
         return np.stack([x, y, np.broadcast_to(self.z, x.shape)], axis=-1)
 
+    def __repr__(self) -> str:
+        return f"Surface({', '.join(self._facts().values())})"
+
+    def _repr_html_(self) -> str:
+        heights = sorted({0, len(self.z) // 2, len(self.z) - 1})
+        sections = self.points()[:, heights, :2].transpose(1, 0, 2)
+        return card("Surface", self._facts(), sections_svg(sections))
+
+    def _facts(self) -> dict[str, str]:
+        """What it is in a few words, by name."""
+        low, high = 100 * self.radius.min(), 100 * self.radius.max()
+        return {
+            "nodes": f"{len(self.theta)} θ × {len(self.z)} z",
+            "radius": f"R {low:.1f} to {high:.1f} cm",
+            "height": f"z {100 * self.z[0]:.1f} to {100 * self.z[-1]:.1f} cm",
+            "observed": f"{100 * self.observed.mean():.0f} % observed",
+        }
+
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the surface as netCDF (design §4), replacing only on success."""
+        """Write the surface as netCDF, replacing ``path`` only on success."""
         import xarray as xr
 
         dims = ("theta", "z")

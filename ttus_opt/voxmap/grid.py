@@ -82,6 +82,11 @@ class CylindricalGrid:
         return math.prod(self.shape)
 
     @property
+    def sizes(self) -> str:
+        """Counts and their product, to be read."""
+        return f"{'×'.join(map(str, self.shape))} = {self.n_voxels:,} voxels"
+
+    @property
     def r_step(self) -> float:
         """Radial step Δr [m]."""
         return (self.r_outer - self.r_inner) / (self.shape[0] - 1)
