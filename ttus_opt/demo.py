@@ -50,7 +50,7 @@ PICTURES = {
 
 @dataclass(frozen=True)
 class SurfaceError:
-    """Extracted against true radius where the scan saw the skin.
+    """Extracted against true radius where the scan saw the surface.
 
     Attributes:
         mean: Mean of |R - R_true| [m].
@@ -71,7 +71,7 @@ class DemoResult:
         comparisons: Errors before and after, per recording.
         before: The Laplace field's solution.
         after: Eq. 10's.
-        surface_error: How well the scan gave the skin.
+        surface_error: How well the scan gave the surface.
         seconds: The whole run [s].
     """
 
@@ -148,14 +148,10 @@ def run(
     begin("with forces and torques")
     after = fit(scene, "eq10", force_weight=WEIGHT, torque_weight=WEIGHT)
     begin("evaluating")
+    fields = before.field, after.field
     comparisons = tuple(
-        Comparison(
-            name,
-            name in FITTED,
-            evaluate(before.field, shell, recording),
-            evaluate(after.field, shell, recording),
-        )
-        for name, recording in recordings.items()
+        Comparison(name, name in FITTED, *(evaluate(p, shell, case) for p in fields))
+        for name, case in recordings.items()
     )
     begin("pictures and report")
     error = surface_error(surface, truth)
@@ -164,12 +160,8 @@ def run(
     after.field.save(out / "field.nc")
     _draw(out, cloud, before.field, after.field, comparisons)
     result = DemoResult(comparisons, before, after, error, time.perf_counter() - start)
-    write_report(
-        out / "report.md",
-        comparisons,
-        facts=_facts(scene, result),
-        pictures=PICTURES,
-    )
+    facts = _facts(scene, result)
+    write_report(out / "report.md", comparisons, facts=facts, pictures=PICTURES)
     return result
 
 

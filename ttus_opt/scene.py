@@ -11,7 +11,7 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -31,8 +31,8 @@ from ttus_opt.voxmap.voxmap import Voxmap
 #: Name under which a scene and a solution carry the scale of boundary values
 BOUNDARY_SCALE = "boundary_scale"
 
-#: Largest standard error of a boundary scale that is used, as a share of it: beyond,
-#: the scale is not two standard errors above none at all [–]
+#: Largest relative standard error of a boundary scale that is used: beyond it, the
+#: scale is less than two standard errors from zero [–]
 LARGEST_SCALE_ERROR = 0.5
 
 
@@ -115,35 +115,17 @@ class Scene:
             sampling=sampling,
         )
         _report_contact(rows, voxmap.grid.r_inner)
-        parameters: dict[str, float] = {}
-        errors: dict[str, float] = {}
-        doubts: dict[str, str] = {}
+        found: dict[str, dict[str, Any]] = {}
         if isinstance(inner, str):
-            scale, error = _boundary_scale(laplace, rows, trajectory, outer)
-            if error <= LARGEST_SCALE_ERROR * scale:
-                errors = {BOUNDARY_SCALE: error}
-            else:
-                doubts = {BOUNDARY_SCALE: _report_scale(scale, error)}
-                scale = 1.0
-            values = (scale, scale * outer)
-            parameters = {BOUNDARY_SCALE: scale}
-        else:
-            values = (float(inner), float(outer))
+            found = _identified_scale(laplace, rows, trajectory, outer)
+            inner = found["parameters"][BOUNDARY_SCALE]
+            outer = inner * outer
+        values = (float(inner), float(outer))
         b = laplace.right_side(*values)
-        return cls(
-            voxmap,
-            shell,
-            trajectory,
-            sampling,
-            laplace,
-            rows,
-            *values,
-            b,
-            parameters,
-            time.perf_counter() - start,
-            errors,
-            doubts,
+        scene = cls(
+            voxmap, shell, trajectory, sampling, laplace, rows, *values, b, **found
         )
+        return replace(scene, seconds=time.perf_counter() - start)
 
     def __repr__(self) -> str:
         return f"Scene({', '.join(self._facts().values())})"
@@ -321,6 +303,20 @@ def _report_contact(rows: ContactRows, r_inner: float) -> None:
         )
 
 
+def _identified_scale(
+    laplace: LaplaceSystem, rows: ContactRows, trajectory: Trajectory, outer: float
+) -> dict[str, dict[str, Any]]:
+    """The boundary scale, 1 where the forces do not bear it, as fields of a scene."""
+    scale, error = _boundary_scale(laplace, rows, trajectory, outer)
+    if error <= LARGEST_SCALE_ERROR * scale:
+        certainty: tuple[str, Any] = ("standard_errors", error)
+    else:
+        certainty = ("not_identified", _report_scale(scale, error))
+        scale = 1.0
+    name, value = certainty
+    return {"parameters": {BOUNDARY_SCALE: scale}, name: {BOUNDARY_SCALE: value}}
+
+
 def _boundary_scale(
     laplace: LaplaceSystem, rows: ContactRows, trajectory: Trajectory, outer: float
 ) -> tuple[float, float]:
@@ -358,6 +354,6 @@ def _report_scale(scale: float, error: float) -> str:
         f'inner="fit" cannot tell the boundary scale: {reason}: 1 is used: record more '
         "contact, or give inner as a number",
         TtusWarning,
-        stacklevel=3,
+        stacklevel=4,
     )
     return reason

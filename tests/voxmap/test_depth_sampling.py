@@ -202,9 +202,8 @@ def test_the_last_slice_is_sampled_within_the_last_cell() -> None:
     """At the top there is no spoke above: the cell below, at its upper end."""
     voxmap = Voxmap.from_surface(torso(), shape=(9, 20, 10))
     grid = voxmap.grid
-    shape, limits = np.array(grid.shape), grid.kernel_limits
     for theta in (*grid.theta, np.nextafter(2 * np.pi, 0.0)):
-        j, j_next, k, _, w = spoke_cell(theta, grid.z_max, limits, shape)
+        j, j_next, k, _, w = spoke_cell(theta, grid.z_max, grid.kernel_limits, 20, 10)
         assert 0 <= j < 20 and 0 <= j_next < 20
         assert k == 8  # k + 1 is the last slice
         assert w == pytest.approx(1.0)

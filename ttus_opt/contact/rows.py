@@ -1,11 +1,11 @@
 """Contact rows: force and torque as linear maps of the field (paper eqs. 6, 7).
 
 For each pose, the shell points inside the patient sample the field in one of two
-ways, both linear in p (design §3):
+ways, both linear in p (docs/method.md, Contact rows):
 
 - ``voxel-mean`` (the paper): f = Σ_v n̄(v) p(v), with n̄(v) the mean of the normals of
   the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂;
-  points too near to the skin to sample their voxel do not count in its means.
+  points too near to the surface to sample their voxel do not count in its means.
 - ``trilinear``: f = Σ_m (a_m/A₀) n̂_m p(x_m), p(x_m) interpolated, A₀ = 1 cm².
 
 What a point samples is said in `ttus_opt.voxmap.depth_sampling`; the rows here and the
@@ -30,8 +30,9 @@ from ttus_opt.cylindrical import turn_angle as turn_angle
 from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import rotations
+from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table
-from ttus_opt.voxmap.surface_kernels import skin_between, skin_cell, skin_layout
+from ttus_opt.voxmap.grid import GridLimits
 from ttus_opt.voxmap.voxmap import Voxmap
 
 Sampling = Literal["voxel-mean", "trilinear"]
@@ -127,7 +128,7 @@ def contact_rows(
         grid.kernel_limits,
         np.array(grid.shape),
         np.ascontiguousarray(surface.radius),
-        skin_layout(surface),
+        surface.kernel_layout,
         spoke_table(voxmap),
     )
     shape = (3 * len(position), grid.n_voxels)
@@ -164,11 +165,11 @@ def rotated(R: Array, x: float, y: float, z: float) -> tuple[float, float, float
 
 
 @compiled(inline="always")
-def within(radius_squared: float, z: float, limits: Array) -> bool:
+def within(radius_squared: float, z: float, limits: GridLimits) -> bool:
     """Whether a place lies within the outer layer and the slices (compiled)."""
-    if z < limits[4]:
+    if z < limits.z_min:
         return False
-    return not (radius_squared > limits[2] * limits[2] or z > limits[6])
+    return not (radius_squared > limits.r_outer * limits.r_outer or z > limits.z_max)
 
 
 # Loops over entries here, no assignments of whole arrays and no numpy sort: each of
@@ -224,10 +225,10 @@ def _pose_rows(
     normals: Array,
     weights: Array,
     reference: Array,
-    limits: Array,
+    limits: GridLimits,
     shape: NDArray[np.int64],
     radius: Array,
-    layout: Array,
+    layout: RadiusLayout,
     spokes: Array,
 ) -> tuple[
     NDArray[np.int32],
@@ -271,12 +272,12 @@ def _pose_rows(
             if square >= limit:
                 continue
             r, theta = math.sqrt(square), turn_angle(x, y)
-            here, after, a, b = skin_cell(theta, z, n_theta, n_z, layout)
-            depth = skin_between(here, after, a, b, skin) - r
+            here, after, a, b = radius_cell(theta, z, n_theta, n_z, layout)
+            depth = radius_between(here, after, a, b, skin) - r
             if depth <= 0.0:
                 continue
             contact_points[t] += 1
-            if r < limits[0]:
+            if r < limits.r_inner:
                 beyond_inner[t] += 1
             weight = weights[m] if trilinear else 1.0
             if trilinear:

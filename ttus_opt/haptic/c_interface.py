@@ -3,8 +3,8 @@
 `Renderer.c_function` gives both. The function has the plain C signature of
 ``ttus_frame.h``, needs neither the interpreter nor its lock, and computes what
 `Renderer.render_into` computes, bit for bit. The context is a table of addresses (the
-probe, the skin, scratch of its own) whose memory stays where it is while the renderer
-lives; `Renderer.update` reaches a running loop through it.
+probe, the surface, scratch of its own) whose memory stays where it is while the
+renderer lives; `Renderer.update` reaches a running loop through it.
 
 A frame in C never waits. It counts itself as begun and as done. An update announces
 itself (`WAITING`), lets frames under way end, and makes the new fields while frames
@@ -30,16 +30,19 @@ from numba.extending import intrinsic
 
 from ttus_opt.arrays import IntArray
 from ttus_opt.compiled import compiled
+from ttus_opt.contact.shell_blocks import Tiles
 from ttus_opt.errors import TtusError
-from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.wrench import (
     TWIST,
     WRENCH,
-    Desk,
     FieldPair,
+    FrameBuffers,
     FrameLimits,
     render_frame,
 )
+from ttus_opt.scan.radius_lookup import RadiusLayout
+from ttus_opt.voxmap.grid import GridLimits
 
 #: The C header that declares the function and its codes
 HEADER = Path(__file__).with_name("ttus_frame.h")
@@ -49,15 +52,15 @@ HEADER = Path(__file__).with_name("ttus_frame.h")
 OFF_GRID = -1
 
 #: Words of a context: frames begun and done, 1 while an update waits, the address of
-#: the fields' table, 1 for trilinear sampling; then the arrays of the stage, the desk
+#: the fields' table, 1 for trilinear sampling; then the arrays of the data, the buffers
 #: and the limits in their order
 BEGUN, DONE, WAITING, FIELDS, TRILINEAR, ARRAYS = 0, 1, 2, 3, 4, 5
 
 #: Words of an array in a table, its address and its shape; arrays of a context (the
-#: stage's without its flag, the desk's, the limits'), and of a pair of fields
+#: data's without its flag, the buffers', the limits'), and of a pair of fields
 WORDS = 3
-N_STAGE = len(Stage._fields) - 1
-N_ARRAYS = N_STAGE + len(Desk._fields) + len(FrameLimits._fields)
+N_DATA = len(FrameData._fields) - 1
+N_ARRAYS = N_DATA + len(FrameBuffers._fields) + len(FrameLimits._fields)
 N_FIELDS = len(FieldPair._fields)
 
 #: An update gives up on a frame that has not ended after so long [s]
@@ -98,14 +101,18 @@ class Context:
     """The memory behind a C function, and how an update changes it.
 
     Args:
-        stage: Probe and skin; scratch is made anew.
+        data: Probe and surface; scratch is made anew.
         limits: Of the renderer.
         pair: What is rendered at first.
     """
 
-    def __init__(self, stage: Stage, limits: FrameLimits, pair: FieldPair) -> None:
-        own = stage.with_own_scratch()
-        self._arrays = (*own[1:], *Desk.empty(), *limits)  # kept alive
+    def __init__(self, data: FrameData, limits: FrameLimits, pair: FieldPair) -> None:
+        own = data.with_own_scratch()
+        self._arrays = (  # kept alive
+            *(np.asarray(part) for part in own[1:]),
+            *FrameBuffers.empty(),
+            *limits,
+        )
         head = np.zeros(ARRAYS, dtype=np.int64)
         head[TRILINEAR] = own.trilinear
         self.words: IntArray = np.concatenate([head, _table(self._arrays)])
@@ -211,24 +218,37 @@ def _matrix(table: IntArray, k: int, kind: Any) -> Any:
 
 
 @compiled()
-def _stage(trilinear: bool, table: IntArray) -> Stage:
-    """The stage that a context's table describes (compiled)."""
+def _data(trilinear: bool, table: IntArray) -> FrameData:
+    """The data that a context's table describes (compiled)."""
     real, whole = np.float64, np.int64
-    return Stage(
+    extent, layout, tiles = (
+        _vector(table, 5, real),
+        _vector(table, 9, real),
+        _vector(table, 12, real),
+    )
+    return FrameData(
         trilinear,
         _matrix(table, 0, real),  # points
         _matrix(table, 1, real),  # lever
         _vector(table, 2, real),  # reference
         _vector(table, 3, whole),  # start
         _matrix(table, 4, real),  # spheres
-        _vector(table, 5, real),  # limits
+        GridLimits(
+            extent[0],
+            extent[1],
+            extent[2],
+            extent[3],
+            extent[4],
+            extent[5],
+            extent[6],
+        ),
         _vector(table, 6, whole),  # shape
         _vector(table, 7, real),  # radius
-        _vector(table, 8, whole),  # skin
-        _vector(table, 9, real),  # layout
+        _vector(table, 8, whole),  # nodes
+        RadiusLayout(layout[0], layout[1], layout[2], layout[3]),
         _matrix(table, 10, real),  # spokes
         _matrix(table, 11, real),  # ceiling
-        _vector(table, 12, real),  # tiles
+        Tiles(tiles[0], tiles[1], tiles[2], tiles[3]),
         _matrix(table, 13, real),  # place
         _vector(table, 14, np.bool_),  # near
         _matrix(table, 15, whole),  # node
@@ -247,11 +267,11 @@ def _frame(
     """`render_frame` of what C hands over (compiled); see ``ttus_frame.h``."""
     words = carray(context, (ARRAYS + WORDS * N_ARRAYS,))
     _write(words, BEGUN, words[BEGUN] + 1)
-    turn = _read(words, WAITING) == 0
+    may_write = _read(words, WAITING) == 0
     table = words[ARRAYS:]
-    stage = _stage(words[TRILINEAR] != 0, table)
-    real, k = np.float64, N_STAGE
-    desk = Desk(
+    data = _data(words[TRILINEAR] != 0, table)
+    real, k = np.float64, N_DATA
+    buffers = FrameBuffers(
         _matrix(table, k, real),
         _vector(table, k + 1, real),
         _vector(table, k + 2, real),
@@ -268,21 +288,21 @@ def _frame(
     )
     R, at, given = carray(rotation, (3, 3)), carray(position, 3), carray(twist, 6)
     for i in range(3):
-        desk.at[i] = at[i]
+        buffers.at[i] = at[i]
         for j in range(3):
-            desk.R[i, j] = R[i, j]
+            buffers.R[i, j] = R[i, j]
     if math.isnan(time):
         for i in range(6):
-            desk.rows[TWIST, i] = given[i]
-    contact, in_grid, _, _ = render_frame(desk, time, stage, pair, limits, turn)
+            buffers.rows[TWIST, i] = given[i]
+    contact, in_grid, _, _ = render_frame(buffers, time, data, pair, limits, may_write)
     if contact >= 0:
         out = carray(wrench, 6)
         for i in range(6):
-            out[i] = desk.rows[WRENCH, i]
+            out[i] = buffers.rows[WRENCH, i]
     _write(words, DONE, words[DONE] + 1)
     if contact < 0:
-        return contact + OFF_GRID
-    return contact if in_grid else OFF_GRID
+        return int(contact) + OFF_GRID
+    return int(contact) if in_grid else OFF_GRID
 
 
 @functools.cache

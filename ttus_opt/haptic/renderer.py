@@ -32,15 +32,15 @@ from ttus_opt.haptic.blend import (
     settled_ledger,
 )
 from ttus_opt.haptic.drag import DragLaw, patch_weights
-from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import TIME, MotionFilter
 from ttus_opt.haptic.wrench import (
     BAD_TIME,
     BAD_TWIST,
     TWIST,
     WRENCH,
-    Desk,
     FieldPair,
+    FrameBuffers,
     FrameLimits,
     mixed,
     mixed_drag,
@@ -140,7 +140,7 @@ class Renderer:
             raise InputError(f"force_limit must be positive [N], got {force_limit}")
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
         self._field = field
-        self._stage = Stage.of(
+        self._data = FrameData.of(
             field.voxmap, shell, trilinear=field.sampling == "trilinear"
         )
         weights = patch_weights(shell)[ShellBlocks.of(shell).order]
@@ -157,11 +157,11 @@ class Renderer:
             FieldPair(values, values, drag.numbers, drag.numbers, ledger), name, name
         )
         # a pose is copied here: whatever its layout, it compiles nothing new
-        self._desk = Desk.empty()
-        self._turn = threading.Lock()  # to change the ledger; frames only try it
-        self._waiting = False  # an update wants the turn
+        self._buffers = FrameBuffers.empty()
+        self._ledger_lock = threading.Lock()  # to change the ledger; frames only try it
+        self._waiting = False  # an update wants the ledger
         self._updates = threading.Lock()  # one update at a time
-        self._told = False  # that drag is left out
+        self._warned = False  # that drag is left out
         self._c: Context | None = None  # of a loop in C
         self.warm_up()
 
@@ -170,18 +170,18 @@ class Renderer:
 
         It works on scratch of its own, so that another thread may render meanwhile.
         """
-        stage, pair, weights = (
-            self._stage.with_own_scratch(),
+        data, pair, weights = (
+            self._data.with_own_scratch(),
             self._fields.pair,
             self._limits.weights,
         )
         amid = settled_ledger(0.0)
         amid[PROGRESS] = 0.5
         pair = pair._replace(ledger=amid)
-        render_frame(Desk.empty(), math.nan, stage, pair, self._limits, True)
-        opened_ledger(amid, pair.current, pair.target, stage)
+        render_frame(FrameBuffers.empty(), math.nan, data, pair, self._limits, True)
+        opened_ledger(amid, pair.current, pair.target, data)
         mixed(pair.current[:4], pair.target[:4], 0.5)
-        mixed_drag(amid, pair, pair.current, stage, weights)
+        mixed_drag(amid, pair, pair.current, data, weights)
 
     def render(
         self,
@@ -215,7 +215,7 @@ class Renderer:
                 or a time before the last one.
         """
         counts, drag = self._render(rotation, position, twist, time, order)
-        wrench = self._desk.rows[WRENCH].copy()
+        wrench = self._buffers.rows[WRENCH].copy()
         contact_points, in_grid, beyond, saturated = counts
         return Wrench(
             wrench[:3], wrench[3:], contact_points, in_grid, beyond, drag, saturated
@@ -254,7 +254,7 @@ class Renderer:
         (contact_points, in_grid, _, _), _ = self._render(
             rotation, position, twist, time, order
         )
-        out[:] = self._desk.rows[WRENCH]
+        out[:] = self._buffers.rows[WRENCH]
         return contact_points if in_grid else -1
 
     def _render(
@@ -265,40 +265,41 @@ class Renderer:
         time: float | None,
         order: QuaternionOrder | None,
     ) -> tuple[tuple[int, bool, int, bool], DragSource]:
-        """Render one pose and motion onto the desk; what `render_frame` returns."""
+        """Render one pose and motion onto the buffers; what `render_frame` returns."""
+        buffers, source = self._buffers, self._set_motion(twist, time)
         if (
-            getattr(rotation, "shape", None) != (3, 3)
-            or getattr(position, "shape", None) != (3,)
-            or order is not None
-        ):
-            rotation, position = pose_of(rotation, position, order)
-        desk, source = self._desk, self._lay_motion(twist, time)
-        desk.R[:], desk.at[:] = rotation, position
+            order is None
+            and getattr(rotation, "shape", None) == (3, 3)
+            and getattr(position, "shape", None) == (3,)
+        ):  # nothing to convert: the way of a haptic loop
+            buffers.R[:], buffers.at[:] = rotation, position  # type: ignore[assignment]
+        else:
+            buffers.R[:], buffers.at[:] = pose_of(rotation, position, order)
         now = math.nan if time is None else float(time)
         if now != now and time is not None:
             raise InputError("time must be finite [s], got NaN")
-        turn = not self._waiting and self._turn.acquire(blocking=False)
+        may_write = not self._waiting and self._ledger_lock.acquire(blocking=False)
         try:
             fields = self._fields
             drag = fields.drag
             counts = render_frame(
-                desk, now, self._stage, fields.pair, self._limits, turn
+                buffers, now, self._data, fields.pair, self._limits, may_write
             )
         finally:
-            if turn:
-                self._turn.release()
+            if may_write:
+                self._ledger_lock.release()
         if counts[0] < 0:
             self._refuse(counts[0], time)
         if not drag:
             return counts, "none"
-        if source == "left out" and not self._told:
-            self._tell(drag)
+        if source == "left out" and not self._warned:
+            self._warn(drag)
         return counts, source
 
-    def _lay_motion(self, twist: Array | None, time: float | None) -> DragSource:
-        """Put a given twist on the desk; where the frame has its motion from."""
+    def _set_motion(self, twist: Array | None, time: float | None) -> DragSource:
+        """Take over a given twist; returns where the frame has its motion from."""
         if twist is None:
-            self._desk.rows[TWIST] = 0.0
+            self._buffers.rows[TWIST] = 0.0
             return "left out" if time is None else "estimated"
         if time is not None:
             raise InputError(
@@ -309,7 +310,7 @@ class Renderer:
                 "a twist is velocity [m/s], then angular velocity [rad/s], (6,), got "
                 f"{np.shape(twist)}"
             )
-        self._desk.rows[TWIST] = twist
+        self._buffers.rows[TWIST] = twist
         return "given"
 
     def _refuse(self, code: int, time: float | None) -> None:
@@ -319,14 +320,14 @@ class Renderer:
         if code == BAD_TIME:
             raise InputError(
                 f"time must be finite and not go back [s], got {time} after "
-                f"{self._desk.motion[TIME]}"
+                f"{self._buffers.motion[TIME]}"
             )
-        rotations(self._desk.R)
+        rotations(self._buffers.R)
         raise InputError("position contains NaN or infinite values [m]")
 
-    def _tell(self, drag: str) -> None:
+    def _warn(self, drag: str) -> None:
         """Warn, once, that drag is left out."""
-        self._told = True
+        self._warned = True
         warnings.warn(
             f"the field has drag ({drag}) and the probe's motion is not known: frames "
             "are rendered without it; give render a twist, or the time of each pose",
@@ -352,23 +353,25 @@ class Renderer:
         """
         self._require_alike(field)
         drag = DragLaw.of(field.parameters, field.voxmap.grid)
-        values, stage = _flat(field), self._stage.with_own_scratch()
+        values, data = _flat(field), self._data.with_own_scratch()
         with self._updates:
             self._waiting = True
             try:
-                with self._turn:
+                with self._ledger_lock:
                     if self._c:
                         self._c.pause()
                     self._fields = self._swapped(
-                        values, drag.numbers, _drag_name(field, drag), stage
+                        values, drag.numbers, _drag_name(field, drag), data
                     )
                     if self._c:
                         self._c.resume(self._fields.pair)
             finally:
                 self._waiting = False
 
-    def _swapped(self, values: Array, drag: Array, name: str, stage: Stage) -> _Fields:
-        """The fields after an update; only with the turn in hand."""
+    def _swapped(
+        self, values: Array, drag: Array, name: str, data: FrameData
+    ) -> _Fields:
+        """The fields after an update; only with the ledger's lock held."""
         now, old_name = self._fields.pair, self._fields.drag
         if now.ledger[SEEN] == 0.0:
             return _Fields(
@@ -378,8 +381,8 @@ class Renderer:
         current, old_drag = now.target, now.target_drag
         if share < 1.0:
             current = mixed(now.current, now.target, share)
-            old_drag = mixed_drag(now.ledger, now, current, stage, self._limits.weights)
-        ledger = opened_ledger(now.ledger, current, values, stage)
+            old_drag = mixed_drag(now.ledger, now, current, data, self._limits.weights)
+        ledger = opened_ledger(now.ledger, current, values, data)
         return _Fields(
             FieldPair(current, values, old_drag, drag, ledger), old_name, name
         )
@@ -399,7 +402,7 @@ class Renderer:
 
         with self._updates:
             if self._c is None:
-                self._c = Context(self._stage, self._limits, self._fields.pair)
+                self._c = Context(self._data, self._limits, self._fields.pair)
         return CFunction(frame_address(), self._c.words.ctypes.data, self)
 
     def _require_alike(self, new: PotentialField) -> None:

@@ -1,8 +1,7 @@
 """One compiled haptic frame: motion, touch, fields, drag, blend, limit.
 
-The passes of `ttus_opt.haptic.frame`, `haptic_drag`, `haptic_motion` and
-`haptic_blend` in their order, over scratch that the renderer owns, so that a frame
-allocates nothing and is one call.
+The passes of `ttus_opt.haptic.frame`, `drag`, `motion` and `blend` in their order, over
+scratch that the renderer owns, so that a frame allocates nothing and is one call.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from ttus_opt.haptic.drag import (
     patch_of,
 )
 from ttus_opt.haptic.frame import touch, wrench_of
-from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import MOTION, estimate_twist
 from ttus_opt.probe.pose import EXACT, ROUNDING, STEPS
 
@@ -41,7 +40,7 @@ class FieldPair(NamedTuple):
         target: Field to come, or the same, flat, shape (V,).
         current_drag: `DragLaw.numbers` of the field in force.
         target_drag: Those of the field to come.
-        ledger: `haptic_blend`, shape (LEDGER,).
+        ledger: Of `ttus_opt.haptic.blend`, shape (LEDGER,).
     """
 
     current: Array
@@ -51,12 +50,12 @@ class FieldPair(NamedTuple):
     ledger: Array
 
 
-#: Rows of `Desk.rows`: wrench and drag of the frame, twist, patch, then contact and
-#: drag of the field in force
+#: Rows of `FrameBuffers.rows`: wrench and drag of the frame, twist, patch, then contact
+#: and drag of the field in force
 WRENCH, DRAG, TWIST, PATCH, OLD, OLD_DRAG, ROWS = 0, 1, 2, 3, 4, 5, 6
 
 
-class Desk(NamedTuple):
+class FrameBuffers(NamedTuple):
     """Where a frame's input is laid down and its output written, for one thread.
 
     Few arrays, for each costs a call a fifth of a microsecond.
@@ -64,7 +63,7 @@ class Desk(NamedTuple):
     Attributes:
         R: Rotation, probe to patient, shape (3, 3) [–].
         at: Position of the probe frame's origin, shape (3,) [m].
-        motion: State of `haptic_motion`, shape (MOTION,).
+        motion: State of `ttus_opt.haptic.motion`, shape (MOTION,).
         rows: See the places above, shape (ROWS, 6).
     """
 
@@ -74,8 +73,8 @@ class Desk(NamedTuple):
     rows: Array
 
     @classmethod
-    def empty(cls) -> Desk:
-        """A desk with nothing on it."""
+    def empty(cls) -> FrameBuffers:
+        """A buffers with nothing on it."""
         return cls(np.eye(3), np.zeros(3), np.zeros(MOTION), np.zeros((ROWS, 6)))
 
 
@@ -89,7 +88,7 @@ class FrameLimits(NamedTuple):
 
     Attributes:
         numbers: See the places above, shape (8,).
-        weights: `haptic_drag.patch_weights` in the stage's order, shape (M, 7).
+        weights: `drag.patch_weights` in block order, shape (M, 7).
     """
 
     numbers: Array
@@ -98,66 +97,68 @@ class FrameLimits(NamedTuple):
 
 @compiled(error_model="numpy", nogil=True)
 def render_frame(
-    desk: Desk,
+    buffers: FrameBuffers,
     time: float,
-    stage: Stage,
+    data: FrameData,
     pair: FieldPair,
     limits: FrameLimits,
-    turn: bool,
+    may_write: bool,
 ) -> tuple[int, bool, int, bool]:
-    """Render the pose and twist on the desk (compiled).
+    """Render the pose and twist on the buffers (compiled).
 
     Args:
-        desk: Input, scratch and output.
-        time: When [s], to estimate the twist; NaN to take the desk's.
-        stage: Probe, skin and scratch.
+        buffers: Input, scratch and output.
+        time: When [s], to estimate the twist; NaN to take the buffers's.
+        data: Probe, surface and scratch.
         pair: Fields and ledger.
         limits: Of the renderer.
-        turn: Without it the ledger is read and not written.
+        may_write: Without it the ledger is read and not written.
 
     Returns:
         Points in contact, or `BAD_POSE`, `BAD_TWIST`, `BAD_TIME`; whether the shell
         meets the grid; points beyond the innermost layer; whether the force was cut.
     """
-    R, at, rows, numbers = desk.R, desk.at, desk.rows, limits.numbers
+    R, at, rows, numbers = buffers.R, buffers.at, buffers.rows, limits.numbers
     twist, patch, wrench, drag = rows[TWIST], rows[PATCH], rows[WRENCH], rows[DRAG]
-    ledger, reference = pair.ledger, stage.reference
+    ledger, reference = pair.ledger, data.reference
     if not (orthonormalise(R) and math.isfinite(at[0] + at[1] + at[2])):
         return BAD_POSE, False, 0, False
     if not math.isnan(time) and not estimate_twist(
-        desk.motion, R, at, time, reference, numbers[FILTER:], twist
+        buffers.motion, R, at, time, reference, numbers[FILTER:], twist
     ):
         return BAD_TIME, False, 0, False
     if not math.isfinite(_sum(twist)):
         return BAD_TWIST, False, 0, False
-    contact, in_grid, beyond = touch(R, at, stage)
-    wrench_of(pair.target, contact, R, stage, wrench)
+    contact, in_grid, beyond = touch(R, at, data)
+    wrench_of(pair.target, contact, R, data, wrench)
     if _may_drag(pair, twist):
-        patch_of(R, contact, stage.touched, stage.depth, limits.weights, patch)
+        patch_of(R, contact, data.touched, data.depth, limits.weights, patch)
     else:
         _clear(patch)
     drag_of(R, at, twist, reference, patch, wrench, pair.target_drag, drag)
-    share = ledger[PROGRESS]
-    if share == 1.0:
-        if turn:
-            follow(ledger, R, at, reference)
-    else:
+    if ledger[PROGRESS] < 1.0:
         old, old_drag = rows[OLD], rows[OLD_DRAG]
-        wrench_of(pair.current, contact, R, stage, old)
+        wrench_of(pair.current, contact, R, data, old)
         drag_of(R, at, twist, reference, patch, old, pair.current_drag, old_drag)
-        if turn:
-            advance(
-                ledger, numbers[BLEND:FORCE], contact, R, at, reference,
-                old, wrench, old_drag, drag,
-            )  # fmt: skip
-            share = ledger[PROGRESS]
-        if share < 1.0:
-            for c in range(6):
-                wrench[c] = (1.0 - share) * old[c] + share * wrench[c]
-                drag[c] = (1.0 - share) * old_drag[c] + share * drag[c]
+        if may_write:
+            motion = follow(ledger, R, at, reference)
+            limit = numbers[BLEND:FORCE]
+            advance(ledger, limit, contact, motion, old, wrench, old_drag, drag)
+        _mix(ledger[PROGRESS], old, wrench)
+        _mix(ledger[PROGRESS], old_drag, drag)
+    elif may_write:
+        follow(ledger, R, at, reference)
     for c in range(6):
         wrench[c] += drag[c]
     return contact, in_grid, beyond, _cut(wrench, numbers[FORCE])
+
+
+@compiled(inline="always")
+def _mix(share: float, old: Array, new: Array) -> None:
+    """New ← (1 − share) old + share new; as it is for a share of 1 (compiled)."""
+    if share < 1.0:
+        for c in range(6):
+            new[c] = (1.0 - share) * old[c] + share * new[c]
 
 
 @compiled(inline="always")
@@ -229,7 +230,7 @@ def orthonormalise(R: Array) -> bool:
         + R[0, 1] * (R[1, 2] * R[2, 0] - R[1, 0] * R[2, 2])
         + R[0, 2] * (R[1, 0] * R[2, 1] - R[1, 1] * R[2, 0])
     )
-    return volume > 0.0
+    return bool(volume > 0.0)
 
 
 @compiled(nogil=True)
@@ -242,7 +243,7 @@ def mixed(current: Array, target: Array, share: float) -> Array:
 
 
 def mixed_drag(
-    ledger: Array, pair: FieldPair, mix: Array, stage: Stage, weights: Array
+    ledger: Array, pair: FieldPair, mix: Array, data: FrameData, weights: Array
 ) -> Array:
     """One drag law in place of two amid a swap, for the field that mixes theirs.
 
@@ -255,8 +256,8 @@ def mixed_drag(
         ledger: With the pose and the share of the target.
         pair: The two fields.
         mix: Their mixture, flat, shape (V,).
-        stage: Probe and skin, with scratch of its own.
-        weights: `haptic_drag.patch_weights` in the stage's order, shape (M, 7).
+        data: Probe and surface, with scratch of its own.
+        weights: `drag.patch_weights` in block order, shape (M, 7).
 
     Returns:
         `DragLaw.numbers` of the mixture.
@@ -266,14 +267,16 @@ def mixed_drag(
     if old[ACTIVE] + new[ACTIVE] == 0.0:
         return new
     major = new if share >= 0.5 else old
-    desk = Desk.empty()
-    pose_of(ledger, stage.reference, desk.R, desk.at)
-    contact = touch(desk.R, desk.at, stage)[0]
-    patch_of(desk.R, contact, stage.touched, stage.depth, weights, desk.rows[PATCH])
+    buffers = FrameBuffers.empty()
+    pose_of(ledger, data.reference, buffers.R, buffers.at)
+    contact = touch(buffers.R, buffers.at, data)[0]
+    patch_of(buffers.R, contact, data.touched, data.depth, weights, buffers.rows[PATCH])
     pressed = []
     for values in (pair.current, pair.target, mix):
-        wrench_of(values, contact, desk.R, stage, desk.rows[WRENCH])
-        pressed.append(max(float(desk.rows[PATCH, :3] @ desk.rows[WRENCH, :3]), 0.0))
+        wrench_of(values, contact, buffers.R, data, buffers.rows[WRENCH])
+        pressed.append(
+            max(float(buffers.rows[PATCH, :3] @ buffers.rows[WRENCH, :3]), 0.0)
+        )
     frictions = float(old[FRICTION]), float(new[FRICTION])
     friction = (1.0 - share) * frictions[0] + share * frictions[1]
     if pressed[2] > 0.0:

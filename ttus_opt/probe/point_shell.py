@@ -60,7 +60,7 @@ class PointShell:
     reference: Array
 
     def __post_init__(self) -> None:
-        """Refuse what is not a shell.
+        """Validate the shell.
 
         Raises:
             InputError: Shapes that disagree, values that are not finite, normals

@@ -16,7 +16,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
@@ -179,8 +179,8 @@ def _off(matrices: Array) -> Array:
     return np.asarray(np.abs(gram - np.eye(3)).max(axis=(-1, -2)))
 
 
-def _refuse(bad: Array, error: Array, why: str) -> None:
-    """Refuse matrices that are no rotations.
+def _refuse(bad: NDArray[np.bool_], error: Array, why: str) -> None:
+    """Raise for the first bad matrix.
 
     Raises:
         InputError: One is bad.

@@ -57,7 +57,7 @@ class Trajectory:
     )
 
     def __post_init__(self) -> None:
-        """Refuse what is not a trajectory.
+        """Validate the trajectory.
 
         Raises:
             InputError: No frames, shapes that disagree, values that are not finite,

@@ -38,7 +38,7 @@ def extract_surface(
     model: ContourModel | None = None,
     support: SupportingPlane | Literal["find"] | None = "find",
 ) -> Surface:
-    """Extract the skin r = R(θ, z) from a scan.
+    """Extract the surface r = R(θ, z) from a scan.
 
     Args:
         cloud: Scan, shape (n, 3) [m].
@@ -64,17 +64,7 @@ def extract_surface(
     """
     _check(cloud, n_theta, n_z, spoke_distance, slice_distance)
     plane = axis.supporting_plane(cloud) if support == "find" else support
-    body = cloud if plane is None else cloud[plane.above(cloud)]
-    points = axis.to_patient(body)
-    near = np.hypot(points[:, 0], points[:, 1]) < _LARGEST_RADIUS
-    points = points[near]
-    if len(points) < _LEAST_POINTS:
-        raise GeometryError(
-            f"only {len(points)} of {len(cloud)} points are within "
-            f"{_LARGEST_RADIUS:g} m of the axis and off the support: the cloud never "
-            "meets the axis, check axis and unit"
-        )
-    points = drop_strays(points)
+    points = _body_points(cloud, axis, plane)
     z = _heights(points, z_range, n_z)
     theta: Array = np.arange(n_theta, dtype=np.float64) * (2.0 * np.pi / n_theta)
     dz = float(z[1] - z[0])
@@ -134,6 +124,20 @@ def _check(
             f"largest coordinate extent is {extent:.4g} m: are these millimetres? read "
             "them with unit='mm'"
         )
+
+
+def _body_points(cloud: Array, axis: Axis, plane: SupportingPlane | None) -> Array:
+    """Points of the body, without support and strays, patient frame, (m, 3) [m]."""
+    body = cloud if plane is None else cloud[plane.above(cloud)]
+    points = axis.to_patient(body)
+    points = points[np.hypot(points[:, 0], points[:, 1]) < _LARGEST_RADIUS]
+    if len(points) < _LEAST_POINTS:
+        raise GeometryError(
+            f"only {len(points)} of {len(cloud)} points are within "
+            f"{_LARGEST_RADIUS:g} m of the axis and off the support: the cloud never "
+            "meets the axis, check axis and unit"
+        )
+    return drop_strays(points)
 
 
 def _heights(points: Array, z_range: tuple[float, float] | None, n_z: int) -> Array:

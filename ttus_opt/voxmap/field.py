@@ -57,7 +57,7 @@ class PotentialField:
     standard_errors: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse values that do not fit the grid.
+        """Validate the values.
 
         Raises:
             InputError: Wrong shape, a value that is not finite, unknown sampling.
