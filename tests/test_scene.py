@@ -11,7 +11,8 @@ from tests.conftest import presses, small_scene, torso
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scene import Scene
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
@@ -157,3 +158,29 @@ def test_poses_without_wrench_have_rows_but_no_measurements() -> None:
     assert scene.N.nnz > 0
     with pytest.raises(InputError, match="fx, fy, fz"):
         _ = scene.f
+
+
+def test_a_plan_goes_from_scan_to_scene_step_by_step() -> None:
+    """From a cloud, from its surface and by hand: the same scene."""
+    theta, z = np.meshgrid(
+        np.linspace(0, 2 * np.pi, 400), np.linspace(0.0, 0.2, 200), indexing="ij"
+    )
+    r = SURFACE.radius_at(theta, z)
+    cloud = np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1).reshape(-1, 3)
+    plan = ScenePlan(
+        (9, 20, 10), 0.04, 0.16, inner=3.0, outer=2.0, sampling="trilinear"
+    )
+    halves = [TRAJECTORY.select(slice(0, 5)), TRAJECTORY.select(slice(5, None))]
+    found = plan.build(cloud, SHELL, halves, axis=Axis.identity())
+    surface = tt.extract_surface(cloud, axis=Axis.identity())
+    voxmap = Voxmap.from_surface(surface, shape=(9, 20, 10), r_inner=0.04, r_outer=0.16)
+    whole = Trajectory.concatenate(halves)
+    expected = Scene.assemble(
+        voxmap, SHELL, whole, inner=3.0, outer=2.0, sampling="trilinear"
+    )
+    for scene in (found, plan.build(surface, SHELL, whole)):
+        assert scene.voxmap.grid == expected.voxmap.grid
+        assert scene.sampling == expected.sampling
+        assert (scene.inner, scene.outer) == (3.0, 2.0)
+        np.testing.assert_array_equal(scene.b, expected.b)
+        np.testing.assert_array_equal(scene.N.toarray(), expected.N.toarray())

@@ -118,7 +118,9 @@ def content_stamp(dispatcher: Any) -> str:
 
 def _content(value: Any, seen: dict[int, int]) -> Iterator[str]:
     """Lines that tell a value apart from all others, whatever process it lives in."""
-    if isinstance(value, numba.core.dispatcher.Dispatcher | types.FunctionType):
+    if isinstance(value, types.FunctionType) and value.__module__.startswith("numba."):
+        yield f"{value.__module__}.{value.__qualname__}"  # told by numba's version
+    elif isinstance(value, numba.core.dispatcher.Dispatcher | types.FunctionType):
         if id(value) in seen:
             yield f"function {seen[id(value)]}"
             return

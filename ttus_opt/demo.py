@@ -20,16 +20,15 @@ from ttus_opt.arrays import Array
 from ttus_opt.fitting.batch import fit
 from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.problem.solution import Solution
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.report.tables import Comparison, write_report
 from ttus_opt.scan.cloud import read_cloud
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
+from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
 
 #: How often `run` reports progress.
 N_STAGES = 7
@@ -51,7 +50,7 @@ PICTURES = {
 
 @dataclass(frozen=True)
 class SurfaceError:
-    """Extracted against true radius where the scan saw the skin.
+    """Extracted against true radius where the scan saw the surface.
 
     Attributes:
         mean: Mean of |R - R_true| [m].
@@ -72,7 +71,7 @@ class DemoResult:
         comparisons: Errors before and after, per recording.
         before: The Laplace field's solution.
         after: Eq. 10's.
-        surface_error: How well the scan gave the skin.
+        surface_error: How well the scan gave the surface.
         seconds: The whole run [s].
     """
 
@@ -142,26 +141,17 @@ def run(
         begin("scan to surface")
         surface = extract_surface(cloud, axis=truth.axis)
         begin("assembling (first run compiles)")
-        scene = Scene.assemble(
-            Voxmap.from_surface(surface, shape=shape),
-            shell,
-            Trajectory.concatenate([recordings[name] for name in FITTED]),
-            inner="fit",
-            sampling="trilinear",
-        )
+        plan = ScenePlan(shape=shape, inner="fit", sampling="trilinear")
+        scene = plan.build(surface, shell, [recordings[name] for name in FITTED])
         begin("Laplace prior alone")
         before = fit(scene, "laplace_only")
     begin("with forces and torques")
     after = fit(scene, "eq10", force_weight=WEIGHT, torque_weight=WEIGHT)
     begin("evaluating")
+    fields = before.field, after.field
     comparisons = tuple(
-        Comparison(
-            name,
-            name in FITTED,
-            evaluate(before.field, shell, recording),
-            evaluate(after.field, shell, recording),
-        )
-        for name, recording in recordings.items()
+        Comparison(name, name in FITTED, *(evaluate(p, shell, case) for p in fields))
+        for name, case in recordings.items()
     )
     begin("pictures and report")
     error = surface_error(surface, truth)
@@ -170,12 +160,8 @@ def run(
     after.field.save(out / "field.nc")
     _draw(out, cloud, before.field, after.field, comparisons)
     result = DemoResult(comparisons, before, after, error, time.perf_counter() - start)
-    write_report(
-        out / "report.md",
-        comparisons,
-        facts=_facts(scene, result),
-        pictures=PICTURES,
-    )
+    facts = _facts(scene, result)
+    write_report(out / "report.md", comparisons, facts=facts, pictures=PICTURES)
     return result
 
 

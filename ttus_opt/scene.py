@@ -1,16 +1,17 @@
 """A scene: everything a formulation speaks of, assembled once.
 
 Patient (voxmap, L, b), probe (point shell) and measurements (trajectory, N, f, W, τ),
-all measurements linear in the field: f = N p, τ = W p.
+all measurements linear in the field: f = N p, τ = W p. `ScenePlan` builds one from a
+scan or a surface.
 """
 
 from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,16 +19,20 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
 from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.html_card import card, sections_svg
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.extraction import extract_surface
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Name under which a scene and a solution carry the scale of boundary values
 BOUNDARY_SCALE = "boundary_scale"
 
-#: Largest standard error of a boundary scale that is used, as a share of it: beyond,
-#: the scale is not two standard errors above none at all [–]
+#: Largest relative standard error of a boundary scale that is used: beyond it, the
+#: scale is less than two standard errors from zero [–]
 LARGEST_SCALE_ERROR = 0.5
 
 
@@ -110,35 +115,42 @@ class Scene:
             sampling=sampling,
         )
         _report_contact(rows, voxmap.grid.r_inner)
-        parameters: dict[str, float] = {}
-        errors: dict[str, float] = {}
-        doubts: dict[str, str] = {}
+        found: dict[str, dict[str, Any]] = {}
         if isinstance(inner, str):
-            scale, error = _boundary_scale(laplace, rows, trajectory, outer)
-            if error <= LARGEST_SCALE_ERROR * scale:
-                errors = {BOUNDARY_SCALE: error}
-            else:
-                doubts = {BOUNDARY_SCALE: _report_scale(scale, error)}
-                scale = 1.0
-            values = (scale, scale * outer)
-            parameters = {BOUNDARY_SCALE: scale}
-        else:
-            values = (float(inner), float(outer))
+            found = _identified_scale(laplace, rows, trajectory, outer)
+            inner = found["parameters"][BOUNDARY_SCALE]
+            outer = inner * outer
+        values = (float(inner), float(outer))
         b = laplace.right_side(*values)
-        return cls(
-            voxmap,
-            shell,
-            trajectory,
-            sampling,
-            laplace,
-            rows,
-            *values,
-            b,
-            parameters,
-            time.perf_counter() - start,
-            errors,
-            doubts,
+        scene = cls(
+            voxmap, shell, trajectory, sampling, laplace, rows, *values, b, **found
         )
+        return replace(scene, seconds=time.perf_counter() - start)
+
+    def __repr__(self) -> str:
+        return f"Scene({', '.join(self._facts().values())})"
+
+    def _repr_html_(self) -> str:
+        surface, grid = self.voxmap.surface, self.voxmap.grid
+        outline = surface.points()[:, len(surface.z) // 2, :2]
+        touching = self.rows.contact_points > 0
+        places = self.trajectory.position[touching, :2]
+        thinned = places[:: max(1, len(places) // 100)]
+        picture = sections_svg([outline], (grid.r_inner, grid.r_outer), thinned)
+        return card("Scene", self._facts(), picture)
+
+    def _facts(self) -> dict[str, str]:
+        """What it is in a few words, by name."""
+        touching = int((self.rows.contact_points > 0).sum())
+        wrench = "measured" if self.trajectory.has_wrench else "no"
+        return {
+            "grid": self.voxmap.grid.sizes,
+            "poses": f"{len(self.trajectory)} poses, {touching} in contact",
+            "wrenches": f"{wrench} wrenches",
+            "probe": f"{len(self.shell)} shell points",
+            "sampling": self.sampling,
+            "boundary": f"p_in {self.inner:.4g}, p_out {self.outer:.4g}",
+        }
 
     def with_boundary(self, inner: float, outer: float) -> Scene:
         """The same scene with other boundary values; nothing is assembled again."""
@@ -196,6 +208,64 @@ class Scene:
         return self.shell.rms_radius
 
 
+@dataclass(frozen=True)
+class ScenePlan:
+    """How a scene is built from a scan or a surface.
+
+    Attributes:
+        shape: Voxel counts (n_r, n_theta, n_z) [–].
+        r_inner: Radius of the inner layer [m].
+        r_outer: Radius of the outer layer; None for 20 mm beyond the surface [m].
+        inner: p_in, or "fit", as for `Scene.assemble`.
+        outer: p_out; with "fit" the ratio p_out / p_in.
+        sampling: ``voxel-mean`` or ``trilinear``.
+    """
+
+    shape: Sequence[int] = (48, 120, 60)
+    r_inner: float = 0.03
+    r_outer: float | None = None
+    inner: float | Literal["fit"] = 1.0
+    outer: float = 1.0
+    sampling: str = "voxel-mean"
+
+    def build(
+        self,
+        patient: Surface | Array,
+        shell: PointShell,
+        recordings: Trajectory | Sequence[Trajectory],
+        *,
+        axis: Axis | None = None,
+    ) -> Scene:
+        """Surface, voxmap and scene, one after the other.
+
+        Args:
+            patient: The surface, or a scan of it, shape (n, 3) [m].
+            shell: The probe.
+            recordings: One or several.
+            axis: The patient frame in a scan; estimated when not given.
+
+        Raises:
+            InputError: Input that cannot be used; see the steps.
+            GeometryError: The scan shows no body, or the surface does not fit the grid.
+        """
+        if not isinstance(patient, Surface):
+            frame = Axis.from_cloud(patient) if axis is None else axis
+            patient = extract_surface(patient, axis=frame)
+        if not isinstance(recordings, Trajectory):
+            recordings = Trajectory.concatenate(recordings)
+        voxmap = Voxmap.from_surface(
+            patient, shape=self.shape, r_inner=self.r_inner, r_outer=self.r_outer
+        )
+        return Scene.assemble(
+            voxmap,
+            shell,
+            recordings,
+            inner=self.inner,
+            outer=self.outer,
+            sampling=self.sampling,
+        )
+
+
 def _measured(values: Array | None, what: str) -> Array:
     if values is None:
         raise InputError(
@@ -231,6 +301,20 @@ def _report_contact(rows: ContactRows, r_inner: float) -> None:
             TtusWarning,
             stacklevel=3,
         )
+
+
+def _identified_scale(
+    laplace: LaplaceSystem, rows: ContactRows, trajectory: Trajectory, outer: float
+) -> dict[str, dict[str, Any]]:
+    """The boundary scale, 1 where the forces do not bear it, as fields of a scene."""
+    scale, error = _boundary_scale(laplace, rows, trajectory, outer)
+    if error <= LARGEST_SCALE_ERROR * scale:
+        certainty: tuple[str, Any] = ("standard_errors", error)
+    else:
+        certainty = ("not_identified", _report_scale(scale, error))
+        scale = 1.0
+    name, value = certainty
+    return {"parameters": {BOUNDARY_SCALE: scale}, name: {BOUNDARY_SCALE: value}}
 
 
 def _boundary_scale(
@@ -270,6 +354,6 @@ def _report_scale(scale: float, error: float) -> str:
         f'inner="fit" cannot tell the boundary scale: {reason}: 1 is used: record more '
         "contact, or give inner as a number",
         TtusWarning,
-        stacklevel=3,
+        stacklevel=4,
     )
     return reason

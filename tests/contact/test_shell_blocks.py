@@ -1,4 +1,4 @@
-"""Blocks hold every point once and bound it; the ceiling bounds the skin."""
+"""Blocks hold every point once and bound it; the ceiling bounds the surface."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.conftest import torso
-from ttus_opt.contact.shell_blocks import BLOCK, TILES, ShellBlocks, SkinCeiling
+from ttus_opt.contact.shell_blocks import BLOCK, TILES, ShellBlocks, SurfaceCeiling
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 
@@ -36,33 +36,33 @@ def test_blocks_are_compact() -> None:
 
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 10_000), st.sampled_from([0.001, 0.005, 0.02]))
-def test_ceiling_bounds_the_skin_as_far_as_a_sphere_reaches(
+def test_ceiling_bounds_the_surface_as_far_as_a_sphere_reaches(
     seed: int, reach: float
 ) -> None:
     rng = np.random.default_rng(seed)
     n_theta, n_z = int(rng.integers(4, 60)), int(rng.integers(2, 30))
     z = np.linspace(-0.05, 0.15, n_z)
     surface = Surface.from_radius(rng.uniform(0.05, 0.1, (n_theta, n_z)), z)
-    skin = SkinCeiling.of(surface, reach)
-    assert skin.ceiling.shape == TILES
+    above = SurfaceCeiling.of(surface, reach)
+    assert above.ceiling.shape == TILES
     # a point of a sphere, the sphere's centre at or beyond the floor
-    r = rng.uniform(skin.floor, 0.12, 500)
+    r = rng.uniform(above.tiles.floor, 0.12, 500)
     theta = rng.uniform(0, 2 * np.pi, 500)
     height = rng.uniform(-0.08, 0.18, 500)
     way = rng.normal(size=(500, 3))
     way *= reach * rng.uniform(0, 1, (500, 1)) / np.linalg.norm(way, axis=1)[:, None]
     point = np.stack([r * np.cos(theta), r * np.sin(theta), height], axis=1) + way
     there = surface.radius_at(np.arctan2(point[:, 1], point[:, 0]), point[:, 2])
-    j = np.minimum((theta * skin.layout[0]).astype(int), TILES[0] - 1)
-    k = np.clip((height - skin.layout[1]) * skin.layout[2], 0, TILES[1] - 1)
-    assert (there <= skin.ceiling[j, k.astype(int)]).all()
+    j = np.minimum((theta * above.tiles.per_theta).astype(int), TILES[0] - 1)
+    k = np.clip((height - above.tiles.z_0) * above.tiles.per_z, 0, TILES[1] - 1)
+    assert (there <= above.ceiling[j, k.astype(int)]).all()
 
 
 def test_ceiling_is_close_on_a_smooth_torso() -> None:
     surface = torso(180, 61)
-    skin = SkinCeiling.of(surface, 0.004)
-    theta = (np.arange(TILES[0]) + 0.5) / skin.layout[0]
-    z = skin.layout[1] + (np.arange(TILES[1]) + 0.5) / skin.layout[2]
-    slack = skin.ceiling - surface.radius_at(theta[:, None], z)
+    above = SurfaceCeiling.of(surface, 0.004)
+    theta = (np.arange(TILES[0]) + 0.5) / above.tiles.per_theta
+    z = above.tiles.z_0 + (np.arange(TILES[1]) + 0.5) / above.tiles.per_z
+    slack = above.ceiling - surface.radius_at(theta[:, None], z)
     assert slack.min() > 0
     assert np.median(slack) < 0.004

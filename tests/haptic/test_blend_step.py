@@ -37,7 +37,8 @@ def stepped(
     ledger[PROGRESS], ledger[GAP] = 0.0, gap
     ledger[DIFFERENCE:] = target - current if last is None else last
     at = origin if motion is None else motion
-    advance(ledger, limits, contact, np.eye(3), at, origin, current, target, *drags)
+    moved = follow(ledger, np.eye(3), at, origin)
+    advance(ledger, limits, contact, moved, current, target, *drags)
     return ledger
 
 

@@ -14,7 +14,7 @@ from tests.conftest import torso
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.haptic.frame import touch
-from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -22,7 +22,7 @@ SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(24, 40, 21), r_inner=0.04)
 SHELL = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=1500)
 STAGES = {
-    sampling: Stage.of(VOXMAP, SHELL, trilinear=sampling == "trilinear")
+    sampling: FrameData.of(VOXMAP, SHELL, trilinear=sampling == "trilinear")
     for sampling in ("voxel-mean", "trilinear")
 }
 
@@ -53,16 +53,16 @@ def by_definition(R: np.ndarray, at: np.ndarray) -> Expected:
 def test_touches_exactly_the_points_inside(sampling: str, seed: int) -> None:
     """Anywhere: pressed, sunk, across the axis, at the ends, in the air."""
     rng = np.random.default_rng(seed)
-    stage = STAGES[sampling]
+    data = STAGES[sampling]
     R = Rotation.random(rng=rng).as_matrix()
     at = rng.uniform([-0.16, -0.14, -0.05], [0.16, 0.14, 0.25])
-    contact, in_grid, beyond = touch(R, at, stage)
+    contact, in_grid, beyond = touch(R, at, data)
     expected = by_definition(R, at)
-    touched = ShellBlocks.of(SHELL).order[stage.touched[:contact]]
+    touched = ShellBlocks.of(SHELL).order[data.touched[:contact]]
     assert sorted(touched) == expected.inside.tolist()
     np.testing.assert_allclose(
-        stage.depth[:contact], expected.depth[touched], rtol=0, atol=1e-15
+        data.depth[:contact], expected.depth[touched], rtol=0, atol=1e-15
     )
     assert in_grid == expected.in_grid
     assert beyond == expected.beyond
-    assert not stage.hits.any()  # nothing left for the next frame
+    assert not data.hits.any()  # nothing left for the next frame

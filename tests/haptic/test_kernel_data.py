@@ -6,7 +6,7 @@ import pytest
 from tests.conftest import torso
 from ttus_opt.contact.rows import REFERENCE_AREA
 from ttus_opt.contact.shell_blocks import ShellBlocks
-from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -16,18 +16,18 @@ SHELL = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=333)
 
 @pytest.mark.parametrize("trilinear", [False, True])
 def test_points_and_levers_are_the_shells_in_block_order(trilinear: bool) -> None:
-    stage = Stage.of(VOXMAP, SHELL, trilinear=trilinear)
+    data = FrameData.of(VOXMAP, SHELL, trilinear=trilinear)
     order = ShellBlocks.of(SHELL).order
-    np.testing.assert_array_equal(stage.points.T, SHELL.points[order])
+    np.testing.assert_array_equal(data.points.T, SHELL.points[order])
     weight = SHELL.areas / REFERENCE_AREA if trilinear else np.ones(len(SHELL))
     moments = np.cross(SHELL.points - SHELL.reference, SHELL.normals)
     lever = np.concatenate([SHELL.normals, moments], axis=1) * weight[:, None]
-    np.testing.assert_allclose(stage.lever, lever[order], rtol=1e-15)
+    np.testing.assert_allclose(data.lever, lever[order], rtol=1e-15)
 
 
 def test_scratch_of_its_own_shares_no_scratch() -> None:
-    stage = Stage.of(VOXMAP, SHELL, trilinear=False)
-    other = stage.with_own_scratch()
+    data = FrameData.of(VOXMAP, SHELL, trilinear=False)
+    other = data.with_own_scratch()
     for name in ("place", "near", "node", "touched", "depth", "voxel", "share", "hits"):
-        assert not np.shares_memory(getattr(stage, name), getattr(other, name))
-    assert other.points is stage.points
+        assert not np.shares_memory(getattr(data, name), getattr(other, name))
+    assert other.points is data.points

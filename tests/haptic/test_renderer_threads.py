@@ -58,9 +58,9 @@ def test_updates_from_another_thread_never_jump_nor_stop_the_frames(
 
 def scratch_of(renderer: Renderer) -> dict[str, np.ndarray]:
     """Copies of all that a frame writes and the next call might read."""
-    stage, desk = renderer._stage, renderer._desk
+    data, buffers = renderer._data, renderer._buffers
     names = ("place", "near", "node", "touched", "depth", "voxel", "share", "hits")
-    arrays = {name: getattr(stage, name) for name in names} | desk._asdict()
+    arrays = {name: getattr(data, name) for name in names} | buffers._asdict()
     arrays["ledger"] = renderer._fields.pair.ledger
     return {name: array.copy() for name, array in arrays.items()}
 
@@ -76,13 +76,13 @@ def test_other_threads_calls_leave_a_frames_scratch_alone(
     renderer.render(*pose, TWIST)
     renderer.update(PotentialField(field.voxmap, 2 * field.values, field.sampling))
     renderer.render(*pose, TWIST)
-    before, stage = scratch_of(renderer), renderer._stage
+    before, data = scratch_of(renderer), renderer._data
     if call == "warm_up":
         renderer.warm_up()
     else:  # amid a swap, so that two drags are mixed at the last pose
         renderer.update(field)
     after = scratch_of(renderer)
-    assert renderer._stage is stage
+    assert renderer._data is data
     for name, array in before.items():
         if name != "ledger" or call == "warm_up":
             np.testing.assert_array_equal(after[name], array, err_msg=name)

@@ -5,9 +5,9 @@ import functools
 import numpy as np
 import pytest
 
+from tests.phantom.block import hertz_force, soft_block
 from ttus_opt.errors import InputError
 from ttus_opt.phantom import EllipsoidProbe, press, skin_compliance
-from ttus_opt.phantom.block import hertz_force, soft_block
 
 RADIUS, YOUNG, POISSON = 0.05, 15e3, 0.45
 SPHERE = EllipsoidProbe((RADIUS,) * 3)

@@ -3,11 +3,11 @@ import pytest
 
 from ttus_opt.errors import InputError
 from ttus_opt.phantom import Torso
-from ttus_opt.phantom.camera import Scene, View, scan, write_cloud
+from ttus_opt.phantom.camera import ScanSetup, View, scan, write_cloud
 from ttus_opt.scan.cloud import read_cloud
 
 TORSO = Torso()
-SCENE = Scene(TORSO)
+SETUP = ScanSetup(TORSO)
 VIEW = View((0.5, 0.8, 0.15))
 
 
@@ -18,12 +18,12 @@ def radial_error(points):
 
 def clean_scan(**options):
     rng = np.random.default_rng(0)
-    return scan(SCENE, (VIEW,), rng, noise=0.0, dropout=0.0, **options)
+    return scan(SETUP, (VIEW,), rng, noise=0.0, dropout=0.0, **options)
 
 
 def test_without_noise_every_point_is_on_the_skin_or_on_the_table():
     points = clean_scan()
-    on_table = np.abs(points[:, 1] - SCENE.table) < 1e-9
+    on_table = np.abs(points[:, 1] - SETUP.table) < 1e-9
     assert np.abs(radial_error(points[~on_table])).max() < 1e-6
     assert 0.2 < on_table.mean() < 0.8
     assert (radial_error(points[on_table]) > 0.0).all()
@@ -31,7 +31,7 @@ def test_without_noise_every_point_is_on_the_skin_or_on_the_table():
 
 def test_only_what_faces_the_camera_is_seen():
     points = clean_scan()
-    skin = points[np.abs(points[:, 1] - SCENE.table) > 1e-6]
+    skin = points[np.abs(points[:, 1] - SETUP.table) > 1e-6]
     theta = np.arctan2(skin[:, 1], skin[:, 0])
     away = np.asarray(VIEW.eye) - skin
     facing = np.einsum("ij,ij->i", TORSO.normals(theta, skin[:, 2]), away)
@@ -40,14 +40,14 @@ def test_only_what_faces_the_camera_is_seen():
 
 def test_holes_are_empty():
     points = clean_scan()
-    for theta, z, radius in SCENE.holes:
+    for theta, z, radius in SETUP.holes:
         middle = TORSO.skin(np.array(theta), np.array(z))
         assert np.linalg.norm(points - middle, axis=1).min() >= radius
 
 
 def test_noise_lies_along_the_rays_with_its_deviation():
     rng = np.random.default_rng(1)
-    points = scan(SCENE, (VIEW,), rng, noise=0.002, dropout=0.0)
+    points = scan(SETUP, (VIEW,), rng, noise=0.002, dropout=0.0)
     clean = clean_scan()
     assert len(points) == len(clean)
     ray = clean - VIEW.eye
@@ -68,6 +68,6 @@ def test_written_cloud_reads_back(tmp_path):
 def test_refuses_no_camera_and_one_that_sees_nothing():
     rng = np.random.default_rng(0)
     with pytest.raises(InputError, match="at least one view"):
-        scan(SCENE, (), rng)
+        scan(SETUP, (), rng)
     with pytest.raises(InputError, match="sees nothing"):
-        scan(SCENE, (View((0.0, 1.0, 0.15), target=(0.0, 2.0, 0.15)),), rng)
+        scan(SETUP, (View((0.0, 1.0, 0.15), target=(0.0, 2.0, 0.15)),), rng)

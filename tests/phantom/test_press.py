@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.errors import GeometryError, InputError
-from ttus_opt.phantom import Drag, EllipsoidProbe, Motion, press
+from ttus_opt.phantom import CoulombDrag, EllipsoidProbe, Motion, press
 from ttus_opt.phantom.example_data import PROBE, poses
 
 
@@ -81,7 +81,7 @@ def test_drag_is_mu_times_normal_force_against_the_motion(coarse_patch, pose):
     smooth = press(coarse_patch, PROBE, rotation, position)
     motion = Motion(np.array([0.004, 0.0, 0.01]), np.array([0.1, 0.2, -0.1]))
     rough = press(
-        coarse_patch, PROBE, rotation, position, motion=motion, drag=Drag(0.25)
+        coarse_patch, PROBE, rotation, position, motion=motion, drag=CoulombDrag(0.25)
     )
     assert np.array_equal(rough.normal_forces, smooth.normal_forces)
     lever = rough.points - position
@@ -105,7 +105,7 @@ def test_drag_ratio_on_a_level_push_is_mu(coarse_patch):
     motion = Motion(np.array([0.0, 0.0, 0.02]), np.zeros(3))
     smooth = press(coarse_patch, sphere, np.eye(3), position)
     rough = press(
-        coarse_patch, sphere, np.eye(3), position, motion=motion, drag=Drag(0.3)
+        coarse_patch, sphere, np.eye(3), position, motion=motion, drag=CoulombDrag(0.3)
     )
     ratio = (smooth.force - rough.force)[2] / np.linalg.norm(smooth.force)
     assert ratio == pytest.approx(0.3, rel=0.02)
@@ -113,7 +113,7 @@ def test_drag_ratio_on_a_level_push_is_mu(coarse_patch):
 
 def test_no_drag_at_rest_nor_within_the_deadband(coarse_patch, pose):
     smooth = press(coarse_patch, PROBE, *pose)
-    drag = Drag(0.25, deadband=1e-3)
+    drag = CoulombDrag(0.25, deadband=1e-3)
     slow = Motion(np.array([0.0, 0.0, 0.9e-3]), np.zeros(3))
     for motion in (None, Motion.rest(), slow):
         rough = press(coarse_patch, PROBE, *pose, motion=motion, drag=drag)
@@ -136,6 +136,6 @@ def test_refuses_poses_the_patch_says_nothing_about(coarse_patch, pose):
 
 def test_refuses_negative_drag():
     with pytest.raises(InputError, match="must not be negative"):
-        Drag(-0.1)
+        CoulombDrag(-0.1)
     with pytest.raises(InputError, match="must not be negative"):
-        dataclasses.replace(Drag(0.1), deadband=-1.0)
+        dataclasses.replace(CoulombDrag(0.1), deadband=-1.0)

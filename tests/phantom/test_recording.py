@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from ttus_opt.errors import InputError
-from ttus_opt.phantom import Drag, add_noise, record
+from ttus_opt.phantom import CoulombDrag, add_noise, record
 from ttus_opt.phantom.example_data import PROBE, poses
 from ttus_opt.phantom.recording import write_compact
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
@@ -19,7 +19,7 @@ def test_record_keeps_the_poses_and_pushes_outwards(smooth):
 
 
 def test_drag_opposes_the_motion_within_its_cone(coarse_patch, smooth):
-    rough = record(coarse_patch, PROBE, smooth, drag=Drag(0.25))
+    rough = record(coarse_patch, PROBE, smooth, drag=CoulombDrag(0.25))
     drag = rough.force - smooth.force
     velocity = smooth.velocity()
     moving = np.linalg.norm(velocity, axis=1) > 2e-3

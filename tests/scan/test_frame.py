@@ -10,8 +10,11 @@ from hypothesis import strategies as st
 from tests.conftest import SHARED
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.scan import frame
 from ttus_opt.scan.cloud import read_cloud
+from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.supporting_plane import SupportingPlane
 
 DATA = SHARED / "torso"
 
@@ -129,3 +132,28 @@ def test_refusals() -> None:
     stubs = np.array([[0.0, 0.1, 0]]) + 0.003 * rng.standard_normal((400, 3))
     with pytest.raises(GeometryError, match="points stand above the supporting"):
         Axis.from_cloud(np.concatenate([flat, stubs]))
+
+
+def test_the_supporting_plane_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It stays in the frame: extraction looks for none, and leaves the bed out."""
+    rng = np.random.default_rng(0)
+    cloud = np.concatenate([body(rng, upper=False), bed(rng)])
+    axis, given = Axis.from_cloud(cloud), Axis.identity()
+    plane = axis.support
+    assert isinstance(plane, SupportingPlane)
+    assert plane.normal[1] > 0.999
+    expected = extract_surface(cloud, axis=axis, support=plane, n_theta=36, n_z=8)
+    looks: list[Array] = []
+
+    def looked(cloud: Array) -> SupportingPlane:
+        looks.append(cloud)
+        return plane
+
+    monkeypatch.setattr(frame, "find_supporting_plane", looked)
+    found = extract_surface(cloud, axis=axis, n_theta=36, n_z=8)
+    np.testing.assert_array_equal(found.radius, expected.radius)
+    assert not looks
+    assert given.support == "unknown"
+    assert given.supporting_plane(cloud) is plane  # a frame that was given looks
+    assert len(looks) == 1
+    assert Axis.from_cloud(body(rng, upper=False)).support is None

@@ -10,7 +10,7 @@ from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.depth_sampling import spoke_table
+from ttus_opt.voxmap.depth_sampling import spoke_cell, spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Four points in one place, 1 cm² together: a pose's x-force is the field there
@@ -196,3 +196,14 @@ def test_voxel_mean_is_the_voxels_value_away_from_the_skin() -> None:
     np.testing.assert_allclose(
         sampled(voxmap, values, places, "voxel-mean"), values[i, j, k], rtol=1e-14
     )
+
+
+def test_the_last_slice_is_sampled_within_the_last_cell() -> None:
+    """At the top there is no spoke above: the cell below, at its upper end."""
+    voxmap = Voxmap.from_surface(torso(), shape=(9, 20, 10))
+    grid = voxmap.grid
+    for theta in (*grid.theta, np.nextafter(2 * np.pi, 0.0)):
+        j, j_next, k, _, w = spoke_cell(theta, grid.z_max, grid.kernel_limits, 20, 10)
+        assert 0 <= j < 20 and 0 <= j_next < 20
+        assert k == 8  # k + 1 is the last slice
+        assert w == pytest.approx(1.0)

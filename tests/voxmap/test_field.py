@@ -159,3 +159,15 @@ def test_refusals(field: PotentialField) -> None:
         PotentialField(voxmap, np.zeros((8, 12, 6)), "nearest")
     with pytest.raises(InputError, match=r"region must have the grid's shape \(8, 12"):
         Voxmap(voxmap.grid, voxmap.surface, np.ones((2, 2), np.int8))
+
+
+def test_the_dataset_is_what_is_saved(field: PotentialField, tmp_path: Path) -> None:
+    field.save(tmp_path / "a.nc")
+    given = field.to_xarray()
+    with xr.open_dataset(tmp_path / "a.nc") as saved:
+        xr.testing.assert_equal(saved.load(), given)
+        for name in given.variables:
+            assert saved[name].attrs["units"] == given[name].attrs["units"]
+        assert given.attrs.items() <= saved.attrs.items()
+    np.testing.assert_array_equal(given["potential"], field.values)
+    assert given["potential"].dims == ("r", "theta", "z")

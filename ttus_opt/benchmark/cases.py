@@ -19,9 +19,8 @@ from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene
+from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.field import FIELD_UNIT
-from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Voxels in r, θ, z and number of poses
 REFERENCE = {
@@ -100,20 +99,18 @@ class CaseSpec:
         Raises:
             InputError: A file or a number is not usable.
         """
-        voxmap = Voxmap.from_surface(
-            Surface.load(self.surface), shape=self.shape, r_inner=self.r_inner
-        )
         shell = PointShell.from_spec(
             self.probe, n_points=self.n_points, unit=self.probe_unit
         )
-        return Scene.assemble(
-            voxmap,
-            shell,
-            contested(self._thinned(), self.contest),
+        plan = ScenePlan(
+            self.shape,
+            self.r_inner,
             inner=self.inner,
             outer=self.outer,
             sampling=self.sampling,
         )
+        recording = contested(self._thinned(), self.contest)
+        return plan.build(Surface.load(self.surface), shell, recording)
 
     def small(self) -> CaseSpec:
         """The same on few voxels: to try a run out, or to warm up for it."""

@@ -15,7 +15,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import REFERENCE_AREA
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.voxmap.voxmap import Voxmap, skin_layer
+from ttus_opt.voxmap.voxmap import Voxmap, surface_layer
 
 
 def plain_laplace(
@@ -155,7 +155,7 @@ def _skin_of(
     """Radius of the skin on spokes [m], and the layer below the skin's."""
     grid = voxmap.grid
     radius = voxmap.surface.radius_at(grid.theta[j], grid.z[k])
-    return radius, skin_layer(grid, radius) - 1
+    return radius, surface_layer(grid, radius) - 1
 
 
 def _along_spoke(

@@ -23,9 +23,10 @@ from ttus_opt.contact.rows import (
     within,
 )
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import bilinear_radius
+from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.grid import GridLimits
 
 
 def numpy_frame(
@@ -90,16 +91,17 @@ def _loop(
     normals: Array,
     weights: Array,
     reference: Array,
-    limits: Array,
+    limits: GridLimits,
     shape: NDArray[np.int64],
     radius: Array,
-    layout: Array,
+    layout: RadiusLayout,
     spokes: Array,
     values: Array,
     hits: NDArray[np.int32],
     wrench: Array,
 ) -> None:
     """Sum one pose's wrench; ``hits`` is zero before and after (compiled)."""
+    n_theta, n_z = radius.shape
     voxels = np.full(len(points), -1)
     pressure = np.zeros(len(points))
     sampled, shares = np.empty(8, dtype=np.int64), np.empty(8)
@@ -110,7 +112,8 @@ def _loop(
         if not within(square, z, limits):
             continue
         r, theta = math.sqrt(square), turn_angle(x, y)
-        depth = bilinear_radius(theta, z, radius, layout) - r
+        here, after, a, b = radius_cell(theta, z, n_theta, n_z, layout)
+        depth = radius_between(here, after, a, b, radius.reshape(-1)) - r
         if depth <= 0.0:
             continue
         if trilinear:

@@ -124,8 +124,7 @@ def fit(
     from ttus_opt.fitting.batch import fit as fit_scene
     from ttus_opt.fitting.sanity import check_recordings
     from ttus_opt.scan.surface import Surface
-    from ttus_opt.scene import Scene
-    from ttus_opt.voxmap.voxmap import Voxmap
+    from ttus_opt.scene import ScenePlan
 
     given = {
         "force_weight": force_weight,
@@ -146,17 +145,13 @@ def fit(
     counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
     with Stages(5) as begin:
         begin("reading surface and recordings")
-        skin = Surface.load(surface)
+        patient = Surface.load(surface)
         as_written = read_trajectories(trajectory, columns)
-        voxmap = Voxmap.from_surface(
-            skin, shape=counts, r_inner=r_inner, r_outer=r_outer
-        )
         shell = read_probe(probe, points, probe_unit, probe_surface)
         recorded = conventions.read(as_written, shell.reference)
         begin("assembling (first run compiles)")
-        scene = Scene.assemble(
-            voxmap, shell, recorded, inner=boundary, outer=outer, sampling=sampling
-        )
+        plan = ScenePlan(counts, r_inner, r_outer, boundary, outer, sampling)
+        scene = plan.build(patient, shell, recorded)
         begin("solving")
         solution = fit_scene(
             scene,

@@ -1,4 +1,4 @@
-"""Drag of the skin on a sliding probe, linear in the field (design §3).
+"""Friction's drag on a sliding probe, linear in the field (docs/method.md, Friction).
 
 Per pose, the contact patch has a normal n̂ (into the probe), a centre and a sliding
 velocity v_t, all from geometry and motion alone:
@@ -43,7 +43,8 @@ from ttus_opt.cylindrical import cylindrical
 from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scan.surface import bilinear_radius
+from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
+from ttus_opt.voxmap.grid import GridLimits
 from ttus_opt.voxmap.voxmap import Voxmap
 
 ActsAt = Literal["contact", "reference"]
@@ -111,10 +112,9 @@ class Sliding:
         normal, centre = _patches(
             rotation,
             position,
-            *shell_arrays(shell),
+            shell_arrays(shell),
             voxmap.grid.kernel_limits,
-            np.ascontiguousarray(surface.radius),
-            surface.kernel_layout,
+            (np.ascontiguousarray(surface.radius), surface.kernel_layout),
         )
         touching = (normal != 0.0).any(axis=1)
         reference = np.einsum("tij,j->ti", rotation, shell.reference)
@@ -274,15 +274,25 @@ def _blocks(blocks: Array) -> sp.csr_array:
 def _patches(
     rotation: Array,
     position: Array,
-    points: Array,
-    normals: Array,
-    weights: Array,
-    reference: Array,
-    limits: Array,
-    radius: Array,
-    layout: Array,
+    shell: tuple[Array, Array, Array, Array],
+    limits: GridLimits,
+    surface: tuple[Array, RadiusLayout],
 ) -> tuple[Array, Array]:
-    """Mean normal and centre of every pose's contact (compiled)."""
+    """Mean normal and centre of every pose's contact (compiled).
+
+    Args:
+        rotation: Shape (T, 3, 3) [–].
+        position: Shape (T, 3) [m].
+        shell: `shell_arrays`.
+        limits: `CylindricalGrid.kernel_limits`.
+        surface: Radius of the nodes [m] and `Surface.kernel_layout`.
+
+    Returns:
+        n̂, zero without contact, and c about the shell's reference, shape (T, 3) each.
+    """
+    points, normals, weights, reference = shell
+    radius, layout = surface
+    (n_theta, n_z), flat = radius.shape, radius.reshape(-1)
     n_poses = len(position)
     normal, centre = np.zeros((n_poses, 3)), np.zeros((n_poses, 3))
     for t in range(n_poses):
@@ -294,9 +304,9 @@ def _patches(
             square = x * x + y * y
             if not within(square, z, limits):
                 continue
-            depth = bilinear_radius(turn_angle(x, y), z, radius, layout) - math.sqrt(
-                square
-            )
+            cell = radius_cell(turn_angle(x, y), z, n_theta, n_z, layout)
+            R_here = radius_between(cell[0], cell[1], cell[2], cell[3], flat)
+            depth = R_here - math.sqrt(square)
             if depth <= 0.0:
                 continue
             share = weights[m] * depth

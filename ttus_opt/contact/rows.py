@@ -1,11 +1,11 @@
 """Contact rows: force and torque as linear maps of the field (paper eqs. 6, 7).
 
 For each pose, the shell points inside the patient sample the field in one of two
-ways, both linear in p (design §3):
+ways, both linear in p (docs/method.md, Contact rows):
 
 - ``voxel-mean`` (the paper): f = Σ_v n̄(v) p(v), with n̄(v) the mean of the normals of
   the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂;
-  points too near to the skin to sample their voxel do not count in its means.
+  points too near to the surface to sample their voxel do not count in its means.
 - ``trilinear``: f = Σ_m (a_m/A₀) n̂_m p(x_m), p(x_m) interpolated, A₀ = 1 cm².
 
 What a point samples is said in `ttus_opt.voxmap.depth_sampling`; the rows here and the
@@ -29,8 +29,10 @@ from ttus_opt.compiled import compiled
 from ttus_opt.cylindrical import turn_angle as turn_angle
 from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.pose import rotations
+from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table
-from ttus_opt.voxmap.surface_kernels import skin_between, skin_cell, skin_layout
+from ttus_opt.voxmap.grid import GridLimits
 from ttus_opt.voxmap.voxmap import Voxmap
 
 Sampling = Literal["voxel-mean", "trilinear"]
@@ -75,7 +77,7 @@ def checked_sampling(sampling: str) -> Sampling:
 
 
 def checked_poses(rotation: Array, position: Array) -> tuple[Array, Array]:
-    """Poses as contiguous arrays (T, 3, 3) and (T, 3).
+    """Poses as contiguous arrays (T, 3, 3) and (T, 3), rounding corrected.
 
     Raises:
         InputError: Shapes, values that are not finite, or no rotation matrices.
@@ -88,17 +90,9 @@ def checked_poses(rotation: Array, position: Array) -> tuple[Array, Array]:
         raise InputError(
             f"rotations must be ({len(position)}, 3, 3), got {rotation.shape}"
         )
-    if not (np.isfinite(rotation).all() and np.isfinite(position).all()):
-        raise InputError("poses contain NaN or infinite values: drop those frames")
-    gram = np.einsum("tij,tik->tjk", rotation, rotation)
-    if len(gram) and np.abs(gram - np.eye(3)).max() > 1e-6:
-        raise InputError("rotations must be orthonormal 3×3 matrices, probe to patient")
-    if len(gram) and np.linalg.det(rotation).min() < 0.0:
-        raise InputError(
-            "a rotation is a reflection (determinant −1): swap two of its axes or "
-            "change one's sign"
-        )
-    return rotation, position
+    if not np.isfinite(position).all():
+        raise InputError("positions contain NaN or infinite values: drop those frames")
+    return np.ascontiguousarray(rotations(rotation)), position
 
 
 def contact_rows(
@@ -183,11 +177,11 @@ def rotated(R: Array, x: float, y: float, z: float) -> tuple[float, float, float
 
 
 @compiled(inline="always")
-def within(radius_squared: float, z: float, limits: Array) -> bool:
+def within(radius_squared: float, z: float, limits: GridLimits) -> bool:
     """Whether a place lies within the outer layer and the slices (compiled)."""
-    if z < limits[4]:
+    if z < limits.z_min:
         return False
-    return not (radius_squared > limits[2] * limits[2] or z > limits[6])
+    return not (radius_squared > limits.r_outer * limits.r_outer or z > limits.z_max)
 
 
 class _VoxmapArrays(NamedTuple):
@@ -198,16 +192,16 @@ class _VoxmapArrays(NamedTuple):
         shape: Voxels in r, θ and z, shape (3,) [–].
         skin: Radius of the surface's nodes, flat [m].
         nodes: The surface's angles and slices [–].
-        layout: `skin_layout`.
+        layout: `Surface.kernel_layout`.
         spokes: `spoke_table`.
         highest: Square of the largest radius [m²].
     """
 
-    limits: Array
+    limits: GridLimits
     shape: NDArray[np.int64]
     skin: Array
     nodes: tuple[int, int]
-    layout: Array
+    layout: RadiusLayout
     spokes: Array
     highest: float
 
@@ -219,7 +213,7 @@ class _VoxmapArrays(NamedTuple):
             np.array(voxmap.grid.shape),
             radius.reshape(-1),
             (radius.shape[0], radius.shape[1]),
-            skin_layout(voxmap.surface),
+            voxmap.surface.kernel_layout,
             spoke_table(voxmap),
             float(radius.max()) ** 2,
         )
@@ -346,8 +340,8 @@ def _sort(keys: NDArray[np.int32], order: NDArray[np.int64], count: int) -> None
 @compiled(inner=True)
 def _depth(r: float, theta: float, z: float, v: _VoxmapArrays) -> float:
     """How far a place is below the skin (compiled) [m]."""
-    here, after, a, b = skin_cell(theta, z, v.nodes[0], v.nodes[1], v.layout)
-    depth: float = skin_between(here, after, a, b, v.skin) - r
+    here, after, a, b = radius_cell(theta, z, v.nodes[0], v.nodes[1], v.layout)
+    depth: float = radius_between(here, after, a, b, v.skin) - r
     return depth
 
 
@@ -461,7 +455,7 @@ def _pose_rows(
             if depth <= 0.0:
                 continue
             in_contact += 1
-            beyond += 1 if r < v.limits[0] else 0
+            beyond += 1 if r < v.limits.r_inner else 0
             n_samples = _sample(trilinear, (r, theta, z, depth), v, scratch)
             _set_own(scratch.own, R, shell, m)
             weight = shell.areas[m] if trilinear else 1.0

@@ -1,11 +1,11 @@
 """The point shell sorted into compact blocks, and what lets a frame skip a block.
 
 Points close on the probe are made neighbours in memory, in blocks with a bounding
-sphere each. The skin gets a coarse table, its ceiling: for a tile of (θ, z), an upper
-bound of R over the tile and as far around it as a block reaches. A block whose nearest
-distance to the axis exceeds the ceiling over its centre touches nothing, so that a
-frame looks at the points of the few blocks near the skin only. Skipping is exact: no
-point in contact is ever lost (the bounds hold with a margin above rounding).
+sphere each. The surface gets a coarse table, its ceiling: an upper bound of R over a
+tile of (θ, z) and as far around it as a block reaches. A block whose nearest distance
+to the axis exceeds the ceiling over its centre touches nothing, so that a frame looks
+at the points of the few blocks near the surface only. Skipping is exact: no point in
+contact is ever lost (the bounds hold with a margin above rounding).
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,23 +86,37 @@ def _sphere(points: Array) -> tuple[Array, float]:
     return centre, math.sqrt(float(((points - centre) ** 2).sum(axis=1).max()))
 
 
+class Tiles(NamedTuple):
+    """Where the tiles of a ceiling lie, and from where on its bounds hold.
+
+    Attributes:
+        floor: Least R anywhere: the bounds are for spheres whose centre is at least
+            so far from the axis [m].
+        per_theta: Tiles per radian.
+        z_0: First height [m].
+        per_z: Tiles per metre.
+    """
+
+    floor: float
+    per_theta: float
+    z_0: float
+    per_z: float
+
+
 @dataclass(frozen=True)
-class SkinCeiling:
-    """Upper bounds of the skin's radius over coarse tiles.
+class SurfaceCeiling:
+    """Upper bounds of the surface's radius over coarse tiles.
 
     Attributes:
         ceiling: Largest R over a tile and around it, shape `TILES` [m].
-        floor: Least R anywhere [m]: the bounds hold for spheres whose centre is at
-            least so far from the axis.
-        layout: Tiles per radian, first height [m], tiles per metre, shape (3,).
+        tiles: Where they lie.
     """
 
     ceiling: Array = field(repr=False)
-    floor: float
-    layout: Array
+    tiles: Tiles
 
     @classmethod
-    def of(cls, surface: Surface, reach: float) -> SkinCeiling:
+    def of(cls, surface: Surface, reach: float) -> SurfaceCeiling:
         """Tabulate a surface for blocks of at most ``reach`` [m]."""
         n_theta, n_z = TILES
         floor = float(surface.radius.min())
@@ -126,9 +141,7 @@ class SkinCeiling:
             )
             nodes = np.arange(low, high + 1)[: len(surface.theta)] % len(surface.theta)
             ceiling[j] = over_z[nodes].max(axis=0)
-        return cls(
-            ceiling + MARGIN, floor, np.array([1.0 / tile_theta, z0, 1.0 / tile_z])
-        )
+        return cls(ceiling + MARGIN, Tiles(floor, 1.0 / tile_theta, z0, 1.0 / tile_z))
 
 
 def _window(surface: Surface, low: float, high: float) -> Array:

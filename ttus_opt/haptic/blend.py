@@ -51,7 +51,8 @@ from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import rotated
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.frame import touch, wrench_of
-from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.haptic.motion import turn_between
 
 #: Places in a ledger: share of the new field; ΔU; tank; energy injected so far; 1 when
 #: a pose is known; then that pose and Δw there
@@ -80,7 +81,7 @@ class BlendLaw:
     capacity: float = 0.01
 
     def __post_init__(self) -> None:
-        """Refuse what is no law.
+        """Validate the law.
 
         Raises:
             InputError: A rate or time that is not positive, an energy below zero.
@@ -129,26 +130,28 @@ def settled_ledger(tank: float) -> Array:
     return ledger
 
 
-def opened_ledger(before: Array, current: Array, target: Array, stage: Stage) -> Array:
+def opened_ledger(
+    before: Array, current: Array, target: Array, data: FrameData
+) -> Array:
     """The ledger of a new swap, at the pose where the last one stood.
 
     Args:
         before: The ledger so far, with a pose, shape (LEDGER,).
         current: Field in force, flat, shape (V,).
         target: Field to come, flat, shape (V,).
-        stage: Probe and skin, with scratch of its own.
+        data: Probe and surface, with scratch of its own.
 
     Returns:
         Progress 0, tank and injected energy carried over, ΔU by a straight way out.
     """
     ledger = before.copy()
     ledger[PROGRESS] = 0.0
-    open_gap(ledger, current, target, stage)
+    open_gap(ledger, current, target, data)
     return ledger
 
 
 @compiled(error_model="numpy", nogil=True)
-def open_gap(ledger: Array, current: Array, target: Array, s: Stage) -> None:
+def open_gap(ledger: Array, current: Array, target: Array, s: FrameData) -> None:
     """Set ΔU and Δw at the ledger's pose (compiled)."""
     R, at = np.empty((3, 3)), np.empty(3)
     pose_of(ledger, s.reference, R, at)
@@ -198,9 +201,7 @@ def advance(
     ledger: Array,
     limits: Array,
     contact: int,
-    R: Array,
-    at: Array,
-    reference: Array,
+    motion: tuple[float, float, float, float, float, float],
     current: Array,
     target: Array,
     current_drag: Array,
@@ -212,16 +213,12 @@ def advance(
         ledger: Of the swap, shape (LEDGER,); written.
         limits: `BlendLaw.kernel_limits`.
         contact: Points in contact.
-        R: Rotation, probe to patient, shape (3, 3) [–].
-        at: Position, shape (3,) [m].
-        reference: Of the shell, probe frame, shape (3,) [m].
+        motion: Since the frame before, `follow` [m, rad].
         current: Contact of the old field, shape (6,) [N, N·m].
         target: Contact of the new field, shape (6,) [N, N·m].
         current_drag: Drag of the old field, shape (6,) [N, N·m].
         target_drag: Drag of the new field, shape (6,) [N, N·m].
     """
-    dx, dy, dz, ax, ay, az = follow(ledger, R, at, reference)
-    motion = (dx, dy, dz, ax, ay, az)
     work, force, torque = 0.0, 0.0, 0.0
     for c in range(6):
         difference = target[c] - current[c]
@@ -265,18 +262,7 @@ def follow(
     dy = y - ledger[PLACE + 1]
     dz = z - ledger[PLACE + 2]
     ledger[PLACE], ledger[PLACE + 1], ledger[PLACE + 2] = x, y, z
-    # of the turn T = R R_lastᵀ: trace, and sin times axis from what is antisymmetric
-    trace, ax, ay, az = 0.0, 0.0, 0.0, 0.0
-    for c in range(3):
-        p, q, r = (
-            ledger[ROTATION + c],
-            ledger[ROTATION + 3 + c],
-            ledger[ROTATION + 6 + c],
-        )
-        trace += R[0, c] * p + R[1, c] * q + R[2, c] * r
-        ax += 0.5 * (R[2, c] * q - R[1, c] * r)
-        ay += 0.5 * (R[0, c] * r - R[2, c] * p)
-        az += 0.5 * (R[1, c] * p - R[0, c] * q)
+    ax, ay, az, sine, angle = turn_between(R, ledger, ROTATION)
     for c in range(3):
         ledger[ROTATION + c] = R[0, c]
         ledger[ROTATION + 3 + c] = R[1, c]
@@ -284,6 +270,5 @@ def follow(
     if ledger[SEEN] == 0.0:
         ledger[SEEN] = 1.0
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    sine = math.sqrt(ax * ax + ay * ay + az * az)
-    scale = math.atan2(sine, 0.5 * (trace - 1.0)) / sine if sine > 0.0 else 1.0
+    scale = angle / sine if sine > 0.0 else 1.0
     return dx, dy, dz, scale * ax, scale * ay, scale * az

@@ -2,7 +2,7 @@
 
 A pose is (R, x), a twist (v, ω): velocity of the probe frame's origin and angular
 velocity, patient axes. With x₀ the shell's reference point, a_m the points' areas and
-d_m their depths below the skin, the contact patch has
+d_m their depths below the surface, the contact patch has
 
     n̂ ∝ R Σ a_m d_m n̂_m,   c = R Σ a_m d_m (x_m − x₀) / Σ a_m d_m,
 
@@ -14,7 +14,7 @@ reference and across the probe's pressing axis (a = 0, ê = R·axis),
     f_d = −(μ max(n̂ᵀf, 0) / max(‖v_t‖, v₀) + c_region) v_t,   τ_d = a × f_d
 
 Its power is f_dᵀ(v + ω × R x₀) + τ_dᵀω = f_dᵀu = −k ‖v_t‖² with k ≥ 0: drag takes
-energy and never gives any, whatever pose, twist and field. That is why a skin that
+energy and never gives any, whatever pose, twist and field. That is why a surface that
 pulls (n̂ᵀf < 0) drags nothing, and why negative coefficients are refused. Where nothing
 pulls, this is the drag of the fit's rows (`friction.coulomb_rows`, `viscous_rows`).
 """
@@ -148,8 +148,8 @@ def patch_of(
         R: Rotation, probe to patient, shape (3, 3) [–].
         contact: How many were touched.
         touched: Which, shape (M,).
-        depth: Of each below the skin, shape (M,) [m].
-        weights: `patch_weights`, in the stage's order, shape (M, 7).
+        depth: Of each below the surface, shape (M,) [m].
+        weights: `patch_weights`, in the data's order, shape (M, 7).
         patch: Out: n̂ [–] and c [m], patient axes; zero without contact; shape (6,).
     """
     nx, ny, nz, cx, cy, cz, total = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -3,7 +3,7 @@
 Two passes over scratch space, so that nothing is allocated and a second field costs
 its second pass only:
 
-- `touch` finds the shell points inside the patient. Blocks away from the skin are
+- `touch` finds the shell points inside the patient. Blocks away from the surface are
   skipped by their bounding spheres (`ttus_opt.contact.shell_blocks`); the rest goes
   through a loop without branches, which the compiler turns into vector instructions.
   What a point samples comes from the very functions that make the rows of the fit
@@ -24,21 +24,22 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import rotated, within
+from ttus_opt.contact.shell_blocks import Tiles
 from ttus_opt.cylindrical import turn_angle
-from ttus_opt.haptic.kernel_data import Stage
-from ttus_opt.voxmap.depth_sampling import nearest_voxel, on_spoke, spoke_cell
-from ttus_opt.voxmap.grid import flat_index
-from ttus_opt.voxmap.surface_kernels import skin_between, skin_cell
+from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
+from ttus_opt.voxmap.depth_sampling import corner_sample, nearest_voxel, spoke_cell
+from ttus_opt.voxmap.grid import GridLimits
 
 
 @compiled(error_model="numpy", nogil=True)
-def touch(R: Array, at: Array, s: Stage) -> tuple[int, bool, int]:
+def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
     """Find the points in contact and what each samples (compiled).
 
     Args:
         R: Rotation, probe to patient, shape (3, 3) [–].
         at: Position, shape (3,) [m].
-        s: Probe, skin and scratch; its ``touched``, ``depth``, ``voxel`` and
+        s: Probe, surface and scratch; its ``touched``, ``depth``, ``voxel`` and
             ``share`` are written.
 
     Returns:
@@ -62,26 +63,13 @@ def touch(R: Array, at: Array, s: Stage) -> tuple[int, bool, int]:
         low, high = start[first], start[last]
         first = last
         _place(R, at, points, low, high, place)
-        _find_nodes(high - low, s.skin, s.layout, place, node)
-        contact, deeper, met = _select(
-            low,
-            high - low,
-            place,
-            node,
-            s.radius,
-            s.limits,
-            contact,
-            s.touched,
-            s.depth,
-            s.share,
-        )
+        _find_nodes(high - low, s.nodes, s.layout, place, node)
+        contact, deeper, met = _select(low, high - low, contact, s)
         in_grid, beyond = in_grid or met, beyond + deeper
     if s.trilinear:
-        _find_spokes(contact, s.depth, s.share, s.limits, s.shape, s.spokes, s.voxel)
+        _find_spokes(contact, s)
     else:
-        _find_voxels(
-            contact, s.depth, s.share, s.limits, s.shape, s.spokes, s.voxel, s.hits
-        )
+        _find_voxels(contact, s)
     return contact, in_grid or _meets_grid(R, at, s), beyond
 
 
@@ -115,9 +103,9 @@ def _place(
 def _find_near(
     place: Array,
     reach: Array,
-    limits: Array,
+    limits: GridLimits,
     ceiling: Array,
-    tiles: Array,
+    tiles: Tiles,
     near: NDArray[np.bool_],
 ) -> None:
     """Which spheres may hold a point in contact (compiled)."""
@@ -126,48 +114,46 @@ def _find_near(
         r, z = math.sqrt(place[0, b]), place[2, b]
         low = r - reach[b]
         near[b] = (
-            z + reach[b] >= limits[4] and z - reach[b] <= limits[6] and low <= limits[2]
+            z + reach[b] >= limits.z_min
+            and z - reach[b] <= limits.z_max
+            and low <= limits.r_outer
         )
-        if near[b] and r >= tiles[0]:
-            j = min(int(place[1, b] * tiles[1]), n_theta - 1)
-            k = int(min(max((z - tiles[2]) * tiles[3], 0.0), n_z - 1.0))
+        if near[b] and r >= tiles.floor:
+            j = min(int(place[1, b] * tiles.per_theta), n_theta - 1)
+            k = int(min(max((z - tiles.z_0) * tiles.per_z, 0.0), n_z - 1.0))
             near[b] = low <= ceiling[j, k]
 
 
 @compiled(error_model="numpy", nogil=True)
 def _find_nodes(
-    size: int, skin: IntArray, layout: Array, place: Array, node: IntArray
+    size: int, nodes: IntArray, layout: RadiusLayout, place: Array, node: IntArray
 ) -> None:
-    """The skin's cell under every point, without a branch (compiled)."""
-    n_theta, n_z = skin[0], skin[1]
+    """The surface's cell under every point, without a branch (compiled)."""
+    n_theta, n_z = nodes[0], nodes[1]
     thetas, heights, a, b = place[1], place[2], place[3], place[4]
     here, after = node[0], node[1]
-    where = (layout[0], layout[1], layout[2], layout[3])  # else reloaded every time
     for m in range(size):
-        here[m], after[m], a[m], b[m] = skin_cell(
-            thetas[m], heights[m], n_theta, n_z, where
+        here[m], after[m], a[m], b[m] = radius_cell(
+            thetas[m], heights[m], n_theta, n_z, layout
         )
 
 
 @compiled(error_model="numpy", nogil=True)
-def _select(
-    low: int,
-    size: int,
-    place: Array,
-    node: IntArray,
-    radius: Array,
-    limits: Array,
-    contact: int,
-    touched: IntArray,
-    depth: Array,
-    share: Array,
-) -> tuple[int, int, bool]:
+def _select(low: int, size: int, contact: int, s: FrameData) -> tuple[int, int, bool]:
     """Append the points inside the patient, r, θ, z in ``share`` (compiled).
+
+    Args:
+        low: First of the points that were placed.
+        size: How many.
+        contact: Points in contact so far.
+        s: With the placed points.
 
     Returns:
         Points in contact so far, how many of the new ones lie beyond the inner layer,
         and whether any point lies within the grid.
     """
+    place, node, radius, limits = s.place, s.node, s.radius, s.limits
+    touched, depth, share = s.touched, s.depth, s.share
     in_grid, beyond = False, 0
     for m in range(size):
         square, z = place[0, m], place[2, m]
@@ -175,59 +161,36 @@ def _select(
             continue
         in_grid = True
         r = math.sqrt(square)
-        below = (
-            skin_between(node[0, m], node[1, m], place[3, m], place[4, m], radius) - r
-        )
-        if below <= 0.0:
+        R = radius_between(node[0, m], node[1, m], place[3, m], place[4, m], radius)
+        if R - r <= 0.0:
             continue
-        touched[contact], depth[contact] = low + m, below
+        touched[contact], depth[contact] = low + m, R - r
         share[0, contact], share[1, contact], share[2, contact] = r, place[1, m], z
         contact += 1
-        if r < limits[0]:
+        if r < limits.r_inner:
             beyond += 1
     return contact, beyond, in_grid
 
 
 @compiled(error_model="numpy", nogil=True)
-def _find_spokes(
-    contact: int,
-    depth: Array,
-    share: Array,
-    limits: Array,
-    shape: IntArray,
-    spokes: Array,
-    voxel: IntArray,
-) -> None:
+def _find_spokes(contact: int, s: FrameData) -> None:
     """Places of every contact on the four spokes around it (compiled)."""
-    n_theta, n_z = shape[1], shape[2]
-    counts = (shape[0], n_theta, n_z)  # else reloaded every time
-    where = (limits[0], limits[1], 0.0, limits[3], limits[4], limits[5])
+    depth, share, voxel, spokes, limits = s.depth, s.share, s.voxel, s.spokes, s.limits
+    counts = (s.shape[1], s.shape[2])
     for c in range(contact):
-        j, j_next, k, v, w = spoke_cell(share[1, c], share[2, c], where, counts)
-        steps = depth[c] * where[1]
+        cell = spoke_cell(share[1, c], share[2, c], limits, counts[0], counts[1])
+        steps = depth[c] * limits.per_r
         for corner in range(4):
-            cj, ck = corner >> 1, corner & 1
-            spoke = flat_index(0, j_next if cj else j, k + ck, n_theta, n_z)
-            i, low, high = on_spoke(
-                steps, spokes[spoke, 0], spokes[spoke, 1], spokes[spoke, 2]
+            voxel[corner, c], share[corner, c], share[4 + corner, c] = corner_sample(
+                corner, cell, steps, spokes, counts
             )
-            part = (v if cj else 1.0 - v) * (w if ck else 1.0 - w)
-            voxel[corner, c] = flat_index(i, 0, spoke, n_theta, n_z)
-            share[corner, c], share[4 + corner, c] = part * low, part * high
 
 
 @compiled(error_model="numpy", nogil=True)
-def _find_voxels(
-    contact: int,
-    depth: Array,
-    share: Array,
-    limits: Array,
-    shape: IntArray,
-    spokes: Array,
-    voxel: IntArray,
-    hits: NDArray[np.int32],
-) -> None:
+def _find_voxels(contact: int, s: FrameData) -> None:
     """Voxel of every contact and its part in the voxel's mean (compiled)."""
+    depth, share, voxel, spokes, limits = s.depth, s.share, s.voxel, s.spokes, s.limits
+    shape, hits = s.shape, s.hits
     for c in range(contact):
         v, samples = nearest_voxel(
             share[0, c], share[1, c], share[2, c], depth[c], limits, shape, spokes
@@ -241,16 +204,16 @@ def _find_voxels(
 
 
 @compiled(error_model="numpy", nogil=True)
-def _meets_grid(R: Array, at: Array, s: Stage) -> bool:
+def _meets_grid(R: Array, at: Array, s: FrameData) -> bool:
     """Whether any shell point lies within the grid, skipped blocks too (compiled)."""
     start, spheres, points, limits = s.start, s.spheres, s.points, s.limits
     for b in range(start.size - 1):
         x, y, z = rotated(R, spheres[0, b], spheres[1, b], spheres[2, b])
         x, y, z, reach = x + at[0], y + at[1], z + at[2], spheres[3, b]
         r = math.sqrt(x * x + y * y)
-        if z + reach < limits[4] or z - reach > limits[6]:
+        if z + reach < limits.z_min or z - reach > limits.z_max:
             continue
-        if r - reach > limits[2]:
+        if r - reach > limits.r_outer:
             continue
         for m in range(start[b], start[b + 1]):
             x, y, z = rotated(R, points[0, m], points[1, m], points[2, m])
@@ -261,14 +224,16 @@ def _meets_grid(R: Array, at: Array, s: Stage) -> bool:
 
 
 @compiled(error_model="numpy", nogil=True)
-def wrench_of(values: Array, contact: int, R: Array, s: Stage, wrench: Array) -> None:
+def wrench_of(
+    values: Array, contact: int, R: Array, s: FrameData, wrench: Array
+) -> None:
     """Sum a field's wrench over the points that `touch` found (compiled).
 
     Args:
         values: The field, flat, shape (V,) [N or N/cm²].
         contact: What `touch` returned.
         R: The same rotation as `touch` had.
-        s: The same stage.
+        s: The same data.
         wrench: Out: force and torque, patient axes, shape (6,) [N, N·m].
     """
     voxel, share, touched, lever = s.voxel, s.share, s.touched, s.lever

@@ -1,4 +1,4 @@
-"""What a haptic frame reads and the scratch it writes: a probe over a skin, arranged.
+"""What a haptic frame reads, a probe over a surface, and the scratch it writes.
 
 Everything that does not change between frames is sorted, laid out and bounded here
 once, for the loops of `ttus_opt.haptic.frame`.
@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.contact.rows import shell_arrays
-from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks, SkinCeiling
+from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks, SurfaceCeiling, Tiles
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.radius_lookup import RadiusLayout
 from ttus_opt.voxmap.depth_sampling import spoke_table
-from ttus_opt.voxmap.surface_kernels import skin_layout
+from ttus_opt.voxmap.grid import GridLimits
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Most blocks placed at once: their scratch stays in the first cache
 RUN = 8
 
 
-class Stage(NamedTuple):
+class FrameData(NamedTuple):
     """What the compiled passes read and the scratch they write, for one thread.
 
     Attributes:
@@ -36,18 +37,18 @@ class Stage(NamedTuple):
         spheres: Bounding spheres, x, y, z, radius apart, shape (4, B) [m].
         limits: `CylindricalGrid.kernel_limits`.
         shape: Voxel counts, shape (3,).
-        radius: Skin radius, flat [m].
-        skin: Its shape, (2,).
-        layout: `skin_lookup.skin_layout`.
+        radius: Of the surface's nodes, flat [m].
+        nodes: Their counts over θ and z, shape (2,).
+        layout: `Surface.kernel_layout`.
         spokes: `depth_sampling.spoke_table`.
-        ceiling: `SkinCeiling.ceiling`.
-        tiles: `SkinCeiling.floor`, then its layout, shape (4,).
+        ceiling: `SurfaceCeiling.ceiling`.
+        tiles: Where the ceiling's tiles lie.
         place: Scratch, points about the axis: r², θ, z, then the place within the
-            skin's cell, shape (5, RUN·BLOCK) or (5, B) if that is more.
+            surface's cell, shape (5, RUN·BLOCK) or (5, B) if that is more.
         near: Scratch, blocks that may touch, shape (B,).
-        node: Scratch, the skin's cell, shape as ``place`` (2, …).
+        node: Scratch, the surface's cell, shape as ``place`` (2, …).
         touched: Out: the points in contact, shape (M,).
-        depth: Out: their depths below the skin, shape (M,) [m].
+        depth: Out: their depths below the surface, shape (M,) [m].
         voxel: Out: per contact, the voxel, or one on each of the 4 spokes, (4, M).
         share: Out: per contact, the voxel's share; trilinear, those of the 4 voxels,
             then of the 4 next outwards; shape (8, M).
@@ -60,14 +61,14 @@ class Stage(NamedTuple):
     reference: Array
     start: IntArray
     spheres: Array
-    limits: Array
+    limits: GridLimits
     shape: IntArray
     radius: Array
-    skin: IntArray
-    layout: Array
+    nodes: IntArray
+    layout: RadiusLayout
     spokes: Array
     ceiling: Array
-    tiles: Array
+    tiles: Tiles
     place: Array
     near: NDArray[np.bool_]
     node: IntArray
@@ -78,10 +79,10 @@ class Stage(NamedTuple):
     hits: NDArray[np.int32]
 
     @classmethod
-    def of(cls, voxmap: Voxmap, shell: PointShell, *, trilinear: bool) -> Stage:
+    def of(cls, voxmap: Voxmap, shell: PointShell, *, trilinear: bool) -> FrameData:
         """Prepare a probe over a voxmap."""
         blocks = ShellBlocks.of(shell)
-        skin = SkinCeiling.of(voxmap.surface, float(blocks.reach.max()))
+        above = SurfaceCeiling.of(voxmap.surface, float(blocks.reach.max()))
         points, normals, weights, reference = shell_arrays(shell)
         lever = np.concatenate([normals, np.cross(points - reference, normals)], axis=1)
         if trilinear:
@@ -98,10 +99,10 @@ class Stage(NamedTuple):
             np.array(voxmap.grid.shape),
             np.ascontiguousarray(voxmap.surface.radius).reshape(-1),
             np.array(voxmap.surface.radius.shape),
-            skin_layout(voxmap.surface),
+            voxmap.surface.kernel_layout,
             spoke_table(voxmap),
-            skin.ceiling,
-            np.array([skin.floor, *skin.layout]),
+            above.ceiling,
+            above.tiles,
             np.empty((5, width)),
             np.empty(len(blocks.reach), dtype=np.bool_),
             np.empty((2, width), dtype=np.int64),
@@ -112,8 +113,8 @@ class Stage(NamedTuple):
             np.zeros(1 if trilinear else voxmap.grid.n_voxels, dtype=np.int32),
         )
 
-    def with_own_scratch(self) -> Stage:
-        """The same probe and skin for another thread."""
+    def with_own_scratch(self) -> FrameData:
+        """The same probe and surface for another thread."""
         return self._replace(
             place=np.empty_like(self.place),
             near=np.empty_like(self.near),

@@ -52,7 +52,7 @@ class MotionFilter:
     gap: float = 0.25
 
     def __post_init__(self) -> None:
-        """Refuse what is no filter.
+        """Validate the filter.
 
         Raises:
             InputError: A value that is not finite, or not positive.
@@ -120,6 +120,31 @@ def estimate_twist(
 
 
 @compiled(inline="always")
+def turn_between(
+    R: Array, state: Array, first: int
+) -> tuple[float, float, float, float, float]:
+    """The rotation T = R Fᵀ from a kept rotation F to R (compiled).
+
+    Args:
+        R: Rotation, shape (3, 3) [–].
+        state: F row by row, somewhere in it.
+        first: Where F begins.
+
+    Returns:
+        sin φ times the axis of T, from its antisymmetric part; sin φ ≥ 0; φ [rad].
+    """
+    trace, ax, ay, az = 0.0, 0.0, 0.0, 0.0
+    for c in range(3):
+        p, q, r = state[first + c], state[first + 3 + c], state[first + 6 + c]
+        trace += R[0, c] * p + R[1, c] * q + R[2, c] * r
+        ax += 0.5 * (R[2, c] * q - R[1, c] * r)
+        ay += 0.5 * (R[0, c] * r - R[2, c] * p)
+        az += 0.5 * (R[1, c] * p - R[0, c] * q)
+    sine = math.sqrt(ax * ax + ay * ay + az * az)
+    return ax, ay, az, sine, math.atan2(sine, 0.5 * (trace - 1.0))
+
+
+@compiled(inline="always")
 def _drawn(
     motion: Array, x: float, y: float, z: float, play: float
 ) -> tuple[float, float, float]:
@@ -139,20 +164,7 @@ def _drawn(
 @compiled(inline="always")
 def _turned(motion: Array, R: Array, play: float) -> tuple[float, float, float]:
     """Turn the follower to within the play of a rotation; its turn (compiled)."""
-    # of T = R Fᵀ: trace, and sine times axis from what is antisymmetric
-    trace, ax, ay, az = 0.0, 0.0, 0.0, 0.0
-    for c in range(3):
-        p, q, r = (
-            motion[ROTATION + c],
-            motion[ROTATION + 3 + c],
-            motion[ROTATION + 6 + c],
-        )
-        trace += R[0, c] * p + R[1, c] * q + R[2, c] * r
-        ax += 0.5 * (R[2, c] * q - R[1, c] * r)
-        ay += 0.5 * (R[0, c] * r - R[2, c] * p)
-        az += 0.5 * (R[1, c] * p - R[0, c] * q)
-    sine = math.sqrt(ax * ax + ay * ay + az * az)
-    angle = math.atan2(sine, 0.5 * (trace - 1.0))
+    ax, ay, az, sine, angle = turn_between(R, motion, ROTATION)
     if angle <= play or sine == 0.0:
         return 0.0, 0.0, 0.0
     ax, ay, az = ax / sine, ay / sine, az / sine

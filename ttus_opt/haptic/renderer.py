@@ -14,13 +14,13 @@ import math
 import threading
 import warnings
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ttus_opt.arrays import Array
 from ttus_opt.contact.friction import FRICTION, VISCOUS
-from ttus_opt.contact.rows import checked_poses
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.haptic.blend import (
@@ -32,22 +32,26 @@ from ttus_opt.haptic.blend import (
     settled_ledger,
 )
 from ttus_opt.haptic.drag import DragLaw, patch_weights
-from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import TIME, MotionFilter
 from ttus_opt.haptic.wrench import (
     BAD_TIME,
     BAD_TWIST,
     TWIST,
     WRENCH,
-    Desk,
     FieldPair,
+    FrameBuffers,
     FrameLimits,
     mixed,
     mixed_drag,
     render_frame,
 )
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.pose import PoseLike, QuaternionOrder, pose_of, rotations
 from ttus_opt.voxmap.field import PotentialField
+
+if TYPE_CHECKING:
+    from ttus_opt.haptic.c_interface import CFunction, Context
 
 #: The field has no drag; or its drag is of the twist that was given, of a twist
 #: estimated from poses and times, or left out because the motion is not known
@@ -136,7 +140,7 @@ class Renderer:
             raise InputError(f"force_limit must be positive [N], got {force_limit}")
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
         self._field = field
-        self._stage = Stage.of(
+        self._data = FrameData.of(
             field.voxmap, shell, trilinear=field.sampling == "trilinear"
         )
         weights = patch_weights(shell)[ShellBlocks.of(shell).order]
@@ -153,11 +157,12 @@ class Renderer:
             FieldPair(values, values, drag.numbers, drag.numbers, ledger), name, name
         )
         # a pose is copied here: whatever its layout, it compiles nothing new
-        self._desk = Desk.empty()
-        self._turn = threading.Lock()  # to change the ledger; frames only try it
-        self._waiting = False  # an update wants the turn
+        self._buffers = FrameBuffers.empty()
+        self._ledger_lock = threading.Lock()  # to change the ledger; frames only try it
+        self._waiting = False  # an update wants the ledger
         self._updates = threading.Lock()  # one update at a time
-        self._told = False  # that drag is left out
+        self._warned = False  # that drag is left out
+        self._c: Context | None = None  # of a loop in C
         self.warm_up()
 
     def warm_up(self) -> None:
@@ -165,36 +170,41 @@ class Renderer:
 
         It works on scratch of its own, so that another thread may render meanwhile.
         """
-        stage, pair, weights = (
-            self._stage.with_own_scratch(),
+        data, pair, weights = (
+            self._data.with_own_scratch(),
             self._fields.pair,
             self._limits.weights,
         )
         amid = settled_ledger(0.0)
         amid[PROGRESS] = 0.5
         pair = pair._replace(ledger=amid)
-        render_frame(Desk.empty(), math.nan, stage, pair, self._limits, True)
-        opened_ledger(amid, pair.current, pair.target, stage)
+        render_frame(FrameBuffers.empty(), math.nan, data, pair, self._limits, True)
+        opened_ledger(amid, pair.current, pair.target, data)
         mixed(pair.current[:4], pair.target[:4], 0.5)
-        mixed_drag(amid, pair, pair.current, stage, weights)
+        mixed_drag(amid, pair, pair.current, data, weights)
 
     def render(
         self,
-        rotation: Array,
-        position: Array,
+        rotation: PoseLike,
+        position: ArrayLike | None = None,
         twist: Array | None = None,
         *,
         time: float | None = None,
+        order: QuaternionOrder | None = None,
     ) -> Wrench:
         """Force and torque of one pose and motion.
 
         Args:
-            rotation: Probe to patient, shape (3, 3) [–].
-            position: Of the probe frame's origin, patient frame, shape (3,) [m].
+            rotation: Probe to patient: a matrix (3, 3), a SciPy `Rotation`, or a
+                quaternion (4,) with its ``order``; or the whole pose as a matrix
+                (4, 4). Rounding of up to 1e-5 is corrected (`ttus_opt.probe.pose`).
+            position: Of the probe frame's origin, patient frame, shape (3,) [m]; not
+                with a whole pose.
             twist: Velocity of that origin and angular velocity, patient axes, shape
                 (6,) [m/s, rad/s].
             time: Of the pose [s], where the twist is not known: it is estimated from
                 this and the poses before, `ttus_opt.haptic.motion`.
+            order: Of a quaternion: ``wxyz``, or ``xyzw`` as in ROS.
 
         Returns:
             The wrench, the caller's own; zero, and ``in_grid`` False, for a pose
@@ -204,8 +214,8 @@ class Renderer:
             InputError: Wrong shapes, NaN, no rotation matrix, both twist and time,
                 or a time before the last one.
         """
-        counts, drag = self._render(rotation, position, twist, time)
-        wrench = self._desk.rows[WRENCH].copy()
+        counts, drag = self._render(rotation, position, twist, time, order)
+        wrench = self._buffers.rows[WRENCH].copy()
         contact_points, in_grid, beyond, saturated = counts
         return Wrench(
             wrench[:3], wrench[3:], contact_points, in_grid, beyond, drag, saturated
@@ -213,21 +223,25 @@ class Renderer:
 
     def render_into(
         self,
-        rotation: Array,
-        position: Array,
+        rotation: PoseLike,
+        position: ArrayLike | None,
         out: Array,
         twist: Array | None = None,
         *,
         time: float | None = None,
+        order: QuaternionOrder | None = None,
     ) -> int:
-        """The same frame into the caller's array: nothing is allocated.
+        """The same frame into the caller's array.
+
+        Nothing is allocated when the rotation is an array (3, 3).
 
         Args:
-            rotation: Probe to patient, shape (3, 3) [–].
-            position: Of the probe frame's origin, patient frame, shape (3,) [m].
+            rotation: As for `render`.
+            position: As for `render`, shape (3,) [m]; None with a whole pose.
             out: Force, then torque, shape (6,) [N, N·m]; written.
             twist: As for `render`, shape (6,) [m/s, rad/s].
             time: As for `render` [s].
+            order: As for `render`.
 
         Returns:
             Points in contact, or -1 when no shell point lies within the grid.
@@ -238,51 +252,54 @@ class Renderer:
         if out.shape != (6,):
             raise InputError(f"out must have shape (6,), got {out.shape}")
         (contact_points, in_grid, _, _), _ = self._render(
-            rotation, position, twist, time
+            rotation, position, twist, time, order
         )
-        out[:] = self._desk.rows[WRENCH]
+        out[:] = self._buffers.rows[WRENCH]
         return contact_points if in_grid else -1
 
     def _render(
         self,
-        rotation: Array,
-        position: Array,
+        rotation: PoseLike,
+        position: ArrayLike | None,
         twist: Array | None,
         time: float | None,
+        order: QuaternionOrder | None,
     ) -> tuple[tuple[int, bool, int, bool], DragSource]:
-        """Render one pose and motion onto the desk; what `render_frame` returns."""
-        if np.shape(rotation) != (3, 3) or np.shape(position) != (3,):
-            raise InputError(
-                "a pose needs rotation (3, 3) and position (3,) [m], got "
-                f"{np.shape(rotation)} and {np.shape(position)}"
-            )
-        desk, source = self._desk, self._lay_motion(twist, time)
-        desk.R[:], desk.at[:] = rotation, position
+        """Render one pose and motion onto the buffers; what `render_frame` returns."""
+        buffers, source = self._buffers, self._set_motion(twist, time)
+        if (
+            order is None
+            and getattr(rotation, "shape", None) == (3, 3)
+            and getattr(position, "shape", None) == (3,)
+        ):  # nothing to convert: the way of a haptic loop
+            buffers.R[:], buffers.at[:] = rotation, position  # type: ignore[assignment]
+        else:
+            buffers.R[:], buffers.at[:] = pose_of(rotation, position, order)
         now = math.nan if time is None else float(time)
         if now != now and time is not None:
             raise InputError("time must be finite [s], got NaN")
-        turn = not self._waiting and self._turn.acquire(blocking=False)
+        may_write = not self._waiting and self._ledger_lock.acquire(blocking=False)
         try:
             fields = self._fields
             drag = fields.drag
             counts = render_frame(
-                desk, now, self._stage, fields.pair, self._limits, turn
+                buffers, now, self._data, fields.pair, self._limits, may_write
             )
         finally:
-            if turn:
-                self._turn.release()
+            if may_write:
+                self._ledger_lock.release()
         if counts[0] < 0:
             self._refuse(counts[0], time)
         if not drag:
             return counts, "none"
-        if source == "left out" and not self._told:
-            self._tell(drag)
+        if source == "left out" and not self._warned:
+            self._warn(drag)
         return counts, source
 
-    def _lay_motion(self, twist: Array | None, time: float | None) -> DragSource:
-        """Put a given twist on the desk; where the frame has its motion from."""
+    def _set_motion(self, twist: Array | None, time: float | None) -> DragSource:
+        """Take over a given twist; returns where the frame has its motion from."""
         if twist is None:
-            self._desk.rows[TWIST] = 0.0
+            self._buffers.rows[TWIST] = 0.0
             return "left out" if time is None else "estimated"
         if time is not None:
             raise InputError(
@@ -293,7 +310,7 @@ class Renderer:
                 "a twist is velocity [m/s], then angular velocity [rad/s], (6,), got "
                 f"{np.shape(twist)}"
             )
-        self._desk.rows[TWIST] = twist
+        self._buffers.rows[TWIST] = twist
         return "given"
 
     def _refuse(self, code: int, time: float | None) -> None:
@@ -303,13 +320,14 @@ class Renderer:
         if code == BAD_TIME:
             raise InputError(
                 f"time must be finite and not go back [s], got {time} after "
-                f"{self._desk.motion[TIME]}"
+                f"{self._buffers.motion[TIME]}"
             )
-        checked_poses(self._desk.R[None], self._desk.at[None])
+        rotations(self._buffers.R)
+        raise InputError("position contains NaN or infinite values [m]")
 
-    def _tell(self, drag: str) -> None:
+    def _warn(self, drag: str) -> None:
         """Warn, once, that drag is left out."""
-        self._told = True
+        self._warned = True
         warnings.warn(
             f"the field has drag ({drag}) and the probe's motion is not known: frames "
             "are rendered without it; give render a twist, or the time of each pose",
@@ -335,19 +353,25 @@ class Renderer:
         """
         self._require_alike(field)
         drag = DragLaw.of(field.parameters, field.voxmap.grid)
-        values, stage = _flat(field), self._stage.with_own_scratch()
+        values, data = _flat(field), self._data.with_own_scratch()
         with self._updates:
             self._waiting = True
             try:
-                with self._turn:
+                with self._ledger_lock:
+                    if self._c:
+                        self._c.pause()
                     self._fields = self._swapped(
-                        values, drag.numbers, _drag_name(field, drag), stage
+                        values, drag.numbers, _drag_name(field, drag), data
                     )
+                    if self._c:
+                        self._c.resume(self._fields.pair)
             finally:
                 self._waiting = False
 
-    def _swapped(self, values: Array, drag: Array, name: str, stage: Stage) -> _Fields:
-        """The fields after an update; only with the turn in hand."""
+    def _swapped(
+        self, values: Array, drag: Array, name: str, data: FrameData
+    ) -> _Fields:
+        """The fields after an update; only with the ledger's lock held."""
         now, old_name = self._fields.pair, self._fields.drag
         if now.ledger[SEEN] == 0.0:
             return _Fields(
@@ -357,11 +381,29 @@ class Renderer:
         current, old_drag = now.target, now.target_drag
         if share < 1.0:
             current = mixed(now.current, now.target, share)
-            old_drag = mixed_drag(now.ledger, now, current, stage, self._limits.weights)
-        ledger = opened_ledger(now.ledger, current, values, stage)
+            old_drag = mixed_drag(now.ledger, now, current, data, self._limits.weights)
+        ledger = opened_ledger(now.ledger, current, values, data)
         return _Fields(
             FieldPair(current, values, old_drag, drag, ledger), old_name, name
         )
+
+    def c_function(self) -> CFunction:
+        """The frame for a loop in C or C++ (`ttus_opt.haptic.c_interface`).
+
+        It renders as `render_into` does, without the interpreter, and follows later
+        calls of `update`. One loop at a time: a frame in C and one in Python share
+        where a swap of fields stands.
+
+        Returns:
+            Addresses of the function and of its context, which live as long as the
+            renderer.
+        """
+        from ttus_opt.haptic.c_interface import CFunction, Context, frame_address
+
+        with self._updates:
+            if self._c is None:
+                self._c = Context(self._data, self._limits, self._fields.pair)
+        return CFunction(frame_address(), self._c.words.ctypes.data, self)
 
     def _require_alike(self, new: PotentialField) -> None:
         old = self._field

@@ -1,8 +1,7 @@
 """One compiled haptic frame: motion, touch, fields, drag, blend, limit.
 
-The passes of `ttus_opt.haptic.frame`, `haptic_drag`, `haptic_motion` and
-`haptic_blend` in their order, over scratch that the renderer owns, so that a frame
-allocates nothing and is one call.
+The passes of `ttus_opt.haptic.frame`, `drag`, `motion` and `blend` in their order, over
+scratch that the renderer owns, so that a frame allocates nothing and is one call.
 """
 
 from __future__ import annotations
@@ -25,8 +24,9 @@ from ttus_opt.haptic.drag import (
     patch_of,
 )
 from ttus_opt.haptic.frame import touch, wrench_of
-from ttus_opt.haptic.kernel_data import Stage
+from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import MOTION, estimate_twist
+from ttus_opt.probe.pose import EXACT, ROUNDING, STEPS
 
 #: What a frame returns in place of a count when its input is unusable
 BAD_POSE, BAD_TWIST, BAD_TIME = -1, -2, -3
@@ -40,7 +40,7 @@ class FieldPair(NamedTuple):
         target: Field to come, or the same, flat, shape (V,).
         current_drag: `DragLaw.numbers` of the field in force.
         target_drag: Those of the field to come.
-        ledger: `haptic_blend`, shape (LEDGER,).
+        ledger: Of `ttus_opt.haptic.blend`, shape (LEDGER,).
     """
 
     current: Array
@@ -50,12 +50,12 @@ class FieldPair(NamedTuple):
     ledger: Array
 
 
-#: Rows of `Desk.rows`: wrench and drag of the frame, twist, patch, then contact and
-#: drag of the field in force
+#: Rows of `FrameBuffers.rows`: wrench and drag of the frame, twist, patch, then contact
+#: and drag of the field in force
 WRENCH, DRAG, TWIST, PATCH, OLD, OLD_DRAG, ROWS = 0, 1, 2, 3, 4, 5, 6
 
 
-class Desk(NamedTuple):
+class FrameBuffers(NamedTuple):
     """Where a frame's input is laid down and its output written, for one thread.
 
     Few arrays, for each costs a call a fifth of a microsecond.
@@ -63,7 +63,7 @@ class Desk(NamedTuple):
     Attributes:
         R: Rotation, probe to patient, shape (3, 3) [–].
         at: Position of the probe frame's origin, shape (3,) [m].
-        motion: State of `haptic_motion`, shape (MOTION,).
+        motion: State of `ttus_opt.haptic.motion`, shape (MOTION,).
         rows: See the places above, shape (ROWS, 6).
     """
 
@@ -73,8 +73,8 @@ class Desk(NamedTuple):
     rows: Array
 
     @classmethod
-    def empty(cls) -> Desk:
-        """A desk with nothing on it."""
+    def empty(cls) -> FrameBuffers:
+        """A buffers with nothing on it."""
         return cls(np.eye(3), np.zeros(3), np.zeros(MOTION), np.zeros((ROWS, 6)))
 
 
@@ -88,7 +88,7 @@ class FrameLimits(NamedTuple):
 
     Attributes:
         numbers: See the places above, shape (8,).
-        weights: `haptic_drag.patch_weights` in the stage's order, shape (M, 7).
+        weights: `drag.patch_weights` in block order, shape (M, 7).
     """
 
     numbers: Array
@@ -97,66 +97,68 @@ class FrameLimits(NamedTuple):
 
 @compiled(error_model="numpy", nogil=True)
 def render_frame(
-    desk: Desk,
+    buffers: FrameBuffers,
     time: float,
-    stage: Stage,
+    data: FrameData,
     pair: FieldPair,
     limits: FrameLimits,
-    turn: bool,
+    may_write: bool,
 ) -> tuple[int, bool, int, bool]:
-    """Render the pose and twist on the desk (compiled).
+    """Render the pose and twist on the buffers (compiled).
 
     Args:
-        desk: Input, scratch and output.
-        time: When [s], to estimate the twist; NaN to take the desk's.
-        stage: Probe, skin and scratch.
+        buffers: Input, scratch and output.
+        time: When [s], to estimate the twist; NaN to take the buffers's.
+        data: Probe, surface and scratch.
         pair: Fields and ledger.
         limits: Of the renderer.
-        turn: Without it the ledger is read and not written.
+        may_write: Without it the ledger is read and not written.
 
     Returns:
         Points in contact, or `BAD_POSE`, `BAD_TWIST`, `BAD_TIME`; whether the shell
         meets the grid; points beyond the innermost layer; whether the force was cut.
     """
-    R, at, rows, numbers = desk.R, desk.at, desk.rows, limits.numbers
+    R, at, rows, numbers = buffers.R, buffers.at, buffers.rows, limits.numbers
     twist, patch, wrench, drag = rows[TWIST], rows[PATCH], rows[WRENCH], rows[DRAG]
-    ledger, reference = pair.ledger, stage.reference
-    if not is_rigid(R, at):
+    ledger, reference = pair.ledger, data.reference
+    if not (orthonormalise(R) and math.isfinite(at[0] + at[1] + at[2])):
         return BAD_POSE, False, 0, False
     if not math.isnan(time) and not estimate_twist(
-        desk.motion, R, at, time, reference, numbers[FILTER:], twist
+        buffers.motion, R, at, time, reference, numbers[FILTER:], twist
     ):
         return BAD_TIME, False, 0, False
     if not math.isfinite(_sum(twist)):
         return BAD_TWIST, False, 0, False
-    contact, in_grid, beyond = touch(R, at, stage)
-    wrench_of(pair.target, contact, R, stage, wrench)
+    contact, in_grid, beyond = touch(R, at, data)
+    wrench_of(pair.target, contact, R, data, wrench)
     if _may_drag(pair, twist):
-        patch_of(R, contact, stage.touched, stage.depth, limits.weights, patch)
+        patch_of(R, contact, data.touched, data.depth, limits.weights, patch)
     else:
         _clear(patch)
     drag_of(R, at, twist, reference, patch, wrench, pair.target_drag, drag)
-    share = ledger[PROGRESS]
-    if share == 1.0:
-        if turn:
-            follow(ledger, R, at, reference)
-    else:
+    if ledger[PROGRESS] < 1.0:
         old, old_drag = rows[OLD], rows[OLD_DRAG]
-        wrench_of(pair.current, contact, R, stage, old)
+        wrench_of(pair.current, contact, R, data, old)
         drag_of(R, at, twist, reference, patch, old, pair.current_drag, old_drag)
-        if turn:
-            advance(
-                ledger, numbers[BLEND:FORCE], contact, R, at, reference,
-                old, wrench, old_drag, drag,
-            )  # fmt: skip
-            share = ledger[PROGRESS]
-        if share < 1.0:
-            for c in range(6):
-                wrench[c] = (1.0 - share) * old[c] + share * wrench[c]
-                drag[c] = (1.0 - share) * old_drag[c] + share * drag[c]
+        if may_write:
+            motion = follow(ledger, R, at, reference)
+            limit = numbers[BLEND:FORCE]
+            advance(ledger, limit, contact, motion, old, wrench, old_drag, drag)
+        _mix(ledger[PROGRESS], old, wrench)
+        _mix(ledger[PROGRESS], old_drag, drag)
+    elif may_write:
+        follow(ledger, R, at, reference)
     for c in range(6):
         wrench[c] += drag[c]
     return contact, in_grid, beyond, _cut(wrench, numbers[FORCE])
+
+
+@compiled(inline="always")
+def _mix(share: float, old: Array, new: Array) -> None:
+    """New ← (1 − share) old + share new; as it is for a share of 1 (compiled)."""
+    if share < 1.0:
+        for c in range(6):
+            new[c] = (1.0 - share) * old[c] + share * new[c]
 
 
 @compiled(inline="always")
@@ -199,20 +201,36 @@ def _cut(wrench: Array, limit: float) -> bool:
 
 
 @compiled()
-def is_rigid(R: Array, at: Array) -> bool:
-    """Whether a pose is finite and its matrix a rotation, no reflection (compiled)."""
-    for a in range(3):
-        for b in range(3):
-            dot = R[0, a] * R[0, b] + R[1, a] * R[1, b] + R[2, a] * R[2, b]
-            # written so that NaN fails
-            if not abs(dot - (1.0 if a == b else 0.0)) <= 1e-6:
-                return False
+def orthonormalise(R: Array) -> bool:
+    """Undo a rotation's rounding in place, as `probe.pose.rotations` (compiled).
+
+    Returns:
+        False for what is no rotation: scaled, sheared, reflected, not finite.
+    """
+    for _ in range(STEPS + 1):
+        xx = R[0, 0] * R[0, 0] + R[1, 0] * R[1, 0] + R[2, 0] * R[2, 0] - 1.0
+        yy = R[0, 1] * R[0, 1] + R[1, 1] * R[1, 1] + R[2, 1] * R[2, 1] - 1.0
+        zz = R[0, 2] * R[0, 2] + R[1, 2] * R[1, 2] + R[2, 2] * R[2, 2] - 1.0
+        xy = R[0, 0] * R[0, 1] + R[1, 0] * R[1, 1] + R[2, 0] * R[2, 1]
+        xz = R[0, 0] * R[0, 2] + R[1, 0] * R[1, 2] + R[2, 0] * R[2, 2]
+        yz = R[0, 1] * R[0, 2] + R[1, 1] * R[1, 2] + R[2, 1] * R[2, 2]
+        # NaN may escape here, and fails below
+        error = max(abs(xx), abs(yy), abs(zz), abs(xy), abs(xz), abs(yz))
+        if error <= EXACT:
+            break
+        if not error <= ROUNDING:
+            return False
+        for c in range(3):
+            x, y, z = R[c, 0], R[c, 1], R[c, 2]
+            R[c, 0] = x - 0.5 * (x * xx + y * xy + z * xz)
+            R[c, 1] = y - 0.5 * (x * xy + y * yy + z * yz)
+            R[c, 2] = z - 0.5 * (x * xz + y * yz + z * zz)
     volume = (
         R[0, 0] * (R[1, 1] * R[2, 2] - R[1, 2] * R[2, 1])
         + R[0, 1] * (R[1, 2] * R[2, 0] - R[1, 0] * R[2, 2])
         + R[0, 2] * (R[1, 0] * R[2, 1] - R[1, 1] * R[2, 0])
     )
-    return volume > 0.0 and math.isfinite(at[0] + at[1] + at[2])
+    return bool(volume > 0.0)
 
 
 @compiled(nogil=True)
@@ -225,7 +243,7 @@ def mixed(current: Array, target: Array, share: float) -> Array:
 
 
 def mixed_drag(
-    ledger: Array, pair: FieldPair, mix: Array, stage: Stage, weights: Array
+    ledger: Array, pair: FieldPair, mix: Array, data: FrameData, weights: Array
 ) -> Array:
     """One drag law in place of two amid a swap, for the field that mixes theirs.
 
@@ -238,8 +256,8 @@ def mixed_drag(
         ledger: With the pose and the share of the target.
         pair: The two fields.
         mix: Their mixture, flat, shape (V,).
-        stage: Probe and skin, with scratch of its own.
-        weights: `haptic_drag.patch_weights` in the stage's order, shape (M, 7).
+        data: Probe and surface, with scratch of its own.
+        weights: `drag.patch_weights` in block order, shape (M, 7).
 
     Returns:
         `DragLaw.numbers` of the mixture.
@@ -249,14 +267,16 @@ def mixed_drag(
     if old[ACTIVE] + new[ACTIVE] == 0.0:
         return new
     major = new if share >= 0.5 else old
-    desk = Desk.empty()
-    pose_of(ledger, stage.reference, desk.R, desk.at)
-    contact = touch(desk.R, desk.at, stage)[0]
-    patch_of(desk.R, contact, stage.touched, stage.depth, weights, desk.rows[PATCH])
+    buffers = FrameBuffers.empty()
+    pose_of(ledger, data.reference, buffers.R, buffers.at)
+    contact = touch(buffers.R, buffers.at, data)[0]
+    patch_of(buffers.R, contact, data.touched, data.depth, weights, buffers.rows[PATCH])
     pressed = []
     for values in (pair.current, pair.target, mix):
-        wrench_of(values, contact, desk.R, stage, desk.rows[WRENCH])
-        pressed.append(max(float(desk.rows[PATCH, :3] @ desk.rows[WRENCH, :3]), 0.0))
+        wrench_of(values, contact, buffers.R, data, buffers.rows[WRENCH])
+        pressed.append(
+            max(float(buffers.rows[PATCH, :3] @ buffers.rows[WRENCH, :3]), 0.0)
+        )
     frictions = float(old[FRICTION]), float(new[FRICTION])
     friction = (1.0 - share) * frictions[0] + share * frictions[1]
     if pressed[2] > 0.0:

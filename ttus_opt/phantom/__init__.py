@@ -7,14 +7,14 @@ recordings proves something.
 """
 
 from ttus_opt.phantom.elasticity import ElasticBody, SkinPatch, skin_compliance
-from ttus_opt.phantom.press import Contact, Drag, Motion, press
+from ttus_opt.phantom.press import Contact, CoulombDrag, Motion, press
 from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.phantom.recording import add_noise, record
 from ttus_opt.phantom.torso import Torso, TorsoMesh, torso_body
 
 __all__ = [
     "Contact",
-    "Drag",
+    "CoulombDrag",
     "ElasticBody",
     "EllipsoidProbe",
     "Motion",

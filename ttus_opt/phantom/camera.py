@@ -47,7 +47,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Scene:
+class ScanSetup:
     """What stands before the cameras, patient frame.
 
     Attributes:
@@ -68,7 +68,7 @@ class Scene:
 
 
 def scan(
-    scene: Scene,
+    setup: ScanSetup,
     views: tuple[View, ...],
     rng: np.random.Generator,
     *,
@@ -78,7 +78,7 @@ def scan(
     """Take one cloud with several cameras.
 
     Args:
-        scene: Body and table.
+        setup: Body and table.
         views: The cameras.
         rng: Source of noise and dropouts.
         noise: Standard deviation along each ray [m].
@@ -97,24 +97,24 @@ def scan(
         eye, rays = np.asarray(view.eye), view.rays()
         far = 2.0 * float(np.linalg.norm(eye - np.asarray(view.target)))
         distance = np.minimum(
-            _to_skin(scene, eye, rays, far), _to_table(scene, eye, rays)
+            _to_skin(setup, eye, rays, far), _to_table(setup, eye, rays)
         )
         seen = np.isfinite(distance) & (rng.random(len(rays)) >= dropout)
         noisy = distance + noise * rng.standard_normal(len(rays))
-        seen[seen] &= ~_in_hole(scene, eye + distance[seen, None] * rays[seen])
+        seen[seen] &= ~_in_hole(setup, eye + distance[seen, None] * rays[seen])
         if not seen.any():
             raise InputError(f"the view from {view.eye} sees nothing: turn it around")
         clouds.append(eye + noisy[seen, None] * rays[seen])
     return np.concatenate(clouds)
 
 
-def _to_skin(scene: Scene, eye: Array, rays: Array, far: float) -> Array:
+def _to_skin(setup: ScanSetup, eye: Array, rays: Array, far: float) -> Array:
     """Distance to the skin along rays, inf where they miss, NaN at cut ends [m]."""
 
     def outside(distance: Array) -> NDArray[np.bool_]:
         x, y, z = (eye + distance[:, None] * rays).T
-        reach = scene.torso.radius(np.arctan2(y, x), z)
-        beyond = (z < 0.0) | (z > scene.torso.length)
+        reach = setup.torso.radius(np.arctan2(y, x), z)
+        beyond = (z < 0.0) | (z > setup.torso.length)
         return np.asarray((np.hypot(x, y) > reach) | beyond)
 
     first = np.full(len(rays), np.inf)
@@ -133,28 +133,28 @@ def _to_skin(scene: Scene, eye: Array, rays: Array, far: float) -> Array:
     # nor of the table behind.
     z = eye[2] + high * rays[:, 2]
     end = 1e-4
-    cut = (z < end) | (z > scene.torso.length - end)
+    cut = (z < end) | (z > setup.torso.length - end)
     return np.where(hit, np.where(cut, np.nan, high), np.inf)
 
 
-def _to_table(scene: Scene, eye: Array, rays: Array) -> Array:
+def _to_table(setup: ScanSetup, eye: Array, rays: Array) -> Array:
     """Distance to the table along rays, inf beside it and under the body [m]."""
     with np.errstate(divide="ignore"):
-        distance = (scene.table - eye[1]) / rays[:, 1]
+        distance = (setup.table - eye[1]) / rays[:, 1]
     distance = np.where(distance > 0.0, distance, np.inf)
     reached = np.isfinite(distance)
-    margin = scene.table_margin
+    margin = setup.table_margin
     x, _, z = (eye + np.where(reached, distance, 0.0)[:, None] * rays).T
-    wide = scene.torso.half_axes[0] + margin
-    on = (np.abs(x) < wide) & (z > -margin) & (z < scene.torso.length + margin)
+    wide = setup.torso.half_axes[0] + margin
+    on = (np.abs(x) < wide) & (z > -margin) & (z < setup.torso.length + margin)
     return np.where(reached & on, distance, np.inf)
 
 
-def _in_hole(scene: Scene, points: Array) -> NDArray[np.bool_]:
+def _in_hole(setup: ScanSetup, points: Array) -> NDArray[np.bool_]:
     """Points that fall into a hole, shape (n,)."""
     inside = np.zeros(len(points), dtype=bool)
-    for theta, z, radius in scene.holes:
-        middle = scene.torso.skin(np.array(theta), np.array(z))
+    for theta, z, radius in setup.holes:
+        middle = setup.torso.skin(np.array(theta), np.array(z))
         inside |= np.linalg.norm(points - middle, axis=1) < radius
     return inside
 

@@ -56,7 +56,7 @@ class ElasticBody:
     rim: NDArray[np.bool_] = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse a body without a unique answer.
+        """Validate the body: its answer must be unique.
 
         Raises:
             InputError: Poisson's ratio out of range, nothing held, or shapes that

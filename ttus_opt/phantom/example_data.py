@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.arrays import Array
-from ttus_opt.phantom.camera import Scene, View, scan, write_cloud
+from ttus_opt.phantom.camera import ScanSetup, View, scan, write_cloud
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.examination import push_handling, sweep_handling
-from ttus_opt.phantom.press import Drag
+from ttus_opt.phantom.press import CoulombDrag
 from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.phantom.recording import add_noise, record, write_compact
 from ttus_opt.phantom.torso import Torso
@@ -56,7 +56,7 @@ def true_surface() -> Surface:
 def cloud() -> Array:
     """The scan of torso and table, scan frame, shape (n, 3) [m]."""
     rng = np.random.default_rng(SCAN_SEED)
-    return frame().to_scan(scan(Scene(TORSO), VIEWS, rng))
+    return frame().to_scan(scan(ScanSetup(TORSO), VIEWS, rng))
 
 
 def poses(name: str) -> Trajectory:
@@ -91,7 +91,7 @@ def recording(
     path = poses(name)
     if n_frames is not None:
         path = path.select(slice(n_frames))
-    drag = Drag(DRAG) if "drag" in name else None
+    drag = CoulombDrag(DRAG) if "drag" in name else None
     true = record(patch, PROBE, path, drag=drag, progress=progress)
     return add_noise(true, np.random.default_rng(RECORDINGS[name] + 1))
 

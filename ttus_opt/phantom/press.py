@@ -28,7 +28,7 @@ from ttus_opt.phantom.unilateral import solve_unilateral
 
 
 @dataclass(frozen=True)
-class Drag:
+class CoulombDrag:
     """Coulomb drag.
 
     Attributes:
@@ -40,7 +40,7 @@ class Drag:
     deadband: float = 5e-4
 
     def __post_init__(self) -> None:
-        """Refuse negative numbers.
+        """Validate the numbers.
 
         Raises:
             InputError: A negative coefficient or deadband.
@@ -92,6 +92,13 @@ class Contact:
     points: Array = field(repr=False)
     probe_normals: Array = field(repr=False)
 
+    @classmethod
+    def none(cls) -> Contact:
+        """Nothing touches."""
+        nodes, places = np.empty(0, dtype=np.intp), np.empty((0, 3))
+        zero = np.zeros(3)
+        return cls(zero, zero.copy(), 0.0, np.empty(0), nodes, places, places)
+
 
 def press(
     patch: SkinPatch,
@@ -100,7 +107,7 @@ def press(
     position: Array,
     *,
     motion: Motion | None = None,
-    drag: Drag | None = None,
+    drag: CoulombDrag | None = None,
     guess: NDArray[np.intp] | None = None,
 ) -> Contact:
     """Press a probe into the skin.
@@ -125,10 +132,7 @@ def press(
     reach = probe.reach(patch.points, -patch.normals, rotation, position)
     under = np.flatnonzero(np.isfinite(reach.depth))
     if not (under.size and (reach.depth[under] > 0.0).any()):
-        nothing = np.empty((0, 3))
-        return Contact(
-            np.zeros(3), np.zeros(3), 0.0, np.empty(0), under[:0], nothing, nothing
-        )
+        return Contact.none()
     depth = reach.depth[under]
     compliance = patch.compliance[np.ix_(under, under)]
     known = guess is not None and guess.size > 0
@@ -160,7 +164,7 @@ def press(
 
 
 def _check_above(patch: SkinPatch, position: Array) -> None:
-    """Refuse a centre that the patch says nothing about."""
+    """Raise for a probe centre that is not above the inside of the patch."""
     away = position - patch.points
     nearest = int(np.argmin(np.einsum("ij,ij->i", away, away)))
     place = ", ".join(f"{v:.3f}" for v in position)

@@ -41,7 +41,7 @@ class EllipsoidProbe:
     semi_axes: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        """Refuse what is not an ellipsoid.
+        """Validate the semi-axes.
 
         Raises:
             InputError: Not three positive finite lengths.

@@ -11,7 +11,7 @@ import numpy as np
 from ttus_opt import io
 from ttus_opt.errors import InputError
 from ttus_opt.phantom.elasticity import SkinPatch
-from ttus_opt.phantom.press import Drag, Motion, press
+from ttus_opt.phantom.press import CoulombDrag, Motion, press
 from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.probe.trajectory import Trajectory
 
@@ -24,7 +24,7 @@ def record(
     probe: EllipsoidProbe,
     poses: Trajectory,
     *,
-    drag: Drag | None = None,
+    drag: CoulombDrag | None = None,
     progress: Callable[[], None] | None = None,
 ) -> Trajectory:
     """Press the probe along a trajectory and write down the wrench, free of noise.

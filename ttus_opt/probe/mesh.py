@@ -36,7 +36,7 @@ class TriangleMesh:
     faces: IntArray
 
     def __post_init__(self) -> None:
-        """Refuse what is not a mesh.
+        """Validate the mesh.
 
         Raises:
             InputError: Wrong shapes, indices out of range, or coordinates that are

@@ -107,11 +107,7 @@ def _side_statistics(
         lattice,
         rng.random((len(which), 2, 4)),
         1e-7 * mesh.extent,
-        tree.corner,
-        tree.edges,
-        tree.face,
-        tree.boxes,
-        tree.children,
+        tree,
     )
     return np.asarray(even), np.asarray(free)
 
@@ -123,11 +119,7 @@ def _vote(
     lattice: Array,
     shift: Array,
     lift: float,
-    corner: Array,
-    edges: Array,
-    face: IntArray,
-    boxes: Array,
-    children: IntArray,
+    tree: RayTree,
 ) -> tuple[Array, Array]:
     """Cast the rays, in the face's own frame: they move with the mesh."""
     n_rays = len(lattice)
@@ -158,9 +150,7 @@ def _vote(
                     + radius * np.sin(angle) * second
                     + np.sqrt(1.0 - u[3]) * outward
                 )
-                n = count_crossings(
-                    origin, direction, f, corner, edges, face, boxes, children
-                )
+                n = count_crossings(origin, direction, f, tree)
                 if n % 2 == 0:
                     even[j, side] += 1.0 / n_rays
                 if n == 0:

@@ -60,7 +60,7 @@ class PointShell:
     reference: Array
 
     def __post_init__(self) -> None:
-        """Refuse what is not a shell.
+        """Validate the shell.
 
         Raises:
             InputError: Shapes that disagree, values that are not finite, normals
@@ -94,6 +94,9 @@ class PointShell:
     def __len__(self) -> int:
         """Number of points M [–]."""
         return len(self.points)
+
+    def __repr__(self) -> str:
+        return f"PointShell({len(self)} points, {1e4 * self.total_area:.4g} cm²)"
 
     @property
     def total_area(self) -> float:

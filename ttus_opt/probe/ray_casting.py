@@ -6,7 +6,7 @@ must be made where they are used, not stored.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from ttus_opt.compiled import compiled
 LEAF = 4  # faces per leaf
 
 
-@dataclass(frozen=True)
-class RayTree:
+class RayTree(NamedTuple):
     """A binary tree of boxes over triangles, as flat arrays for kernels.
 
     Attributes:
@@ -64,11 +63,7 @@ class RayTree:
             _crossings(
                 np.ascontiguousarray(origins, dtype=float),
                 np.ascontiguousarray(directions, dtype=float),
-                self.corner,
-                self.edges,
-                self.face,
-                self.boxes,
-                self.children,
+                self,
             )
         )
 
@@ -120,16 +115,10 @@ def count_crossings(
     origin: Array,
     direction: Array,
     skip: int,
-    corner: Array,
-    edges: Array,
-    face: IntArray,
-    boxes: Array,
-    children: IntArray,
+    tree: RayTree,
 ) -> int:
-    """Faces one ray crosses, all but face ``skip`` (compiled).
-
-    The other arguments are the arrays of `RayTree`.
-    """
+    """Faces one ray crosses, all but face ``skip`` (compiled)."""
+    corner, edges, face, boxes, children = tree
     ox, oy, oz = origin[0], origin[1], origin[2]
     dx, dy, dz = direction[0], direction[1], direction[2]
     tiny = 1e-300
@@ -187,15 +176,9 @@ def count_crossings(
 def _crossings(
     origins: Array,
     directions: Array,
-    corner: Array,
-    edges: Array,
-    face: IntArray,
-    boxes: Array,
-    children: IntArray,
+    tree: RayTree,
 ) -> IntArray:
     out = np.empty(len(origins), np.int64)
     for n in range(len(origins)):
-        out[n] = count_crossings(
-            origins[n], directions[n], -1, corner, edges, face, boxes, children
-        )
+        out[n] = count_crossings(origins[n], directions[n], -1, tree)
     return out

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ttus_opt import io
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import FileError, InputError
+from ttus_opt.probe.pose import from_quaternions, rotations, to_quaternions
 from ttus_opt.probe.trajectory_csv import (
     FORCE,
     POSITION,
@@ -28,8 +29,6 @@ from ttus_opt.probe.trajectory_csv import (
     read_trajectory_columns,
 )
 
-_ROTATION_TOLERANCE = 1e-6
-
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -38,7 +37,8 @@ class Trajectory:
     Attributes:
         time: Increasing within a segment, shape (T,) [s].
         position: Of the probe frame in the patient frame, shape (T, 3) [m].
-        rotation: Probe to patient, shape (T, 3, 3) [–].
+        rotation: Probe to patient, shape (T, 3, 3) [–]; rounding of up to 1e-5 is
+            corrected (`ttus_opt.probe.pose`).
         force: On the probe, patient axes, shape (T, 3) [N]; None when not measured.
         torque: About the shell's reference, patient axes, shape (T, 3) [N·m]; None
             when not measured.
@@ -57,7 +57,7 @@ class Trajectory:
     )
 
     def __post_init__(self) -> None:
-        """Refuse what is not a trajectory.
+        """Validate the trajectory.
 
         Raises:
             InputError: No frames, shapes that disagree, values that are not finite,
@@ -75,7 +75,7 @@ class Trajectory:
                 f"{'torque' if self.force is None else 'force'}: give both or none"
             )
         self._require_shapes(n)
-        self._require_rotations()
+        object.__setattr__(self, "rotation", rotations(self.rotation))
         step = np.diff(self.time)
         late = np.flatnonzero((step <= 0) & (np.diff(self.segment) == 0))
         if len(late):
@@ -116,19 +116,15 @@ class Trajectory:
                     f"frames, the first is {int(bad.argmax())}: drop those frames"
                 )
 
-    def _require_rotations(self) -> None:
-        product = self.rotation @ self.rotation.transpose(0, 2, 1)
-        error = np.abs(product - np.eye(3)).max(axis=(1, 2))
-        bad = (error > _ROTATION_TOLERANCE) | (np.linalg.det(self.rotation) < 0)
-        if bad.any():
-            raise InputError(
-                f"frame {int(bad.argmax())}: not a rotation matrix (orthonormal, "
-                "determinant +1): normalise the rotations"
-            )
-
     def __len__(self) -> int:
         """Number of frames T [–]."""
         return len(self.time)
+
+    def __repr__(self) -> str:
+        parts = len(self._segments())
+        recordings = f" in {parts} recordings" if parts > 1 else ""
+        wrench = "with" if self.has_wrench else "without"
+        return f"Trajectory({len(self)} frames{recordings}, {wrench} wrenches)"
 
     @property
     def has_wrench(self) -> bool:
@@ -138,13 +134,7 @@ class Trajectory:
     @property
     def quat_wxyz(self) -> Array:
         """Unit quaternions w, x, y, z with w ≥ 0, shape (T, 4) [–]."""
-        from scipy.spatial.transform import Rotation
-
-        return np.asarray(
-            Rotation.from_matrix(self.rotation).as_quat(
-                canonical=True, scalar_first=True
-            )
-        )
+        return to_quaternions(self.rotation)
 
     def velocity(self) -> Array:
         """Linear velocity of the probe frame's origin, patient axes, (T, 3) [m/s].
@@ -294,15 +284,12 @@ def read_trajectory(
             no finite number, times that do not increase, quaternions that are not
             unit, or values in another unit. The message names the line.
     """
-    from scipy.spatial.transform import Rotation
-
     read = read_trajectory_columns(path, columns)
-    rotation = Rotation.from_quat(read.quaternion, scalar_first=True).as_matrix()
     try:
         return Trajectory(
             read.time,
             read.position,
-            np.asarray(rotation),
+            from_quaternions(read.quaternion, "wxyz"),
             read.force,
             read.torque,
             read.segment,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError
+from ttus_opt.probe.pose import QUATERNION_TOLERANCE
 from ttus_opt.probe.text_table import NANOSECONDS, read_text_table
 
 TIME = ("t",)
@@ -21,9 +22,6 @@ QUATERNION = ("qw", "qx", "qy", "qz")
 FORCE = ("fx", "fy", "fz")
 TORQUE = ("tx", "ty", "tz")
 SEGMENT = "segment"
-
-#: Largest deviation of a quaternion's length from 1 that is normalised away.
-QUATERNION_TOLERANCE = 1e-2
 
 #: Sizes above which a column is in another unit: [m], [N], [N·m].
 MOST_POSITION, MOST_FORCE, MOST_TORQUE = 10.0, 1e3, 1e2

@@ -54,7 +54,7 @@ class ContourModel:
     slope_angle: float = 0.35
 
     def __post_init__(self) -> None:
-        """Refuse what is not a deviation.
+        """Validate the model.
 
         Raises:
             InputError: A value that is not positive and finite.

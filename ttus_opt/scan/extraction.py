@@ -18,7 +18,7 @@ from ttus_opt.scan.candidates import collect, drop_strays, usable_range
 from ttus_opt.scan.contour_filter import Contour, ContourModel, follow
 from ttus_opt.scan.fill import fill_smoothly
 from ttus_opt.scan.frame import Axis
-from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
+from ttus_opt.scan.supporting_plane import SupportingPlane
 from ttus_opt.scan.surface import Surface
 
 _LARGEST_RADIUS = 0.5  # of a body [m]
@@ -38,7 +38,7 @@ def extract_surface(
     model: ContourModel | None = None,
     support: SupportingPlane | Literal["find"] | None = "find",
 ) -> Surface:
-    """Extract the skin r = R(θ, z) from a scan.
+    """Extract the surface r = R(θ, z) from a scan.
 
     Args:
         cloud: Scan, shape (n, 3) [m].
@@ -51,8 +51,9 @@ def extract_surface(
         slice_distance: Points up to this far from a slice belong to it [m]; by
             default half the distance of the slices, from 3 to 6 mm.
         model: Depth noise and smoothness the filter assumes.
-        support: The plane the body lies on, in the scan's frame; "find" to look for
-            it; None when the scan has none. Its points are never skin.
+        support: The plane the body lies on, in the scan's frame, whose points are left
+            out; "find" for the one the frame knows (`Axis.support`), looked for where
+            it knows of none yet; None when the scan has none.
 
     Returns:
         The surface: closed, with its deviation, marked where it was observed.
@@ -62,18 +63,8 @@ def extract_surface(
         GeometryError: The cloud never meets the axis or shows no body around it.
     """
     _check(cloud, n_theta, n_z, spoke_distance, slice_distance)
-    plane = find_supporting_plane(cloud) if support == "find" else support
-    body = cloud if plane is None else cloud[plane.above(cloud)]
-    points = axis.to_patient(body)
-    near = np.hypot(points[:, 0], points[:, 1]) < _LARGEST_RADIUS
-    points = points[near]
-    if len(points) < _LEAST_POINTS:
-        raise GeometryError(
-            f"only {len(points)} of {len(cloud)} points are within "
-            f"{_LARGEST_RADIUS:g} m of the axis and off the support: the cloud never "
-            "meets the axis, check axis and unit"
-        )
-    points = drop_strays(points)
+    plane = axis.supporting_plane(cloud) if support == "find" else support
+    points = _body_points(cloud, axis, plane)
     z = _heights(points, z_range, n_z)
     theta: Array = np.arange(n_theta, dtype=np.float64) * (2.0 * np.pi / n_theta)
     dz = float(z[1] - z[0])
@@ -133,6 +124,20 @@ def _check(
             f"largest coordinate extent is {extent:.4g} m: are these millimetres? read "
             "them with unit='mm'"
         )
+
+
+def _body_points(cloud: Array, axis: Axis, plane: SupportingPlane | None) -> Array:
+    """Points of the body, without support and strays, patient frame, (m, 3) [m]."""
+    body = cloud if plane is None else cloud[plane.above(cloud)]
+    points = axis.to_patient(body)
+    points = points[np.hypot(points[:, 0], points[:, 1]) < _LARGEST_RADIUS]
+    if len(points) < _LEAST_POINTS:
+        raise GeometryError(
+            f"only {len(points)} of {len(cloud)} points are within "
+            f"{_LARGEST_RADIUS:g} m of the axis and off the support: the cloud never "
+            "meets the axis, check axis and unit"
+        )
+    return drop_strays(points)
 
 
 def _heights(points: Array, z_range: tuple[float, float] | None, n_z: int) -> Array:

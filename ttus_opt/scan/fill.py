@@ -4,9 +4,9 @@ A thin plate on an elastic bed over the unrolled surface (periodic in θ, free a
 ends), for the difference u between the radius and an ellipse-like outline of the body
 (`ttus_opt.scan.outline`): least Σ (u − u_seen)²/variance + (∫ bending + u²/ℓ⁴)/c². Near
 what was seen it continues smoothly; ℓ further on it is the outline. Where a supporting
-plane is known the skin cannot be behind it: the unseen part is held at the plane where
-the plate would pass through it. What was seen is smoothed by the plate too, within its
-own deviation.
+plane is known the surface cannot be behind it: the unseen part is held at the plane
+where the plate would pass through it. What was seen is smoothed by the plate too,
+within its own deviation.
 """
 
 from __future__ import annotations

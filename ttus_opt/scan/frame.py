@@ -1,17 +1,22 @@
-"""The patient frame in the scan: origin, and z along the body's long inner axis."""
+"""The patient frame in the scan: origin, and z along the body's long inner axis.
+
+`Axis` also keeps the supporting plane that the frame was estimated from, so that the
+plane is found once in a scan.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.scan.frame_estimate import estimate_body_frame
+from ttus_opt.scan.frame_estimate import estimate_frame
+from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 
 
 @dataclass(frozen=True)
@@ -22,13 +27,18 @@ class Axis:
         origin: Origin of the patient frame in the scan, shape (3,) [m].
         rotation: Columns are the patient frame's axes in the scan, z along the
             body, shape (3, 3) [–].
+        support: The plane the body lies on, in the scan's frame; None when the scan
+            shows none; "unknown" for a frame that was given. Not written to files.
     """
 
     origin: Array
     rotation: Array
+    support: SupportingPlane | Literal["unknown"] | None = field(
+        default="unknown", compare=False, repr=False
+    )
 
     def __post_init__(self) -> None:
-        """Refuse what is not a rigid frame.
+        """Validate the frame.
 
         Raises:
             InputError: Wrong shapes, or a matrix that is not a rotation.
@@ -56,7 +66,7 @@ class Axis:
         """Estimate the patient frame from a scan (`ttus_opt.scan.frame_estimate`).
 
         z runs along what stands above the supporting plane, x away from that plane
-        (anterior), and the origin is inside the body.
+        (anterior), and the origin is inside the body. The plane is kept in ``support``.
 
         Args:
             cloud: Scan, shape (n, 3) [m].
@@ -69,8 +79,20 @@ class Axis:
             InputError: The cloud is not (n, 3) or has fewer than 100 points.
             GeometryError: The scan shows no body.
         """
-        frame = estimate_body_frame(cloud, rng=rng)
-        return cls(frame.origin, frame.rotation)
+        return cls(*estimate_frame(cloud, rng=rng))
+
+    def supporting_plane(self, cloud: Array) -> SupportingPlane | None:
+        """The plane kept in the frame; found in the scan where it is unknown.
+
+        Args:
+            cloud: The scan, shape (n, 3) [m].
+
+        Raises:
+            InputError: The cloud is not (n, 3) or has fewer than 100 points.
+        """
+        if isinstance(self.support, str):
+            return find_supporting_plane(cloud)
+        return self.support
 
     def to_patient(self, points: Array) -> Array:
         """Scan points (n, 3) [m] in the patient frame, shape (n, 3) [m]."""

@@ -16,7 +16,7 @@ fixed otherwise is such that its largest component in the scan is positive.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -31,24 +31,23 @@ _LENGTH_WEIGHT = 0.05
 _NEARBY = np.cos(np.radians(20.0))
 
 
-@dataclass(frozen=True)
-class BodyFrame:
-    """A frame and the support it was derived from.
+class FrameEstimate(NamedTuple):
+    """A patient frame and the supporting plane it was derived from.
 
     Attributes:
         origin: Origin of the patient frame in the scan, shape (3,) [m].
         rotation: Columns are the patient frame's axes in the scan, shape (3, 3) [–].
-        plane: The supporting plane, None when the scan shows none.
+        support: The supporting plane, None when the scan shows none.
     """
 
     origin: Array
     rotation: Array
-    plane: SupportingPlane | None
+    support: SupportingPlane | None
 
 
-def estimate_body_frame(
+def estimate_frame(
     cloud: Array, *, rng: np.random.Generator | None = None
-) -> BodyFrame:
+) -> FrameEstimate:
     """Estimate the patient frame from a scan.
 
     Args:
@@ -115,7 +114,7 @@ def _positive(direction: Array) -> Array:
 
 def _supported_frame(
     points: Array, normals: Array, plane: SupportingPlane
-) -> BodyFrame:
+) -> FrameEstimate:
     x = plane.normal
     first = np.cross(x, np.eye(3)[np.argmin(np.abs(x))])
     first /= np.linalg.norm(first)
@@ -128,10 +127,10 @@ def _supported_frame(
     middle = [np.percentile(points @ a, [2, 98]).mean() for a in (y, z)]
     ridge = np.percentile(plane.height(points), 98)
     origin = (plane.offset + 0.5 * ridge) * x + middle[0] * y + middle[1] * z
-    return BodyFrame(origin, np.stack([x, y, z], axis=1), plane)
+    return FrameEstimate(origin, np.stack([x, y, z], axis=1), plane)
 
 
-def _free_frame(points: Array, normals: Array) -> BodyFrame:
+def _free_frame(points: Array, normals: Array) -> FrameEstimate:
     z = _positive(_along(points, normals, _half_sphere(4000)))
     u = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
     u /= np.linalg.norm(u)
@@ -157,7 +156,7 @@ def _free_frame(points: Array, normals: Array) -> BodyFrame:
     centre = centre + mean
     height = np.percentile(points @ z, [2, 98]).mean()
     origin = centre[0] * u + centre[1] * np.cross(z, u) + height * z
-    return BodyFrame(origin, np.stack([x, np.cross(z, x), z], axis=1), None)
+    return FrameEstimate(origin, np.stack([x, np.cross(z, x), z], axis=1), None)
 
 
 def _half_sphere(n: int) -> Array:

@@ -1,8 +1,9 @@
 """The patient's surface as a radius over angle and height, r = R(θ, z).
 
-What the contour filter (`ttus_opt.scan.extraction`) produces, what the voxmap consumes,
-and its netCDF file. Between nodes the radius is bilinear, periodic in θ; above the
-last and below the first slice it keeps the nearest slice's value.
+"Surface" names the patient's skin all over the package. The contour filter
+(`ttus_opt.scan.extraction`) produces it, the voxmap consumes it, and it has a netCDF
+file. Between nodes the radius is bilinear, periodic in θ; above the last and below the
+first slice it keeps the nearest slice's value (`ttus_opt.scan.radius_lookup`).
 """
 
 from __future__ import annotations
@@ -16,16 +17,18 @@ from numpy.typing import NDArray
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.compiled import compiled
+from ttus_opt.cylindrical import TURN
 from ttus_opt.errors import FileError, GeometryError, InputError
+from ttus_opt.html_card import card, sections_svg
 from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.radius_lookup import RadiusLayout, radii_at
 
 KIND, VERSION = "surface", 1
 
 
 @dataclass(frozen=True)
 class Surface:
-    """Radius of the skin on a regular (θ, z) grid.
+    """Radius of the patient's surface on a regular (θ, z) grid.
 
     Attributes:
         theta: Angles, equally spaced over the full turn, shape (n_theta,) [rad].
@@ -44,7 +47,7 @@ class Surface:
     axis: Axis
 
     def __post_init__(self) -> None:
-        """Refuse what is not a surface.
+        """Validate the surface.
 
         Raises:
             InputError: Shapes that disagree, or steps that are not constant.
@@ -109,15 +112,13 @@ class Surface:
         )
 
     @property
-    def kernel_layout(self) -> Array:
-        """What compiled kernels need: θ0, 1/Δθ, z0, 1/Δz, shape (4,) [SI]."""
-        return np.array(
-            [
-                self.theta[0],
-                len(self.theta) / (2.0 * np.pi),
-                self.z[0],
-                (len(self.z) - 1) / (self.z[-1] - self.z[0]),
-            ]
+    def kernel_layout(self) -> RadiusLayout:
+        """Where the nodes lie, for compiled kernels."""
+        return RadiusLayout(
+            float(self.theta[0] % TURN),
+            len(self.theta) / TURN,
+            float(self.z[0]),
+            float((len(self.z) - 1) / (self.z[-1] - self.z[0])),
         )
 
     def radius_at(self, theta: Array, z: Array) -> Array:
@@ -131,8 +132,10 @@ class Surface:
             Radii, the broadcast shape [m].
         """
         theta, z = np.broadcast_arrays(np.asarray(theta, float), np.asarray(z, float))
-        flat = _radii(
-            np.ascontiguousarray(theta).reshape(-1),
+        angles = np.array(theta % TURN, order="C")
+        angles[angles >= TURN] = 0.0  # −1e-17 % 2π rounds up to 2π itself
+        flat = radii_at(
+            angles.reshape(-1),
             np.ascontiguousarray(z).reshape(-1),
             np.ascontiguousarray(self.radius),
             self.kernel_layout,
@@ -145,8 +148,26 @@ class Surface:
         y = self.radius * np.sin(self.theta)[:, None]
         return np.stack([x, y, np.broadcast_to(self.z, x.shape)], axis=-1)
 
+    def __repr__(self) -> str:
+        return f"Surface({', '.join(self._facts().values())})"
+
+    def _repr_html_(self) -> str:
+        heights = sorted({0, len(self.z) // 2, len(self.z) - 1})
+        sections = self.points()[:, heights, :2].transpose(1, 0, 2)
+        return card("Surface", self._facts(), sections_svg(sections))
+
+    def _facts(self) -> dict[str, str]:
+        """What it is in a few words, by name."""
+        low, high = 100 * self.radius.min(), 100 * self.radius.max()
+        return {
+            "nodes": f"{len(self.theta)} θ × {len(self.z)} z",
+            "radius": f"R {low:.1f} to {high:.1f} cm",
+            "height": f"z {100 * self.z[0]:.1f} to {100 * self.z[-1]:.1f} cm",
+            "observed": f"{100 * self.observed.mean():.0f} % observed",
+        }
+
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the surface as netCDF (design §4), replacing only on success."""
+        """Write the surface as netCDF, replacing ``path`` only on success."""
         import xarray as xr
 
         dims = ("theta", "z")
@@ -202,41 +223,3 @@ class Surface:
             )
         except (InputError, KeyError, json.JSONDecodeError) as error:
             raise FileError(f"{path}: {error}") from error
-
-
-@compiled(inline="always")
-def bilinear_radius(theta: float, z: float, radius: Array, layout: Array) -> float:
-    """Radius at (θ, z), periodic in θ, constant beyond the end slices (compiled).
-
-    Args:
-        theta: Angle [rad].
-        z: Height [m].
-        radius: Nodes, shape (n_theta, n_z) [m].
-        layout: `Surface.kernel_layout`.
-
-    Returns:
-        The radius [m].
-    """
-    n_theta, n_z = radius.shape
-    u = (theta - layout[0]) * layout[1]
-    floor_u = np.floor(u)
-    a: float = u - floor_u
-    j0 = int(floor_u) % n_theta
-    j1 = j0 + 1
-    if j1 == n_theta:
-        j1 = 0
-    v = (z - layout[2]) * layout[3]
-    v = min(max(v, 0.0), n_z - 1.0)
-    k0 = min(int(v), n_z - 2)
-    b: float = v - k0
-    here: float = (1.0 - b) * radius[j0, k0] + b * radius[j0, k0 + 1]
-    after: float = (1.0 - b) * radius[j1, k0] + b * radius[j1, k0 + 1]
-    return (1.0 - a) * here + a * after
-
-
-@compiled()
-def _radii(theta: Array, z: Array, radius: Array, layout: Array) -> Array:
-    out = np.empty(theta.size)
-    for m in range(theta.size):
-        out[m] = bilinear_radius(theta[m], z[m], radius, layout)
-    return out

@@ -17,6 +17,7 @@ import numpy as np
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
+from ttus_opt.html_card import card, signed_map
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.grid import CylindricalGrid
@@ -31,7 +32,7 @@ KIND, VERSION = "field", 1
 #: Dimensions of voxel values and of the surface in the file
 DIMS, SKIN = ("r", "theta", "z"), ("surface_theta", "surface_z")
 
-#: Unit of the field for each sampling (design §2)
+#: Unit of the field for each sampling (docs/method.md, Unit of the field)
 FIELD_UNIT: dict[str, str] = {"voxel-mean": "N", "trilinear": "N cm-2"}
 
 
@@ -56,7 +57,7 @@ class PotentialField:
     standard_errors: Mapping[str, float] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse values that do not fit the grid.
+        """Validate the values.
 
         Raises:
             InputError: Wrong shape, a value that is not finite, unknown sampling.
@@ -79,12 +80,45 @@ class PotentialField:
         """Unit of the values."""
         return FIELD_UNIT[self.sampling]
 
+    def __repr__(self) -> str:
+        return f"PotentialField({', '.join(self._facts().values())})"
+
+    def _repr_html_(self) -> str:
+        middle = self.values[::-1, :, self.values.shape[2] // 2]
+        title = "PotentialField (mid-height, r upwards, θ to the right)"
+        return card(title, self._facts(), signed_map(middle))
+
+    def _facts(self) -> dict[str, str]:
+        """What it is in a few words, by name."""
+        low, high = self.values.min(), self.values.max()
+        unit = "N/cm²" if self.sampling == "trilinear" else self.unit
+        facts = {
+            "voxels": self.voxmap.grid.sizes,
+            "potential": f"p {low:.3g} to {high:.3g} {unit}",
+            "sampling": self.sampling,
+        }
+        for name, value in self.parameters.items():
+            error = self.standard_errors.get(name)
+            told = f"{value:.4g}" if error is None else f"{value:.4g} ± {error:.2g}"
+            facts[name] = f"{name} {told}"
+        return facts
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the field as netCDF, replacing ``path`` only on success."""
+        io.write_dataset(self.to_xarray(), path, kind=KIND, version=VERSION)
+
+    def to_xarray(self) -> xr.Dataset:
+        """The field with its grid and surface, as `save` writes it.
+
+        Returns:
+            ``potential`` and ``region`` over (r, theta, z) and the surface over
+            (surface_theta, surface_z), with units and coordinates on every variable;
+            the rest as attributes.
+        """
         import xarray as xr
 
         grid, surface = self.voxmap.grid, self.voxmap.surface
-        dataset = xr.Dataset(
+        return xr.Dataset(
             {
                 "potential": (DIMS, self.values, {"units": self.unit}),
                 "region": (
@@ -114,7 +148,6 @@ class PotentialField:
                 **surface.axis.attributes(),
             },
         )
-        io.write_dataset(dataset, path, kind=KIND, version=VERSION)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> PotentialField:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,28 @@ from ttus_opt.errors import GeometryError, InputError
 #: Bytes a fit by the structured solver takes per voxel (L, the multigrid, a
 #: dozen vectors): 420 measured on case L with 400 poses, voxel-mean
 BYTES_PER_VOXEL = 450
+
+
+class GridLimits(NamedTuple):
+    """A grid's extent and voxels per unit, for compiled kernels.
+
+    Attributes:
+        r_inner: Radius of the innermost layer [m].
+        per_r: Layers per metre.
+        r_outer: Radius of the outermost layer [m].
+        per_theta: Spokes per radian.
+        z_min: Height of the first slice [m].
+        per_z: Slices per metre.
+        z_max: Height of the last slice [m].
+    """
+
+    r_inner: float
+    per_r: float
+    r_outer: float
+    per_theta: float
+    z_min: float
+    per_z: float
+    z_max: float
 
 
 @dataclass(frozen=True)
@@ -42,7 +64,7 @@ class CylindricalGrid:
     shape: tuple[int, int, int]
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be a grid.
+        """Validate the grid.
 
         Raises:
             InputError: Too few layers, or limits that are not finite.
@@ -80,6 +102,11 @@ class CylindricalGrid:
     def n_voxels(self) -> int:
         """Number of voxels V [–]."""
         return math.prod(self.shape)
+
+    @property
+    def sizes(self) -> str:
+        """Counts and their product, to be read."""
+        return f"{'×'.join(map(str, self.shape))} = {self.n_voxels:,} voxels"
 
     @property
     def r_step(self) -> float:
@@ -143,18 +170,16 @@ class CylindricalGrid:
         return vector.reshape(self.shape)
 
     @property
-    def kernel_limits(self) -> Array:
-        """What compiled kernels need: r0, 1/Δr, r1, 1/Δθ, z0, 1/Δz, z1 (7,) [SI]."""
-        return np.array(
-            [
-                self.r_inner,
-                1.0 / self.r_step,
-                self.r_outer,
-                1.0 / self.theta_step,
-                self.z_min,
-                1.0 / self.z_step,
-                self.z_max,
-            ]
+    def kernel_limits(self) -> GridLimits:
+        """What compiled kernels need."""
+        return GridLimits(
+            float(self.r_inner),
+            1.0 / self.r_step,
+            float(self.r_outer),
+            1.0 / self.theta_step,
+            float(self.z_min),
+            1.0 / self.z_step,
+            float(self.z_max),
         )
 
 

@@ -1,10 +1,10 @@
-"""The voxmap: which voxels lie inside the patient, on its skin, and outside.
+"""The voxmap: which voxels lie inside the patient, on its surface, and outside.
 
 The voxels nearest to the surface R(θ, z) along their spoke form the surface layer.
-Where the layer steps between neighbouring spokes, inside and outside would touch:
-of each such pair the voxel nearer to the surface joins the layer, so that the layer
-is closed and inside and outside never couple (design §3, structure b). Where the
-surface is a grid layer, the surface layer is exactly that layer.
+Where the layer steps between neighbouring spokes, inside and outside would touch: of
+each such pair the voxel nearer to the surface joins the layer. So the layer is closed
+and inside and outside never couple (docs/method.md, Voxmap). Where the surface is a
+grid layer, the surface layer is exactly that layer.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Voxmap:
     region: NDArray[np.int8] = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Refuse regions that are none of this grid.
+        """Validate the regions.
 
         Raises:
             InputError: Another shape, or a value that names no region.
@@ -150,12 +150,14 @@ def _check_radius(radius: NDArray[np.float64], grid: CylindricalGrid) -> None:
         )
 
 
-def skin_layer(grid: CylindricalGrid, radius: NDArray[np.float64]) -> NDArray[np.int64]:
+def surface_layer(
+    grid: CylindricalGrid, radius: NDArray[np.float64]
+) -> NDArray[np.int64]:
     """The layer of voxels nearest to a skin, the lower one of two.
 
     Args:
         grid: The grid.
-        radius: Of the skin, any shape [m].
+        radius: Of the surface, any shape [m].
 
     Returns:
         Layers, the same shape.
@@ -168,7 +170,7 @@ def skin_layer(grid: CylindricalGrid, radius: NDArray[np.float64]) -> NDArray[np
 def _classify(grid: CylindricalGrid, radius: NDArray[np.float64]) -> NDArray[np.int8]:
     """Region of every voxel from the surface radius at (θ_j, z_k) [m]."""
     depth = (radius[None] - grid.r[:, None, None]) / grid.r_step  # [voxels]
-    layer = skin_layer(grid, radius)
+    layer = surface_layer(grid, radius)
     index = np.arange(grid.shape[0])[:, None, None]
     region = np.sign(layer[None] - index).astype(np.int8)
     closed = region.copy()

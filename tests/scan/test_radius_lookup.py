@@ -1,4 +1,4 @@
-"""The split lookup is the surface's own bilinear radius, to the last bit."""
+"""The one lookup of the surface's radius, against plain bilinear interpolation."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from tests.conftest import torso
 from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.radius_lookup import radius_between, radius_cell
 from ttus_opt.scan.surface import Surface
-from ttus_opt.voxmap.surface_kernels import skin_between, skin_cell, skin_layout
 
 BASE = torso(n_theta=37, n_z=11)
 
@@ -19,8 +19,8 @@ BASE = torso(n_theta=37, n_z=11)
 def look(
     theta: float, z: float, n_theta: int, n_z: int, layout: np.ndarray, flat: np.ndarray
 ) -> float:
-    here, after, a, b = skin_cell(theta, z, n_theta, n_z, layout)
-    return skin_between(here, after, a, b, flat)
+    here, after, a, b = radius_cell(theta, z, n_theta, n_z, layout)
+    return radius_between(here, after, a, b, flat)
 
 
 def turned(first_angle: float) -> Surface:
@@ -32,6 +32,16 @@ def turned(first_angle: float) -> Surface:
         BASE.observed,
         Axis.identity(),
     )
+
+
+def plain(surface: Surface, theta: float, z: float) -> float:
+    """Bilinear between the nodes, one turn after the other; ends go on."""
+    turns = np.concatenate([surface.theta + 2 * np.pi * n for n in range(-3, 4)])
+    along = [
+        np.interp(theta, turns, np.tile(surface.radius[:, k], 7))
+        for k in range(len(surface.z))
+    ]
+    return float(np.interp(z, surface.z, along))
 
 
 @settings(deadline=None)
@@ -46,11 +56,10 @@ def test_equals_the_surface(theta: float, z: float, first_angle: float) -> None:
         theta,
         z,
         *surface.radius.shape,
-        skin_layout(surface),
+        surface.kernel_layout,
         surface.radius.reshape(-1),
     )
-    expected = float(surface.radius_at(np.array(theta), np.array(z)))
-    if 0.0 <= first_angle < 2 * np.pi:
-        assert found == expected
-    else:  # the first angle itself was brought into the turn
-        assert abs(found - expected) < 1e-14
+    assert found == float(surface.radius_at(np.array(theta), np.array(z)))
+    assert abs(found - plain(surface, theta, z)) < 1e-13
+    beside = surface.radius_at(theta + 2 * np.pi * np.array([-2, -1, 1]), np.array(z))
+    np.testing.assert_allclose(beside, found, rtol=0, atol=1e-13)

@@ -1,0 +1,326 @@
+"""The haptic frame for a loop in C or C++: a function pointer and a context.
+
+`Renderer.c_function` gives both. The function has the plain C signature of
+``ttus_frame.h``, needs neither the interpreter nor its lock, and computes what
+`Renderer.render_into` computes, bit for bit. The context is a table of addresses (the
+probe, the surface, scratch of its own) whose memory stays where it is while the
+renderer lives; `Renderer.update` reaches a running loop through it.
+
+A frame in C never waits. It counts itself as begun and as done. An update announces
+itself (`WAITING`), lets frames under way end, and makes the new fields while frames
+begun meanwhile render the old ones and leave the blend's ledger alone. One store then
+puts the new fields in place, and the old ones are kept until no frame can read them.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import math
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numba
+import numpy as np
+from numba import carray, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from ttus_opt.arrays import IntArray
+from ttus_opt.compiled import compiled
+from ttus_opt.contact.shell_blocks import Tiles
+from ttus_opt.errors import TtusError
+from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.haptic.wrench import (
+    TWIST,
+    WRENCH,
+    FieldPair,
+    FrameBuffers,
+    FrameLimits,
+    render_frame,
+)
+from ttus_opt.scan.radius_lookup import RadiusLayout
+from ttus_opt.voxmap.grid import GridLimits
+
+#: The C header that declares the function and its codes
+HEADER = Path(__file__).with_name("ttus_frame.h")
+
+#: What the C function returns in place of a count: the probe is off the grid; or
+#: `wrench.BAD_POSE`, `BAD_TWIST`, `BAD_TIME` less one
+OFF_GRID = -1
+
+#: Words of a context: frames begun and done, 1 while an update waits, the address of
+#: the fields' table, 1 for trilinear sampling; then the arrays of the data, the buffers
+#: and the limits in their order
+BEGUN, DONE, WAITING, FIELDS, TRILINEAR, ARRAYS = 0, 1, 2, 3, 4, 5
+
+#: Words of an array in a table, its address and its shape; arrays of a context (the
+#: data's without its flag, the buffers', the limits'), and of a pair of fields
+WORDS = 3
+N_DATA = len(FrameData._fields) - 1
+N_ARRAYS = N_DATA + len(FrameBuffers._fields) + len(FrameLimits._fields)
+N_FIELDS = len(FieldPair._fields)
+
+#: An update gives up on a frame that has not ended after so long [s]
+PATIENCE = 5.0
+
+
+@dataclass(frozen=True)
+class CFunction:
+    """A haptic frame for C; valid while this object or its renderer lives.
+
+    Attributes:
+        function: Address of a ``ttus_frame_function``, see `HEADER`.
+        context: Address of its first argument.
+        renderer: Kept alive.
+    """
+
+    function: int
+    context: int
+    renderer: Any = field(repr=False)
+
+    @property
+    def call(self) -> Any:
+        """The function for ctypes, to try it from Python."""
+        pointer = ctypes.POINTER(ctypes.c_double)
+        prototype = ctypes.CFUNCTYPE(
+            ctypes.c_int32,
+            ctypes.c_void_p,
+            pointer,
+            pointer,
+            pointer,
+            ctypes.c_double,
+            pointer,
+        )
+        return prototype(self.function)
+
+
+class Context:
+    """The memory behind a C function, and how an update changes it.
+
+    Args:
+        data: Probe and surface; scratch is made anew.
+        limits: Of the renderer.
+        pair: What is rendered at first.
+    """
+
+    def __init__(self, data: FrameData, limits: FrameLimits, pair: FieldPair) -> None:
+        own = data.with_own_scratch()
+        self._arrays = (  # kept alive
+            *(np.asarray(part) for part in own[1:]),
+            *FrameBuffers.empty(),
+            *limits,
+        )
+        head = np.zeros(ARRAYS, dtype=np.int64)
+        head[TRILINEAR] = own.trilinear
+        self.words: IntArray = np.concatenate([head, _table(self._arrays)])
+        self._fields = _table(pair), pair
+        self.words[FIELDS] = self._fields[0].ctypes.data
+
+    def pause(self) -> None:
+        """Wait for frames under way; those begun from now on write no ledger."""
+        _store(self.words, WAITING, 1)
+        try:
+            self._let_frames_end()
+        except TtusError:
+            _store(self.words, WAITING, 0)
+            raise
+
+    def resume(self, pair: FieldPair) -> None:
+        """Render other fields from the next frame on; after `pause`."""
+        old, self._fields = self._fields, (_table(pair), pair)
+        _store(self.words, FIELDS, self._fields[0].ctypes.data)
+        self._let_frames_end()  # the last that may read the old fields
+        del old
+        _store(self.words, WAITING, 0)
+
+    def _let_frames_end(self) -> None:
+        begun, start = _load(self.words, BEGUN), time.monotonic()
+        while _load(self.words, DONE) < begun:
+            if time.monotonic() - start > PATIENCE:
+                raise TtusError(
+                    f"a frame called from C has not ended within {PATIENCE:g} s: was "
+                    "its thread stopped?"
+                )
+            time.sleep(1e-5)
+
+
+def _table(arrays: tuple[np.ndarray[Any, Any], ...]) -> IntArray:
+    """Address and shape of arrays, one after the other, shape (WORDS·n,)."""
+    rows = [(a.ctypes.data, *a.shape, *(0,) * (2 - a.ndim)) for a in arrays]
+    return np.array(rows, dtype=np.int64).reshape(-1)
+
+
+@intrinsic
+def _pointer(typing_context: Any, address: Any) -> Any:
+    """An address as a pointer (compiled)."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
+
+    return types.voidptr(types.int64), generate
+
+
+def _word_at(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    """Where a word of an array lies, as generated code."""
+    array = context.make_array(signature.args[0])(context, builder, arguments[0])
+    return builder.gep(array.data, [arguments[1]])
+
+
+@intrinsic
+def _read(typing_context: Any, words: Any, place: Any) -> Any:
+    """A word, read in the one order that all threads see (compiled)."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        word = _word_at(context, builder, signature, arguments)
+        return builder.load_atomic(word, "seq_cst", 8)
+
+    return types.int64(words, types.int64), generate
+
+
+@intrinsic
+def _write(typing_context: Any, words: Any, place: Any, value: Any) -> Any:
+    """Write a word, in the one order that all threads see (compiled)."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        word = _word_at(context, builder, signature, arguments)
+        builder.store_atomic(arguments[2], word, "seq_cst", 8)
+        return context.get_dummy_value()
+
+    return types.void(words, types.int64, types.int64), generate
+
+
+@compiled()
+def _load(words: IntArray, place: int) -> int:
+    """A word of a context (compiled)."""
+    return _read(words, place)  # type: ignore[no-any-return]
+
+
+@compiled()
+def _store(words: IntArray, place: int, value: int) -> None:
+    """Set a word of a context (compiled)."""
+    _write(words, place, value)
+
+
+@compiled(inline="always")
+def _vector(table: IntArray, k: int, kind: Any) -> Any:
+    """Array k of a table, of one dimension (compiled)."""
+    return carray(_pointer(table[WORDS * k]), (table[WORDS * k + 1],), kind)
+
+
+@compiled(inline="always")
+def _matrix(table: IntArray, k: int, kind: Any) -> Any:
+    """Array k of a table, of two dimensions (compiled)."""
+    shape = (table[WORDS * k + 1], table[WORDS * k + 2])
+    return carray(_pointer(table[WORDS * k]), shape, kind)
+
+
+@compiled()
+def _data(trilinear: bool, table: IntArray) -> FrameData:
+    """The data that a context's table describes (compiled)."""
+    real, whole = np.float64, np.int64
+    extent, layout, tiles = (
+        _vector(table, 5, real),
+        _vector(table, 9, real),
+        _vector(table, 12, real),
+    )
+    return FrameData(
+        trilinear,
+        _matrix(table, 0, real),  # points
+        _matrix(table, 1, real),  # lever
+        _vector(table, 2, real),  # reference
+        _vector(table, 3, whole),  # start
+        _matrix(table, 4, real),  # spheres
+        GridLimits(
+            extent[0],
+            extent[1],
+            extent[2],
+            extent[3],
+            extent[4],
+            extent[5],
+            extent[6],
+        ),
+        _vector(table, 6, whole),  # shape
+        _vector(table, 7, real),  # radius
+        _vector(table, 8, whole),  # nodes
+        RadiusLayout(layout[0], layout[1], layout[2], layout[3]),
+        _matrix(table, 10, real),  # spokes
+        _matrix(table, 11, real),  # ceiling
+        Tiles(tiles[0], tiles[1], tiles[2], tiles[3]),
+        _matrix(table, 13, real),  # place
+        _vector(table, 14, np.bool_),  # near
+        _matrix(table, 15, whole),  # node
+        _vector(table, 16, whole),  # touched
+        _vector(table, 17, real),  # depth
+        _matrix(table, 18, whole),  # voxel
+        _matrix(table, 19, real),  # share
+        _vector(table, 20, np.int32),  # hits
+    )
+
+
+@compiled(error_model="numpy")
+def _frame(
+    context: Any, rotation: Any, position: Any, twist: Any, time: float, wrench: Any
+) -> int:
+    """`render_frame` of what C hands over (compiled); see ``ttus_frame.h``."""
+    words = carray(context, (ARRAYS + WORDS * N_ARRAYS,))
+    _write(words, BEGUN, words[BEGUN] + 1)
+    may_write = _read(words, WAITING) == 0
+    table = words[ARRAYS:]
+    data = _data(words[TRILINEAR] != 0, table)
+    real, k = np.float64, N_DATA
+    buffers = FrameBuffers(
+        _matrix(table, k, real),
+        _vector(table, k + 1, real),
+        _vector(table, k + 2, real),
+        _matrix(table, k + 3, real),
+    )
+    limits = FrameLimits(_vector(table, k + 4, real), _matrix(table, k + 5, real))
+    fields = carray(_pointer(_read(words, FIELDS)), (WORDS * N_FIELDS,), np.int64)
+    pair = FieldPair(
+        _vector(fields, 0, real),
+        _vector(fields, 1, real),
+        _vector(fields, 2, real),
+        _vector(fields, 3, real),
+        _vector(fields, 4, real),
+    )
+    R, at, given = carray(rotation, (3, 3)), carray(position, 3), carray(twist, 6)
+    for i in range(3):
+        buffers.at[i] = at[i]
+        for j in range(3):
+            buffers.R[i, j] = R[i, j]
+    if math.isnan(time):
+        for i in range(6):
+            buffers.rows[TWIST, i] = given[i]
+    contact, in_grid, _, _ = render_frame(buffers, time, data, pair, limits, may_write)
+    if contact >= 0:
+        out = carray(wrench, 6)
+        for i in range(6):
+            out[i] = buffers.rows[WRENCH, i]
+    _write(words, DONE, words[DONE] + 1)
+    if contact < 0:
+        return int(contact) + OFF_GRID
+    return int(contact) if in_grid else OFF_GRID
+
+
+@functools.cache
+def frame_address() -> int:
+    """Address of the C function, the same for every renderer of the process."""
+    reals = types.CPointer(types.float64)
+    words = types.CPointer(types.int64)
+    signature = types.int32(words, reals, reals, reals, types.float64, reals)
+    _KEPT.append(numba.cfunc(signature)(_entry))
+    return int(_KEPT[0].address)
+
+
+#: The compiled entry, which must not be collected
+_KEPT: list[Any] = []
+
+
+def _entry(
+    context: Any, rotation: Any, position: Any, twist: Any, time: float, wrench: Any
+) -> Any:
+    """The C function: nothing but the call, so that all else is compiled once."""
+    return _frame(context, rotation, position, twist, time, wrench)

@@ -1,0 +1,195 @@
+"""One pose or many, from the forms that others hold them in.
+
+A pose is the rotation matrix R from probe to patient axes and the position of the probe
+frame's origin in the patient frame. Callers hold R as a matrix, as a SciPy `Rotation`,
+as a unit quaternion whose order they name, or within a homogeneous 4×4 matrix.
+
+A rotation matrix rounded to float32 has an ‖RᵀR − I‖ of about 1e-6. Up to `ROUNDING` it
+is brought back to the nearest rotation by the Newton-Schulz iteration for the polar
+factor, R ← R (3I − RᵀR)/2, which squares the error (Björck & Bowie, An iterative
+algorithm for computing the best estimate of an orthogonal matrix, SIAM J. Numer. Anal.
+8, 1971). Beyond that a matrix is refused: scale or shear is no rounding.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+
+if TYPE_CHECKING:
+    from scipy.spatial.transform import RigidTransform, Rotation
+
+QuaternionOrder = Literal["wxyz", "xyzw"]
+
+#: What `Renderer.render` takes as a rotation, or as a whole pose
+PoseLike: TypeAlias = "ArrayLike | Rotation | RigidTransform"
+
+#: Largest entry of |RᵀR − I| that is taken for rounding, and the largest that is left
+#: as it is [–]
+ROUNDING, EXACT = 1e-5, 1e-12
+
+#: Newton-Schulz steps: 1e-5 → 1e-10 → below `EXACT`
+STEPS = 2
+
+#: A quaternion's length may differ from 1 by so much; it is normalised [–]
+QUATERNION_TOLERANCE = 0.01
+
+
+class Pose(NamedTuple):
+    """Where the probe is.
+
+    Attributes:
+        rotation: Probe to patient, shape (3, 3) [–].
+        position: Of the probe frame's origin, patient frame, shape (3,) [m].
+    """
+
+    rotation: Array
+    position: Array
+
+
+def pose_of(
+    rotation: PoseLike,
+    position: ArrayLike | None = None,
+    order: QuaternionOrder | None = None,
+) -> Pose:
+    """A pose from any of its forms.
+
+    Args:
+        rotation: Matrix (3, 3), SciPy `Rotation`, quaternion (4,); or the whole pose
+            as a matrix (4, 4) or a SciPy `RigidTransform`.
+        position: Shape (3,) [m]; None with a whole pose.
+        order: Of a quaternion: ``wxyz``, or ``xyzw`` as in ROS.
+
+    Returns:
+        Matrix and position; the matrix is not checked, see `rotations`.
+
+    Raises:
+        InputError: Another form, a position missing or given twice, a quaternion
+            without its order, or one that is not of unit length.
+
+    Examples:
+        >>> pose_of([0.0, 0.0, 0.0, 1.0], [0.1, 0.0, 0.0], "xyzw").rotation.tolist()
+        [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    as_matrix = getattr(rotation, "as_matrix", None)
+    matrix = np.asarray(rotation if as_matrix is None else as_matrix(), dtype=float)
+    if matrix.shape == (4,):
+        matrix = from_quaternions(matrix[None], order)[0]
+    elif order is not None:
+        raise InputError(f"order {order!r} is of a quaternion (4,), got {matrix.shape}")
+    elif matrix.shape == (4, 4) and position is None:
+        if np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() > ROUNDING:
+            raise InputError(
+                f"a pose (4, 4) ends in the row 0, 0, 0, 1, got {matrix[3].tolist()}: "
+                "transposed?"
+            )
+        matrix, position = matrix[:3, :3], matrix[:3, 3]
+    at = np.asarray(np.nan if position is None else position, dtype=float)
+    if matrix.shape != (3, 3) or at.shape != (3,):
+        given = "no position" if position is None else f"position {at.shape}"
+        raise InputError(
+            "a pose needs rotation (3, 3), a SciPy Rotation or a quaternion (4,), and "
+            "position (3,) [m]; or a matrix (4, 4) alone; got rotation "
+            f"{matrix.shape} and {given}"
+        )
+    return Pose(matrix, at)
+
+
+def from_quaternions(quaternions: Array, order: QuaternionOrder | None) -> Array:
+    """Rotation matrices of unit quaternions.
+
+    Args:
+        quaternions: Shape (T, 4) [–]; lengths within 1 % of 1 are normalised.
+        order: ``wxyz`` or ``xyzw``.
+
+    Returns:
+        Shape (T, 3, 3) [–].
+
+    Raises:
+        InputError: No order, or lengths that are not 1.
+    """
+    from scipy.spatial.transform import Rotation
+
+    if order not in get_args(QuaternionOrder):
+        raise InputError(
+            f"a quaternion needs order='wxyz' or order='xyzw' (ROS), got {order!r}"
+        )
+    length = np.linalg.norm(quaternions, axis=1)
+    if not (np.abs(length - 1.0) <= QUATERNION_TOLERANCE).all():
+        worst = length[np.argmax(np.abs(length - 1.0))]
+        raise InputError(
+            f"a quaternion has length {worst:.6g}, expected 1: normalise it"
+        )
+    scalar_first = order == "wxyz"
+    return np.asarray(
+        Rotation.from_quat(quaternions, scalar_first=scalar_first).as_matrix()
+    )
+
+
+def to_quaternions(matrices: Array) -> Array:
+    """Unit quaternions w, x, y, z with w ≥ 0 of matrices (T, 3, 3), shape (T, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(
+        Rotation.from_matrix(matrices).as_quat(canonical=True, scalar_first=True)
+    )
+
+
+def rotations(matrices: Array) -> Array:
+    """Rotation matrices, brought back to orthonormal where they were rounded.
+
+    Args:
+        matrices: Shape (T, 3, 3), or one of shape (3, 3) [–].
+
+    Returns:
+        The same shape; the same array where nothing was rounded.
+
+    Raises:
+        InputError: Values that are not finite, a matrix that is further than
+            `ROUNDING` from orthonormal, or a reflection; told with its frame.
+    """
+    if not np.isfinite(matrices).all():
+        raise InputError("a rotation contains NaN or infinite values")
+    if matrices.size == 0:
+        return matrices
+    error = _off(matrices)
+    _refuse(error > ROUNDING, error, "orthonormal columns are expected")
+    for _ in range(STEPS):
+        if (rounded := error > EXACT).any():
+            gram = np.swapaxes(matrices, -1, -2) @ matrices
+            nearer = 0.5 * matrices @ (3.0 * np.eye(3) - gram)
+            matrices = np.where(rounded[..., None, None], nearer, matrices)
+            error = _off(matrices)
+    _refuse(
+        np.linalg.det(matrices) < 0.0,
+        error,
+        "a reflection (determinant −1): swap two axes or change the sign of one",
+    )
+    return matrices
+
+
+def _off(matrices: Array) -> Array:
+    """Largest entry of |RᵀR − I| of every matrix [–]."""
+    gram = np.swapaxes(matrices, -1, -2) @ matrices
+    return np.asarray(np.abs(gram - np.eye(3)).max(axis=(-1, -2)))
+
+
+def _refuse(bad: NDArray[np.bool_], error: Array, why: str) -> None:
+    """Raise for the first bad matrix.
+
+    Raises:
+        InputError: One is bad.
+    """
+    if np.any(bad):
+        first = int(np.argmax(bad))
+        frame = f"frame {first}: " if np.ndim(bad) else ""
+        off = np.atleast_1d(error)[first]
+        raise InputError(
+            f"{frame}not a rotation matrix, RᵀR is off the identity by {off:.2g} "
+            f"(rounding up to {ROUNDING:g} is corrected): {why}"
+        )

@@ -1,0 +1,99 @@
+"""The surface's radius R(θ, z) at a place: bilinear, periodic in θ, constant beyond z.
+
+The one lookup of the package: `Surface.radius_at`, the rows of the fit and the haptic
+frame all use it, so that they agree to the last bit on what is inside. It has two
+steps that compiled loops can keep apart: finding the cell is arithmetic only and
+becomes vector instructions; reading its corners is what is left.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.compiled import compiled
+
+
+class RadiusLayout(NamedTuple):
+    """Where a surface's nodes lie.
+
+    Attributes:
+        theta_0: First angle, in [0, 2π) [rad].
+        per_theta: Nodes per radian.
+        z_0: First height [m].
+        per_z: Nodes per metre.
+    """
+
+    theta_0: float
+    per_theta: float
+    z_0: float
+    per_z: float
+
+
+@compiled(inline="always")
+def radius_cell(
+    theta: float, z: float, n_theta: int, n_z: int, layout: RadiusLayout
+) -> tuple[int, int, float, float]:
+    """The cell of the surface's nodes around a place, without a branch (compiled).
+
+    Args:
+        theta: Angle in [0, 2π) [rad].
+        z: Height [m].
+        n_theta: Angles of the surface [–].
+        n_z: Slices of the surface [–].
+        layout: `Surface.kernel_layout`.
+
+    Returns:
+        Flat index of the node before and of the next angle's, then the local (θ, z).
+    """
+    u = (theta - layout.theta_0) * layout.per_theta
+    floor_u = np.floor(u)  # math.floor makes an integer and no vector instruction
+    j = int(floor_u)
+    j = j + n_theta if j < 0 else j
+    j = j - n_theta if j >= n_theta else j
+    j_next = 0 if j + 1 == n_theta else j + 1
+    v = min(max((z - layout.z_0) * layout.per_z, 0.0), n_z - 1.0)
+    k = min(int(v), n_z - 2)
+    return j * n_z + k, j_next * n_z + k, u - floor_u, v - k
+
+
+@compiled(inline="always")
+def radius_between(here: int, after: int, a: float, b: float, radius: Array) -> float:
+    """Bilinear radius at a place found by `radius_cell` (compiled).
+
+    Args:
+        here: Flat index of the node before.
+        after: Flat index of the next angle's node.
+        a: Local θ in [0, 1].
+        b: Local z in [0, 1].
+        radius: Of the nodes, flat [m].
+
+    Returns:
+        The radius [m].
+    """
+    first: float = (1.0 - b) * radius[here] + b * radius[here + 1]
+    second: float = (1.0 - b) * radius[after] + b * radius[after + 1]
+    return (1.0 - a) * first + a * second
+
+
+@compiled()
+def radii_at(theta: Array, z: Array, radius: Array, layout: RadiusLayout) -> Array:
+    """Radii at places (compiled).
+
+    Args:
+        theta: Angles in [0, 2π), shape (n,) [rad].
+        z: Heights, shape (n,) [m].
+        radius: Of the nodes, shape (n_theta, n_z) [m].
+        layout: `Surface.kernel_layout`.
+
+    Returns:
+        Shape (n,) [m].
+    """
+    (n_theta, n_z), flat = radius.shape, radius.reshape(-1)
+    out = np.empty(theta.size)
+    for m in range(theta.size):
+        here, after, a, b = radius_cell(theta[m], z[m], n_theta, n_z, layout)
+        out[m] = radius_between(here, after, a, b, flat)
+    return out
