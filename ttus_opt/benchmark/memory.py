@@ -62,7 +62,7 @@ def available_bytes() -> int | None:
     return _read(text, "MemAvailable")
 
 
-def volunteer() -> None:
+def end_this_first() -> None:
     """Ask the system to end this process first when memory runs out."""
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
