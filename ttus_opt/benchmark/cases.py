@@ -7,7 +7,7 @@ it can be handed to another process.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -84,13 +84,9 @@ class CaseSpec:
         """Number of voxels V [–]."""
         return int(np.prod(self.shape))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Everything, for JSON."""
-        return asdict(self)
-
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> CaseSpec:
-        """Read back what `as_dict` gave."""
+        """Read back what `dataclasses.asdict` and JSON gave."""
         lists = {key: tuple(values[key]) for key in ("trajectories", "shape")}
         return cls(**{**values, **lists})
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,21 +12,16 @@ from ttus_opt.benchmark.summary import MIB, solved, was_run, worst_relative
 from ttus_opt.report.plots.canvas import look, new_figure, save_picture
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-#: Markers and line styles told apart in greyscale
-MARKERS = "os^vDP*X<>hpd"
-STYLES = ("-", "--", ":", "-.")
+#: Inks, markers and line styles, told apart in greyscale
+INKS, MARKERS, STYLES = ("0.15", "#0b4f9c", "0.6"), "os^vDP*X<>hpd", ("-", "--", ":")
 
-#: Distance of two failures' marks, as a part of their size
+#: Distance of two failures' marks, which share a limit, as a part of their size
 SPREAD = 0.04
 
-#: Least residual that is drawn [–]
-SMALLEST = 1e-17
-
-#: What a row stands for in a picture; None where it has no such figure
-Figured = Callable[[Row], float | None]
+#: What a row stands for in a picture
+Figured = Callable[[Row], float]
 
 
 def save_pictures(rows: Sequence[Row], folder: Path) -> tuple[str, str, str]:
@@ -38,20 +34,22 @@ def save_pictures(rows: Sequence[Row], folder: Path) -> tuple[str, str, str]:
     Returns:
         File names: time, memory, residual.
     """
-    run = [row for row in rows if was_run(row)]
-    # a failure stands at its time limit, and at the size it had taken
+    rows = sorted(filter(was_run, rows), key=lambda row: (row["voxels"], row["solver"]))
     first = "first solve, set-up included [s]"
-    figures = {
-        "time.png": _against_size(
-            run, first, lambda r: r["seconds_first"] if solved(r) else r["time_limit"]
-        ),
-        "memory.png": _against_size(
-            run,
-            "largest size of the process [MiB]",
-            lambda row: (row["peak_memory_bytes"] or 0) / MIB or None,
-        ),
-        "residual.png": _residual_against_time(run, first),
-    }
+    with look():
+        figures = {
+            "time.png": _against_size(
+                rows,
+                first,
+                lambda r: r["seconds_first"] if solved(r) else r["time_limit"],
+            ),
+            "memory.png": _against_size(
+                rows,
+                "largest size of the process [MiB]",
+                lambda r: (r["peak_memory_bytes"] or math.nan) / MIB,
+            ),
+            "residual.png": _residual_against_time(rows, first),
+        }
     for name, figure in figures.items():
         save_picture(figure, folder / name)
     time, memory, residual = figures
@@ -62,93 +60,55 @@ def _against_size(rows: Sequence[Row], label: str, figured: Figured) -> Figure:
     """One axis per formulation, a curve per solver; failures are unfilled marks."""
     formulations = list(dict.fromkeys(row["formulation"] for row in rows)) or ["–"]
     sizes = sorted({row["voxels"] for row in rows}) or [1]
-    with look():
-        figure = new_figure(1.0 + 3.4 * len(formulations), 3.6)
-        axes = figure.subplots(1, len(formulations), squeeze=False, sharey=True)[0]
-        for axis, formulation in zip(axes, formulations, strict=True):
-            for index, solver in enumerate(_solvers(rows)):
-                own = (formulation, solver)
-                _curve(
-                    axis,
-                    [r for r in rows if (r["formulation"], r["solver"]) == own],
-                    _style(index),
-                    (1.0 + SPREAD * index, figured),
-                )
-            axis.set(xscale="log", yscale="log", title=formulation)
-            axis.set_xlim(sizes[0] / 1.5, sizes[-1] * 2.0)
-            axis.set_xticks(sizes, [f"{size:,}" for size in sizes])
-            axis.set_xticks([], minor=True)
-            axis.set_xlabel("voxels V")
-        axes[0].set_ylabel(label)
-        _legend(figure, rows)
+    figure = new_figure(1.0 + 3.4 * len(formulations), 3.6)
+    axes = figure.subplots(1, len(formulations), squeeze=False, sharey=True)[0]
+    for axis, formulation in zip(axes, formulations, strict=True):
+        for index, (solver, style) in enumerate(_styles(rows).items()):
+            place = (formulation, solver)
+            own = [r for r in rows if (r["formulation"], r["solver"]) == place]
+            answers = {r["voxels"]: figured(r) for r in own if solved(r)}
+            axis.plot(list(answers), list(answers.values()), label=solver, **style)
+            aside = 1.0 + SPREAD * index
+            failed = {aside * r["voxels"]: figured(r) for r in own if not solved(r)}
+            unfilled = style | {"linestyle": "none", "fillstyle": "none"}
+            axis.plot(list(failed), list(failed.values()), **unfilled)
+        axis.set(xscale="log", yscale="log", title=formulation, xlabel="voxels V")
+        axis.set_xlim(sizes[0] / 1.5, sizes[-1] * 2.0)
+        axis.set_xticks(sizes, [f"{size:,}" for size in sizes])
+        axis.set_xticks([], minor=True)
+    axes[0].set_ylabel(label)
+    if rows:
+        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper")
     return figure
 
 
 def _residual_against_time(rows: Sequence[Row], label: str) -> Figure:
     """One mark per answer; unfilled when it failed its check."""
-    with look():
-        figure = new_figure(6.4, 3.8)
-        axis = figure.subplots()
-        for index, solver in enumerate(_solvers(rows)):
-            for row in rows:
-                residual = worst_relative(row)
-                if row["solver"] != solver or residual is None:
-                    continue
-                if not row["seconds_first"]:
-                    continue
-                at = (row["seconds_first"], max(residual, SMALLEST))
-                fill = "full" if solved(row) else "none"
-                style = _style(index) | {"linestyle": "none", "fillstyle": fill}
-                axis.plot(*at, **style)
-                axis.annotate(
-                    solver, at, xytext=(5, 3), textcoords="offset points", fontsize=7.5
-                )
-        axis.set(xscale="log", yscale="log", xlabel=label)
-        axis.set_ylabel("relative KKT residual, verified")
-        axis.margins(x=0.15, y=0.1)
+    figure = new_figure(6.4, 3.8)
+    axis = figure.subplots()
+    styles = _styles(rows)
+    for row in rows:
+        residual = worst_relative(row)
+        if residual is None or not row["seconds_first"]:
+            continue
+        at = (row["seconds_first"], max(residual, 1e-17))
+        fill = {"linestyle": "none", "fillstyle": "full" if solved(row) else "none"}
+        axis.plot(*at, **styles[row["solver"]] | fill)
+        beside: dict[str, Any] = {"xytext": (5, 3), "textcoords": "offset points"}
+        axis.annotate(row["solver"], at, fontsize=7.5, **beside)
+    axis.set(xscale="log", yscale="log", xlabel=label)
+    axis.set_ylabel("relative KKT residual, verified")
+    axis.margins(x=0.15, y=0.1)
     return figure
 
 
-def _solvers(rows: Sequence[Row]) -> list[str]:
-    return sorted({row["solver"] for row in rows})
-
-
-def _style(index: int) -> dict[str, Any]:
-    """Ink, marker and line of a solver."""
-    grey = f"{0.15 + 0.45 * (index % 4) / 2:.2f}"
+def _styles(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
+    """Ink, marker and line of every solver."""
     return {
-        "color": "#0b4f9c" if index % 2 else grey,
-        "marker": MARKERS[index % len(MARKERS)],
-        "linestyle": STYLES[index % len(STYLES)],
+        solver: {
+            "color": INKS[n % len(INKS)],
+            "marker": MARKERS[n % len(MARKERS)],
+            "linestyle": STYLES[n % len(STYLES)],
+        }
+        for n, solver in enumerate(sorted({row["solver"] for row in rows}))
     }
-
-
-def _curve(
-    axis: Axes, rows: list[Row], style: dict[str, Any], told: tuple[float, Figured]
-) -> None:
-    """A line through the answers; failures, which share a limit, side by side."""
-    aside, figured = told
-    told = [
-        (row["voxels"], value, solved(row))
-        for row in sorted(rows, key=lambda row: row["voxels"])
-        if (value := figured(row))
-    ]
-    answers = [(voxels, value) for voxels, value, passed in told if passed]
-    failures = [(aside * voxels, value) for voxels, value, passed in told if not passed]
-    axis.plot(*_columns(answers), **style)
-    axis.plot(*_columns(failures), **style | {"linestyle": "none", "fillstyle": "none"})
-
-
-def _columns(points: list[tuple[float, float]]) -> tuple[list[float], list[float]]:
-    return [x for x, _ in points], [y for _, y in points]
-
-
-def _legend(figure: Figure, rows: Sequence[Row]) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [
-        Line2D([], [], label=solver, **_style(index))
-        for index, solver in enumerate(_solvers(rows))
-    ]
-    if handles:
-        figure.legend(handles=handles, loc="outside right upper")

@@ -54,9 +54,8 @@ def write_report(
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """Write rows as CSV, a column per figure; nested ones as ``kkt.primal``.
 
-    Args:
-        path: The file.
-        rows: Of one part.
+    Raises:
+        FileError: The folder cannot be written to.
     """
     flat = [_flat(row) for row in rows]
     header = list(dict.fromkeys(key for row in flat for key in row))

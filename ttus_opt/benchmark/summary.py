@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,14 +42,7 @@ def group(row: Row) -> tuple[str, str]:
 
 
 def shifted_geometric_mean(seconds: Sequence[float], shift: float = SHIFT) -> float:
-    """exp(mean(log(t + s))) - s: one slow run does not decide, nor one of no time.
-
-    Args:
-        seconds: Times, at least one [s].
-        shift: s [s].
-
-    Returns:
-        The mean [s].
+    """exp(mean(log(t + s))) - s: one slow run does not decide, nor one of no time [s].
 
     >>> shifted_geometric_mean([0.0, 3.0], shift=1.0)
     1.0
@@ -59,43 +51,45 @@ def shifted_geometric_mean(seconds: Sequence[float], shift: float = SHIFT) -> fl
     return math.exp(math.fsum(logs) / len(logs)) - shift
 
 
-@dataclass(frozen=True)
-class Score:
-    """How one solver did.
+def scores(rows: Sequence[Row]) -> list[Row]:
+    """How each solver did that was run at all, most solved first, then fastest.
 
-    Attributes:
-        solver: Its name.
-        solved: Runs with a verified answer.
-        run: Runs it was there for and could take.
-        mean_first: Shifted geometric mean of first solves, a failure counted as its
-            time limit [s].
-        mean_again: The same of solves with other values.
+    Args:
+        rows: All rows.
+
+    Returns:
+        ``solver``, ``solved``, ``run`` and the shifted geometric means ``first`` and
+        ``again``, a failure counted as its time limit [s].
     """
-
-    solver: str
-    solved: int
-    run: int
-    mean_first: float
-    mean_again: float
-
-
-def scores(rows: Sequence[Row]) -> list[Score]:
-    """A score per solver that was run at all, most solved first, then fastest."""
-
-    def mean(own: Sequence[Row], key: str) -> float:
-        return shifted_geometric_mean(
-            [
-                row[key] if solved(row) and row[key] is not None else row["time_limit"]
-                for row in own
-            ]
-        )
-
     found = []
     for solver in dict.fromkeys(row["solver"] for row in rows if was_run(row)):
         own = [row for row in rows if row["solver"] == solver and was_run(row)]
-        means = mean(own, "seconds_first"), mean(own, "seconds_again")
-        found.append(Score(solver, sum(map(solved, own)), len(own), *means))
-    return sorted(found, key=lambda score: (-score.solved, score.mean_first))
+        score = {"solver": solver, "solved": sum(map(solved, own)), "run": len(own)}
+        for kind in ("first", "again"):
+            taken = [row[f"seconds_{kind}"] if solved(row) else None for row in own]
+            limits = [row["time_limit"] for row in own]
+            score[kind] = shifted_geometric_mean(
+                [
+                    limit if t is None else t
+                    for t, limit in zip(taken, limits, strict=True)
+                ]
+            )
+        found.append(score)
+    return sorted(found, key=lambda score: (-score["solved"], score["first"]))
+
+
+def score_table(rows: Sequence[Row]) -> str:
+    """`scores` as a Markdown table."""
+    body = [
+        [
+            s["solver"],
+            f"{s['solved']}/{s['run']}",
+            seconds(s["first"]),
+            seconds(s["again"]),
+        ]
+        for s in scores(rows)
+    ]
+    return table(["solver", "solved", "first [s]", "again [s]"], body)
 
 
 def closed_form_table(rows: Sequence[Row], closed_form: str) -> str:
@@ -155,41 +149,19 @@ def row_table(rows: Sequence[Row]) -> str:
     return table(header, body)
 
 
-def score_table(rows: Sequence[Row]) -> str:
-    """Shifted geometric means per solver."""
-    body = [
-        [
-            score.solver,
-            f"{score.solved}/{score.run}",
-            seconds(score.mean_first),
-            seconds(score.mean_again),
-        ]
-        for score in scores(rows)
-    ]
-    return table(["solver", "solved", "first [s]", "again [s]"], body)
-
-
 def memory_table(rows: Sequence[Row]) -> str:
     """Largest size of the process per stage [MiB]."""
-    stages = list(dict.fromkeys(s for row in rows for s in row["memory_by_stage"]))
-    body = [
-        [
-            *group(row),
-            row["solver"],
-            *(mebibytes(row["memory_by_stage"].get(stage)) for stage in stages),
-        ]
-        for row in rows
-        if row["memory_by_stage"]
-    ]
+    told = [row for row in rows if row["memory_by_stage"]]
+    stages = list(dict.fromkeys(s for row in told for s in row["memory_by_stage"]))
+    body = []
+    for row in told:
+        sizes = [mebibytes(row["memory_by_stage"].get(stage)) for stage in stages]
+        body.append([*group(row), row["solver"], *sizes])
     return table(["case", "formulation", "solver", *stages], body)
 
 
 def exponent(rows: Sequence[Row], key: str) -> float:
     """Exponent x of time ∝ V^x by least squares; NaN for fewer than two sizes.
-
-    Args:
-        rows: Of one solver on one formulation.
-        key: Of the time.
 
     >>> told = [{"voxels": v, "t": 2e-3 * v, "status": "solved"} for v in (10, 1000)]
     >>> round(exponent(told, "t"), 12)
@@ -198,40 +170,33 @@ def exponent(rows: Sequence[Row], key: str) -> float:
     told = [(row["voxels"], row[key]) for row in rows if solved(row) and row[key]]
     if len({voxels for voxels, _ in told}) < 2:
         return math.nan
-    sizes, times_taken = np.log(told).T
-    return float(np.polyfit(sizes, times_taken, 1)[0])
+    sizes, taken = np.log(told).T
+    return float(np.polyfit(sizes, taken, 1)[0])
 
 
 def growth_table(rows: Sequence[Row]) -> str:
     """Exponents of solvers that solved a formulation in two sizes; empty for none."""
     found = []
-    for formulation, solver in dict.fromkeys(
-        (row["formulation"], row["solver"]) for row in rows
-    ):
-        own = [
-            row
-            for row in sorted(rows, key=lambda row: row["voxels"])
-            if (row["formulation"], row["solver"]) == (formulation, solver)
-            and solved(row)
-        ]
+    rows = sorted(filter(solved, rows), key=lambda row: row["voxels"])
+    for place in dict.fromkeys((row["formulation"], row["solver"]) for row in rows):
+        own = [row for row in rows if (row["formulation"], row["solver"]) == place]
         powers = [exponent(own, f"seconds_{kind}") for kind in ("first", "again")]
         if not math.isnan(powers[0]):
             cases = f"{own[0]['case']} to {own[-1]['case']} ({len(own)})"
             laws = ["–" if math.isnan(x) else f"time ∝ V^{x:.2f}" for x in powers]
-            found.append((powers[0], [formulation, solver, cases, *laws]))
-    order = list(dict.fromkeys(row["formulation"] for row in rows))
-    found.sort(key=lambda each: (order.index(each[1][0]), each[0]))
+            found.append((place[0], powers[0], [*place, cases, *laws]))
+    found.sort(key=lambda each: each[:2])
     header = ["formulation", "solver", "cases", "first", "again"]
-    return table(header, [line for _, line in found]) if found else ""
+    return table(header, [line for *_, line in found]) if found else ""
 
 
 def _failure(row: Row) -> str:
     """Status and, short, why."""
-    if row["status"] == "not installed" or not row["detail"]:
-        return str(row["status"])
-    detail = row["detail"]
+    status, detail = row["status"], row["detail"]
+    if status == "not installed" or not detail:
+        return str(status)
     detail = detail if len(detail) < 48 else detail[:45] + "…"
-    return f"{row['status']}: {detail}".replace("|", "/")
+    return f"{status}: {detail}".replace("|", "/")
 
 
 def ratio(value: float | None, reference: float | None) -> str:
@@ -239,10 +204,8 @@ def ratio(value: float | None, reference: float | None) -> str:
     return "–" if value is None or not reference else times(value / reference)
 
 
-def times(quotient: float | None) -> str:
+def times(quotient: float) -> str:
     """A quotient of two figures."""
-    if quotient is None:
-        return "–"
     return f"× {quotient:.2g}" if quotient < 100 else f"× {quotient:.0f}"
 
 

@@ -99,7 +99,8 @@ class RecursionPart(Part):
         taken, made, fields = _folded(scene, {compared}, spec.time_limit)
         peak = memory.peak_bytes()
         held = len(taken)
-        row = _windows(taken) | {
+        row = _typical("early", taken[:WINDOW]) | _typical("late", taken[-WINDOW:])
+        row |= _typical("field", made) | {
             "voxels": scene.n_voxels,
             "updates_asked": updates,
             "held": held,
@@ -108,8 +109,6 @@ class RecursionPart(Part):
             if held == updates
             else f"stopped after {held:,} of {updates:,} updates by the time limit",
         }
-        if made:
-            row |= {"field_median": statistics.median(made), "field_max": max(made)}
         if held > 1:
             first, again = _batch(scene, held, begin)
             late = row["late_median"]
@@ -195,15 +194,11 @@ def _folded(
     return taken, made, fields
 
 
-def _windows(taken: Sequence[float]) -> Row:
-    """Median and maximum over the first and the last updates."""
-    early, late = taken[:WINDOW], taken[-WINDOW:]
-    return {
-        "early_median": statistics.median(early),
-        "early_max": max(early),
-        "late_median": statistics.median(late),
-        "late_max": max(late),
-    }
+def _typical(name: str, taken: Sequence[float]) -> Row:
+    """Median and maximum of some times, where there are any [s]."""
+    if not taken:
+        return {}
+    return {f"{name}_median": statistics.median(taken), f"{name}_max": max(taken)}
 
 
 def _eq10(scene: Scene, count: int) -> Formulation:

@@ -23,7 +23,6 @@ from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.benchmark.summary import times
 from ttus_opt.contact.rows import Sampling
-from ttus_opt.errors import InputError
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
@@ -45,8 +44,8 @@ LEAN = math.radians(10.0)
 #: The innermost layer's radius, and half the grid's height [m]
 INNER, HALF = 0.06, 0.055
 
-#: How far the probe slides [m]
-SLIDE = 0.012
+#: How far the probe slides, and how deep its tip is [m]
+SLIDE, DEPTH = 0.012, 0.008
 
 #: Half axes of the probe [m]
 SEMI_AXES = (0.030, 0.0125, 0.018)
@@ -99,36 +98,23 @@ def ripple(
     voxel: float,
     *,
     direction: Direction = "along",
-    depth: float = 0.008,
     n_points: int = 5000,
     n_poses: int = 400,
-    seed: int = 0,
 ) -> Row:
-    """Slide a probe of 30 × 12.5 × 18 mm half axes over a cylinder.
+    """Slide an ellipsoid over a cylinder.
 
     Args:
         sampling: ``voxel-mean`` or ``trilinear``.
         voxel: Step of the grid [m].
         direction: ``along`` the cylinder or ``around`` it.
-        depth: Of the probe's tip below the skin [m].
         n_points: Points of the probe's shell.
         n_poses: Places on the slide.
-        seed: Of the shell.
 
     Returns:
         What was slid, ``mean_force`` [field's unit times cm², or times voxels] and
         ``ripple``: peak to peak over mean of the force's magnitude [–].
-
-    Raises:
-        InputError: Unknown direction, a depth or voxel that makes no contact.
     """
-    if direction not in get_args(Direction):
-        raise InputError(f"direction must be along or around, got {direction!r}")
-    if not (0.0 < depth < 0.02 and 0.0 < voxel < 0.02):
-        raise InputError(
-            f"depth and voxel must be within 0 to 0.02 m, got {depth} and {voxel}"
-        )
-    shell = PointShell.ellipsoid(semi_axes=SEMI_AXES, n_points=n_points, seed=seed)
+    shell = PointShell.ellipsoid(semi_axes=SEMI_AXES, n_points=n_points)
     renderer = Renderer(cylinder_field(sampling, voxel), shell)
     frame = _cylinder_axes()
     force = np.empty(n_poses)
@@ -136,10 +122,10 @@ def ripple(
         angle = 0.37 + (way / RADIUS if direction == "around" else 0.0)
         z = way if direction == "along" else 0.0
         out = np.array([math.cos(angle), math.sin(angle), 0.0])
-        # long axis along the cylinder, 18 mm axis towards it
+        # long axis along the cylinder, third axis towards it
         along = np.array([0.0, 0.0, 1.0])
         rotation = np.stack([along, np.cross(-out, along), -out], axis=1)
-        position = (RADIUS + SEMI_AXES[2] - depth) * out + z * along
+        position = (RADIUS + SEMI_AXES[2] - DEPTH) * out + z * along
         wrench = renderer.render(
             frame @ rotation, frame @ position + [OFFSET, 0.0, 0.0]
         )
@@ -149,7 +135,6 @@ def ripple(
         "voxel": voxel,
         "direction": direction,
         "sampling": sampling,
-        "depth": depth,
         "mean_force": mean,
         "ripple": float(np.ptp(force)) / mean,
     }
