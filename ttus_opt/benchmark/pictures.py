@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from itertools import filterfalse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ INKS, MARKERS, STYLES = ("0.15", "#0b4f9c", "0.6"), "os^vDP*X<>hpd", ("-", "--",
 #: Distance of two failures' marks, which share a limit, as a part of their size
 SPREAD = 0.04
 
-#: What a row stands for in a picture
+#: What a row stands for in a picture; NaN where it has no such figure
 Figured = Callable[[Row], float]
 
 
@@ -66,12 +67,10 @@ def _against_size(rows: Sequence[Row], label: str, figured: Figured) -> Figure:
         for index, (solver, style) in enumerate(_styles(rows).items()):
             place = (formulation, solver)
             own = [r for r in rows if (r["formulation"], r["solver"]) == place]
-            answers = {r["voxels"]: figured(r) for r in own if solved(r)}
-            axis.plot(list(answers), list(answers.values()), label=solver, **style)
-            aside = 1.0 + SPREAD * index
-            failed = {aside * r["voxels"]: figured(r) for r in own if not solved(r)}
-            unfilled = style | {"linestyle": "none", "fillstyle": "none"}
-            axis.plot(list(failed), list(failed.values()), **unfilled)
+            answers = _points(filter(solved, own), figured, 1.0)
+            failed = _points(filterfalse(solved, own), figured, 1.0 + SPREAD * index)
+            axis.plot(*answers, label=solver, **style)
+            axis.plot(*failed, **style | {"linestyle": "none", "fillstyle": "none"})
         axis.set(xscale="log", yscale="log", title=formulation, xlabel="voxels V")
         axis.set_xlim(sizes[0] / 1.5, sizes[-1] * 2.0)
         axis.set_xticks(sizes, [f"{size:,}" for size in sizes])
@@ -80,6 +79,14 @@ def _against_size(rows: Sequence[Row], label: str, figured: Figured) -> Figure:
     if rows:
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper")
     return figure
+
+
+def _points(
+    rows: Iterable[Row], figured: Figured, aside: float
+) -> tuple[list[float], list[float]]:
+    """Sizes and figures, where there are any."""
+    told = {aside * r["voxels"]: y for r in rows if not math.isnan(y := figured(r))}
+    return list(told), list(told.values())
 
 
 def _residual_against_time(rows: Sequence[Row], label: str) -> Figure:

@@ -1,0 +1,48 @@
+"""Bytes of a V-cycle: from the sizes of the levels, and bounded by what they hold."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.conftest import small_scene
+from ttus_opt.benchmark import roofline
+from ttus_opt.laplace.system import LaplaceSystem
+
+
+def laplace(shape: tuple[int, int, int]) -> LaplaceSystem:
+    return small_scene("trilinear", shape=shape, n_poses=2, seed=0).laplace
+
+
+def test_bytes_are_those_of_the_levels() -> None:
+    multigrid = laplace((12, 32, 16)).multigrid
+    level, cycle = roofline.cycle_bytes(multigrid)
+    hierarchy = multigrid.hierarchy
+    # one number in single precision per voxel, rows padded by less than a half
+    assert 4 * 12 * 32 * 16 <= level < 1.5 * 4 * 12 * 32 * 16
+    # no array is moved less than once, none of the finest level over twenty times
+    assert cycle > hierarchy.memory_bytes
+    coarser = sum(each.inverse.nbytes for each in hierarchy.levels[1:])
+    direct = hierarchy.inverse.nbytes
+    assert cycle - direct < 20 * level + 60 * coarser
+
+
+def test_eight_times_the_voxels_are_eight_times_the_bytes() -> None:
+    small, large = (
+        roofline.cycle_bytes(laplace(shape).multigrid)[1]
+        for shape in ((12, 32, 16), (24, 64, 32))
+    )
+    assert large / small == pytest.approx(8.0, rel=0.25)
+
+
+def test_what_is_measured_is_told() -> None:
+    told = roofline.roofline(laplace((12, 32, 16)))
+    # a solve moves more than its V-cycles
+    assert told["bytes_solve"] > told["cycles"] * told["bytes_cycle"]
+    assert told["seconds_solve"] > told["seconds_cycle"] > 0.0
+    known = told | {"bandwidth": 1e9, "bytes_cycle": 2_000_000, "seconds_cycle": 8e-3}
+    text = "\n".join(roofline.summary(known))
+    # 2 MB at 1 GB/s are 2 ms, a quarter of 8 ms
+    assert "| V-cycle " in text
+    line = next(each for each in text.splitlines() if each.startswith("| V-cycle "))
+    cells = [cell.strip() for cell in line.strip("|").split("|")]
+    assert cells[1:] == ["2", "2", "8", "25%"]
