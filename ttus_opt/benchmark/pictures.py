@@ -25,42 +25,46 @@ SPREAD = 0.04
 Figured = Callable[[Row], float]
 
 
-def save_pictures(rows: Sequence[Row], folder: Path) -> tuple[str, str, str]:
-    """Draw and save all.
+def save_pictures(rows: Sequence[Row], folder: Path) -> dict[str, str]:
+    """Draw and save what there is to show.
 
     Args:
         rows: All rows of solvers.
         folder: Where to.
 
     Returns:
-        File names: time, memory, residual.
+        Caption by file name.
     """
     rows = sorted(filter(was_run, rows), key=lambda row: (row["voxels"], row["solver"]))
     first = "first solve, set-up included [s]"
+    size = "largest size of the process [MiB]"
+    captions = {}
     with look():
-        figures = {
-            "time.png": _against_size(
+        if rows:
+            figure = _against_size(
                 rows,
                 first,
                 lambda r: r["seconds_first"] if solved(r) else r["time_limit"],
-            ),
-            "memory.png": _against_size(
-                rows,
-                "largest size of the process [MiB]",
-                lambda r: (r["peak_memory_bytes"] or math.nan) / MIB,
-            ),
-            "residual.png": _residual_against_time(rows, first),
-        }
-    for name, figure in figures.items():
-        save_picture(figure, folder / name)
-    time, memory, residual = figures
-    return time, memory, residual
+            )
+            captions["time.png"] = "time against voxels"
+            save_picture(figure, folder / "time.png")
+        if any(row["peak_memory_bytes"] for row in rows):
+            figure = _against_size(
+                rows, size, lambda r: (r["peak_memory_bytes"] or math.nan) / MIB
+            )
+            captions["memory.png"] = "memory against voxels"
+            save_picture(figure, folder / "memory.png")
+        told = [row for row in rows if worst_relative(row) is not None]
+        if told:
+            captions["residual.png"] = "residual against time"
+            save_picture(_residual_against_time(told, first), folder / "residual.png")
+    return captions
 
 
 def _against_size(rows: Sequence[Row], label: str, figured: Figured) -> Figure:
     """One axis per formulation, a curve per solver; failures are unfilled marks."""
-    formulations = list(dict.fromkeys(row["formulation"] for row in rows)) or ["–"]
-    sizes = sorted({row["voxels"] for row in rows}) or [1]
+    formulations = list(dict.fromkeys(row["formulation"] for row in rows))
+    sizes = sorted({row["voxels"] for row in rows})
     figure = new_figure(1.0 + 3.4 * len(formulations), 3.6)
     axes = figure.subplots(1, len(formulations), squeeze=False, sharey=True)[0]
     for axis, formulation in zip(axes, formulations, strict=True):
@@ -76,8 +80,7 @@ def _against_size(rows: Sequence[Row], label: str, figured: Figured) -> Figure:
         axis.set_xticks(sizes, [f"{size:,}" for size in sizes])
         axis.set_xticks([], minor=True)
     axes[0].set_ylabel(label)
-    if rows:
-        figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper")
     return figure
 
 
@@ -95,10 +98,7 @@ def _residual_against_time(rows: Sequence[Row], label: str) -> Figure:
     axis = figure.subplots()
     styles = _styles(rows)
     for row in rows:
-        residual = worst_relative(row)
-        if residual is None or not row["seconds_first"]:
-            continue
-        at = (row["seconds_first"], max(residual, 1e-17))
+        at = (row["seconds_first"], max(worst_relative(row) or 0.0, 1e-17))
         fill = {"linestyle": "none", "fillstyle": "full" if solved(row) else "none"}
         axis.plot(*at, **styles[row["solver"]] | fill)
         beside: dict[str, Any] = {"xytext": (5, 3), "textcoords": "offset points"}

@@ -93,20 +93,11 @@ def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[str]
     if settings.memory:
         lines += ["", "## Memory by stage [MiB]", "", memory_table(rows)]
     laws = growth_table(rows)
-    lines += ["", "## Time and memory against size", ""]
+    lines += ["", "## Against size, and residual against time", ""]
     lines += [GROWTH, "", laws, ""] if laws else []
-    time, memory, residual = save_pictures(rows, folder)
-    return [
-        *lines,
-        f"![time against voxels]({time})",
-        "",
-        f"![memory against voxels]({memory})",
-        "",
-        "## Residual against time",
-        "",
-        f"![residual against time]({residual})",
-        "",
-    ]
+    for name, caption in save_pictures(rows, folder).items():
+        lines += [f"![{caption}]({name})", ""]
+    return lines
 
 
 def _groups(rows: Sequence[Row]) -> list[tuple[tuple[str, str], list[Row]]]:
