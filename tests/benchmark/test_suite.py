@@ -14,7 +14,7 @@ from tests.benchmark.tiny import TINY, tiny_suite
 from ttus_opt.benchmark import suite
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.row import Row, RunSpec
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, MissingPackageError
 
 
 def never(*arguments: object) -> list[Row]:
@@ -155,5 +155,5 @@ def test_dask_that_is_not_there(tmp_path: Path) -> None:
         pass
     else:
         pytest.skip("dask is installed")
-    with pytest.raises(InputError, match=r"dask\[distributed\]"):
+    with pytest.raises(MissingPackageError, match=r"ttus-opt\[parallel\]"):
         replace(tiny_suite(tmp_path), dask="127.0.0.1:8786").run()

@@ -16,7 +16,11 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: Inks, markers and line styles, told apart in greyscale
-INKS, MARKERS, STYLES = ("0.15", "#0b4f9c", "0.6"), "os^vDP*X<>hpd", ("-", "--", ":")
+INKS, MARKERS, STYLES = (
+    ("0.15", "#0b4f9c", "0.6"),
+    "os^vDP*X<>hpd",
+    ("-", "--", ":", "-."),
+)
 
 #: Distance of two failures' marks, which share a limit, as a part of their size
 SPREAD = 0.04
@@ -54,10 +58,9 @@ def save_pictures(rows: Sequence[Row], folder: Path) -> dict[str, str]:
             )
             captions["memory.png"] = "memory against voxels"
             save_picture(figure, folder / "memory.png")
-        told = [row for row in rows if worst_relative(row) is not None]
-        if told:
+        if any(row["kkt"] for row in rows):
             captions["residual.png"] = "residual against time"
-            save_picture(_residual_against_time(told, first), folder / "residual.png")
+            save_picture(_residual_against_time(rows, first), folder / "residual.png")
     return captions
 
 
@@ -98,7 +101,10 @@ def _residual_against_time(rows: Sequence[Row], label: str) -> Figure:
     axis = figure.subplots()
     styles = _styles(rows)
     for row in rows:
-        at = (row["seconds_first"], max(worst_relative(row) or 0.0, 1e-17))
+        residual = worst_relative(row)
+        if residual is None:
+            continue
+        at = (row["seconds_first"], max(residual, 1e-17))
         fill = {"linestyle": "none", "fillstyle": "full" if solved(row) else "none"}
         axis.plot(*at, **styles[row["solver"]] | fill)
         beside: dict[str, Any] = {"xytext": (5, 3), "textcoords": "offset points"}

@@ -14,6 +14,7 @@ from concurrent.futures import Executor, ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from ttus_opt import optional
 from ttus_opt.benchmark.cases import CaseSpec
 from ttus_opt.benchmark.isolation import run_isolated
 from ttus_opt.benchmark.memory import available_bytes
@@ -113,7 +114,8 @@ class Suite:
             empty for those not asked for.
 
         Raises:
-            InputError: As `plan`, or dask is asked for and not installed.
+            InputError: As `plan`, or no dask scheduler answers.
+            MissingPackageError: dask is asked for and not installed.
         """
         earlier = self.done()
         rows = {s.key: earlier[s.key] for s in self.plan if s.key in earlier}
@@ -165,21 +167,14 @@ class Suite:
         """Threads that wait for processes, or a dask cluster.
 
         Raises:
-            InputError: dask is not installed, or no scheduler answers.
+            MissingPackageError: dask is not installed.
+            InputError: No scheduler answers.
         """
         if not self.dask:
             return ThreadPoolExecutor(self.jobs)
+        distributed = optional.load("distributed", "parallel")
         try:
-            from distributed import (  # type: ignore[import-not-found,unused-ignore]
-                Client,
-            )
-        except ImportError as error:
-            raise InputError(
-                "a dask scheduler was given but dask is not installed: "
-                'pip install "dask[distributed]"'
-            ) from error
-        try:
-            client = Client(self.dask, timeout="10s")
+            client = distributed.Client(self.dask, timeout="10s")
         except (OSError, ValueError) as error:
             raise InputError(
                 f"no dask scheduler answers at {self.dask}: {error}"
