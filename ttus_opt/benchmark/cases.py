@@ -113,21 +113,15 @@ class CaseSpec:
 
     def small(self) -> CaseSpec:
         """The same on few voxels: to try a run out, or to warm up for it."""
-        n_r, n_theta, n_z = (
-            min(a, b) for a, b in zip(self.shape, SMALL_SHAPE, strict=True)
-        )
-        return replace(
-            self, shape=(n_r, n_theta, n_z), n_poses=SMALL_POSES, n_points=300
-        )
+        (n_r, n_theta, n_z), most = self.shape, SMALL_SHAPE
+        shape = min(n_r, most[0]), min(n_theta, most[1]), min(n_z, most[2])
+        return replace(self, shape=shape, n_poses=SMALL_POSES, n_points=300)
 
     def perturbed(self, how: str) -> CaseSpec:
         """The same with perturbed wrenches, and a name that says so.
 
-        Args:
-            how: One of `perturbation.PERTURBATIONS`; "" leaves all as it is.
-
         Raises:
-            InputError: There is no such perturbation.
+            InputError: Not one of `perturbation.PERTURBATIONS`, nor "" for none.
         """
         if not checked_perturbation(how):
             return self
@@ -138,9 +132,6 @@ class CaseSpec:
 
         What one potential gives differs from one sampling to the other: the value on
         the inner layer is fitted.
-
-        Args:
-            sampling: As of the class.
 
         Raises:
             InputError: There is no such sampling.
@@ -223,15 +214,13 @@ def existing(case: CaseSpec) -> CaseSpec:
     Raises:
         FileError: One is missing or empty.
     """
-    probe = case.probe
-    if ":" not in probe:
-        probe = str(existing_file(probe, "probe").resolve())
+
+    def absolute(path: str, what: str) -> str:
+        return str(existing_file(path, what).resolve())
+
     return replace(
         case,
-        surface=str(existing_file(case.surface, "surface").resolve()),
-        probe=probe,
-        trajectories=tuple(
-            str(existing_file(path, "trajectory").resolve())
-            for path in case.trajectories
-        ),
+        surface=absolute(case.surface, "surface"),
+        probe=case.probe if ":" in case.probe else absolute(case.probe, "probe"),
+        trajectories=tuple(absolute(path, "trajectory") for path in case.trajectories),
     )

@@ -56,8 +56,10 @@ def run_isolated(
     Returns:
         Its rows, whatever happened.
     """
-    folder = Path(tempfile.mkdtemp(prefix="ttus-benchmark-"))
-    try:
+    with tempfile.TemporaryDirectory(
+        prefix="ttus-benchmark-", ignore_cleanup_errors=True
+    ) as name:
+        folder = Path(name)
         (folder / QUESTION).write_text(json.dumps(spec.as_dict()), "utf-8")
         failure, detail, peak = _run(spec.time_limit, folder, memory_limit, watching)
         if failure:
@@ -67,8 +69,6 @@ def run_isolated(
             shutil.copytree(folder / KEPT, output, dirs_exist_ok=True)
         rows: list[Row] = json.loads((folder / ANSWER).read_text("utf-8"))
         return rows
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def _run(

@@ -31,13 +31,9 @@ def perturbed(trajectory: Trajectory, how: str) -> Trajectory:
     """A recording with perturbed wrenches, the same at every call.
 
     Args:
-        trajectory: A recording of T frames with wrenches.
+        trajectory: With wrenches.
         how: ``noise`` adds Gaussian noise to every force and torque, ``reversed``
-            turns the sign of force and torque of a fifth of the frames; "" leaves all
-            as it is.
-
-    Returns:
-        The same poses; what was given when nothing is perturbed.
+            turns the sign of those of a fifth of the frames; "" leaves all as it is.
 
     Raises:
         InputError: There is no such perturbation, or nothing was measured.

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.benchmark.parts.rendering import frame_times, time_rendering
 from ttus_opt.errors import InputError
-from ttus_opt.voxmap.field import PotentialField
 
 
 def test_every_way_is_timed_over_the_same_poses() -> None:
     scene = small_scene("trilinear")
-    values = np.random.default_rng(1).normal(size=scene.voxmap.grid.shape)
-    field = PotentialField(scene.voxmap, values, "trilinear")
-    poses = scene.trajectory
-    rows = time_rendering(field, scene.shell, poses.rotation, poses.position, passes=2)
+    rows = time_rendering(scene, passes=2)
     assert len({row["way"] for row in rows}) == 5
     assert rows[0]["way"] == "numpy" and rows[0]["ratio_to_numpy"] == 1.0
     for row in rows:
@@ -39,10 +37,6 @@ def test_times_are_of_every_pose_and_pass() -> None:
 
 def test_needs_contact() -> None:
     scene = small_scene("trilinear")
-    field = PotentialField(scene.voxmap, np.zeros(scene.voxmap.grid.shape), "trilinear")
+    far = replace(scene.trajectory, position=scene.trajectory.position + 1.0)
     with pytest.raises(InputError, match="no pose touches"):
-        time_rendering(
-            field, scene.shell, np.eye(3)[None], np.array([[0, 0.5, 0.1]]), passes=1
-        )
-    with pytest.raises(InputError, match="at least one pass"):
-        time_rendering(field, scene.shell, np.empty((0, 3, 3)), np.empty((0, 3)))
+        time_rendering(replace(scene, trajectory=far), passes=1)

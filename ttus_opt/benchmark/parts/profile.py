@@ -130,12 +130,12 @@ def _rows(profiler: cProfile.Profile) -> list[Row]:
     whole = next(e.totaltime for e in entries if e.code is _fit.__code__)
     rows = []
     for entry in entries:
-        own_part = Path(_source(entry.code)).is_relative_to(PACKAGE)
-        counted = entry.totaltime if own_part else entry.inlinetime
-        if counted >= TOLD * whole and entry.totaltime <= whole:
+        name, ours = _named(entry.code)
+        counted = entry.totaltime if ours else entry.inlinetime
+        if TOLD * whole <= counted and entry.totaltime <= whole:
             rows.append(
                 {
-                    "function": _named(entry.code),
+                    "function": name,
                     "calls": entry.callcount,
                     "total": entry.totaltime,
                     "own": entry.inlinetime,
@@ -146,20 +146,14 @@ def _rows(profiler: cProfile.Profile) -> list[Row]:
     return rows
 
 
-def _source(code: CodeType | str) -> str:
-    """File of a function; empty for a built-in one."""
-    return "" if isinstance(code, str) else code.co_filename
-
-
-def _named(code: CodeType | str) -> str:
-    """Module within the package and name."""
-    if isinstance(code, str):
-        return code.strip("<>")
+def _named(code: CodeType | str) -> tuple[str, bool]:
+    """Module and name of a function, and whether it is this package's."""
+    if isinstance(code, str):  # a built-in one
+        return code.strip("<>"), False
     file = Path(code.co_filename)
-    if file.is_relative_to(PACKAGE):
-        file = file.relative_to(PACKAGE)
-        return f"{'.'.join(file.with_suffix('').parts)}.{code.co_qualname}"
-    return f"{file.parent.name}.{file.stem}.{code.co_qualname}"
+    ours = file.is_relative_to(PACKAGE)
+    parts = file.relative_to(PACKAGE).parts if ours else file.parts[-2:]
+    return ".".join([*parts, code.co_qualname]).replace(".py.", "."), ours
 
 
 PART = ProfilePart()

@@ -85,37 +85,18 @@ class RenderingPart(Part):
         """Time all ways over the case's poses."""
         begin("warm-up")
         with contextlib.suppress(InputError):  # none of its few poses need touch
-            _timed(spec.scene_case.small().build(), passes=1)
+            time_rendering(spec.scene_case.small().build(), passes=1)
         begin("scene")
         scene = spec.scene_case.build()
         begin("frames")
-        return _timed(scene, passes=int(spec.options["passes"]))
+        return time_rendering(scene, passes=int(spec.options["passes"]))
 
 
-def _timed(scene: Scene, *, passes: int) -> list[Row]:
-    values = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
-    field = PotentialField(scene.voxmap, values, scene.sampling)
-    poses = scene.trajectory
-    return time_rendering(
-        field, scene.shell, poses.rotation, poses.position, passes=passes
-    )
-
-
-def time_rendering(
-    field: PotentialField,
-    shell: PointShell,
-    rotation: Array,
-    position: Array,
-    *,
-    passes: int = PASSES,
-) -> list[Row]:
-    """Time the renderer and numpy over given poses.
+def time_rendering(scene: Scene, *, passes: int = PASSES) -> list[Row]:
+    """Time the renderer and numpy over a scene's poses, with its Laplace field.
 
     Args:
-        field: The field.
-        shell: The probe.
-        rotation: Probe to patient, shape (T, 3, 3) [–].
-        position: Of the probe frame's origin, shape (T, 3) [m].
+        scene: The scene.
         passes: Times each pose is rendered; numpy and paced frames a tenth of it.
 
     Returns:
@@ -123,19 +104,15 @@ def time_rendering(
         ``contact_points`` (median over the poses).
 
     Raises:
-        InputError: No poses, none in contact, or no passes.
+        InputError: No pose touches the patient.
     """
-    if len(position) == 0 or passes < 1:
-        raise InputError(
-            f"timing needs poses and at least one pass, got {len(position)}, {passes}"
-        )
-    poses = [
-        (np.array(R), np.array(p)) for R, p in zip(rotation, position, strict=True)
-    ]
-    renderer, out = Renderer(field, shell), np.zeros(6)
+    values = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
+    field = PotentialField(scene.voxmap, values, scene.sampling)
+    poses = list(zip(scene.trajectory.rotation, scene.trajectory.position, strict=True))
+    renderer, out = Renderer(field, scene.shell), np.zeros(6)
 
     def plain(R: Array, at: Array) -> Array:
-        return numpy_frame(field, shell, R, at)
+        return numpy_frame(field, scene.shell, R, at)
 
     def into(R: Array, at: Array) -> None:
         renderer.render_into(R, at, out)
@@ -144,7 +121,7 @@ def time_rendering(
     if not contact.any():
         raise InputError("no pose touches the patient: give poses in contact")
     touching = [poses[t] for t in np.flatnonzero(contact)]
-    blending = _blending(field, shell, touching[0]).render
+    blending = _blending(field, scene.shell, touching[0]).render
     few = max(passes // 10, 1)
     ways = {
         "numpy": frame_times(plain, poses, few),
@@ -153,13 +130,17 @@ def time_rendering(
         "render_into, back to back": frame_times(into, poses, passes),
         "render_into, paced": frame_times(into, poses, few, pause=PAUSE),
     }
-    size = {"points": len(shell), "contact_points": float(np.median(contact))}
+    size = {"points": len(scene.shell), "contact_points": float(np.median(contact))}
+    whole = ways["numpy"]["median"]
     return [
-        {"sampling": field.sampling, "way": way}
-        | taken
-        | {"ratio_to_numpy": taken["median"] / ways["numpy"]["median"]}
+        {
+            "sampling": field.sampling,
+            "way": way,
+            "ratio_to_numpy": own["median"] / whole,
+        }
+        | own
         | size
-        for way, taken in ways.items()
+        for way, own in ways.items()
     ]
 
 
