@@ -7,6 +7,7 @@ stopped.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -163,7 +164,8 @@ class Suite:
             watch = watching and functools.partial(watching, spec)
             yield spec, run_isolated(spec, self.output, limit, watch)
 
-    def _executor(self) -> Executor:
+    @contextlib.contextmanager
+    def _executor(self) -> Iterator[Executor]:
         """Threads that wait for processes, or a dask cluster.
 
         Raises:
@@ -171,7 +173,9 @@ class Suite:
             InputError: No scheduler answers.
         """
         if not self.dask:
-            return ThreadPoolExecutor(self.jobs)
+            with ThreadPoolExecutor(self.jobs) as executor:
+                yield executor
+            return
         distributed = optional.load("distributed", "parallel")
         try:
             client = distributed.Client(self.dask, timeout="10s")
@@ -179,5 +183,5 @@ class Suite:
             raise InputError(
                 f"no dask scheduler answers at {self.dask}: {error}"
             ) from error
-        executor: Executor = client.get_executor()
-        return executor
+        with client:
+            yield client.get_executor()

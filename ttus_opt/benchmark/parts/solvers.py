@@ -43,7 +43,7 @@ FIGURES = {
     "active_limits": "bounds and inequality rows with a multiplier that is not zero",
     "objective_gap": "over the best verified objective, relative",
     "difference_from_closed_form": "norm of the difference of the fields, relative",
-    "field_file": "file with p, shape (V,), in the folder of fields",
+    "field_file": "file with p, shape (V,), in the folder of fields; empty without",
 }
 
 
@@ -115,6 +115,7 @@ class SolversPart(Part):
             **dict.fromkeys(FIGURES),
             "seconds_each": {},
             "memory_by_stage": {},
+            "field_file": "",
             "detail": detail,
         }
 
