@@ -8,9 +8,31 @@ from tests.conftest import small_scene
 from ttus_opt.benchmark import roofline
 from ttus_opt.laplace.system import LaplaceSystem
 
+#: What the passes of a V-cycle read and write, a word per half: right side b, x,
+#: residual r, inverse pivots d, conductances R, T, Z, weights w of the transfers
+FINEST = """
+b1 d1 x1 | d0 x0 x1 | x0 r1 d1 | r1 w0 w1 | w0 w1 x1 x1 | d0 x0 x1 | b1 d1 x1 x0
+"""
+COLOUR_0, COLOUR_1 = "b0 d0 R0 T0 T1 Z0 Z1 x0 x1", "b1 d1 R1 T0 T1 Z0 Z1 x1 x0"
+WEIGHTS = "wr0 wr1 wt0 wt1 wz0 wz1"
+COARSER = f"""
+x0 x1 | {COLOUR_1} | {COLOUR_0} | x0 T0 T1 Z0 Z1 r1 | {COLOUR_1} | {COLOUR_0} |
+x0 T0 T1 Z0 Z1 r1 r1 | r1 {WEIGHTS} | {WEIGHTS} x1 x1 |
+{COLOUR_0} | {COLOUR_1} | {COLOUR_0} | {COLOUR_1}
+"""
+
 
 def laplace(shape: tuple[int, int, int]) -> LaplaceSystem:
     return small_scene("trilinear", shape=shape, n_poses=2, seed=0).laplace
+
+
+def test_halves_are_those_of_the_passes() -> None:
+    for passes, count in (
+        (FINEST, roofline.FINEST),
+        (COARSER, roofline.COARSER),
+        ("b0 b1 x0 x1", roofline.BELOW),
+    ):
+        assert len(passes.replace("|", " ").split()) == count
 
 
 def test_bytes_are_those_of_the_levels() -> None:

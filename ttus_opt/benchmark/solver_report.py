@@ -93,7 +93,7 @@ def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[str]
     if settings.memory:
         lines += ["", "## Memory by stage [MiB]", "", memory_table(rows)]
     laws = growth_table(rows)
-    lines += ["", "## Against size, and residual against time", ""]
+    lines += ["", "## Time, memory and residual", ""]
     lines += [GROWTH, "", laws, ""] if laws else []
     for name, caption in save_pictures(rows, folder).items():
         lines += [f"![{caption}]({name})", ""]
