@@ -15,7 +15,7 @@ from ttus_opt.benchmark.cases import reference_cases
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.solvers.base import Solver
 
-#: A small case whose limits are contested or not
+#: A small case whose limits hold back or not
 TINY = replace(
     reference_cases("S")[0], name="tiny", shape=(9, 20, 9), n_poses=24, n_points=300
 )
@@ -52,15 +52,15 @@ def test_inequality_rows_count() -> None:
 def test_solvers_agree(solver: Solver) -> None:
     name = solver.name
     counts = {}
-    for contest, weight in (("", 1e-2), ("reversed", 100.0)):
+    for how, weight in (("", 1e-2), ("reversed", 100.0)):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            scene = replace(TINY, contest=contest).build()
+            scene = replace(TINY, perturbation=how).build()
         weights = {"force_weight": weight, "torque_weight": weight}
         for asked in ("structured", name):
             found = tt.fit(scene, "eq10_sign", solver=asked, **weights)
             x = found.candidate
             assert x is not None
-            counts[contest, asked] = active_limits(found.program, x, found.duals)
+            counts[how, asked] = active_limits(found.program, x, found.duals)
     assert counts["", "structured"] == counts["", name] == 0
     assert counts["reversed", "structured"] == counts["reversed", name] > 0

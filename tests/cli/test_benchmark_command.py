@@ -8,7 +8,14 @@ from pathlib import Path
 import pytest
 
 from ttus_opt import example
+from ttus_opt.benchmark import suite
+from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.cli import main
+
+
+def crashed(spec: RunSpec, *others: object) -> list[Row]:
+    return [parts()[spec.part].row(spec, "crashed", "")]
 
 
 def own_scene() -> list[str]:
@@ -69,6 +76,48 @@ def test_export_runs_nothing(
     assert not (tmp_path / "results").exists()
 
 
+def test_other_parts_as_json(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(suite, "run_isolated", crashed)
+    words = ["--parts", "ripple,rendering", "-o", str(tmp_path)]
+    assert typed(*words, "--json") == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["rows"] == told["recursion"] == told["assembly"] == []
+    assert len(told["rendering"]) == 2
+    assert len(told["ripple"]) == 3
+    assert "## Ripple" in Path(told["report"]).read_text("utf-8")
+    assert typed(*words) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "Ripple of the force in a slide:" in lines
+    assert lines[-1] == told["report"]
+
+
+def test_an_interrupt_says_that_the_same_call_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(*arguments: object) -> list[Row]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(suite, "run_isolated", stopped)
+    assert typed("--parts", "ripple", "-o", str(tmp_path)) == 130
+    told = capsys.readouterr().err
+    assert f"{tmp_path / 'rows.jsonl'}: the same call goes on from there" in told
+
+
+def test_perturbed_cases_by_either_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(suite, "run_isolated", crashed)
+    found = []
+    for option in ("--perturb", "--contest"):
+        words = ["--case", "S,M", option, "noise", "--parts", "profile", "--json"]
+        assert typed(*words, "-o", str(tmp_path / option)) == 0
+        found.append(json.loads(capsys.readouterr().out)["profile"])
+    assert [row["case"] for row in found[0]] == ["S-noise", "M-noise"]
+    assert found[0] == found[1]
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -78,7 +127,11 @@ def test_export_runs_nothing(
         (["--closed-form", "osqp"], "reference must be a closed form"),
         (["--time-limit", "-3"], "time_limit must be positive"),
         (["--probe", "sphere:0.02"], "--surface, --probe and --trajectory together"),
-        (["--contest", "loud"], "unknown contest 'loud': choose noise or reversed"),
+        (["--case", "S,XL"], "unknown case 'XL'"),
+        (["--perturb", "loud"], "unknown perturbation 'loud': choose noise or"),
+        (["--contest", "loud"], "unknown perturbation 'loud': choose noise or"),
+        (["--parts", "riple"], "unknown part 'riple': choose from solvers, assembly"),
+        (["--parts", "ripple", "--export", "here"], "leave --parts out"),
         (["--sampling", "cubic"], "unknown sampling 'cubic': choose voxel-mean or"),
         (["--weight", "-1"], "weight must be positive"),
         (["--tolerance", "2"], "tolerance must lie between 0 and 1"),

@@ -189,7 +189,7 @@ def test_case_s_equals_the_closed_form(sampling: str) -> None:
 @pytest.mark.slow
 def test_a_weight_beyond_single_precision_is_no_crash() -> None:
     """1e8 times what is usual: the preconditioner errs, residuals must not run away."""
-    case = reference_cases("S")[0].contested("noise")
+    case = reference_cases("S")[0].perturbed("noise")
     weights = {"force_weight": 1e6, "torque_weight": 1e6}
     loaded = formulation.load("eq10", case.build(), **weights).compile()
     candidate = STRUCTURED.prepare(loaded, Request(1e-6, 60.0)).solve()
@@ -200,14 +200,12 @@ def test_a_weight_beyond_single_precision_is_no_crash() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("contest", "name"),
+    ("how", "name"),
     [("noise", "coulomb_drag"), ("reversed", "eq10_sign_monotone")],
 )
-def test_contested_limits_of_a_third_of_a_million_voxels(
-    contest: str, name: str
-) -> None:
+def test_contested_limits_of_a_third_of_a_million_voxels(how: str, name: str) -> None:
     """Weights 1e4 times too large, voxel-mean rows: K at its largest; a minute each."""
-    case = reference_cases("M")[0].sampled("voxel-mean").contested(contest)
+    case = reference_cases("M")[0].sampled("voxel-mean").perturbed(how)
     weights = {"force_weight": 100.0, "torque_weight": 100.0}
     loaded = formulation.load(name, case.build(), **weights).compile()
     candidate = STRUCTURED.prepare(loaded, Request(1e-6, 400.0)).solve()

@@ -1,21 +1,21 @@
 """What is benchmarked: reference cases of growing size, and a user's own scene.
 
-The reference cases S, M and L (design §4) are built from the bundled example: its
-true surface, and its recordings of presses and sweeps, thinned evenly to the number
-of poses. A case is plain data, so that it can be handed to another process.
+The reference cases S, M and L are built from the bundled example: its true surface,
+and its recordings of presses and sweeps, thinned evenly. A case is plain data, so that
+it can be handed to another process.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from ttus_opt import example
-from ttus_opt.benchmark.contest import checked_contest, contested
+from ttus_opt.benchmark.perturbation import checked_perturbation, perturbed
 from ttus_opt.errors import InputError
+from ttus_opt.io import existing_file
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
@@ -60,8 +60,8 @@ class CaseSpec:
         sampling: ``voxel-mean`` or ``trilinear``.
         n_points: Points of the probe's shell.
         probe_unit: Unit of a mesh file.
-        contest: How the measured wrenches are contested, one of `contest.CONTESTS`;
-            "" for not at all.
+        perturbation: Of the measured wrenches, one of
+            `perturbation.PERTURBATIONS`; "" for none.
     """
 
     name: str
@@ -76,20 +76,16 @@ class CaseSpec:
     sampling: str = "trilinear"
     n_points: int = 1500
     probe_unit: str = "mm"
-    contest: str = ""
+    perturbation: str = ""
 
     @property
     def n_voxels(self) -> int:
         """Number of voxels V [–]."""
         return int(np.prod(self.shape))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Everything, for JSON."""
-        return asdict(self)
-
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> CaseSpec:
-        """Read back what `as_dict` gave."""
+        """Read back what `dataclasses.asdict` and JSON gave."""
         lists = {key: tuple(values[key]) for key in ("trajectories", "shape")}
         return cls(**{**values, **lists})
 
@@ -109,39 +105,30 @@ class CaseSpec:
             outer=self.outer,
             sampling=self.sampling,
         )
-        recording = contested(self._thinned(), self.contest)
+        recording = perturbed(self._thinned(), self.perturbation)
         return plan.build(Surface.load(self.surface), shell, recording)
 
     def small(self) -> CaseSpec:
         """The same on few voxels: to try a run out, or to warm up for it."""
-        n_r, n_theta, n_z = (
-            min(a, b) for a, b in zip(self.shape, SMALL_SHAPE, strict=True)
-        )
-        return replace(
-            self, shape=(n_r, n_theta, n_z), n_poses=SMALL_POSES, n_points=300
-        )
+        (n_r, n_theta, n_z), most = self.shape, SMALL_SHAPE
+        shape = min(n_r, most[0]), min(n_theta, most[1]), min(n_z, most[2])
+        return replace(self, shape=shape, n_poses=SMALL_POSES, n_points=300)
 
-    def contested(self, contest: str) -> CaseSpec:
-        """The same with contested wrenches, and a name that says so.
-
-        Args:
-            contest: One of `contest.CONTESTS`; "" leaves all as it is.
+    def perturbed(self, how: str) -> CaseSpec:
+        """The same with perturbed wrenches, and a name that says so.
 
         Raises:
-            InputError: There is no such contest.
+            InputError: Not one of `perturbation.PERTURBATIONS`, nor "" for none.
         """
-        if not checked_contest(contest):
+        if not checked_perturbation(how):
             return self
-        return replace(self, name=f"{self.name}-{contest}", contest=contest)
+        return replace(self, name=f"{self.name}-{how}", perturbation=how)
 
     def sampled(self, sampling: str) -> CaseSpec:
         """The same with forces sampled otherwise, and a name that says so.
 
         What one potential gives differs from one sampling to the other: the value on
         the inner layer is fitted.
-
-        Args:
-            sampling: As of the class.
 
         Raises:
             InputError: There is no such sampling.
@@ -163,11 +150,11 @@ class CaseSpec:
         return whole.select(picked)
 
 
-def reference_cases(name: str = "all") -> list[CaseSpec]:
-    """The reference cases of that name, or all of them.
+def reference_cases(names: str = "all") -> list[CaseSpec]:
+    """Reference cases by name.
 
     Args:
-        name: "S", "M", "L" or "all".
+        names: "S", "M" or "L", several separated by commas, or "all".
 
     Returns:
         The cases, smallest first.
@@ -175,10 +162,12 @@ def reference_cases(name: str = "all") -> list[CaseSpec]:
     Raises:
         InputError: There is no such case.
     """
-    if name != "all" and name not in REFERENCE:
+    asked = [name.strip() for name in names.split(",")]
+    unknown = [name for name in asked if name not in (*REFERENCE, "all")]
+    if unknown:
         raise InputError(
-            f"unknown case {name!r}: choose {', '.join(REFERENCE)} or all, or give "
-            "a scene of your own with --surface, --probe and --trajectory"
+            f"unknown case {unknown[0]!r}: choose {', '.join(REFERENCE)} or all, or "
+            "give a scene of your own with --surface, --probe and --trajectory"
         )
     return [
         CaseSpec(
@@ -192,7 +181,7 @@ def reference_cases(name: str = "all") -> list[CaseSpec]:
             outer=EXAMPLE_BOUNDARY,
         )
         for case, (shape, poses) in REFERENCE.items()
-        if name in (case, "all")
+        if {case, "all"} & set(asked)
     ]
 
 
@@ -222,17 +211,13 @@ def existing(case: CaseSpec) -> CaseSpec:
     Raises:
         FileError: One is missing or empty.
     """
-    from ttus_opt.io import existing_file
 
-    probe = case.probe
-    if ":" not in probe:
-        probe = str(existing_file(probe, "probe").resolve())
+    def absolute(path: str, what: str) -> str:
+        return str(existing_file(path, what).resolve())
+
     return replace(
         case,
-        surface=str(existing_file(case.surface, "surface").resolve()),
-        probe=probe,
-        trajectories=tuple(
-            str(Path(existing_file(p, "trajectory")).resolve())
-            for p in case.trajectories
-        ),
+        surface=absolute(case.surface, "surface"),
+        probe=case.probe if ":" in case.probe else absolute(case.probe, "probe"),
+        trajectories=tuple(absolute(path, "trajectory") for path in case.trajectories),
     )

@@ -7,8 +7,8 @@ end, 1e20 for no limit. The same as NumPy's .npz for who has no reader of the ot
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy.io
@@ -24,20 +24,7 @@ from ttus_opt.solvers.quadratic import TwoSided
 NO_LIMIT = 1e20
 
 
-@dataclass(frozen=True)
-class Exported:
-    """The files one program became.
-
-    Attributes:
-        matlab: MATLAB file.
-        numpy: NumPy archive, matrices in compressed columns.
-    """
-
-    matlab: Path
-    numpy: Path
-
-
-def export_program(program: Program, folder: Path, name: str) -> Exported:
+def export_program(program: Program, folder: Path, name: str) -> tuple[Path, Path]:
     """Write a program's sparse least-squares form.
 
     Args:
@@ -46,7 +33,7 @@ def export_program(program: Program, folder: Path, name: str) -> Exported:
         name: Stem of the files.
 
     Returns:
-        The files.
+        MATLAB file, and NumPy archive with matrices in compressed columns.
 
     Raises:
         InputError: A penalty needs cones.
@@ -61,7 +48,12 @@ def export_program(program: Program, folder: Path, name: str) -> Exported:
     # ½ ‖√2 u‖² is the whole objective: no constant beside it
     lower = np.maximum(rows.lower, -NO_LIMIT)
     upper = np.minimum(rows.upper, NO_LIMIT)
-    files = Exported(folder / f"{name}.mat", folder / f"{name}.npz")
+    matlab, archive = folder / f"{name}.mat", folder / f"{name}.npz"
+    sizes: dict[str, Any] = {
+        "n": rows.A.shape[1],
+        "m": rows.A.shape[0],
+        "n_original": program.n_variables,
+    }
     content = {
         "P": sp.csc_matrix(rows.P),
         "q": rows.q.reshape(-1, 1),
@@ -69,13 +61,11 @@ def export_program(program: Program, folder: Path, name: str) -> Exported:
         "A": rows.A,
         "l": lower.reshape(-1, 1),
         "u": upper.reshape(-1, 1),
-        "n": rows.A.shape[1],
-        "m": rows.A.shape[0],
-        "n_original": program.n_variables,
+        **sizes,
     }
-    with io.replacing(files.matlab) as temporary:
+    with io.replacing(matlab) as temporary:
         scipy.io.savemat(temporary, content, do_compression=True)
-    with io.replacing(files.numpy) as temporary:
+    with io.replacing(archive) as temporary:
         np.savez_compressed(
             temporary,
             q=rows.q,
@@ -86,8 +76,6 @@ def export_program(program: Program, folder: Path, name: str) -> Exported:
                 for letter, matrix in (("P", rows.P), ("A", rows.A))
                 for part in ("data", "indices", "indptr")
             },
-            n=rows.A.shape[1],
-            m=rows.A.shape[0],
-            n_original=program.n_variables,
+            **sizes,
         )
-    return files
+    return matlab, archive

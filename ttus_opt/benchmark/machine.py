@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import os
 import platform
@@ -11,23 +12,9 @@ from ttus_opt.benchmark.memory import available_bytes
 
 #: Packages whose version decides a figure
 PACKAGES = (
-    "ttus-opt",
-    "numpy",
-    "scipy",
-    "numba",
-    "qpsolvers",
-    "cvxpy",
-    "clarabel",
-    "osqp",
-    "scs",
-    "piqp",
-    "proxsuite",
-    "qpalm",
-    "highspy",
-    "pypardiso",
-    "mkl",
-    "scikit-sparse",
-    "pyamg",
+    *("ttus-opt", "numpy", "scipy", "numba", "qpsolvers", "cvxpy", "clarabel", "osqp"),
+    *("scs", "piqp", "proxsuite", "qpalm", "highspy", "pypardiso", "mkl"),
+    *("scikit-sparse", "pyamg"),
 )
 
 
@@ -47,18 +34,14 @@ def describe() -> dict[str, str]:
         "Python": platform.python_version(),
     }
     for package in PACKAGES:
-        try:
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             facts[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
     return facts
 
 
 def _processor() -> str:
-    try:
+    with contextlib.suppress(OSError):
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
-    except OSError:
-        pass
     return platform.processor() or platform.machine()

@@ -1,32 +1,20 @@
-"""A haptic frame written straightforwardly: what the compiled one is measured against.
+"""A haptic frame in whole-array numpy: what the compiled one is measured against.
 
-`numpy_frame` is whole-array numpy; `LoopFrame` is the same as one compiled loop over
-all points. Neither sorts, skips or keeps anything; both are references for
-`ttus_opt.haptic.renderer`.
+`plain_samples` is the sampling law of `ttus_opt.voxmap.depth_sampling` written
+straightforwardly, pose by pose; nothing is sorted, skipped or kept.
 """
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
-from ttus_opt.benchmark.plain_assembly import plain_samples
-from ttus_opt.compiled import compiled
-from ttus_opt.contact.rows import (
-    REFERENCE_AREA,
-    rotated,
-    shell_arrays,
-    turn_angle,
-    within,
-)
+from ttus_opt.contact.rows import REFERENCE_AREA
+from ttus_opt.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
-from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table
 from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.grid import GridLimits
+from ttus_opt.voxmap.voxmap import Voxmap, surface_layer
 
 
 def numpy_frame(
@@ -53,96 +41,78 @@ def numpy_frame(
     return np.concatenate([weight @ normals, weight @ moments])
 
 
-class LoopFrame:
-    """One compiled loop over all points.
+def plain_samples(
+    voxmap: Voxmap, points: Array, sampling: str
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], Array]:
+    """What points sample (the law is in `ttus_opt.voxmap.depth_sampling`).
 
     Args:
-        field: The field.
-        shell: The probe.
+        voxmap: Grid and surface.
+        points: Patient frame, shape (M, 3) [m].
+        sampling: ``voxel-mean`` or ``trilinear``.
+
+    Returns:
+        Which points are inside, shape (M,); their voxels and shares, shape (m, 1) or
+        (m, 8), a share of 0 for what is not sampled.
     """
+    grid = voxmap.grid
+    r, theta, z = cylindrical(points)
+    inside = (r <= grid.r_outer) & (z >= grid.z_min) & (z <= grid.z_max)
+    inside[inside] = r[inside] < voxmap.surface.radius_at(theta[inside], z[inside])
+    r, theta, z = r[inside], theta[inside], z[inside]
+    depth = voxmap.surface.radius_at(theta, z) - r
+    v, w = theta / grid.theta_step, (z - grid.z_min) / grid.z_step
+    if sampling == "voxel-mean":
+        return inside, *_voxel_means(voxmap, r, v, w, depth)
+    j = np.minimum(v.astype(int), grid.shape[1] - 1)
+    k = np.minimum(w.astype(int), grid.shape[2] - 2)
+    voxels, shares = [], []
+    for dj, dk in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        turn, height = (j + dj) % grid.shape[1], k + dk
+        part = np.abs(1 - dj - (v - j)) * np.abs(1 - dk - (w - k))
+        layers, along = _along_spoke(voxmap, turn, height, depth)
+        for layer, share in zip(layers, along, strict=True):
+            voxels.append(np.ravel_multi_index((layer, turn, height), grid.shape))
+            shares.append(part * share)
+    return inside, np.stack(voxels, axis=1), np.stack(shares, axis=1)
 
-    def __init__(self, field: PotentialField, shell: PointShell) -> None:
-        voxmap = field.voxmap
-        self._trilinear = field.sampling == "trilinear"
-        self._fixed = (
-            *shell_arrays(shell),
-            voxmap.grid.kernel_limits,
-            np.array(voxmap.grid.shape),
-            np.ascontiguousarray(voxmap.surface.radius),
-            voxmap.surface.kernel_layout,
-            spoke_table(voxmap),
-            np.ascontiguousarray(field.values).reshape(-1),
-            np.zeros(voxmap.grid.n_voxels, dtype=np.int32),
-        )
 
-    def __call__(self, rotation: Array, position: Array) -> Array:
-        """Force and torque of one pose, as `numpy_frame` gives them."""
-        wrench = np.zeros(6)
-        _loop(self._trilinear, rotation, position, *self._fixed, wrench)
-        return wrench
+def _skin_of(
+    voxmap: Voxmap, j: NDArray[np.int64], k: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.int64]]:
+    """Radius of the skin on spokes [m], and the layer below the skin's."""
+    grid = voxmap.grid
+    radius = voxmap.surface.radius_at(grid.theta[j], grid.z[k])
+    return radius, surface_layer(grid, radius) - 1
 
 
-@compiled(nogil=True)
-def _loop(
-    trilinear: bool,
-    R: Array,
-    at: Array,
-    points: Array,
-    normals: Array,
-    weights: Array,
-    reference: Array,
-    limits: GridLimits,
-    shape: NDArray[np.int64],
-    radius: Array,
-    layout: RadiusLayout,
-    spokes: Array,
-    values: Array,
-    hits: NDArray[np.int32],
-    wrench: Array,
-) -> None:
-    """Sum one pose's wrench; ``hits`` is zero before and after (compiled)."""
-    n_theta, n_z = radius.shape
-    voxels = np.full(len(points), -1)
-    pressure = np.zeros(len(points))
-    sampled, shares = np.empty(8, dtype=np.int64), np.empty(8)
-    for m in range(len(points)):
-        x, y, z = rotated(R, points[m, 0], points[m, 1], points[m, 2])
-        x, y, z = x + at[0], y + at[1], z + at[2]
-        square = x * x + y * y
-        if not within(square, z, limits):
-            continue
-        r, theta = math.sqrt(square), turn_angle(x, y)
-        here, after, a, b = radius_cell(theta, z, n_theta, n_z, layout)
-        depth = radius_between(here, after, a, b, radius.reshape(-1)) - r
-        if depth <= 0.0:
-            continue
-        if trilinear:
-            for e in range(
-                spoke_samples(theta, z, depth, limits, shape, spokes, sampled, shares)
-            ):
-                pressure[m] += shares[e] * values[sampled[e]] * weights[m]
-        else:
-            voxel, samples = nearest_voxel(r, theta, z, depth, limits, shape, spokes)
-            if samples:
-                voxels[m], pressure[m] = voxel, values[voxel]
-                hits[voxel] += 1
-    for m in range(len(points)):
-        p = pressure[m]
-        if voxels[m] >= 0:
-            p /= hits[voxels[m]]
-        nx, ny, nz = rotated(R, normals[m, 0], normals[m, 1], normals[m, 2])
-        lx, ly, lz = rotated(
-            R,
-            points[m, 0] - reference[0],
-            points[m, 1] - reference[1],
-            points[m, 2] - reference[2],
-        )
-        wrench[0] += p * nx
-        wrench[1] += p * ny
-        wrench[2] += p * nz
-        wrench[3] += p * (ly * nz - lz * ny)
-        wrench[4] += p * (lz * nx - lx * nz)
-        wrench[5] += p * (lx * ny - ly * nx)
-    for m in range(len(points)):
-        if voxels[m] >= 0:
-            hits[voxels[m]] = 0
+def _along_spoke(
+    voxmap: Voxmap, j: NDArray[np.int64], k: NDArray[np.int64], depth: Array
+) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array]]:
+    """Two layers on spokes (m,) and their shares, at depths (m,) [m]."""
+    grid = voxmap.grid
+    radius, last = _skin_of(voxmap, j, k)
+    place = np.maximum(radius - depth, grid.r_inner)
+    near = place >= grid.r[last]
+    lower = np.minimum(((place - grid.r_inner) / grid.r_step).astype(int), last)
+    upper = np.where(near, last, lower + 1)
+    share = np.where(near, 0.0, (place - grid.r[lower]) / grid.r_step)
+    to_skin = (radius - place) / (radius - grid.r[last])
+    return (lower, upper), (np.where(near, to_skin, 1.0 - share), share)
+
+
+def _voxel_means(
+    voxmap: Voxmap, r: Array, v: Array, w: Array, depth: Array
+) -> tuple[NDArray[np.int64], Array]:
+    """Nearest voxels and shares of their means, shape (m, 1)."""
+    grid = voxmap.grid
+    u = np.maximum((r - grid.r_inner) / grid.r_step, 0.0)
+    i, j, k = (np.floor(x + 0.5).astype(int) for x in (u, v, w))
+    j %= grid.shape[1]
+    radius, last = _skin_of(voxmap, j, k)
+    face = grid.r[last] + grid.r_step / 2  # the inner face of the skin's layer
+    samples = (i <= last) & (radius - depth < face)
+    voxel = np.ravel_multi_index((i, j, k), grid.shape)
+    _, place = np.unique(voxel, return_inverse=True)
+    counts = np.bincount(place, weights=samples)[place]
+    return voxel[:, None], (samples / np.maximum(counts, 1.0))[:, None]

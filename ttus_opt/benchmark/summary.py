@@ -1,10 +1,11 @@
-"""Figures over many rows: shifted geometric means, ratios to the closed form."""
+"""Tables over the solvers' rows: ratios to the closed form, means, memory, growth."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+
+import numpy as np
 
 from ttus_opt.benchmark.row import Row
 from ttus_opt.report.tables import table
@@ -14,16 +15,34 @@ SHIFT = 1.0
 
 MIB = 2.0**20
 
+#: Statuses that are no failure of the solver: it was never run
+NOT_RUN = ("refused", "not installed")
+
+
+def solved(row: Row) -> bool:
+    """Whether the answer passed the check."""
+    return bool(row["status"] == "solved")
+
+
+def was_run(row: Row) -> bool:
+    """Whether the solver was there and could take the problem."""
+    return row["status"] not in NOT_RUN
+
+
+def worst_relative(row: Row) -> float | None:
+    """The largest relative KKT residual [–]."""
+    kkt = row["kkt"] or {}
+    told = (v for k, v in kkt.items() if k.endswith("_relative") and v is not None)
+    return max(told, default=None)
+
+
+def group(row: Row) -> tuple[str, str]:
+    """Case and formulation: what is compared with each other."""
+    return row["case"], row["formulation"]
+
 
 def shifted_geometric_mean(seconds: Sequence[float], shift: float = SHIFT) -> float:
-    """exp(mean(log(t + s))) - s: one slow run does not decide, nor one of no time.
-
-    Args:
-        seconds: Times, at least one [s].
-        shift: s [s].
-
-    Returns:
-        The mean [s].
+    """exp(mean(log(t + s))) - s: one slow run does not decide, nor one of no time [s].
 
     >>> shifted_geometric_mean([0.0, 3.0], shift=1.0)
     1.0
@@ -32,57 +51,45 @@ def shifted_geometric_mean(seconds: Sequence[float], shift: float = SHIFT) -> fl
     return math.exp(math.fsum(logs) / len(logs)) - shift
 
 
-@dataclass(frozen=True)
-class Score:
-    """How one solver did.
-
-    Attributes:
-        solver: Its name.
-        solved: Runs with a verified answer.
-        run: Runs it was there for and could take.
-        mean_first: Shifted geometric mean of first solves, a failure counted as its
-            time limit [s].
-        mean_again: The same of re-solves.
-    """
-
-    solver: str
-    solved: int
-    run: int
-    mean_first: float
-    mean_again: float
-
-
-def scores(rows: Sequence[Row]) -> list[Score]:
-    """A score per solver, most solved first, then fastest.
+def scores(rows: Sequence[Row]) -> list[Row]:
+    """How each solver did that was run at all, most solved first, then fastest.
 
     Args:
         rows: All rows.
 
     Returns:
-        Scores of the solvers that were run at all.
+        ``solver``, ``solved``, ``run`` and the shifted geometric means ``first`` and
+        ``again``, a failure counted as its time limit [s].
     """
     found = []
-    for solver in dict.fromkeys(row.solver for row in rows):
-        own = [row for row in rows if row.solver == solver and row.was_run]
-        if not own:
-            continue
-        first = [_counted(row, row.seconds_first) for row in own]
-        again = [_counted(row, row.seconds_again) for row in own]
-        found.append(
-            Score(
-                solver,
-                sum(row.solved for row in own),
-                len(own),
-                shifted_geometric_mean(first),
-                shifted_geometric_mean(again),
+    for solver in dict.fromkeys(row["solver"] for row in rows if was_run(row)):
+        own = [row for row in rows if row["solver"] == solver and was_run(row)]
+        score = {"solver": solver, "solved": sum(map(solved, own)), "run": len(own)}
+        for kind in ("first", "again"):
+            taken = [row[f"seconds_{kind}"] if solved(row) else None for row in own]
+            limits = [row["time_limit"] for row in own]
+            score[kind] = shifted_geometric_mean(
+                [
+                    limit if t is None else t
+                    for t, limit in zip(taken, limits, strict=True)
+                ]
             )
-        )
-    return sorted(found, key=lambda score: (-score.solved, score.mean_first))
+        found.append(score)
+    return sorted(found, key=lambda score: (-score["solved"], score["first"]))
 
 
-def _counted(row: Row, seconds: float | None) -> float:
-    """A time, or the time limit for a failure."""
-    return seconds if row.solved and seconds is not None else row.time_limit
+def score_table(rows: Sequence[Row]) -> str:
+    """`scores` as a Markdown table."""
+    body = [
+        [
+            s["solver"],
+            f"{s['solved']}/{s['run']}",
+            seconds(s["first"]),
+            seconds(s["again"]),
+        ]
+        for s in scores(rows)
+    ]
+    return table(["solver", "solved", "first [s]", "again [s]"], body)
 
 
 def closed_form_table(rows: Sequence[Row], closed_form: str) -> str:
@@ -95,153 +102,110 @@ def closed_form_table(rows: Sequence[Row], closed_form: str) -> str:
     Returns:
         A Markdown table; empty where the reference has no answer at all.
     """
-    header = [
-        "case",
-        "formulation",
-        "solver",
-        "difference of p",
-        "time: first",
-        "again",
-        "memory",
-    ]
+    keys = ("seconds_first", "seconds_again", "solver_memory_bytes")
     body = []
     for reference in rows:
-        if reference.solver != closed_form or not reference.solved:
+        if reference["solver"] != closed_form or not solved(reference):
             continue
-        group = (reference.case, reference.formulation)
         for row in rows:
-            if (row.case, row.formulation) != group or not row.solved:
+            if group(row) != group(reference) or not solved(row):
                 continue
             if row is reference:
-                told = [
-                    "reference",
-                    seconds(row.seconds_first),
-                    seconds(row.seconds_again),
-                    mebibytes(row.solver_memory_bytes),
-                ]
+                told = ["reference", seconds(row[keys[0]]), seconds(row[keys[1]])]
+                told.append(mebibytes(row[keys[2]]))
             else:
-                told = [
-                    number(row.difference_from_closed_form),
-                    ratio(row.seconds_first, reference.seconds_first),
-                    ratio(row.seconds_again, reference.seconds_again),
-                    ratio(row.solver_memory_bytes, reference.solver_memory_bytes),
-                ]
-            body.append([row.case, row.formulation, row.solver, *told])
-    return table(header, body) if body else ""
+                told = [number(row["difference_from_closed_form"])]
+                told += [ratio(row[key], reference[key]) for key in keys]
+            body.append([*group(row), row["solver"], *told])
+    header = ["case", "formulation", "solver", "difference of p", "time: first"]
+    return table([*header, "again", "memory"], body) if body else ""
 
 
 def row_table(rows: Sequence[Row]) -> str:
-    """All rows of one case and formulation, fastest verified answer first.
+    """All rows of one case and formulation, fastest verified answer first."""
+    header = ["solver", "status", "first [s]", "again [s]", "peak [MiB]"]
+    header += ["solver [MiB]", "KKT", "objective", "gap", "iterations", "active limits"]
 
-    Args:
-        rows: Rows of one group.
+    def place(row: Row) -> tuple[bool, bool, float]:
+        first = row["seconds_first"]
+        return not solved(row), not was_run(row), math.inf if first is None else first
 
-    Returns:
-        A Markdown table.
-    """
-    header = [
-        "solver",
-        "status",
-        "first [s]",
-        "again [s]",
-        "peak [MiB]",
-        "solver [MiB]",
-        "KKT",
-        "objective",
-        "gap",
-        "iterations",
-        "active limits",
-    ]
-    order = sorted(
-        rows,
-        key=lambda r: (
-            not r.solved,
-            not r.was_run,
-            math.inf if r.seconds_first is None else r.seconds_first,
-        ),
-    )
     body = [
         [
-            row.solver,
-            row.status if row.solved else _failure(row),
-            seconds(row.seconds_first),
-            seconds(row.seconds_again),
-            mebibytes(row.peak_memory_bytes),
-            mebibytes(row.solver_memory_bytes),
-            number(row.worst_relative),
-            "–" if row.objective is None else f"{row.objective:.8g}",
-            number(row.objective_gap),
-            str(row.iterations) if row.iterations else "–",
-            "–" if row.active_limits is None else str(row.active_limits),
+            row["solver"],
+            row["status"] if solved(row) else _failure(row),
+            seconds(row["seconds_first"]),
+            seconds(row["seconds_again"]),
+            mebibytes(row["peak_memory_bytes"]),
+            mebibytes(row["solver_memory_bytes"]),
+            number(worst_relative(row)),
+            "–" if row["objective"] is None else f"{row['objective']:.8g}",
+            number(row["objective_gap"]),
+            str(row["iterations"] or "–"),
+            "–" if row["active_limits"] is None else str(row["active_limits"]),
         ]
-        for row in order
+        for row in sorted(rows, key=place)
     ]
     return table(header, body)
 
 
-def score_table(rows: Sequence[Row]) -> str:
-    """Shifted geometric means per solver.
-
-    Args:
-        rows: All rows.
-
-    Returns:
-        A Markdown table.
-    """
-    body = [
-        [
-            score.solver,
-            f"{score.solved}/{score.run}",
-            seconds(score.mean_first),
-            seconds(score.mean_again),
-        ]
-        for score in scores(rows)
-    ]
-    return table(["solver", "solved", "first [s]", "again [s]"], body)
-
-
 def memory_table(rows: Sequence[Row]) -> str:
-    """Largest size of the process per stage [MiB].
-
-    Args:
-        rows: All rows.
-
-    Returns:
-        A Markdown table.
-    """
-    stages = list(dict.fromkeys(s for row in rows for s in row.memory_by_stage))
-    body = [
-        [
-            row.case,
-            row.formulation,
-            row.solver,
-            *(mebibytes(row.memory_by_stage.get(stage)) for stage in stages),
-        ]
-        for row in rows
-        if row.memory_by_stage
-    ]
+    """Largest size of the process per stage [MiB]."""
+    told = [row for row in rows if row["memory_by_stage"]]
+    stages = list(dict.fromkeys(s for row in told for s in row["memory_by_stage"]))
+    body = []
+    for row in told:
+        sizes = [mebibytes(row["memory_by_stage"].get(stage)) for stage in stages]
+        body.append([*group(row), row["solver"], *sizes])
     return table(["case", "formulation", "solver", *stages], body)
+
+
+def exponent(rows: Sequence[Row], key: str) -> float:
+    """Exponent x of time ∝ V^x by least squares; NaN for fewer than two sizes.
+
+    >>> told = [{"voxels": v, "t": 2e-3 * v, "status": "solved"} for v in (10, 1000)]
+    >>> round(exponent(told, "t"), 12)
+    1.0
+    """
+    told = [(row["voxels"], row[key]) for row in rows if solved(row) and row[key]]
+    if len({voxels for voxels, _ in told}) < 2:
+        return math.nan
+    sizes, taken = np.log(told).T
+    return float(np.polyfit(sizes, taken, 1)[0])
+
+
+def growth_table(rows: Sequence[Row]) -> str:
+    """Exponents of solvers that solved a formulation in two sizes; empty for none."""
+    found = []
+    rows = sorted(filter(solved, rows), key=lambda row: row["voxels"])
+    for place in dict.fromkeys((row["formulation"], row["solver"]) for row in rows):
+        own = [row for row in rows if (row["formulation"], row["solver"]) == place]
+        powers = [exponent(own, f"seconds_{kind}") for kind in ("first", "again")]
+        if not math.isnan(powers[0]):
+            cases = f"{own[0]['case']} to {own[-1]['case']} ({len(own)})"
+            laws = ["–" if math.isnan(x) else f"time ∝ V^{x:.2f}" for x in powers]
+            found.append((place[0], powers[0], [*place, cases, *laws]))
+    found.sort(key=lambda each: each[:2])
+    header = ["formulation", "solver", "cases", "first", "again"]
+    return table(header, [line for *_, line in found]) if found else ""
 
 
 def _failure(row: Row) -> str:
     """Status and, short, why."""
-    if row.status == "not installed" or not row.detail:
-        return row.status
-    detail = row.detail if len(row.detail) < 48 else row.detail[:45] + "…"
-    return f"{row.status}: {detail}".replace("|", "/")
+    status, detail = row["status"], row["detail"]
+    if status == "not installed" or not detail:
+        return str(status)
+    detail = detail if len(detail) < 48 else detail[:45] + "…"
+    return f"{status}: {detail}".replace("|", "/")
 
 
 def ratio(value: float | None, reference: float | None) -> str:
-    """``value`` over ``reference``, in words that say which way."""
-    if value is None or not reference:
-        return "–"
-    return times(value / reference)
+    """``value`` over ``reference``."""
+    return "–" if value is None or not reference else times(value / reference)
 
 
-def times(quotient: float | None) -> str:
-    """A quotient of two figures, in words that say which way."""
-    if quotient is None:
-        return "–"
+def times(quotient: float) -> str:
+    """A quotient of two figures."""
     return f"× {quotient:.2g}" if quotient < 100 else f"× {quotient:.0f}"
 
 

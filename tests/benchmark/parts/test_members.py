@@ -7,26 +7,28 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import pstats
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from ttus_opt.benchmark import spans
-from ttus_opt.benchmark.cases import reference_cases
+from tests.benchmark.tiny import TINY as TINIER
 from ttus_opt.benchmark.parts import recursion
-from ttus_opt.benchmark.parts.base import MEASURED, Figures, Part, PartSpec
-from ttus_opt.benchmark.parts.registry import parts
-from ttus_opt.benchmark.stages import Stages
+from ttus_opt.benchmark.parts.base import Part
+from ttus_opt.benchmark.parts.registry import SOLVERS, chosen, parts
+from ttus_opt.benchmark.progress import KEPT, Progress
+from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
+from ttus_opt.benchmark.settings import Settings
+from ttus_opt.errors import InputError
 
-TINY = replace(reference_cases("S")[0], name="tiny", shape=(9, 20, 9), n_poses=24)
+TINY = replace(TINIER, n_poses=24, n_points=1500)
+SETTINGS = Settings(solvers=["structured"], closed_form="", time_limit=60.0)
 
 #: Options with which a part is quick
 QUICK: dict[str, dict[str, Any]] = {
     "assembly": {"repeats": 1},
-    "profile": {"largest_copy": 2**22},
     "recursion": {"updates": 30, "compared": 20},
     "rendering": {"passes": 2},
     "ripple": {"voxel": 0.004, "n_points": 600, "n_poses": 20},
@@ -35,92 +37,66 @@ QUICK: dict[str, dict[str, Any]] = {
 every_part = pytest.mark.parametrize("part", parts().values(), ids=lambda p: p.name)
 
 
-def measured(part: Part, folder: Path) -> list[Figures]:
-    spec = part.plan([TINY], 60.0)[0]
-    same = {"case": "tiny", "status": MEASURED, "detail": ""}
-    begin = Stages(folder / "stages.jsonl")
-    rows = part.measure(replace(spec, options=QUICK[part.name]), begin)
-    return [same | row for row in rows]
+def measured(part: Part, folder: Path) -> list[Row]:
+    spec = part.plan([TINY], SETTINGS)[0]
+    spec = replace(spec, options={**spec.options, **QUICK.get(part.name, {})})
+    rows = part.measure(spec, Progress(folder))
+    return [part.row(spec, MEASURED, "") | row for row in rows]
 
 
 @pytest.mark.slow
 @every_part
 def test_figures_are_complete_and_told(part: Part, tmp_path: Path) -> None:
-    rows = measured(part, tmp_path)
+    rows = part.finished(measured(part, tmp_path), SETTINGS, tmp_path)
     json.dumps(rows)
-    for row in rows:
-        missing = [c.key for c in part.columns if c.key not in row]
-        assert missing in ([], ["sampling"])  # L and b have no sampling
-        ratios = {k: v for k, v in row.items() if k.startswith("ratio_")}
-        assert ratios
-        assert all(v > 0.0 and math.isfinite(v) for v in ratios.values())
-    lines = part.table(rows).splitlines()
-    assert len(lines) == 2 + len(rows)
+    if part.name != SOLVERS:  # whose tables are of their own
+        for row in rows:
+            missing = [c.key for c in part.columns if c.key not in row]
+            assert missing in ([], ["sampling"])  # L and b have no sampling
+            ratios = [v for k, v in row.items() if k.startswith("ratio_")]
+            assert all(v > 0.0 and math.isfinite(v) for v in ratios)
+    assert len(part.table(rows).splitlines()) == 2 + len(rows)
     assert (tmp_path / "stages.jsonl").read_text()
 
 
 @every_part
 def test_plan_survives_json(part: Part) -> None:
-    plan = part.plan([TINY], 60.0)
+    plan = part.plan([TINY], SETTINGS)
     told = [json.loads(json.dumps(spec.as_dict())) for spec in plan]
-    again = [PartSpec.from_dict(each) for each in told]
+    again = [RunSpec.from_dict(each) for each in told]
     assert [spec.key for spec in again] == [spec.key for spec in plan]
     assert len({spec.key for spec in plan}) == len(plan)
     if plan[0].case is not None:
-        other = part.plan([replace(TINY, r_inner=0.04)], 60.0)
+        other = part.plan([replace(TINY, r_inner=0.04)], SETTINGS)
         assert {s.key for s in other}.isdisjoint(s.key for s in plan)
 
 
-@pytest.mark.slow
-def test_assembly_and_rendering_do_the_same_as_their_references(
-    tmp_path: Path,
-) -> None:
-    for name in ("assembly", "rendering"):
-        for row in measured(parts()[name], tmp_path):
-            assert row["largest_difference"] < 1e-11, row
+def test_names() -> None:
+    named = ["assembly", "profile", "recursion", "rendering", "ripple"]
+    assert chosen("all") == [SOLVERS, *named]
+    assert chosen("ripple, solvers,ripple") == ["ripple", SOLVERS]
+    for text in ("riple", "", "solvers,all"):
+        with pytest.raises(InputError, match="choose from solvers, assembly"):
+            chosen(text)
 
 
-def test_profile_adds_up_and_has_all_there_is(tmp_path: Path) -> None:
-    rows = measured(parts()["profile"], tmp_path)
-    root, *others = rows
-    by = {tuple(row["path"]): row for row in rows}
-    assert len(by) == len(rows)
-    for row in rows:
-        path = tuple(row["path"])
-        children = [r for p, r in by.items() if p[:-1] == path]
-        inside = sum(r["total"] for r in children)
-        assert row["total"] == pytest.approx(row["own"] + inside, rel=1e-9)
-        assert row["own"] >= 0.0
-    assert sum(row["own_share"] for row in rows) == pytest.approx(1.0)
-    assert root["ratio_to_fit"] == 1.0
-    assert {row["path"][-1] for row in others} == {
-        value
-        for key, value in vars(spans).items()
-        if key.isupper() and value != spans.FIT
-    }
-    # two solves with A per product, for the field too, and one for p₀
-    calls = dict.fromkeys((spans.SOLVE, spans.EXACT, spans.RESPONSE, spans.ROUGH), 0)
-    for row in others:
-        if row["path"][-1] in calls:
-            calls[row["path"][-1]] += row["calls"]
-    products = calls[spans.EXACT] + calls[spans.RESPONSE]
-    # and one for the bound on the gap, in the solver and in the verdict
-    assert calls[spans.SOLVE] == 2 * products + 1 + 2
-    rough = next(
-        row for row in rows if tuple(row["path"][-2:]) == (spans.ROUGH, spans.CYCLE)
-    )
-    assert rough["calls"] == 2 * calls[spans.ROUGH]
-
-
-def test_profile_is_told_below_its_table(tmp_path: Path) -> None:
+def test_a_profile_has_the_fit_and_its_kernels(tmp_path: Path) -> None:
     part = parts()["profile"]
     rows = measured(part, tmp_path)
+    assert rows[0]["function"] == "benchmark.parts.profile._fit"
+    assert rows[0]["ratio_to_fit"] == 1.0
+    assert all(0.0 <= row["own"] <= row["total"] for row in rows)
+    by = {row["function"]: row for row in rows}
+    assert by["fitting.batch.Fitter.solve"]["calls"] == 1
+    saved = pstats.Stats(str(tmp_path / KEPT / "profile-tiny.prof"))
+    names = {name for _, _, name in saved.stats}  # type: ignore[attr-defined]
+    # compiled kernels are told as well
+    assert {"_fit", "solve", "_correct", "contact_rows"} <= names
     rows.append({"case": "gone", "status": "refused", "detail": "no file"})
-    text = "\n".join(part.below(rows, tmp_path))
+    text = "\n".join(part.below(rows))
     assert "GB/s" in text
-    assert "V-cycle, every array once" in text
+    assert "profile-tiny.prof" in text
     assert "gone" not in text
-    assert (tmp_path / "profile-tiny.png").stat().st_size > 5_000
 
 
 def test_recursion_equals_the_batch_fit(tmp_path: Path) -> None:
@@ -142,10 +118,10 @@ def test_recursion_takes_poses_again_until_there_are_enough() -> None:
 
 def test_recursion_out_of_time_says_how_far_it_came(tmp_path: Path) -> None:
     part = parts()["recursion"]
-    (spec,) = part.plan([TINY], 1e-9)
+    (spec,) = part.plan([TINY], Settings(time_limit=1e-9))
     asked = replace(spec, options=QUICK["recursion"])
-    (row,) = part.measure(asked, Stages(tmp_path / "stages.jsonl"))
+    (row,) = part.measure(asked, Progress(tmp_path))
     assert row["held"] == 1
     assert row["detail"] == "stopped after 1 of 30 updates by the time limit"
-    whole: Mapping[str, object] = {"case": "tiny", "status": MEASURED} | row
+    whole = {"case": "tiny", "status": MEASURED} | row
     assert "stopped after 1 of 30" in part.table([whole])

@@ -1,1 +1,1 @@
-"""Parts of the benchmark beside the solvers, one file each with a ``PART``."""
+"""Parts of the benchmark, one file each with a ``PART``."""

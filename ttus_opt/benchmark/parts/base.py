@@ -6,80 +6,24 @@ A part is added by adding a file with ``PART`` to this folder.
 from __future__ import annotations
 
 import abc
-import hashlib
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from ttus_opt.benchmark.cases import CaseSpec
-from ttus_opt.benchmark.stages import Stages
+from ttus_opt.benchmark.progress import Progress
+from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
+from ttus_opt.benchmark.settings import Settings
 from ttus_opt.report.tables import table
 
 #: Points of the probe's shell where the shell's size decides the time
 SHELL_POINTS = 5000
 
-#: Status of a row that has its figures
-MEASURED = "measured"
-
-#: Stages that compile and build, whatever the part's time limit is
-PREPARING = ("start", "warm-up", "scene")
-
-Figures = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class PartSpec:
-    """One run of a part, in a process of its own.
-
-    Attributes:
-        part: The part's name.
-        case: The scene; None where the part brings its own.
-        options: The part's own.
-        time_limit: Most seconds of one stage [s].
-    """
-
-    part: str
-    case: CaseSpec | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
-    time_limit: float = 600.0
-
-    @property
-    def case_name(self) -> str:
-        """For the tables; "–" without a case."""
-        return "–" if self.case is None else self.case.name
-
-    @property
-    def key(self) -> str:
-        """The same for the same question, to resume by."""
-        text = json.dumps(self.as_dict(), sort_keys=True)
-        digest = hashlib.sha256(text.encode()).hexdigest()[:12]
-        name = "any" if self.case is None else self.case.name
-        return f"{self.part}-{name}-{digest}"
-
-    def as_dict(self) -> dict[str, Any]:
-        """Everything, for JSON."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> PartSpec:
-        """Read back what `as_dict` gave."""
-        case = values["case"]
-        return cls(
-            **{**values, "case": None if case is None else CaseSpec.from_dict(case)}
-        )
-
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a part's table.
-
-    Attributes:
-        header: With its unit.
-        key: Of the figure in a row.
-        written: How the figure is written.
-    """
+    """A column of a table: its header, the key of its figure, and how it is written."""
 
     header: str
     key: str
@@ -90,80 +34,113 @@ class Part(abc.ABC):
     """A part of the benchmark.
 
     Attributes:
-        name: By which it is asked for, and its key in the JSON.
+        name: By which it is asked for, and the name of its CSV file.
+        key: Of its rows in the JSON, where that is another; "" for the name.
         title: Heading of its table.
         legend: What the columns mean, for the report.
         columns: Of its table, after the case.
+        options: Of every run, where `plan` is not overridden.
+        parallel: Whether its runs may be several at a time.
     """
 
     name: str
+    key: str = ""
     title: str
     legend: str
     columns: Sequence[Column]
+    options: ClassVar[Mapping[str, Any]] = {}
+    parallel: bool = False
 
-    def plan(self, cases: Sequence[CaseSpec], time_limit: float) -> list[PartSpec]:
+    def plan(self, cases: Sequence[CaseSpec], settings: Settings) -> list[RunSpec]:
         """The runs for given cases; by default one for each.
 
         Args:
             cases: The scenes.
-            time_limit: Most seconds of one stage [s].
+            settings: What was asked for.
+
+        Raises:
+            InputError: Something asked for is not there or out of range.
         """
-        return [PartSpec(self.name, case, {}, time_limit) for case in cases]
+        return [
+            RunSpec(self.name, self.prepared(case), self.options, settings.time_limit)
+            for case in cases
+        ]
+
+    def prepared(self, case: CaseSpec) -> CaseSpec:
+        """The case as this part measures it; by default as it is."""
+        return case
 
     @abc.abstractmethod
-    def measure(self, spec: PartSpec, begin: Stages) -> list[Figures]:
+    def measure(self, spec: RunSpec, begin: Progress) -> list[Row]:
         """Measure one run in this process.
 
         Args:
             spec: One of `plan`.
-            begin: To be called with every stage that begins; those of `PREPARING`
-                may take longer than the time limit.
+            begin: To be called with every stage that begins; those of
+                `isolation.PREPARING` may take longer than the time limit.
 
         Returns:
             Rows: plain numbers and words by the keys of `columns` and others.
         """
 
-    def table(self, rows: Sequence[Mapping[str, Any]]) -> str:
-        """All rows of this part as a Markdown table.
+    def refused(self, specs: Sequence[RunSpec]) -> dict[str, Row]:
+        """Of runs that are to begin, rows of those that need no process to fail."""
+        return {}
+
+    def row(self, spec: RunSpec, status: str, detail: str) -> Row:
+        """The row of a run before there are figures, or without any.
 
         Args:
-            rows: Of all its runs; those that failed say why in the last column.
+            spec: The run.
+            status: `MEASURED`, or why there are none.
+            detail: In words.
         """
+        told = {"case": spec.case_name, "status": status, "detail": detail}
+        return {"key": spec.key, **told, **spec.options}
+
+    def finished(
+        self, rows: Sequence[Row], settings: Settings, output: Path
+    ) -> list[Row]:
+        """Rows with what only all of them together tell; as they are by default."""
+        return list(rows)
+
+    def table(self, rows: Sequence[Row]) -> str:
+        """All rows as a Markdown table; a failed one says why in the last column."""
         header = ["case", *(column.header for column in self.columns), "remark"]
         body = [
-            [
-                str(row["case"]),
-                *(_cell(column, row.get(column.key)) for column in self.columns),
-                _remark(row),
-            ]
+            [row["case"], *(_cell(c, row) for c in self.columns), _remark(row)]
             for row in rows
         ]
         return table(header, body)
 
-    def below(self, rows: Sequence[Mapping[str, Any]], folder: Path) -> list[str]:
-        """What the report says below the table; pictures it names are written.
-
-        Args:
-            rows: Of all its runs, those that failed as well.
-            folder: Where pictures go.
-
-        Returns:
-            Lines of Markdown; none by default.
-        """
+    def below(self, rows: Sequence[Row]) -> list[str]:
+        """What the report says below the table, in Markdown; nothing by default."""
         return []
 
+    def text(self, rows: Sequence[Row], settings: Settings) -> str:
+        """What the terminal shows of all its rows."""
+        return f"{self.title}:\n{self.table(rows)}"
 
-def scene_case(spec: PartSpec) -> CaseSpec:
-    """The case of a run that has one."""
-    assert spec.case is not None, f"{spec.part} is planned without a case"
-    return spec.case
+    def report(
+        self, rows: Sequence[Row], settings: Settings, folder: Path
+    ) -> list[str]:
+        """Its sections of the report, in Markdown; writes their pictures.
+
+        Args:
+            rows: Of all its runs.
+            settings: What was asked for.
+            folder: Of the results.
+        """
+        head = [f"## {self.title}", "", self.legend, "", self.table(rows), ""]
+        return head + self.below(rows)
 
 
-def _cell(column: Column, value: Any) -> str:
+def _cell(column: Column, row: Row) -> str:
+    value = row.get(column.key)
     return "–" if value is None else column.written(value)
 
 
-def _remark(row: Mapping[str, Any]) -> str:
+def _remark(row: Row) -> str:
     told = [row["status"]] if row["status"] != MEASURED else []
     told += [row["detail"]] if row["detail"] else []
     return ": ".join(told).replace("|", "/")

@@ -6,15 +6,17 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.benchmark import memory
 from ttus_opt.benchmark.cases import CaseSpec
-from ttus_opt.benchmark.parts.base import Column, Figures, Part, PartSpec, scene_case
-from ttus_opt.benchmark.stages import Stages
-from ttus_opt.benchmark.suite import WEIGHTS
+from ttus_opt.benchmark.parts.base import Column, Part
+from ttus_opt.benchmark.progress import Progress
+from ttus_opt.benchmark.row import Row, RunSpec
+from ttus_opt.benchmark.settings import WEIGHTS
 from ttus_opt.benchmark.summary import mebibytes, number, seconds, times
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
@@ -78,21 +80,18 @@ class RecursionPart(Part):
         Column("data", "change_from_prior", number),
     )
 
-    def plan(self, cases: Sequence[CaseSpec], time_limit: float) -> list[PartSpec]:
-        """Every case with all frames of its recordings."""
-        options = {"updates": UPDATES, "compared": COMPARED}
-        return [
-            PartSpec(self.name, replace(case, n_poses=None), options, time_limit)
-            for case in cases
-        ]
+    options: ClassVar = {"updates": UPDATES, "compared": COMPARED}
 
-    def measure(self, spec: PartSpec, begin: Stages) -> list[Figures]:
+    def prepared(self, case: CaseSpec) -> CaseSpec:
+        """The case with all frames of its recordings."""
+        return replace(case, n_poses=None)
+
+    def measure(self, spec: RunSpec, begin: Progress) -> list[Row]:
         """Fold in, then fit the same measurements at once."""
-        case = scene_case(spec)
         begin("warm-up")
-        _warm_up(case)
+        _warm_up(spec.scene_case)
         begin("scene")
-        whole = case.build()
+        whole = spec.scene_case.build()
         updates, compared = int(spec.options["updates"]), int(spec.options["compared"])
         scene = with_measurements(whole, _touching(whole, updates))
         begin("updates")
@@ -100,7 +99,8 @@ class RecursionPart(Part):
         taken, made, fields = _folded(scene, {compared}, spec.time_limit)
         peak = memory.peak_bytes()
         held = len(taken)
-        row = _windows(taken) | {
+        row = _typical("early", taken[:WINDOW]) | _typical("late", taken[-WINDOW:])
+        row |= _typical("field", made) | {
             "voxels": scene.n_voxels,
             "updates_asked": updates,
             "held": held,
@@ -109,8 +109,6 @@ class RecursionPart(Part):
             if held == updates
             else f"stopped after {held:,} of {updates:,} updates by the time limit",
         }
-        if made:
-            row |= {"field_median": statistics.median(made), "field_max": max(made)}
         if held > 1:
             first, again = _batch(scene, held, begin)
             late = row["late_median"]
@@ -196,19 +194,11 @@ def _folded(
     return taken, made, fields
 
 
-def _windows(taken: Sequence[float]) -> Figures:
-    """Median and maximum over the first and the last updates."""
-    early, late = taken[:WINDOW], taken[-WINDOW:]
-    return {
-        "early_from": 1,
-        "early_to": len(early),
-        "early_median": statistics.median(early),
-        "early_max": max(early),
-        "late_from": len(taken) - len(late) + 1,
-        "late_to": len(taken),
-        "late_median": statistics.median(late),
-        "late_max": max(late),
-    }
+def _typical(name: str, taken: Sequence[float]) -> Row:
+    """Median and maximum of some times, where there are any [s]."""
+    if not taken:
+        return {}
+    return {f"{name}_median": statistics.median(taken), f"{name}_max": max(taken)}
 
 
 def _eq10(scene: Scene, count: int) -> Formulation:
@@ -238,7 +228,7 @@ def _batch(
     return statistics.median(first), statistics.median(again)
 
 
-def _compared(scene: Scene, count: int, field: Array) -> Figures:
+def _compared(scene: Scene, count: int, field: Array) -> Row:
     """The field after so many measurements beside the batch fit's and the prior."""
     fitter = Fitter(_eq10(scene, count), solver="structured", request=Request(TIGHT))
     p = fitter.solve().variables["p"]

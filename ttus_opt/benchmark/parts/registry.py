@@ -10,20 +10,19 @@ import ttus_opt.benchmark.parts
 from ttus_opt.benchmark.parts.base import Part
 from ttus_opt.errors import InputError
 
-#: The part that is no file here: solvers on formulations (`ttus_opt.benchmark.suite`)
+#: The part that comes first, and alone when none is named
 SOLVERS = "solvers"
 
 
 @functools.cache
 def parts() -> dict[str, Part]:
-    """Every part by name, beside the solvers."""
-    found: dict[str, Part] = {}
+    """Every part by name."""
+    found: list[Part] = []
     for module in pkgutil.iter_modules(ttus_opt.benchmark.parts.__path__):
         loaded = importlib.import_module(f"ttus_opt.benchmark.parts.{module.name}")
-        part = getattr(loaded, "PART", None)
-        if part is not None:
-            found[part.name] = part
-    return dict(sorted(found.items()))
+        found += [loaded.PART] if hasattr(loaded, "PART") else []
+    found.sort(key=lambda part: (part.name != SOLVERS, part.name))
+    return {part.name: part for part in found}
 
 
 def chosen(text: str) -> list[str]:
@@ -38,7 +37,7 @@ def chosen(text: str) -> list[str]:
     Raises:
         InputError: None, or one there is not.
     """
-    known = [SOLVERS, *parts()]
+    known = list(parts())
     names = [name.strip() for name in text.split(",") if name.strip()]
     if names == ["all"]:
         return known

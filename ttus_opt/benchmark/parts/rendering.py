@@ -1,41 +1,44 @@
-"""Part ``rendering``: time of a haptic frame against whole-array numpy."""
+"""Part ``rendering``: time of a haptic frame against whole-array numpy.
+
+Wall time per frame gives the percentiles that a haptic loop sees, other programs on
+the machine included; processor time per frame, least of several passes, is the frame's
+own.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import get_args
 
+import numpy as np
+
+from ttus_opt.arrays import Array
 from ttus_opt.benchmark.cases import CaseSpec
-from ttus_opt.benchmark.parts.base import (
-    SHELL_POINTS,
-    Column,
-    Figures,
-    Part,
-    PartSpec,
-    scene_case,
-)
-from ttus_opt.benchmark.rendering import FrameTimes, RenderingFigures, time_rendering
-from ttus_opt.benchmark.stages import Stages
+from ttus_opt.benchmark.parts.base import SHELL_POINTS, Column, Part
+from ttus_opt.benchmark.plain_frame import numpy_frame
+from ttus_opt.benchmark.progress import Progress
+from ttus_opt.benchmark.row import Row, RunSpec
+from ttus_opt.benchmark.settings import Settings
 from ttus_opt.benchmark.summary import times
 from ttus_opt.contact.rows import Sampling
 from ttus_opt.errors import InputError
+from ttus_opt.haptic.blend import BlendLaw
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 
 #: Times every pose is rendered
 PASSES = 50
 
-#: Ways to render: their name in the table, and in `RenderingFigures`
-WAYS = {
-    "numpy": "numpy",
-    "compiled loop over all points": "loop",
-    "render, back to back": "renderer",
-    "render, amid a swap of fields": "blending",
-    "render_into, back to back": "into",
-    "render_into, paced": "paced",
-}
+#: Between paced frames [s]
+PAUSE = 1e-3
+
+Pose = tuple[Array, Array]
+Frame = Callable[[Array, Array], object]
 
 
 def _microseconds(value: float) -> str:
@@ -65,69 +68,122 @@ class RenderingPart(Part):
         Column("to numpy", "ratio_to_numpy", times),
     )
 
-    def plan(self, cases: Sequence[CaseSpec], time_limit: float) -> list[PartSpec]:
+    def plan(self, cases: Sequence[CaseSpec], settings: Settings) -> list[RunSpec]:
         """Both samplings of every case."""
         return [
-            PartSpec(
+            RunSpec(
                 self.name,
                 replace(case, sampling=sampling, n_points=SHELL_POINTS),
                 {"passes": PASSES, "sampling": sampling},
-                time_limit,
+                settings.time_limit,
             )
             for case in cases
             for sampling in get_args(Sampling)
         ]
 
-    def measure(self, spec: PartSpec, begin: Stages) -> list[Figures]:
+    def measure(self, spec: RunSpec, begin: Progress) -> list[Row]:
         """Time all ways over the case's poses."""
-        case = scene_case(spec)
         begin("warm-up")
         with contextlib.suppress(InputError):  # none of its few poses need touch
-            _timed(*_rendered(case.small()), passes=1)
+            time_rendering(spec.scene_case.small().build(), passes=1)
         begin("scene")
-        scene, field = _rendered(case)
+        scene = spec.scene_case.build()
         begin("frames")
-        return _rows(_timed(scene, field, passes=int(spec.options["passes"])))
+        return time_rendering(scene, passes=int(spec.options["passes"]))
 
 
-def _rendered(case: CaseSpec) -> tuple[Scene, PotentialField]:
-    """A scene and its Laplace field."""
-    scene = case.build()
+def time_rendering(scene: Scene, *, passes: int = PASSES) -> list[Row]:
+    """Time the renderer and numpy over a scene's poses, with its Laplace field.
+
+    Args:
+        scene: The scene.
+        passes: Times each pose is rendered; numpy and paced frames a tenth of it.
+
+    Returns:
+        A row per way to render: times as of `frame_times`, ``points`` of the shell and
+        ``contact_points`` (median over the poses).
+
+    Raises:
+        InputError: No pose touches the patient.
+    """
     values = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
-    return scene, PotentialField(scene.voxmap, values, scene.sampling)
+    field = PotentialField(scene.voxmap, values, scene.sampling)
+    poses = list(zip(scene.trajectory.rotation, scene.trajectory.position, strict=True))
+    renderer, out = Renderer(field, scene.shell), np.zeros(6)
+
+    def plain(R: Array, at: Array) -> Array:
+        return numpy_frame(field, scene.shell, R, at)
+
+    def into(R: Array, at: Array) -> None:
+        renderer.render_into(R, at, out)
+
+    contact = np.array([renderer.render(*pose).contact_points for pose in poses])
+    if not contact.any():
+        raise InputError("no pose touches the patient: give poses in contact")
+    touching = [poses[t] for t in np.flatnonzero(contact)]
+    blending = _blending(field, scene.shell, touching[0]).render
+    few = max(passes // 10, 1)
+    ways = {
+        "numpy": frame_times(plain, poses, few),
+        "render, back to back": frame_times(renderer.render, poses, passes),
+        "render, amid a swap of fields": frame_times(blending, touching, passes),
+        "render_into, back to back": frame_times(into, poses, passes),
+        "render_into, paced": frame_times(into, poses, few, pause=PAUSE),
+    }
+    size = {"points": len(scene.shell), "contact_points": float(np.median(contact))}
+    whole = ways["numpy"]["median"]
+    return [
+        {
+            "sampling": field.sampling,
+            "way": way,
+            "ratio_to_numpy": own["median"] / whole,
+        }
+        | own
+        | size
+        for way, own in ways.items()
+    ]
 
 
-def _timed(scene: Scene, field: PotentialField, *, passes: int) -> RenderingFigures:
-    poses = scene.trajectory
-    return time_rendering(
-        field, scene.shell, poses.rotation, poses.position, passes=passes
-    )
+def _blending(field: PotentialField, shell: PointShell, pose: Pose) -> Renderer:
+    """A renderer amid a swap too slow to end."""
+    renderer = Renderer(field, shell, blend=BlendLaw(force_rate=1e-9))
+    renderer.render(*pose)
+    renderer.update(PotentialField(field.voxmap, 0.5 * field.values, field.sampling))
+    return renderer
 
 
-def _rows(figures: RenderingFigures) -> list[Figures]:
-    rows = []
-    for way, name in WAYS.items():
-        frame: FrameTimes = getattr(figures, name)
-        rows.append(
-            {
-                "sampling": figures.sampling,
-                "way": way,
-                "median": frame.median,
-                "percentile_99": frame.percentile_99,
-                "percentile_99_9": frame.percentile_99_9,
-                "longest": frame.longest,
-                "processor": frame.processor,
-                "processor_99_9": frame.processor_99_9,
-                "ratio_to_numpy": frame.median / figures.numpy.median,
-                "points": figures.n_points,
-                "contact_points": figures.contact_points,
-                "renderer_frames": figures.frames,
-                "bytes_per_frame": figures.bytes_per_frame,
-                "largest_difference": figures.largest_difference,
-                "load": figures.load,
-            }
-        )
-    return rows
+def frame_times(
+    frame: Frame, poses: Sequence[Pose], passes: int, *, pause: float = 0.0
+) -> Row:
+    """Time a way to render, pose by pose.
+
+    Args:
+        frame: Called with rotation and position.
+        poses: What it is called with.
+        passes: How many times over.
+        pause: Slept before every frame, not timed [s].
+
+    Returns:
+        Wall time: ``median``, percentiles, ``longest``; ``processor``: median over
+        poses of the least processor time in any pass [s].
+    """
+    frame(*poses[0])  # compiles
+    wall, own = np.empty((passes, len(poses))), np.empty((passes, len(poses)))
+    for n in range(passes):
+        for k, pose in enumerate(poses):
+            if pause:
+                time.sleep(pause)
+            begin, before = time.thread_time_ns(), time.perf_counter_ns()
+            frame(*pose)
+            wall[n, k] = 1e-9 * (time.perf_counter_ns() - before)
+            own[n, k] = 1e-9 * (time.thread_time_ns() - begin)
+    return {
+        "median": float(np.median(wall)),
+        "percentile_99": float(np.percentile(wall, 99.0)),
+        "percentile_99_9": float(np.percentile(wall, 99.9)),
+        "longest": float(wall.max()),
+        "processor": float(np.median(own.min(axis=0))),
+    }
 
 
 PART = RenderingPart()

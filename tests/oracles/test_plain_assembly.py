@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.benchmark.plain_assembly import plain_laplace, plain_rows
+from tests.oracles.plain_assembly import plain_laplace, plain_rows
 
 
 @pytest.mark.parametrize("shape", [(9, 20, 10), (8, 15, 7)], ids=["even", "odd"])

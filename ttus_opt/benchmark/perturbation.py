@@ -1,7 +1,7 @@
-"""Measurements that contradict what a formulation demands, so that limits hold back.
+"""Perturbed data: measurements that contradict what a formulation demands.
 
 The example's recordings agree with sign and growth along spokes: no bound is active,
-and a solver is never seen at work on them. Contested values make tens to hundreds of
+and a solver is never seen at work on them. Perturbed values make tens to hundreds of
 limits active, at weights high enough for the field to follow them (``--weight``).
 """
 
@@ -14,8 +14,8 @@ import numpy as np
 from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
-#: Ways to contest a recording
-CONTESTS = ("noise", "reversed")
+#: Ways to perturb a recording
+PERTURBATIONS = ("noise", "reversed")
 
 #: Standard deviation per axis of the noise added, force [N] and torque [N·m]
 FORCE_NOISE, TORQUE_NOISE = 2.0, 0.03
@@ -27,32 +27,27 @@ REVERSED_PART = 0.2
 SEED = 0
 
 
-def contested(trajectory: Trajectory, contest: str) -> Trajectory:
-    """A recording with contested wrenches, the same at every call.
+def perturbed(trajectory: Trajectory, how: str) -> Trajectory:
+    """A recording with perturbed wrenches, the same at every call.
 
     Args:
-        trajectory: A recording of T frames with wrenches.
-        contest: ``noise`` adds Gaussian noise to every force and torque, ``reversed``
-            turns the sign of force and torque of a fifth of the frames; "" leaves all
-            as it is.
-
-    Returns:
-        The same poses; what was given when nothing is contested.
+        trajectory: With wrenches.
+        how: ``noise`` adds Gaussian noise to every force and torque, ``reversed``
+            turns the sign of those of a fifth of the frames; "" leaves all as it is.
 
     Raises:
-        InputError: There is no such contest, or nothing was measured.
+        InputError: There is no such perturbation, or nothing was measured.
     """
-    checked_contest(contest)
-    if not contest:
+    if not checked_perturbation(how):
         return trajectory
     force, torque = trajectory.force, trajectory.torque
     if force is None or torque is None:
         raise InputError(
-            f"contest {contest!r} changes measured wrenches, the trajectory has none: "
+            f"perturbation {how!r} changes measured wrenches, the trajectory has none: "
             "add columns fx, fy, fz, tx, ty, tz"
         )
     rng = np.random.default_rng(SEED)
-    if contest == "noise":
+    if how == "noise":
         return replace(
             trajectory,
             force=force + rng.normal(0.0, FORCE_NOISE, force.shape),
@@ -64,12 +59,13 @@ def contested(trajectory: Trajectory, contest: str) -> Trajectory:
     return replace(trajectory, force=sign * force, torque=sign * torque)
 
 
-def checked_contest(contest: str) -> str:
-    """The contest, if there is one of that name or none is asked for.
+def checked_perturbation(how: str) -> str:
+    """The perturbation, if there is one of that name or none is asked for.
 
     Raises:
         InputError: There is none.
     """
-    if contest and contest not in CONTESTS:
-        raise InputError(f"unknown contest {contest!r}: choose {' or '.join(CONTESTS)}")
-    return contest
+    if how and how not in PERTURBATIONS:
+        choices = " or ".join(PERTURBATIONS)
+        raise InputError(f"unknown perturbation {how!r}: choose {choices}")
+    return how

@@ -1,16 +1,16 @@
-"""Contested recordings: only wrenches change, by what is said, and always alike."""
+"""Perturbed recordings: only wrenches change, by what is said, and always alike."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from ttus_opt import example
 from ttus_opt.benchmark.cases import CaseSpec, reference_cases
-from ttus_opt.benchmark.contest import CONTESTS, contested
+from ttus_opt.benchmark.perturbation import PERTURBATIONS, perturbed
 from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import read_trajectory
 
@@ -20,9 +20,9 @@ assert PLAIN.torque is not None
 FORCE, TORQUE = PLAIN.force, PLAIN.torque
 
 
-@pytest.mark.parametrize("contest", CONTESTS)
-def test_poses_stay_and_wrenches_change_alike_every_time(contest: str) -> None:
-    once, twice = contested(PLAIN, contest), contested(PLAIN, contest)
+@pytest.mark.parametrize("how", PERTURBATIONS)
+def test_poses_stay_and_wrenches_change_alike_every_time(how: str) -> None:
+    once, twice = perturbed(PLAIN, how), perturbed(PLAIN, how)
     np.testing.assert_array_equal(once.position, PLAIN.position)
     np.testing.assert_array_equal(once.rotation, PLAIN.rotation)
     assert once.force is not None
@@ -32,7 +32,7 @@ def test_poses_stay_and_wrenches_change_alike_every_time(contest: str) -> None:
 
 
 def test_noise_has_the_size_it_says() -> None:
-    found = contested(PLAIN, "noise")
+    found = perturbed(PLAIN, "noise")
     assert found.force is not None
     assert found.torque is not None
     for added, size in ((found.force - FORCE, 2.0), (found.torque - TORQUE, 0.03)):
@@ -43,7 +43,7 @@ def test_noise_has_the_size_it_says() -> None:
 
 
 def test_a_fifth_of_the_frames_is_turned_round_whole() -> None:
-    found = contested(PLAIN, "reversed")
+    found = perturbed(PLAIN, "reversed")
     assert found.force is not None
     assert found.torque is not None
     turned = (found.force == -FORCE).all(axis=1) & (FORCE != 0.0).any(axis=1)
@@ -56,24 +56,26 @@ def test_a_fifth_of_the_frames_is_turned_round_whole() -> None:
 
 
 def test_nothing_asked_for_is_nothing_changed() -> None:
-    assert contested(PLAIN, "") is PLAIN
+    assert perturbed(PLAIN, "") is PLAIN
 
 
-def test_what_cannot_be_contested() -> None:
-    with pytest.raises(InputError, match="unknown contest 'loud': choose noise or"):
-        contested(PLAIN, "loud")
+def test_what_cannot_be_perturbed() -> None:
+    with pytest.raises(
+        InputError, match="unknown perturbation 'loud': choose noise or"
+    ):
+        perturbed(PLAIN, "loud")
     with pytest.raises(InputError, match="trajectory has none"):
-        contested(replace(PLAIN, force=None, torque=None), "noise")
+        perturbed(replace(PLAIN, force=None, torque=None), "noise")
 
 
-def test_a_case_carries_its_contest_to_its_scene() -> None:
+def test_a_case_carries_its_perturbation_to_its_scene() -> None:
     plain = replace(reference_cases("S")[0].small(), n_poses=24)
-    assert plain.contested("") == plain
-    noisy = plain.contested("noise")
+    assert plain.perturbed("") == plain
+    noisy = plain.perturbed("noise")
     assert noisy.name == "S-noise"
-    assert CaseSpec.from_dict(json.loads(json.dumps(noisy.as_dict()))) == noisy
+    assert CaseSpec.from_dict(json.loads(json.dumps(asdict(noisy)))) == noisy
     scene, other = plain.build(), noisy.build()
     assert abs(scene.N - other.N).max() == 0.0
     assert (other.f - scene.f).std() == pytest.approx(2.0, rel=0.4)
-    with pytest.raises(InputError, match="unknown contest"):
-        plain.contested("loud")
+    with pytest.raises(InputError, match="unknown perturbation"):
+        plain.perturbed("loud")

@@ -1,4 +1,4 @@
-"""What a process is doing now, told to its parent, and how large each stage made it."""
+"""What the process of a run tells its parent: stages, their memory, and files."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from pathlib import Path
 
 from ttus_opt.benchmark import memory
 
-#: File in a run's folder with one line per stage
-STAGES = "stages.jsonl"
+#: In a run's folder: a line per stage, and what is moved to the results
+STAGES, KEPT = "stages.jsonl", "kept"
 
 
-class Stages:
+class Progress:
     """Tells the parent what begins, and measures the memory of what ended.
 
     Attributes:
         peaks: Largest size of the process per stage [byte].
     """
 
-    def __init__(self, file: Path) -> None:
-        self._file = file
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
         self._current = ""
         self.peaks: dict[str, int] = {}
 
@@ -28,7 +28,7 @@ class Stages:
         """A stage begins; the one before is done."""
         self.end()
         self._current = stage
-        with self._file.open("a", encoding="utf-8") as file:
+        with (self._folder / STAGES).open("a", encoding="utf-8") as file:
             file.write(json.dumps({"stage": stage, "time": time.time()}) + "\n")
         memory.reset_peak()
 
@@ -38,3 +38,9 @@ class Stages:
             before = self.peaks.get(self._current, 0)
             self.peaks[self._current] = max(before, memory.peak_bytes())
             self._current = ""
+
+    def keep(self, name: str) -> Path:
+        """Where to write a file that is to stand in the folder of the results."""
+        path = self._folder / KEPT / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path

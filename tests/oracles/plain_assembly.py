@@ -1,7 +1,7 @@
-"""L, b, N and W written straightforwardly: what the compiled assembly is measured by.
+"""L, b, N and W written straightforwardly: what the compiled assembly is judged by.
 
 `plain_laplace` is Kronecker products of scipy, `plain_rows` whole-array numpy pose by
-pose; both are references for `ttus_opt.laplace.system` and `ttus_opt.contact.rows`.
+pose.
 """
 
 from __future__ import annotations
@@ -12,10 +12,14 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import spsolve
 
 from ttus_opt.arrays import Array
+from ttus_opt.benchmark.plain_frame import plain_samples
 from ttus_opt.contact.rows import REFERENCE_AREA
-from ttus_opt.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
+<<<<<<< HEAD:ttus_opt/benchmark/plain_assembly.py
 from ttus_opt.voxmap.voxmap import Voxmap, surface_layer
+=======
+from ttus_opt.voxmap.voxmap import Voxmap
+>>>>>>> w/bench:tests/oracles/plain_assembly.py
 
 
 def plain_laplace(
@@ -111,6 +115,7 @@ def plain_rows(
         sp.csr_array(sp.coo_array((np.concatenate(force), at_entries), shape=shape)),
         sp.csr_array(sp.coo_array((np.concatenate(torque), at_entries), shape=shape)),
     )
+<<<<<<< HEAD:ttus_opt/benchmark/plain_assembly.py
 
 
 def plain_samples(
@@ -188,3 +193,5 @@ def _voxel_means(
     _, place = np.unique(voxel, return_inverse=True)
     counts = np.bincount(place, weights=samples)[place]
     return voxel[:, None], (samples / np.maximum(counts, 1.0))[:, None]
+=======
+>>>>>>> w/bench:tests/oracles/plain_assembly.py

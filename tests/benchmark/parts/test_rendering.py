@@ -1,0 +1,42 @@
+"""What the timing hands over; a time itself is never asserted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import small_scene
+from ttus_opt.benchmark.parts.rendering import frame_times, time_rendering
+from ttus_opt.errors import InputError
+
+
+def test_every_way_is_timed_over_the_same_poses() -> None:
+    scene = small_scene("trilinear")
+    rows = time_rendering(scene, passes=2)
+    assert len({row["way"] for row in rows}) == 5
+    assert rows[0]["way"] == "numpy" and rows[0]["ratio_to_numpy"] == 1.0
+    for row in rows:
+        assert row["contact_points"] == np.median(scene.rows.contact_points)
+        assert row["points"] == len(scene.shell)
+        assert 0 < row["median"] <= row["percentile_99"] <= row["percentile_99_9"]
+        assert row["percentile_99_9"] <= row["longest"]
+        assert row["median"] == row["ratio_to_numpy"] * rows[0]["median"]
+
+
+def test_times_are_of_every_pose_and_pass() -> None:
+    called: list[float] = []
+    poses = [(np.eye(3), np.array([x, 0.0, 0.0])) for x in (1.0, 2.0)]
+    found = frame_times(lambda R, at: called.append(at[0]), poses, 3)
+    assert called == [1.0] + 3 * [1.0, 2.0]  # once before, to compile
+    assert found["median"] < 1.0
+    paused = frame_times(lambda R, at: None, poses, 1, pause=0.02)
+    assert paused["longest"] < 0.02  # the pause is not timed
+
+
+def test_needs_contact() -> None:
+    scene = small_scene("trilinear")
+    far = replace(scene.trajectory, position=scene.trajectory.position + 1.0)
+    with pytest.raises(InputError, match="no pose touches"):
+        time_rendering(replace(scene, trajectory=far), passes=1)

@@ -1,0 +1,89 @@
+"""A run in its own process: a crash, an exception or a limit is a row."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.benchmark.tiny import TINY, trapped
+from ttus_opt.benchmark import isolation
+from ttus_opt.benchmark.isolation import run_isolated
+from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.row import RunSpec
+from ttus_opt.benchmark.settings import Settings
+
+
+def assembly() -> RunSpec:
+    return parts()["assembly"].plan([TINY], Settings())[0]
+
+
+@pytest.mark.slow
+def test_crash_is_a_row(tmp_path: Path) -> None:
+    seen: list[str] = []
+    spec = trapped(tmp_path, "import os\nos.abort()")
+    (row,) = run_isolated(spec, tmp_path, None, lambda stage, since: seen.append(stage))
+    assert row["status"] == "crashed"
+    assert "SIGABRT during program" in row["detail"]
+    assert row["solver"] == "osqp"
+    assert row["seconds_first"] is None
+    assert {"start", "warm-up"} <= set(seen)
+
+
+@pytest.mark.slow
+def test_exception_is_a_row_with_its_last_line(tmp_path: Path) -> None:
+    spec = trapped(tmp_path, "raise KeyError('my own mistake')")
+    (row,) = run_isolated(spec, tmp_path)
+    assert row["status"] == "crashed"
+    assert "trap" in row["detail"]
+
+
+@pytest.mark.slow
+def test_memory_limit_is_a_row(tmp_path: Path) -> None:
+    deed = "import time\nimport numpy\nkeep = numpy.ones(2**28)\ntime.sleep(60)"
+    (row,) = run_isolated(trapped(tmp_path, deed), tmp_path, 2**30)
+    assert row["status"] == "memory limit"
+    assert row["peak_memory_bytes"] > 2**30
+
+
+@pytest.mark.slow
+def test_a_run_that_is_refused_at_last_tells_its_memory(tmp_path: Path) -> None:
+    """Refused by its own process, which had a size by then."""
+    deed = """from ttus_opt.errors import InputError
+raise InputError("not on this grid")"""
+    (row,) = run_isolated(trapped(tmp_path, deed), tmp_path)
+    assert (row["status"], row["detail"]) == ("refused", "not on this grid")
+    assert row["peak_memory_bytes"] > 2**26
+
+
+@pytest.mark.slow
+def test_who_does_not_stop_is_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(isolation, "LATE_SECONDS", 0.5)
+    deed = """import time
+from ttus_opt.solvers import closed_form
+closed_form._Factorised.solve = lambda self: time.sleep(60)"""
+    spec = replace(trapped(tmp_path, deed, "closed_form"), time_limit=1.0)
+    (row,) = run_isolated(spec, tmp_path)
+    assert row["status"] == "time limit"
+    assert row["detail"] == "ended during first"
+
+
+def test_other_parts_fail_as_rows_as_well(tmp_path: Path) -> None:
+    gone = replace(TINY, name="gone", surface=str(tmp_path / "no.nc"))
+    (row,) = run_isolated(replace(assembly(), case=gone), tmp_path)
+    assert row["status"] == "refused"
+    assert "no.nc" in row["detail"]
+    assert row["peak_memory_bytes"] > 2**26
+    (row,) = run_isolated(assembly(), tmp_path, 2**20)
+    assert row["status"] == "memory limit"
+    assert "memory limit: ended during" in parts()["assembly"].table([row])
+    assert not list(tmp_path.iterdir())
+
+
+def test_compiling_and_assembling_may_take_longer() -> None:
+    assert isolation._allowed("first", 100.0) == pytest.approx(115.0)
+    assert isolation._allowed("scene", 100.0) == isolation.PREPARATION
+    assert isolation._allowed("scene", 2000.0) == pytest.approx(2205.0)

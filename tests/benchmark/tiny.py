@@ -1,0 +1,56 @@
+"""A tiny case, and a formulation that behaves on its stand-in only."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from ttus_opt.benchmark.cases import SMALL_SHAPE, CaseSpec, reference_cases
+from ttus_opt.benchmark.row import RunSpec
+from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.suite import Suite
+
+TINY = replace(
+    reference_cases("S")[0], name="tiny", shape=(9, 20, 9), n_poses=10, n_points=300
+)
+
+#: A case whose small stand-in is smaller, whatever that is
+TRAPPED = replace(
+    TINY, name="trapped", shape=tuple(n + 1 for n in SMALL_SHAPE), n_poses=10
+)
+
+#: A formulation that behaves on the small stand-in and does something else on the case
+TRAP = """
+from formulations import eq10
+
+def build(scene):
+    if scene.n_voxels == {size}:
+        {deed}
+    return eq10.build(scene)
+"""
+
+
+def trapped(folder: Path, deed: str, solver: str = "osqp") -> RunSpec:
+    """A run that does something in the midst of it."""
+    assert TRAPPED.small().n_voxels != TRAPPED.n_voxels
+    file = folder / "trap.py"
+    indented = textwrap.indent(deed, " " * 8).strip()
+    file.write_text(TRAP.format(size=TRAPPED.n_voxels, deed=indented))
+    asked = {"formulation": str(file), "options": {}, "solver": solver}
+    return RunSpec("solvers", TRAPPED, {**asked, "tolerance": 1e-6, "repeat": 1}, 30.0)
+
+
+def tiny_suite(
+    folder: Path,
+    cases: Sequence[CaseSpec] = (TINY,),
+    *,
+    jobs: int = 1,
+    parts: Sequence[str] = ("solvers",),
+    **settings: Any,
+) -> Suite:
+    """Two solvers on eq. 10, unless asked for otherwise."""
+    asked = {"solvers": ["closed_form", "osqp"], "time_limit": 60.0, **settings}
+    return Suite(cases, folder, Settings(**asked), parts, jobs)

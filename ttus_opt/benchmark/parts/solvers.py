@@ -1,0 +1,238 @@
+"""Part ``solvers``: every solver on every formulation, by time, memory and residual."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ttus_opt.benchmark.cases import CaseSpec
+from ttus_opt.benchmark.parts.base import Part
+from ttus_opt.benchmark.progress import Progress
+from ttus_opt.benchmark.row import Row, RunSpec
+from ttus_opt.benchmark.settings import AUTO, CLOSED_FORM, CLOSED_FORM_FITS, Settings
+from ttus_opt.benchmark.solver_report import sections, terminal
+from ttus_opt.benchmark.solver_run import FIELDS, label, measured
+from ttus_opt.benchmark.summary import row_table
+from ttus_opt.errors import InputError
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import reduce
+from ttus_opt.scene import Scene
+from ttus_opt.solvers.base import Request
+from ttus_opt.solvers.registry import solvers
+
+#: Figures of a row that has an answer; None without one. (``case``, ``formulation``,
+#: ``solver``, ``status``, ``voxels``, ``poses``, ``time_limit`` [s] are always there.)
+FIGURES = {
+    "seconds_assembly": "scene and program [s]",
+    "seconds_first": "set-up and first solve, median of the repeats [s]",
+    "seconds_again": "taking in other values and solving again, median [s]",
+    "seconds_each": "every repeat's ``first`` and ``again`` [s]",
+    "peak_memory_bytes": "largest size of the run's own process; None without one",
+    "solver_memory_bytes": "what set-up and solve added to it at most",
+    "memory_by_stage": "largest size of the process per stage",
+    "kkt": "residuals verified here, absolute and relative",
+    "objective": "at the answer",
+    "iterations": "of the first solve",
+    "active_limits": "bounds and inequality rows with a multiplier that is not zero",
+    "objective_gap": "over the best verified objective, relative",
+    "difference_from_closed_form": "norm of the difference of the fields, relative",
+    "field_file": "file with p, shape (V,), in the folder of fields; empty without",
+}
+
+
+class SolversPart(Part):
+    """One run per case, formulation and solver, its options those of the run."""
+
+    name, key = "solvers", "rows"
+    title = "Solvers"
+    parallel = True
+
+    def plan(self, cases: Sequence[CaseSpec], settings: Settings) -> list[RunSpec]:
+        """Every run, the reference of a formulation before the others."""
+        check(settings)
+        runs = []
+        for case in cases:
+            small = _small_scene(case)
+            for formulation in settings.formulations:
+                asked = {
+                    "formulation": formulation,
+                    "options": _accepted(formulation, settings, small),
+                    "tolerance": settings.tolerance,
+                    "repeat": settings.repeat,
+                }
+                runs += [
+                    RunSpec(
+                        self.name, case, {**asked, "solver": name}, settings.time_limit
+                    )
+                    for name in _names(case, settings)
+                ]
+        return runs
+
+    def refused(self, specs: Sequence[RunSpec]) -> dict[str, Row]:
+        """Rows of runs whose solver is absent or cannot take the problem."""
+        rows: dict[str, Row] = {}
+        programs: dict[tuple[str, str], Program] = {}
+        for spec in specs:
+            solver = solvers()[spec.options["solver"]]
+            if not solver.installed:
+                install = f"pip install {solver.pip_name}"
+                rows[spec.key] = self.row(spec, "not installed", install)
+                continue
+            group = (spec.case_name, spec.options["formulation"])
+            if group not in programs:
+                declared = shelf.load(
+                    group[1], _small_scene(spec.scene_case), **spec.options["options"]
+                )
+                programs[group] = reduce(declared.compile()).program
+            why = solver.refusal(programs[group])
+            if why:
+                rows[spec.key] = self.row(spec, "refused", why)
+        return rows
+
+    def measure(self, spec: RunSpec, begin: Progress) -> list[Row]:
+        """Solve, and again with other values."""
+        return [measured(spec, begin)]
+
+    def row(self, spec: RunSpec, status: str, detail: str) -> Row:
+        """The row with all its keys, without figures."""
+        case = spec.scene_case
+        return {
+            "key": spec.key,
+            "case": case.name,
+            "formulation": label(spec.options["formulation"]),
+            "solver": spec.options["solver"],
+            "status": status,
+            "voxels": case.n_voxels,
+            "poses": case.n_poses,
+            "time_limit": spec.time_limit,
+            **dict.fromkeys(FIGURES),
+            "seconds_each": {},
+            "memory_by_stage": {},
+            "field_file": "",
+            "detail": detail,
+        }
+
+    def finished(
+        self, rows: Sequence[Row], settings: Settings, output: Path
+    ) -> list[Row]:
+        """Rows with gap to the best and difference from the closed form."""
+        best: dict[tuple[str, str], float] = {}
+        reference: dict[tuple[str, str], Row] = {}
+        for row in rows:
+            if row["status"] == "solved":
+                group = (row["case"], row["formulation"])
+                best[group] = min(best.get(group, math.inf), row["objective"])
+                if row["solver"] == settings.reference:
+                    reference[group] = row
+        result = []
+        for row in rows:
+            group, gap, difference = (row["case"], row["formulation"]), None, None
+            if row["status"] == "solved":
+                gap = (row["objective"] - best[group]) / max(abs(best[group]), 1e-300)
+                difference = _difference(row, reference.get(group), output / FIELDS)
+            filled = {"objective_gap": gap, "difference_from_closed_form": difference}
+            result.append(row | filled)
+        return result
+
+    def table(self, rows: Sequence[Row]) -> str:
+        """All rows, fastest verified answer first."""
+        return row_table(rows)
+
+    def text(self, rows: Sequence[Row], settings: Settings) -> str:
+        """All tables."""
+        return terminal(rows, settings)
+
+    def report(
+        self, rows: Sequence[Row], settings: Settings, folder: Path
+    ) -> list[str]:
+        """Its sections, the closed form first."""
+        return sections(rows, settings, folder)
+
+
+def check(settings: Settings) -> None:
+    """Check what does not depend on a case.
+
+    Raises:
+        InputError: Unknown solver, or a number out of range.
+    """
+    known = solvers()
+    for name in filter(None, (*settings.solvers, settings.reference)):
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
+            raise InputError(
+                f"unknown solver {name!r}, {'did you mean' if near else 'there are'} "
+                f"{', '.join(near or known)}?"
+            )
+    if settings.reference and not settings.reference.startswith(CLOSED_FORM):
+        raise InputError(
+            f"the reference must be a closed form, got {settings.reference!r}: "
+            "choose closed_form, closed_form_pardiso, none or auto"
+        )
+    Request(settings.tolerance, settings.time_limit)  # raises what is wrong with them
+    if settings.repeat < 1:
+        raise InputError(f"repeat must be at least 1, got {settings.repeat}")
+    if not 0.0 < settings.weight < math.inf:
+        raise InputError(f"weight must be positive, got {settings.weight}")
+
+
+def _names(case: CaseSpec, settings: Settings) -> list[str]:
+    """Solvers of a case, the reference first where it has one."""
+    fits = case.n_voxels <= CLOSED_FORM_FITS
+    names = list(settings.solvers) or [
+        name
+        for name, solver in solvers().items()
+        if solver.installed and (fits or not name.startswith(CLOSED_FORM))
+    ]
+    reference = settings.reference
+    if reference and (fits or settings.closed_form != AUTO):
+        names = [reference, *(n for n in names if n != reference)]
+    return names
+
+
+def _small_scene(case: CaseSpec) -> Scene:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return case.small().build()
+
+
+def _accepted(formulation: str, settings: Settings, small: Scene) -> dict[str, Any]:
+    """Weights where the formulation has them, and what was asked for.
+
+    Raises:
+        InputError: The formulation is unknown, or has no such option.
+    """
+    known = {info.name: info.options for info in shelf.available()}
+    weights: Mapping[str, float] = dict.fromkeys(
+        ("force_weight", "torque_weight"), settings.weight
+    )
+    if formulation in known:
+        weights = {k: v for k, v in weights.items() if k in known[formulation]}
+    else:
+        try:
+            shelf.load(formulation, small, **weights)
+        except InputError:  # a user's file with other options
+            weights = {}
+    accepted = {**weights, **settings.options}
+    shelf.load(formulation, small, **accepted)
+    return accepted
+
+
+def _difference(row: Row, reference: Row | None, fields: Path) -> float | None:
+    """‖p - p_ref‖ / ‖p_ref‖; None where a field is not there."""
+    if reference is None or not (row["field_file"] and reference["field_file"]):
+        return None
+    files = [fields / each["field_file"] for each in (row, reference)]
+    if not all(file.exists() for file in files):
+        return None
+    p, other = (np.load(file) for file in files)
+    return float(np.linalg.norm(p - other) / np.linalg.norm(other))
+
+
+PART = SolversPart()

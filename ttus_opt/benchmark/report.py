@@ -1,0 +1,76 @@
+"""The benchmark's files beside its rows: the report in Markdown, and tables as CSV."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from ttus_opt import io
+from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.row import Row
+from ttus_opt.benchmark.settings import Settings
+
+#: File name of the report in the output folder
+REPORT = "report.md"
+
+
+def write_report(
+    folder: Path,
+    found: Mapping[str, Sequence[Row]],
+    settings: Settings,
+    *,
+    command: str,
+    machine: Mapping[str, str],
+) -> Path:
+    """Write the report with its pictures, and a CSV file per part.
+
+    Args:
+        folder: Where to.
+        found: Finished rows by part; a part without rows is left out.
+        settings: What was asked for.
+        command: What was typed.
+        machine: From `ttus_opt.benchmark.machine.describe`.
+
+    Returns:
+        The report's path.
+
+    Raises:
+        FileError: The folder cannot be written to.
+    """
+    lines = ["# Benchmark", "", f"`{command}`", ""]
+    for name, rows in found.items():
+        if rows:
+            lines += parts()[name].report(rows, settings, folder)
+            write_csv(folder / f"{name}.csv", rows)
+    lines += ["## Machine", "", *(f"- {name}: {it}" for name, it in machine.items())]
+    report = folder / REPORT
+    with io.replacing(report) as temporary:
+        temporary.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    return report
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """Write rows as CSV, a column per figure; nested ones as ``kkt.primal``.
+
+    Raises:
+        FileError: The folder cannot be written to.
+    """
+    flat = [_flat(row) for row in rows]
+    header = list(dict.fromkeys(key for row in flat for key in row))
+    with io.replacing(path) as temporary, temporary.open("w", newline="") as file:
+        writer = csv.DictWriter(file, header)
+        writer.writeheader()
+        writer.writerows(flat)
+
+
+def _flat(row: Mapping[str, Any], prefix: str = "") -> Row:
+    """Figures of mappings within the row, each under a name of its own."""
+    found: Row = {}
+    for key, value in row.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{key}.")
+        else:
+            found[f"{prefix}{key}"] = value
+    return found

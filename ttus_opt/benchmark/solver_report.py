@@ -1,0 +1,106 @@
+"""What is said of the solvers' rows: sections of the report, tables on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from ttus_opt.benchmark.active_limits import NONZERO
+from ttus_opt.benchmark.row import Row
+from ttus_opt.benchmark.settings import Settings
+from ttus_opt.benchmark.summary import (
+    SHIFT,
+    closed_form_table,
+    group,
+    growth_table,
+    memory_table,
+    row_table,
+    score_table,
+)
+
+AGAINST = (
+    "`{}` forms Q and factorises it. Difference is the Euclidean norm of the "
+    "difference of the fields over that of the reference; times and the memory that "
+    "set-up and solve add to the process are ratios to the reference's own, given in s "
+    "and MiB."
+)
+NO_REFERENCE = (
+    "`{}` has no answer here. It is run on cases it fits; `--closed-form` asks for one "
+    "on any."
+)
+LEGEND = (
+    "Every answer is checked here: KKT is the largest relative residual of the "
+    "original problem, whatever the solver says of itself. *First* includes set-up; "
+    "*again* is taking in other measured values of the same structure and solving. "
+    "Imports and compilation are done before on a small problem. *Gap* is the "
+    "objective over the best verified one. *Peak* is the largest size of the process, "
+    "*solver* what set-up and solve added at most. *Active limits* are the bounds and "
+    f"inequality rows whose multiplier is above {NONZERO:g} of the largest."
+)
+MEANS = (
+    f"Shifted geometric means (shift {SHIFT:g} s) over the problems a solver takes, a "
+    "failure counted as its time limit."
+)
+GROWTH = (
+    "A power of V fitted by least squares to the verified answers, logarithm against "
+    "logarithm; the number of cases in brackets, which may differ in poses as well."
+)
+
+
+def terminal(rows: Sequence[Row], settings: Settings) -> str:
+    """The tables as text.
+
+    Args:
+        rows: All rows, finished.
+        settings: What was asked for.
+    """
+    told = []
+    against = closed_form_table(rows, settings.reference)
+    if against:
+        told.append(f"Against the closed form:\n{against}")
+    for (case, formulation), own in _groups(rows):
+        size = f"{own[0]['voxels']:,} voxels"
+        told.append(f"{case}, {formulation}, {size}:\n{row_table(own)}")
+    told.append(f"Shifted geometric means:\n{score_table(rows)}")
+    if settings.memory:
+        told.append(f"Memory by stage [MiB]:\n{memory_table(rows)}")
+    return "\n\n".join(told)
+
+
+def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[str]:
+    """Lines of the report in Markdown; writes their pictures.
+
+    Args:
+        rows: All rows, finished.
+        settings: What was asked for.
+        folder: Where the pictures go.
+    """
+    from ttus_opt.benchmark.pictures import save_pictures
+
+    reference = settings.reference
+    against = closed_form_table(rows, reference)
+    lines = ["## Against the closed form Q p = d", ""]
+    if against:
+        lines += [AGAINST.format(reference), "", against]
+    else:
+        lines += [NO_REFERENCE.format(reference or "no closed form")]
+    for (case, formulation), own in _groups(rows):
+        size = f"{own[0]['voxels']:,} voxels, {own[0]['poses'] or 'all'} poses"
+        taken = [r["seconds_assembly"] for r in own if r["seconds_assembly"]]
+        made = f", assembly {min(taken):.2g} s" if taken else ""
+        lines += ["", f"## {case} ({size}{made}): {formulation}", "", row_table(own)]
+    lines += ["", "## Over all", "", MEANS, "", score_table(rows), "", LEGEND]
+    if settings.memory:
+        lines += ["", "## Memory by stage [MiB]", "", memory_table(rows)]
+    laws = growth_table(rows)
+    lines += ["", "## Time, memory and residual", ""]
+    lines += [GROWTH, "", laws, ""] if laws else []
+    for name, caption in save_pictures(rows, folder).items():
+        lines += [f"![{caption}]({name})", ""]
+    return lines
+
+
+def _groups(rows: Sequence[Row]) -> list[tuple[tuple[str, str], list[Row]]]:
+    """Rows by case and formulation, in their order."""
+    names = dict.fromkeys(map(group, rows))
+    return [(name, [row for row in rows if group(row) == name]) for name in names]
