@@ -18,11 +18,10 @@ from hypothesis.stateful import (
 )
 
 import ttus_opt as tt
-from tests.conftest import presses, torso
+from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.arrays import Array
 from ttus_opt.fit.dual_recursion import DualRecursion
 from ttus_opt.fit.recursive import RecursiveFit
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -54,7 +53,7 @@ def scene() -> Scene:
     )
     return Scene.assemble(
         Voxmap.from_surface(surface, shape=(7, 12, 7), r_inner=0.03),
-        PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=300),
+        ellipsoid(),
         Trajectory.concatenate([near, presses(surface, 20, rng)]),
         inner=2.0,
         outer=1.5,

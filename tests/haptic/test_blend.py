@@ -9,7 +9,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import torso
+from tests.conftest import ellipsoid, torso
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.blend import BlendLaw, follow, settled_ledger
@@ -21,11 +21,13 @@ from ttus_opt.voxmap.voxmap import Voxmap
 SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(30, 90, 31), r_inner=0.03)
 AXES = (0.02, 0.015, 0.012)
-SHELL = PointShell.ellipsoid(semi_axes=AXES, n_points=600)
-FINE = PointShell.ellipsoid(semi_axes=AXES, n_points=4000)
 GRID = VOXMAP.grid
 THETA, Z = np.meshgrid(GRID.theta, GRID.z, indexing="ij")
 DEPTH = SURFACE.radius_at(THETA, Z)[None] - GRID.r[:, None, None]  # [m]
+
+
+def shell(n_points: int = 600) -> PointShell:
+    return ellipsoid(n_points, AXES)
 
 
 def field_of(stiffness: float, sampling: str = "trilinear") -> PotentialField:
@@ -87,7 +89,7 @@ def wrench(renderer: Renderer, R: np.ndarray, at: np.ndarray) -> np.ndarray:
 
 def twist(walk: Walk, k: int) -> np.ndarray:
     """Motion from frame k − 1 to k of the reference point, and its turn."""
-    centres = walk.position + walk.rotation @ SHELL.reference
+    centres = walk.position + walk.rotation @ shell().reference
     turn = Rotation.from_matrix(walk.rotation[k] @ walk.rotation[k - 1].T)
     return np.concatenate([centres[k] - centres[k - 1], turn.as_rotvec()])
 
@@ -111,7 +113,7 @@ def test_stored_energy_at_the_start_is_the_volume_integral(new: float) -> None:
     """The way out finds ∫ (p_new − p_old) dV over the sunk part of the probe."""
     R = Rotation.from_rotvec([0.2, -0.3, 0.1]).as_matrix()
     at = np.array([0.01, 0.093, 0.1])
-    renderer = Renderer(field_of(1.0), FINE)
+    renderer = Renderer(field_of(1.0), shell(4000))
     renderer.render(R, at)
     renderer.update(field_of(new))
     expected = stored_energy(field_of(new - 1.0), R, at)
@@ -122,7 +124,7 @@ def test_stored_energy_follows_the_motion() -> None:
     """Observed along a walk, ΔU stays the volume integral, and ends at zero."""
     walk = Walk.make(5)
     old, new = field_of(1.0), field_of(1.7)
-    renderer = Renderer(old, FINE)
+    renderer = Renderer(old, shell(4000))
     start = 300
     renderer.render(walk.rotation[start], walk.position[start])
     renderer.update(new)
@@ -153,7 +155,7 @@ def test_no_jump_and_no_energy_over_random_motions_and_updates(
     rng = np.random.default_rng(seed)
     law = BlendLaw(force_rate=20.0, reserve=reserve)
     walk = Walk.make(seed)
-    renderer = Renderer(field_of(1.0, sampling), SHELL, blend=law)
+    renderer = Renderer(field_of(1.0, sampling), shell(), blend=law)
     mix = target = field_of(1.0, sampling)
     share, moved = 1.0, 0
     for k, (R, at) in enumerate(zip(walk.rotation, walk.position, strict=True)):
@@ -162,7 +164,7 @@ def test_no_jump_and_no_energy_over_random_motions_and_updates(
             mix = PotentialField(VOXMAP, blended, sampling)
             target = field_of(rng.uniform(0.3, 2.0), sampling)
             renderer.update(target)
-            old, new = Renderer(mix, SHELL), Renderer(target, SHELL)
+            old, new = Renderer(mix, shell()), Renderer(target, shell())
             assert renderer.blend.progress == 0.0
             share = 0.0
         found = wrench(renderer, R, at)
@@ -177,7 +179,7 @@ def test_no_jump_and_no_energy_over_random_motions_and_updates(
             jump = (state.progress - share) * (b - a)
             limit = law.force_rate * law.frame_seconds * (1 + 1e-9)
             assert np.linalg.norm(jump[:3]) <= limit
-            assert np.linalg.norm(jump[3:]) <= limit * SHELL.rms_radius
+            assert np.linalg.norm(jump[3:]) <= limit * shell().rms_radius
             moved += state.progress > share
         share = state.progress
     assert moved > 10  # swaps did happen
@@ -191,8 +193,8 @@ def work_of_a_walk(seed: int, *, passive: bool) -> tuple[float, float]:
     """
     rng = np.random.default_rng(seed + 100)
     walk = Walk.make(seed)
-    renderer = Renderer(field_of(1.0), FINE, blend=BlendLaw(force_rate=1e3))
-    base = Renderer(field_of(1.0), FINE)  # every field is a multiple of this one
+    renderer = Renderer(field_of(1.0), shell(4000), blend=BlendLaw(force_rate=1e3))
+    base = Renderer(field_of(1.0), shell(4000))  # every field is a multiple of this one
     mix = target = 1.0
     share, work, least = 1.0, 0.0, 0.0
     last = wrench(base, walk.rotation[0], walk.position[0])
@@ -230,7 +232,7 @@ def test_a_round_trip_gives_no_energy(seed: int) -> None:
 def test_softer_comes_at_the_force_rate_and_stiffer_waits_for_the_air() -> None:
     R, at = np.eye(3), np.array([0.0, 0.093, 0.1])
     away = np.array([0.0, 0.193, 0.1])
-    renderer = Renderer(field_of(1.0), SHELL, blend=BlendLaw(force_rate=2.0))
+    renderer = Renderer(field_of(1.0), shell(), blend=BlendLaw(force_rate=2.0))
     full = np.linalg.norm(renderer.render(R, at).force)
     renderer.update(field_of(0.5))
     frames = 0
@@ -247,14 +249,14 @@ def test_softer_comes_at_the_force_rate_and_stiffer_waits_for_the_air() -> None:
     assert state.progress < 1.0
     renderer.render(R, away)
     assert renderer.blend.progress == 1.0
-    expected = Renderer(field_of(1.9), SHELL).render(R, at).force
+    expected = Renderer(field_of(1.9), shell()).render(R, at).force
     np.testing.assert_array_equal(renderer.render(R, at).force, expected)
 
 
 def test_an_update_amid_a_swap_does_not_show_in_the_force() -> None:
     R, at = np.eye(3), np.array([0.0, 0.093, 0.1])
     law = BlendLaw(force_rate=1.0, reserve=1.0)
-    renderer = Renderer(field_of(1.0), SHELL, blend=law)
+    renderer = Renderer(field_of(1.0), shell(), blend=law)
     before = renderer.render(R, at).force
     for stiffness in (1.5, 0.2, 3.0, 1.0):
         renderer.update(field_of(stiffness))

@@ -20,6 +20,7 @@ from ttus_opt.fit.batch import Fitter, judged
 from ttus_opt.problem.formulation import Formulation, available, load
 from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.scene import Scene
 from ttus_opt.solvers import cvxpy_clarabel, cvxpy_scs, osqp, registry, scs
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.clarabel import Clarabel
@@ -30,8 +31,10 @@ TOLERANCE = 1e-6
 TIMES = Timings(0.0, 0.0, 0.0)
 NAMES = [info.name for info in available()]
 
+
 #: Viscous and dry drag, so that every parameter has something to say
-SCENE = dragged_scene("contact", mu=0.3, viscous=40.0, shape=(8, 16, 9))
+def made() -> Scene:
+    return dragged_scene("contact", mu=0.3, viscous=40.0, shape=(8, 16, 9))
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ def exact(name: str, weight: float) -> Exact:
     options = {} if name == "laplace_only" else {
         "force_weight": weight, "torque_weight": weight
     }  # fmt: skip
-    declared = load(name, SCENE, **options)
+    declared = load(name, made(), **options)
     first = registry.choose("auto", reduce(declared.compile()).program).name
     fitter = Fitter(declared, solver=first, request=Request(1e-9))
     solution = fitter.solve()
@@ -92,16 +95,17 @@ def perturbations(known: Exact, rng: np.random.Generator) -> Iterator[tuple[str,
     program = known.reduction.program
     x = known.candidate.x
     assert x is not None
-    V = SCENE.n_voxels
+    scene = made()
+    V = scene.n_voxels
     for name, part in program.variables.items():
         size = part.stop - part.start
         noise = rng.normal(size=size)
         directions = {f"{name}, noise": noise, f"{name}, itself": x[part]}
         if size == V:
-            free = SCENE.laplace.free
-            directions[f"{name}, smooth"] = SCENE.laplace.solve(noise)
+            free = scene.laplace.free
+            directions[f"{name}, smooth"] = scene.laplace.solve(noise)
             directions[f"{name}, boundary"] = np.where(free, 0.0, noise)
-            prior = SCENE.laplace.solve(SCENE.b)
+            prior = scene.laplace.solve(scene.b)
             directions[f"{name}, towards the prior"] = prior - x[part]
         for what, direction in directions.items():
             length = float(np.linalg.norm(direction))
