@@ -31,6 +31,7 @@ def test_drags_are_swapped_with_their_fields(seed: int) -> None:
     """A convex combination of whole wrenches, within the rate, that takes energy."""
     law = BlendLaw(force_rate=20.0, reserve=1e-4)
     walk = Walk.make(seed)
+    along = twist(walk)
     old = dragging(1.0, 0.4)
     new = dragging(1.6, 0.1, viscous_coefficient=5.0, drag_deadband=0.01)
     renderer = Renderer(old, shell(), blend=law)
@@ -57,7 +58,7 @@ def test_drags_are_swapped_with_their_fields(seed: int) -> None:
         assert np.linalg.norm(jump[:3]) <= limit
         assert np.linalg.norm(jump[3:]) <= limit * shell().rms_radius
         assert state.injected <= law.reserve + 1e-15
-        power = (out - weights @ contact) @ twist(walk, k)
+        power = (out - weights @ contact) @ along[k]
         assert power <= 1e-15
         taken -= power
         moved += 0.0 < state.progress < 1.0

@@ -55,12 +55,14 @@ def exact(name: str, weight: float) -> Exact:
     }  # fmt: skip
     declared = load(name, made(), **options)
     first = registry.choose("auto", reduce(declared.compile()).program).name
-    fitter = Fitter(declared, solver=first, request=Request(1e-9))
-    solution = fitter.solve()
+    request = Request(1e-9)
+    fitter = Fitter(declared, solver=first, request=request)
+    candidate, reduction = fitter._prepared.solve(), fitter._reduction
+    solution = judged(declared, reduction, first, candidate, request, TIMES)
     # rounding may end before 1e-9, where a weight is tiny beside the prior's
     assert solution.kkt is not None
     assert solution.kkt.worst_relative <= 0.5 * TOLERANCE, solution.advice
-    return Exact(declared, fitter._reduction, fitter._prepared.solve(), solution)
+    return Exact(declared, reduction, candidate, solution)
 
 
 def judge(known: Exact, x: np.ndarray) -> Solution:
