@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +25,14 @@ def shared() -> Path:
     if not SHARED.is_dir():
         pytest.skip(f"real data not here: {SHARED}")
     return SHARED
+
+
+def some(values: Iterable[object], quick: int) -> list[object]:
+    """Values for a test: all of them, slow but for the first few."""
+    return [
+        pytest.param(value, marks=pytest.mark.slow if i >= quick else ())
+        for i, value in enumerate(values)
+    ]
 
 
 @functools.cache

@@ -267,6 +267,7 @@ def spread_of(name: str, parameter: str, draws: int) -> tuple[float, float, floa
     return float(np.std(values)), float(np.mean(values)), float(np.mean(errors))
 
 
+@pytest.mark.slow
 def test_viscous_estimates_spread_as_told() -> None:
     spread, mean, told = spread_of("viscous_drag", "viscous_coefficient", 40)
     assert told / 1.5 < spread < told * 1.5

@@ -262,7 +262,13 @@ def slide(held: Held, updates: int, window: int, every: int, fading: bool) -> No
 
 
 @pytest.mark.parametrize(
-    ("weight", "fading"), [(1e-4, False), (1e-2, True), (1.0, False), (10.0, True)]
+    ("weight", "fading"),
+    [
+        (1e-4, False),
+        (10.0, True),
+        pytest.param(1e-2, True, marks=pytest.mark.slow),
+        pytest.param(1.0, False, marks=pytest.mark.slow),
+    ],
 )
 def test_a_window_slides_on_and_on(weight: float, fading: bool) -> None:
     held = Held(weight, quick())

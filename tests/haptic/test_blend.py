@@ -10,7 +10,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import ellipsoid, torso
+from tests.conftest import ellipsoid, some, torso
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.blend import BlendLaw, follow, settled_ledger
@@ -230,10 +230,7 @@ def work_of_a_walk(seed: int, *, passive: bool) -> tuple[float, float]:
     return work, -least
 
 
-SLOW_SEEDS = [pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 3)]
-
-
-@pytest.mark.parametrize("seed", [0, 1, *SLOW_SEEDS])
+@pytest.mark.parametrize("seed", some(range(4), 2))
 def test_a_round_trip_gives_no_energy(seed: int) -> None:
     """From air to air, the probe gets no work out of updates; carelessly it does."""
     work, given = work_of_a_walk(seed, passive=True)

@@ -80,8 +80,14 @@ def test_assembly_and_rendering_do_the_same_as_their_references(
             assert row["largest_difference"] < 1e-11, row
 
 
-def test_profile_adds_up_and_has_all_there_is(tmp_path: Path) -> None:
-    rows = measured(parts()["profile"], tmp_path)
+@pytest.fixture(scope="module")
+def profile(tmp_path_factory: pytest.TempPathFactory) -> list[Figures]:
+    """Figures of the profile's part."""
+    return measured(parts()["profile"], tmp_path_factory.mktemp("profile"))
+
+
+def test_profile_adds_up_and_has_all_there_is(profile: list[Figures]) -> None:
+    rows = profile
     root, *others = rows
     by = {tuple(row["path"]): row for row in rows}
     assert len(by) == len(rows)
@@ -112,10 +118,11 @@ def test_profile_adds_up_and_has_all_there_is(tmp_path: Path) -> None:
     assert rough["calls"] == 2 * calls[spans.ROUGH]
 
 
-def test_profile_is_told_below_its_table(tmp_path: Path) -> None:
+def test_profile_is_told_below_its_table(
+    profile: list[Figures], tmp_path: Path
+) -> None:
     part = parts()["profile"]
-    rows = measured(part, tmp_path)
-    rows.append({"case": "gone", "status": "refused", "detail": "no file"})
+    rows = [*profile, {"case": "gone", "status": "refused", "detail": "no file"}]
     text = "\n".join(part.below(rows, tmp_path))
     assert "GB/s" in text
     assert "V-cycle, every array once" in text
