@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +27,15 @@ def shared() -> Path:
     return SHARED
 
 
+def some(values: Iterable[object], quick: int) -> list[object]:
+    """Values for a test: all of them, slow but for the first few."""
+    return [
+        pytest.param(value, marks=pytest.mark.slow if i >= quick else ())
+        for i, value in enumerate(values)
+    ]
+
+
+@functools.cache
 def torso(n_theta: int = 90, n_z: int = 31) -> Surface:
     """An elliptical torso of 0.12 × 0.09 m half axes, waisted, 0.2 m long."""
     theta = np.arange(n_theta)[:, None] * 2 * np.pi / n_theta
@@ -32,6 +43,14 @@ def torso(n_theta: int = 90, n_z: int = 31) -> Surface:
     waist = 1.0 - 0.08 * np.sin(np.pi * z / 0.2)
     radius = waist / np.sqrt((np.cos(theta) / 0.12) ** 2 + (np.sin(theta) / 0.09) ** 2)
     return Surface.from_radius(radius, z)
+
+
+@functools.cache
+def ellipsoid(
+    n_points: int = 300, semi_axes: tuple[float, float, float] = (0.02, 0.015, 0.015)
+) -> PointShell:
+    """A probe; the same one for whoever asks for the same."""
+    return PointShell.ellipsoid(semi_axes=semi_axes, n_points=n_points)
 
 
 def presses(
@@ -54,6 +73,7 @@ def presses(
     )
 
 
+@functools.cache
 def small_scene(
     sampling: str = "voxel-mean",
     shape: tuple[int, int, int] = (9, 20, 10),
@@ -65,7 +85,7 @@ def small_scene(
     surface = torso()
     return Scene.assemble(
         Voxmap.from_surface(surface, shape=shape, r_inner=0.03),
-        PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=300),
+        ellipsoid(),
         presses(surface, n_poses, rng),
         inner=2.0,
         outer=1.5,

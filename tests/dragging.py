@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import torso
+from tests.conftest import ellipsoid, torso
 from ttus_opt.contact.friction import Sliding, coulomb_rows
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
+@functools.cache
 def dragged_scene(
     acts_at: str,
     mu: float = 0.3,
@@ -32,7 +33,7 @@ def dragged_scene(
     tilt = Rotation.from_rotvec(0.1 * np.cumsum(rng.normal(0, 0.2, (n, 3)), axis=0))
     bare = Trajectory(0.05 * np.arange(n), position, tilt.as_matrix())
     voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=0.03)
-    shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=400)
+    shell = ellipsoid(400)
     scene = Scene.assemble(
         voxmap, shell, bare, inner=3.0, outer=3.0, sampling="trilinear"
     )

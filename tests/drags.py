@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.conftest import torso
+from tests.conftest import ellipsoid, torso
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField
@@ -16,7 +16,7 @@ SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(12, 30, 14), r_inner=0.03)
 
 # the reference stands off the frame's origin, as a tool's does
-_ELLIPSOID = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.012), n_points=500)
+_ELLIPSOID = ellipsoid(400, (0.02, 0.015, 0.012))
 _OFFSET = np.array([0.004, -0.007, 0.03])
 SHELL = replace(
     _ELLIPSOID,

@@ -75,7 +75,7 @@ TARGETS = (
     Target("haptic/renderer.py", ("haptic/test_renderer.py",)),
     Target("haptic/blend.py", ("haptic/test_blend.py",)),
     Target("contact/friction.py", ("contact/test_friction.py",)),
-    Target("scan/contour_filter.py", ("scan/test_extraction.py",)),
+    Target("scan/contour_filter.py", ("scan/test_contour_filter.py",)),
     Target("contact/rows.py", ("contact/test_rows.py",), is_compiled=False),
     Target("probe/point_shell.py", ("probe/test_point_shell.py",)),
     Target("probe/orientation.py", ("probe/test_orientation.py",)),

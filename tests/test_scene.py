@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso
+from tests.conftest import ellipsoid, presses, small_scene, torso
 from ttus_opt.errors import InputError, TtusWarning
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scene import Scene, ScenePlan
@@ -17,7 +16,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(9, 20, 10))
-SHELL = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=300)
+SHELL = ellipsoid()
 TRAJECTORY = presses(SURFACE, 12, np.random.default_rng(0))
 
 

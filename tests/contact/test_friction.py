@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.conftest import small_scene
+from tests.conftest import ellipsoid, small_scene
 from tests.dragging import dragged_scene
 from ttus_opt.contact.friction import (
     DEADBAND,
@@ -82,7 +82,7 @@ def test_a_plunge_along_the_probes_own_axis_is_no_sliding() -> None:
     out = np.array([np.cos(lean), 0.0, np.sin(lean)])
     own = np.stack([np.array([0.0, 1.0, 0.0]), np.cross(out, [0.0, 1.0, 0.0]), out], 1)
     plunge = replace(slide(-0.01 * out), rotation=np.repeat(own[None], 9, axis=0))
-    probe = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=1500)
+    probe = ellipsoid(1500, (0.03, 0.0125, 0.018))
     seen = Sliding.of(VOXMAP, probe, plunge, "reference")
     mean = np.einsum("tij,ti->j", plunge.rotation, seen.normal)
     assert mean[2] / np.linalg.norm(mean) < 0.99  # the mean normal leans
@@ -309,7 +309,7 @@ def phantom_scene(
     surface = tt.Surface.load(folder / "surface.nc")
     return Scene.assemble(
         Voxmap.from_surface(surface, shape=shape, r_inner=0.03),
-        PointShell.ellipsoid(semi_axes=(0.030, 0.0125, 0.018), n_points=n_points),
+        ellipsoid(n_points, (0.03, 0.0125, 0.018)),
         tt.read_trajectory(folder / f"{kind}_fit.csv"),
         inner="fit",
         sampling="trilinear",

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import presses, torso
+from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.errors import InputError
@@ -15,7 +15,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(24, 40, 21))
-SHELL = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.012), n_points=400)
+SHELL = ellipsoid(400, (0.02, 0.015, 0.012))
 RNG = np.random.default_rng(3)
 POSES = presses(SURFACE, 15, RNG, depth=0.02)
 FIELD = RNG.normal(size=VOXMAP.grid.shape)

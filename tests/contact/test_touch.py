@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.conftest import SHARED
+from tests.conftest import SHARED, ellipsoid
 from ttus_opt import example
 from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.fitting.batch import fit
@@ -21,7 +21,6 @@ from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
-SHELL = PointShell.ellipsoid(semi_axes=(0.030, 0.0125, 0.018), n_points=1500)
 SAMPLINGS = ["voxel-mean", "trilinear"]
 GRIDS = {
     "coarse": (12, 32, 16),
@@ -30,6 +29,10 @@ GRIDS = {
     "M": (48, 120, 60),
 }
 PLACES = [(angle, share) for angle in (0.5, 1.1, 1.7, 2.5) for share in (0.35, 0.6)]
+
+
+def shell() -> PointShell:
+    return ellipsoid(1500, (0.030, 0.0125, 0.018))
 
 
 @dataclass(frozen=True)
@@ -46,7 +49,7 @@ class Fields:
 def fields(folder: Path, shape: tuple[int, int, int], sampling: str) -> Fields:
     voxmap = Voxmap.from_surface(Surface.load(folder / "surface.nc"), shape=shape)
     trajectory = read_trajectory(folder / "press_fit.csv")
-    scene = Scene.assemble(voxmap, SHELL, trajectory, inner="fit", sampling=sampling)
+    scene = Scene.assemble(voxmap, shell(), trajectory, inner="fit", sampling=sampling)
     fitted = fit(scene, "eq10", force_weight=1e-2, torque_weight=1e-2)
     return Fields(
         voxmap,
@@ -79,7 +82,7 @@ class Press:
         centre = self.skin[:, None] + (depth[..., None] - 0.030) * self.inward[:, None]
         return contact_rows(
             at.voxmap,
-            SHELL,
+            shell(),
             np.repeat(self.rotation, depth.shape[1], axis=0),
             centre.reshape(-1, 3),
             sampling=at.sampling,
@@ -168,7 +171,7 @@ def test_beyond_the_inner_layer_the_force_keeps_its_direction(
     surface = Surface.load(folder / "surface.nc")
     voxmap = Voxmap.from_surface(surface, shape=(24, 72, 30), r_inner=r_inner)
     trajectory = read_trajectory(folder / "press_fit.csv")
-    scene = Scene.assemble(voxmap, SHELL, trajectory, inner="fit", sampling=sampling)
+    scene = Scene.assemble(voxmap, shell(), trajectory, inner="fit", sampling=sampling)
     p = scene.laplace.solve(scene.b)
     at = Fields(voxmap, sampling, p, p)
     press = Press.of(surface, [(1.6, 0.5)])
@@ -189,13 +192,13 @@ def test_beyond_the_inner_layer_the_force_keeps_its_direction(
     if sampling == "trilinear":
         assert jumps[1] < 0.55 * jumps[0]
     centre = press.skin + (depth[0][:, None] - 0.03) * press.inward
-    points = (SHELL.points @ press.rotation[0].T)[None] + centre[:, None]
+    points = (shell().points @ press.rotation[0].T)[None] + centre[:, None]
     beyond = (np.hypot(points[..., 0], points[..., 1]) < r_inner).sum(axis=1)
     np.testing.assert_array_equal(rows.beyond_inner, beyond)
     assert beyond[0] == 0
     assert beyond[-1] > 50
     field = PotentialField(voxmap, p.reshape(voxmap.grid.shape), sampling)
-    renderer = Renderer(field, SHELL)
+    renderer = Renderer(field, shell())
     for t in range(0, len(centre), 40):
         wrench = renderer.render(press.rotation[0], centre[t])
         assert wrench.beyond_inner == beyond[t]

@@ -293,7 +293,7 @@ def test_a_search_finds_the_least_objective() -> None:
 
 
 def test_what_cannot_be_fitted() -> None:
-    other = small_scene("trilinear")
+    other = replace(SCENE)
     with pytest.raises(InputError, match="speaks of another scene"):
         fit(other, eq10())
     with pytest.raises(InputError, match="force weight must be finite and not"):

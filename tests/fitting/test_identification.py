@@ -65,7 +65,8 @@ def alone(given: Trajectory) -> Trajectory:
     )
 
 
-MADE = dragged_scene("contact", shape=SMALL)
+def dragged() -> Scene:
+    return dragged_scene("contact", shape=SMALL)
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
@@ -79,7 +80,7 @@ def test_nothing_slides_and_nothing_is_invented(
     name: str, change: Callable[[Trajectory], Trajectory], reason: str
 ) -> None:
     """It gave μ = 0.9996, 0.59 and 0.9996, solved and silent."""
-    scene = recorded(MADE, change(MADE.trajectory))
+    scene = recorded(dragged(), change(dragged().trajectory))
     solution = tt.fit(scene, name, **WEIGHTS)
     assert solution.status is tt.Status.SOLVED, solution.advice
     assert set(solution.not_identified) == NEUTRAL[name]
@@ -98,14 +99,14 @@ def test_nothing_slides_and_nothing_is_invented(
 @each_drag
 def test_a_pure_press_tells_no_drag(name: str) -> None:
     """Up and down along the probe's axis, a tracker's 2 µm to the sides."""
-    given = still(MADE.trajectory)
-    sliding = Sliding.of(MADE.voxmap, MADE.shell, given, "reference")
+    given = still(dragged().trajectory)
+    sliding = Sliding.of(dragged().voxmap, dragged().shell, given, "reference")
     out = given.rotation[0] @ sliding.axis
     rng = np.random.default_rng(5)
     deep = 0.002 * np.sin(0.5 * np.arange(len(given)))[:, None]
     aside = rng.normal(0.0, 2e-6, (len(given), 3))
     pressed = replace(given, position=given.position + deep * out + aside)
-    scene = recorded(MADE, pressed)
+    scene = recorded(dragged(), pressed)
     p = scene.laplace.solve(scene.b)
     force = (scene.N @ p).reshape(-1, 3) + rng.normal(0.0, 0.3, (len(given), 3))
     torque = (scene.W @ p).reshape(-1, 3) + rng.normal(0.0, 5e-3, (len(given), 3))
@@ -266,6 +267,7 @@ def spread_of(name: str, parameter: str, draws: int) -> tuple[float, float, floa
     return float(np.std(values)), float(np.mean(values)), float(np.mean(errors))
 
 
+@pytest.mark.slow
 def test_viscous_estimates_spread_as_told() -> None:
     spread, mean, told = spread_of("viscous_drag", "viscous_coefficient", 40)
     assert told / 1.5 < spread < told * 1.5
@@ -373,9 +375,9 @@ def test_without_weight_nothing_is_told() -> None:
 
 @each_drag
 def test_forces_that_are_all_zero_do_not_trouble_it(name: str) -> None:
-    given = MADE.trajectory
+    given = dragged().trajectory
     nothing = np.zeros((len(given), 3))
-    scene = replace(MADE, trajectory=replace(given, force=nothing, torque=nothing))
+    scene = replace(dragged(), trajectory=replace(given, force=nothing, torque=nothing))
     scene = scene.with_boundary(0.0, 0.0)
     solution = tt.fit(scene, name, **WEIGHTS)
     told = {*solution.standard_errors, *solution.not_identified, *solution.remarks}

@@ -18,11 +18,10 @@ from hypothesis.stateful import (
 )
 
 import ttus_opt as tt
-from tests.conftest import presses, torso
+from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.arrays import Array
 from ttus_opt.fitting.dual_recursion import DualRecursion
 from ttus_opt.fitting.recursive import RecursiveFit
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -54,7 +53,7 @@ def scene() -> Scene:
     )
     return Scene.assemble(
         Voxmap.from_surface(surface, shape=(7, 12, 7), r_inner=0.03),
-        PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=300),
+        ellipsoid(),
         Trajectory.concatenate([near, presses(surface, 20, rng)]),
         inner=2.0,
         outer=1.5,
@@ -263,7 +262,13 @@ def slide(held: Held, updates: int, window: int, every: int, fading: bool) -> No
 
 
 @pytest.mark.parametrize(
-    ("weight", "fading"), [(1e-4, False), (1e-2, True), (1.0, False), (10.0, True)]
+    ("weight", "fading"),
+    [
+        (1e-4, False),
+        (10.0, True),
+        pytest.param(1e-2, True, marks=pytest.mark.slow),
+        pytest.param(1.0, False, marks=pytest.mark.slow),
+    ],
 )
 def test_a_window_slides_on_and_on(weight: float, fading: bool) -> None:
     held = Held(weight, quick())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.haptic.test_blend import SHELL, Walk, field_of, twist
+from tests.haptic.test_blend import Walk, field_of, shell, twist
 from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.voxmap.field import PotentialField
@@ -31,11 +31,12 @@ def test_drags_are_swapped_with_their_fields(seed: int) -> None:
     """A convex combination of whole wrenches, within the rate, that takes energy."""
     law = BlendLaw(force_rate=20.0, reserve=1e-4)
     walk = Walk.make(seed)
+    along = twist(walk)
     old = dragging(1.0, 0.4)
     new = dragging(1.6, 0.1, viscous_coefficient=5.0, drag_deadband=0.01)
-    renderer = Renderer(old, SHELL, blend=law)
-    whole = [Renderer(f, SHELL) for f in (old, new)]
-    bare = [Renderer(replace(f, parameters={}), SHELL) for f in (old, new)]
+    renderer = Renderer(old, shell(), blend=law)
+    whole = [Renderer(f, shell()) for f in (old, new)]
+    bare = [Renderer(replace(f, parameters={}), shell()) for f in (old, new)]
     out, both, contact = np.zeros(6), np.zeros((2, 6)), np.zeros((2, 6))
     moved, share, taken = 0, 0.0, 0.0
     for k in range(1, 900):
@@ -55,9 +56,9 @@ def test_drags_are_swapped_with_their_fields(seed: int) -> None:
         jump = (state.progress - share) * (both[1] - both[0])
         limit = law.force_rate * law.frame_seconds * (1 + 1e-9)
         assert np.linalg.norm(jump[:3]) <= limit
-        assert np.linalg.norm(jump[3:]) <= limit * SHELL.rms_radius
+        assert np.linalg.norm(jump[3:]) <= limit * shell().rms_radius
         assert state.injected <= law.reserve + 1e-15
-        power = (out - weights @ contact) @ twist(walk, k)
+        power = (out - weights @ contact) @ along[k]
         assert power <= 1e-15
         taken -= power
         moved += 0.0 < state.progress < 1.0
@@ -69,8 +70,8 @@ def test_drags_are_swapped_with_their_fields(seed: int) -> None:
 def test_energy_is_reckoned_without_drag() -> None:
     """Ledgers of a swap with and without drag are the same but for the rates' steps."""
     walk, law = Walk.make(4), BlendLaw(force_rate=1e6)
-    dry = Renderer(field_of(1.0), SHELL, blend=law)
-    rubbed = Renderer(dragging(1.0, 0.5), SHELL, blend=law)
+    dry = Renderer(field_of(1.0), shell(), blend=law)
+    rubbed = Renderer(dragging(1.0, 0.5), shell(), blend=law)
     for k in range(1, 700):
         pose, moving = (walk.rotation[k], walk.position[k]), full_twist(walk, k)
         dry.render(*pose, moving)
@@ -86,7 +87,7 @@ def test_an_update_amid_a_swap_of_drags_does_not_show(other: dict[str, float]) -
     R, at = np.eye(3), np.array([0.0, 0.093, 0.1])
     moving = np.array([0.03, 0.0, 0.02, 0.1, 0.3, -0.2])
     law = BlendLaw(force_rate=1.0, reserve=1.0)
-    renderer = Renderer(dragging(1.0, 0.3), SHELL, blend=law)
+    renderer = Renderer(dragging(1.0, 0.3), shell(), blend=law)
     before = renderer.render(R, at, moving).force
     for stiffness, friction in ((1.5, 0.05), (0.2, 0.8), (3.0, 0.0), (1.0, 0.6)):
         renderer.update(dragging(stiffness, friction, **other))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.conftest import torso
+from tests.conftest import ellipsoid, torso
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.haptic.frame import touch
@@ -20,11 +21,15 @@ from ttus_opt.voxmap.voxmap import Voxmap
 
 SURFACE = torso()
 VOXMAP = Voxmap.from_surface(SURFACE, shape=(24, 40, 21), r_inner=0.04)
-SHELL = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=1500)
-STAGES = {
-    sampling: FrameData.of(VOXMAP, SHELL, trilinear=sampling == "trilinear")
-    for sampling in ("voxel-mean", "trilinear")
-}
+
+
+def shell() -> PointShell:
+    return ellipsoid(1500, (0.03, 0.0125, 0.018))
+
+
+@functools.cache
+def data_of(sampling: str) -> FrameData:
+    return FrameData.of(VOXMAP, shell(), trilinear=sampling == "trilinear")
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ class Expected:
 
 def by_definition(R: np.ndarray, at: np.ndarray) -> Expected:
     grid = VOXMAP.grid
-    r, theta, z = cylindrical(SHELL.points @ R.T + at)
+    r, theta, z = cylindrical(shell().points @ R.T + at)
     within = (r <= grid.r_outer) & (z >= grid.z_min) & (z <= grid.z_max)
     depth = SURFACE.radius_at(theta, z) - r
     inside = np.flatnonzero(within & (depth > 0))
@@ -53,12 +58,12 @@ def by_definition(R: np.ndarray, at: np.ndarray) -> Expected:
 def test_touches_exactly_the_points_inside(sampling: str, seed: int) -> None:
     """Anywhere: pressed, sunk, across the axis, at the ends, in the air."""
     rng = np.random.default_rng(seed)
-    data = STAGES[sampling]
+    data = data_of(sampling)
     R = Rotation.random(rng=rng).as_matrix()
     at = rng.uniform([-0.16, -0.14, -0.05], [0.16, 0.14, 0.25])
     contact, in_grid, beyond = touch(R, at, data)
     expected = by_definition(R, at)
-    touched = ShellBlocks.of(SHELL).order[data.touched[:contact]]
+    touched = ShellBlocks.of(shell()).order[data.touched[:contact]]
     assert sorted(touched) == expected.inside.tolist()
     np.testing.assert_allclose(
         data.depth[:contact], expected.depth[touched], rtol=0, atol=1e-15

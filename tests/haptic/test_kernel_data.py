@@ -3,15 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.conftest import torso
+from tests.conftest import ellipsoid, torso
 from ttus_opt.contact.rows import REFERENCE_AREA
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.haptic.kernel_data import FrameData
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.voxmap import Voxmap
 
 VOXMAP = Voxmap.from_surface(torso(), shape=(12, 24, 11))
-SHELL = PointShell.ellipsoid(semi_axes=(0.03, 0.0125, 0.018), n_points=333)
+SHELL = ellipsoid(333)
 
 
 @pytest.mark.parametrize("trilinear", [False, True])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import pytest
 
 import ttus_opt as tt
@@ -19,16 +21,19 @@ GIVEN = {
     *friction.DRAG_AXIS,
 }
 
-MADE = dragged_scene("contact", shape=(8, 18, 9))
-FITTED = Scene.assemble(
-    MADE.voxmap, MADE.shell, MADE.trajectory, inner="fit", sampling="trilinear"
-)
+
+@functools.cache
+def fitted() -> Scene:
+    made = dragged_scene("contact", shape=(8, 18, 9))
+    return Scene.assemble(
+        made.voxmap, made.shell, made.trajectory, inner="fit", sampling="trilinear"
+    )
 
 
 @pytest.mark.parametrize("name", [info.name for info in available()])
 def test_every_parameter_is_told_how_well(name: str) -> None:
     options = {} if name == "laplace_only" else {"force_weight": 1e-2}
-    solution = tt.fit(FITTED, name, **options)
+    solution = tt.fit(fitted(), name, **options)
     assert solution.status is tt.Status.SOLVED, solution.advice
     identified = set(solution.parameters) - GIVEN
     errors, doubts = set(solution.standard_errors), set(solution.not_identified)

@@ -15,11 +15,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.benchmark.plain_frame import plain_samples
 from ttus_opt.contact.rows import REFERENCE_AREA
 from ttus_opt.probe.point_shell import PointShell
-<<<<<<< HEAD:ttus_opt/benchmark/plain_assembly.py
-from ttus_opt.voxmap.voxmap import Voxmap, surface_layer
-=======
 from ttus_opt.voxmap.voxmap import Voxmap
->>>>>>> w/bench:tests/oracles/plain_assembly.py
 
 
 def plain_laplace(
@@ -115,83 +111,3 @@ def plain_rows(
         sp.csr_array(sp.coo_array((np.concatenate(force), at_entries), shape=shape)),
         sp.csr_array(sp.coo_array((np.concatenate(torque), at_entries), shape=shape)),
     )
-<<<<<<< HEAD:ttus_opt/benchmark/plain_assembly.py
-
-
-def plain_samples(
-    voxmap: Voxmap, points: Array, sampling: str
-) -> tuple[NDArray[np.bool_], NDArray[np.int64], Array]:
-    """What points sample (the law is in `ttus_opt.voxmap.depth_sampling`).
-
-    Args:
-        voxmap: Grid and surface.
-        points: Patient frame, shape (M, 3) [m].
-        sampling: ``voxel-mean`` or ``trilinear``.
-
-    Returns:
-        Which points are inside, shape (M,); their voxels and shares, shape (m, 1) or
-        (m, 8), a share of 0 for what is not sampled.
-    """
-    grid = voxmap.grid
-    r, theta, z = cylindrical(points)
-    inside = (r <= grid.r_outer) & (z >= grid.z_min) & (z <= grid.z_max)
-    inside[inside] = r[inside] < voxmap.surface.radius_at(theta[inside], z[inside])
-    r, theta, z = r[inside], theta[inside], z[inside]
-    depth = voxmap.surface.radius_at(theta, z) - r
-    v, w = theta / grid.theta_step, (z - grid.z_min) / grid.z_step
-    if sampling == "voxel-mean":
-        return inside, *_voxel_means(voxmap, r, v, w, depth)
-    j = np.minimum(v.astype(int), grid.shape[1] - 1)
-    k = np.minimum(w.astype(int), grid.shape[2] - 2)
-    voxels, shares = [], []
-    for dj, dk in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        turn, height = (j + dj) % grid.shape[1], k + dk
-        part = np.abs(1 - dj - (v - j)) * np.abs(1 - dk - (w - k))
-        layers, along = _along_spoke(voxmap, turn, height, depth)
-        for layer, share in zip(layers, along, strict=True):
-            voxels.append(np.ravel_multi_index((layer, turn, height), grid.shape))
-            shares.append(part * share)
-    return inside, np.stack(voxels, axis=1), np.stack(shares, axis=1)
-
-
-def _skin_of(
-    voxmap: Voxmap, j: NDArray[np.int64], k: NDArray[np.int64]
-) -> tuple[Array, NDArray[np.int64]]:
-    """Radius of the skin on spokes [m], and the layer below the skin's."""
-    grid = voxmap.grid
-    radius = voxmap.surface.radius_at(grid.theta[j], grid.z[k])
-    return radius, surface_layer(grid, radius) - 1
-
-
-def _along_spoke(
-    voxmap: Voxmap, j: NDArray[np.int64], k: NDArray[np.int64], depth: Array
-) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array]]:
-    """Two layers on spokes (m,) and their shares, at depths (m,) [m]."""
-    grid = voxmap.grid
-    radius, last = _skin_of(voxmap, j, k)
-    place = np.maximum(radius - depth, grid.r_inner)
-    near = place >= grid.r[last]
-    lower = np.minimum(((place - grid.r_inner) / grid.r_step).astype(int), last)
-    upper = np.where(near, last, lower + 1)
-    share = np.where(near, 0.0, (place - grid.r[lower]) / grid.r_step)
-    to_skin = (radius - place) / (radius - grid.r[last])
-    return (lower, upper), (np.where(near, to_skin, 1.0 - share), share)
-
-
-def _voxel_means(
-    voxmap: Voxmap, r: Array, v: Array, w: Array, depth: Array
-) -> tuple[NDArray[np.int64], Array]:
-    """Nearest voxels and shares of their means, shape (m, 1)."""
-    grid = voxmap.grid
-    u = np.maximum((r - grid.r_inner) / grid.r_step, 0.0)
-    i, j, k = (np.floor(x + 0.5).astype(int) for x in (u, v, w))
-    j %= grid.shape[1]
-    radius, last = _skin_of(voxmap, j, k)
-    face = grid.r[last] + grid.r_step / 2  # the inner face of the skin's layer
-    samples = (i <= last) & (radius - depth < face)
-    voxel = np.ravel_multi_index((i, j, k), grid.shape)
-    _, place = np.unique(voxel, return_inverse=True)
-    counts = np.bincount(place, weights=samples)[place]
-    return voxel[:, None], (samples / np.maximum(counts, 1.0))[:, None]
-=======
->>>>>>> w/bench:tests/oracles/plain_assembly.py

@@ -1,3 +1,5 @@
+import functools
+
 import numpy as np
 import pytest
 import trimesh
@@ -17,9 +19,9 @@ needs_probe = pytest.mark.skipif(
 
 AXES = (0.030, 0.0125, 0.018)
 PRIMITIVES = {
-    "ellipsoid": lambda n=1500: PointShell.ellipsoid(AXES, n),
-    "sphere": lambda n=1500: PointShell.sphere(0.02, n),
-    "box": lambda n=1500: PointShell.box((0.05, 0.02, 0.01), n),
+    "ellipsoid": functools.cache(lambda: PointShell.ellipsoid(AXES, 1500)),
+    "sphere": functools.cache(lambda: PointShell.sphere(0.02, 1500)),
+    "box": functools.cache(lambda: PointShell.box((0.05, 0.02, 0.01), 1500)),
 }
 
 
@@ -70,7 +72,7 @@ def test_ellipsoid_area_against_closed_form_and_mesh():
 
 
 def test_box_spans_full_edges_with_exact_normals():
-    shell = PointShell.box((0.05, 0.02, 0.01), 1500)
+    shell = PRIMITIVES["box"]()
     np.testing.assert_allclose(np.abs(shell.points).max(axis=0), [0.025, 0.01, 0.005])
     axis = np.abs(shell.normals).argmax(axis=1)
     np.testing.assert_allclose(np.abs(shell.normals).max(axis=1), 1)
@@ -89,7 +91,7 @@ def test_rms_radius():
         for p, q, r in [(a, b, c), (b, c, a), (c, a, b)]
     )
     truth = np.sqrt(square / (8 * (a * b + b * c + c * a)))
-    shell = PointShell.box((2 * a, 2 * b, 2 * c), 3000)
+    shell = PRIMITIVES["box"]()
     assert shell.rms_radius == pytest.approx(truth, rel=2e-3)
 
 

@@ -14,16 +14,20 @@ from ttus_opt.problem.distance import CLOSE, energy, held_by_equalities
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.program import Program
+from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
 from ttus_opt.solvers.registry import solvers
 from ttus_opt.terms.penalties.linear import Linear
 
 SCENE = small_scene("trilinear", shape=(6, 12, 7), n_poses=6)
-SLIDING = dragged_scene("contact", mu=0.2, viscous=30.0, shape=(7, 12, 8))
+
+
+def sliding() -> Scene:
+    return dragged_scene("contact", mu=0.2, viscous=30.0, shape=(7, 12, 8))
 
 
 def compiled(name: str, **options: float) -> Program:
-    scene = SLIDING if "drag" in name else SCENE
+    scene = sliding() if "drag" in name else SCENE
     return load(name, scene, **options).compile()
 
 

@@ -128,7 +128,7 @@ def test_what_cannot_be_a_formulation() -> None:
         eq10() + ForceTerm(SCENE)
     with pytest.raises(InputError, match="sign appears twice"):
         eq10().with_constraints(Sign(SCENE), Sign(SCENE))
-    other = small_scene(shape=(6, 10, 6), n_poses=5)
+    other = replace(SCENE)
     with pytest.raises(InputError, match="the same scene"):
         eq10() + TorqueTerm(other)
 

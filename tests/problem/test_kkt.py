@@ -158,21 +158,23 @@ def test_equal_bounds_share_no_multiplier() -> None:
     assert (split["one"].item(), split["two"].item()) == (16.0, 0.0)
 
 
-def test_the_gap_alone_can_refuse_an_answer() -> None:
-    """min (x-2)², x ≤ 3 at x = 1.5 with y = 1: r = 0, but the limit is 1.5 away."""
-    problem = program(1, [squares([2.0])], (rows("cap", [[1.0]], -np.inf, 3.0),))
-    kkt = kkt_residuals(problem, np.array([1.5]), Duals({"cap": np.array([1.0])}))
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["upper", "lower"])
+def test_the_gap_alone_can_refuse_an_answer(side: float) -> None:
+    """min (x-2)², x ≤ 3 at x = 1.5 with y = 1: r = 0, but the limit is 1.5 away.
+
+    And mirrored: min (x+2)², x ≥ -3 at x = -1.5 with y = -1.
+    """
+    x, dual = np.array([1.5 * side]), np.array([side])
+    low, high = sorted([3.0 * side, -np.inf * side])
+    cap, target = rows("cap", [[1.0]], low, high), squares([2.0 * side])
+    kkt = kkt_residuals(program(1, [target], (cap,)), x, Duals({"cap": dual}))
     assert (kkt.primal, kkt.dual) == (0.0, 0.0)
     assert kkt.gap == pytest.approx(1.5)
     assert kkt.gap_relative == pytest.approx(1.5 / 0.25)
     assert kkt.worst_relative == kkt.gap_relative
     # of a bound the same
-    box = ProgramBounds("box", np.array([-np.inf]), np.array([3.0]))
-    kkt = kkt_residuals(
-        program(1, [squares([2.0])], (), (box,)),
-        np.array([1.5]),
-        Duals({}, np.array([1.0])),
-    )
+    box = ProgramBounds("box", np.array([low]), np.array([high]))
+    kkt = kkt_residuals(program(1, [target], (), (box,)), x, Duals({}, dual))
     assert kkt.gap == pytest.approx(1.5)
 
 

@@ -1,4 +1,4 @@
-"""The contour filter against known radii: cylinders, a CT torso, a real scan."""
+"""Surfaces against known radii: cylinders, a CT torso, a real scan."""
 
 from __future__ import annotations
 
@@ -8,218 +8,20 @@ from functools import cache
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy.integrate import quad
-from scipy.linalg import expm, solve_discrete_lyapunov
 from scipy.spatial import cKDTree
 
 from tests.conftest import SHARED
 from tests.scan import camera
+from tests.scan.clouds import cylinder
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
-from ttus_opt.scan import contour_filter
-from ttus_opt.scan.candidates import Candidates, collect, drop_strays, usable_range
 from ttus_opt.scan.cloud import read_cloud
-from ttus_opt.scan.contour_filter import ContourModel, associate, follow
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import find_supporting_plane
 from ttus_opt.scan.surface import Surface
 
 DATA = SHARED / "torso"
-
-
-def cylinder(
-    rng: np.random.Generator, radius: float = 0.15, noise: float = 0.003
-) -> Array:
-    theta = rng.uniform(0, 2 * np.pi, 60_000)
-    r = radius + noise * rng.standard_normal(theta.size)
-    z = rng.uniform(-0.2, 0.2, theta.size)
-    return np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=1)
-
-
-# ---------------------------------------------------------------- association
-
-
-def test_association_does_not_pull_inwards() -> None:
-    """D as printed pulls by 2hσ²/(h² + σ²), 2 mm here; D per surface does not."""
-    rng = np.random.default_rng(0)
-    sigma, h, truth = 0.003, 0.008, 0.15
-    r = truth + sigma * rng.standard_normal((20_000, 12))
-    D = (1 - (r - (truth - h)) / (2 * h)) ** 2
-    printed = np.average(r, weights=D) - truth
-    expected = -2 * h * sigma**2 / (h**2 + sigma**2)
-    assert printed == pytest.approx(expected, abs=5e-5)
-    variance = np.full(len(r), 0.01**2)
-    m = associate(np.sort(r, axis=1), np.full(len(r), truth), variance, sigma)
-    assert m.seen.all()
-    assert abs(m.y.mean() - truth) < 2e-5
-
-
-def test_association_prefers_the_near_surface() -> None:
-    """Skin and bed equally far from the prediction: D decides for the skin."""
-    r = np.array([[0.149, 0.150, 0.151, 0.189, 0.190, 0.191, np.inf]])
-    m = associate(r, np.array([0.17]), np.array([0.02**2]), 0.003)
-    assert m.y[0] < 0.152
-    one = associate(r[:, 3:], np.array([0.17]), np.array([0.02**2]), 0.003)
-    assert one.y[0] == pytest.approx(0.19, abs=5e-4)  # alone, it is what there is
-
-
-def test_association_of_coinciding_and_of_no_candidates() -> None:
-    r = np.array([[0.15, 0.15, 0.15], [np.inf] * 3, [0.5, np.inf, np.inf]])
-    m = associate(r, np.full(3, 0.15), np.full(3, 1e-5), 0.003)
-    assert m.seen.tolist() == [True, False, False]  # D is 0/0 in print; beyond gate
-    assert m.y[0] == pytest.approx(0.15)
-    assert np.isfinite(m.y).all() and np.isfinite(m.variance).all()
-
-
-def test_association_weighs_by_prediction_and_noise_together() -> None:
-    """S = P + σ²: by hand for two points of one surface, and at the gate's edge."""
-    sigma, P, d = 0.003, 0.001**2, 0.15
-    v = np.array([-0.002, 0.006])
-    m = associate((d + v)[None], np.array([d]), np.array([P]), sigma)
-    beta = np.exp(-(v**2) / (2 * (P + sigma**2)))
-    beta /= beta.sum()
-    assert m.y[0] - d == pytest.approx(beta @ v, rel=1e-9)
-    # the candidates that belong: 4 √(P + σ²), far beyond 4 √P
-    edge = 4 * np.sqrt(P + sigma**2)
-    for off, belongs in ((0.999 * edge, True), (1.001 * edge, False)):
-        m = associate(np.array([[d + off]]), np.array([d]), np.array([P]), sigma)
-        assert m.seen[0] == belongs
-
-
-def test_more_candidates_measure_better() -> None:
-    one = np.full((1, 8), np.inf)
-    one[0, 0] = 0.15
-    many = np.full((1, 8), 0.15)
-    args = (np.array([0.15]), np.array([1e-4]), 0.003)
-    single, all_eight = associate(one, *args), associate(many, *args)
-    assert single.variance[0] == pytest.approx(0.003**2)
-    assert all_eight.variance[0] == pytest.approx(0.003**2 / 8)
-
-
-# --------------------------------------------------------------- contour filter
-
-
-def discretised(model: ContourModel, step: float) -> tuple[Array, Array]:
-    """F and Q of the continuous model, from its equations alone.
-
-    (d, g)' = A (d, g) + (0, s √(2/ℓ)) w with unit white noise w has F = exp(A Δθ), and
-    Q grows from zero by Q' = A Q + Q Aᵀ + C: linear, solved by one exponential more.
-    """
-    A = np.array([[0.0, 1.0], [0.0, -1.0 / model.slope_angle]])
-    C = np.diag([0.0, 2.0 * model.slope_std**2 / model.slope_angle])
-    growth = np.zeros((5, 5))
-    growth[:4, :4] = np.kron(A, np.eye(2)) + np.kron(np.eye(2), A)
-    growth[:4, 4] = C.reshape(-1)
-    return expm(A * step), expm(growth * step)[:4, 4].reshape(2, 2)
-
-
-@pytest.mark.parametrize("n_theta", [9, 36, 180, 1440])
-@pytest.mark.parametrize("slope_angle", [0.02, 0.35, 30.0])
-def test_a_step_is_the_continuous_process(n_theta: int, slope_angle: float) -> None:
-    model = ContourModel(slope_std=0.07, slope_angle=slope_angle)
-    step = 2 * np.pi / n_theta
-    F, Q = model.transition(step)
-    expected_F, expected_Q = discretised(model, step)
-    np.testing.assert_allclose(F, expected_F, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(Q, expected_Q, rtol=1e-5)
-
-
-@pytest.mark.parametrize("n_theta", [9, 36, 180])
-def test_the_slope_has_its_deviation_at_any_number_of_spokes(n_theta: int) -> None:
-    """Lyapunov's equation of the slope's step, and the steps of one turn at once.
-
-    A first-order Q gave 2.0, 1.26 and 1.05 times as much.
-    """
-    model = ContourModel(slope_std=0.1)
-    F, Q = model.transition(2 * np.pi / n_theta)
-    variance = solve_discrete_lyapunov(F[1:, 1:], Q[1:, 1:])
-    assert np.sqrt(variance[0, 0]) == pytest.approx(0.1, rel=1e-9)
-    # a turn in n steps and in one: what a process of its own time has
-    whole_F, whole_Q = model.transition(2 * np.pi)
-    P, power = np.zeros((2, 2)), np.eye(2)
-    for _ in range(n_theta):
-        P, power = F @ P @ F.T + Q, F @ power
-    np.testing.assert_allclose(power, whole_F, atol=1e-12)
-    np.testing.assert_allclose(P, whole_Q, rtol=1e-9)
-
-
-def test_small_steps_keep_their_digits() -> None:
-    """A slope that hardly forgets is a walk: nothing of Q cancels away."""
-    step, model = 0.01, ContourModel(slope_std=0.1, slope_angle=1e7)
-    _, Q = model.transition(step)
-    walk = np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
-    np.testing.assert_allclose(Q, 0.1**2 * 2 / 1e7 * walk, rtol=1e-8)
-    model = ContourModel(slope_std=1.0, slope_angle=1.0)
-    for x in (0.0999999, 0.1000001):  # where the series and the sum meet
-        exact = 2.0 * quad(lambda t: (1.0 - np.exp(-t)) ** 2, 0.0, x)[0]
-        assert model.transition(x)[1][0, 0] == pytest.approx(exact, rel=1e-10)
-
-
-def dense_contour(y: Array, noise: Array, model: ContourModel) -> tuple[Array, Array]:
-    """Mean and variance of d at every spoke of one slice, by dense least squares.
-
-    Four laps of the model's own discretisation, so that the middle one knows both
-    neighbours; nothing of the filter.
-
-    Args:
-        y: Measured radius per spoke, shape (n,) [m].
-        noise: Its variance, shape (n,) [m²]; infinite where there is none.
-        model: The model.
-    """
-    n, laps = len(y), 4
-    F, Q = discretised(model, 2 * np.pi / n)
-    half = np.linalg.inv(np.linalg.cholesky(Q))
-    total = laps * n
-    A, b = [], []
-    for k in range(total):
-        row = np.zeros((1, 2 * total))
-        row[0, 2 * k] = 1 / np.sqrt(noise[k % n])
-        A.append(row)
-        b.append([y[k % n] / np.sqrt(noise[k % n])])
-        if k:
-            row = np.zeros((2, 2 * total))
-            row[:, 2 * k : 2 * k + 2] = half
-            row[:, 2 * k - 2 : 2 * k] = -half @ F
-            A.append(row)
-            b.append([0.0, 0.0])
-    A_, b_ = np.concatenate(A), np.concatenate(b)
-    P = np.linalg.inv(A_.T @ A_)
-    middle = slice(2 * n, 4 * n, 2)
-    return (P @ A_.T @ b_)[middle], np.diag(P)[middle]
-
-
-@pytest.mark.parametrize("n", [9, 24])
-def test_filter_matches_a_dense_gaussian_smoother(n: int) -> None:
-    """One candidate per spoke: the posterior mean of the same Markov model."""
-    rng = np.random.default_rng(3)
-    model = ContourModel(depth_noise=0.004, slope_std=0.08)
-    theta = np.arange(n) * 2 * np.pi / n
-    r = 0.15 + 0.01 * np.cos(2 * theta) + 0.002 * rng.standard_normal(n)
-    found = follow(Candidates(r[:, None, None], np.ones((n, 1), int)), model)
-    mean, variance = dense_contour(r, np.full(n, model.depth_noise**2), model)
-    np.testing.assert_allclose(found.radius[:, 0], mean, atol=1e-5)
-    np.testing.assert_allclose(found.variance[:, 0], variance, rtol=1e-3)
-    assert found.observed.all()
-
-
-def test_candidates_are_weighed_twice_around_the_smoothed_contour(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """The second round is the dense smoother of what the first round weighs."""
-    n, rng = 24, np.random.default_rng(0)
-    theta = np.arange(n) * 2 * np.pi / n
-    truth = 0.15 + 0.02 * np.cos(theta) + 0.01 * np.cos(3 * theta)
-    r = np.sort(truth[:, None] + 0.004 * rng.standard_normal((n, 12)), axis=1)
-    given, model = Candidates(r[:, None], np.full((n, 1), 12)), ContourModel()
-    found = follow(given, model)
-    monkeypatch.setattr(contour_filter, "_N_REWEIGHT", 1)
-    once = follow(given, model)
-    m = associate(r, once.radius[:, 0], once.variance[:, 0], model.depth_noise)
-    mean, variance = dense_contour(m.y, m.variance, model)
-    np.testing.assert_allclose(found.radius[:, 0], mean, atol=2e-6)
-    np.testing.assert_allclose(found.variance[:, 0], variance, rtol=1e-3)
-    assert np.abs(once.radius[:, 0] - mean).max() > 1e-4  # one round is not two
 
 
 def test_noisy_cylinder_is_unbiased_and_its_deviation_honest() -> None:
@@ -373,61 +175,6 @@ def test_unusable_clouds() -> None:
     with pytest.raises(GeometryError, match="does the axis run inside"):
         beside = cloud[cloud[:, 0] < -0.12] + [-0.3, 0, 0]
         extract_surface(beside, axis=axis, support=None, z_range=(-0.1, 0.1))
-    with pytest.raises(InputError, match="slope_std must be positive"):
-        ContourModel(slope_std=0.0)
-
-
-# ---------------------------------------------------------------------- spokes
-
-
-def test_candidates_are_the_points_near_the_spoke() -> None:
-    """Against brute force over every pair of point and spoke."""
-    rng = np.random.default_rng(5)
-    points = rng.uniform(-0.2, 0.2, (400, 3))
-    theta = np.arange(12) * (2 * np.pi / 12)
-    z = np.linspace(-0.1, 0.1, 5)
-    found = collect(points, theta, z, spoke_distance=0.02, slice_distance=0.03)
-    r = np.hypot(points[:, 0], points[:, 1])
-    for j, t in enumerate(theta):
-        along = points[:, :2] @ [np.cos(t), np.sin(t)]
-        across = points[:, :2] @ [-np.sin(t), np.cos(t)]
-        for k, height in enumerate(z):
-            near = (np.abs(across) <= 0.02) & (along > 0) & (r > 0.02)
-            near &= np.abs(points[:, 2] - height) <= 0.03
-            expected = np.sort(r[near])
-            assert found.count[j, k] == near.sum()
-            kept = found.radius[j, k][np.isfinite(found.radius[j, k])]
-            np.testing.assert_allclose(kept, expected)
-
-
-def test_thinning_keeps_the_distribution() -> None:
-    r = np.linspace(0.1, 0.2, 1000)
-    points = np.stack([r, 0 * r, 0 * r], axis=1)
-    z = np.array([0.0, 0.1])
-    theta = np.arange(8) * np.pi / 4
-    found = collect(points, theta, z, spoke_distance=0.004, slice_distance=0.01)
-    kept = found.radius[0, 0]
-    assert found.count[0, 0] == 1000 and np.isfinite(kept).all()
-    assert kept.mean() == pytest.approx(0.15, abs=0.002)
-
-
-def test_cut_ends_are_left_out() -> None:
-    rng = np.random.default_rng(0)
-    r = 0.15 * np.sqrt(rng.random(20_000))
-    theta = rng.uniform(0, 2 * np.pi, r.size)
-    cap = np.stack([r * np.cos(theta), r * np.sin(theta), np.full(r.size, 0.2)], 1)
-    found = usable_range(np.concatenate([cylinder(rng, noise=0.001), cap]))
-    assert -0.2 <= found.z_min < -0.185
-    assert 0.185 < found.z_max < 0.2
-
-
-def test_strays_are_dropped_and_surfaces_kept() -> None:
-    rng = np.random.default_rng(0)
-    cloud = cylinder(rng)
-    strays = rng.uniform(0.3, 0.6, (30, 3))
-    kept = drop_strays(np.concatenate([cloud, strays]))
-    assert (np.hypot(kept[:, 0], kept[:, 1]) < 0.2).all()
-    assert len(kept) > 0.999 * len(cloud)
 
 
 # --------------------------------------------------------- CT torso as the truth

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from dataclasses import replace
 
@@ -43,6 +44,7 @@ def enumerated(M: Array, t: Array, A: Array, b: Array) -> Array:
     return best
 
 
+@functools.cache
 def random_case(seed: int) -> tuple[Program, Array]:
     """Five variables with a box, two rows, and the answer by enumeration."""
     rng = np.random.default_rng(seed)
@@ -72,10 +74,10 @@ def test_enumeration_of_active_sets(solver: Solver, seed: int) -> None:
     np.testing.assert_allclose(candidate.x, answer, atol=1e-5)
 
 
-@pytest.fixture(scope="module")
+@functools.cache
 def tiny() -> Formulation:
     """Eq. 10 on a grid small enough for dense algebra, with forces that pull."""
-    scene = small_scene("trilinear", shape=(5, 10, 6), n_poses=6, seed=2)
+    scene = small_scene("trilinear", shape=(5, 8, 6), n_poses=6, seed=2)
     trajectory = scene.trajectory
     assert trajectory.force is not None
     pulled = replace(trajectory, force=-4.0 * trajectory.force)
@@ -91,21 +93,33 @@ def stacked(problem: Program) -> tuple[Array, Array]:
     return np.vstack(M), np.concatenate(target)
 
 
-@taking.over(taking.FORMULATIONS["eq10"])
-def test_eq10_is_dense_least_squares(solver: Solver, tiny: Formulation) -> None:
-    problem = tiny.compile()
+@functools.cache
+def least_squares() -> tuple[Program, Array]:
+    """Eq. 10 and its answer by dense algebra."""
+    problem = tiny().compile()
     M, t = stacked(problem)
-    answer = np.linalg.lstsq(M, t, rcond=None)[0]
+    return problem, np.linalg.lstsq(M, t, rcond=None)[0]
+
+
+@taking.over(taking.FORMULATIONS["eq10"])
+def test_eq10_is_dense_least_squares(solver: Solver) -> None:
+    problem, answer = least_squares()
     candidate = solver.prepare(problem, Request(TOLERANCE, 60.0)).solve()
     assert candidate.x is not None
     assert np.linalg.norm(candidate.x - answer) <= 1e-6 * np.linalg.norm(answer)
 
 
-@taking.over(taking.FORMULATIONS["eq10_sign"])
-def test_sign_is_dense_bounded_least_squares(solver: Solver, tiny: Formulation) -> None:
-    problem = tiny.with_constraints(Sign(tiny.scene)).compile()
+@functools.cache
+def bounded() -> tuple[Program, Array]:
+    """Eq. 10 with signs, and its answer by a dense active set."""
+    problem = tiny().with_constraints(Sign(tiny().scene)).compile()
     M, t = stacked(problem)
-    answer = lsq_linear(M, t, problem.box, method="bvls", tol=1e-14).x
+    return problem, lsq_linear(M, t, problem.box, method="bvls", tol=1e-14).x
+
+
+@taking.over(taking.FORMULATIONS["eq10_sign"])
+def test_sign_is_dense_bounded_least_squares(solver: Solver) -> None:
+    problem, answer = bounded()
     held = np.isclose(answer, 0.0, atol=1e-12) & np.isfinite(problem.box).any(axis=0)
     assert held.any(), "no bound holds: the test would show nothing"
     candidate = solver.prepare(problem, Request(TOLERANCE, 60.0)).solve()
@@ -114,11 +128,11 @@ def test_sign_is_dense_bounded_least_squares(solver: Solver, tiny: Formulation) 
 
 
 @taking.over(taking.FORMULATIONS["eq10_hard_boundary"])
-def test_hard_boundary_is_dense_elimination(solver: Solver, tiny: Formulation) -> None:
-    problem = tiny.with_constraints(HardBoundary(tiny.scene)).compile()
+def test_hard_boundary_is_dense_elimination(solver: Solver) -> None:
+    problem = tiny().with_constraints(HardBoundary(tiny().scene)).compile()
     M, t = stacked(problem)
-    fixed = ~tiny.scene.laplace.free
-    answer = np.where(fixed, tiny.scene.b, 0.0)
+    fixed = ~tiny().scene.laplace.free
+    answer = np.where(fixed, tiny().scene.b, 0.0)
     answer[~fixed] = np.linalg.lstsq(M[:, ~fixed], t - M @ answer, rcond=None)[0]
     candidate = solver.prepare(problem, Request(TOLERANCE, 60.0)).solve()
     assert candidate.x is not None

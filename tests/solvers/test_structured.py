@@ -10,11 +10,10 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso
+from tests.conftest import ellipsoid, presses, small_scene, torso
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.problem import formulation
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
@@ -150,7 +149,7 @@ def test_geometry_that_breaks_careless_solvers(
     surface: Surface, shape: tuple[int, int, int], r_outer: float | None
 ) -> None:
     voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=0.03, r_outer=r_outer)
-    shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=300)
+    shell = ellipsoid()
     trajectory = presses(surface, 10, np.random.default_rng(2), depth=0.015)
     scene = Scene.assemble(voxmap, shell, trajectory, sampling="trilinear")
     for hard in (False, True):

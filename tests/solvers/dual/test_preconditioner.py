@@ -18,7 +18,7 @@ from ttus_opt.solvers.dual.system import DualSystem
 
 
 def dual_system(sampling: str, weight: float, name: str = "eq10") -> DualSystem:
-    scene = small_scene(sampling, (12, 24, 16), n_poses=12)
+    scene = small_scene(sampling, (12, 24, 16), n_poses=6)
     program = formulation.load(
         name, scene, force_weight=weight, torque_weight=weight
     ).compile()

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import ttus_opt as tt
-from tests.conftest import torso
+from tests.conftest import some, torso
 from tests.solvers.dual.test_subproblem import shaped
 from tests.solvers.dual.user_limits import INF, Steeper, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
@@ -95,7 +95,7 @@ KINDS = [
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("weight", [1.0, 100.0])
-@pytest.mark.parametrize("forces", FORCES)
+@pytest.mark.parametrize("forces", some(FORCES, 2))
 def test_contested(forces: str, weight: float, kind: str) -> None:
     scale, noise = FORCES[forces]
     scene = contested(1, scale=scale, noise=noise)
@@ -326,7 +326,7 @@ def enumerated(program: Program) -> Array | None:
 
 
 @pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", some(range(8), 4))
 def test_all_active_sets_of_a_tiny_problem(seed: int, hard: bool) -> None:
     """Sixty voxels, four bounds and all links; where no set will do, none is found."""
     rng = np.random.default_rng(seed)

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import spsolve
 
-from tests.conftest import presses, torso
+from tests.conftest import ellipsoid, presses, torso
 from tests.solvers.dual.user_limits import INF, Within, contested, eq10, louder
 from tests.solvers.test_structured import rough_surface
 from ttus_opt.arrays import Array
 from ttus_opt.constraints.base import Constraint
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.problem.program import Program
 from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene
@@ -151,7 +150,7 @@ def shaped(
 ) -> Scene:
     """A scene on a surface that breaks careless solvers."""
     voxmap = Voxmap.from_surface(surface, shape=shape, r_inner=0.03, r_outer=r_outer)
-    shell = PointShell.ellipsoid(semi_axes=(0.02, 0.015, 0.015), n_points=300)
+    shell = ellipsoid()
     trajectory = presses(surface, 8, np.random.default_rng(2), depth=0.015)
     return louder(
         Scene.assemble(voxmap, shell, trajectory, sampling="trilinear"), seed=2

@@ -1,0 +1,16 @@
+"""Clouds of known shape."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+
+
+def cylinder(
+    rng: np.random.Generator, radius: float = 0.15, noise: float = 0.003
+) -> Array:
+    theta = rng.uniform(0, 2 * np.pi, 60_000)
+    r = radius + noise * rng.standard_normal(theta.size)
+    z = rng.uniform(-0.2, 0.2, theta.size)
+    return np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=1)

@@ -1,0 +1,59 @@
+"""Candidates of spokes, the usable range of heights, and strays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.scan.clouds import cylinder
+from ttus_opt.scan.candidates import collect, drop_strays, usable_range
+
+
+def test_candidates_are_the_points_near_the_spoke() -> None:
+    """Against brute force over every pair of point and spoke."""
+    rng = np.random.default_rng(5)
+    points = rng.uniform(-0.2, 0.2, (400, 3))
+    theta = np.arange(12) * (2 * np.pi / 12)
+    z = np.linspace(-0.1, 0.1, 5)
+    found = collect(points, theta, z, spoke_distance=0.02, slice_distance=0.03)
+    r = np.hypot(points[:, 0], points[:, 1])
+    for j, t in enumerate(theta):
+        along = points[:, :2] @ [np.cos(t), np.sin(t)]
+        across = points[:, :2] @ [-np.sin(t), np.cos(t)]
+        for k, height in enumerate(z):
+            near = (np.abs(across) <= 0.02) & (along > 0) & (r > 0.02)
+            near &= np.abs(points[:, 2] - height) <= 0.03
+            expected = np.sort(r[near])
+            assert found.count[j, k] == near.sum()
+            kept = found.radius[j, k][np.isfinite(found.radius[j, k])]
+            np.testing.assert_allclose(kept, expected)
+
+
+def test_thinning_keeps_the_distribution() -> None:
+    r = np.linspace(0.1, 0.2, 1000)
+    points = np.stack([r, 0 * r, 0 * r], axis=1)
+    z = np.array([0.0, 0.1])
+    theta = np.arange(8) * np.pi / 4
+    found = collect(points, theta, z, spoke_distance=0.004, slice_distance=0.01)
+    kept = found.radius[0, 0]
+    assert found.count[0, 0] == 1000 and np.isfinite(kept).all()
+    assert kept.mean() == pytest.approx(0.15, abs=0.002)
+
+
+def test_cut_ends_are_left_out() -> None:
+    rng = np.random.default_rng(0)
+    r = 0.15 * np.sqrt(rng.random(20_000))
+    theta = rng.uniform(0, 2 * np.pi, r.size)
+    cap = np.stack([r * np.cos(theta), r * np.sin(theta), np.full(r.size, 0.2)], 1)
+    found = usable_range(np.concatenate([cylinder(rng, noise=0.001), cap]))
+    assert -0.2 <= found.z_min < -0.185
+    assert 0.185 < found.z_max < 0.2
+
+
+def test_strays_are_dropped_and_surfaces_kept() -> None:
+    rng = np.random.default_rng(0)
+    cloud = cylinder(rng)
+    strays = rng.uniform(0.3, 0.6, (30, 3))
+    kept = drop_strays(np.concatenate([cloud, strays]))
+    assert (np.hypot(kept[:, 0], kept[:, 1]) < 0.2).all()
+    assert len(kept) > 0.999 * len(cloud)

@@ -1,0 +1,113 @@
+"""Solve, check, tighten: with a package that does what it is told, step by step."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from tests.solvers.problems import program, term
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers import verified
+from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.verified import LEAST, TIGHTENINGS, Verified
+
+TARGET = np.array([1.0, -2.0, 3.0])
+PROGRAM = program([term(np.eye(3), TARGET), term(np.eye(3), 2 * TARGET, name="two")])
+ANSWER = 1.5 * TARGET
+
+Reply = Callable[[float], Candidate]
+
+
+def off(error: float, claim: Claim = Claim.DONE, iterations: int = 7) -> Candidate:
+    """The answer but for a relative error."""
+    return Candidate(ANSWER * (1 + error), iterations=iterations, claim=claim)
+
+
+@dataclass
+class Package(Verified):
+    """Answers as told, and remembers what it was asked for."""
+
+    reply: Reply
+    request: Request
+    pauses: int = 0
+    asked: list[float] = field(default_factory=list)
+    limits: list[float | None] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.continuations = self.pauses
+        Verified.__init__(self, PROGRAM, self.request)
+
+    def _load(self, program: Program) -> None:
+        pass
+
+    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+        self.asked.append(eps)
+        self.limits.append(seconds)
+        return self.reply(eps)
+
+
+def test_an_answer_that_holds_is_taken_at_once() -> None:
+    package = Package(lambda eps: off(eps / 100), Request(1e-6))
+    found = package.solve()
+    assert found.claim is Claim.DONE
+    assert package.asked == [1e-6]
+    assert package.limits == [None]
+
+
+def test_an_answer_that_falls_short_is_tightened_until_it_holds() -> None:
+    """A package whose own measure is a thousand times too kind."""
+    package = Package(lambda eps: off(1000 * eps), Request(1e-6))
+    found = package.solve()
+    assert found.x is not None
+    assert np.abs(found.x / ANSWER - 1).max() < 1e-6
+    assert found.iterations == 7 * len(package.asked)
+    assert (np.diff(package.asked) < 0).all()
+    # once held, the tolerance stays: the next solve asks for it at once
+    count = len(package.asked)
+    package.solve()
+    assert package.asked[count:] == [package.asked[count - 1]]
+
+
+def test_tightening_is_not_for_ever_and_the_best_is_kept() -> None:
+    errors = iter([9e-5, 3e-5, 6e-5, 5e-5, 4e-5])
+    package = Package(lambda eps: off(next(errors)), Request(1e-6))
+    found = package.solve()
+    assert len(package.asked) == TIGHTENINGS + 1
+    np.testing.assert_allclose(found.x, ANSWER * (1 + 3e-5), rtol=1e-12)
+    assert all(b <= LEAST * a for a, b in itertools.pairwise(package.asked))
+
+
+def test_rounding_ends_the_tightening() -> None:
+    package = Package(lambda eps: off(1e-2), Request(1e-6))
+    assert package.solve().claim is Claim.DONE
+    assert package.asked[-1] == Package.floor
+    assert len(package.asked) < TIGHTENINGS + 1
+
+
+def test_what_is_paused_goes_on_as_often_as_it_may() -> None:
+    package = Package(lambda eps: off(1e-2, Claim.PAUSED), Request(1e-6), pauses=3)
+    assert package.solve().claim is Claim.PAUSED
+    assert package.asked == [1e-6] * 4  # not tightened: it was not done
+
+
+@pytest.mark.parametrize("claim", [Claim.INFEASIBLE, Claim.GAVE_UP])
+def test_what_is_not_done_is_not_tried_again(claim: Claim) -> None:
+    package = Package(lambda eps: Candidate(None, claim=claim), Request(1e-6))
+    assert package.solve().claim is claim
+    assert len(package.asked) == 1
+
+
+def test_time_that_is_up_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each look at the clock takes a second."""
+    clock = iter(range(1000))
+    monkeypatch.setattr(verified.time, "perf_counter", lambda: float(next(clock)))
+    package = Package(lambda eps: off(1e-2), Request(1e-6, time_limit=2.5))
+    found = package.solve()
+    assert package.limits == [1.5, 0.5]
+    assert found.claim is Claim.TIME_LIMIT
+    assert found.x is not None
+    assert Package(lambda eps: off(0.0), Request(1e-6, 0.5)).solve().x is None
