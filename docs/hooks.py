@@ -1,0 +1,146 @@
+"""What the site takes from elsewhere in the repository, and what is checked of it.
+
+- notebooks/ and LICENSE-bearing MathJax are put among the site's files;
+- ``{{ readme: Title }}`` becomes that section of README.md, ``{{ modules }}`` the list
+  of modules with the first line of their docstrings;
+- every module that `method.md` names must exist, every public name must be on `api.md`.
+
+Warnings of these checks end the build, as `mkdocs build --strict` does for any.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib.resources
+import logging
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mkdocs.plugins import event_priority
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "ttus_opt"
+
+#: Pages that a later change brings; they are left out of the menu until they exist
+LATER = ("how-to/rendering-cpp.md",)
+
+#: Links that MathJax and notebook machinery of other sites would be fetched by
+FOREIGN_SCRIPT = re.compile(r'<script[^>]+src="https?://[^"]*"[^>]*>\s*</script>')
+
+_log = logging.getLogger("mkdocs.hooks.ttus_opt")
+
+
+def on_config(config: Any) -> Any:
+    """Leave pages out of the menu that are still to be written."""
+    missing = [page for page in LATER if not (ROOT / "docs" / page).exists()]
+    config.nav = _without(config.nav, missing)
+    return config
+
+
+def _without(nav: Any, pages: list[str]) -> Any:
+    if isinstance(nav, list):
+        kept = [_without(entry, pages) for entry in nav]
+        return [entry for entry in kept if entry is not None]
+    if isinstance(nav, dict):
+        inner = {title: _without(entry, pages) for title, entry in nav.items()}
+        return inner if all(v is not None for v in inner.values()) else None
+    return None if nav in pages else nav
+
+
+@event_priority(100)  # before the notebook plugin looks for notebooks
+def on_files(files: Files, config: Any) -> Files:
+    """Add the notebooks and MathJax."""
+    for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        uri = f"notebooks/{notebook.name}"
+        files.append(File.generated(config, uri, abs_src_path=str(notebook)))
+    mathjax = importlib.resources.files("mathjax") / "static/mathjax"
+    for name, uri in (
+        ("es5/tex-svg.js", "javascripts/tex-svg.js"),
+        ("LICENSE", "javascripts/tex-svg.LICENSE.txt"),
+    ):
+        path = str(mathjax / name)
+        files.append(File.generated(config, uri, abs_src_path=path))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Fill in what is written elsewhere, and check names."""
+    uri = page.file.src_uri
+    markdown = re.sub(r"\{\{ readme: (.+?) \}\}", _readme_section, markdown)
+    markdown = markdown.replace("{{ modules }}", _module_list())
+    if uri == "method.md":
+        markdown = re.sub(r"`([a-z_]+(?:\.[a-z_]+)*)`", _module_link, markdown)
+    if uri == "api.md":
+        _check_public_names(markdown)
+    return markdown
+
+
+def on_page_content(html: str, page: Any, **_: Any) -> str:
+    """Take scripts of other sites out of notebooks."""
+    return FOREIGN_SCRIPT.sub("", html) if "notebooks/" in page.file.src_uri else html
+
+
+def _readme_section(match: re.Match[str]) -> str:
+    title = match[1]
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = re.search(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", text, re.M | re.S)
+    if found is None:
+        _log.warning("README.md has no section %r", title)
+        return ""
+    return found[1].strip()
+
+
+def _modules() -> Iterator[tuple[str, str]]:
+    """Dotted names below the package, and the first line of their docstrings."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        if parts[-1].startswith("__") and parts[-1] != "__init__":
+            continue
+        name = ".".join(p for p in parts if p != "__init__")
+        doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        yield name, doc.split("\n", 1)[0]
+
+
+def _module_list() -> str:
+    lines, room = [], None
+    for name, summary in _modules():
+        if not name:
+            continue
+        first, _, rest = name.partition(".")
+        is_room = (PACKAGE / first).is_dir()
+        if is_room and not rest:
+            lines += ["", f"## {first}", "", summary, "", "| module | |", "|---|---|"]
+            room = first
+            continue
+        if not is_room:
+            if room != "top":
+                lines += ["", "## Top level", "", "| module | |", "|---|---|"]
+                room = "top"
+        summary = summary.replace("|", "\\|")
+        lines.append(f'| <span id="{name}"></span>`{name}` | {summary} |')
+    return "\n".join(lines)
+
+
+def _module_link(match: re.Match[str]) -> str:
+    """A link where the name is a module's; a warning where it should be and is not."""
+    name = match[1]
+    parts = name.split(".")
+    base = PACKAGE.joinpath(*parts)
+    if base.with_suffix(".py").is_file():
+        return f"[`{name}`](modules.md#{name})"
+    if base.is_dir():
+        return f"[`{name}`](modules.md#{parts[0]})"
+    if len(parts) > 1 and (PACKAGE / parts[0]).is_dir():
+        _log.warning("method.md names %s, there is no such module", name)
+    return match[0]
+
+
+def _check_public_names(markdown: str) -> None:
+    import ttus_opt
+
+    shown = set(re.findall(r"^::: ttus_opt\.(\w+)$", markdown, re.M))
+    for name in sorted(set(ttus_opt.__all__) - shown):
+        _log.warning("api.md does not show the public name %s", name)
