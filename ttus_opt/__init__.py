@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ttus_opt.errors import TtusError as TtusError
     from ttus_opt.errors import TtusWarning as TtusWarning
-    from ttus_opt.fit.batch import Fitter as Fitter
-    from ttus_opt.fit.batch import fit as fit
-    from ttus_opt.fit.recursive import RecursiveFit as RecursiveFit
+    from ttus_opt.fitting.batch import Fitter as Fitter
+    from ttus_opt.fitting.batch import fit as fit
+    from ttus_opt.fitting.recursive import RecursiveFit as RecursiveFit
     from ttus_opt.haptic.blend import BlendLaw as BlendLaw
     from ttus_opt.haptic.renderer import Renderer as Renderer
     from ttus_opt.probe.point_shell import PointShell as PointShell
@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 _HOME = {
     "Axis": "scan.frame",
     "BlendLaw": "haptic.blend",
-    "Fitter": "fit.batch",
+    "Fitter": "fitting.batch",
     "Formulation": "problem.formulation",
     "NoSolutionError": "problem.solution",
     "PointShell": "probe.point_shell",
     "PotentialField": "voxmap.field",
-    "RecursiveFit": "fit.recursive",
+    "RecursiveFit": "fitting.recursive",
     "Renderer": "haptic.renderer",
     "Scene": "scene",
     "Solution": "problem.solution",
@@ -53,7 +53,7 @@ _HOME = {
     "Voxmap": "voxmap.voxmap",
     "evaluate": "report.metrics",
     "extract_surface": "scan.extraction",
-    "fit": "fit.batch",
+    "fit": "fitting.batch",
     "read_cloud": "scan.cloud",
     "read_trajectory": "probe.trajectory",
 }

@@ -17,7 +17,7 @@ import numpy as np
 
 from ttus_opt import example
 from ttus_opt.arrays import Array
-from ttus_opt.fit.batch import fit
+from ttus_opt.fitting.batch import fit
 from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory

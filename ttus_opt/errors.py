@@ -21,7 +21,11 @@ class GeometryError(InputError):
     """Surfaces, grids or probes that do not fit together or are degenerate."""
 
 
-class SolverUnavailableError(TtusError, ImportError):
+class MissingPackageError(TtusError, ImportError):
+    """Work was asked for whose package is not installed."""
+
+
+class SolverUnavailableError(MissingPackageError):
     """A solver was asked for whose package is not installed."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import json
 import subprocess
 import sys
@@ -226,9 +227,19 @@ def test_help_shows_an_example(run: Run, command: str) -> None:
     assert "--json" in answer.out
 
 
+def test_no_command_shows_the_help(run: Run) -> None:
+    assert run("").out == run("--help").out
+
+
+def test_version(run: Run) -> None:
+    assert (
+        run("--version").out == f"ttus-opt {importlib.metadata.version('ttus-opt')}\n"
+    )
+
+
 def test_module_runs_as_a_process(tmp_path: Path) -> None:
     process = subprocess.run(
-        [sys.executable, "-c", "from ttus_opt.cli import main; main()", "surface"],
+        [sys.executable, "-m", "ttus_opt", "surface"],
         capture_output=True,
         text=True,
         timeout=60,

@@ -18,7 +18,7 @@ from ttus_opt.constraints.nonnegative import NonNegative
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.constraints.viscous_sign import ViscousSign
 from ttus_opt.errors import InputError
-from ttus_opt.fit.batch import fit
+from ttus_opt.fitting.batch import fit
 from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE, SURFACE
 
 SCENE = small_scene("trilinear", n_poses=30)

@@ -12,7 +12,7 @@ import pytest
 from tests.conftest import SHARED
 from ttus_opt import example
 from ttus_opt.contact.rows import ContactRows, contact_rows
-from ttus_opt.fit.batch import fit
+from ttus_opt.fitting.batch import fit
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from tests.dragging import dragged_scene
-from ttus_opt.fit.batch import Fitter, judged
+from ttus_opt.fitting.batch import Fitter, judged
 from ttus_opt.problem.formulation import Formulation, available, load
 from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Solution, Status, Timings

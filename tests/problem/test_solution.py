@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.fit.batch import judged
+from ttus_opt.fitting.batch import judged
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import NoSolutionError, Status, Timings

@@ -9,7 +9,7 @@ from scipy.special import i0, k0
 
 from tests.conftest import presses, small_scene
 from ttus_opt.errors import InputError
-from ttus_opt.fit.batch import fit
+from ttus_opt.fitting.batch import fit
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.report.metrics import evaluate

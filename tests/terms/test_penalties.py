@@ -10,7 +10,7 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import small_scene
 from ttus_opt.errors import InputError
-from ttus_opt.fit.batch import fit
+from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.terms.base import Penalty
 from ttus_opt.terms.robust_force import RobustForceTerm

@@ -24,7 +24,7 @@ from ttus_opt.benchmark.isolation import ANSWER, QUESTION
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.stages import STAGES, Stages
 from ttus_opt.errors import SolverUnavailableError, TtusError
-from ttus_opt.fit.batch import Fitter
+from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Solution

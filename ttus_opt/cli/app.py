@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import sys
 import traceback
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Annotated, NoReturn
 
 import typer
 
@@ -27,7 +28,6 @@ app = typer.Typer(
     name="ttus-opt",
     help="Patient models for haptic tele-ultrasound: scan, fit, evaluate, render.",
     epilog="Example: ttus-opt demo",
-    no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
@@ -44,6 +44,24 @@ for module in (
     module.register(app)
 
 
+def _version(asked: bool) -> None:
+    if asked:
+        typer.echo(f"ttus-opt {importlib.metadata.version('ttus-opt')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the version.", callback=_version, is_eager=True
+        ),
+    ] = False,
+) -> None:
+    """Patient models for haptic tele-ultrasound: scan, fit, evaluate, render."""
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line; the entry point ``ttus-opt``.
 
@@ -53,10 +71,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Raises:
         SystemExit: Always: 0, or 2 after one line on stderr, or 130 when interrupted.
     """
+    words = list(sys.argv[1:] if arguments is None else arguments)
     try:
         with warnings_in_one_line():
             status = app(
-                args=None if arguments is None else list(arguments),
+                args=words or ["--help"],
                 prog_name="ttus-opt",
                 standalone_mode=False,
             )

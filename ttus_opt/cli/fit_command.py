@@ -97,7 +97,7 @@ def fit(
     json: Json = False,
 ) -> None:
     """Fit a potential field to measured forces and torques."""
-    from ttus_opt.fit.batch import fit as fit_scene
+    from ttus_opt.fitting.batch import fit as fit_scene
     from ttus_opt.scan.surface import Surface
     from ttus_opt.scene import Scene
     from ttus_opt.voxmap.voxmap import Voxmap

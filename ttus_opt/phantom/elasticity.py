@@ -25,6 +25,7 @@ from scipy.sparse.linalg import splu
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
+from ttus_opt.optional import load
 
 #: Unit loads solved at once: enough for matrix-matrix speed, little memory.
 BATCH = 64
@@ -178,24 +179,24 @@ def skin_compliance(
 
 def _assemble(body: ElasticBody) -> tuple[Any, sp.csr_array]:
     """The vector basis of the body and its stiffness over all nodes [N/m]."""
-    from skfem import Basis, BilinearForm, ElementHex1, ElementVector
+    skfem = load("skfem", "phantom")
     from skfem.helpers import ddot, div, sym_grad
 
     nu = body.poisson
 
-    @BilinearForm  # type: ignore[untyped-decorator, unused-ignore]
+    @skfem.BilinearForm  # type: ignore[untyped-decorator, unused-ignore]
     def shear(u: Any, v: Any, w: Any) -> Any:
         mu = w["young"] / (2.0 * (1.0 + nu))
         return 2.0 * mu * ddot(sym_grad(u), sym_grad(v))
 
-    @BilinearForm  # type: ignore[untyped-decorator, unused-ignore]
+    @skfem.BilinearForm  # type: ignore[untyped-decorator, unused-ignore]
     def volume(u: Any, v: Any, w: Any) -> Any:
         lam = w["young"] * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
         return lam * div(u) * div(v)
 
-    element = ElementVector(ElementHex1())
-    full = Basis(body.mesh, element, intorder=3)
-    reduced = Basis(body.mesh, element, quadrature=_centre_rule())
+    element = skfem.ElementVector(skfem.ElementHex1())
+    full = skfem.Basis(body.mesh, element, intorder=3)
+    reduced = skfem.Basis(body.mesh, element, quadrature=_centre_rule())
     # The modulus is evaluated once here: a form is called for every pair of shapes.
     stiffness = sum(
         form.assemble(basis, young=body.young(np.asarray(basis.global_coordinates())))

@@ -8,6 +8,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
+from ttus_opt.optional import load
 
 
 def graded(
@@ -65,8 +66,7 @@ def _growing(length: float, step: float, growth: float, largest: float) -> Array
 
 def box_mesh(x: Array, y: Array, z: Array) -> Any:
     """Hexahedra (`skfem.MeshHex`) between node positions along x, y and z [m]."""
-    from skfem import MeshHex
-
+    MeshHex = load("skfem", "phantom").MeshHex
     mesh = MeshHex.init_tensor(x, y, z)
     return MeshHex(np.ascontiguousarray(mesh.p), np.ascontiguousarray(mesh.t))
 
@@ -86,8 +86,7 @@ def ring_mesh(fraction: Array, theta: Array, z: Array, points: Any) -> Any:
     Raises:
         InputError: The angles do not make one full turn.
     """
-    from skfem import MeshHex
-
+    MeshHex = load("skfem", "phantom").MeshHex
     if abs(theta[-1] - theta[0] - 2.0 * np.pi) > 1e-9:
         raise InputError(
             f"theta must span one full turn, got {theta[-1] - theta[0]:.6g} rad"

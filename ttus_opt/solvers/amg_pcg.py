@@ -47,7 +47,7 @@ class AmgPcg(Solver):
         keeps="the multigrid of L, and the last answer to start from",
     )
     module = "pyamg"
-    pip_name = "pyamg"
+    pip_name = '"ttus-opt[reference]"'
 
     def refusal(self, program: Program) -> str:
         """Only eq. 10, and nothing that must hold."""

@@ -1,7 +1,7 @@
 """What a solver is: ``prepare(program)`` once, then ``update(program)``, ``solve()``.
 
 A solver answers with a `Candidate`; whether it is a solution is decided elsewhere
-(`ttus_opt.fit.batch`) by residuals computed there.
+(`ttus_opt.fitting.batch`) by residuals computed there.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.drag_limit import DragLimit
 from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.constraints.sign import Sign
-from ttus_opt.fit.batch import Fitter
+from ttus_opt.fitting.batch import Fitter
 from ttus_opt.problem import formulation
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.kkt import kkt_residuals

@@ -11,7 +11,7 @@ from scipy.optimize import lsq_linear
 
 from tests.conftest import small_scene
 from tests.dragging import dragged_scene
-from ttus_opt.fit.batch import fit
+from ttus_opt.fitting.batch import fit
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.linear_parameters import solve_with_columns

@@ -28,8 +28,8 @@ from ttus_opt.benchmark.suite import WEIGHTS
 from ttus_opt.benchmark.summary import seconds
 from ttus_opt.benchmark.traffic import Bandwidth, Traffic
 from ttus_opt.errors import InputError
-from ttus_opt.fit import batch
-from ttus_opt.fit.batch import Fitter
+from ttus_opt.fitting import batch
+from ttus_opt.fitting.batch import Fitter
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
 from ttus_opt.multigrid import Multigrid, v_cycle
 from ttus_opt.multigrid.pcg import Vectors

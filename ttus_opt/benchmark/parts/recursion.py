@@ -18,8 +18,8 @@ from ttus_opt.benchmark.suite import WEIGHTS
 from ttus_opt.benchmark.summary import mebibytes, number, seconds, times
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
-from ttus_opt.fit.batch import Fitter
-from ttus_opt.fit.recursive import RecursiveFit
+from ttus_opt.fitting.batch import Fitter
+from ttus_opt.fitting.recursive import RecursiveFit
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from tests.conftest import small_scene
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, NumericalError
-from ttus_opt.fit import dual_recursion
-from ttus_opt.fit.dual_recursion import DualRecursion
-from ttus_opt.fit.measured_rows import Block
+from ttus_opt.fitting import dual_recursion
+from ttus_opt.fitting.dual_recursion import DualRecursion
+from ttus_opt.fitting.measured_rows import Block
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.scene import Scene
 

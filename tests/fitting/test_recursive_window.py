@@ -20,8 +20,8 @@ from hypothesis.stateful import (
 import ttus_opt as tt
 from tests.conftest import presses, torso
 from ttus_opt.arrays import Array
-from ttus_opt.fit.dual_recursion import DualRecursion
-from ttus_opt.fit.recursive import RecursiveFit
+from ttus_opt.fitting.dual_recursion import DualRecursion
+from ttus_opt.fitting.recursive import RecursiveFit
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene
@@ -281,7 +281,7 @@ def test_a_window_slides_with_the_solves_of_the_multigrid(
     monkeypatch.setattr(DualRecursion, "_rebuild", None)
     held = Held(1e-2, scene())
     slide(held, 80, 20, 20, fading=False)
-    assert held.fit._system._kernel.largest_left < 1e-4
+    assert held.fit._system._kernel.largest_residual < 1e-4
 
 
 @pytest.mark.slow

@@ -12,8 +12,8 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.fit.identification import fitted_estimates, with_estimates
-from ttus_opt.fit.parameter_search import Found, searched
+from ttus_opt.fitting.identification import fitted_estimates, with_estimates
+from ttus_opt.fitting.parameter_search import Found, searched
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.certificate import falling_ray
 from ttus_opt.problem.conflict import conflicting
@@ -59,11 +59,10 @@ def fit(
         time_limit: Most seconds the solver may take, each time it is called [s].
         options: The formulation's own (``force_weight``, ``torque_weight``, …).
 
-    Returns:
-        The solution; its ``field`` is there only when its residuals, computed here,
-        hold to the tolerance. Parameters beside the field come with standard errors,
-        see `ttus_opt.fit.identification`; those that the data do not bear have their
-        neutral value, for which the field is fitted, and are named.
+    Returns: The solution; its ``field`` is there only when its residuals, computed
+    here, hold to the tolerance. Parameters beside the field come with standard errors,
+    see `ttus_opt.fitting.identification`; those that the data do not bear have their
+    neutral value, for which the field is fitted, and are named.
 
     Raises:
         InputError: Unknown formulation, option or solver, or a solver that cannot

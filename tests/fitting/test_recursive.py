@@ -11,7 +11,7 @@ from tests.conftest import presses, small_scene, torso
 from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
-from ttus_opt.fit.recursive import Innovation, RecursiveFit
+from ttus_opt.fitting.recursive import Innovation, RecursiveFit
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene

@@ -12,7 +12,7 @@ import pytest
 import ttus_opt as tt
 from tests.dragging import dragged_scene
 from ttus_opt.contact.friction import Sliding
-from ttus_opt.fit.identification import noise_variance
+from ttus_opt.fitting.identification import noise_variance
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.formulation import load
 from ttus_opt.scene import Scene

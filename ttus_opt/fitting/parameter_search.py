@@ -16,14 +16,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.fit.identification import (
+from ttus_opt.fitting.identification import (
     NOTHING_WEIGHS,
     SHARE,
     Estimate,
     judged_estimate,
     noise_variance,
 )
-from ttus_opt.fit.parabola import Parabola, UnsolvedError
+from ttus_opt.fitting.parabola import Parabola, UnsolvedError
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.solution import Solution, Status
 

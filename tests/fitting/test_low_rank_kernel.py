@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.fit.low_rank_kernel import JITTER, ROOM, LowRankKernel
+from ttus_opt.fitting.low_rank_kernel import JITTER, ROOM, LowRankKernel
 
 TOLERANCE = 1e-9
 
@@ -27,7 +27,7 @@ def extend(
     numbers: Array | None = None,
 ) -> None:
     """Take rows `new` of K in, beside those that rows of the kernel are."""
-    o = kernel.outlook(
+    o = kernel.project(
         kernel.coordinates(K[np.ix_(new, held[kernel.pivots])]),
         K[np.ix_(new, new)],
         tolerance,
@@ -47,7 +47,7 @@ def shrink(
     """Take rows out, and compare anew what stands for them; `kept` are the others."""
     rows = kernel.remove(start, count, tolerance)
     if len(rows):
-        kernel.take_out(rows)
+        kernel.drop(rows)
         extend(kernel, K, kept, kept[rows], tolerance, rows)
 
 
@@ -77,19 +77,19 @@ def test_equals_the_dense_system(n: int, rank: int, step: int) -> None:
     assert np.allclose(kernel.adjoint(y), R.T @ y)
 
 
-def test_outlook_is_the_schur_complement() -> None:
+def test_a_projection_has_the_schur_complement() -> None:
     rng = np.random.default_rng(1)
     K = gram(64, 20, rng)
     kernel = grown(K[:60, :60], 6)
     held = kernel.coordinates(K[60:, kernel.pivots])
-    outlook = kernel.outlook(held, K[60:, 60:], 1e-9)
+    projection = kernel.project(held, K[60:, 60:], 1e-9)
     H = np.eye(64) + K
     schur = H[60:, 60:] - H[60:, :60] @ np.linalg.solve(H[:60, :60], H[:60, 60:])
-    assert np.allclose(outlook.schur, schur, atol=1e-6)
+    assert np.allclose(projection.schur, schur, atol=1e-6)
     # the mean of the new rows, given values of the old ones
     d = rng.normal(size=60)
     mean = K[60:, :60] @ np.linalg.solve(H[:60, :60], d)
-    assert np.allclose(kernel.adjoint(d) @ outlook.gain, mean, atol=1e-6)
+    assert np.allclose(kernel.adjoint(d) @ projection.gain, mean, atol=1e-6)
 
 
 @given(
@@ -148,7 +148,7 @@ def test_a_window_slides_without_drift(scale: float) -> None:
             stand = kernel.remove(0, height, 1e-6)
             compared += len(stand)
             if len(stand):
-                kernel.take_out(stand)
+                kernel.drop(stand)
                 extend(kernel, K, rows, rows[stand], 1e-6, stand)
         R, block = kernel.dense(), K[np.ix_(rows, rows)]
         assert np.abs(R @ R.T - block).max() < 1e-4
@@ -240,11 +240,11 @@ def test_refusals() -> None:
     with pytest.raises(InputError, match="a right side"):
         kernel.solve(np.zeros(5))
     with pytest.raises(InputError, match="new rows"):
-        kernel.outlook(np.zeros((2, 5)), np.eye(2), 0.0)
+        kernel.project(np.zeros((2, 5)), np.eye(2), 0.0)
     with pytest.raises(InputError, match="one entry for each pivot"):
         kernel.coordinates(np.zeros((2, 5)))
-    with pytest.raises(InputError, match="no pivots can be taken out"):
-        kernel.take_out(kernel.pivots[:1])
+    with pytest.raises(InputError, match="no pivots can be dropped"):
+        kernel.drop(kernel.pivots[:1])
     with pytest.raises(InputError, match="not within"):
         kernel.remove(4, 3, 0.0)
     assert len(kernel) == 6

@@ -1,9 +1,9 @@
-"""Eq. 10 one measurement at a time, equal to the batch fit (design §3).
+"""Eq. 10 one measurement at a time, equal to the batch fit.
 
-The linear algebra is `ttus_opt.fit.dual_recursion`; here are poses and wrenches, the
-test for outliers, and which measurements are held. The test compares a measurement with
-what all earlier ones predict for its pose: with p ~ Normal(p₀, s (LᵀL)⁻¹) and noise
-variances s/λ_f and s ℓ²/λ_τ, νᵀS⁻¹ν of the innovation ν is χ² distributed.
+The linear algebra is `ttus_opt.fitting.dual_recursion`; here are poses and wrenches,
+the test for outliers, and which measurements are held. The test compares a measurement
+with what all earlier ones predict for its pose: with p ~ Normal(p₀, s (LᵀL)⁻¹) and
+noise variances s/λ_f and s ℓ²/λ_τ, νᵀS⁻¹ν of the innovation ν is χ² distributed.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from scipy.special import chdtri
 from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import ContactRows, checked_poses, contact_rows
 from ttus_opt.errors import InputError
-from ttus_opt.fit.dual_recursion import DualRecursion
-from ttus_opt.fit.measured_rows import Block
+from ttus_opt.fitting.dual_recursion import DualRecursion
+from ttus_opt.fitting.measured_rows import Block
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 
@@ -62,18 +62,17 @@ class Innovation:
 class RecursiveFit:
     """The field of all measurements so far, equal to the batch fit of eq. 10.
 
-    Memory grows with what the measurements say, and not with the voxels: of n rows, six
-    for each that touches the patient (three with one weight of zero), k say something
-    that earlier ones do not, and n k numbers at the most are held beside the sparse
-    rows and three vectors of V. Known ground keeps k small: 550 after 1,200 presses
-    and sweeps of the bundled recordings on 51,840 voxels, 32 MB; 400 presses all over
-    a torso have k = 1,475 and 29 MB.
+    Memory follows the rank k of the measurements, not the voxels: beside the sparse
+    rows and three vectors of V at most n k numbers are held, with n six rows for each
+    measurement in contact (three where one weight is zero). Repeated motion keeps k
+    small: 550 after 1,200 presses and sweeps of the bundled recordings on 51,840
+    voxels, 32 MB; 400 presses all over a torso have k = 1,475 and 29 MB.
 
-    Time per measurement: twelve solves with the block A on all cores and O(k²), O(n k)
-    for what is new; a pose without contact costs only the search for its points.
-    Measurements may come, fade and go without end: nothing grows but the numbers of
-    those rejected. An instance belongs to
-    one thread at a time; the fields it gave stay as they are.
+    Time per measurement: twelve solves with the block A on all cores, O(k²), and O(n k)
+    for each new column; a pose without contact costs only the search for its points.
+    Measurements may be added, faded and removed any number of times: only the list of
+    rejected ones grows. An instance belongs to one thread at a time; the fields it gave
+    do not change.
 
     Attributes:
         scene: Patient and probe; its measurements were folded in first.

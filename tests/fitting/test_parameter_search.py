@@ -10,8 +10,8 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import small_scene
 from ttus_opt.errors import InputError
-from ttus_opt.fit import batch, parameter_search
-from ttus_opt.fit.batch import Fitter, fit
+from ttus_opt.fitting import batch, parameter_search
+from ttus_opt.fitting.batch import Fitter, fit
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.solution import NoSolutionError, Solution, Status
 from ttus_opt.terms.base import AffineRows

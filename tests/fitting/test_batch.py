@@ -13,7 +13,7 @@ from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.errors import InputError
-from ttus_opt.fit.batch import Fitter, fit, judged
+from ttus_opt.fitting.batch import Fitter, fit, judged
 from ttus_opt.problem.formulation import Formulation, Search, available, load
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.reduction import reduce

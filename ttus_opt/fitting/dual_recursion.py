@@ -1,33 +1,31 @@
-"""The dual system of eq. 10 as it grows and shrinks (design §3, structures d and e).
+"""The dual system of eq. 10 as it grows and shrinks (docs/method.md, "Recursion").
 
 With D the weighted measured rows, t their targets, p₀ = L⁻¹b and K = D L⁻¹L⁻ᵀDᵀ, the
 minimiser of ‖L p - b‖² + ‖D p - t‖² is
 
     p = p₀ + L⁻¹L⁻ᵀDᵀ y,    (I + K) y = d₀,    d₀ = t - D p₀.
 
-A measurement adds rows h to D: their columns of K are D L⁻¹L⁻ᵀhᵀ, one solve with Lᵀ and
-one with L per row. This is the Sherman-Morrison-Woodbury recursion, with the dense V ×
-rows matrix L⁻¹L⁻ᵀDᵀ left out: what is kept is D (sparse) and R with K ≈ R Rᵀ, of as
-many columns as rows say something new (`ttus_opt.fit.low_rank_kernel`); only with the
-rows that brought a column must a new one be compared.
+A measurement adds rows h to D. Their columns of K are D L⁻¹L⁻ᵀhᵀ: one solve with Lᵀ and
+one with L per row. This is the Sherman-Morrison-Woodbury recursion without the dense V
+× rows matrix L⁻¹L⁻ᵀDᵀ: only D (sparse) and a low-rank factor R with K ≈ R Rᵀ are kept
+(`ttus_opt.fitting.low_rank_kernel`), and only the pivot rows of R enter a new column.
 
-Read statistically, with p ~ Normal(p₀, (LᵀL)⁻¹) and noise of variance 1 on every
-weighted row, the same quantities predict a measurement before it is folded in: with r
-its part in R's columns, its innovation has the covariance
+Statistically, with p ~ Normal(p₀, (LᵀL)⁻¹) and noise of variance 1 on every weighted
+row, the same quantities predict a measurement before it is folded in. With r its
+coordinates in the columns of R, its innovation has the covariance
 
     S = I + h L⁻¹L⁻ᵀhᵀ - r rᵀ + r M⁻¹rᵀ,    M = I + RᵀR,
 
-and its mean is that of the field at hand and, for rows since, r M⁻¹Rᵀ times what the
-field at hand leaves of them.
+and its mean is that of the last field plus, for rows added since, r M⁻¹Rᵀ times their
+residual.
 
-The columns of K need not be solved for to the last digit, and R need not be all of K:
-I + R Rᵀ preconditions conjugate gradients, which refine the field until (I + K) y = d₀
-holds to `FIELD_RTOL` with solves of full accuracy.
+R need not be exact: I + R Rᵀ preconditions conjugate gradients, which refine the field
+until (I + K) y = d₀ holds to `FIELD_RTOL` with solves of full accuracy.
 
-Rows may come, fade and go without end. Where a pivot goes, rows that stand for what
-is lost are compared anew, one more pair of solves for each, so that no error of R is
-handed on. Should R be of no use all the same, it is made anew from D, which is kept as
-it was measured.
+Rows may be added, faded and removed any number of times. When a pivot is removed, the
+columns of K of the rows that replace it are solved for again, one more pair of solves
+for each, so that no error of R is passed on. Should R become ill-conditioned all the
+same, it is computed anew from D.
 """
 
 from __future__ import annotations
@@ -42,39 +40,40 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError, NumericalError
-from ttus_opt.fit.low_rank_kernel import LowRankKernel, Outlook
-from ttus_opt.fit.measured_rows import Block, MeasuredRows
+from ttus_opt.fitting.low_rank_kernel import LowRankKernel, Projection
+from ttus_opt.fitting.measured_rows import Block, MeasuredRows
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
 
-#: Relative residual of (I + K) y = d₀ to which the field is refined, and most rounds
+#: Relative residual of (I + K) y = d₀ to which the field is refined; most iterations
 FIELD_RTOL, FIELD_ROUNDS = 1e-9, 30
 
-#: Variance of a row, in units of its noise, that is none beyond what others span
-SPAN = 1e-6
+#: A row counts as dependent on others when its residual variance, in units of its
+#: noise, is below this
+DEPENDENT = 1e-6
 
-#: Largest relative residual of the solves behind the columns of K, and by how much
-#: their error, about this times ‖h‖², must lie below `SPAN`: it is no column, either
+#: Largest relative residual of the solves for columns of K; their error, about this
+#: times ‖h‖², must stay below `DEPENDENT` by this margin
 COLUMN_RTOL, MARGIN = 1e-7, 100.0
 
-#: Schur complements are at least one; below this, rounding has taken over
+#: Schur complements are at least 1; below this, rounding errors dominate
 LEAST_SCHUR = 0.9
 
 
 @dataclass(frozen=True)
 class Forecast:
-    """A block of new rows, seen from what is held; m rows beside n held ones.
+    """Prediction of a block of m new rows from the n rows held.
 
     Attributes:
         block: The rows h.
-        outlook: The rows in R's columns.
+        projection: The rows projected on R's columns.
         columns: Entries of K of the rows chosen with the others held, shape (p, o).
         prior: h p₀, shape (m,).
-        known: h p of the field at hand, shape (m,).
+        known: h p of the last field, shape (m,).
         mean: Predicted measurement, shape (m,).
     """
 
     block: Block
-    outlook: Outlook
+    projection: Projection
     columns: Array
     prior: Array
     known: Array
@@ -83,7 +82,7 @@ class Forecast:
     @property
     def schur(self) -> Array:
         """S, covariance of the innovation, shape (m, m)."""
-        return self.outlook.schur
+        return self.projection.schur
 
 
 class DualRecursion:
@@ -108,14 +107,14 @@ class DualRecursion:
         self._laplace = laplace
         self._D = MeasuredRows(laplace.grid.n_voxels, height)
         self._kernel = LowRankKernel()
-        # grows beyond `SPAN` where weights are too large for the solves
-        self._tolerance = SPAN
-        # whether R is of no use, and to be made anew from D
+        # above `DEPENDENT` where weights are too large for the solves
+        self._tolerance = DEPENDENT
+        # whether R must be computed anew from D
         self._stale = False
         self._d0 = np.zeros(0)
-        # d₀ - D(p - p₀) - y, p the field at hand, and Rᵀ times this
+        # d₀ - D(p - p₀) - y with p the last field, and Rᵀ times this
         self._rest, self._information = np.zeros(0), np.zeros(0)
-        # p - p₀ and the y it belongs to; None when it must be made anew
+        # p - p₀ and the y it belongs to; None when it must be computed anew
         self._shift: Array | None = None
         self._y = np.zeros(0)
         self.prior_field = laplace.solve(b)
@@ -138,7 +137,7 @@ class DualRecursion:
 
     @property
     def rank(self) -> int:
-        """Number of rows that said something new, columns of R [–]."""
+        """Number of columns of R [–]."""
         return self._kernel.rank
 
     @property
@@ -148,11 +147,11 @@ class DualRecursion:
         The sum of the squares of all innovations by their predicted spread, and the
         least value of the objective.
         """
-        self._mend()
+        self._ensure_factor()
         return float(self._d0 @ self._kernel.solve(self._d0))
 
     def forecast(self, block: Block) -> Forecast:
-        """Predict new rows from all that is held.
+        """Predict new rows from the rows held.
 
         Costs two solves with A per row, rows side by side on all cores, and O(k²) with
         k the rank.
@@ -161,14 +160,14 @@ class DualRecursion:
             block: The new rows.
 
         Raises:
-            NumericalError: Weights so large that rounding takes over.
+            NumericalError: Weights so large that rounding errors dominate.
         """
-        self._mend()
-        outlook, columns = self._seen(block)
-        if _least(outlook) < LEAST_SCHUR:
+        self._ensure_factor()
+        projection, columns = self._projected(block)
+        if _least(projection) < LEAST_SCHUR:
             self._rebuild()
-            outlook, columns = self._seen(block)
-        if (least := _least(outlook)) < LEAST_SCHUR:
+            projection, columns = self._projected(block)
+        if (least := _least(projection)) < LEAST_SCHUR:
             raise NumericalError(
                 f"the innovation's covariance is {least:.2g} of the noise where it is "
                 "at least 1: the weights are too large for the solves, lower them"
@@ -177,18 +176,18 @@ class DualRecursion:
         known = prior
         if self._shift is not None:
             known = prior + self._shift[block.voxels] @ block.values
-        mean = known + self._information @ outlook.gain
-        return Forecast(block, outlook, columns, prior, known, mean)
+        mean = known + self._information @ projection.gain
+        return Forecast(block, projection, columns, prior, known, mean)
 
     def append(self, forecast: Forecast, target: Array) -> None:
-        """Take the rows of a forecast in.
+        """Add the rows of a forecast.
 
         Args:
             forecast: Made by `forecast` since the last change.
             target: What was measured, weighted as the rows, shape (m,).
         """
         rank = self.rank
-        self._kernel.append(forecast.outlook, forecast.columns)
+        self._kernel.append(forecast.projection, forecast.columns)
         self._D.append(forecast.block)
         self._d0 = np.concatenate([self._d0, target - forecast.prior])
         surprise = target - forecast.known
@@ -196,15 +195,15 @@ class DualRecursion:
         if self.rank > rank:  # earlier rows have entries in new columns
             self._information = self._kernel.adjoint(self._rest)
         else:
-            self._information = self._information + surprise @ forecast.outlook.held
-        # y = 0 for the new rows is what the field at hand belongs to
+            self._information = self._information + surprise @ forecast.projection.held
+        # the last field belongs to y = 0 in the new rows
         self._y = np.concatenate([self._y, np.zeros(len(target))])
 
     def remove(self, start: int, count: int) -> None:
-        """Take blocks start to start + count out.
+        """Remove blocks start to start + count.
 
-        Costs as `LowRankKernel.remove`, and a pair of solves for every row that is
-        compared anew, as many as there were columns at the most.
+        Costs as `LowRankKernel.remove`, and a pair of solves for every replacement, at
+        most one per pivot removed.
 
         Raises:
             InputError: Blocks that are not there.
@@ -220,10 +219,10 @@ class DualRecursion:
         self._D.keep(np.delete(np.arange(held), slice(start, start + count)))
         self._d0 = np.delete(self._d0, rows)
         if not self._stale:
-            self._renew(
+            self._replace(
                 self._kernel.remove(rows.start, rows.stop - rows.start, self._tolerance)
             )
-        self._restart()
+        self._reset_field()
 
     def fade(self, factor: float) -> None:
         """Multiply the weight of every row held; O(n k²).
@@ -241,7 +240,7 @@ class DualRecursion:
             self._kernel.scale(root)
         self._D.scale(root)
         self._d0 = self._d0 * root
-        self._restart()
+        self._reset_field()
 
     def field(self) -> Array:
         """Solve (I + K) y = d₀ by conjugate gradients, and make p, shape (V,).
@@ -251,13 +250,13 @@ class DualRecursion:
         Raises:
             NumericalError: `FIELD_RTOL` was not reached.
         """
-        self._mend()
+        self._ensure_factor()
         left = self._refined()
         if left > FIELD_RTOL:
             self._rebuild()
             left = self._refined()
         if self._shift is None or left > FIELD_RTOL:
-            self._restart()
+            self._reset_field()
             raise NumericalError(
                 f"the field's dual residual stays at {left:.1e} after {FIELD_ROUNDS} "
                 f"rounds, {FIELD_RTOL:.0e} was asked for: the weights are too large "
@@ -267,9 +266,10 @@ class DualRecursion:
         return self.prior_field + self._shift
 
     def _refined(self) -> float:
-        """Refine the field at hand; the relative residual that is left.
+        """Refine the last field; the relative residual reached.
 
-        Conjugate gradients with I + R Rᵀ, flexible, for solves are inexact: Notay,
+        Conjugate gradients preconditioned by I + R Rᵀ, flexible because the solves are
+        inexact: Notay,
         SIAM J. Sci. Comput. 22 (2000) 1444-1460.
         """
         laplace = self._laplace
@@ -286,7 +286,7 @@ class DualRecursion:
             step = self._kernel.solve(residual)
             direction = step + (step @ (residual - before) / fall) * direction
             before, fall = residual, float(step @ residual)
-            # a small correction need not be known to as many digits
+            # a small correction needs fewer digits
             rtol = min(max(RTOL, 0.1 * FIELD_RTOL * size / now), 1e-4)
             source = laplace.solve_adjoint(self._D.adjoint(direction), rtol=rtol)
             shift = laplace.solve(source, rtol=rtol)
@@ -299,8 +299,8 @@ class DualRecursion:
         residual = self._d0 - self._D.times(self._shift) - self._y
         return float(np.linalg.norm(residual)) / size
 
-    def _seen(self, block: Block) -> tuple[Outlook, Array]:
-        """A block from the rows held, and K's entries that its new columns need."""
+    def _projected(self, block: Block) -> tuple[Projection, Array]:
+        """A block projected on R, and the entries of K that its new columns need."""
         kernel, m = self._kernel, self.height
         rtol = self._accuracy(np.sum(block.values**2, axis=0))
         held, own = np.empty((m, kernel.rank)), np.empty((m, m))
@@ -312,12 +312,14 @@ class DualRecursion:
             if own[c, c] - held[c] @ held[c] > 0.5 * self._tolerance:
                 columns[c] = self._D.times(x)[kernel.others]
 
-        self._chains([(block.voxels, row) for row in block.values.T], rtol, compare)
-        outlook = kernel.outlook(held, 0.5 * (own + own.T), self._tolerance)
-        return outlook, columns[outlook.chosen]
+        self._apply_inverse(
+            [(block.voxels, row) for row in block.values.T], rtol, compare
+        )
+        projection = kernel.project(held, 0.5 * (own + own.T), self._tolerance)
+        return projection, columns[projection.chosen]
 
-    def _renew(self, rows: IntArray) -> None:
-        """Compare some rows of D, no pivots, with all others anew."""
+    def _replace(self, rows: IntArray) -> None:
+        """Solve again for the columns of K of some rows of D that are no pivots."""
         if not len(rows):
             return
         kernel, entries = self._kernel, [self._D.row(int(i)) for i in rows]
@@ -328,50 +330,50 @@ class DualRecursion:
             columns[c] = self._D.times(x)
 
         try:
-            self._chains(entries, rtol, compare)
+            self._apply_inverse(entries, rtol, compare)
         except NumericalError:
-            # it has its say where R is needed next
+            # reported when R is needed next
             self._stale = True
             return
-        kernel.take_out(rows)
+        kernel.drop(rows)
         held, own = kernel.coordinates(columns[:, kernel.pivots]), columns[:, rows]
-        outlook = kernel.outlook(held, 0.5 * (own + own.T), self._tolerance)
-        others = columns[np.ix_(outlook.chosen, kernel.others)]
-        kernel.append(outlook, others, rows)
+        projection = kernel.project(held, 0.5 * (own + own.T), self._tolerance)
+        others = columns[np.ix_(projection.chosen, kernel.others)]
+        kernel.append(projection, others, rows)
 
-    def _mend(self) -> None:
-        """Make R anew if it is of no use."""
+    def _ensure_factor(self) -> None:
+        """Compute R anew where it is unusable."""
         if self._stale:
             self._rebuild()
 
     def _rebuild(self) -> None:
-        """Make R anew from D: as many solves as when all blocks came."""
+        """Compute R anew from D: as many solves as when all blocks were added."""
         self._stale = True
         self._kernel = LowRankKernel()
         for s in range(len(self)):
-            self._kernel.append(*self._seen(self._D.block(s)))
+            self._kernel.append(*self._projected(self._D.block(s)))
         self._stale = False
-        self._restart()
+        self._reset_field()
 
     def _accuracy(self, sizes: Array) -> float:
         """Relative residual of solves for columns of K, of rows with such ‖h‖²."""
         largest = max(float(sizes.max(initial=0.0)), 1e-300)
-        rtol = min(max(RTOL, SPAN / (MARGIN * largest)), COLUMN_RTOL)
+        rtol = min(max(RTOL, DEPENDENT / (MARGIN * largest)), COLUMN_RTOL)
         self._tolerance = max(self._tolerance, MARGIN * rtol * largest)
         return rtol
 
-    def _chains(
+    def _apply_inverse(
         self,
         entries: Sequence[tuple[NDArray[np.int32], Array]],
         rtol: float,
         take: Callable[[int, Array], None],
     ) -> None:
-        """Hand L⁻¹L⁻ᵀhᵀ of rows on, each with its number, side by side.
+        """Compute L⁻¹L⁻ᵀhᵀ of rows in parallel and hand each on with its number.
 
         Args:
             entries: Voxels and values of the rows h.
             rtol: Relative residual of the solves.
-            take: What takes them, from several threads.
+            take: Called with number and vector, from several threads.
         """
         laplace = self._laplace
 
@@ -384,8 +386,8 @@ class DualRecursion:
         with ThreadPoolExecutor(min(len(entries), cores)) as pool:
             list(pool.map(chain, range(len(entries))))
 
-    def _restart(self) -> None:
-        """Start anew from p₀: rows went or changed, or the field failed."""
+    def _reset_field(self) -> None:
+        """Start from p₀ again: rows were removed or changed, or the field failed."""
         self._rest = self._d0
         if not self._stale:
             self._information = self._kernel.adjoint(self._d0)
@@ -393,12 +395,12 @@ class DualRecursion:
 
 
 def _warm_up(height: int) -> None:
-    """Compile, so that no update has to."""
+    """Compile ahead of the first update."""
     kernel = LowRankKernel()
     for _ in range(3):
         held = kernel.coordinates(np.zeros((height, kernel.rank)))
-        outlook = kernel.outlook(held, np.eye(height), 0.0)
-        kernel.append(outlook, np.zeros((height, len(kernel.others))))
+        projection = kernel.project(held, np.eye(height), 0.0)
+        kernel.append(projection, np.zeros((height, len(kernel.others))))
     kernel.solve(np.zeros(len(kernel)))
     kernel.remove(0, 1, 0.0)
     rows = MeasuredRows(1, height)
@@ -407,6 +409,6 @@ def _warm_up(height: int) -> None:
     rows.times(np.zeros(1), np.zeros(1, dtype=np.int64))
 
 
-def _least(outlook: Outlook) -> float:
+def _least(projection: Projection) -> float:
     """Smallest eigenvalue of the innovation's covariance."""
-    return float(np.linalg.eigvalsh(outlook.schur)[0])
+    return float(np.linalg.eigvalsh(projection.schur)[0])

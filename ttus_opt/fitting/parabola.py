@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
-from ttus_opt.fit.identification import NO_SLOPE
+from ttus_opt.fitting.identification import NO_SLOPE
 from ttus_opt.problem.solution import Solution, Status
 
 #: What rounding leaves of the largest summand of J in a difference of two [–]

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ttus_opt.errors import InputError
-from ttus_opt.fit.measured_rows import ROOM, Block, MeasuredRows
+from ttus_opt.fitting.measured_rows import ROOM, Block, MeasuredRows
 
 V = 30
 

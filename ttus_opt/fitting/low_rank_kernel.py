@@ -1,24 +1,27 @@
-"""I + K of measured rows whose K has far fewer large eigenvalues than rows.
+"""A low-rank factor of K, the kernel of the measured rows, that grows and shrinks.
 
-Measurements of one spot say nearly the same: beyond a few rows, the pivots, a row's
-column of K is a combination of theirs, up to what no measurement can tell from its
-noise. So K ≈ R Rᵀ with R of n rows and k columns. Its rows at the pivots are the
-Cholesky factor C of their block of K, those of the others, as the columns of N, are
-what C makes of their entries with the pivots, and
+Measurements of one place are nearly dependent: K has far fewer large eigenvalues than
+rows. A few rows are chosen as pivots; the column of K of any other row is a linear
+combination of theirs, up to an error far below the measurement noise. So K ≈ R Rᵀ with
+R of n rows and k columns. The rows of R at the pivots are the Cholesky factor C of
+their block of K. The rows of R of the others are the columns of N = C⁻¹ times their
+entries of K with the pivots. Then
 
     (I + R Rᵀ)⁻¹ = I - R M⁻¹Rᵀ,    M = I + RᵀR = I + CᵀC + N Nᵀ = E Eᵀ.
 
 This is the Nyström approximation in its stable form (Foster et al., "Stable and
 efficient Gaussian process calculations", J. Mach. Learn. Res. 10 (2009) 857-882).
 
-Rows may come and go without end. Entries of R are never taken for entries of K: what
-R makes of two rows that are no pivots carries an error that C⁻¹ has enlarged, and
-enlarges it once more when it comes to stand in C itself. So C is only ever made of
-entries of K as they were solved for. A pivot goes by rotations of the columns, which
-leave all other products as they are and one column to be dropped; what that column
-said of a row is added to the variance that R leaves out of it, and rows that stand
-for what is lost are named by `LowRankKernel.remove`, to be compared anew with all
-others. E is downdated, and made anew once as many rows went as there are.
+Rows may be added and removed any number of times without loss of accuracy:
+
+- C is built only from entries of K that were solved for, never from entries of R Rᵀ.
+  Those carry an error that C⁻¹ has amplified and would amplify again.
+- A pivot is removed by Givens rotations of the columns. They leave all other products
+  unchanged and one column to drop. What that column held of a row is added to the
+  row's residual variance. `LowRankKernel.remove` names the rows that must replace what
+  was lost; the caller solves for their columns of K again.
+- E is downdated (Golub, Van Loan, Matrix Computations, 4th ed., section 6.5.4) and
+  computed anew after as many removals as there are rows.
 """
 
 from __future__ import annotations
@@ -31,43 +34,43 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError
-from ttus_opt.fit import packed_triangle as triangle
+from ttus_opt.fitting import packed_triangle as triangle
 
-#: By how many numbers memory grows at a time, at least, and rows and columns of N
+#: Least growth of the packed factors, and of the rows and columns of N [numbers]
 ROOM, MORE = 2**12, 8
 
-#: What a pivot's variance is raised by, over the tolerance: rows may nearly depend on
-#: each other, and C must stay far enough from singular for the error of its entries
+#: Added to a pivot's variance, as a multiple of the tolerance, so that C stays well
+#: conditioned when rows are nearly dependent
 JITTER = 0.1
 
-#: A row stands for what is lost if it has this part of the largest loss: the newest
-#: of them is taken, for it will stay longest
+#: Replacements lose at least this share of the largest loss; the newest is taken, for
+#: it will be held longest
 SHARE = 0.25
 
 
 @dataclass(frozen=True)
-class Outlook:
-    """New rows seen from those held.
+class Projection:
+    """New rows projected on the columns of R.
 
     Attributes:
-        held: Their part in the k columns held, shape (m, k).
-        new: What they add in p new columns, shape (m, p).
+        held: Their coordinates in the k columns held, shape (m, k).
+        new: Their coordinates in p new columns, shape (m, p).
         chosen: Which of them are the pivots of the new columns, shape (p,).
-        left: Variance that is left out of each, shape (m,).
+        residual: Variance of each that no column holds, shape (m,).
         schur: Schur complement of I + K, shape (m, m).
-        gain: M⁻¹ times the rows' part in the k columns held, shape (k, m).
+        gain: M⁻¹ times ``held`` transposed, shape (k, m).
     """
 
     held: Array
     new: Array
     chosen: IntArray
-    left: Array
+    residual: Array
     schur: Array
     gain: Array
 
     @property
     def rows(self) -> Array:
-        """What they add to R, shape (m, k + p)."""
+        """The rows to add to R, shape (m, k + p)."""
         return np.hstack([self.held, self.new])
 
 
@@ -83,8 +86,8 @@ class LowRankKernel:
         self._C: Array = np.zeros(ROOM)
         self._E: Array = np.zeros(ROOM)
         self._N: Array = np.zeros((MORE, MORE))
-        # variance of the others that R leaves out
-        self._left = np.zeros(0)
+        # residual variance of the others
+        self._residual = np.zeros(0)
         self.pivots = np.zeros(0, dtype=np.int64)
         self.others = np.zeros(0, dtype=np.int64)
         # rows that E was downdated by since it was made
@@ -102,16 +105,16 @@ class LowRankKernel:
     @property
     def memory_bytes(self) -> int:
         """Size of all arrays, room to grow included."""
-        arrays = (self._C, self._E, self._N, self._left, self.pivots, self.others)
+        arrays = (self._C, self._E, self._N, self._residual, self.pivots, self.others)
         return sum(a.nbytes for a in arrays)
 
     @property
-    def largest_left(self) -> float:
-        """Largest variance of a row that R leaves out."""
-        return float(self._left.max(initial=0.0))
+    def largest_residual(self) -> float:
+        """Largest residual variance of a row."""
+        return float(self._residual.max(initial=0.0))
 
     def coordinates(self, cross: Array) -> Array:
-        """Rows' part in the columns held, shape (m, k); O(k²) per row.
+        """Coordinates of rows in the columns held, shape (m, k); O(k²) per row.
 
         Args:
             cross: Their entries of K with the pivots, shape (m, k).
@@ -128,14 +131,14 @@ class LowRankKernel:
         triangle.forward(self._C, held)
         return held
 
-    def outlook(self, held: Array, own: Array, tolerance: float) -> Outlook:
-        """See new rows from those held; O(k²) per row.
+    def project(self, held: Array, own: Array, tolerance: float) -> Projection:
+        """Project new rows on the columns held; O(k²) per row.
 
         Args:
             held: Their `coordinates`, shape (m, k).
             own: Their own block of K, shape (m, m).
-            tolerance: Variance beyond the span of the pivots that is none; well above
-                the error of K's entries.
+            tolerance: Residual variance below which a row needs no column of its own;
+                well above the error of K's entries.
 
         Raises:
             InputError: Shapes that do not fit.
@@ -154,15 +157,15 @@ class LowRankKernel:
         for row in whitened:
             triangle.backward(self._E, row)
         new, chosen, left = _incomplete_cholesky(beyond, tolerance)
-        return Outlook(held, new, chosen, left, schur, whitened.T)
+        return Projection(held, new, chosen, left, schur, whitened.T)
 
     def append(
-        self, outlook: Outlook, columns: Array, numbers: IntArray | None = None
+        self, projection: Projection, columns: Array, numbers: IntArray | None = None
     ) -> None:
-        """Take the rows of an outlook in; O(k²) per row, O(n k) per new column.
+        """Add projected rows; O(k²) per row, O(n k) per new column.
 
         Args:
-            outlook: Made by `outlook` since the last change.
+            projection: Made by `project` since the last change.
             columns: Entries of K of the rows chosen with the others held, shape
                 (p, n - k).
             numbers: Which rows they are, shape (m,); by default the next.
@@ -170,8 +173,8 @@ class LowRankKernel:
         Raises:
             InputError: Shapes that do not fit.
         """
-        k, o, chosen = self.rank, len(self.others), outlook.chosen
-        m, p = outlook.new.shape
+        k, o, chosen = self.rank, len(self.others), projection.chosen
+        m, p = projection.new.shape
         if columns.shape != (p, o):
             raise InputError(f"columns must be ({p}, {o}), got {columns.shape}")
         if numbers is None:
@@ -179,18 +182,18 @@ class LowRankKernel:
         rest = np.setdiff1d(np.arange(m), chosen)
         self._resize(k + p, o + len(rest))
         if p:
-            self._N[k : k + p, :o] = self._new_columns(outlook, columns)
+            self._N[k : k + p, :o] = self._new_columns(projection, columns)
         for j, a in enumerate(chosen):
             self._extend_factor(k + j, o)
             start = triangle.packed_size(k + j)
-            self._C[start : start + k] = outlook.held[a]
-            self._C[start + k : start + k + j + 1] = outlook.new[a, : j + 1]
-        rows = outlook.rows
+            self._C[start : start + k] = projection.held[a]
+            self._C[start + k : start + k + j + 1] = projection.new[a, : j + 1]
+        rows = projection.rows
         self._N[: k + p, o : o + len(rest)] = rows[rest].T
         triangle.update(self._E, np.ascontiguousarray(rows.T))
         self.pivots = np.concatenate([self.pivots, numbers[chosen]])
         self.others = np.concatenate([self.others, numbers[rest]])
-        self._left = np.concatenate([self._left, outlook.left[rest]])
+        self._residual = np.concatenate([self._residual, projection.residual[rest]])
 
     def times(self, x: Array) -> Array:
         """R x, shape (n,).
@@ -201,7 +204,7 @@ class LowRankKernel:
         out, part = np.empty(len(self)), np.empty(self.rank)
         triangle.times(self._C, x, part)
         out[self.pivots] = part
-        out[self.others] = x @ self._leaning
+        out[self.others] = x @ self._coefficients
         return out
 
     def adjoint(self, y: Array) -> Array:
@@ -210,7 +213,7 @@ class LowRankKernel:
         Args:
             y: One number per row, shape (n,).
         """
-        out = np.asarray(self._leaning @ y[self.others], np.float64)
+        out = np.asarray(self._coefficients @ y[self.others], np.float64)
         triangle.add_adjoint(self._C, y[self.pivots], out)
         return out
 
@@ -236,19 +239,19 @@ class LowRankKernel:
         return right_side - self.times(part[0])
 
     def remove(self, start: int, count: int, tolerance: float) -> IntArray:
-        """Take rows start to start + count out.
+        """Remove rows start to start + count.
 
         Costs O(k²) per row, O(n k) more for each that was a pivot.
 
         Args:
             start: First row.
             count: Number of rows.
-            tolerance: As in `outlook`.
+            tolerance: As in `project`.
 
         Returns:
-            Rows that stand for what is lost with the pivots, by their numbers now:
-            `take_out` and `append` them with entries of K solved for anew, or R
-            leaves out what they say.
+            Rows that replace what was lost with the pivots, by their numbers now:
+            `drop` and `append` them with newly solved entries of K, or their
+            residual variance stays large.
 
         Raises:
             InputError: Rows that are not there.
@@ -259,79 +262,79 @@ class LowRankKernel:
         going = (self.pivots >= start) & (self.pivots < start + count)
         places = np.flatnonzero(going)[::-1]
         self._resize(self.rank, len(self.others) + len(places))
-        losses = [self._demote(int(q)) for q in places]
+        losses = [self._demote_pivot(int(q)) for q in places]
         lost = np.zeros((len(losses), len(self.others)))
         for row, loss in zip(lost, losses, strict=True):
             row[: len(loss)] = loss
-        kept = self._take_out((self.others >= start) & (self.others < start + count))
+        kept = self._drop((self.others >= start) & (self.others < start + count))
         self.pivots = np.where(
             self.pivots >= start, self.pivots - count, self.pivots
         ).astype(np.int64)
         self.others = np.where(
             self.others >= start, self.others - count, self.others
         ).astype(np.int64)
-        return self._standing_for(lost[:, kept], tolerance)
+        return self._replacements(lost[:, kept], tolerance)
 
-    def take_out(self, rows: IntArray) -> None:
-        """Take rows out that are no pivots, to `append` them again; O(k²) per row.
+    def drop(self, rows: IntArray) -> None:
+        """Remove rows that are no pivots, to `append` them again; O(k²) per row.
 
         Args:
-            rows: Their numbers, which nothing else takes meanwhile.
+            rows: Their numbers; they stay reserved until the rows are back.
 
         Raises:
             InputError: One of them is a pivot, or not there.
         """
         mask = np.isin(self.others, rows)
         if np.count_nonzero(mask) != len(rows):
-            raise InputError("only rows that are held and no pivots can be taken out")
-        self._take_out(mask)
+            raise InputError("only rows that are held and no pivots can be dropped")
+        self._drop(mask)
 
     def scale(self, factor: float) -> None:
         """Multiply R by a number; O(n k²)."""
         self._C *= factor
         self._N *= factor
-        self._left *= factor**2
+        self._residual *= factor**2
         self._refresh()
 
     def dense(self) -> Array:
         """R with all its zeros, shape (n, k)."""
         out = np.zeros((len(self), self.rank))
         out[self.pivots] = triangle.unpacked(self._C, self.rank)
-        out[self.others] = self._leaning.T
+        out[self.others] = self._coefficients.T
         return out
 
     @property
-    def _leaning(self) -> Array:
+    def _coefficients(self) -> Array:
         """N, shape (k, n - k)."""
         return self._N[: self.rank, : len(self.others)]
 
-    def _new_columns(self, outlook: Outlook, columns: Array) -> Array:
+    def _new_columns(self, projection: Projection, columns: Array) -> Array:
         """The others' entries in new columns, shape (p, n - k)."""
-        chosen = outlook.chosen
-        corner = outlook.new[chosen]
-        out = columns - outlook.held[chosen] @ self._leaning
+        chosen = projection.chosen
+        corner = projection.new[chosen]
+        out = columns - projection.held[chosen] @ self._coefficients
         for j, row in enumerate(out):
             row -= corner[j, :j] @ out[:j]
             row /= corner[j, j]
-            # beyond rounding, no row has more there than is left out of it
-            most = np.sqrt(self._left)
+            # but for rounding, an entry is at most the root of the residual variance
+            most = np.sqrt(self._residual)
             np.clip(row, -most, most, out=row)
-            self._left = np.maximum(self._left - row**2, 0.0)
+            self._residual = np.maximum(self._residual - row**2, 0.0)
         return out
 
     def _extend_factor(self, k: int, o: int) -> None:
-        """Add a row to E for column k, of which the others held have entries."""
+        """Add row k to E, from the entries of the others in column k."""
         column = self._N[k, :o]
         row = np.asarray(self._N[:k, :o] @ column, np.float64)[None]
         triangle.forward(self._E, row)
         start = triangle.packed_size(k)
         self._E[start : start + k] = row[0]
         own = 1.0 + column @ column - row[0] @ row[0]
-        # M is I at the least, and so is each Schur complement of it
+        # M ≥ I, and so is each of its Schur complements
         self._E[start + k] = math.sqrt(max(own, 1.0))
 
-    def _demote(self, q: int) -> Array:
-        """Make pivot q one of the others; what they lose with it, shape (n - k,)."""
+    def _demote_pivot(self, q: int) -> Array:
+        """Make pivot q one of the others; the column dropped, shape (n - k,)."""
         k, o = self.rank, len(self.others)
         start = triangle.packed_size(q)
         self._N[: q + 1, o] = self._C[start : start + q + 1]
@@ -341,39 +344,39 @@ class LowRankKernel:
         triangle.rotate_rows(self._N[:, : o + 1], k, q, cosines, sines)
         triangle.rotate_factor(self._E, k, q, cosines, sines)
         loss = self._N[k - 1, : o + 1].copy()
-        self._left = np.append(self._left, 0.0) + loss**2
+        self._residual = np.append(self._residual, 0.0) + loss**2
         self.others = np.append(self.others, self.pivots[q])
         self.pivots = np.delete(self.pivots, q)
         return loss
 
-    def _take_out(self, mask: NDArray[np.bool_]) -> IntArray:
-        """Take others out, and the places before of those that stay."""
+    def _drop(self, mask: NDArray[np.bool_]) -> IntArray:
+        """Drop others; the former places of those that stay."""
         o, k = len(self.others), self.rank
         gone = np.flatnonzero(mask)
         sound = triangle.downdate(self._E, np.ascontiguousarray(self._N[:k, gone].T))
         left = o - len(gone)
-        # the last ones move to where there is room
+        # the last ones move into the gaps
         kept = np.arange(left)
         holes = gone[gone < left]
         kept[holes] = left + np.flatnonzero(~mask[left:])
         self._N[:k, holes] = self._N[:k, kept[holes]]
-        self.others, self._left = self.others[kept], self._left[kept]
+        self.others, self._residual = self.others[kept], self._residual[kept]
         self._downdated += len(gone)
         if not sound or self._downdated >= len(self):
             self._refresh()
         self._resize(k, left)
         return kept
 
-    def _standing_for(self, lost: Array, tolerance: float) -> IntArray:
-        """Rows by which what is lost is known again, by a pivoted Cholesky factor.
+    def _replacements(self, lost: Array, tolerance: float) -> IntArray:
+        """Rows that replace dropped columns, by a pivoted Cholesky factor.
 
         Args:
-            lost: Columns that were dropped, shape (g, n - k).
-            tolerance: As in `outlook`.
+            lost: The dropped columns, shape (g, n - k).
+            tolerance: As in `project`.
         """
         chosen: list[int] = []
         for _ in range(len(lost)):
-            size = np.where(self._left > tolerance, np.sum(lost**2, axis=0), 0.0)
+            size = np.where(self._residual > tolerance, np.sum(lost**2, axis=0), 0.0)
             largest = float(size.max(initial=0.0))
             if largest <= tolerance:
                 break
@@ -386,16 +389,16 @@ class LowRankKernel:
         return self.others[chosen]
 
     def _refresh(self) -> None:
-        """Make E anew; O(n k²)."""
+        """Compute E from C and N; O(n k²)."""
         k = self.rank
         C = triangle.unpacked(self._C, k)
-        M = np.eye(k) + C.T @ C + self._leaning @ self._leaning.T
+        M = np.eye(k) + C.T @ C + self._coefficients @ self._coefficients.T
         factor = np.asarray(np.linalg.cholesky(M), np.float64)
         self._E[: triangle.packed_size(k)] = triangle.packed(factor)
         self._downdated = 0
 
     def _resize(self, k: int, o: int) -> None:
-        """Room for k pivots and o others, neither too little nor far too much."""
+        """Allocate for k pivots and o others, with room to grow."""
         size = triangle.packed_size(k)
         self._C, self._E = _fitted(self._C, size), _fitted(self._E, size)
         rows, columns = self._N.shape
@@ -412,7 +415,7 @@ def _incomplete_cholesky(B: Array, tolerance: float) -> tuple[Array, IntArray, A
 
     Returns:
         The factor, triangular in its pivots' rows, shape (m, p); the pivots, shape
-        (p,); the variance that it leaves out, shape (m,).
+        (p,); the residual variances, shape (m,).
     """
     rest, left = B.copy(), np.maximum(np.diag(B), 0.0)
     columns, chosen = [], np.zeros(0, dtype=np.int64)
@@ -433,7 +436,7 @@ def _incomplete_cholesky(B: Array, tolerance: float) -> tuple[Array, IntArray, A
 
 
 def _fitted(values: Array, size: int) -> Array:
-    """The same memory, or more or less of it; large arrays are moved, not copied."""
+    """The array resized where needed; large arrays are moved, not copied."""
     if not size <= len(values) <= 2 * size + ROOM:
         values.resize(size + size // 16 + ROOM, refcheck=False)
     return values
