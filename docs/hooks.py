@@ -1,6 +1,7 @@
 """What the site takes from elsewhere in the repository, and what is checked of it.
 
-- notebooks/ and LICENSE-bearing MathJax are put among the site's files;
+- notebooks/ and MathJax are put among the site's files; notebooks are run anew when
+  they or the package changed;
 - ``{{ readme: Title }}`` becomes that section of README.md, ``{{ modules }}`` the list
   of modules with the first line of their docstrings;
 - every module that `method.md` names must exist, every public name must be on `api.md`.
@@ -11,6 +12,7 @@ Warnings of these checks end the build, as `mkdocs build --strict` does for any.
 from __future__ import annotations
 
 import ast
+import hashlib
 import importlib.resources
 import logging
 import re
@@ -27,6 +29,11 @@ PACKAGE = ROOT / "ttus_opt"
 #: Pages that a later change brings; they are left out of the menu until they exist
 LATER = ("how-to/rendering-cpp.md",)
 
+#: Pages that are a section of their own
+ALONE = ("index.md", "method.md", "api.md", "modules.md", "benchmark.md")
+
+FIRST_NOTEBOOK = "notebooks/01_scan_to_field_to_force.ipynb"
+
 #: Links that MathJax and notebook machinery of other sites would be fetched by
 FOREIGN_SCRIPT = re.compile(r'<script[^>]+src="https?://[^"]*"[^>]*>\s*</script>')
 
@@ -34,7 +41,14 @@ _log = logging.getLogger("mkdocs.hooks.ttus_opt")
 
 
 def on_config(config: Any) -> Any:
-    """Leave pages out of the menu that are still to be written."""
+    """Leave out pages that are still to be written; outputs belong to a package."""
+    digest = hashlib.sha256()
+    for folder in (PACKAGE, ROOT / "formulations"):
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(path.read_bytes())
+    notebooks = config.plugins["mkdocs-jupyter"].config
+    outputs = digest.hexdigest()[:16] if notebooks["execute"] else "none"
+    notebooks["cache_dir"] = f"{notebooks['cache_dir']}/{outputs}"
     missing = [page for page in LATER if not (ROOT / "docs" / page).exists()]
     config.nav = _without(config.nav, missing)
     return config
@@ -55,7 +69,7 @@ def on_files(files: Files, config: Any) -> Files:
     """Add the notebooks and MathJax."""
     for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
         uri = f"notebooks/{notebook.name}"
-        files.append(File.generated(config, uri, abs_src_path=str(notebook)))
+        files.append(File(uri, str(ROOT), config.site_dir, config.use_directory_urls))
     mathjax = importlib.resources.files("mathjax") / "static/mathjax"
     for name, uri in (
         ("es5/tex-svg.js", "javascripts/tex-svg.js"),
@@ -69,6 +83,8 @@ def on_files(files: Files, config: Any) -> Files:
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Fill in what is written elsewhere, and check names."""
     uri = page.file.src_uri
+    if uri in ALONE:  # no neighbours in the menu: the room is for equations and tables
+        page.meta.setdefault("hide", []).append("navigation")
     markdown = re.sub(r"\{\{ readme: (.+?) \}\}", _readme_section, markdown)
     markdown = markdown.replace("{{ modules }}", _module_list())
     if uri == "method.md":
@@ -90,7 +106,8 @@ def _readme_section(match: re.Match[str]) -> str:
     if found is None:
         _log.warning("README.md has no section %r", title)
         return ""
-    return found[1].strip()
+    # links of the README are from the top; the notebooks are pages of their own here
+    return found[1].strip().replace("(notebooks)", f"({FIRST_NOTEBOOK})")
 
 
 def _modules() -> Iterator[tuple[str, str]]:
@@ -133,7 +150,7 @@ def _module_link(match: re.Match[str]) -> str:
         return f"[`{name}`](modules.md#{name})"
     if base.is_dir():
         return f"[`{name}`](modules.md#{parts[0]})"
-    if len(parts) > 1 and (PACKAGE / parts[0]).is_dir():
+    if len(parts) > 1 and parts[0] != PACKAGE.name:
         _log.warning("method.md names %s, there is no such module", name)
     return match[0]
 

@@ -12,5 +12,5 @@ window.MathJax = {
     processHtmlClass: "arithmatex|jp-MarkdownOutput",
     enableMenu: false, // its entries would fetch more files
   },
-  svg: { displayAlign: "left", displayIndent: "2em" },
+  svg: { displayAlign: "left", displayIndent: "1.5em", scale: 0.95 },
 };
