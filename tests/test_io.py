@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import stat
 from pathlib import Path
 
@@ -82,10 +83,71 @@ def test_a_folder_that_cannot_be_written_to_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     target = tmp_path / "file" / "a.txt"
     with (
-        pytest.raises(FileError, match=r"cannot write .*choose another folder"),
+        pytest.raises(FileError, match=r"cannot write .*is no folder"),
         io.replacing(target),
     ):
         pass
+
+
+def test_a_link_is_followed(tmp_path: Path) -> None:
+    (tmp_path / "real.txt").write_text("old")
+    (tmp_path / "link.txt").symlink_to(tmp_path / "real.txt")
+    with io.replacing(tmp_path / "link.txt") as temporary:
+        temporary.write_text("new")
+    assert (tmp_path / "link.txt").is_symlink()
+    assert (tmp_path / "real.txt").read_text() == "new"
+
+
+def test_an_output_that_is_an_input_needs_force(tmp_path: Path) -> None:
+    (tmp_path / "scan.ply").write_text("precious")
+    (tmp_path / "link.ply").symlink_to(tmp_path / "scan.ply")
+    for output in ("scan.ply", "link.ply"):
+        with pytest.raises(FileError, match="would be overwritten"):
+            io.check_output(tmp_path / output, inputs=[tmp_path / "scan.ply"])
+        io.check_output(tmp_path / output, inputs=[tmp_path / "scan.ply"], force=True)
+
+
+def test_a_pipe_and_a_folder_are_no_output(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with (
+        pytest.raises(FileError, match="no plain file"),
+        io.replacing(tmp_path / "pipe"),
+    ):
+        pass
+    assert stat.S_ISFIFO((tmp_path / "pipe").stat().st_mode)
+    with pytest.raises(FileError, match="is a folder"):
+        io.check_output(tmp_path)
+
+
+def test_a_full_disk_is_told_before_the_work(tmp_path: Path) -> None:
+    io.check_output(tmp_path / "a.nc", size=1)
+    with pytest.raises(FileError, match="MiB are free"):
+        io.check_output(tmp_path / "a.nc", size=2**60)
+
+
+def test_a_write_that_fails_is_one_line_and_keeps_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "a.nc"
+    io.write_dataset(dataset(), file, kind="field", version=1)
+
+    def full(*_: object, **__: object) -> None:
+        raise RuntimeError("NetCDF: HDF error")
+
+    monkeypatch.setattr(xr.Dataset, "to_netcdf", full)
+    with pytest.raises(FileError, match="HDF error: is the disk full"):
+        io.write_dataset(dataset(), file, kind="field", version=1)
+    monkeypatch.undo()
+    assert "a" in io.read_dataset(file, kind="field", version=1)
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_an_interrupt_waits_for_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "a.txt"
+    with pytest.raises(KeyboardInterrupt), io.signals_deferred():
+        signal.raise_signal(signal.SIGINT)
+        file.write_text("whole")
+    assert file.read_text() == "whole"
 
 
 def test_kind_and_version_are_checked(tmp_path: Path) -> None:

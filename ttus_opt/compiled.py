@@ -84,6 +84,22 @@ def is_kept(dispatcher: Any) -> bool:
     return any(folder.glob(f"{kept.name}-*"))
 
 
+def cache_folder() -> str | None:
+    """Where machine code is kept; None where it is not."""
+    folder = _folder()
+    return None if folder is None else str(folder)
+
+
+@functools.cache  # once in a process
+def _announce() -> None:
+    """Say on a terminal or in a notebook why the first call takes long."""
+    if sys.stderr.isatty() or "ipykernel" in sys.modules:
+        sys.stderr.write(
+            "ttus_opt compiles what it uses, once on this machine: up to a minute. "
+            "`ttus-opt warm-up` does all of it ahead.\n"
+        )
+
+
 def content_stamp(dispatcher: Any) -> str:
     """Checksum of what a compiled function is made of: its code and what it reads.
 
@@ -264,6 +280,7 @@ class _Kept(caching._Cache):
             if time.time() - path.stat().st_mtime > KEEP_SECONDS / 30:
                 os.utime(path)  # asked for today
         except OSError:
+            _announce()
             return None
         payload = pickle.loads(content)
         return compiler.CompileResult._rebuild(target_context, *payload)

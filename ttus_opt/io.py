@@ -13,8 +13,11 @@ import importlib.metadata
 import os
 import platform
 import secrets
+import shutil
+import signal
+import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,20 +52,91 @@ def existing_file(path: str | os.PathLike[str], what: str) -> Path:
     return file
 
 
+def check_output(
+    path: str | os.PathLike[str],
+    *,
+    inputs: Sequence[str | os.PathLike[str]] = (),
+    force: bool = False,
+    size: int = 0,
+) -> None:
+    """Check, before any work, that a file can be written without loss.
+
+    Args:
+        path: Where the file shall be; a symbolic link is followed.
+        inputs: Files that are read and must not be overwritten.
+        force: Allow ``path`` to be one of the inputs.
+        size: Bytes it will take, about.
+
+    Raises:
+        FileError: It is a folder or a device, it is one of the inputs, its folder
+            cannot be written to, or the disk is too full.
+    """
+    target = Path(os.path.realpath(path))
+    if target.is_dir():
+        raise FileError(f"cannot write {path}: it is a folder: name a file in it")
+    if target.exists() and not target.is_file():
+        raise FileError(f"cannot write {path}: it is no plain file: name another")
+    if not force and target.exists():
+        same = [i for i in inputs if Path(i).exists() and target.samefile(i)]
+        if same:
+            raise FileError(
+                f"{path} is read as {same[0]} and would be overwritten: name another "
+                "output, or pass force"
+            )
+    folder = target.parent
+    while not folder.exists():
+        folder = folder.parent
+    if not folder.is_dir():
+        raise FileError(f"cannot write {path}: {folder} is no folder")
+    if not os.access(folder, os.W_OK | os.X_OK):
+        raise FileError(f"cannot write {path}: no permission in {folder}")
+    free = shutil.disk_usage(folder).free
+    if free < size:
+        raise FileError(
+            f"cannot write {path}: it takes about {size / 2**20:.0f} MiB and "
+            f"{free / 2**20:.0f} MiB are free: make room or name another folder"
+        )
+
+
+@contextlib.contextmanager
+def signals_deferred() -> Iterator[None]:
+    """Hold interrupts and termination back until a file is written.
+
+    An exception in the middle of the netCDF library leaves its lock taken and the next
+    writer waiting for ever. Only the main thread receives signals; elsewhere this does
+    nothing.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[int] = []
+    deferred = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(s, lambda n, _: received.append(n)) for s in deferred]
+    try:
+        yield
+    finally:
+        for kind, handler in zip(deferred, before, strict=True):
+            signal.signal(kind, handler)
+        for number in received[:1]:
+            signal.raise_signal(number)
+
+
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """Give a temporary path that takes the place of ``path`` on success only.
 
     Args:
-        path: Where the finished file shall be; its folder is made when missing.
+        path: Where the finished file shall be; its folder is made when missing, a
+            symbolic link is followed.
 
     Yields:
         A path beside it, with the same suffix, to write to.
 
     Raises:
-        FileError: The folder cannot be made or written to.
+        FileError: As `check_output`, or the folder cannot be made.
     """
-    target = Path(path)
+    check_output(path)
+    target = Path(os.path.realpath(path))
     unique = f".{target.stem}-{secrets.token_hex(8)}{target.suffix}"
     temporary = target.parent / unique
     try:
@@ -104,12 +178,20 @@ def write_dataset(
         path: The file; replaced only when the writing succeeded.
         kind: What the file holds ("surface", "field").
         version: Version of that kind's layout.
+
+    Raises:
+        FileError: The file cannot be written; what was there before is kept.
     """
     stamped = dataset.assign_attrs(
         ttus_opt_kind=kind, ttus_opt_version=version, **provenance()
     )
-    with replacing(path) as temporary:
-        stamped.to_netcdf(temporary, engine="netcdf4")
+    with signals_deferred(), replacing(path) as temporary:
+        try:
+            stamped.to_netcdf(temporary, engine="netcdf4")
+        except (OSError, RuntimeError) as error:
+            raise FileError(
+                f"cannot write {path}: {error}: is the disk full? Nothing was replaced"
+            ) from error
 
 
 def read_dataset(

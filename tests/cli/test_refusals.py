@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -244,3 +246,40 @@ def test_a_formulation_file_that_raises(
     assert answer.errors[-1].startswith("error: ")
     assert context in answer.errors[-1]
     assert empty(output)
+
+
+def test_an_output_never_replaces_an_input(
+    run: Run, files: Path, tmp_path: Path
+) -> None:
+    scan = tmp_path / "scan.npy"
+    scan.write_bytes((files / "scan.npy").read_bytes())
+    before = scan.read_bytes()
+    refused(run(f"surface {scan} -o {scan}"), "would be overwritten", "--force")
+    press = tmp_path / "press.csv"
+    press.write_bytes((files / "press.csv").read_bytes())
+    words = f"--probe {PROBE} --trajectory {press}"
+    refused(run(f"render --field no.nc {words} -o {press}"), "would be overwritten")
+    assert scan.read_bytes() == before
+
+
+def test_two_outputs_are_two_files(run: Run, files: Path, tmp_path: Path) -> None:
+    same = tmp_path / "a.png"
+    words = f"surface {files / 'scan.npy'} -o {same} --picture {same}"
+    refused(run(words), "two outputs")
+    assert empty(tmp_path)
+
+
+def test_a_terminated_command_leaves_nothing_behind(tmp_path: Path) -> None:
+    code = (
+        "import os, signal, sys, typer\n"
+        "from ttus_opt import io\n"
+        "from ttus_opt.cli import app as lines\n"
+        "def begin(*_, **__):\n"
+        f"    with io.replacing({str(tmp_path / 'a.nc')!r}):\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "lines.app = begin\n"
+        "lines.main(['demo'])\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], timeout=60, check=False)
+    assert done.returncode == 143
+    assert empty(tmp_path)

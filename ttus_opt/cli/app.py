@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, NoReturn
 
 import typer
@@ -18,11 +21,12 @@ from ttus_opt.cli import (
     list_commands,
     render_command,
     surface_command,
+    warm_up_command,
 )
 from ttus_opt.cli.console import as_options, one_line, warnings_in_one_line
 from ttus_opt.errors import TtusError
 
-BAD_INPUT, INTERRUPTED = 2, 130
+BAD_INPUT, INTERRUPTED, TERMINATED = 2, 130, 143
 
 app = typer.Typer(
     name="ttus-opt",
@@ -40,6 +44,7 @@ for module in (
     render_command,
     benchmark_command,
     list_commands,
+    warm_up_command,
 ):
     module.register(app)
 
@@ -73,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        with warnings_in_one_line():
+        with warnings_in_one_line(), _termination_as_exit():
             status = app(
                 args=words or ["--help"],
                 prog_name="ttus-opt",
@@ -100,6 +105,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if status == INTERRUPTED:  # typer may have turned the interrupt into a status
         _end("interrupted: nothing further was written", INTERRUPTED)
     sys.exit(status if isinstance(status, int) else 0)
+
+
+@contextlib.contextmanager
+def _termination_as_exit() -> Iterator[None]:
+    """SIGTERM as an exception, so that temporary files are removed."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _show_own_part(error: Exception) -> None:

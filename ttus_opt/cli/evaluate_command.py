@@ -11,12 +11,14 @@ import typer
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.options import (
     Field,
+    Force,
     Json,
     Points,
     Probe,
     ProbeSurface,
     ProbeUnit,
     Trajectories,
+    check_outputs,
     read_probe,
     read_trajectories,
 )
@@ -47,6 +49,7 @@ def evaluate(
     picture: Annotated[
         Path | None, typer.Option(help="Draw measured and rendered force here.")
     ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Compare rendered with measured force and torque."""
@@ -57,6 +60,7 @@ def evaluate(
         from ttus_opt.report import plots
 
         plots.require_picture_suffix(picture)
+    check_outputs([picture], [field, probe, *trajectory], force=force)
     with Stages(2 if picture is None else 3) as begin:
         begin("reading field and recordings")
         recorded = read_trajectories(trajectory)

@@ -12,12 +12,14 @@ import typer
 
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.options import (
+    Force,
     Json,
     Points,
     Probe,
     ProbeSurface,
     ProbeUnit,
     Trajectories,
+    check_outputs,
     read_probe,
     read_trajectories,
     whole_numbers,
@@ -94,6 +96,7 @@ def fit(
     time_limit: Annotated[
         float | None, typer.Option(help="Most seconds the solver may take.")
     ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Fit a potential field to measured forces and torques."""
@@ -109,6 +112,7 @@ def fit(
     }
     options = {name: value for name, value in given.items() if value is not None}
     options |= _options(option or ())
+    check_outputs([output], [surface, probe, *trajectory], force=force)
     counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
     with Stages(4) as begin:
         begin("reading surface and recordings")

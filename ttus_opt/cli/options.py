@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ttus_opt import io
 from ttus_opt.cli.console import as_options
-from ttus_opt.errors import InputError, TtusError
+from ttus_opt.errors import FileError, InputError, TtusError
 
 if TYPE_CHECKING:
     from ttus_opt.probe.point_shell import PointShell
@@ -33,6 +35,9 @@ ProbeSurface = Annotated[
     typer.Option("--probe-surface", help="What to keep of a mesh: outer, all, hull."),
 ]
 Points = Annotated[int, typer.Option("--points", help="Points of the probe's shell.")]
+Force = Annotated[
+    bool, typer.Option("--force", help="Let an output replace one of the inputs.")
+]
 Trajectories = Annotated[
     list[Path],
     typer.Option(
@@ -79,6 +84,34 @@ def whole_numbers(text: str, count: int, option: str) -> tuple[int, ...]:
     if any(not v.is_integer() for v in values):
         raise InputError(f"{option} takes whole numbers, got {text!r}")
     return tuple(int(v) for v in values)
+
+
+def check_outputs(
+    outputs: Sequence[Path | None],
+    inputs: Sequence[Path | str],
+    *,
+    force: bool,
+    size: int = 0,
+) -> None:
+    """Check every output before work begins.
+
+    Args:
+        outputs: Files that will be written; None where an option was not given.
+        inputs: Files that are read; a probe may also be a primitive's description.
+        force: Allow an output to replace an input.
+        size: Bytes the largest takes, about.
+
+    Raises:
+        FileError: One cannot be written, replaces an input, or two are the same.
+    """
+    given = [output for output in outputs if output is not None]
+    for output in given:
+        try:
+            io.check_output(output, inputs=inputs, force=force, size=size)
+        except FileError as error:
+            raise FileError(str(error).replace("pass force", "add --force")) from error
+    if len({os.path.realpath(output) for output in given}) < len(given):
+        raise FileError(f"{given[0]} is named for two outputs: name another")
 
 
 def read_probe(spec: str, n_points: int, unit: str, surface: str) -> PointShell:

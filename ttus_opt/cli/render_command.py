@@ -13,12 +13,14 @@ from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.evaluate_command import warn_beyond, warn_off_grid
 from ttus_opt.cli.options import (
     Field,
+    Force,
     Json,
     Points,
     Probe,
     ProbeSurface,
     ProbeUnit,
     Trajectories,
+    check_outputs,
     read_probe,
     read_trajectories,
 )
@@ -47,6 +49,7 @@ def render(
     force_limit: Annotated[
         float | None, typer.Option(help="Cut larger forces to this [N].")
     ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Render force and torque for every pose of a trajectory.
@@ -59,6 +62,7 @@ def render(
     from ttus_opt.haptic.renderer import Renderer
     from ttus_opt.voxmap.field import PotentialField
 
+    check_outputs([output], [field, probe, *trajectory], force=force)
     with Stages(3) as begin:
         begin("reading field and poses")
         poses = read_trajectories(trajectory)

@@ -9,7 +9,7 @@ import numpy as np
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import Json, numbers
+from ttus_opt.cli.options import Force, Json, check_outputs, numbers
 from ttus_opt.errors import GeometryError, InputError
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def surface(
     picture: Annotated[
         Path | None, typer.Option(help="Draw the surface and its observed part here.")
     ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Extract the patient's skin from a depth scan."""
@@ -73,6 +74,8 @@ def surface(
         from ttus_opt.report import plots
 
         plots.require_picture_suffix(picture)
+    inputs = [scan] if axis_from is None else [scan, axis_from]
+    check_outputs([output, picture], inputs, force=force)
     with Stages(3 if picture is None else 4) as begin:
         begin("reading the scan")
         cloud = read_cloud(scan, unit=unit, drop_nan=drop_nan)  # type: ignore[arg-type]

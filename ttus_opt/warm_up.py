@@ -1,0 +1,68 @@
+"""Compile everything ahead: for machine images and before a first live session.
+
+Machine code depends on the types of what a function is given, not on sizes, so that a
+coarse grid is enough. It is kept as `ttus_opt.compiled` says.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import ttus_opt as tt
+from ttus_opt import example
+
+#: Grid and probe on which everything is run once
+SHAPE, POINTS, FRAMES = (16, 24, 12), 300, slice(20, 60)
+
+
+def warm_up(progress: Callable[[str], object] = lambda stage: None) -> float:
+    """Run every compiled function once.
+
+    Args:
+        progress: Called with what begins, `N_STAGES` times.
+
+    Returns:
+        Time it took; a few seconds when everything was compiled before [s].
+    """
+    start = time.perf_counter()
+    surface = tt.Surface.load(example.path("surface.nc"))
+    voxmap = tt.Voxmap.from_surface(surface, shape=SHAPE, r_inner=0.03)
+    shell = tt.PointShell.from_spec(example.PROBE, n_points=POINTS)
+    sweep = tt.read_trajectory(example.path("sweep_drag_fit.csv")).select(FRAMES)
+    progress("probe meshes")
+    _read_mesh()
+    for sampling in ("voxel-mean", "trilinear"):
+        progress(f"rows and frames, {sampling}")
+        scene = tt.Scene.assemble(voxmap, shell, sweep, inner=1.0, sampling=sampling)
+        _render(scene)
+    progress("limits")
+    tt.fit(scene, "eq10_sign_monotone", solver="structured")
+    tt.fit(scene, "coulomb_drag", solver="structured")
+    progress("updates")
+    tt.RecursiveFit(scene).field  # noqa: B018  made when asked for
+    return time.perf_counter() - start
+
+
+N_STAGES = 5
+
+
+def _read_mesh() -> None:
+    import trimesh
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "sphere.stl"
+        trimesh.creation.icosphere(subdivisions=2, radius=0.02).export(file)
+        tt.PointShell.from_mesh(file, n_points=POINTS, unit="m")
+
+
+def _render(scene: tt.Scene) -> None:
+    """Frames with drag, and a field that comes in while they are rendered."""
+    field = tt.fit(scene, "viscous_drag", solver="structured").field
+    renderer = tt.Renderer(field, scene.shell)
+    motion = scene.trajectory
+    for frame in zip(motion.rotation, motion.position, motion.twist(), strict=True):
+        renderer.render(*frame)
+        renderer.update(field)
