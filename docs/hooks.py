@@ -34,9 +34,6 @@ ALONE = ("index.md", "method.md", "api.md", "modules.md", "benchmark.md")
 
 FIRST_NOTEBOOK = "notebooks/01_scan_to_field_to_force.ipynb"
 
-#: Links that MathJax and notebook machinery of other sites would be fetched by
-FOREIGN_SCRIPT = re.compile(r'<script[^>]+src="https?://[^"]*"[^>]*>\s*</script>')
-
 _log = logging.getLogger("mkdocs.hooks.ttus_opt")
 
 
@@ -92,11 +89,6 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if uri == "api.md":
         _check_public_names(markdown)
     return markdown
-
-
-def on_page_content(html: str, page: Any, **_: Any) -> str:
-    """Take scripts of other sites out of notebooks."""
-    return FOREIGN_SCRIPT.sub("", html) if "notebooks/" in page.file.src_uri else html
 
 
 def _readme_section(match: re.Match[str]) -> str:

@@ -71,10 +71,10 @@ def sampling_picture(path: Path) -> None:
         axes.plot(skin - layers[:4], values[:4], "o", color=BEFORE, label="layers")
         axes.plot(skin - 4.0, 0.0, "s", color="k", label="surface layer")
         axes.axvline(0.0, color="#b8860b", lw=1.2)
-        axes.annotate("skin", (0.0, 9.0), xytext=(4, 0), textcoords="offset points")
+        axes.annotate("skin", (0.0, 8.3), xytext=(4, 0), textcoords="offset points")
         axes.axvline(skin, color=MEASURED, lw=1.0)
         axes.annotate(
-            "inner layer", (skin, 1.0), xytext=(4, 0), textcoords="offset points"
+            "inner layer", (skin, 4.0), xytext=(4, 0), textcoords="offset points"
         )
         axes.annotate(
             "a", (skin - last, values[last]), xytext=(5, -9),
@@ -83,7 +83,7 @@ def sampling_picture(path: Path) -> None:
         axes.set_xlabel("depth below the skin d [Δr]")
         axes.set_ylabel("p")
         axes.set_yticks([0])
-        axes.legend(loc="upper left", bbox_to_anchor=(0.08, 1.0))
+        axes.legend(loc="lower right")
         plots.save_picture(figure, path)
 
 
