@@ -114,23 +114,23 @@ def _modules() -> Iterator[tuple[str, str]]:
 
 
 def _module_list() -> str:
-    lines, room = [], None
+    """Rooms with their modules, then the modules beside the rooms."""
+    rooms: dict[str, list[str]] = {}
+    titles = {"": "Beside the rooms"}
     for name, summary in _modules():
-        if not name:
-            continue
         first, _, rest = name.partition(".")
-        is_room = (PACKAGE / first).is_dir()
-        if is_room and not rest:
-            lines += ["", f"## {first}", "", summary, "", "| module | |", "|---|---|"]
-            room = first
-            continue
-        if not is_room:
-            if room != "top":
-                lines += ["", "## Top level", "", "| module | |", "|---|---|"]
-                room = "top"
-        summary = summary.replace("|", "\\|")
-        lines.append(f'| <span id="{name}"></span>`{name}` | {summary} |')
-    return "\n".join(lines)
+        room = first if (PACKAGE / first).is_dir() else ""
+        if room and not rest:
+            titles[room] = f"{room}\n\n{summary}"
+        elif name:
+            text = summary.replace("|", "\\|")
+            line = f'| <span id="{name}"></span>`{name}` | {text} |'
+            rooms.setdefault(room, []).append(line)
+    alone = rooms.pop("", [])
+    parts = [(titles[room], lines) for room, lines in sorted(rooms.items())]
+    parts.append((titles[""], alone))
+    head = "| module | what it holds |\n|---|---|\n"
+    return "\n\n".join(f"## {t}\n\n{head}" + "\n".join(rows) for t, rows in parts)
 
 
 def _module_link(match: re.Match[str]) -> str:
