@@ -115,7 +115,7 @@ def test_a_fit_beside_the_optimum_fails(monkeypatch: pytest.MonkeyPatch) -> None
     assert solution.status is Status.SOLVED
     assert solution.standard_errors == {}
     assert solution.remarks == {
-        "value": "its standard error cannot be told: a fit beside it was not solved"
+        "value": "its standard error is unknown: a fit beside it was not solved"
     }
 
 

@@ -10,17 +10,26 @@ import typer
 
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.options import (
+    Columns,
     Field,
+    FlipWrench,
     Force,
     Json,
     Points,
     Probe,
     ProbeSurface,
     ProbeUnit,
+    QuaternionOrder,
+    TorqueAbout,
+    TorqueUnit,
     Trajectories,
+    WrenchDelay,
+    WrenchFrame,
     check_outputs,
+    read_conventions,
     read_probe,
     read_trajectories,
+    warn_of_another_probe,
 )
 from ttus_opt.errors import TtusWarning
 
@@ -43,6 +52,13 @@ def evaluate(
     field: Field,
     probe: Probe,
     trajectory: Trajectories,
+    columns: Columns = "",
+    quaternion: QuaternionOrder = "wxyz",
+    wrench_frame: WrenchFrame = "patient",
+    flip_wrench: FlipWrench = False,
+    torque_unit: TorqueUnit = "Nm",
+    torque_about: TorqueAbout = "centroid",
+    wrench_delay: WrenchDelay = 0.0,
     points: Points = 1500,
     probe_unit: ProbeUnit = "mm",
     probe_surface: ProbeSurface = "outer",
@@ -60,12 +76,22 @@ def evaluate(
         from ttus_opt.report import plots
 
         plots.require_picture_suffix(picture)
+    conventions = read_conventions(
+        torque_about,
+        quaternion=quaternion,
+        wrench_frame=wrench_frame,
+        flip_wrench=flip_wrench,
+        torque_unit=torque_unit,
+        wrench_delay=wrench_delay,
+    )
     check_outputs([picture], [field, probe, *trajectory], force=force)
     with Stages(2 if picture is None else 3) as begin:
         begin("reading field and recordings")
-        recorded = read_trajectories(trajectory)
+        as_written = read_trajectories(trajectory, columns)
         potential = PotentialField.load(field)
+        warn_of_another_probe(potential.provenance, probe, conventions)
         shell = read_probe(probe, points, probe_unit, probe_surface)
+        recorded = conventions.read(as_written, shell.reference)
         begin("rendering")
         found = metrics.evaluate(potential, shell, recorded)
         warn_off_grid(found.in_grid)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_module
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -12,19 +13,28 @@ import typer
 
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.options import (
+    Columns,
+    FlipWrench,
     Force,
     Json,
     Points,
     Probe,
     ProbeSurface,
     ProbeUnit,
+    QuaternionOrder,
+    TorqueAbout,
+    TorqueUnit,
     Trajectories,
+    WrenchDelay,
+    WrenchFrame,
     check_outputs,
+    probe_name,
+    read_conventions,
     read_probe,
     read_trajectories,
     whole_numbers,
 )
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, TtusWarning
 
 if TYPE_CHECKING:
     from ttus_opt.problem.solution import Solution
@@ -87,6 +97,13 @@ def fit(
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="A further option; may be repeated."),
     ] = None,
+    columns: Columns = "",
+    quaternion: QuaternionOrder = "wxyz",
+    wrench_frame: WrenchFrame = "patient",
+    flip_wrench: FlipWrench = False,
+    torque_unit: TorqueUnit = "Nm",
+    torque_about: TorqueAbout = "centroid",
+    wrench_delay: WrenchDelay = 0.0,
     points: Points = 1500,
     probe_unit: ProbeUnit = "mm",
     probe_surface: ProbeSurface = "outer",
@@ -101,6 +118,7 @@ def fit(
 ) -> None:
     """Fit a potential field to measured forces and torques."""
     from ttus_opt.fitting.batch import fit as fit_scene
+    from ttus_opt.fitting.sanity import check_recordings
     from ttus_opt.scan.surface import Surface
     from ttus_opt.scene import Scene
     from ttus_opt.voxmap.voxmap import Voxmap
@@ -112,16 +130,25 @@ def fit(
     }
     options = {name: value for name, value in given.items() if value is not None}
     options |= _options(option or ())
+    conventions = read_conventions(
+        torque_about,
+        quaternion=quaternion,
+        wrench_frame=wrench_frame,
+        flip_wrench=flip_wrench,
+        torque_unit=torque_unit,
+        wrench_delay=wrench_delay,
+    )
     check_outputs([output], [surface, probe, *trajectory], force=force)
     counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
-    with Stages(4) as begin:
+    with Stages(5) as begin:
         begin("reading surface and recordings")
         skin = Surface.load(surface)
-        recorded = read_trajectories(trajectory)
+        as_written = read_trajectories(trajectory, columns)
         voxmap = Voxmap.from_surface(
             skin, shape=counts, r_inner=r_inner, r_outer=r_outer
         )
         shell = read_probe(probe, points, probe_unit, probe_surface)
+        recorded = conventions.read(as_written, shell.reference)
         begin("assembling (first run compiles)")
         scene = Scene.assemble(
             voxmap, shell, recorded, inner=boundary, outer=outer, sampling=sampling
@@ -139,16 +166,32 @@ def fit(
         if solution.verified_field is not None:
             found = solution.field
             sources = {
-                "probe": probe if ":" in probe else Path(probe).name,
+                "probe": probe_name(probe),
                 "trajectories": ", ".join(path.name for path in trajectory),
+                "conventions": json_module.dumps(asdict(conventions)),
             }
             kept = {**found.provenance, **sources}
             replace(found, provenance=kept).save(output)
+        report = None
+        if solution.verified_field is not None:
+            begin("checking the recordings")
+            report = check_recordings(scene, solution.field, _names(trajectory))
     if json:
-        print_json(_summary(solution, output))
+        sanity = None if report is None else report.as_dict()
+        print_json({**_summary(solution, output), "sanity": sanity})
     solution.field  # noqa: B018  raises what is wrong when nothing was verified
     if not json:
         _tell(solution, output)
+        assert report is not None
+        for line in report.lines:
+            typer.echo(line)
+        typer.echo(f"torques about: {torque_about}")
+    if report is not None and report.mistake is not None:
+        warnings.warn(str(report.mistake), TtusWarning, stacklevel=2)
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    return [path.name for path in paths]
 
 
 def _inner(text: str) -> float | Literal["fit"]:

@@ -12,6 +12,7 @@ import typer
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.evaluate_command import warn_beyond, warn_off_grid
 from ttus_opt.cli.options import (
+    Columns,
     Field,
     Force,
     Json,
@@ -19,10 +20,14 @@ from ttus_opt.cli.options import (
     Probe,
     ProbeSurface,
     ProbeUnit,
+    QuaternionOrder,
+    TorqueAbout,
     Trajectories,
     check_outputs,
+    read_conventions,
     read_probe,
     read_trajectories,
+    warn_of_another_probe,
 )
 
 EXAMPLE = (
@@ -43,6 +48,9 @@ def render(
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Trajectory CSV with wrenches.")
     ],
+    columns: Columns = "",
+    quaternion: QuaternionOrder = "wxyz",
+    torque_about: TorqueAbout = "centroid",
     points: Points = 1500,
     probe_unit: ProbeUnit = "mm",
     probe_surface: ProbeSurface = "outer",
@@ -62,12 +70,15 @@ def render(
     from ttus_opt.haptic.renderer import Renderer
     from ttus_opt.voxmap.field import PotentialField
 
+    conventions = read_conventions(torque_about, quaternion=quaternion)
     check_outputs([output], [field, probe, *trajectory], force=force)
     with Stages(3) as begin:
         begin("reading field and poses")
-        poses = read_trajectories(trajectory)
+        as_written = read_trajectories(trajectory, columns)
         potential = PotentialField.load(field)
+        warn_of_another_probe(potential.provenance, probe, conventions)
         shell = read_probe(probe, points, probe_unit, probe_surface)
+        poses = conventions.read(as_written, shell.reference)
         begin("rendering")
         renderer = Renderer(potential, shell, force_limit=force_limit)
         frames = list(zip(poses.rotation, poses.position, poses.twist(), strict=True))
@@ -82,7 +93,7 @@ def render(
             force=np.array([w.force for w in wrenches]),
             torque=np.array([w.torque for w in wrenches]),
         )
-        rendered.save(output)
+        conventions.torque_as_recorded(rendered, shell.reference).save(output)
     told = {
         "output": str(output),
         "frames": len(poses),

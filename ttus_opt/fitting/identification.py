@@ -1,8 +1,8 @@
-"""How well the data bear the parameters beside the field.
+"""Standard errors of the parameters beside the field; whether they are identified.
 
 A fit minimises J(x) = ‖L p - b‖² + Σ λ ‖M x - t‖² over the field and a few parameters
-c. In its units the prior's rows and the measured rows, each times √λ, are normal with
-one common variance σ²; λ says how these compare, σ² is left open. For a given c
+c. The prior's rows and the measured rows, each times √λ, are taken as normal with one
+common variance σ²: λ fixes their ratio, σ² is estimated. For a given c
 
     J(c) = min over all else = -2 σ² log L(c) + constant,
 
@@ -15,13 +15,14 @@ measured rows of poses in contact, and k fitted parameters take k of them:
     σ̂² = J_min/(m - k),   standard error of c = √(2 σ̂² (J''⁻¹)_cc)
 
 (Bates and Watts, 1988, Nonlinear Regression Analysis, sec. 2.3 and 6.1). Rows of poses
-without contact are constants and count nowhere; where σ² is not one number, as when the
-model errs in the same way over many frames, the error told is too small.
+without contact are constant and are not counted. Where residuals are correlated, as
+when the model is wrong in the same way over many frames, the standard error is too
+small.
 
-J'' of a searched parameter is a difference of fits (`parameter_search`). That of one
-among the variables, cᵢ = aᵢᵀx, is asked for by a pseudo-measurement: with Σ w (aᵢᵀx -
-vᵢ)² added the answer moves by R = X (I + X)⁻¹ times a change of v, X = 2w A J''⁻¹ Aᵀ,
-whatever the solver and whatever limits the field has.
+J'' of a searched parameter is a finite difference of fits (`parameter_search`). That of
+a parameter among the variables, cᵢ = aᵢᵀx, is found by a pseudo-measurement: with
+Σ w (aᵢᵀx - vᵢ)² added, a change of v moves the solution by R = X (I + X)⁻¹ times that
+change, X = 2w A J''⁻¹ Aᵀ, whatever the solver and the limits on the field.
 """
 
 from __future__ import annotations
@@ -46,35 +47,35 @@ from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Prepared, Request, Solver
 from ttus_opt.terms.base import Fitted
 
-#: Largest standard error of a parameter that is used, as a share of the span it may
-#: plausibly lie in: twice that to both sides is half of the span [–]
+#: Largest standard error of an identified parameter, as a share of its plausible span:
+#: ± 2 standard errors are then half of the span [–]
 SHARE = 0.125
 
-#: A value as near to a limit as this, as a share of its span, is at it [–]
+#: A value counts as at a limit when it is this near, as a share of its span [–]
 AT_LIMIT = 1e-4
 
-#: A pseudo-measurement is this part of `SHARE` sure: what the data bear well enough
-#: then answers by 1 to 99 % of what it is pushed by [–]
-ASKED = 0.1
+#: Standard deviation of a pseudo-measurement, as a share of `SHARE`: an identified
+#: parameter then responds with 1 to 99 % of the change [–]
+PRECISION = 0.1
 
-#: Answers below this part of the push are asked for once more by a surer one, and
-#: answers beyond 1 minus `FLAT` are no curvature at all [–]
+#: A response below `FAINT` is measured again with a more precise pseudo-measurement; a
+#: response above 1 - `FLAT` means that the objective is flat [–]
 FAINT, FLAT = 1e-3, 1e-6
 
 NO_SLOPE = "the objective does not depend on it"
-NOTHING_PRESSES = "the field presses on nothing that slides"
+NOTHING_PRESSES = "nothing slides in contact with a field that presses"
 NOTHING_WEIGHS = "no measured row in contact has a weight"
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a fit says of one parameter.
+    """Estimate of one parameter.
 
     Attributes:
         value: Its value.
-        standard_error: NaN where it cannot be told.
-        doubt: Why the data do not bear it; empty when they do.
-        remark: What else there is to say.
+        standard_error: NaN where it is unknown.
+        doubt: Why it is not identified; empty when it is.
+        remark: Further information.
     """
 
     value: float
@@ -102,9 +103,9 @@ def noise_variance(
     for term in program.terms:
         if term.name not in names or term.weight == 0.0:
             continue
-        speaks = np.asarray(abs(term.matrix).sum(axis=1)).reshape(-1) > 0.0
-        cost -= term.weight * term.value(term.residual(x)[~speaks])
-        count += int(speaks.sum())
+        informative = np.asarray(abs(term.matrix).sum(axis=1)).reshape(-1) > 0.0
+        cost -= term.weight * term.value(term.residual(x)[~informative])
+        count += int(informative.sum())
     freedom = count - n_parameters
     return max(cost, 0.0) / freedom if freedom > 0 else math.nan
 
@@ -117,15 +118,15 @@ def judged_estimate(
     high: float,
     neutral: float = 0.0,
 ) -> Estimate:
-    """Decide whether the data bear a parameter.
+    """Decide whether a parameter is identified.
 
     Args:
         value: Its value.
         standard_error: Its standard error.
-        span: How wide it may plausibly lie.
+        span: Width of its plausible range.
         low: Its least value.
         high: Its largest.
-        neutral: Its neutral value; at a limit that is this the data have spoken.
+        neutral: Its neutral value; a limit equal to it is a valid estimate.
     """
     near = AT_LIMIT * (span if math.isfinite(span) else 1.0)
     doubt, remark = "", ""
@@ -150,7 +151,7 @@ def fitted_estimates(
     Args:
         declared: The formulation.
         solution: Its solution.
-        request: Tolerance and time limit of the fits that are asked beside.
+        request: Tolerance and time limit of the additional fits.
         n_searched: How many parameters were searched for [–].
 
     Returns:
@@ -169,19 +170,19 @@ def fitted_estimates(
         return {n: Estimate(v, math.nan, NOTHING_WEIGHS) for n, v in values.items()}
     if not all(one.gradient for one in fitted.values()):
         return {n: Estimate(v, math.nan, NOTHING_PRESSES) for n, v in values.items()}
-    ask = _Question(solution, fitted, variance, request)
+    pseudo = _PseudoMeasurements(solution, fitted, variance, request)
     try:
-        spread = ask.covariance()
-    except _NoAnswerError as trouble:
-        remark = f"its standard error cannot be told: {trouble}"
+        spread = pseudo.covariance()
+    except _NoResponseError as trouble:
+        remark = f"its standard error is unknown: {trouble}"
         errors = [math.nan] * len(fitted)
     else:
         remark, errors = "", np.sqrt(np.diagonal(spread)).tolist()
     estimates = {
-        name: judged_estimate(values[name], error, one.span, 0.0, ask.upper(one))
+        name: judged_estimate(values[name], error, one.span, 0.0, pseudo.upper(one))
         for (name, one), error in zip(fitted.items(), errors, strict=True)
     }
-    # a value at a limit is doubted for that, whatever its error would have been
+    # a value at a limit is in doubt whatever its standard error
     return {
         name: estimate
         if estimate.doubt or not remark
@@ -190,11 +191,11 @@ def fitted_estimates(
     }
 
 
-class _NoAnswerError(Exception):
-    """A fit with pseudo-measurements was of no use; the message says why."""
+class _NoResponseError(Exception):
+    """A fit with pseudo-measurements failed; the message says why."""
 
 
-class _Question:
+class _PseudoMeasurements:
     """Pseudo-measurements of the parameters of a solution."""
 
     def __init__(
@@ -213,10 +214,10 @@ class _Question:
         spans = np.array([one.span for one in fitted.values()])
         finite = np.isfinite(spans)
         spans[~finite] = spans[finite].min(initial=np.inf)
-        # a field that is zero leaves drag no span
-        self._sure = ASKED * SHARE * np.where(spans > 0.0, spans, 1.0)
+        # where the field is zero, the span of drag is zero too
+        self._deviation = PRECISION * SHARE * np.where(spans > 0.0, spans, 1.0)
         self._box = program.box
-        # signs and limits of the parameters themselves do not blunt what the data say
+        # limits of the parameters themselves would hide the curvature
         small = [
             part
             for name, part in program.variables.items()
@@ -228,9 +229,9 @@ class _Question:
         inside = [
             _within(x[part], *(limit[part] for limit in self._box)) for part in small
         ]
-        #: whether the answer itself is the minimum without them
+        #: whether the solution is also the minimum without these limits
         self._settled = all(inside)
-        # data without noise leave a variance that is rounding
+        # with noise-free data the variance is rounding error
         size = sum(
             t.weight * float(t.target @ t.target)
             for t in program.terms
@@ -253,50 +254,52 @@ class _Question:
         """Covariance of the parameters, shape (r, r).
 
         Raises:
-            _NoAnswerError: A fit was not solved, or its answer is noise.
+            _NoResponseError: A fit was not solved, or the response is noise.
         """
         response = self._response()
         faint = np.diagonal(response) < FAINT
         if faint.any():
-            # as sure as what is known already, but no surer than answers can show
+            # as precise as the first response tells, within what can be resolved
             known = np.sqrt(np.maximum(np.diagonal(response), FAINT**3))
-            self._sure = self._sure * np.where(faint, known, 1.0)
+            self._deviation = self._deviation * np.where(faint, known, 1.0)
             response = self._response()
         size = np.diagonal(response)
         if (size <= FAINT**2).any():
-            raise _NoAnswerError("the fit does not answer to pseudo-measurements")
+            raise _NoResponseError("the fit does not respond to pseudo-measurements")
         if (size >= 1.0 - FLAT).any():
             flat = np.where(size >= 1.0 - FLAT, np.inf, 0.0)
             return np.diag(flat)
-        weights = self._energy / self._sure**2
+        weights = self._energy / self._deviation**2
         rest = np.linalg.inv(np.eye(len(size)) - response)
         spread = rest @ response / (2.0 * weights)
         spread = self._variance * (spread + spread.T)
         if (np.diagonal(spread) < 0.0).any():
-            raise _NoAnswerError("what it answers to pseudo-measurements is noise")
+            raise _NoResponseError("its response to pseudo-measurements is noise")
         return np.asarray(spread)
 
     def _response(self) -> Array:
-        """What the parameters move by, per unit that each is pushed by."""
-        root = np.sqrt(self._energy) / self._sure
+        """Response of the parameters per unit change of each pseudo-measurement."""
+        root = np.sqrt(self._energy) / self._deviation
         matrix = sp.csr_array(sp.diags_array(root) @ self._rows)
-        pushes = np.diag(self._sure)
+        changes = np.diag(self._deviation)
         prepared, backend, found = None, None, []
         if self._settled:
             found.append(self._at)
         else:
-            pushes = np.vstack([np.zeros(len(root)), pushes])
-        for push in pushes:
-            asked = ProgramTerm("asked", 1.0, matrix, root * (self._at + push))
-            program = replace(self._program, terms=(*self._program.terms, asked))
+            changes = np.vstack([np.zeros(len(root)), changes])
+        for change in changes:
+            pseudo = ProgramTerm(
+                "pseudo-measurement", 1.0, matrix, root * (self._at + change)
+            )
+            program = replace(self._program, terms=(*self._program.terms, pseudo))
             if backend is None:
                 try:
                     backend = registry.choose(self._solver, reduce(program).program)
                 except InputError as error:
-                    raise _NoAnswerError(str(error)) from error
+                    raise _NoResponseError(str(error)) from error
             x, prepared = self._solved(program, backend, prepared)
             found.append(self._rows @ x)
-        return np.stack([(a - found[0]) for a in found[1:]], axis=1) / self._sure
+        return np.stack([(a - found[0]) for a in found[1:]], axis=1) / self._deviation
 
     def _solved(
         self, program: Program, backend: Solver, prepared: Prepared | None
@@ -308,11 +311,11 @@ class _Question:
             prepared.update(reduction.program)
         candidate = prepared.solve()
         if candidate.x is None:
-            raise _NoAnswerError("a fit with a pseudo-measurement has no answer")
+            raise _NoResponseError("a fit with a pseudo-measurement has no solution")
         point = reduction.restore(candidate.x, candidate.duals)
         worst = kkt_residuals(program, point.x, point.duals).worst_relative
         if not worst <= self._request.tolerance:
-            raise _NoAnswerError("a fit with a pseudo-measurement was not solved")
+            raise _NoResponseError("a fit with a pseudo-measurement was not solved")
         return point.x, prepared
 
 
@@ -328,7 +331,7 @@ def _stacked(program: Program, fitted: Iterable[Fitted]) -> sp.csr_array:
 
 
 def _within(x: Array, lower: Array, upper: Array) -> bool:
-    """Whether no limit may hold x."""
+    """Whether x is away from both limits."""
     near = AT_LIMIT * np.abs(x)
     return bool(((x - lower > near) & (upper - x > near)).all())
 
@@ -340,14 +343,14 @@ def with_estimates(
     doubts: Mapping[str, str],
     trouble: str = "",
 ) -> Solution:
-    """A solution that tells what is known of its parameters.
+    """A solution with standard errors and doubts of its parameters.
 
     Args:
-        solution: With the neutral values of what is doubted.
-        scene: What assembling it identified is told beside.
+        solution: With neutral values of the parameters in doubt.
+        scene: Its own estimates are included.
         estimates: Of the parameters, by name.
         doubts: Why a parameter is not identified, by name.
-        trouble: Why the search was of no use; such a solution is not solved.
+        trouble: Why the search failed; such a solution is not solved.
     """
     errors = dict(scene.standard_errors)
     for name, estimate in estimates.items():

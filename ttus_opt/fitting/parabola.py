@@ -1,8 +1,7 @@
 """The least objective J(v) near its minimum, a parabola through fits.
 
 Fits at distances of one step give the gradient and the second derivatives of J by
-central differences; what the fits' own gaps and rounding may make of them is their
-noise.
+central differences. Their error is bounded by the fits' duality gaps and rounding.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.fitting.identification import NO_SLOPE
 from ttus_opt.problem.solution import Solution, Status
 
-#: What rounding leaves of the largest summand of J in a difference of two [–]
+#: Relative rounding error of J [–]
 ROUNDING = 1e-12
 
 
@@ -31,11 +30,11 @@ class Parabola:
     """J near its minimum, through fits at distances of one step.
 
     Attributes:
-        centre: Where it is drawn around, shape (k,).
+        centre: Its middle point, shape (k,).
         solution: Of the fit there.
         gradient: Of J at the centre, shape (k,).
         curvature: Second derivatives of J, shape (k, k).
-        noise: What the second derivatives' diagonal may be off by, shape (k,).
+        noise: Error bound of the diagonal of the curvature, shape (k,).
     """
 
     centre: Array
@@ -48,11 +47,11 @@ class Parabola:
     def through(
         cls, fitted: Callable[[Array], Solution], centre: Array, step: Array
     ) -> Parabola:
-        """Fit around a place.
+        """Fit around a point.
 
         Args:
             fitted: The fit at given values.
-            centre: The place, shape (k,).
+            centre: The point, shape (k,).
             step: Distance of the other fits, shape (k,).
 
         Raises:
@@ -64,8 +63,8 @@ class Parabola:
         pairs = list(itertools.combinations(range(k), 2))
         places = [unit[0] * 0, *unit, *-unit, *(unit[i] + unit[j] for i, j in pairs)]
         found: dict[tuple[int, ...], Solution] = {}
-        # sorted: what differs in the last parameters only follows one another, and
-        # solvers keep most of their state there
+        # sorted: consecutive fits differ in the last parameters only, and solvers keep
+        # most of their state
         for signs in sorted(tuple(place.tolist()) for place in places):
             solution = fitted(centre + np.array(signs) * step)
             if solution.status is not Status.SOLVED or solution.kkt is None:
@@ -93,7 +92,7 @@ class Parabola:
 
     @property
     def flat(self) -> NDArray[np.bool_]:
-        """Which parameters J does not tell of, shape (k,)."""
+        """Parameters in which J has no significant curvature, shape (k,)."""
         flat = np.diagonal(self.curvature) <= 2.0 * self.noise
         if not flat.any() and np.linalg.eigvalsh(self.curvature)[0] <= 0.0:
             flat[:] = True
@@ -101,7 +100,7 @@ class Parabola:
 
     @property
     def doubt(self) -> str:
-        """What is wrong with it where it is flat."""
+        """What to say where it is flat."""
         bent = (np.diagonal(self.curvature) < -2.0 * self.noise).any()
         return "the objective has no least value in its range" if bent else NO_SLOPE
 

@@ -1,9 +1,9 @@
-"""The value of a searched parameter, and how well the data bear it.
+"""Search for a parameter that is no variable of the program, with its standard error.
 
-J(v), the least objective for given values v of the searched parameters, is first made
-small one parameter after the other (Brent's bounded search, loose fits), then seen as a
-parabola through fits beside that place: its vertex is what is used, its curvature is
-what standard errors are made from (`identification`).
+J(v) is the least objective for given values v of the searched parameters. It is first
+minimised one parameter after the other (Brent's bounded search, fits of low accuracy).
+A parabola through accurate fits around that point then gives the value (its vertex) and
+the standard errors (from its curvature, see `identification`).
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from ttus_opt.problem.solution import Solution, Status
 
 Solve = Callable[[Formulation], Solution]
 
-#: Accuracy of the search, as a share of the range, and most fits for it
+#: Accuracy of the search, as a share of the range, and its largest number of fits
 ACCURACY, MOST_FITS = 2e-2, 25
 
-#: What an unsolved fit counts as, no place to stop at: above every objective, and
-#: finite, for the search computes with it
+#: Objective of an unsolved fit: above all others, and finite, for the search computes
+#: with it
 UNSOLVED = 1e100
 
-#: Distance of the parabola's points, as a share of the range: near enough that J is
-#: one, far enough that differences of fits are no noise [–]
+#: Distance of the parabola's points, as a share of the range: J is nearly quadratic
+#: over it, and differences of fits stand above their noise [–]
 STEP = 0.02
 
-#: Standard errors below this part of the step ask for a nearer parabola, and how much
-#: nearer it may be [–]
+#: Standard errors below this share of the step call for a smaller step; the smallest
+#: step, as a share of the first [–]
 NARROW, NEAREST = 0.25, 0.02
 
-#: How often the parabola may be drawn anew around its own vertex
+#: How often the parabola may be centred again on its own vertex
 ROUNDS = 3
 
 
@@ -56,7 +56,7 @@ class Found:
         formulation: At the values found, without a search.
         estimates: Of the searched parameters, by name; those in doubt have their
             neutral value.
-        trouble: Why it is of no use; empty when it is.
+        trouble: Why the search failed; empty when it did not.
     """
 
     formulation: Formulation = field(repr=False)
@@ -67,17 +67,17 @@ class Found:
 def searched(
     search: Search, loose: Solve, tight: Solve, doubts: Mapping[str, str]
 ) -> Found:
-    """Search a parameter, and those that its formulations name in turn.
+    """Search for a parameter, and for those that its formulations name in turn.
 
     Args:
         search: The first parameter.
-        loose: Fits that show where to look.
-        tight: Fits whose objectives can be told apart.
+        loose: Fits of low accuracy, to find the neighbourhood.
+        tight: Fits accurate enough for differences of objectives.
         doubts: Parameters that are known not to be identified, with the reason.
 
     Returns:
-        Values and estimates. Whatever the data do not bear is given its neutral value
-        and the rest is searched again.
+        Values and estimates. A parameter that is not identified gets its neutral value
+        and the others are searched again.
     """
     known = dict(doubts)
     while True:
@@ -89,7 +89,7 @@ def searched(
         doubted = {n: e.doubt for n, e in estimates.items() if e.doubt}
         if not doubted:
             break
-        # one at a time: without it the others may be well known
+        # one at a time: with it fixed the others may be identified
         name = next(iter(doubted))
         known[name] = doubted[name]
     for each in chain:
@@ -100,7 +100,7 @@ def searched(
 
 
 class _NoMinimumError(Exception):
-    """A search found nothing; the message says why."""
+    """A search failed; the message says why."""
 
     def __init__(self, message: str, nearest: Formulation) -> None:
         super().__init__(message)
@@ -119,7 +119,7 @@ def _at(search: Search, values: Sequence[float]) -> Formulation:
 def _minimum(
     search: Search, solve: Solve, known: Mapping[str, str]
 ) -> tuple[list[float], list[Search]]:
-    """One parameter after the other at its least objective; the known are neutral."""
+    """Minimise over one parameter after the other; those in doubt are neutral."""
     values, chain = [], []
     level: Search | None = search
     while level is not None:
@@ -177,7 +177,7 @@ def _least(search: Search, solve: Solve) -> float:
 
 
 class _DoubtedError(Exception):
-    """Standard errors cannot be told; carries what is said of each instead."""
+    """Standard errors are unknown; carries the doubts instead."""
 
     def __init__(self, values: Array, doubts: Sequence[str], remark: str = "") -> None:
         super().__init__(remark)
@@ -194,7 +194,7 @@ def _estimates(
     """Values and estimates of the searched parameters from fits beside the optimum.
 
     Raises:
-        _NoMinimumError: The optimum ran away from where it was found.
+        _NoMinimumError: The parabola's vertex does not settle.
     """
     every = list(values)
     free = [i for i, s in enumerate(chain) if s.parameter not in known]
@@ -246,47 +246,49 @@ def _settled(
     solve: Solve,
     start: Array,
 ) -> _Optimum:
-    """The vertex of a parabola that is drawn around it.
+    """The vertex of a parabola centred on itself.
 
     Raises:
-        _NoMinimumError: It runs away.
+        _NoMinimumError: It does not settle.
         _DoubtedError: There is none, or a fit was not solved.
     """
     low, high = np.array([(one.low, one.high) for one in ranges]).T
     step, at, settled = STEP * (high - low), start, False
     nothing = [""] * len(ranges)
 
-    def drawn(around: Array) -> Parabola:
+    def parabola_at(around: Array) -> Parabola:
         centre = np.clip(around, low + step, high - step)
         return Parabola.through(lambda v: solve(placed(v)), centre, step)
 
     for _ in range(ROUNDS):
         try:
-            bowl = drawn(at)
+            parabola = parabola_at(at)
         except UnsolvedError as trouble:
-            remark = f"its standard error cannot be told: {trouble}"
+            remark = f"its standard error is unknown: {trouble}"
             raise _DoubtedError(at, nothing, remark) from trouble
-        if bowl.flat.any():
-            raise _DoubtedError(at, [bowl.doubt * bool(flat) for flat in bowl.flat])
-        at = np.clip(bowl.vertex, low, high)
-        settled = bool((np.abs(at - bowl.centre) <= 2.0 * step).all())
+        if parabola.flat.any():
+            raise _DoubtedError(
+                at, [parabola.doubt * bool(flat) for flat in parabola.flat]
+            )
+        at = np.clip(parabola.vertex, low, high)
+        settled = bool((np.abs(at - parabola.centre) <= 2.0 * step).all())
         if settled:
             break
-    variance = _variance(placed(bowl.centre), bowl.solution, len(ranges))
+    variance = _variance(placed(parabola.centre), parabola.solution, len(ranges))
     if math.isnan(variance):
         raise _DoubtedError(at, [NOTHING_WEIGHS] * len(ranges))
-    errors = bowl.errors(variance)
+    errors = parabola.errors(variance)
     if not settled and (errors <= SHARE * (high - low)).all():
         names = ", ".join(one.parameter for one in ranges)
         raise _NoMinimumError(f"the search for {names} does not settle", placed(at))
     if (errors < NARROW * step).any():
-        # over many standard errors J is no parabola: once more, nearer
+        # J is not quadratic over many standard errors: again with a smaller step
         step = np.clip(2.0 * errors, NEAREST * step, step)
         with contextlib.suppress(UnsolvedError):
-            near = drawn(at)
+            near = parabola_at(at)
             if not near.flat.any():
                 at, errors = np.clip(near.vertex, low, high), near.errors(variance)
-    return _Optimum(at, errors, bowl.solution)
+    return _Optimum(at, errors, parabola.solution)
 
 
 def _reported(
@@ -294,21 +296,21 @@ def _reported(
 ) -> Estimate:
     """The k-th parameter's estimate in the unit in which it is reported."""
 
-    def told(value: float) -> float:
+    def reported(value: float) -> float:
         moved = best.values.copy()
         moved[k] = value
         found = placed(moved).parameters(best.solution.variables)
         return found.get(one.parameter, float(value))
 
-    low, high = told(one.low), told(one.high)
+    low, high = reported(one.low), reported(one.high)
     rate = (high - low) / (one.high - one.low)
     return judged_estimate(
-        told(best.values[k]),
+        reported(best.values[k]),
         float(rate * best.errors[k]),
         high - low,
         low,
         high,
-        told(one.neutral),
+        reported(one.neutral),
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -268,7 +268,9 @@ class Trajectory:
             temporary.write_text("\n".join([",".join(names), *lines, ""]))
 
 
-def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
+def read_trajectory(
+    path: str | os.PathLike[str], *, columns: Mapping[str, str] | None = None
+) -> Trajectory:
     """Read a trajectory.
 
     The header names the columns, in any order: ``t`` [s], ``px,py,pz`` [m],
@@ -276,8 +278,13 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     integer column ``segment`` keeps several recordings apart; other columns are
     ignored. Quaternions within 1 % of unit length are normalised.
 
+    Names are taken in any case and as ROS exports them (``pose.position.x``), cells
+    separated by commas, semicolons, tabs or blanks, comment lines before the header.
+
     Args:
         path: The CSV file.
+        columns: The file's own names of columns, by the names above, where they are
+            neither: ``{"px": "tip_x"}``.
 
     Returns:
         The trajectory.
@@ -289,16 +296,16 @@ def read_trajectory(path: str | os.PathLike[str]) -> Trajectory:
     """
     from scipy.spatial.transform import Rotation
 
-    columns = read_trajectory_columns(path)
-    rotation = Rotation.from_quat(columns.quaternion, scalar_first=True).as_matrix()
+    read = read_trajectory_columns(path, columns)
+    rotation = Rotation.from_quat(read.quaternion, scalar_first=True).as_matrix()
     try:
         return Trajectory(
-            columns.time,
-            columns.position,
+            read.time,
+            read.position,
             np.asarray(rotation),
-            columns.force,
-            columns.torque,
-            columns.segment,
+            read.force,
+            read.torque,
+            read.segment,
         )
     except InputError as error:
         raise FileError(f"trajectory {os.fspath(path)}: {error}") from error

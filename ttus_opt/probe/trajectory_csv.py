@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError
+from ttus_opt.probe.text_table import NANOSECONDS, read_text_table
 
 TIME = ("t",)
 POSITION = ("px", "py", "pz")
@@ -65,11 +66,14 @@ class TrajectoryColumns:
     segment: NDArray[np.int64]
 
 
-def read_trajectory_columns(path: str | os.PathLike[str]) -> TrajectoryColumns:
+def read_trajectory_columns(
+    path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
+) -> TrajectoryColumns:
     """Read and check the columns of a trajectory file.
 
     Args:
         path: The CSV file.
+        columns: The file's own names of columns, by the package's.
 
     Returns:
         The columns; see `ttus_opt.probe.trajectory.read_trajectory` for the rules.
@@ -77,11 +81,13 @@ def read_trajectory_columns(path: str | os.PathLike[str]) -> TrajectoryColumns:
     Raises:
         FileError: Anything that is not a usable trajectory.
     """
-    table = _read_table(io.existing_file(path, "trajectory"))
+    table = _read_table(io.existing_file(path, "trajectory"), columns)
     position = table.columns(POSITION)
     _require_below(table, position, MOST_POSITION, "m", "millimetres? divide by 1000")
     segment = _segments(table)
     time = table.columns(TIME)[:, 0]
+    if time.min() > NANOSECONDS:
+        time = 1e-9 * (time - time[0])  # whole nanoseconds, as ROS stamps them
     _require_increasing(table, time, segment)
     quaternion = _unit_quaternions(table)
     force = torque = None
@@ -92,49 +98,25 @@ def read_trajectory_columns(path: str | os.PathLike[str]) -> TrajectoryColumns:
     return TrajectoryColumns(time, position, quaternion, force, torque, segment)
 
 
-def _read_table(file: Path) -> _Table:
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except (UnicodeDecodeError, OSError) as error:
+def _read_table(file: Path, columns: Mapping[str, str] | None) -> _Table:
+    required = (*TIME, *POSITION, *QUATERNION)
+    text = read_text_table(file, required, columns)
+    known = (*required, *FORCE, *TORQUE, SEGMENT)
+    wanted = [name for name in text.names if name in known]
+    twice = sorted({name for name in wanted if wanted.count(name) > 1})
+    if twice:
         raise FileError(
-            f"trajectory {file} is not a readable text file ({type(error).__name__}): "
-            "export it as CSV"
-        ) from error
-    lines = text.splitlines()
-    names = _header(file, lines[0] if lines else "")
-    kept = [i for i, line in enumerate(lines) if i and line.strip()]
-    if not kept:
+            f"trajectory {file} has column {', '.join(twice)} more than once: remove "
+            "one"
+        )
+    wrench = [name for name in (*FORCE, *TORQUE) if name not in wanted]
+    if 0 < len(wrench) < 6:
         raise FileError(
-            f"trajectory {file} is empty, it has a header and no frames: record or "
-            "export it again"
+            f"trajectory {file} has no column {', '.join(wrench)}: a wrench needs "
+            f"{','.join((*FORCE, *TORQUE))}, all or none"
         )
-    commas = len(names) - 1
-    for i in kept:
-        found = lines[i].count(",")
-        if found != commas:
-            raise FileError(
-                f"trajectory {file}, line {i + 1}: {found + 1} cells, the header has "
-                f"{commas + 1}: "
-                + (
-                    "the file is truncated, record or copy it again"
-                    if i == kept[-1] and found < commas
-                    else "repair or remove the line"
-                )
-            )
-    known = (*TIME, *POSITION, *QUATERNION, *FORCE, *TORQUE, SEGMENT)
-    wanted = [n for n in names if n in known]
-    where = [names.index(n) for n in wanted]
-    try:
-        values = np.loadtxt(
-            [lines[i] for i in kept],
-            delimiter=",",
-            usecols=where,
-            ndmin=2,
-            comments=None,
-        )
-    except ValueError:
-        values = _read_slowly(file, lines, kept, names, where)
-    table = _Table(file, tuple(wanted), values, np.array(kept) + 1)
+    values = text.numbers(wanted)
+    table = _Table(file, tuple(wanted), values, text.line)
     bad = np.argwhere(~np.isfinite(values))
     if len(bad):
         row, column = bad[0]
@@ -144,51 +126,6 @@ def _read_table(file: Path) -> _Table:
             f"{len(np.unique(bad[:, 0]))} line(s) with missing values",
         )
     return table
-
-
-def _header(file: Path, line: str) -> list[str]:
-    names = [name.strip().strip('"') for name in line.split(",")]
-    required = (*TIME, *POSITION, *QUATERNION)
-    wrench = (*FORCE, *TORQUE)
-    missing = [n for n in required if n not in names]
-    if any(n in names for n in wrench):
-        missing += [n for n in wrench if n not in names]
-    expected = ",".join((*required, *wrench))
-    if missing:
-        hint = "separate by commas, " if ";" in line or "\t" in line else ""
-        raise FileError(
-            f"trajectory {file} has no column {', '.join(missing)}: {hint}the header "
-            f"must be {expected} (the last six all or none)"
-        )
-    twice = sorted(
-        {n for n in names if n in (*required, *wrench, SEGMENT) and names.count(n) > 1}
-    )
-    if twice:
-        raise FileError(
-            f"trajectory {file} has column {', '.join(twice)} more than once: remove "
-            "one"
-        )
-    return names
-
-
-def _read_slowly(
-    file: Path, lines: list[str], kept: list[int], names: list[str], where: list[int]
-) -> Array:
-    """Cell by cell, to name the one that is no number."""
-    values = np.empty((len(kept), len(where)))
-    for row, i in enumerate(kept):
-        cells = lines[i].split(",")
-        for column, c in enumerate(where):
-            cell = cells[c].strip().strip('"')
-            try:
-                values[row, column] = float(cell)
-            except ValueError:
-                found = f"{cell!r}, not a number" if cell else "empty"
-                raise FileError(
-                    f"trajectory {file}, line {i + 1}: {names[c]} is {found}: repair "
-                    "or remove the line"
-                ) from None
-    return values
 
 
 def _segments(table: _Table) -> NDArray[np.int64]:

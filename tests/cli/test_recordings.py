@@ -1,0 +1,103 @@
+"""A laboratory's recording, written by ROS's conventions, through the commands."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.conftest import Run
+from ttus_opt import example
+
+NAMES = {
+    **{f"p{c}": f"/robot/pose/position/{c}" for c in "xyz"},
+    **{f"q{c}": f"/robot/pose/orientation/{c}" for c in "wxyz"},
+    **{f"f{c}": f"/sensor/wrench/force/{c}" for c in "xyz"},
+    **{f"t{c}": f"/sensor/wrench/torque/{c}" for c in "xyz"},
+    "t": "__time",
+}
+
+
+def as_ros(source: Path, target: Path) -> Path:
+    """Other names, blanks for commas, and the wrench of the probe on the patient."""
+    with source.open() as file:
+        rows = list(csv.DictReader(file))
+    names = [NAMES[name] for name in rows[0]]
+    lines = ["# exported", "\t".join(names)]
+    for row in rows:
+        cells = [
+            str(-float(v)) if k[0] in "ft" and k != "t" else v for k, v in row.items()
+        ]
+        lines.append("\t".join(cells))
+    target.write_text("\n".join(lines))
+    return target
+
+
+def words(recording: Path, output: Path, more: str = "") -> str:
+    return (
+        f"fit --surface {example.path('surface.nc')} --probe {example.PROBE} "
+        f"--trajectory {recording} --shape 16,36,16 --points 300 --inner 10 "
+        f"--sampling trilinear -o {output} --columns t=__time {more}"
+    )
+
+
+def test_the_command_names_the_mistake_and_the_option_mends_it(
+    run: Run, tmp_path: Path
+) -> None:
+    written = as_ros(example.path("press_fit.csv"), tmp_path / "press.csv")
+    wrong = run(words(written, tmp_path / "wrong.nc"))
+    assert wrong.status == 0
+    assert "forces of the opposite sign?" in wrong.err
+    assert "try --flip-wrench" in wrong.err
+    right = run(words(written, tmp_path / "right.nc", "--flip-wrench --json"))
+    told = json.loads(right.out)["sanity"]
+    assert "opposite" not in right.err
+    assert told["mistake"] is None
+    assert told["recordings"][0]["name"] == "press.csv"
+    own = run(
+        words(example.path("press_fit.csv"), tmp_path / "own.nc", "--json").replace(
+            "--columns t=__time", ""
+        )
+    )
+    expected = json.loads(own.out)["sanity"]["recordings"][0]
+    for name in ("force_residual_N", "torque_residual_Nm"):
+        assert told["recordings"][0][name] == pytest.approx(expected[name], rel=1e-6)
+
+
+def test_torques_about_the_origin_come_back_about_the_origin(
+    run: Run, tmp_path: Path
+) -> None:
+    """What `render` writes is compared by `evaluate` with the same point: no error."""
+    fitted = words(example.path("press_fit.csv"), tmp_path / "f.nc")
+    about = "--torque-about 0,0,0.05"
+    fit = run(f"{fitted.replace('--columns t=__time', '')} {about}")
+    assert fit.status == 0
+    assert "torques about: 0,0,0.05" in fit.out
+    shared = (
+        f"--field {tmp_path / 'f.nc'} --probe {example.PROBE} --points 300 --trajectory"
+    )
+    rendered = tmp_path / "rendered.csv"
+    poses = example.path("press_test.csv")
+    assert run(f"render {shared} {poses} -o {rendered} {about}").status == 0
+    same = run(f"evaluate {shared} {rendered} {about} --json")
+    assert "torques about" not in same.err
+    errors = json.loads(same.out)
+    assert errors["force_magnitude_error_N"] < 1e-9
+    assert errors["torque_magnitude_error_Nm"] < 1e-9
+    other = run(f"evaluate {shared} {rendered} --json")
+    assert "fitted to torques about (0.0, 0.0, 0.05)" in other.err
+    assert json.loads(other.out)["torque_magnitude_error_Nm"] > 1e-3
+
+
+def test_another_probe_is_told(run: Run, tmp_path: Path) -> None:
+    fitted = words(example.path("press_fit.csv"), tmp_path / "f.nc")
+    assert run(fitted.replace("--columns t=__time", "")).status == 0
+    answer = run(
+        f"evaluate --field {tmp_path / 'f.nc'} --probe sphere:0.02 --points 300 "
+        f"--trajectory {example.path('press_test.csv')} --json"
+    )
+    assert f"fitted with probe {example.PROBE}, this is sphere:0.02" in answer.err
+    assert np.isfinite(json.loads(answer.out)["force_magnitude_error_N"])

@@ -1,0 +1,126 @@
+"""Tables that other programs write."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.probe.text_table import known_name, read_text_table
+
+OURS = ["t", "px", "py", "pz", "qw", "qx", "qy", "qz"]
+OURS += ["fx", "fy", "fz", "tx", "ty", "tz"]
+ROWS = [
+    [0.05 * i, 0.1, 0.2, 0.3 + i, 0.6, 0.8, 0, 0, 1, 2, 3, 0.1, 0.2, 0.3]
+    for i in range(3)
+]
+ROS = (
+    "%time,field.header.seq,field.pose.position.x,field.pose.position.y,"
+    "field.pose.position.z,field.pose.orientation.x,field.pose.orientation.y,"
+    "field.pose.orientation.z,field.pose.orientation.w,field.wrench.force.x,"
+    "field.wrench.force.y,field.wrench.force.z,field.wrench.torque.x,"
+    "field.wrench.torque.y,field.wrench.torque.z"
+)
+
+
+def write(folder: Path, header: str, rows: list[str]) -> Path:
+    file = folder / "press.csv"
+    file.write_text("\n".join([header, *rows, ""]))
+    return file
+
+
+def lines(separator: str) -> list[str]:
+    return [separator.join(map(str, row)) for row in ROWS]
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", "  ", " ; "])
+def test_separators(tmp_path: Path, separator: str) -> None:
+    file = write(tmp_path, separator.join(OURS), lines(separator))
+    read = tt.read_trajectory(file)
+    np.testing.assert_array_equal(read.position, [row[1:4] for row in ROWS])
+    np.testing.assert_array_equal(read.torque, [row[11:] for row in ROWS])
+
+
+@pytest.mark.parametrize("mark", ["#", "%", "//"])
+def test_comments_and_a_header_that_is_one(tmp_path: Path, mark: str) -> None:
+    header = f"{mark} recorded by hand, in a hurry\n{mark} {','.join(OURS).upper()}"
+    body = [lines(",")[0], f"{mark} a pause", *lines(",")[1:]]
+    read = tt.read_trajectory(write(tmp_path, header, body))
+    np.testing.assert_array_equal(read.force, [row[8:11] for row in ROWS])
+
+
+def test_an_export_of_ros(tmp_path: Path) -> None:
+    """Names, order of the quaternion and whole nanoseconds as rostopic writes them."""
+    body = [
+        f"{1_700_000_000_000_000_000 + 50_000_000 * i},{i},{px},{py},{pz},{qx},{qy},"
+        f"{qz},{qw},{','.join(map(str, rest))}"
+        for i, (_, px, py, pz, qw, qx, qy, qz, *rest) in enumerate(ROWS)
+    ]
+    read = tt.read_trajectory(write(tmp_path, ROS, body))
+    np.testing.assert_allclose(read.time, [0.0, 0.05, 0.1], atol=1e-6)
+    np.testing.assert_allclose(read.quat_wxyz[0], [0.6, 0.8, 0, 0], atol=1e-12)
+    np.testing.assert_array_equal(read.torque, [row[11:] for row in ROWS])
+
+
+def test_columns_are_told(tmp_path: Path) -> None:
+    header = ",".join(["tip_x" if n == "px" else n for n in OURS])
+    file = write(tmp_path, header, lines(","))
+    with pytest.raises(FileError, match=r"no column px: .*for instance px=x"):
+        tt.read_trajectory(file)
+    read = tt.read_trajectory(file, columns={"px": "tip_x"})
+    np.testing.assert_array_equal(read.position[:, 0], 0.1)
+
+
+def test_swapped_columns_are_swapped_back(tmp_path: Path) -> None:
+    file = write(tmp_path, ",".join(OURS), lines(","))
+    read = tt.read_trajectory(file, columns={"px": "py", "py": "px"})
+    np.testing.assert_array_equal(read.position[0], [0.2, 0.1, 0.3])
+
+
+def test_of_two_poses_one_is_chosen(tmp_path: Path) -> None:
+    header = ",".join([*OURS, "target.position.x"])
+    file = write(tmp_path, header, [f"{line},9" for line in lines(",")])
+    with pytest.raises(FileError, match="column px more than once"):
+        tt.read_trajectory(file)
+    read = tt.read_trajectory(file, columns={"px": "target.position.x"})
+    np.testing.assert_array_equal(read.position[:, 0], 9.0)
+
+
+def test_a_told_column_that_is_not_there(tmp_path: Path) -> None:
+    file = write(tmp_path, ",".join(OURS), lines(","))
+    with pytest.raises(InputError, match="columns names tip, the header has t, px"):
+        tt.read_trajectory(file, columns={"fx": "tip"})
+
+
+def test_a_decimal_comma_is_named(tmp_path: Path) -> None:
+    body = [line.replace("0.2", "0,2") for line in lines(";")]
+    with pytest.raises(FileError, match=r"line 2: py is '0,2'.*decimal comma"):
+        tt.read_trajectory(write(tmp_path, ";".join(OURS), body))
+
+
+@pytest.mark.parametrize(
+    ("name", "ours"),
+    [
+        ("T", "t"),
+        ("/robot/pose/position/z", "pz"),
+        ("transform.translation.y", "py"),
+        ("transform.rotation.w", "qw"),
+        ("wrench.torque.x", "tx"),
+        ("Segment", "segment"),
+        ("composition.x", "composition.x"),
+        ("gain", "gain"),
+    ],
+)
+def test_names(name: str, ours: str) -> None:
+    assert known_name(name) == ours
+
+
+def test_numbers_are_taken_whatever_their_form(tmp_path: Path) -> None:
+    file = tmp_path / "a.csv"
+    file.write_text('"t","x"\n"1e-3", -2 \n')
+    np.testing.assert_array_equal(
+        read_text_table(file, ["t"]).numbers(["t", "x"]), [[1e-3, -2.0]]
+    )

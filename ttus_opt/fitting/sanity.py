@@ -1,0 +1,310 @@
+"""Do recordings and geometry agree? What a fit says before anyone trusts it.
+
+A field fitted to forces of the wrong sign, frame or unit is still a minimum. So the
+measured wrenches are compared with those of the Laplace field alone, whose directions
+and contacts follow from geometry: with f̂ = N p₀ and τ̂ = W p₀ of a few frames,
+
+    S = min_s ‖f - s f̂‖²/‖f‖² + min_k ‖τ - k τ̂‖²/‖τ‖²,    s, k ≥ 0,
+
+is small where they belong together. The same S of the recordings read otherwise (other
+sign, frame, order, instant) says which reading they were likely written in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.contact.rows import contact_rows
+from ttus_opt.errors import InputError
+from ttus_opt.probe.conventions import Conventions
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
+from ttus_opt.scene import Scene
+from ttus_opt.voxmap.field import PotentialField
+
+#: Frames that are compared, at most [–]
+FRAMES = 120
+
+#: Another reading is named when its S is below this share of the recordings' own
+CLEARLY = 0.7
+
+#: Wrenches may lag by so much [s]
+DELAYS = (-0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4)
+
+#: Torques this many times too large are in N·mm
+WRONG_UNIT = 100.0
+
+#: A centroid this near the pose's origin leaves nothing to mistake [m]
+NEAR = 3e-3
+
+
+@dataclass(frozen=True)
+class RecordingCheck:
+    """One recording beside the fitted field and the geometry.
+
+    Attributes:
+        name: Of the recording.
+        frames: Its frames [–].
+        force_residual_N: Mean ‖f - f̂‖ [N].
+        torque_residual_Nm: Mean ‖τ - τ̂‖ [N·m].
+        force_angle_deg: Mean angle between f and f̂ in contact; NaN without any [°].
+        force_without_contact: Frames with a measured force where no shell point is
+            inside the patient [–].
+        contact_without_force: Frames in contact by geometry without a measured force
+            [–].
+        beyond_inner: Frames with shell points beyond the inner layer [–].
+    """
+
+    name: str
+    frames: int
+    force_residual_N: float
+    torque_residual_Nm: float
+    force_angle_deg: float
+    force_without_contact: int
+    contact_without_force: int
+    beyond_inner: int
+
+    def __str__(self) -> str:
+        return (
+            f"{self.name}: {self.frames} frames, residual {self.force_residual_N:.2f} "
+            f"N, {1e3 * self.torque_residual_Nm:.1f} mN·m, "
+            f"{self.force_angle_deg:.1f}°; {self.force_without_contact} with force but "
+            f"no contact, {self.contact_without_force} with contact but no force, "
+            f"{self.beyond_inner} below the inner layer"
+        )
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """A likely mistake in how the recordings were read.
+
+    Attributes:
+        what: In words.
+        mends: Option of ``ttus-opt fit`` that mends it.
+        before: S as read [–].
+        after: S with the option [–].
+    """
+
+    what: str
+    mends: str
+    before: float
+    after: float
+
+    def __str__(self) -> str:
+        return (
+            f"{self.what}? Disagreement with the geometry {self.before:.2f} → "
+            f"{self.after:.2f}: try {self.mends}"
+        )
+
+
+@dataclass(frozen=True)
+class SanityReport:
+    """What `check_recordings` found.
+
+    Attributes:
+        recordings: One check each.
+        shell_size: Edges of the shell's bounding box, probe frame, shape (3,) [m].
+        shell_centroid: Area centroid, probe frame, shape (3,) [m].
+        disagreement: S of the recordings as read, from 0 to 2 [–].
+        mistake: The likeliest mistake; None where nothing fits clearly better.
+    """
+
+    recordings: tuple[RecordingCheck, ...]
+    shell_size: tuple[float, ...]
+    shell_centroid: tuple[float, ...]
+    disagreement: float
+    mistake: Mistake | None
+
+    @property
+    def lines(self) -> list[str]:
+        """The report as text."""
+        size = " × ".join(f"{1e3 * v:.0f}" for v in self.shell_size)
+        centroid = ", ".join(f"{1e3 * v:.1f}" for v in self.shell_centroid)
+        return [
+            *map(str, self.recordings),
+            f"probe: {size} mm, centroid at ({centroid}) mm of its frame",
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def check_recordings(
+    scene: Scene, field: PotentialField, names: Sequence[str] = ()
+) -> SanityReport:
+    """Compare recordings with the fitted field and with the geometry.
+
+    Args:
+        scene: With measured wrenches.
+        field: Fitted to it.
+        names: Of the recordings, one for each segment; numbers by default.
+
+    Returns:
+        The report.
+
+    Raises:
+        InputError: The scene has no wrenches.
+    """
+    trajectory = scene.trajectory
+    if not trajectory.has_wrench:
+        raise InputError("the recordings have no wrenches to check")
+    numbers = np.unique(trajectory.segment)
+    if len(names) != len(numbers):
+        names = [f"recording {number}" for number in numbers]
+    checks = [
+        _recording(scene, field, name, trajectory.select(trajectory.segment == number))
+        for name, number in zip(names, numbers, strict=True)
+    ]
+    shell = scene.shell
+    disagreement, mistake = _likely_mistake(scene)
+    return SanityReport(
+        tuple(checks),
+        tuple(np.ptp(shell.points, axis=0).tolist()),
+        tuple(np.asarray(shell.reference).tolist()),
+        disagreement,
+        mistake,
+    )
+
+
+def _recording(
+    scene: Scene, field: PotentialField, name: str, own: Trajectory
+) -> RecordingCheck:
+    found = evaluate(field, scene.shell, own)
+    rows = contact_rows(
+        scene.voxmap, scene.shell, own.rotation, own.position, sampling=scene.sampling
+    )
+    force = np.linalg.norm(found.measured_force, axis=1) > FORCE_THRESHOLD
+    contact = rows.contact_points > 0
+    return RecordingCheck(
+        name,
+        len(own),
+        _mean_size(found.measured_force - found.rendered_force),
+        _mean_size(found.measured_torque - found.rendered_torque),
+        found.errors.force_angle_error_deg,
+        int((force & ~contact).sum()),
+        int((contact & ~force).sum()),
+        int((found.beyond_inner > 0).sum()),
+    )
+
+
+def _likely_mistake(scene: Scene) -> tuple[float, Mistake | None]:
+    """S as read, and what fits clearly better."""
+    frames = np.linspace(0, len(scene.trajectory) - 1, FRAMES)
+    chosen = np.unique(frames.astype(np.int64))
+    prior = scene.laplace.solve(scene.b)
+    own = _agreement(scene, prior, scene.trajectory.select(chosen))
+    best: Mistake | None = None
+    for what, mends, reread in _readings(scene):
+        # read as a whole first: an instant needs its neighbours
+        other = _agreement(scene, prior, reread.select(chosen))
+        bound = CLEARLY * own.disagreement if best is None else best.after
+        if other.disagreement < bound:
+            best = Mistake(what, mends, own.disagreement, other.disagreement)
+    if best is None and own.torque_ratio > WRONG_UNIT:
+        unit = "--torque-unit Nmm"
+        best = Mistake(
+            "torques in N·mm", unit, own.torque_ratio, 1e-3 * own.torque_ratio
+        )
+    return own.disagreement, best
+
+
+def _readings(scene: Scene) -> Iterator[tuple[str, str, Trajectory]]:
+    """Other ways to read the recordings: what, the option, and the result."""
+    own, centroid = scene.trajectory, np.asarray(scene.shell.reference)
+    assert own.force is not None
+    assert own.torque is not None
+    ways = [
+        ("forces of the opposite sign", "--flip-wrench", Conventions(flip_wrench=True)),
+        (
+            "wrenches in the tool's axes",
+            "--wrench-frame tool",
+            Conventions(wrench_frame="tool"),
+        ),
+        (
+            "wrenches in the tool's axes and of the opposite sign",
+            "--wrench-frame tool --flip-wrench",
+            Conventions(wrench_frame="tool", flip_wrench=True),
+        ),
+        ("quaternions x, y, z, w", "--quaternion xyzw", Conventions(quaternion="xyzw")),
+        (
+            "quaternions x, y, z, w and wrenches in the tool's axes",
+            "--quaternion xyzw --wrench-frame tool",
+            Conventions(quaternion="xyzw", wrench_frame="tool"),
+        ),
+        (
+            "quaternions x, y, z, w and wrenches of the opposite sign",
+            "--quaternion xyzw --flip-wrench",
+            Conventions(quaternion="xyzw", flip_wrench=True),
+        ),
+        (
+            "quaternions x, y, z, w, wrenches in the tool's axes and of the opposite "
+            "sign",
+            "--quaternion xyzw --wrench-frame tool --flip-wrench",
+            Conventions(quaternion="xyzw", wrench_frame="tool", flip_wrench=True),
+        ),
+    ]
+    if np.linalg.norm(centroid) > NEAR:
+        about = Conventions(torque_about="origin")
+        ways.append(("torques about the pose's origin", "--torque-about origin", about))
+    for delay in DELAYS:
+        words = f"wrenches {abs(delay)} s {'late' if delay > 0 else 'early'}"
+        late = Conventions(wrench_delay=delay)
+        ways.append((words, f"--wrench-delay {delay}", late))
+    for what, mends, conventions in ways:
+        yield what, mends, conventions.read(own, centroid)
+    swap = [1, 0, 2]
+    yield (
+        "columns px and py swapped",
+        "--columns px=py,py=px",
+        replace(own, position=own.position[:, swap]),
+    )
+    yield (
+        "columns fx and fy, tx and ty swapped",
+        "--columns fx=fy,fy=fx,tx=ty,ty=tx",
+        replace(own, force=own.force[:, swap], torque=own.torque[:, swap]),
+    )
+
+
+@dataclass(frozen=True)
+class _Agreement:
+    """S, and how much larger torques are than those of the Laplace field [–]."""
+
+    disagreement: float
+    torque_ratio: float
+
+
+def _agreement(scene: Scene, prior: Array, frames: Trajectory) -> _Agreement:
+    """S of some frames; `prior` is p₀, shape (V,)."""
+    rows = contact_rows(
+        scene.voxmap,
+        scene.shell,
+        frames.rotation,
+        frames.position,
+        sampling=scene.sampling,
+    )
+    assert frames.force is not None
+    assert frames.torque is not None
+    force, torque = frames.force.reshape(-1), frames.torque.reshape(-1)
+    s, force_left = _scaled(force, rows.N @ prior)
+    k, torque_left = _scaled(torque, rows.W @ prior)
+    return _Agreement(force_left + torque_left, k / s if s > 0.0 else 0.0)
+
+
+def _scaled(measured: Array, expected: Array) -> tuple[float, float]:
+    """The scale ≥ 0 that fits best, and ‖rest‖²/‖measured‖²; 1 where nothing is."""
+    size, own = float(measured @ measured), float(expected @ expected)
+    if size == 0.0 or own == 0.0:
+        return 0.0, float(size > 0.0)
+    scale = max(float(measured @ expected) / own, 0.0)
+    rest = measured - scale * expected
+    return scale, float(rest @ rest) / size
+
+
+def _mean_size(vectors: Array) -> float:
+    return float(np.linalg.norm(vectors, axis=1).mean())

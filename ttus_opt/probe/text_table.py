@@ -1,0 +1,214 @@
+"""Tables of numbers as text: separators, comments and column names of other programs.
+
+A header names the columns. Comment lines (``#``, ``%``, ``//``) may stand before it; a
+header may itself be one. Cells are separated by commas, semicolons, tabs or blanks.
+Names are taken in any case, and as ROS exports them (``pose.position.x``,
+``/robot/pose/orientation/w``, ``field.wrench.force.z``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError
+
+#: Marks of a comment line
+COMMENT = re.compile(r"^\s*(#|%|//)\s*")
+
+#: Ends of ROS names in dots, and the columns they stand for
+ROS = {
+    **{f"position.{c}": f"p{c}" for c in "xyz"},
+    **{f"orientation.{c}": f"q{c}" for c in "wxyz"},
+    **{f"translation.{c}": f"p{c}" for c in "xyz"},
+    **{f"rotation.{c}": f"q{c}" for c in "wxyz"},
+    **{f"force.{c}": f"f{c}" for c in "xyz"},
+    **{f"torque.{c}": f"t{c}" for c in "xyz"},
+    "time": "t",
+    "timestamp": "t",
+    "header.stamp": "t",
+}
+
+#: A stamp above this is in nanoseconds, as ROS writes whole numbers [s]
+NANOSECONDS = 1e14
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """Cells of a file, not yet read as numbers.
+
+    Attributes:
+        file: Where they are from.
+        names: Of the columns, in the package's words where they are known.
+        cells: One list per row, all of the same length.
+        line: Number of each row's line, from 1, shape (T,).
+    """
+
+    file: Path
+    names: list[str]
+    cells: list[list[str]]
+    line: NDArray[np.int64]
+
+    def numbers(self, wanted: Sequence[str]) -> Array:
+        """Some columns as numbers, shape (T, len(wanted)).
+
+        Raises:
+            FileError: A cell is no number; the message names its line.
+        """
+        where = [self.names.index(name) for name in wanted]
+        picked = [[row[c] for c in where] for row in self.cells]
+        try:
+            return np.array(picked, dtype=np.float64).reshape(len(picked), len(where))
+        except ValueError:
+            raise self._first_fault(picked, wanted) from None
+
+    def _first_fault(
+        self, picked: Sequence[Sequence[str]], wanted: Sequence[str]
+    ) -> FileError:
+        """The first cell that is no number."""
+        for row, cells in enumerate(picked):
+            for name, cell in zip(wanted, cells, strict=True):
+                try:
+                    float(cell)
+                except ValueError:
+                    found = f"{cell!r}, not a number" if cell else "empty"
+                    comma = (
+                        ", with a decimal comma? write a point" if "," in cell else ""
+                    )
+                    return FileError(
+                        f"{self.file}, line {self.line[row]}: {name} is {found}"
+                        f"{comma}: repair or remove the line"
+                    )
+        raise AssertionError("every cell is a number")
+
+
+def read_text_table(
+    file: Path, required: Sequence[str], columns: Mapping[str, str] | None = None
+) -> TextTable:
+    """Read a table whose header names the required columns.
+
+    Args:
+        file: The file.
+        required: Columns there must be, in the package's words.
+        columns: The file's own names of columns, by the package's.
+
+    Returns:
+        The table.
+
+    Raises:
+        FileError: No text, no such header, no rows, or a row with another number of
+            cells than the header.
+        InputError: ``columns`` names a column that is not there.
+    """
+    try:
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except (UnicodeDecodeError, OSError) as error:
+        raise FileError(
+            f"{file} is not a readable text file ({type(error).__name__}): export it "
+            "as CSV"
+        ) from error
+    head, separator, names = _header(file, lines, required, columns or {})
+    cells, numbers = [], []
+    for number, line in enumerate(lines[head + 1 :], start=head + 2):
+        if not line.strip() or COMMENT.match(line):
+            continue
+        cells.append(_split(line, separator))
+        numbers.append(number)
+    if not cells:
+        raise FileError(
+            f"{file} is empty, it has a header and no rows: record or export it again"
+        )
+    for row, number in zip(cells, numbers, strict=True):
+        if len(row) != len(names):
+            cut = number == numbers[-1] and len(row) < len(names)
+            raise FileError(
+                f"{file}, line {number}: {len(row)} cells, the header has "
+                f"{len(names)}: "
+                + (
+                    "the file is truncated, record or copy it again"
+                    if cut
+                    else "repair or remove the line"
+                )
+            )
+    return TextTable(file, names, cells, np.array(numbers, dtype=np.int64))
+
+
+def known_name(name: str) -> str:
+    """A column's name in the package's words, where it is one that is known.
+
+    >>> known_name("/robot/pose/orientation/w"), known_name("FX"), known_name("gain")
+    ('qw', 'fx', 'gain')
+    """
+    plain = name.strip().strip('"').strip()
+    dotted = plain.lower().replace("/", ".").lstrip(".")
+    if dotted in ROS:
+        return ROS[dotted]
+    for end, ours in ROS.items():
+        if dotted.endswith(f".{end}"):
+            return ours
+    return dotted if re.fullmatch(r"t|[pft][xyz]|q[wxyz]|segment", dotted) else plain
+
+
+def _header(
+    file: Path,
+    lines: Sequence[str],
+    required: Sequence[str],
+    columns: Mapping[str, str],
+) -> tuple[int, str | None, list[str]]:
+    """The header's place, the separator and the names."""
+    closest: list[str] | None = None
+    for place, line in enumerate(lines):
+        if not line.strip():
+            continue
+        text = COMMENT.sub("", line)
+        separator = _separator(text)
+        given = [cell.strip().strip('"') for cell in _split(text, separator)]
+        names = _renamed(given, columns)
+        if not [n for n in required if n not in names]:
+            _refuse_absent(given, columns)
+            return place, separator, names
+        if not COMMENT.match(line):
+            closest = names
+            break
+    missing = [n for n in required if n not in (closest or [])]
+    raise FileError(
+        f"{file} has no column {', '.join(missing)}: the header must name "
+        f"{','.join(required)}, got {','.join(closest or []) or 'none'}; say which is "
+        "which by columns, for instance px=x"
+    )
+
+
+def _renamed(given: Sequence[str], columns: Mapping[str, str]) -> list[str]:
+    """Names in the package's words: those the user tells, then those that are known."""
+    told = {theirs: ours for ours, theirs in columns.items()}
+    return [
+        told[name]
+        if name in told
+        else f"{name} (unused)"  # told to be another column
+        if known_name(name) in columns
+        else known_name(name)
+        for name in given
+    ]
+
+
+def _refuse_absent(given: Sequence[str], columns: Mapping[str, str]) -> None:
+    absent = [theirs for theirs in columns.values() if theirs not in given]
+    if absent:
+        raise InputError(
+            f"columns names {', '.join(absent)}, the header has {', '.join(given)}"
+        )
+
+
+def _separator(header: str) -> str | None:
+    """What stands between names; None for blanks."""
+    return next((mark for mark in (",", ";", "\t") if mark in header), None)
+
+
+def _split(line: str, separator: str | None) -> list[str]:
+    return [cell.strip().strip('"').strip() for cell in line.split(separator)]
