@@ -11,6 +11,7 @@ SAMPLE ?= 20
 comma := ,
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+DOCS_STAMP := $(VENV)/.installed-docs
 
 # The first Python that is new enough; say `make PYTHON=...` for another.
 PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
@@ -18,7 +19,7 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
 	sys.version_info >= (3, 11) and print("ok")' 2>/dev/null),$(name))))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow notebooks mutants check picture clean
+.PHONY: help demo test slow notebooks mutants check picture docs clean
 
 help:
 	@echo "make demo     the whole method on the bundled example, into demo/"
@@ -27,6 +28,7 @@ help:
 	@echo "make mutants  small mistakes put into core modules: how many the tests tell"
 	@echo "make check    format, lint, types, layers"
 	@echo "make picture  the README's picture, docs/overview.png"
+	@echo "make docs     the documentation, notebooks run, into site/"
 	@echo "make clean    removes what the other targets made"
 
 demo: $(STAMP)
@@ -54,8 +56,13 @@ picture: demo
 	mkdir -p docs
 	cp demo/overview.png docs/overview.png
 
+docs: $(DOCS_STAMP)
+	$(BIN)/python docs/pictures.py
+	$(BIN)/python docs/examples.py
+	$(BIN)/python -m mkdocs build --strict
+
 clean:
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) demo site docs/pictures .cache
 
 $(STAMP): pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
@@ -64,4 +71,9 @@ $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+$(DOCS_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--constraint constraints.txt --editable '.[docs]'
 	@touch $@

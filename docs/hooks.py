@@ -1,0 +1,155 @@
+"""What the site takes from elsewhere in the repository, and what is checked of it.
+
+- notebooks/ and MathJax are put among the site's files; notebooks are run anew when
+  they or the package changed;
+- ``{{ readme: Title }}`` becomes that section of README.md, ``{{ modules }}`` the list
+  of modules with the first line of their docstrings;
+- every module that `method.md` names must exist, every public name must be on `api.md`.
+
+Warnings of these checks end the build, as `mkdocs build --strict` does for any.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.resources
+import logging
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from mkdocs.plugins import event_priority
+from mkdocs.structure.files import File, Files
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "ttus_opt"
+
+#: Pages that a later change brings; they are left out of the menu until they exist
+LATER = ("how-to/rendering-cpp.md",)
+
+#: Pages that are a section of their own
+ALONE = ("index.md", "method.md", "api.md", "modules.md", "benchmark.md")
+
+FIRST_NOTEBOOK = "notebooks/01_scan_to_field_to_force.ipynb"
+
+_log = logging.getLogger("mkdocs.hooks.ttus_opt")
+
+
+def on_config(config: Any) -> Any:
+    """Leave out pages that are still to be written; outputs belong to a package."""
+    digest = hashlib.sha256()
+    for folder in (PACKAGE, ROOT / "formulations"):
+        for path in sorted(folder.rglob("*.py")):
+            digest.update(path.read_bytes())
+    notebooks = config.plugins["mkdocs-jupyter"].config
+    outputs = digest.hexdigest()[:16] if notebooks["execute"] else "none"
+    notebooks["cache_dir"] = f"{notebooks['cache_dir']}/{outputs}"
+    missing = [page for page in LATER if not (ROOT / "docs" / page).exists()]
+    config.nav = _without(config.nav, missing)
+    return config
+
+
+def _without(nav: Any, pages: list[str]) -> Any:
+    if isinstance(nav, list):
+        kept = [_without(entry, pages) for entry in nav]
+        return [entry for entry in kept if entry is not None]
+    if isinstance(nav, dict):
+        inner = {title: _without(entry, pages) for title, entry in nav.items()}
+        return inner if all(v is not None for v in inner.values()) else None
+    return None if nav in pages else nav
+
+
+@event_priority(100)  # before the notebook plugin looks for notebooks
+def on_files(files: Files, config: Any) -> Files:
+    """Add the notebooks and MathJax."""
+    for notebook in sorted((ROOT / "notebooks").glob("*.ipynb")):
+        uri = f"notebooks/{notebook.name}"
+        files.append(File(uri, str(ROOT), config.site_dir, config.use_directory_urls))
+    mathjax = importlib.resources.files("mathjax") / "static/mathjax"
+    for name, uri in (
+        ("es5/tex-svg.js", "javascripts/tex-svg.js"),
+        ("LICENSE", "javascripts/tex-svg.LICENSE.txt"),
+    ):
+        path = str(mathjax / name)
+        files.append(File.generated(config, uri, abs_src_path=path))
+    return files
+
+
+def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
+    """Fill in what is written elsewhere, and check names."""
+    uri = page.file.src_uri
+    if uri in ALONE:  # no neighbours in the menu: the room is for equations and tables
+        page.meta.setdefault("hide", []).append("navigation")
+    markdown = re.sub(r"\{\{ readme: (.+?) \}\}", _readme_section, markdown)
+    markdown = markdown.replace("{{ modules }}", _module_list())
+    if uri == "method.md":
+        markdown = re.sub(r"`([a-z_]+(?:\.[a-z_]+)*)`", _module_link, markdown)
+    if uri == "api.md":
+        _check_public_names(markdown)
+    return markdown
+
+
+def _readme_section(match: re.Match[str]) -> str:
+    title = match[1]
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = re.search(rf"^## {re.escape(title)}\n(.*?)(?=^## |\Z)", text, re.M | re.S)
+    if found is None:
+        _log.warning("README.md has no section %r", title)
+        return ""
+    # links of the README are from the top; the notebooks are pages of their own here
+    return found[1].strip().replace("(notebooks)", f"({FIRST_NOTEBOOK})")
+
+
+def _modules() -> Iterator[tuple[str, str]]:
+    """Dotted names below the package, and the first line of their docstrings."""
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        if parts[-1].startswith("__") and parts[-1] != "__init__":
+            continue
+        name = ".".join(p for p in parts if p != "__init__")
+        doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+        yield name, doc.split("\n", 1)[0]
+
+
+def _module_list() -> str:
+    """Rooms with their modules, then the modules beside the rooms."""
+    rooms: dict[str, list[str]] = {}
+    titles = {"": "Beside the rooms"}
+    for name, summary in _modules():
+        first, _, rest = name.partition(".")
+        room = first if (PACKAGE / first).is_dir() else ""
+        if room and not rest:
+            titles[room] = f"{room}\n\n{summary}"
+        elif name:
+            text = summary.replace("|", "\\|")
+            line = f'| <span id="{name}"></span>`{name}` | {text} |'
+            rooms.setdefault(room, []).append(line)
+    alone = rooms.pop("", [])
+    parts = [(titles[room], lines) for room, lines in sorted(rooms.items())]
+    parts.append((titles[""], alone))
+    head = "| module | what it holds |\n|---|---|\n"
+    return "\n\n".join(f"## {t}\n\n{head}" + "\n".join(rows) for t, rows in parts)
+
+
+def _module_link(match: re.Match[str]) -> str:
+    """A link where the name is a module's; a warning where it should be and is not."""
+    name = match[1]
+    parts = name.split(".")
+    base = PACKAGE.joinpath(*parts)
+    if base.with_suffix(".py").is_file():
+        return f"[`{name}`](modules.md#{name})"
+    if base.is_dir():
+        return f"[`{name}`](modules.md#{parts[0]})"
+    if len(parts) > 1 and parts[0] != PACKAGE.name:
+        _log.warning("method.md names %s, there is no such module", name)
+    return match[0]
+
+
+def _check_public_names(markdown: str) -> None:
+    import ttus_opt
+
+    shown = set(re.findall(r"^::: ttus_opt\.(\w+)$", markdown, re.M))
+    for name in sorted(set(ttus_opt.__all__) - shown):
+        _log.warning("api.md does not show the public name %s", name)

@@ -1,0 +1,19 @@
+// Equations are typeset in the browser by a copy of MathJax that lies beside this file
+// (docs/hooks.py puts it there). In pages arithmatex has marked them; in notebooks they
+// stand between dollars in the cells of text.
+const inNotebook = document.querySelector(".jp-MarkdownOutput") !== null;
+
+window.MathJax = {
+  tex: {
+    inlineMath: inNotebook ? [["$", "$"]] : [["\\(", "\\)"]],
+    displayMath: inNotebook ? [["$$", "$$"]] : [["\\[", "\\]"]],
+    processEscapes: true,
+    processEnvironments: true,
+  },
+  options: {
+    ignoreHtmlClass: inNotebook ? "jp-CodeCell|md-(header|tabs|sidebar|footer)" : ".*|",
+    processHtmlClass: "arithmatex",
+    enableMenu: false, // its entries would fetch more files
+  },
+  svg: { displayAlign: "left", displayIndent: "1.5em", scale: 0.95 },
+};

@@ -1,0 +1,101 @@
+"""Draws the documentation's pictures into docs/pictures; `make docs` calls it.
+
+The demo's own, and two of the method: the voxmap and the sampling below the skin.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import ttus_opt as tt
+from ttus_opt import demo, example, plots
+from ttus_opt.report.plots.canvas import AFTER, BEFORE, MEASURED, look, new_figure
+
+FOLDER = Path(__file__).parent / "pictures"
+
+
+def voxmap_picture(path: Path) -> None:
+    """A section of a coarse voxmap with the skin."""
+    surface = tt.Surface.load(example.path("surface.nc"))
+    voxmap = tt.Voxmap.from_surface(surface, shape=(14, 48, 9), r_inner=0.06)
+    grid, k = voxmap.grid, 4
+    fine = np.linspace(0.0, 2.0 * np.pi, 721)
+    with look():
+        figure = new_figure(7.0, 3.4)
+        axes = figure.subplots()
+        radius, angle = np.meshgrid(grid.r, grid.theta, indexing="ij")
+        layer = voxmap.region[:, :, k]
+        for value, colour, name in (
+            (1, "#0b4f9c", "inside, p > 0"),
+            (0, "k", "surface layer, p = 0"),
+            (-1, "0.7", "outside, p < 0"),
+        ):
+            at = layer == value
+            axes.plot(
+                100 * radius[at] * np.cos(angle[at]),
+                100 * radius[at] * np.sin(angle[at]),
+                ".",
+                color=colour,
+                markersize=3.5,
+                label=name,
+            )
+        skin = 100 * surface.radius_at(fine, np.full_like(fine, grid.z[k]))
+        axes.plot(
+            skin * np.cos(fine), skin * np.sin(fine), color="#b8860b", lw=1.2,
+            label="skin r = R(θ, z)",
+        )  # fmt: skip
+        axes.set_aspect("equal")
+        axes.set_xlabel("x [cm]")
+        axes.set_ylabel("y [cm]")
+        axes.legend(loc="center left", bbox_to_anchor=(1.02, 0.5))
+        plots.save_picture(figure, path)
+
+
+def sampling_picture(path: Path) -> None:
+    """The field along one spoke, and what a point samples at its depth."""
+    layers = np.arange(5.0)
+    values = np.array([9.0, 6.5, 4.3, 2.4, 0.0])
+    skin, last = 3.7, 3  # in radial steps from the inner layer
+    depth = np.linspace(-0.6, skin + 0.8, 400)
+    place = np.clip(skin - depth, 0.0, None)
+    below = np.interp(place, layers[: last + 1], values[: last + 1])
+    above = values[last] * depth / (skin - last)
+    sampled = np.where(place > last, above, below)
+    with look():
+        figure = new_figure(7.0, 2.8)
+        axes = figure.subplots()
+        inside = depth >= 0.0
+        axes.plot(depth[inside], sampled[inside], color=AFTER, label="what is sampled")
+        axes.plot(skin - layers[:4], values[:4], "o", color=BEFORE, label="layers")
+        axes.plot(skin - 4.0, 0.0, "s", color="k", label="surface layer")
+        axes.axvline(0.0, color="#b8860b", lw=1.2)
+        axes.annotate("skin", (0.0, 8.3), xytext=(4, 0), textcoords="offset points")
+        axes.axvline(skin, color=MEASURED, lw=1.0)
+        axes.annotate(
+            "inner layer", (skin, 4.0), xytext=(4, 0), textcoords="offset points"
+        )
+        axes.annotate(
+            "a", (skin - last, values[last]), xytext=(5, -9),
+            textcoords="offset points",
+        )  # fmt: skip
+        axes.set_xlabel("depth below the skin d [Δr]")
+        axes.set_ylabel("p")
+        axes.set_yticks([0])
+        axes.legend(loc="lower right")
+        plots.save_picture(figure, path)
+
+
+def main() -> None:
+    """Draw them all."""
+    FOLDER.mkdir(exist_ok=True)
+    voxmap_picture(FOLDER / "voxmap.svg")
+    sampling_picture(FOLDER / "sampling.svg")
+    demo.run(FOLDER)
+    for data in (*FOLDER.glob("*.nc"), *FOLDER.glob("*.md")):
+        data.unlink()
+
+
+if __name__ == "__main__":
+    main()
