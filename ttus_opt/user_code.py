@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import sys
 import sysconfig
 import traceback
 from collections.abc import Callable, Iterator
@@ -13,6 +12,7 @@ from types import TracebackType
 from typing import Any
 
 from ttus_opt.errors import InputError, TtusError
+from ttus_opt.formulation_files import shelf
 
 _OWN = str(Path(__file__).resolve().parent)
 
@@ -73,9 +73,9 @@ def _is_users(filename: str) -> bool:
     """Whether a file is neither Python's, nor a package's, nor this package's."""
     if filename.startswith("<") and not filename.startswith("<ipython"):
         return filename == "<stdin>"
-    shelf = getattr(sys.modules.get("formulations"), "__path__", [])
     paths = sysconfig.get_paths()
     packages = [paths[key] for key in ("stdlib", "platstdlib", "purelib", "platlib")]
-    roots = [_OWN, *packages, *(str(Path(folder).resolve()) for folder in shelf)]
+    shelves = (str(Path(folder).resolve()) for folder in shelf().__path__)
+    roots = [_OWN, *packages, *shelves]
     path = Path(filename).resolve()
     return not any(path.is_relative_to(root) for root in roots)

@@ -13,6 +13,7 @@ from tests.conftest import small_scene
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.errors import InputError
+from ttus_opt.formulation_files import formulation_module
 from ttus_opt.problem.formulation import Formulation, Search, available, load
 from ttus_opt.terms.force import ForceTerm
 from ttus_opt.terms.laplace import LaplaceTerm
@@ -232,7 +233,7 @@ def test_options_are_checked_by_their_kind(
 
 def test_the_package_is_not_blamed_on_a_user(monkeypatch: pytest.MonkeyPatch) -> None:
     """An error of a formulation of our own is no InputError."""
-    from formulations import eq10 as module
+    module = formulation_module("eq10")
 
     monkeypatch.setattr(module, "LaplaceTerm", len)
     with pytest.raises(TypeError, match="len"):

@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.errors import InputError
+from ttus_opt.formulation_files import formulation_module, shelf
 from ttus_opt.problem.declaration import Formulation as Formulation
 from ttus_opt.problem.declaration import Search as Search
 from ttus_opt.scene import Scene
@@ -161,16 +162,14 @@ def _find(formulation: str | Path) -> tuple[Callable[..., Formulation], str]:
 def _build_of(name: str) -> Callable[..., Formulation]:
     """The function of a formulation that is there, ours before another package's."""
     if name in _names():
-        return _build_function(importlib.import_module(f"formulations.{name}"))
+        return _build_function(formulation_module(name))
     with told_by_line(f"formulation {name} of another package"):
         found = _elsewhere()[name].load()
     return _build_function(found) if inspect.ismodule(found) else _checked(found, name)
 
 
 def _names() -> list[str]:
-    # by name: the shelf imports this package, not the other way round
-    shelf = importlib.import_module("formulations")
-    return sorted(m.name for m in pkgutil.iter_modules(shelf.__path__))
+    return sorted(m.name for m in pkgutil.iter_modules(shelf().__path__))
 
 
 def _elsewhere() -> dict[str, importlib.metadata.EntryPoint]:
