@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import zipfile
@@ -19,9 +20,13 @@ SHOW = (
 def test_a_users_own_file_of_that_name_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "formulations.py").write_text("raise SystemExit('not ours')\n")
     script = tmp_path / "run.py"
-    script.write_text(f"import sys; sys.path.append({str(ROOT)!r})\n{SHOW}\n")
+    script.write_text(SHOW)
     done = subprocess.run(
-        [sys.executable, str(script)], capture_output=True, text=True, check=False
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     assert done.stdout == "True\n", done.stderr
 
@@ -47,6 +52,7 @@ def test_a_wheel_carries_them_inside_the_package(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         check=False,
-        cwd=tmp_path / "site",
+        env={**os.environ, "PYTHONPATH": str(tmp_path / "site")},
+        cwd=tmp_path,
     )
     assert shown.stdout == "True\n", shown.stderr

@@ -1,8 +1,9 @@
 """Where the formulations that come with the package lie.
 
 In a checkout they are the folder ``formulations/`` beside the package, in an installed
-wheel ``ttus_opt/formulations/``. Both are imported as ``ttus_opt.formulations``: a user's
-own file or folder named ``formulations`` is never taken for them.
+wheel ``ttus_opt/formulations/``. Both are imported as ``ttus_opt.formulations``, and as
+``formulations`` too where nothing else has that name: a user's own file or folder of
+that name is never taken for them.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from types import ModuleType
 
 from ttus_opt.errors import FileError
 
-NAME = "ttus_opt.formulations"
+NAME, SHORT = "ttus_opt.formulations", "formulations"
 
 
 @functools.cache
@@ -39,6 +40,8 @@ def shelf() -> ModuleType:
         module = importlib.util.module_from_spec(spec)
         sys.modules[NAME] = module
         spec.loader.exec_module(module)
+        if importlib.util.find_spec(SHORT) is None:
+            sys.modules[SHORT] = module
         return module
     raise FileError(
         f"the formulations are not beside {package}: install ttus-opt again, or run "

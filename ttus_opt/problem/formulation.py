@@ -145,6 +145,7 @@ def _find(formulation: str | Path) -> tuple[Callable[..., Formulation], str]:
         if spec is None or spec.loader is None:
             raise InputError(f"{path} cannot be loaded as a Python file")
         module = importlib.util.module_from_spec(spec)
+        shelf()  # it may import one of ours
         with told_by_line(f"formulation file {path}"):
             spec.loader.exec_module(module)
         return _build_function(module), path.stem
