@@ -8,7 +8,7 @@ from tests.conftest import small_scene
 from ttus_opt.benchmark import roofline
 from ttus_opt.laplace.system import LaplaceSystem
 
-#: What the passes of a V-cycle read and write, a word per half: right side b, x,
+#: What the passes of a V-cycle read and write, a word per colour: right side b, x,
 #: residual r, inverse pivots d, conductances R, T, Z, weights w of the transfers
 FINEST = """
 b1 d1 x1 | d0 x0 x1 | x0 r1 d1 | r1 w0 w1 | w0 w1 x1 x1 | d0 x0 x1 | b1 d1 x1 x0
@@ -26,7 +26,7 @@ def laplace(shape: tuple[int, int, int]) -> LaplaceSystem:
     return small_scene("trilinear", shape=shape, n_poses=2, seed=0).laplace
 
 
-def test_halves_are_those_of_the_passes() -> None:
+def test_colours_are_those_of_the_passes() -> None:
     for passes, count in (
         (FINEST, roofline.FINEST),
         (COARSER, roofline.COARSER),

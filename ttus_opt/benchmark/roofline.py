@@ -3,8 +3,8 @@
 Every pass of a V-cycle streams over whole arrays and computes little, so that moving
 its bytes bounds its time from below (Williams, Waterman and Patterson 2009). Bytes are
 counted from the sizes of the arrays, each once in every pass that touches it; a block
-of radial lines stays in cache forwards and backwards and counts once. The unit is a
-half: one colour of one array of a level, in single precision.
+of radial lines stays in cache forwards and backwards and counts once. The unit is one
+colour, red or black, of one array of a level, in single precision.
 """
 
 from __future__ import annotations
@@ -17,18 +17,19 @@ from collections.abc import Callable
 import numpy as np
 
 from ttus_opt.benchmark.row import Row
-from ttus_opt.laplace.system import RTOL, LaplaceSystem
+from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid import Multigrid
 from ttus_opt.multigrid.solver import REDUCTION
 from ttus_opt.report.tables import table
 
-#: Halves a V-cycle streams on the finest level: four half sweeps (3, 3, 3, 4: right
-#: side, inverse pivots, both colours of x; the right side of one colour is zero), the
-#: residual (3), restriction (3) and prolongation (4) with one array of weights
+#: Colours of arrays that a V-cycle streams on the finest level: four sweeps of a colour
+#: (3, 3, 3, 4: right side, inverse pivots, both colours of x; the right side of one is
+#: zero), residual (3), restriction (3) and prolongation (4) with one array of weights;
+#: an odd number of spokes asks for a few more
 FINEST = 23
 
-#: On a coarser level: x zeroed (2), eight half sweeps (9 each: conductances R, both
-#: halves of T and Z, too), two residuals (6, 7), transfers with six weights (7, 8)
+#: On a coarser level: x zeroed (2), eight sweeps of a colour (9 each: conductances R,
+#: both colours of T and Z, too), two residuals (6, 7), transfers of six weights (7, 8)
 COARSER = 102
 
 #: What restriction and prolongation move on the level below: b and x, both colours
@@ -36,6 +37,9 @@ BELOW = 4
 
 #: Conjugate gradients around a V-cycle: r·z, p, A p, x and r, of one colour
 GRADIENTS = 18
+
+#: Relative residual of a solve, as fits ask for it [–]
+RTOL = 1e-12
 
 #: How often a solve, a V-cycle and a copy are timed
 SOLVES, CYCLES, COPIES = 3, 20, 30
@@ -60,7 +64,7 @@ def roofline(laplace: LaplaceSystem) -> Row:
     b = np.where(laplace.free, b, 0.0)
     cycles = multigrid.solve(b, rtol=RTOL).iterations
     # a round of refinement in double precision: x read twice and written, b, the mask,
-    # and the halves both ways; it leaves `REDUCTION` of the residual
+    # and single precision both ways; it leaves `REDUCTION` of the residual
     rounds = math.ceil(math.log(RTOL) / math.log(REDUCTION))
     refinement = b.size * (4 * 8 + 1) + 6 * level
     rough = multigrid.rough()
@@ -83,9 +87,9 @@ def roofline(laplace: LaplaceSystem) -> Row:
 def cycle_bytes(multigrid: Multigrid) -> tuple[int, int]:
     """Bytes of one array of the finest level, and of what a V-cycle streams."""
     hierarchy = multigrid.hierarchy
-    sizes = [level.inverse.nbytes for level in hierarchy.levels]  # both halves
-    halves = FINEST * sizes[0] + COARSER * sum(sizes[1:-1]) + BELOW * sum(sizes[1:])
-    return sizes[0], halves // 2 + hierarchy.inverse.nbytes
+    sizes = [level.inverse.nbytes for level in hierarchy.levels]  # both colours
+    colours = FINEST * sizes[0] + COARSER * sum(sizes[1:-1]) + BELOW * sum(sizes[1:])
+    return sizes[0], colours // 2 + hierarchy.inverse.nbytes
 
 
 def summary(told: Row) -> list[str]:

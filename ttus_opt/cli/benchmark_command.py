@@ -144,21 +144,14 @@ def benchmark(
     json: Json = False,
 ) -> None:
     """Compare solvers by time, memory and verified residual, one process a run."""
-    from ttus_opt.benchmark import CaseSpec, Settings, Suite, reference_cases
+    from ttus_opt.benchmark import Settings, Suite
     from ttus_opt.benchmark.machine import describe
     from ttus_opt.benchmark.parts.registry import chosen
 
     names, machine = chosen(parts), describe()  # its load is that at the start
-    if surface is None and probe is None and not trajectory:
-        cases = [each.sampled(sampling) for each in reference_cases(case)]
-    elif surface is None or probe is None or not trajectory:
-        raise InputError(
-            "a scene of your own needs --surface, --probe and --trajectory together"
-        )
-    else:
-        voxels = whole_numbers(shape, 3, "--shape")
-        own = CaseSpec(OWN, surface, probe, tuple(trajectory), voxels)  # type: ignore[arg-type]  # three of them
-        cases = [_own(own, r_inner, inner, sampling)]
+    cases = _cases(
+        case, surface, probe, trajectory or [], shape, r_inner, inner, sampling
+    )
     settings = Settings(
         time_limit,
         _listed(formulations),
@@ -188,23 +181,49 @@ def _listed(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def _own(case: CaseSpec, r_inner: float, inner: str, sampling: str) -> CaseSpec:
-    """A scene of the user's own.
+def _cases(
+    case: str,
+    surface: str | None,
+    probe: str | None,
+    trajectory: Sequence[str],
+    shape: str,
+    r_inner: float,
+    inner: str,
+    sampling: str,
+) -> list[CaseSpec]:
+    """Reference cases, or the user's own scene.
 
     Raises:
-        InputError: The inner value is no number; a file is not there (`FileError`).
+        InputError: No such case, a scene half given, or numbers that are none.
+        FileError: A file is not there.
     """
-    from dataclasses import replace
-
+    from ttus_opt.benchmark import CaseSpec, reference_cases
     from ttus_opt.benchmark.cases import existing
 
+    if surface is None and probe is None and not trajectory:
+        return [each.sampled(sampling) for each in reference_cases(case)]
+    if surface is None or probe is None or not trajectory:
+        raise InputError(
+            "a scene of your own needs --surface, --probe and --trajectory together"
+        )
+    n_r, n_theta, n_z = whole_numbers(shape, 3, "--shape")
     value: float | Literal["fit"] = "fit"
     if inner != "fit":
         try:
             value = float(inner)
         except ValueError:
             raise InputError(f"--inner takes a number or fit, got {inner!r}") from None
-    return existing(replace(case, r_inner=r_inner, inner=value, sampling=sampling))
+    own = CaseSpec(
+        OWN,
+        surface,
+        probe,
+        tuple(trajectory),
+        (n_r, n_theta, n_z),
+        r_inner=r_inner,
+        inner=value,
+        sampling=sampling,
+    )
+    return [existing(own)]
 
 
 def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:

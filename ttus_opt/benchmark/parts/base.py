@@ -114,12 +114,13 @@ class Part(abc.ABC):
         return table(header, body)
 
     def below(self, rows: Sequence[Row]) -> list[str]:
-        """What the report says below the table, in Markdown; nothing by default."""
+        """What is said below the table, in Markdown; nothing by default."""
         return []
 
     def text(self, rows: Sequence[Row], settings: Settings) -> str:
         """What the terminal shows of all its rows."""
-        return f"{self.title}:\n{self.table(rows)}"
+        below = ["", *self.below(rows)]
+        return "\n".join([f"{self.title}:", self.table(rows), *below]).rstrip()
 
     def report(
         self, rows: Sequence[Row], settings: Settings, folder: Path

@@ -131,6 +131,8 @@ def _rows(profiler: cProfile.Profile) -> list[Row]:
     rows = []
     for entry in entries:
         name, ours = _named(entry.code)
+        if name.endswith(">"):  # a comprehension: its function is there
+            continue
         counted = entry.totaltime if ours else entry.inlinetime
         if TOLD * whole <= counted and entry.totaltime <= whole:
             rows.append(
