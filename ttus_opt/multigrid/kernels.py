@@ -163,7 +163,7 @@ class Rows(NamedTuple):
         south: Previous spoke.
         north: Next spoke.
         inverse: Inverse pivots.
-        count: How many values there are.
+        size: How many values there are.
     """
 
     out: np.uint64
@@ -173,7 +173,7 @@ class Rows(NamedTuple):
     south: np.uint64
     north: np.uint64
     inverse: np.uint64
-    count: np.uint64
+    size: np.uint64
 
 
 class Links(NamedTuple):
@@ -247,7 +247,7 @@ def _flow(
     kept: np.float32,
 ) -> None:
     """Set what flows into free nodes, plus ``kept`` times what was there (compiled)."""
-    for n in range(rows.count):
+    for n in range(rows.size):
         flow = z * (work[rows.west + n] + work[rows.east + n])
         flow += t * (work[rows.south + n] + work[rows.north + n])
         flow += kept * work[rows.out + n]
@@ -259,7 +259,7 @@ def _flow_uneven(
     work: Single, fields: Single, rows: Rows, links: Links, kept: np.float32
 ) -> None:
     """The same with a conductance for every link, zero at fixed nodes (compiled)."""
-    for n in range(rows.count):
+    for n in range(rows.size):
         flow = fields[links.west + n] * work[rows.west + n]
         flow += fields[links.east + n] * work[rows.east + n]
         flow += fields[links.south + n] * work[rows.south + n]
