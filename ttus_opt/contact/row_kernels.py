@@ -220,7 +220,7 @@ def _sort(keys: NDArray[np.int32], order: NDArray[np.int64], count: int) -> None
         order[root] = moved
 
 
-@compiled(inner=True)
+@compiled(inner=True, forceinline=True)
 def _depth(r: float, theta: float, z: float, v: VoxmapArrays) -> float:
     """How far a place is below the skin (compiled) [m]."""
     here, after, a, b = skin_cell(theta, z, v.nodes[0], v.nodes[1], v.layout)
@@ -228,7 +228,7 @@ def _depth(r: float, theta: float, z: float, v: VoxmapArrays) -> float:
     return depth
 
 
-@compiled(inner=True)
+@compiled(inner=True, forceinline=True)
 def _sample(
     trilinear: bool,
     place: tuple[float, float, float, float],
@@ -248,7 +248,7 @@ def _sample(
     return 1 if sampled else 0
 
 
-@compiled(inner=True)
+@compiled(inner=True, forceinline=True)
 def _set_own(own: Array, R: Array, shell: ShellArrays, m: int) -> None:
     """Set (n̂, r×n̂) of shell point m, patient axes (compiled)."""
     normal, point, reference = shell.normals[m], shell.points[m], shell.reference
@@ -262,7 +262,7 @@ def _set_own(own: Array, R: Array, shell: ShellArrays, m: int) -> None:
     own[5] = lx * ny - ly * nx
 
 
-@compiled(inner=True)
+@compiled(inner=True, forceinline=True)
 def _add(weight: float, n_samples: int, count: int, scratch: Scratch) -> int:
     """Add a point to a pose's list of ``count`` voxels; its new length (compiled)."""
     for e in range(n_samples):
@@ -340,9 +340,10 @@ def pose_rows(
             in_contact += 1
             beyond += 1 if r < v.limits[0] else 0
             n_samples = _sample(trilinear, (r, theta, z, depth), v, scratch)
-            _set_own(scratch.own, R, shell, m)
-            weight = shell.areas[m] if trilinear else 1.0
-            count = _add(weight, n_samples, count, scratch)
+            if n_samples:
+                _set_own(scratch.own, R, shell, m)
+                weight = shell.areas[m] if trilinear else 1.0
+                count = _add(weight, n_samples, count, scratch)
         _keep(t, count, trilinear, rows, scratch)
         if rows.row_ptr[3 * t + 3] > rows.columns.size:
             return t

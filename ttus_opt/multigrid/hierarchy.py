@@ -237,7 +237,7 @@ def _packed(levels: list[Level], along: Single) -> tuple[Table, Single, int]:
         kinds = (*level.flags, level.R.ndim > 1, level.T.ndim > 1)
         coefficients = (starts[id(a)] for a in (along, *level.arrays))
         vectors = (end, end + 2 * size, end + 4 * size, 0, zeros)
-        table.append(LevelIndex(*sizes, *kinds, *coefficients, *vectors))
+        table.append(LevelIndex._make((*sizes, *kinds, *coefficients, *vectors)))
         end += 5 * size
         R, T, Z, inverse, *weights = (parts[id(a)] for a in level.arrays)
         levels[n] = replace(

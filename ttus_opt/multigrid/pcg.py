@@ -145,7 +145,7 @@ def dot(work: Single, a: int, b: int, n_r: int, width: int) -> float:
         part = np.float32(0)
         for n in range(np.uint64(width)):
             part += work[first + n] * work[second + n]
-        total += part
+        total += float(part)
     return total
 
 
@@ -172,7 +172,7 @@ def step(
             left = work[rest + n] - factor * work[image + n]
             work[rest + n] = left
             part += left * left
-        total += part
+        total += float(part)
     return total
 
 

@@ -120,7 +120,7 @@ def nearest_voxel(
     return voxel, i <= outermost and below < outermost + 0.5
 
 
-@compiled()
+@compiled(inner=True)
 def spoke_samples(
     theta: float,
     z: float,
