@@ -4,9 +4,9 @@ All coefficients of a hierarchy lie in one array, ``fields``; all vectors of a s
 in another, ``work``. A `LevelIndex` says where each begins, in red-black order
 (`red_black`). This keeps compiling short: a function of two flat arrays compiles in a
 fraction of the time of one of ten arrays and their slices. Places are unsigned in
-loops, since a signed one might count from the end, which every access would have to
-allow for. Colours in calls are numbers of numba's, not literals: a function is compiled
-for every literal it is given.
+loops: a signed one might count from the end, which every access would have to allow
+for. A constant colour is passed as ``np.int64``: a function is compiled again for every
+literal it is called with.
 
 Kernels release the interpreter's lock: several solves may run side by side, each on one
 core, which wastes less than sharing one among cores.
