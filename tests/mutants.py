@@ -77,6 +77,7 @@ TARGETS = (
     Target("contact/friction.py", ("contact/test_friction.py",)),
     Target("scan/contour_filter.py", ("scan/test_contour_filter.py",)),
     Target("contact/rows.py", ("contact/test_rows.py",), is_compiled=False),
+    Target("contact/row_kernels.py", ("contact/test_rows.py",), is_compiled=False),
     Target("probe/point_shell.py", ("probe/test_point_shell.py",)),
     Target("probe/orientation.py", ("probe/test_orientation.py",)),
     Target("solvers/structured.py", ("solvers/test_structured.py",)),

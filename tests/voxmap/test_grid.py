@@ -7,7 +7,7 @@ import pytest
 
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.errors import GeometryError, InputError
-from ttus_opt.voxmap.grid import CylindricalGrid, flat_index
+from ttus_opt.voxmap.grid import CylindricalGrid, flat_index, nodes_of
 
 GRID = CylindricalGrid(0.03, 0.13, 0.0, 0.2, (6, 8, 5))
 
@@ -26,6 +26,7 @@ def test_layout_is_c_order_in_numpy_and_in_kernels() -> None:
     assert flat[flat_index(3, 4, 2, 8, 5)] == values[3, 4, 2]
     np.testing.assert_array_equal(GRID.unflatten(flat), values)
     assert np.dot(GRID.strides, (3, 4, 2)) == flat_index(3, 4, 2, 8, 5)
+    np.testing.assert_array_equal(values[nodes_of(flat[7:70], GRID.shape)], flat[7:70])
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ttus_opt.compiled import is_kept
-from ttus_opt.multigrid.pcg import step
+from ttus_opt.multigrid.refinement import add
 from ttus_opt.multigrid.solver import Multigrid
 from ttus_opt.voxmap.grid import CylindricalGrid
 
@@ -23,7 +23,7 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 def compiling_ahead() -> Iterator[None]:
     """Let another process compile the multigrid meanwhile, unless it was before."""
     helper = None
-    if not is_kept(step):
+    if not is_kept(add):  # the last function that a solve compiles
         helper = subprocess.Popen(
             [sys.executable, "-m", "ttus_opt.multigrid.ahead"],
             stdin=subprocess.DEVNULL,

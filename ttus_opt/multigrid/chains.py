@@ -14,6 +14,7 @@ import numpy as np
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.compiled import compiled
 from ttus_opt.multigrid.red_black import Layout, Single
+from ttus_opt.voxmap.grid import nodes_of
 
 
 def chain_heads(ties: Mask, stride: int) -> IntArray:
@@ -85,7 +86,7 @@ class PooledBlocks:
             start: Where the vector begins [–].
         """
         followers, leaders = (
-            start + layout.places(np.unravel_index(v, layout.shape))
+            start + layout.places(nodes_of(v, layout.shape))
             for v in (self.followers, self.leaders)
         )
         return followers, leaders

@@ -35,7 +35,7 @@ from ttus_opt.multigrid.red_black import Single
 DIRECT_NODES = 100
 #: A direction is coarsened while its step is at most so many times that of θ and z.
 STEP_RATIO = 1.6
-#: Conductance of a tie over that of its link: none moves in single precision [–]
+#: Conductance of a tie over that of its link: its ends are equal in single precision
 STIFFNESS = 1e7
 
 R, THETA, Z = 0, 1, 2
@@ -107,8 +107,8 @@ class Network:
     def tied(self, ties: NDArray[np.bool_]) -> Network:
         """The same with nodes that are tied to the next layer, same shape."""
         along, *across = self.links
-        stiff = np.where(ties, along * np.float32(STIFFNESS), along)
-        return replace(self, links=(stiff, *across))
+        strong = np.where(ties, along * np.float32(STIFFNESS), along)
+        return replace(self, links=(strong, *across))
 
     def weights(self, axis: int) -> tuple[Single, Single]:
         """Weights of the node before and the node after, if a node is dropped."""
@@ -123,7 +123,7 @@ class Network:
         nodes = np.nonzero(self.free)
         number = np.full(self.shape, -1)
         number[nodes] = np.arange(self.n_free)
-        # in double precision, where stiff links leave the others their digits
+        # in double precision, where strong links leave the others their digits
         diagonal = self.aside.astype(float)
         diagonal += self.links[R].astype(float) + np.roll(self.links[R], 1, R)
         A = np.diag(diagonal[nodes])

@@ -233,24 +233,11 @@ def _packed(levels: list[Level], along: Single) -> tuple[Table, Single, int]:
     table, end = [], zeros + -(-scratch // LANES) * LANES
     for n, level in enumerate(levels):
         size = level.layout.colour_size
-        table.append(
-            LevelIndex(
-                level.shape[1],
-                level.shape[2],
-                *level.layout.shape[1:],
-                level.layout.pitch,
-                *level.flags,
-                level.R.ndim > 1,
-                level.T.ndim > 1,
-                starts[id(along)],
-                *(starts[id(a)] for a in level.arrays),
-                b=end,
-                x=end + 2 * size,
-                residual=end + 4 * size,
-                zeros=0,
-                scratch=zeros,
-            )
-        )
+        sizes = (*level.shape[1:], *level.layout.shape[1:], level.layout.pitch)
+        kinds = (*level.flags, level.R.ndim > 1, level.T.ndim > 1)
+        coefficients = (starts[id(a)] for a in (along, *level.arrays))
+        vectors = (end, end + 2 * size, end + 4 * size, 0, zeros)
+        table.append(LevelIndex._make((*sizes, *kinds, *coefficients, *vectors)))
         end += 5 * size
         R, T, Z, inverse, *weights = (parts[id(a)] for a in level.arrays)
         levels[n] = replace(

@@ -4,9 +4,9 @@ All coefficients of a hierarchy lie in one array, ``fields``; all vectors of a s
 in another, ``work``. A `LevelIndex` says where each begins, in red-black order
 (`red_black`). This keeps compiling short: a function of two flat arrays compiles in a
 fraction of the time of one of ten arrays and their slices. Places are unsigned in
-loops, since a signed one might count from the end, which every access would have to
-allow for. Colours in calls are numbers of numba's, not literals: a function is compiled
-for every literal it is given.
+loops: a signed one might count from the end, which every access would have to allow
+for. A constant colour is passed as ``np.int64``: a function is compiled again for every
+literal it is called with.
 
 Kernels release the interpreter's lock: several solves may run side by side, each on one
 core, which wastes less than sharing one among cores.
@@ -163,7 +163,7 @@ class Rows(NamedTuple):
         south: Previous spoke.
         north: Next spoke.
         inverse: Inverse pivots.
-        count: How many values there are.
+        size: How many values there are.
     """
 
     out: np.uint64
@@ -173,7 +173,7 @@ class Rows(NamedTuple):
     south: np.uint64
     north: np.uint64
     inverse: np.uint64
-    count: np.uint64
+    size: np.uint64
 
 
 class Links(NamedTuple):
@@ -247,7 +247,7 @@ def _flow(
     kept: np.float32,
 ) -> None:
     """Set what flows into free nodes, plus ``kept`` times what was there (compiled)."""
-    for n in range(rows.count):
+    for n in range(rows.size):
         flow = z * (work[rows.west + n] + work[rows.east + n])
         flow += t * (work[rows.south + n] + work[rows.north + n])
         flow += kept * work[rows.out + n]
@@ -259,7 +259,7 @@ def _flow_uneven(
     work: Single, fields: Single, rows: Rows, links: Links, kept: np.float32
 ) -> None:
     """The same with a conductance for every link, zero at fixed nodes (compiled)."""
-    for n in range(rows.count):
+    for n in range(rows.size):
         flow = fields[links.west + n] * work[rows.west + n]
         flow += fields[links.east + n] * work[rows.east + n]
         flow += fields[links.south + n] * work[rows.south + n]

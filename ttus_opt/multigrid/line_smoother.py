@@ -84,7 +84,7 @@ def _forward(
     t: np.float32,
 ) -> None:
     """Elimination in one layer, conductances r, z, t of the layer (compiled)."""
-    for n in range(rows.count):
+    for n in range(rows.size):
         load = work[rows.load + n] + z * (work[rows.west + n] + work[rows.east + n])
         load += t * (work[rows.south + n] + work[rows.north + n])
         load += r * work[inner + n]
@@ -102,7 +102,7 @@ def _forward_tied(
     t: np.float32,
 ) -> None:
     """The same with a conductance for every link along r (compiled)."""
-    for n in range(rows.count):
+    for n in range(rows.size):
         load = work[rows.load + n] + z * (work[rows.west + n] + work[rows.east + n])
         load += t * (work[rows.south + n] + work[rows.north + n])
         load += fields[R + n] * work[inner + n]
@@ -119,7 +119,7 @@ def _forward_uneven(
     links: Links,
 ) -> None:
     """The same with a conductance for every link (compiled)."""
-    for n in range(rows.count):
+    for n in range(rows.size):
         load = work[rows.load + n] + fields[links.west + n] * work[rows.west + n]
         load += fields[links.east + n] * work[rows.east + n]
         load += fields[links.south + n] * work[rows.south + n]

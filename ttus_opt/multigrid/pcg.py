@@ -107,25 +107,23 @@ class Vectors(Workspace):
         else:  # red values that follow from black ones
             others = self._x
             self._relax_red(self._x, self._p[BLACK], self.index.zeros)
-        return sum(
+        return math.fsum(
             operate(*self._arrays, c, self._q[c], self._p[c], others[1 - c])
             for c in self._colours
         )
 
     def _step(self, alpha: float) -> float:
         """Set e += α p and b -= α q; returns b · b."""
-        return sum(
-            step(
-                self.values,
-                (self._e[c], self._b[c], self._p[c], self._q[c]),
-                alpha,
-                *self._sizes,
-            )
+        vectors = (self._e, self._b, self._p, self._q)
+        return math.fsum(
+            step(self.values, *(v[c] for v in vectors), alpha, *self._sizes)
             for c in self._colours
         )
 
     def _dot(self, a: tuple[int, int], b: tuple[int, int]) -> float:
-        return sum(dot(self.values, a[c], b[c], *self._sizes) for c in self._colours)
+        return math.fsum(
+            dot(self.values, a[c], b[c], *self._sizes) for c in self._colours
+        )
 
     def _relax_red(self, x: tuple[int, int], opposite: int, load: int) -> None:
         sweep(*self._arrays, RED, x[RED], opposite, load)
@@ -138,22 +136,16 @@ class Vectors(Workspace):
 # Loops run over closing rows too: there, b and q are zero and p is a copy.
 
 
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_dot(work: Single, a: np.uint64, b: np.uint64, count: np.uint64) -> np.float32:
-    total = np.float32(0)
-    for n in range(count):
-        total += work[a + n] * work[b + n]
-    return total
-
-
-@compiled(nogil=True)
+@compiled(nogil=True, fastmath=FAST)
 def dot(work: Single, a: int, b: int, n_r: int, width: int) -> float:
     """Sum of a · b over one colour; rows are added in double precision (compiled)."""
     total = 0.0
     for start in range(0, n_r * width, width):
-        total += _row_dot(
-            work, np.uint64(a + start), np.uint64(b + start), np.uint64(width)
-        )
+        first, second = np.uint64(a + start), np.uint64(b + start)
+        part = np.float32(0)
+        for n in range(np.uint64(width)):
+            part += work[first + n] * work[second + n]
+        total += float(part)
     return total
 
 
@@ -165,54 +157,22 @@ def extend(work: Single, p: int, z: int, beta: float, n_r: int, width: int) -> N
         work[own + n] = work[new + n] + factor * work[own + n]
 
 
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_step(
-    work: Single,
-    x: np.uint64,
-    r: np.uint64,
-    p: np.uint64,
-    q: np.uint64,
-    alpha: np.float32,
-    count: np.uint64,
-) -> np.float32:
-    total = np.float32(0)
-    for n in range(count):
-        work[x + n] += alpha * work[p + n]
-        left = work[r + n] - alpha * work[q + n]
-        work[r + n] = left
-        total += left * left
-    return total
-
-
-@compiled(nogil=True)
+@compiled(nogil=True, fastmath=FAST)
 def step(
-    work: Single,
-    vectors: tuple[int, int, int, int],
-    alpha: float,
-    n_r: int,
-    width: int,
+    work: Single, e: int, r: int, p: int, q: int, alpha: float, n_r: int, width: int
 ) -> float:
-    """Set x += α p and r -= α q for one colour; returns r · r (compiled).
-
-    Args:
-        work: Vectors.
-        vectors: Where x, r, p and q begin.
-        alpha: α [–].
-        n_r: Layers [–].
-        width: Places per layer [–].
-    """
-    x, r, p, q = vectors
-    total = 0.0
+    """Set e += α p and r -= α q for one colour; returns r · r (compiled)."""
+    factor, total = np.float32(alpha), 0.0
     for start in range(0, n_r * width, width):
-        total += _row_step(
-            work,
-            np.uint64(x + start),
-            np.uint64(r + start),
-            np.uint64(p + start),
-            np.uint64(q + start),
-            np.float32(alpha),
-            np.uint64(width),
-        )
+        answer, rest = np.uint64(e + start), np.uint64(r + start)
+        along, image = np.uint64(p + start), np.uint64(q + start)
+        part = np.float32(0)
+        for n in range(np.uint64(width)):
+            work[answer + n] += factor * work[along + n]
+            left = work[rest + n] - factor * work[image + n]
+            work[rest + n] = left
+            part += left * left
+        total += float(part)
     return total
 
 
@@ -230,7 +190,7 @@ def _row_operate(
     (inner, outer), (r_in, r_out) = along, r
     total = np.float32(0)
     diagonal = r_in + r_out + np.float32(2) * (z + t)
-    for n in range(rows.count):
+    for n in range(rows.size):
         own = work[rows.load + n]
         value = diagonal * own - r_in * work[inner + n] - r_out * work[outer + n]
         value -= z * (work[rows.west + n] + work[rows.east + n])

@@ -155,24 +155,28 @@ def residual(
 
 
 @compiled(nogil=True, fastmath=FAST)
-def add(x: Array, correction: Single, scale: float, a: Operator) -> float:
+def add(
+    x: Array, correction: Single, scale: float, n_theta: int, n_z: int, pitch: int
+) -> float:
     """Correct x by scale · correction; returns the sum of the new x² (compiled).
 
     Args:
         x: Values, shape (V,).
         correction: In red-black order, zero at fixed voxels, shape (2, n_r, width).
         scale: Factor [–].
-        a: The operator.
+        n_theta: Spokes [–].
+        n_z: Slices [–].
+        pitch: Of the red-black order [–].
     """
     total = 0.0
-    for i in range(1, a.r.size - 1):
-        for j in range(a.n_theta):
-            own = flat_index(i, j, 0, a.n_theta, a.n_z)
+    for i in range(1, correction.shape[1] - 1):
+        for j in range(n_theta):
+            own = flat_index(i, j, 0, n_theta, n_z)
             for odd in range(2):
-                m = (j + 1) * a.pitch + 1 + odd
+                m = (j + 1) * pitch + 1 + odd
                 row, place = correction[m & 1, i], np.uint64(m >> 1)
                 first = np.uint64(own + 1 + odd)
-                for n in range(np.uint64((a.n_z - 1 - odd) // 2)):
+                for n in range(np.uint64((n_z - 1 - odd) // 2)):
                     value = x[first + n + n] + scale * row[place + n]
                     x[first + n + n] = value
                     total += value * value

@@ -95,10 +95,9 @@ class Multigrid:
         self.norm_bound = float(np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z)))
         self._ties = ties
         self._hierarchy = Hierarchy.build(grid, free, ties)
-        pitch = self._hierarchy.levels[0].layout.pitch
-        self._operator = refinement.Operator(
-            self.free, r, t, z, grid.shape[1], grid.shape[2], pitch
-        )
+        #: Spokes, slices and pitch
+        self._sizes = (*grid.shape[1:], self._hierarchy.levels[0].layout.pitch)
+        self._operator = refinement.Operator(self.free, r, t, z, *self._sizes)
         self._idle: deque[Vectors] = deque()
 
     def __reduce__(self) -> tuple[type[Multigrid], tuple[object, ...]]:
@@ -223,7 +222,7 @@ class Multigrid:
                 )
             goal = max(REDUCTION, 0.5 * target / now)
             iterations += work.correct(goal, limit - iterations)
-            squares = refinement.add(x, work.answer, 1.0 / scale, self._operator)
+            squares = refinement.add(x, work.answer, 1.0 / scale, *self._sizes)
             norm_x = math.sqrt(squares)
             before, scale = now, 1.0 / now
             now = self._residual(work, x, b, scale)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Mask
-from ttus_opt.voxmap.grid import CylindricalGrid
+from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 
 Value = TypeVar("Value", bound=np.generic)
 Index = NDArray[np.integer]
@@ -55,7 +55,7 @@ class Subdomain:
         whole = cls(grid, (0, 0, 0), grid.shape)
         if voxels is None or not len(voxels):
             return whole
-        layers, spokes, slices = np.unravel_index(voxels, grid.shape)
+        layers, spokes, slices = nodes_of(voxels, grid.shape)
         start, arc = _arc(spokes, grid.shape[1])
         steps = np.array(
             [grid.r_step, grid.theta_step * grid.r[layers].mean(), grid.z_step]
@@ -131,7 +131,7 @@ class Subdomain:
         Returns:
             Three arrays (k,); out of range for voxels outside.
         """
-        i, j, k = np.unravel_index(voxels, self.grid.shape)
+        i, j, k = nodes_of(voxels, self.grid.shape)
         return (
             i - self.first[0],
             (j - self.first[1]) % self.grid.shape[1],

@@ -133,9 +133,9 @@ def _swap(
     work: Single,
     places: tuple[int, int],
     spokes: tuple[int, int],
-    into: bool,
+    into: np.bool_,
 ) -> None:
-    """Copy between a fine spoke of black nodes and the coarse slices it meets.
+    """Copy between a fine spoke of black nodes and its coarse slices (compiled).
 
     A coarse plane is one spoke after the other if z was coarsened, else one colour
     after the other. On the way ``into`` it, sums for coarse slice n of an odd spoke
@@ -170,7 +170,7 @@ def _swap_plane(
     even: int,
     odd: int,
     plane: int,
-    into: bool,
+    into: np.bool_,
 ) -> None:
     """Copy between a fine layer and a coarse plane (compiled).
 
@@ -225,7 +225,7 @@ def _restrict_layer(
         mean = Mean(total + at.pitch, zeros, after, odd, before, odd + at.pitch)
         _add_mean(work, fields, mean, width - at.pitch)
         odd = total
-    _swap_plane(at, below, work, even, odd, buffers.plane, True)
+    _swap_plane(at, below, work, even, odd, buffers.plane, np.bool_(True))
 
 
 @compiled(inner=True, nogil=True)
@@ -284,7 +284,7 @@ def _prolong_layer(
     width, q, zeros = at.width, at.pitch // 2, at.zeros
     red, black = i * width, (at.n_r + i) * width
     known, between = buffers.values, buffers.between
-    _swap_plane(at, below, work, known, known, buffers.plane, False)
+    _swap_plane(at, below, work, known, known, buffers.plane, np.bool_(False))
     odd = known
     if at.coarsens_theta and at.coarsens_z:
         before, after = at.before_theta + red + q + 1, at.after_theta + red + q + 1
@@ -316,7 +316,7 @@ def prolong(at: LevelIndex, below: LevelIndex, fields: Single, work: Single) -> 
         work: Vectors.
     """
     width = at.width
-    s, e = span(at, 1)
+    s, e = span(at, np.int64(1))
     buffers = _buffers(at, work)
     here, inner = buffers.here, buffers.below
     for j in range(-1, at.n_theta + 1, 2):
@@ -347,7 +347,7 @@ def _prolong_between(
     at: LevelIndex, fields: Single, work: Single, i: int, inner: int, outer: int
 ) -> None:
     """Add to fine layer i the mean of its neighbours (compiled)."""
-    s, e = span(at, 1)
+    s, e = span(at, np.int64(1))
     p = (at.n_r + i) * at.width + s
     out = at.x + p
     mean = Mean(out, out, at.before_r + p, inner + s, at.after_r + p, outer + s)

@@ -146,7 +146,7 @@ def corner_sample(
     return flat_index(i, 0, spoke, counts[0], counts[1]), part * low, part * high
 
 
-@compiled()
+@compiled(inner=True)
 def spoke_samples(
     theta: float,
     z: float,

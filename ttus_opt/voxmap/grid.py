@@ -183,6 +183,18 @@ class CylindricalGrid:
         )
 
 
+def nodes_of(
+    voxels: NDArray[np.integer], shape: tuple[int, int, int]
+) -> tuple[NDArray[np.int64], ...]:
+    """Layer, spoke and slice of voxels, shape (k,) each [–].
+
+    Args:
+        voxels: Flat indices, shape (k,).
+        shape: Of the grid.
+    """
+    return np.unravel_index(voxels, shape)
+
+
 @compiled(inline="always")
 def flat_index(i: int, j: int, k: int, n_theta: int, n_z: int) -> int:
     """Flat index of voxel (i, j, k): C order (compiled)."""

@@ -1,0 +1,354 @@
+"""Compiled kernels of the contact rows: what they are given, and the loop over poses.
+
+Several small functions, loops over entries and no numpy inside: assignments of whole
+arrays, new arrays and numpy's sort each cost the compiler seconds, and a fit waits for
+them the first time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.compiled import compiled
+from ttus_opt.cylindrical import turn_angle
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
+from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table
+from ttus_opt.voxmap.grid import GridLimits
+from ttus_opt.voxmap.voxmap import Voxmap
+
+#: Area to which the trilinear sampling refers, A₀ = 1 cm² [m²]
+REFERENCE_AREA = 1e-4
+
+
+class ShellArrays(NamedTuple):
+    """A point shell for the kernels.
+
+    Attributes:
+        points: Probe frame, shape (M, 3) [m].
+        normals: Unit, inward, shape (M, 3).
+        areas: a/A₀, shape (M,) [–].
+        reference: Of the torque, shape (3,) [m].
+    """
+
+    points: Array
+    normals: Array
+    areas: Array
+    reference: Array
+
+
+def shell_arrays(shell: PointShell) -> ShellArrays:
+    """A point shell for the kernels."""
+    return ShellArrays(
+        np.ascontiguousarray(shell.points),
+        np.ascontiguousarray(shell.normals),
+        shell.areas / REFERENCE_AREA,
+        np.ascontiguousarray(shell.reference),
+    )
+
+
+@compiled(inline="always")
+def rotated(R: Array, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """R times a vector (compiled)."""
+    return (
+        R[0, 0] * x + R[0, 1] * y + R[0, 2] * z,
+        R[1, 0] * x + R[1, 1] * y + R[1, 2] * z,
+        R[2, 0] * x + R[2, 1] * y + R[2, 2] * z,
+    )
+
+
+@compiled(inline="always")
+def within(radius_squared: float, z: float, limits: GridLimits) -> bool:
+    """Whether a place lies within the outer layer and the slices (compiled)."""
+    if z < limits.z_min:
+        return False
+    return not (radius_squared > limits.r_outer * limits.r_outer or z > limits.z_max)
+
+
+class VoxmapArrays(NamedTuple):
+    """A voxmap for the kernels.
+
+    Attributes:
+        limits: `CylindricalGrid.kernel_limits`.
+        shape: Voxels in r, θ and z, shape (3,) [–].
+        skin: Radius of the surface's nodes, flat [m].
+        nodes: The surface's angles and slices [–].
+        layout: `Surface.kernel_layout`.
+        spokes: `spoke_table`.
+        highest: Square of the largest radius [m²].
+    """
+
+    limits: GridLimits
+    shape: NDArray[np.int64]
+    skin: Array
+    nodes: tuple[int, int]
+    layout: RadiusLayout
+    spokes: Array
+    highest: float
+
+    @classmethod
+    def of(cls, voxmap: Voxmap) -> VoxmapArrays:
+        """Its arrays."""
+        radius = np.ascontiguousarray(voxmap.surface.radius)
+        return cls(
+            voxmap.grid.kernel_limits,
+            np.array(voxmap.grid.shape),
+            radius.reshape(-1),
+            (radius.shape[0], radius.shape[1]),
+            voxmap.surface.kernel_layout,
+            spoke_table(voxmap),
+            float(radius.max()) ** 2,
+        )
+
+
+class Rows(NamedTuple):
+    """Rows as they are made, three per pose, with the same columns.
+
+    Attributes:
+        row_ptr: Where rows begin, shape (3T + 1,).
+        columns: Voxels, shape (n,).
+        force: Entries of N, shape (n,).
+        torque: Entries of W, shape (n,) [m].
+        contact_points: See `ContactRows`.
+        in_grid: See `ContactRows`.
+        beyond_inner: See `ContactRows`.
+    """
+
+    row_ptr: NDArray[np.int32]
+    columns: NDArray[np.int32]
+    force: Array
+    torque: Array
+    contact_points: NDArray[np.int64]
+    in_grid: NDArray[np.bool_]
+    beyond_inner: NDArray[np.int64]
+
+    @classmethod
+    def empty(cls, n_poses: int, size: int) -> Rows:
+        """Room for ``size`` entries."""
+        return cls(
+            np.zeros(3 * n_poses + 1, np.int32),
+            np.empty(size, np.int32),
+            np.empty(size),
+            np.empty(size),
+            np.zeros(n_poses, np.int64),
+            np.zeros(n_poses, np.bool_),
+            np.zeros(n_poses, np.int64),
+        )
+
+    def grown(self, rows: int, ratio: float) -> Rows:
+        """The same with room for all poses, as far as those so far tell.
+
+        Args:
+            rows: How many rows are made.
+            ratio: All poses over those made [–].
+        """
+        used, size = self.row_ptr[rows], len(self.columns)
+        room = max(2 * size, math.ceil(1.2 * ratio * used))
+        arrays = []
+        for held in (self.columns, self.force, self.torque):
+            more = np.empty(room, held.dtype)
+            more[:used] = held[:used]
+            arrays.append(more)
+        columns, force, torque = arrays
+        return self._replace(columns=columns, force=force, torque=torque)
+
+
+class Scratch(NamedTuple):
+    """What the kernel works in.
+
+    Attributes:
+        slot: Where a voxel stands in a pose's list, -1 when it does not, shape (V,).
+        touched: A pose's list of voxels.
+        sums: Their force and torque entries, shape (n, 6).
+        hits: How many points sampled them.
+        order: In which they ascend.
+        voxels: Voxels that one point samples, shape (8,).
+        shares: Their shares, shape (8,).
+        own: A point's normal and lever arm × normal, patient axes, shape (6,).
+    """
+
+    slot: NDArray[np.int32]
+    touched: NDArray[np.int32]
+    sums: Array
+    hits: Array
+    order: NDArray[np.int64]
+    voxels: NDArray[np.int64]
+    shares: Array
+    own: Array
+
+    @classmethod
+    def of(cls, n_voxels: int, n_points: int) -> Scratch:
+        """Scratch space for any pose."""
+        most = 8 * n_points
+        return cls(
+            np.full(n_voxels, -1, np.int32),
+            np.empty(most, np.int32),
+            np.empty((most, 6)),
+            np.empty(most),
+            np.empty(most, np.int64),
+            np.empty(8, np.int64),
+            np.empty(8),
+            np.empty(6),
+        )
+
+
+@compiled(inner=True)
+def _sort(keys: NDArray[np.int32], order: NDArray[np.int64], count: int) -> None:
+    """Make ``order`` the order in which keys ascend, by heap sort (compiled)."""
+    for a in range(count):
+        order[a] = a
+    start, end = count // 2, count
+    while end > 1:
+        if start > 0:
+            start -= 1
+        else:
+            end -= 1
+            order[0], order[end] = order[end], order[0]
+        root, child = start, 2 * start + 1
+        moved = order[root]
+        while child < end:
+            if child + 1 < end and keys[order[child]] < keys[order[child + 1]]:
+                child += 1
+            if keys[order[child]] <= keys[moved]:
+                break
+            order[root] = order[child]
+            root, child = child, 2 * child + 1
+        order[root] = moved
+
+
+@compiled(inner=True, forceinline=True)
+def _depth(r: float, theta: float, z: float, v: VoxmapArrays) -> float:
+    """How far a place is below the skin (compiled) [m]."""
+    here, after, a, b = radius_cell(theta, z, v.nodes[0], v.nodes[1], v.layout)
+    depth: float = radius_between(here, after, a, b, v.skin) - r
+    return depth
+
+
+@compiled(inner=True, forceinline=True)
+def _sample(
+    trilinear: bool,
+    place: tuple[float, float, float, float],
+    v: VoxmapArrays,
+    scratch: Scratch,
+) -> int:
+    """Voxels and shares of a point at (r, θ, z) and a depth; how many (compiled)."""
+    r, theta, z, depth = place
+    voxels, shares = scratch.voxels, scratch.shares
+    if trilinear:
+        count: int = spoke_samples(
+            theta, z, depth, v.limits, v.shape, v.spokes, voxels, shares
+        )
+        return count
+    voxels[0], sampled = nearest_voxel(r, theta, z, depth, v.limits, v.shape, v.spokes)
+    shares[0] = 1.0
+    return 1 if sampled else 0
+
+
+@compiled(inner=True, forceinline=True)
+def _set_own(own: Array, R: Array, shell: ShellArrays, m: int) -> None:
+    """Set (n̂, r×n̂) of shell point m, patient axes (compiled)."""
+    normal, point, reference = shell.normals[m], shell.points[m], shell.reference
+    nx, ny, nz = rotated(R, normal[0], normal[1], normal[2])
+    lx, ly, lz = rotated(
+        R, point[0] - reference[0], point[1] - reference[1], point[2] - reference[2]
+    )
+    own[0], own[1], own[2] = nx, ny, nz
+    own[3] = ly * nz - lz * ny
+    own[4] = lz * nx - lx * nz
+    own[5] = lx * ny - ly * nx
+
+
+@compiled(inner=True, forceinline=True)
+def _add(weight: float, n_samples: int, count: int, scratch: Scratch) -> int:
+    """Add a point to a pose's list of ``count`` voxels; its new length (compiled)."""
+    for e in range(n_samples):
+        voxel = scratch.voxels[e]
+        c, factor = scratch.slot[voxel], weight * scratch.shares[e]
+        if c < 0:
+            c = count
+            count += 1
+            scratch.slot[voxel] = c
+            scratch.touched[c] = voxel
+            scratch.hits[c] = 0.0
+            for entry in range(6):
+                scratch.sums[c, entry] = 0.0
+        scratch.hits[c] += 1.0
+        for entry in range(6):
+            scratch.sums[c, entry] += factor * scratch.own[entry]
+    return count
+
+
+@compiled(inner=True)
+def _keep(t: int, count: int, trilinear: bool, rows: Rows, scratch: Scratch) -> None:
+    """Write a pose's list of voxels as its rows, if there is room (compiled)."""
+    start = rows.row_ptr[3 * t]
+    has_room = start + 3 * count <= rows.columns.size
+    if has_room:
+        _sort(scratch.touched, scratch.order, count)
+    for a in range(count):
+        c = scratch.order[a] if has_room else a
+        scratch.slot[scratch.touched[c]] = -1
+        if has_room:
+            share = 1.0 if trilinear else scratch.hits[c]
+            for axis in range(3):
+                place = start + axis * count + a
+                rows.columns[place] = scratch.touched[c]
+                rows.force[place] = scratch.sums[c, axis] / share
+                rows.torque[place] = scratch.sums[c, 3 + axis] / share
+    for axis in range(1, 4):
+        rows.row_ptr[3 * t + axis] = start + axis * count
+
+
+@compiled()
+def pose_rows(
+    first: int,
+    trilinear: bool,
+    rotation: Array,
+    position: Array,
+    shell: ShellArrays,
+    v: VoxmapArrays,
+    rows: Rows,
+    scratch: Scratch,
+) -> int:
+    """Rows of poses from the first one on, as long as there is room (compiled).
+
+    Returns:
+        The pose for which there was no room, or the number of poses.
+    """
+    for t in range(first, len(position)):
+        R, at = rotation[t], position[t]
+        count = int(np.int64(0))  # a literal would be a type of its own to numba
+        in_grid, in_contact, beyond = False, 0, 0
+        for m in range(len(shell.points)):
+            point = shell.points[m]
+            x, y, z = rotated(R, point[0], point[1], point[2])
+            x, y, z = x + at[0], y + at[1], z + at[2]
+            square = x * x + y * y
+            if not within(square, z, v.limits):
+                continue
+            in_grid = True
+            if square >= v.highest:
+                continue
+            r, theta = math.sqrt(square), turn_angle(x, y)
+            depth = _depth(r, theta, z, v)
+            if depth <= 0.0:
+                continue
+            in_contact += 1
+            beyond += 1 if r < v.limits.r_inner else 0
+            n_samples = _sample(trilinear, (r, theta, z, depth), v, scratch)
+            if n_samples:
+                _set_own(scratch.own, R, shell, m)
+                weight = shell.areas[m] if trilinear else 1.0
+                count = _add(weight, n_samples, count, scratch)
+        _keep(t, count, trilinear, rows, scratch)
+        if rows.row_ptr[3 * t + 3] > rows.columns.size:
+            return t
+        rows.in_grid[t] = in_grid
+        rows.contact_points[t] = in_contact
+        rows.beyond_inner[t] = beyond
+    return len(position)
