@@ -11,7 +11,7 @@ import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -115,17 +115,26 @@ class Scene:
             sampling=sampling,
         )
         _report_contact(rows, voxmap.grid.r_inner)
-        found: dict[str, dict[str, Any]] = {}
+        known = _Identified({}, {}, {})
         if isinstance(inner, str):
-            found = _identified_scale(laplace, rows, trajectory, outer)
-            inner = found["parameters"][BOUNDARY_SCALE]
+            known = _identified_scale(laplace, rows, trajectory, outer)
+            inner = known.parameters[BOUNDARY_SCALE]
             outer = inner * outer
-        values = (float(inner), float(outer))
-        b = laplace.right_side(*values)
-        scene = cls(
-            voxmap, shell, trajectory, sampling, laplace, rows, *values, b, **found
+        return cls(
+            voxmap,
+            shell,
+            trajectory,
+            sampling,
+            laplace,
+            rows,
+            float(inner),
+            float(outer),
+            laplace.right_side(float(inner), float(outer)),
+            known.parameters,
+            time.perf_counter() - start,
+            known.standard_errors,
+            known.not_identified,
         )
-        return replace(scene, seconds=time.perf_counter() - start)
 
     def __repr__(self) -> str:
         return f"Scene({', '.join(self._facts().values())})"
@@ -303,18 +312,23 @@ def _report_contact(rows: ContactRows, r_inner: float) -> None:
         )
 
 
+class _Identified(NamedTuple):
+    """What assembling identified, as a scene keeps it, by name."""
+
+    parameters: dict[str, float]
+    standard_errors: dict[str, float]
+    not_identified: dict[str, str]
+
+
 def _identified_scale(
     laplace: LaplaceSystem, rows: ContactRows, trajectory: Trajectory, outer: float
-) -> dict[str, dict[str, Any]]:
-    """The boundary scale, 1 where the forces do not bear it, as fields of a scene."""
+) -> _Identified:
+    """The boundary scale; 1 where the forces do not bear it."""
     scale, error = _boundary_scale(laplace, rows, trajectory, outer)
     if error <= LARGEST_SCALE_ERROR * scale:
-        certainty: tuple[str, Any] = ("standard_errors", error)
-    else:
-        certainty = ("not_identified", _report_scale(scale, error))
-        scale = 1.0
-    name, value = certainty
-    return {"parameters": {BOUNDARY_SCALE: scale}, name: {BOUNDARY_SCALE: value}}
+        return _Identified({BOUNDARY_SCALE: scale}, {BOUNDARY_SCALE: error}, {})
+    reason = _report_scale(scale, error)
+    return _Identified({BOUNDARY_SCALE: 1.0}, {}, {BOUNDARY_SCALE: reason})
 
 
 def _boundary_scale(

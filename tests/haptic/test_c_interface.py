@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import ctypes
+import os
+import re
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -225,6 +228,27 @@ def test_a_frame_leaves_the_ledger_to_a_waiting_update(
     renderer._c.resume(renderer._fields.pair)
     CLoop(library, renderer, once).run()
     assert renderer.blend.progress > 0.0
+
+
+def test_the_how_to_page_runs(scene: Scene, tmp_path: Path) -> None:
+    """Its C++ loop and its Python host, as they are printed."""
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "rendering-cpp.md"
+    if shutil.which("c++") is None or not page.exists():
+        pytest.skip("no C++ compiler or no documentation here")
+    blocks = re.findall(r'```\w+ title="(\S+)"\n(.*?)```', page.read_text(), re.S)
+    for name, text in blocks:
+        quick = text.replace("...  #", "import time; time.sleep(0.1)  #")
+        (tmp_path / name).write_text(quick)
+    pressing(scene).save(tmp_path / "patient.nc")
+    done = subprocess.run(
+        [sys.executable, "host.py"],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(page.parents[2])},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert re.fullmatch(r"[1-9]\d+ frames", done.stdout.strip())
 
 
 def test_an_update_gives_up_on_a_frame_that_never_ends(

@@ -9,13 +9,22 @@ Contact Mechanics, 1985, §4.2):
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.phantom.elasticity import ElasticBody
-from ttus_opt.phantom.mesh import box_mesh, graded
+from ttus_opt.phantom.mesh import graded
+
+
+def box_mesh(x: Array, y: Array, z: Array) -> Any:
+    """Hexahedra (`skfem.MeshHex`) between node positions along x, y and z [m]."""
+    from skfem import MeshHex
+
+    mesh = MeshHex.init_tensor(x, y, z)
+    return MeshHex(np.ascontiguousarray(mesh.p), np.ascontiguousarray(mesh.t))
 
 
 def soft_block(

@@ -3,8 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.phantom.block import box_mesh
 from ttus_opt.errors import InputError
-from ttus_opt.phantom.mesh import box_mesh, graded, ring_mesh
+from ttus_opt.phantom.mesh import graded, ring_mesh
 
 
 def volume(mesh):

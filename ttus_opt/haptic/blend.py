@@ -207,7 +207,7 @@ def advance(
     current_drag: Array,
     target_drag: Array,
 ) -> None:
-    """Fold one frame's motion into a swap's ledger and take its step (compiled).
+    """Account for one frame's motion in the ledger and take the swap's step (compiled).
 
     Args:
         ledger: Of the swap, shape (LEDGER,); written.

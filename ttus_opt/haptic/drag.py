@@ -14,8 +14,8 @@ reference and across the probe's pressing axis (a = 0, ê = R·axis),
     f_d = −(μ max(n̂ᵀf, 0) / max(‖v_t‖, v₀) + c_region) v_t,   τ_d = a × f_d
 
 Its power is f_dᵀ(v + ω × R x₀) + τ_dᵀω = f_dᵀu = −k ‖v_t‖² with k ≥ 0: drag takes
-energy and never gives any, whatever pose, twist and field. That is why a surface that
-pulls (n̂ᵀf < 0) drags nothing, and why negative coefficients are refused. Where nothing
+energy and never gives any, whatever pose, twist and field. For this a contact that
+pulls (n̂ᵀf < 0) has no drag, and negative coefficients are refused. Where nothing
 pulls, this is the drag of the fit's rows (`friction.coulomb_rows`, `viscous_rows`).
 """
 

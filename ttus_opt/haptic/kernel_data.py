@@ -25,7 +25,7 @@ RUN = 8
 
 
 class FrameData(NamedTuple):
-    """What the compiled passes read and the scratch they write, for one thread.
+    """Input and scratch of the compiled passes, for one thread.
 
     Attributes:
         trilinear: Sampling.

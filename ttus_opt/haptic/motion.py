@@ -72,7 +72,7 @@ def estimate_twist(
     motion: Array, R: Array, at: Array, time: float, reference: Array, numbers: Array,
     twist: Array,
 ) -> bool:  # fmt: skip
-    """Fold a pose into a motion and tell the twist (compiled).
+    """Update a motion with a pose and estimate the twist (compiled).
 
     Args:
         motion: State, shape (MOTION,); written. Zeros to start with.
@@ -148,7 +148,7 @@ def turn_between(
 def _drawn(
     motion: Array, x: float, y: float, z: float, play: float
 ) -> tuple[float, float, float]:
-    """Draw the follower's place to within the play of a point; its way (compiled)."""
+    """Draw the follower to within the play of a point; its displacement (compiled)."""
     dx, dy, dz = x - motion[PLACE], y - motion[PLACE + 1], z - motion[PLACE + 2]
     away = math.sqrt(dx * dx + dy * dy + dz * dz)
     if away <= play:
@@ -163,7 +163,7 @@ def _drawn(
 
 @compiled(inline="always")
 def _turned(motion: Array, R: Array, play: float) -> tuple[float, float, float]:
-    """Turn the follower to within the play of a rotation; its turn (compiled)."""
+    """Turn the follower to within the play of R; its rotation vector (compiled)."""
     ax, ay, az, sine, angle = turn_between(R, motion, ROTATION)
     if angle <= play or sine == 0.0:
         return 0.0, 0.0, 0.0

@@ -86,7 +86,7 @@ class Wrench:
 
 @dataclass(frozen=True, slots=True)
 class _Fields:
-    """What a frame renders, swapped as one, and the names of what drags in each."""
+    """The fields of a frame, replaced together, with the names of their drag."""
 
     pair: FieldPair = field(repr=False)
     current_drag: str
@@ -103,12 +103,12 @@ class _Fields:
 class Renderer:
     """Renders contact of one probe with one field, and with the fields after it.
 
-    One thread renders; any other may call `update` and `warm_up`. A frame takes no
-    lock that it would have to wait for: while an update prepares a swap, frames go on
-    with the fields as they stand. Neither does it allocate, apart from the `Wrench` it
-    returns; `render_into` spares that too. Compiled code runs without the interpreter's
-    lock, here and in the fit; a thread busy in plain Python holds that lock for up to
-    `sys.getswitchinterval`, so give such work a process of its own.
+    One thread renders; any other may call `update` and `warm_up`. A frame never waits
+    for a lock: while an update prepares a swap, frames go on with the present fields.
+    `render_into` allocates nothing; `render` allocates the `Wrench` that it returns.
+    Compiled code runs without the interpreter's lock, here and in the fit; a thread
+    busy in plain Python holds that lock for up to `sys.getswitchinterval`, so give such
+    work a process of its own, or run the loop in C (`c_function`).
 
     A field that was fitted with friction drags on a moving probe. How it moves is
     given as a twist, or estimated from poses with their times (`MotionFilter`); with
@@ -124,7 +124,7 @@ class Renderer:
             torque by the same factor. No limit by default.
 
     Raises:
-        InputError: A limit that is not positive, or a field's drag that is none.
+        InputError: A limit that is not positive, or unusable drag parameters.
     """
 
     def __init__(
@@ -211,8 +211,8 @@ class Renderer:
             outside the grid.
 
         Raises:
-            InputError: Wrong shapes, NaN, no rotation matrix, both twist and time,
-                or a time before the last one.
+            InputError: Another form of pose, NaN, a matrix that is not a rotation,
+                both twist and time, or a time before the last one.
         """
         counts, drag = self._render(rotation, position, twist, time, order)
         wrench = self._buffers.rows[WRENCH].copy()
@@ -314,7 +314,7 @@ class Renderer:
         return "given"
 
     def _refuse(self, code: int, time: float | None) -> None:
-        """Say in words why a frame was refused."""
+        """Raise for the code of a refused frame."""
         if code == BAD_TWIST:
             raise InputError("the twist contains NaN or infinite values")
         if code == BAD_TIME:
@@ -348,8 +348,8 @@ class Renderer:
             field: On the same grid and surface and with the same sampling.
 
         Raises:
-            InputError: It is for another grid, surface or sampling, or its drag is
-                none.
+            InputError: It is for another grid, surface or sampling, or has unusable
+                drag parameters.
         """
         self._require_alike(field)
         drag = DragLaw.of(field.parameters, field.voxmap.grid)
@@ -428,7 +428,7 @@ class Renderer:
 
 
 def _flat(field: PotentialField) -> Array:
-    """A copy of the field's values, flat: nobody else's to change."""
+    """A copy of the field's values, flat."""
     return np.array(field.values, dtype=np.float64, order="C").reshape(-1)
 
 

@@ -33,7 +33,7 @@ BAD_POSE, BAD_TWIST, BAD_TIME = -1, -2, -3
 
 
 class FieldPair(NamedTuple):
-    """What a frame renders, swapped as one: two fields and the ledger between them.
+    """Two fields and the ledger of the swap between them, replaced together.
 
     Attributes:
         current: Field in force, flat, shape (V,).
@@ -56,9 +56,9 @@ WRENCH, DRAG, TWIST, PATCH, OLD, OLD_DRAG, ROWS = 0, 1, 2, 3, 4, 5, 6
 
 
 class FrameBuffers(NamedTuple):
-    """Where a frame's input is laid down and its output written, for one thread.
+    """Input, state and output of a frame, for one thread.
 
-    Few arrays, for each costs a call a fifth of a microsecond.
+    Few arrays: passing one costs a fifth of a microsecond per call.
 
     Attributes:
         R: Rotation, probe to patient, shape (3, 3) [–].
@@ -74,7 +74,7 @@ class FrameBuffers(NamedTuple):
 
     @classmethod
     def empty(cls) -> FrameBuffers:
-        """A buffers with nothing on it."""
+        """Buffers before the first frame."""
         return cls(np.eye(3), np.zeros(3), np.zeros(MOTION), np.zeros((ROWS, 6)))
 
 
@@ -84,7 +84,7 @@ BLEND, FORCE, FILTER = 0, 3, 4
 
 
 class FrameLimits(NamedTuple):
-    """What is the same in every frame of a renderer.
+    """The limits and weights of a renderer, the same in every frame.
 
     Attributes:
         numbers: See the places above, shape (8,).
@@ -104,11 +104,11 @@ def render_frame(
     limits: FrameLimits,
     may_write: bool,
 ) -> tuple[int, bool, int, bool]:
-    """Render the pose and twist on the buffers (compiled).
+    """Render the pose and twist in the buffers (compiled).
 
     Args:
         buffers: Input, scratch and output.
-        time: When [s], to estimate the twist; NaN to take the buffers's.
+        time: Of the pose, to estimate the twist [s]; NaN to use the buffers' twist.
         data: Probe, surface and scratch.
         pair: Fields and ledger.
         limits: Of the renderer.
@@ -245,12 +245,12 @@ def mixed(current: Array, target: Array, share: float) -> Array:
 def mixed_drag(
     ledger: Array, pair: FieldPair, mix: Array, data: FrameData, weights: Array
 ) -> Array:
-    """One drag law in place of two amid a swap, for the field that mixes theirs.
+    """The drag law of a mixture of two fields, when an update comes amid a swap.
 
-    At the ledger's pose μ gives the force that both together gave there, so that the
-    change does not show; viscosities are mixed by their shares. Deadband, regions and
-    where drag acts are of the field with the larger share: where the other's differ,
-    direction and size of drag change by as much.
+    At the ledger's pose its μ gives the force that both laws together gave there, so
+    that force does not jump; viscosities are mixed by their shares. Deadband, regions
+    and where drag acts are taken from the field with the larger share: where the other
+    field's differ, direction and size of drag change by as much.
 
     Args:
         ledger: With the pose and the share of the target.

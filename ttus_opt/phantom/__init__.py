@@ -3,7 +3,8 @@
 A linear-elastic finite-element body with ribs and a lump, pressed by a rigid probe
 through unilateral contact on its skin's compliance, with optional Coulomb drag and
 sensor noise. It knows nothing of potential fields, so that fitting one to its
-recordings proves something.
+recordings proves something. "Skin" is its outer layer of nodes, which deforms; what
+a scan of it gives is a surface.
 """
 
 from ttus_opt.phantom.elasticity import ElasticBody, SkinPatch, skin_compliance

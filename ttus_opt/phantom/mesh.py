@@ -1,4 +1,4 @@
-"""Structured hexahedra with fine middles: node positions, boxes and closed rings."""
+"""Structured hexahedra with fine middles: node positions and closed rings."""
 
 from __future__ import annotations
 
@@ -62,13 +62,6 @@ def _growing(length: float, step: float, growth: float, largest: float) -> Array
         steps.append(min(steps[-1] * growth, largest))
     positions = np.cumsum(steps)
     return np.asarray(positions * (length / positions[-1]))
-
-
-def box_mesh(x: Array, y: Array, z: Array) -> Any:
-    """Hexahedra (`skfem.MeshHex`) between node positions along x, y and z [m]."""
-    MeshHex = load("skfem", "phantom").MeshHex
-    mesh = MeshHex.init_tensor(x, y, z)
-    return MeshHex(np.ascontiguousarray(mesh.p), np.ascontiguousarray(mesh.t))
 
 
 def ring_mesh(fraction: Array, theta: Array, z: Array, points: Any) -> Any:

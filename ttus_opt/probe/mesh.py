@@ -1,7 +1,7 @@
-"""Triangle meshes: read from a file into metres, welded and without dead faces.
+"""Triangle meshes: read from a file into metres, welded, without degenerate faces.
 
-Only what the point shell needs. Files are parsed by trimesh; everything after is
-done here, so that nothing is repaired behind the user's back.
+Only what the point shell needs. Files are parsed by trimesh; everything after is done
+here, so that no mesh is repaired silently.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ class TriangleMesh:
         return float(np.ptp(self.vertices, axis=0).max())
 
     def cleaned(self) -> TriangleMesh:
-        """The same surface welded, without dead faces and stray vertices.
+        """The same surface welded, without degenerate faces and stray vertices.
 
         Equal vertices become one (STL repeats them per face), and a face that
         occurs twice is kept once, whatever its winding.

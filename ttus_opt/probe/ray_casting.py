@@ -49,24 +49,6 @@ class RayTree(NamedTuple):
             children,
         )
 
-    def crossings(self, origins: Array, directions: Array) -> IntArray:
-        """Number of faces each ray crosses.
-
-        Args:
-            origins: Where the rays begin, shape (n, 3) [m].
-            directions: Where they go, any length, shape (n, 3) [–].
-
-        Returns:
-            Counts, shape (n,) [–].
-        """
-        return np.asarray(
-            _crossings(
-                np.ascontiguousarray(origins, dtype=float),
-                np.ascontiguousarray(directions, dtype=float),
-                self,
-            )
-        )
-
 
 @compiled()
 def _build(
@@ -170,15 +152,3 @@ def count_crossings(
             if (vx * qx + vy * qy + vz * qz) / det > 0.0:
                 count += 1
     return count
-
-
-@compiled()
-def _crossings(
-    origins: Array,
-    directions: Array,
-    tree: RayTree,
-) -> IntArray:
-    out = np.empty(len(origins), np.int64)
-    for n in range(len(origins)):
-        out[n] = count_crossings(origins[n], directions[n], -1, tree)
-    return out

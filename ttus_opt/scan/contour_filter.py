@@ -215,7 +215,7 @@ def _two_laps(
     jump: Array,
     given: _Measurement | None,
 ) -> Contour:
-    """Two laps forward, one pass backward; what is half a lap from either end.
+    """Two laps forward, one pass backward; the lap in the middle is kept.
 
     With ``given`` measurements the filter is linear; without, each spoke's candidates
     are associated around the filter's own prediction, and ``jump`` (n_theta, n_z) is

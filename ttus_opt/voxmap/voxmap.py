@@ -153,7 +153,7 @@ def _check_radius(radius: NDArray[np.float64], grid: CylindricalGrid) -> None:
 def surface_layer(
     grid: CylindricalGrid, radius: NDArray[np.float64]
 ) -> NDArray[np.int64]:
-    """The layer of voxels nearest to a skin, the lower one of two.
+    """The layer of voxels nearest to a surface, the lower one of two.
 
     Args:
         grid: The grid.
