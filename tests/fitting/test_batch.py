@@ -294,7 +294,7 @@ def test_a_search_finds_the_least_objective() -> None:
 
 def test_what_cannot_be_fitted() -> None:
     other = small_scene("trilinear")
-    with pytest.raises(InputError, match="speaks of another scene"):
+    with pytest.raises(InputError, match="is of another scene"):
         fit(other, eq10())
     with pytest.raises(InputError, match="force weight must be finite and not"):
         fit(SCENE, "eq10", force_weight=-1.0)
