@@ -11,7 +11,7 @@ it is what the field is about to learn: its scale is 2 to 6 % too large at λ = 
 What is left afterwards is the field's: forces with drag are fitted as well as eq. 10
 fits the same contacts without any. Drag lengthens a force by up to √(1 + μ²), which
 eq. 10 does not know; where its field is too stiff anyway, its magnitudes gain by that.
-Torque rows bend the field at the cost of force directions, by about 1° at λ = 1e-2,
+Torque rows change the field at the cost of force directions, by about 1° at λ = 1e-2,
 drag or not; with ℓ the ratio of the sensor's torque noise to its force noise
 (``torque_length``) by a third of that.
 

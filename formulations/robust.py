@@ -1,4 +1,4 @@
-"""Eq. 10 with Huber's penalty on the forces, which outliers do not bend.
+"""Eq. 10 with Huber's penalty on the forces, which outliers do not distort.
 
 min_p ‖L p - b‖² + λ_f Σ huber(N p - f; δ) + λ_τ ‖(W p - τ)/ℓ‖²
 

@@ -177,7 +177,7 @@ def test_a_term_that_is_no_number_is_refused_by_name(place: str, value: float) -
 
     declared = Formulation([LaplaceTerm(SCENE), Own(SCENE, 0.1)])
     for solver in ("auto", "structured", "clarabel"):
-        with pytest.raises(InputError, match=f"term own_idea: its {place}"):
+        with pytest.raises(InputError, match=rf"term own_idea .*: its {place}"):
             fit(SCENE, declared, solver=solver)
 
 
@@ -294,7 +294,7 @@ def test_a_search_finds_the_least_objective() -> None:
 
 def test_what_cannot_be_fitted() -> None:
     other = replace(SCENE)
-    with pytest.raises(InputError, match="speaks of another scene"):
+    with pytest.raises(InputError, match="is of another scene"):
         fit(other, eq10())
     with pytest.raises(InputError, match="force weight must be finite and not"):
         fit(SCENE, "eq10", force_weight=-1.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.fitting.batch import judged
+from ttus_opt.fitting.batch import fit, judged
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.problem.solution import NoSolutionError, Status, Timings
@@ -41,3 +41,27 @@ def test_no_solution_carries_program_and_candidate() -> None:
     assert caught.value.solution.program.variables["p"].stop == SCENE.n_voxels
     assert caught.value.solution.candidate is not None
     assert set(solution.variables) == {"p"}
+
+
+def test_a_solution_shows_itself_in_one_line_and_in_a_table() -> None:
+    """Verdict, costs, what is active and what was found; text is escaped in HTML."""
+    scene = small_scene("trilinear", shape=(8, 12, 8), n_poses=10)
+    weights = {"force_weight": 10.0, "torque_weight": 10.0}
+    declared = load("eq10_sign", scene, **weights).named("<mine>")
+    solution = fit(scene, declared)
+    assert "\n" not in repr(solution)
+    assert repr(solution).startswith("<Solution <mine> by structured: solved, KKT ")
+    told = solution.summary()
+    active = int((np.abs(solution.duals_by_name["sign"]) > 0.0).sum())
+    assert active > 3
+    assert f"sign: {active} of " in told
+    for name, cost in solution.costs.items():
+        assert f"{name}: cost {cost:.4g}" in told
+    page = solution._repr_html_()
+    assert "&lt;mine&gt;" in page
+    assert "<mine>" not in page
+    assert "<td>sign</td>" in page
+    assert len(repr(solution.program)) < 200
+    table = declared._repr_html_()
+    assert "&lt;mine&gt;" in table
+    assert "‖L p − b‖²" in table

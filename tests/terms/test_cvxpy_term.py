@@ -12,7 +12,7 @@ import pytest
 
 from tests.conftest import small_scene
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.batch import fit
+from ttus_opt.fitting.batch import Fitter, fit
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.solution import Status
@@ -118,7 +118,7 @@ def test_a_formulation_in_cvxpys_words() -> None:
     assert list(said.variables) == ["p", "q", "m"]
     assert {"drag_limit", "bounds"} <= set(said.constraints)
     said.problem.solve(solver=cp.CLARABEL)
-    solution = fit(SCENE, declared)
+    solution = Fitter(declared).solve()
     assert said.problem.value == pytest.approx(solution.objective, rel=1e-6)
     x = said.point()
     assert x is not None

@@ -21,7 +21,7 @@ def test_a_factor_scales_the_boundary_values_alone() -> None:
     np.testing.assert_array_equal(scaled.assembled.target, 1.25 * SCENE.b)
     assert scaled.assembled.blocks["p"] is SCENE.L
     assert (scaled.weight, scaled.formula) == (3.0, "‖L p − 1.25 b‖²")
-    assert prior.formula == LaplaceTerm.formula
+    assert prior.formula == "‖L p − b‖²"
     other = SCENE.with_boundary(1.25 * SCENE.inner, 1.25 * SCENE.outer)
     np.testing.assert_allclose(scaled.assembled.target, other.b, rtol=1e-14)
 

@@ -37,7 +37,7 @@ class Constraint(abc.ABC):
         """Name under which slack and dual are returned.
 
         Raises:
-            InputError: The class gives none.
+            InputError: The class has no name.
         """
         kind = type(self).__name__
         raise InputError(f'{kind} has no name: add name = "…" to the class')
@@ -103,10 +103,10 @@ def _check_sides(owner: str, lower: Array, upper: Array) -> None:
     Raises:
         InputError: A limit is infinite on the side where nothing obeys it.
     """
-    for name, none in (("lower", lower == np.inf), ("upper", upper == -np.inf)):
-        if none.any():
+    for name, wrong in (("lower", lower == np.inf), ("upper", upper == -np.inf)):
+        if wrong.any():
             raise InputError(
-                f"{owner}: {int(none.sum())} {name} limits are infinite on the "
+                f"{owner}: {int(wrong.sum())} {name} limits are infinite on the "
                 "wrong side, nothing obeys them: use -inf below and inf above "
                 "where there is no limit"
             )

@@ -62,9 +62,9 @@ def fit(
     start = time.perf_counter()
     declared = shelf.load(formulation, scene, **options)
     if declared.scene is not scene:
-        raise InputError("the formulation speaks of another scene: build it anew")
+        raise InputError("the formulation is of another scene: build it for this one")
     request = Request(tolerance, time_limit)
-    doubts = declared.unborne()
+    doubts = declared.not_identifiable()
     declared = declared.with_neutral(doubts)
     if declared.search is None:
         return _told(Found(declared, {}), doubts, solver, request, start)
@@ -110,11 +110,11 @@ def _told(
         spent += time.perf_counter() - begun
         more = {n: e.doubt for n, e in estimates.items() if e.doubt}
         if not any(estimates[name].value for name in more):
-            # none, or what is in doubt is neutral already, held there by its bound
+            # nothing is in doubt, or what is has its neutral value already
             known |= more
             break
         declared = declared.with_neutral(more)
-        known = declared.unborne() | known | more
+        known = declared.not_identifiable() | known | more
         estimates = {n: e for n, e in estimates.items() if n not in known}
         fitter = Fitter(declared, solver=solver, request=request)
         solution = fitter.solve()

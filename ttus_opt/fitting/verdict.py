@@ -89,7 +89,7 @@ def judged(
         parameters = declared.parameters(program.split(x))
     costs: dict[str, float] = {}
     if x is not None:
-        with np.errstate(over="ignore", invalid="ignore"):  # of an answer that is none
+        with np.errstate(over="ignore", invalid="ignore"):  # the answer may be huge
             costs = program.costs(x)
     return Solution(
         status=status,

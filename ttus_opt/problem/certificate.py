@@ -36,15 +36,15 @@ def contradicts(program: Program, duals: Duals) -> bool:
     for constraint in program.constraints:
         y = duals.rows.get(constraint.name)
         if y is not None:
-            pull = constraint.matrix.T @ y
-            parts.append((y, constraint.lower, constraint.upper, pull))
+            image = constraint.matrix.T @ y
+            parts.append((y, constraint.lower, constraint.upper, image))
     total, sizes, support, scale = np.zeros(program.n_variables), 0.0, 0.0, 0.0
-    for dual, low, high, pull in parts:
+    for dual, low, high, image in parts:
         limit = np.where(dual > 0.0, high, low)
         product = dual[dual != 0.0] * limit[dual != 0.0]
         if not np.isfinite(product).all():  # a multiplier of a limit that is not there
             return False
-        total, sizes = total + pull, max(sizes, float(np.abs(pull).max(initial=0.0)))
+        total, sizes = total + image, max(sizes, float(np.abs(image).max(initial=0.0)))
         support += float(product.sum())
         scale = max(scale, float(np.abs(product).max(initial=0.0)))
     cancels = float(np.abs(total).max(initial=0.0)) <= ROUNDING * sizes
@@ -82,11 +82,11 @@ def falls_for_ever(program: Program, ray: Array) -> bool:
 
 
 def falling_ray(program: Program, *, time_limit: float | None = None) -> Array | None:
-    """A ray along which the objective falls without end; None where none was found.
+    """A ray along which the objective falls without end; None if not found.
 
     Args:
-        program: The program; penalties that bend are taken to grow along any ray
-            that changes them.
+        program: The program; penalties that are not linear are taken to grow along
+            any ray that changes them.
         time_limit: Most seconds for the linear program [s].
 
     Returns:

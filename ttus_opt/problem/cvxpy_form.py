@@ -1,8 +1,8 @@
 """A program in cvxpy's words, for its cone solvers and for whoever goes on from there.
 
-Every constraint is said row by row as the program has it, by its name, so that its
+Every constraint is stated row by row as the program has it, by its name, so that its
 multipliers come back by name. cvxpy's convention for linear rows is ours: the dual of
-g(x) ≤ 0 is not negative and pulls back. Of a cone s ∈ K it gives λ ∈ K, ours is −λ.
+g(x) ≤ 0 is not negative. Of a cone s ∈ K it gives λ ∈ K, ours is −λ.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ class CvxpyProgram:
         problem: The ``cvxpy.Problem``.
         variables: Its ``cvxpy.Variable`` per variable of the program, by name.
         constraints: Its constraints by the name of the program's own; those of all
-            bounds together are called ``bounds``, and what names the residual of a
-            penalty that bends is called after its term.
+            bounds together are called ``bounds``, and the equations that define the
+            residuals of a penalty that is not quadratic are called after its term.
     """
 
     problem: Any
@@ -36,11 +36,11 @@ class CvxpyProgram:
     constraints: Mapping[str, list[Any]]
     _rows: Mapping[str, _TwoSided | _Cones] = field(repr=False)
     _box: _TwoSided | None = field(repr=False)
-    _bent: Mapping[str, tuple[ProgramTerm, Any]] = field(repr=False)
+    _nonquadratic: Mapping[str, tuple[ProgramTerm, Any]] = field(repr=False)
 
     @classmethod
     def of(cls, program: Program) -> CvxpyProgram:
-        """Say a program to cvxpy.
+        """State a program in cvxpy.
 
         Args:
             program: Any program; a term of weight 0 is left out.
@@ -54,7 +54,7 @@ class CvxpyProgram:
         x = next(iter(variables.values()))
         if len(variables) > 1:
             x = cp.hstack(list(variables.values()))
-        cost, bent = cp.Constant(0.0), {}
+        cost, nonquadratic = cp.Constant(0.0), {}
         for term in program.terms:
             if term.weight == 0.0:
                 continue
@@ -62,7 +62,7 @@ class CvxpyProgram:
             if not term.penalty.quadratic:
                 # a name for the residual gives it a multiplier, w times a subgradient
                 named = cp.Variable(len(term.target))
-                bent[term.name] = term, residual == named
+                nonquadratic[term.name] = term, residual == named
                 residual = named
             cost += term.weight * term.penalty.in_cvxpy(residual, cp)
         rows: dict[str, _TwoSided | _Cones] = {
@@ -71,14 +71,14 @@ class CvxpyProgram:
         }
         rows |= {c.name: _Cones.of(c.matrix @ x + c.offset, c) for c in program.cones}
         box = _TwoSided.of(x, *program.box) if program.bounds else None
-        said = {name: list(member.said.values()) for name, member in rows.items()}
+        stated = {name: list(member.stated.values()) for name, member in rows.items()}
         if box is not None:
-            said["bounds"] = list(box.said.values())
-        said |= {name: [row] for name, (_, row) in bent.items()}
+            stated["bounds"] = list(box.stated.values())
+        stated |= {name: [row] for name, (_, row) in nonquadratic.items()}
         problem = cp.Problem(
-            cp.Minimize(cost), [part for parts in said.values() for part in parts]
+            cp.Minimize(cost), [part for parts in stated.values() for part in parts]
         )
-        return cls(problem, variables, said, rows, box, bent)
+        return cls(problem, variables, stated, rows, box, nonquadratic)
 
     def point(self) -> Array | None:
         """All variables as cvxpy has them now, shape (n,); None where it has none."""
@@ -94,7 +94,7 @@ class CvxpyProgram:
             None if self._box is None else self._box.dual(),
             {
                 name: term.penalty.admissible(row.dual_value / term.weight)
-                for name, (term, row) in self._bent.items()
+                for name, (term, row) in self._nonquadratic.items()
                 if row.dual_value is not None
             },
         )
@@ -106,7 +106,7 @@ class _TwoSided:
 
     size: int
     masks: Mapping[str, Mask]
-    said: Mapping[str, Any]
+    stated: Mapping[str, Any]
 
     @classmethod
     def of(cls, value: Any, lower: Array, upper: Array) -> _TwoSided:
@@ -116,26 +116,26 @@ class _TwoSided:
             "above": ~equal & np.isfinite(upper),
             "below": ~equal & np.isfinite(lower),
         }
-        said = {}
+        stated = {}
         for name, mask in masks.items():
             picked = np.flatnonzero(mask)
             if not len(picked):
                 continue
             part = value[picked]
             if name == "equal":
-                said[name] = part == lower[picked]
+                stated[name] = part == lower[picked]
             elif name == "above":
-                said[name] = part <= upper[picked]
+                stated[name] = part <= upper[picked]
             else:
-                said[name] = part >= lower[picked]
-        return cls(len(lower), masks, said)
+                stated[name] = part >= lower[picked]
+        return cls(len(lower), masks, stated)
 
     def dual(self) -> Array:
         y = np.zeros(self.size)
-        for name, said in self.said.items():
-            if said.dual_value is not None:
+        for name, stated in self.stated.items():
+            if stated.dual_value is not None:
                 sign = -1.0 if name == "below" else 1.0
-                y[self.masks[name]] += sign * said.dual_value
+                y[self.masks[name]] += sign * stated.dual_value
         return y
 
 
@@ -145,29 +145,29 @@ class _Cones:
 
     size: int
     rows: Mapping[int, IntArray]
-    said: Mapping[int, Any]
+    stated: Mapping[int, Any]
 
     @classmethod
     def of(cls, value: Any, cones: ProgramCones) -> _Cones:
         import cvxpy as cp
 
         sizes = np.asarray(cones.sizes)
-        rows, said = {}, {}
+        rows, stated = {}, {}
         for size in np.unique(sizes).tolist():
             at = cones.first[sizes == size][:, None] + np.arange(size)
             rows[size] = at
             if size == 1:
-                said[size] = value[at[:, 0]] >= 0.0
+                stated[size] = value[at[:, 0]] >= 0.0
                 continue
             shape = (len(at), size - 1)
             tails = cp.reshape(value[at[:, 1:].reshape(-1)], shape, order="C")
-            said[size] = cp.SOC(value[at[:, 0]], tails, axis=1)
-        return cls(len(cones.offset), rows, said)
+            stated[size] = cp.SOC(value[at[:, 0]], tails, axis=1)
+        return cls(len(cones.offset), rows, stated)
 
     def dual(self) -> Array:
         y = np.zeros(self.size)
-        for size, said in self.said.items():
-            given = said.dual_value
+        for size, stated in self.stated.items():
+            given = stated.dual_value
             if given is None or (size > 1 and any(part is None for part in given)):
                 continue
             at = self.rows[size]

@@ -115,7 +115,7 @@ class Formulation:
                 "weight of the one that is there (with_weights)"
             )
         if any(member.scene is not self.scene for member in members):
-            raise InputError("all terms and constraints must speak of the same scene")
+            raise InputError("all terms and constraints must be of the same scene")
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -139,7 +139,7 @@ class Formulation:
 
     @property
     def scene(self) -> Scene:
-        """The scene it speaks of."""
+        """The scene its members are made from."""
         return self.terms[0].scene
 
     def __add__(self, term: Term | Unplaced) -> Formulation:
@@ -217,12 +217,12 @@ class Formulation:
             found |= term.fitted(values)
         return found
 
-    def unborne(self) -> dict[str, str]:
-        """Parameters of which no row says anything, and why, by name."""
+    def not_identifiable(self) -> dict[str, str]:
+        """Parameters that no row determines, and why, by name."""
         found: dict[str, str] = {}
         for term in self.terms:
             if term.weight > 0.0:
-                found |= term.unborne()
+                found |= term.not_identifiable()
         return found
 
     def without(self, *names: str) -> Formulation:
@@ -265,7 +265,7 @@ class Formulation:
             return self
         terms = [term.with_neutral(names) for term in self.terms]
         left = {name for term in terms for name in term.assembled.blocks}
-        kept = [c for c in self.constraints if _speaks_of(c, left)]
+        kept = [c for c in self.constraints if _concerns(c, left)]
         return self._changed(terms, kept, lambda built: built.with_neutral(names))
 
     def __repr__(self) -> str:
@@ -327,7 +327,7 @@ def _placed(terms: Iterable[Term | Unplaced]) -> tuple[Term, ...]:
     """The terms, all of them over a scene.
 
     Raises:
-        InputError: There are none, or none that tells the scene.
+        InputError: There is no term, or no term that has a scene.
     """
     given = tuple(terms)
     if not given:
@@ -349,6 +349,6 @@ def _size(constraint: Constraint) -> str:
     return f"{len(rows.lower):,} rows"
 
 
-def _speaks_of(constraint: Constraint, variables: Collection[str]) -> bool:
+def _concerns(constraint: Constraint, variables: Collection[str]) -> bool:
     rows = constraint.assembled
     return not isinstance(rows, Bounds) or rows.variable in variables

@@ -21,7 +21,7 @@ Of P⁻¹ the Laplace terms' part is known exactly, A⁻¹ = L⁻¹Ω L⁻ᵀ/2w
   eigenvalue, by a few steps of the power method and generously. A parameter within a
   Laplace term, L q + C c, is first taken out of it: q′ = q + L⁻¹C c.
 - neither (a user's prior, another operator): conjugate gradients until nothing is left
-  of r, or nothing is told.
+  of r; no bound where they do not get there.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from ttus_opt.terms.structure import LaplaceRows
 
 _Map = Callable[[Array], Array]
 
-#: Most steps of conjugate gradients; where they do not suffice nothing is told
+#: Most steps of conjugate gradients; where they do not suffice there is no bound
 MAX_STEPS = 80
 
 #: A bound is close enough when it is this much above what is certain [–]
@@ -75,7 +75,7 @@ def energy(
 
     Returns:
         The bound; None where the squares do not determine the variables, or where
-        that could not be told.
+        that was not decided.
     """
     r = np.where(fixed, 0.0, residual)
     if not r.any():
@@ -106,28 +106,28 @@ class _Field:
         part: Where it lies in x.
         term: The term.
         laplace: Solves with L.
-        softness: Ω, inverse squares of what L's rows are multiplied by, zero where a
+        compliance: Ω, inverse squares of what L's rows are multiplied by, zero where a
             value is fixed, shape (V,) [–].
     """
 
     part: slice
     term: ProgramTerm
     laplace: LaplaceSystem
-    softness: Array = field(repr=False)
+    compliance: Array = field(repr=False)
 
     def square(self, r: Array, rtol: float) -> float:
         """The field's part of rᵀA⁻¹r."""
         u = self.laplace.solve_adjoint(r[self.part], rtol=rtol)
-        return float((self.softness * u) @ u) / (2.0 * self.term.weight)
+        return float((self.compliance * u) @ u) / (2.0 * self.term.weight)
 
     def inverse(self, r: Array, rtol: float) -> Array:
         """The field's part of A⁻¹r, shape (V,)."""
-        u = self.softness * self.laplace.solve_adjoint(r[self.part], rtol=rtol)
+        u = self.compliance * self.laplace.solve_adjoint(r[self.part], rtol=rtol)
         return self.laplace.solve(u, rtol=rtol) / (2.0 * self.term.weight)
 
 
 def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_Field]:
-    """The variables that a Laplace term of their own holds; none unless all are."""
+    """The fields, each with a Laplace term of its own; empty unless all have one."""
     laplace = program.laplace
     if laplace is None:
         return []
@@ -144,9 +144,9 @@ def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_
         if not own:
             return []
         term, scale = own[0]
-        softness = np.ones(V) if scale is None else 1.0 / scale**2
-        softness[fixed[part]] = 0.0
-        found.append(_Field(part, term, laplace, softness))
+        compliance = np.ones(V) if scale is None else 1.0 / scale**2
+        compliance[fixed[part]] = 0.0
+        found.append(_Field(part, term, laplace, compliance))
     return found
 
 
@@ -189,7 +189,7 @@ def _by_solving(
     for term in squares:
         own = np.asarray(term.matrix.multiply(term.matrix).sum(axis=0))
         diagonal += 2.0 * term.weight * own.reshape(-1)
-    if r[diagonal == 0.0].any():  # no square holds these, and r pulls at them
+    if r[diagonal == 0.0].any():  # no square determines these, and r is not zero there
         return None
     laplace = program.laplace
     like_L = laplace is not None and any(
@@ -248,7 +248,7 @@ def _beside_parameters(
     scaled = [np.sqrt(2.0 * t.weight) * t.matrix for t in rest]
     R = sp.csr_array(sp.vstack([sp.csr_array((0, len(r))), *scaled]))
     at = np.flatnonzero(others)
-    E, pull = R[:, at].toarray(), r[at].copy()
+    E, reduced = R[:, at].toarray(), r[at].copy()
     for one in fields:
         C = one.term.matrix[:, at].toarray()
         for k in np.flatnonzero(C.any(axis=0)):
@@ -257,13 +257,13 @@ def _beside_parameters(
                 return None
             column = one.laplace.solve(C[:, k], rtol=RTOL)
             E[:, k] -= R[:, one.part] @ column
-            pull[k] -= float(column @ r[one.part])
+            reduced[k] -= float(column @ r[one.part])
     parts = [(one, sp.csr_array(R[:, one.part])) for one in fields]
     square = E.T @ E
     size, turn = np.linalg.eigh(square)
     told = size > 1e-10 * max(float(size.max(initial=0.0)), _TINY)
-    along = turn.T @ pull
-    if np.abs(along[~told]).max(initial=0.0) > 1e-10 * np.abs(pull).max(initial=0.0):
+    along = turn.T @ reduced
+    if np.abs(along[~told]).max(initial=0.0) > 1e-10 * np.abs(reduced).max(initial=0.0):
         return None
     open_ = float((along[told] ** 2 / size[told]).sum())
     total = 2.0 * (1.0 + CLOSE) * sum(one.square(r, CLOSE**2) for one in fields)

@@ -126,7 +126,7 @@ def _check_option(what: str, parameter: inspect.Parameter, value: Any) -> None:
 
 
 def _is_number(value: Any) -> bool:
-    """Whether it is a real number; NaN and truth values are none."""
+    """Whether it is a real number; NaN and truth values are not."""
     real = isinstance(value, int | float | np.integer | np.floating)
     return real and not isinstance(value, bool) and not math.isnan(value)
 

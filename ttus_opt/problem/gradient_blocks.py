@@ -38,14 +38,14 @@ class GradientBlocks:
         self._measure(summand)
 
     def add_stray(self, summand: Array) -> None:
-        """Add what multipliers of absent limits pull: an error of its own."""
+        """Add the image of multipliers of absent limits: an error of its own."""
         if summand.any():
             self._stray = self._stray + summand
             self._measure(summand)
 
     @property
     def error(self) -> float:
-        """Norm of the gradient, and of what multipliers of absent limits pull."""
+        """Norm of the gradient, and of the image of multipliers of absent limits."""
         return _length(self.gradient, self._stray)
 
     def _measure(self, summand: Array) -> None:
@@ -60,7 +60,7 @@ class GradientBlocks:
             size = _length(self.gradient[part], self._stray[part])
             if size == 0.0:
                 continue
-            least = _least_pull(self._program, part, largest)
+            least = _least_gradient(self._program, part, largest)
             scale = largest_of(self._sizes[name], least, TINY)
             worst = largest_of(worst, size / scale)
         return worst
@@ -81,7 +81,7 @@ def quadratic_summands(program: Program, x: Array) -> Iterator[Array]:
     yield program.quadratic_gradient(alone)[1]
 
 
-def _least_pull(program: Program, part: slice, largest: float) -> float:
+def _least_gradient(program: Program, part: slice, largest: float) -> float:
     """The least size of a block's gradient that counts, where residuals may vanish.
 
     For absolute values and lengths one row at its limit; for squares what rounding

@@ -12,7 +12,7 @@ Rows s = A x + h in second-order cones have a multiplier y with −y in the cone
 are their own duals: it adds Aᵀy to r and −yᵀs ≥ 0 to the gap; how far s lies outside
 its cones belongs to ``primal``.
 
-A penalty φ that is no sum of squares has a multiplier g of its residual, brought back
+A penalty φ that is not quadratic has a multiplier g of its residual, brought back
 into the set of φ's subgradients; it adds w Mᵀg to r and w (φ(r) + φ*(g) − gᵀr) ≥ 0 to
 the gap (Fenchel), which vanish together exactly where g is a subgradient of φ at r.
 
@@ -196,7 +196,7 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
 def _of_terms(
     program: Program, x: Array, duals: Duals, blocks: GradientBlocks
 ) -> float:
-    """Add the objective's gradient; what penalties that bend add to the gap."""
+    """Add the objective's gradient; the part of other penalties in the gap."""
     gap = 0.0
     for summand in quadratic_summands(program, x):
         blocks.add(summand)

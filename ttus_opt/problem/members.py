@@ -151,7 +151,7 @@ class ProgramBounds:
         name: The constraint's name.
         lower: Shape (n,), -inf where there is none.
         upper: Shape (n,), +inf where there is none.
-        part: Which part of x it speaks of.
+        part: The variable it bounds.
     """
 
     name: str

@@ -321,10 +321,10 @@ class Program:
 
     def _require_quadratic(self) -> None:
         if not self.is_quadratic:
-            bent = [t.name for t in self.terms if not t.penalty.quadratic]
-            bent += [cone.name for cone in self.cones]
+            others = [t.name for t in self.terms if not t.penalty.quadratic]
+            others += [cone.name for cone in self.cones]
             raise InputError(
-                f"{', '.join(bent)} is not a sum of squares: reduce() the program "
+                f"{', '.join(others)} is not a sum of squares: reduce() the program "
                 "first, or choose a cone solver"
             )
 

@@ -239,12 +239,15 @@ class Solution:
     def _limits_told(self) -> Iterator[tuple[str, str]]:
         """Per constraint, how many of its rows hold the field back."""
         duals = self.duals_by_name
+        cones = {cone.name: cone.first for cone in self.program.cones}
         for name, slack in self.slacks.items():
             y = np.abs(duals.get(name, np.zeros(0)))
+            if name in cones and len(y):  # a cone has one multiplier, of several rows
+                y = np.maximum.reduceat(y, cones[name])
             largest = float(y.max(initial=0.0))
             active = int((y > NEGLIGIBLE * largest).sum()) if largest else 0
             count = int((slack < np.inf).sum())
-            yield name, f"{active:,} multipliers on {count:,} limits"
+            yield name, f"{active:,} of {count:,} active, multipliers to {largest:.3g}"
 
     @property
     def duals_by_name(self) -> Mapping[str, Array]:

@@ -84,7 +84,7 @@ class Request:
     time_limit: float | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be asked.
+        """Validate tolerance and time limit.
 
         Raises:
             InputError: A tolerance or limit that is not positive.

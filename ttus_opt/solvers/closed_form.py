@@ -138,7 +138,7 @@ class _Factorised(Prepared):
 
 
 def _attempted(solver: ClosedFormSolver, Q: sp.csc_array) -> Factor | str:
-    """A factor, or in words why there is none."""
+    """A factor, or why the factorisation failed."""
     try:
         return solver.factorise(Q)
     except (RuntimeError, ValueError, ArithmeticError) as error:

@@ -1,4 +1,4 @@
-"""A cone solver reached through cvxpy: takes every penalty, one that bends included."""
+"""A cone solver reached through cvxpy: takes every penalty and cones."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class CvxpySolver(Solver):
         """
 
     def prepare(self, program: Program, request: Request) -> Prepared:
-        """Say the program to cvxpy."""
+        """State the program in cvxpy."""
         self.require(program)
         return _Loaded(self, program, request)
 
@@ -47,7 +47,7 @@ class _Loaded(Verified):
         super().__init__(program, request)
 
     def _load(self, program: Program) -> None:
-        self._said = CvxpyProgram.of(program)
+        self._form = CvxpyProgram.of(program)
 
     def _attempt(self, eps: float, seconds: float | None) -> Candidate:
         import cvxpy as cp
@@ -56,20 +56,20 @@ class _Loaded(Verified):
             # "solution may be inaccurate": checked here in any case
             warnings.simplefilter("ignore")
             try:
-                self._said.problem.solve(
+                self._form.problem.solve(
                     solver=self._solver.backend, **self._solver.options(eps, seconds)
                 )
             except cp.error.SolverError as error:
                 said = f"{type(error).__name__}: {error}"
                 return Candidate(None, claim=Claim.GAVE_UP, detail=said)
-        words = str(self._said.problem.status)
+        words = str(self._form.problem.status)
         claim = _CLAIMS.get(words, Claim.GAVE_UP)
-        x = self._said.point()
+        x = self._form.point()
         if x is None:
             return Candidate(None, claim=claim, detail=words)
-        stats = self._said.problem.solver_stats
+        stats = self._form.problem.solver_stats
         iterations = int(stats.num_iters or 0) if stats is not None else 0
-        return Candidate(x, self._said.duals(), iterations, claim, words)
+        return Candidate(x, self._form.duals(), iterations, claim, words)
 
 
 _CLAIMS = {

@@ -130,7 +130,7 @@ def claim_from(words: str, found: bool) -> Claim:
     """
     plain = words.lower().replace("_", "").replace(" ", "").replace("-", "")
     if "inaccurate" in plain or "almost" in plain:
-        # also of infeasibility: a certificate in doubt is none
+        # also of infeasibility: a certificate in doubt does not count
         return Claim.PAUSED if "iter" in plain else Claim.DOUBTS
     if found:
         return Claim.DONE

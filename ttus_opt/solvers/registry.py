@@ -66,7 +66,7 @@ def candidates(solver: str | Path | Solver, program: Program) -> list[Solver]:
         Solvers that are installed and take the program, the one to try first in front.
 
     Raises:
-        InputError: Unknown name, no solver, or none that takes the program.
+        InputError: Unknown name, not a solver, or no solver takes the program.
         SolverUnavailableError: The one asked for is not installed.
     """
     if isinstance(solver, str) and solver == "auto":
@@ -135,7 +135,7 @@ def _of(offered: Any, owner: str) -> dict[str, Solver]:
     """Solvers by name, of a module with ``SOLVERS``, a list, a class or an object.
 
     Raises:
-        InputError: There is none.
+        InputError: There is no solver.
     """
     given = getattr(offered, "SOLVERS", offered)
     many = given if isinstance(given, list | tuple) else [given]

@@ -91,7 +91,7 @@ class Term(abc.ABC):
         """Name under which cost and weight are addressed.
 
         Raises:
-            InputError: The class gives none.
+            InputError: The class has no name.
         """
         kind = type(self).__name__
         raise InputError(f'{kind} has no name: add name = "…" to the class')
@@ -137,7 +137,7 @@ class Term(abc.ABC):
 
     @property
     def requires(self) -> Mapping[str, LinearRows | ConeRows]:
-        """Rows that define auxiliary variables of its own, by name; mostly none."""
+        """Rows that define its auxiliary variables, by name; empty for most terms."""
         return {}
 
     def with_weight(self, weight: float) -> Self:
@@ -167,8 +167,8 @@ class Term(abc.ABC):
         """
         return {}
 
-    def unborne(self) -> dict[str, str]:
-        """Parameters of which its rows say nothing, and why, by name."""
+    def not_identifiable(self) -> dict[str, str]:
+        """Parameters that its rows do not determine, and why, by name."""
         return {}
 
     def with_neutral(self, names: Collection[str]) -> Self:

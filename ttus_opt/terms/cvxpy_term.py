@@ -103,7 +103,7 @@ class CvxpyRows(Term):
     @property
     def formula(self) -> str:
         """The expression in cvxpy's words."""
-        words = str(self._said[0])
+        words = str(self._stated[0])
         return words if len(words) <= 60 else f"{words[:57]}…"
 
     @property
@@ -135,11 +135,11 @@ class CvxpyRows(Term):
 
     def with_weight(self, weight: float) -> CvxpyRows:
         """The same term with another weight; nothing is brought into form again."""
-        kept = ("assembled", "_said", "_canonical")
+        kept = ("assembled", "_stated", "_canonical")
         return replaced(self, *kept, weight=weight)
 
     @cached_property
-    def _said(self) -> tuple[Any, dict[str, Any]]:
+    def _stated(self) -> tuple[Any, dict[str, Any]]:
         """The expression and its variables by name.
 
         Raises:
@@ -151,26 +151,26 @@ class CvxpyRows(Term):
         names = list(inspect.signature(self.expression).parameters)
         variables = {name: cp.Variable(shape, name=name) for name in names}
         with told_by_line(f"the expression of term {self.name}"):
-            said = self.expression(*variables.values())
+            stated = self.expression(*variables.values())
         what = f"term {self.name}: its expression"
-        if not (isinstance(said, cp.Expression) and said.is_scalar()):
+        if not (isinstance(stated, cp.Expression) and stated.is_scalar()):
             raise InputError(
                 f"{what} must be a scalar cvxpy expression (cp.sum may help), got "
-                f"{getattr(said, 'shape', type(said).__name__)}"
+                f"{getattr(stated, 'shape', type(stated).__name__)}"
             )
-        if not (said.is_convex() and said.is_real()):
+        if not (stated.is_convex() and stated.is_real()):
             raise InputError(
                 f"{what} must be convex by cvxpy's rules (DCP), this one is "
-                f"{said.curvature.lower()}"
+                f"{stated.curvature.lower()}"
             )
-        return said, variables
+        return stated, variables
 
     @cached_property
     def _canonical(self) -> _Canonical:
         import cvxpy as cp
 
-        said, variables = self._said
-        problem = cp.Problem(cp.Minimize(said))
+        stated, variables = self._stated
+        problem = cp.Problem(cp.Minimize(stated))
         if problem.is_mixed_integer():
             raise InputError(f"term {self.name}: integer variables are not convex")
         with told_by_line(f"cvxpy's canonical form of term {self.name}"):

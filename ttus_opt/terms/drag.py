@@ -28,8 +28,8 @@ from ttus_opt.terms.kept import replaced
 
 Blocks = dict[str, sp.csr_array]
 
-#: Sliding below this share of the deadband is none: 2 µm/s are 0.1 µm in a frame of
-#: 50 ms, less than any tracker resolves [–]
+#: Sliding slower than this share of the deadband counts as rest: 2 µm/s are 0.1 µm in
+#: a frame of 50 ms, less than any tracker resolves [–]
 AT_REST = 1e-3
 
 
@@ -82,8 +82,8 @@ class DragModel(abc.ABC):
         return {}
 
     @abc.abstractmethod
-    def unborne(self) -> dict[str, str]:
-        """Coefficients of which no pose tells, and why, by name."""
+    def not_identifiable(self) -> dict[str, str]:
+        """Coefficients that no pose determines, and why, by name."""
 
     def with_neutral(self, names: Collection[str]) -> Self:
         """The same model with these of its coefficients at 0."""
@@ -100,8 +100,8 @@ class DragModel(abc.ABC):
         speed = np.linalg.norm(self.sliding.velocity, axis=1)
         return np.asarray(self.touching & (speed > AT_REST * self.deadband))
 
-    def silence(self) -> str:
-        """Why no pose tells of drag; empty when one does."""
+    def no_sliding(self) -> str:
+        """Why no pose determines drag; empty when one does."""
         if self.moving.any():
             return ""
         return "no sliding" if self.touching.any() else "no contact"
@@ -156,9 +156,9 @@ class GlobalCoulomb(DragModel):
         """The given μ."""
         return {friction.FRICTION: self.coefficient}
 
-    def unborne(self) -> dict[str, str]:
+    def not_identifiable(self) -> dict[str, str]:
         """μ, where nothing slides."""
-        why = self.silence()
+        why = self.no_sliding()
         return {friction.FRICTION: why} if why else {}
 
 
@@ -168,11 +168,11 @@ class CoulombField(DragModel):
 
     Attributes:
         largest: μ_max, the largest share of p that q may be [–].
-        silent: Whether q is left out of the rows.
+        excluded: Whether q is left out of the rows.
     """
 
     largest: float = 1.0
-    silent: bool = False
+    excluded: bool = False
 
     @property
     def formula(self) -> str:
@@ -180,7 +180,7 @@ class CoulombField(DragModel):
         return "F q"
 
     def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
-        if self.silent:
+        if self.excluded:
             return {"p": contact}
         return {"p": contact, "q": sp.csr_array(-drag)}
 
@@ -192,7 +192,7 @@ class CoulombField(DragModel):
         """μ = (F p)ᵀ(F q)/‖F p‖² with F p and F q; 0 where nothing slides."""
         full = self.rows.force @ values["p"]
         square = float(full @ full)
-        if self.silent or not square:
+        if self.excluded or not square:
             return 0.0, full, np.zeros_like(full)
         dragged = self.rows.force @ values["q"]
         return float(full @ dragged) / square, full, dragged
@@ -201,7 +201,7 @@ class CoulombField(DragModel):
         """μ with its derivatives by q and p."""
         mu, full, dragged = self._nearest(values)
         square = float(full @ full)
-        if self.silent or not self.moving.any():
+        if self.excluded or not self.moving.any():
             return {}
         if not square:
             return {friction.FRICTION: Fitted({}, 1.0)}
@@ -212,14 +212,14 @@ class CoulombField(DragModel):
         }
         return {friction.FRICTION: Fitted(gradient, 1.0, self.largest)}
 
-    def unborne(self) -> dict[str, str]:
+    def not_identifiable(self) -> dict[str, str]:
         """μ and its mean, where nothing slides or q is left out."""
-        why = "the drag field is left out" if self.silent else self.silence()
+        why = "the drag field is left out" if self.excluded else self.no_sliding()
         return {friction.FRICTION: why, MEAN_FRICTION: why} if why else {}
 
     def with_neutral(self, names: Collection[str]) -> Self:
         """Without q where μ is among the names."""
-        return replace(self, silent=True) if friction.FRICTION in names else self
+        return replace(self, excluded=True) if friction.FRICTION in names else self
 
 
 @dataclass(frozen=True)
@@ -229,12 +229,12 @@ class Viscous(DragModel):
     Attributes:
         sectors: Patches around the axis [–].
         bands: Patches along it [–].
-        silent: Patches whose coefficient is 0, given and not fitted.
+        excluded: Patches whose coefficient is 0, given and not fitted.
     """
 
     sectors: int = 1
     bands: int = 1
-    silent: frozenset[int] = frozenset()
+    excluded: frozenset[int] = frozenset()
 
     @property
     def formula(self) -> str:
@@ -246,10 +246,12 @@ class Viscous(DragModel):
         """Velocities, in the column of the patch that is touched."""
         n = self.sectors * self.bands
         rows = friction.viscous_rows(self.sliding, self.region, n)
-        if not self.silent:
+        if not self.excluded:
             return rows
-        spoken = sp.diags_array(np.where(np.isin(np.arange(n), [*self.silent]), 0.0, 1))
-        force, torque = (sp.csr_array(m @ spoken) for m in (rows.force, rows.torque))
+        included = sp.diags_array(
+            np.where(np.isin(np.arange(n), [*self.excluded]), 0.0, 1)
+        )
+        force, torque = (sp.csr_array(m @ included) for m in (rows.force, rows.torque))
         return DragRows(force, torque)
 
     @cached_property
@@ -272,7 +274,7 @@ class Viscous(DragModel):
         """
         touched = self.region[self.touching]
         c = np.maximum(values["c"], 0.0)
-        c[[*self.silent]] = 0.0
+        c[[*self.excluded]] = 0.0
         mean = float(c[touched].mean()) if len(touched) else 0.0
         found = {friction.VISCOUS: mean}
         if len(c) > 1:
@@ -291,12 +293,12 @@ class Viscous(DragModel):
         is borne where the patches are.
         """
         n, own = self.sectors * self.bands, self.region[self.moving]
-        spoken = sorted(set(own.tolist()) - self.silent)
-        if not spoken:
+        included = sorted(set(own.tolist()) - self.excluded)
+        if not included:
             return {}
         contact = (self.scene.N @ values["p"]).reshape(-1, 3)
         found = {}
-        for i in spoken:
+        for i in included:
             here = self.moving & (self.region == i)
             force, speed = (
                 float(np.sqrt(np.mean(np.sum(v[here] ** 2, axis=1))))
@@ -306,17 +308,17 @@ class Viscous(DragModel):
             found[self._name(i)] = Fitted({"c": np.eye(n)[i]}, span)
         if n > 1:
             counts = np.bincount(self.region[self.touching], minlength=n)
-            counts[[i for i in range(n) if i not in spoken]] = 0
+            counts[[i for i in range(n) if i not in included]] = 0
             share = counts / max(int(self.touching.sum()), 1)
             found[friction.VISCOUS] = Fitted({"c": share}, math.inf)
         return found
 
-    def unborne(self) -> dict[str, str]:
+    def not_identifiable(self) -> dict[str, str]:
         """Patches never slid on, and the mean where no patch is."""
         n = self.sectors * self.bands
         slid, touched = self.region[self.moving], self.region[self.touching]
         if n == 1:
-            why = self.silence()
+            why = self.no_sliding()
             return {friction.VISCOUS: why} if why else {}
         found = {}
         for i in range(n):
@@ -324,8 +326,10 @@ class Viscous(DragModel):
                 found[self._name(i)] = "never touched, as the mean of the others"
             elif i not in slid:
                 found[self._name(i)] = "no sliding"
-        if set(slid.tolist()) <= self.silent:
-            found[friction.VISCOUS] = self.silence() or "no patch of it is identified"
+        if set(slid.tolist()) <= self.excluded:
+            found[friction.VISCOUS] = (
+                self.no_sliding() or "no patch of it is identified"
+            )
         return found
 
     def with_neutral(self, names: Collection[str]) -> Self:
@@ -337,4 +341,4 @@ class Viscous(DragModel):
         touched = set(self.region[self.touching].tolist())
         own = {i for i in range(n) if self._name(i) in names}
         more = own if n == 1 else own & touched
-        return replace(self, silent=self.silent | more) if more else self
+        return replace(self, excluded=self.excluded | more) if more else self

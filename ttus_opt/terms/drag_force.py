@@ -46,9 +46,9 @@ class DragForceTerm(Term):
         """Drag's coefficients that are found among the variables."""
         return self.drag.fitted(values)
 
-    def unborne(self) -> dict[str, str]:
-        """Drag's coefficients of which no pose tells."""
-        return self.drag.unborne()
+    def not_identifiable(self) -> dict[str, str]:
+        """Drag's coefficients that no pose determines."""
+        return self.drag.not_identifiable()
 
     def with_neutral(self, names: Collection[str]) -> Self:
         """The same term without this drag."""
