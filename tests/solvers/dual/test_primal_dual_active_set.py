@@ -450,7 +450,7 @@ def test_an_update_after_too_little_time_agrees_with_a_fresh_solve() -> None:
 
 
 def test_a_bound_parts_a_voxel_from_the_given_value_it_is_pooled_with() -> None:
-    """Forces pull below the skin's 0 what has a bound above it: bound, not link."""
+    """Forces draw below the skin's 0 what has a bound above it: bound, not link."""
     scene = contested(scale=-3.0)
     where = inside(scene) & scene.laplace.free
     lower = np.where(where, 0.05, -INF)
@@ -467,7 +467,7 @@ def test_of_two_bounds_in_a_block_the_tighter_one_holds(seed: int, hard: bool) -
 
 
 def test_of_two_upper_bounds_in_a_block_the_tighter_one_holds() -> None:
-    """Tight outside, loose inside, and all of the spoke is pulled up."""
+    """Tight outside, loose inside, and all of the spoke is drawn up."""
     scene = contested(2, (6, 9, 5), n_poses=6)
     rng = np.random.default_rng(2)
     V = scene.n_voxels

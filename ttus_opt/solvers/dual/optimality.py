@@ -81,7 +81,7 @@ class Violations:
         kept[np.argsort(sizes)[len(sizes) - self.count // 2 :]] = True
         return self.among(*np.split(kept, 2))
 
-    def exchanged(self, limits: SpokeLimits, active: WorkingSet) -> WorkingSet:
+    def pivoted(self, limits: SpokeLimits, active: WorkingSet) -> WorkingSet:
         """The working set in which each of these limits is active if it was not."""
         bounds, links = self.bounds > 0.0, self.links > 0.0
         other = np.where(active.bounds != 0, 0, self.side)
@@ -125,7 +125,7 @@ def find_violations(
     p: Array,
     signs: Multipliers,
     gradient: Array,
-    margin: float,
+    margins: tuple[float, float],
 ) -> Violations:
     """Violated limits over the field's size, wrong signs over the gradient's.
 
@@ -135,24 +135,26 @@ def find_violations(
         p: The field, shape (V,).
         signs: As `multipliers` gives them.
         gradient: Of the objective, shape (V,).
-        margin: What is none of either, relative [–].
+        margins: What is no wrong sign, and what no violation, relative [–].
 
     Returns:
-        By how much they are more than the margin.
+        By how much they are more than these margins.
     """
+    margin, doubtful = margins
     size = max(float(np.abs(p).max()), np.finfo(float).tiny)
     force = max(float(np.abs(gradient).max()), np.finfo(float).tiny)
     held = (active.bounds != 0) | limits.given
     below, above = limits.lower - p, p - limits.upper
-    beyond = np.where(held, -np.inf, np.maximum(below, above) / size)
-    backwards = np.where(active.bounds != 0, -signs.bounds * active.bounds, -np.inf)
+    beyond = np.where(held, -np.inf, np.maximum(below, above) / size - doubtful)
+    backwards = -signs.bounds * active.bounds / force - margin
+    backwards = np.where(active.bounds != 0, backwards, -np.inf)
     growth = np.full(len(p), np.inf)
     growth[: -limits.stride] = p[: -limits.stride] - p[limits.stride :]
-    short = (limits.least - growth) / size
-    short = np.where(active.links, -signs.links / force, short)
+    short = (limits.least - growth) / size - doubtful
+    short = np.where(active.links, -signs.links / force - margin, short)
     short[~np.isfinite(limits.least)] = -np.inf
     return Violations(
-        np.maximum(beyond, backwards / force) - margin,
+        np.maximum(beyond, backwards),
         np.where(below > above, -1, 1).astype(np.int8),
-        short - margin,
+        short,
     )

@@ -49,6 +49,9 @@ class DualOptions:
         field_accuracy: Residual of the solves behind a field that is not the last, over
             its dual's [–].
         violation: What counts as a KKT violation, over the KKT tolerance [–].
+        doubtful: What may be an error of the field only, over its dual's residual:
+            where a limit holds with equality by itself its voxels are no violations
+            [–].
         acceptable: What may remain, over the KKT tolerance, after more than
         acceptable_sets working sets with no more than that: thousands of limits may
             lie so near to active that it hardly matters which of them are [–].
@@ -77,6 +80,7 @@ class DualOptions:
     loosest_subproblem: float = _option(1e-3, 1e-6, 0.1, 1e-4, 1e-2)
     field_accuracy: float = _option(1e-3, 0.0, 0.1, 0.0)
     violation: float = _option(1e-3, 0.0, 0.1, 0.0, 0.1)
+    doubtful: float = _option(0.1, 0.0, 1.0, 0.0)
     acceptable: float = _option(0.1, 0.0, 1.0, 0.0)
     acceptable_sets: int = _option(2, 0, 100, 0)
     patience: int = _option(5, 0, 10_000, 0, 10_000)

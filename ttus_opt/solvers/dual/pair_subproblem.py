@@ -28,6 +28,7 @@ from ttus_opt.solvers.dual.linear_parameters import LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.pair_laplace import PairBlock, PairLaplace
 from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
+from ttus_opt.solvers.dual.subproblem import selection
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
@@ -122,14 +123,7 @@ class _Unknowns:
         own[V:] &= ~follows
         columns = np.arange(n)
         columns[V:] = np.where(follows, np.arange(V), columns[V:])
-        expansion = sp.csr_array(
-            (
-                np.ones(np.count_nonzero(~held)),
-                columns[~held],
-                np.concatenate([[0], np.cumsum(~held)]),
-            ),
-            shape=(n, n),
-        )
+        expansion = selection(~held, columns)
         return cls(expansion, offset, own, held, follows)
 
 

@@ -139,9 +139,9 @@ class DualSolver:
             point, rest = self._refined(point, target, complement, goal, accuracy)
             c = given.copy()
             c[free] = complement.coefficients(rest)
-            wrong = parameters.wrong(c, point.y, free)
+            violating = parameters.violating(c, point.y, free)
             c = parameters.clipped(c)
-            following = _next_set(free, wrong, c, seen)
+            following = _next_set(free, violating, c, seen)
             if following is None or accuracy.late:
                 self._free = free
                 return DualAnswer(point.p, c, point.steps, accuracy.late)
@@ -188,10 +188,10 @@ class DualSolver:
         key = free.tobytes()
         if self._complement is None or self._complement[0] != key:
             columns = self.parameters.columns[:, free]
-            self._complement = key, Complement(columns, self._rough_inverse)
+            self._complement = key, Complement(columns, self._approximate_inverse)
         return self._complement[1]
 
-    def _rough_inverse(self, residual: Array) -> Array:
+    def _approximate_inverse(self, residual: Array) -> Array:
         if self._schur is None:
             self._schur = schur_preconditioner(self.system, self._options)
         return self._schur(residual)
@@ -204,19 +204,19 @@ class DualSolver:
         return kept[2]
 
 
-def _next_set(free: Mask, wrong: Mask, c: Array, seen: set[bytes]) -> Mask | None:
-    """The free unknowns to try next; None where nothing is wrong, or new.
+def _next_set(free: Mask, violating: Mask, c: Array, seen: set[bytes]) -> Mask | None:
+    """The free unknowns to try next; None where none is needed, or new.
 
     Args:
         free: Those tried last, shape (k,).
-        wrong: Those on the wrong side, shape (k,).
+        violating: Those beyond a bound, or held back by one, shape (k,).
         c: Their values within their bounds, shape (k,).
         seen: What was tried: the free ones and the values of the others.
     """
-    if not wrong.any():
+    if not violating.any():
         return None
-    last = np.arange(len(free)) == np.flatnonzero(wrong)[-1]  # Murty's rule
-    for change in (wrong, last):
+    last = np.arange(len(free)) == np.flatnonzero(violating)[-1]  # Murty's rule
+    for change in (violating, last):
         following = free ^ change
         if following.tobytes() + np.where(following, 0.0, c).tobytes() not in seen:
             return following
