@@ -158,7 +158,7 @@ def test_too_few_working_sets_are_no_answer() -> None:
     assert cut.detail.startswith("2 working sets")
     prepared._options = DualOptions()
     whole, fresh = prepared.solve(), solved(program)
-    assert (whole.detail, whole.iterations) == (fresh.detail, fresh.iterations)
+    assert whole.detail == fresh.detail
     assert whole.claim is Claim.DONE
     assert kkt_residuals(program, whole.x, whole.duals).worst_relative <= TOLERANCE
     assert np.linalg.norm(cut.x - whole.x) > 1e-6 * np.linalg.norm(whole.x)

@@ -71,7 +71,7 @@ def test_bounds_of_many_unknowns_beside_the_field(seed: int) -> None:
     expected = dense(data, beside)
     assert 0 < np.sum(np.abs(expected) == reach) < 6
     for near in (None, reach, np.zeros(6)):
-        answer = solver.solve(data.b, data.t, Accuracy(1e-10), near)
+        answer = solver.solve(data.b, data.t, Accuracy(1e-10), near=near)
         np.testing.assert_allclose(answer.c, expected, atol=1e-7)
 
 

@@ -138,8 +138,7 @@ class ActiveSetIteration:
         signs = multipliers(self.limits, active, gradient)
         self.multipliers = signs.right_signs(self.limits, active)
         margin = options.violation * self._tolerance
-        margins = margin, max(margin, options.doubtful * rtol)
-        found = find_violations(self.limits, active, p, signs, gradient, margins)
+        found = find_violations(self.limits, active, p, signs, gradient, margin)
         acceptable = found.worst + margin <= options.acceptable * self._tolerance
         self._acceptable += last and acceptable
         done = found.count == 0 or self._acceptable > options.acceptable_sets

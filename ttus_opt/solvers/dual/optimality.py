@@ -125,7 +125,7 @@ def find_violations(
     p: Array,
     signs: Multipliers,
     gradient: Array,
-    margins: tuple[float, float],
+    margin: float,
 ) -> Violations:
     """Violated limits over the field's size, wrong signs over the gradient's.
 
@@ -135,22 +135,21 @@ def find_violations(
         p: The field, shape (V,).
         signs: As `multipliers` gives them.
         gradient: Of the objective, shape (V,).
-        margins: What is no wrong sign, and what no violation, relative [–].
+        margin: What is none of either, relative [–].
 
     Returns:
-        By how much they are more than these margins.
+        By how much they are more than the margin.
     """
-    margin, doubtful = margins
     size = max(float(np.abs(p).max()), np.finfo(float).tiny)
     force = max(float(np.abs(gradient).max()), np.finfo(float).tiny)
     held = (active.bounds != 0) | limits.given
     below, above = limits.lower - p, p - limits.upper
-    beyond = np.where(held, -np.inf, np.maximum(below, above) / size - doubtful)
+    beyond = np.where(held, -np.inf, np.maximum(below, above) / size - margin)
     backwards = -signs.bounds * active.bounds / force - margin
     backwards = np.where(active.bounds != 0, backwards, -np.inf)
     growth = np.full(len(p), np.inf)
     growth[: -limits.stride] = p[: -limits.stride] - p[limits.stride :]
-    short = (limits.least - growth) / size - doubtful
+    short = (limits.least - growth) / size - margin
     short = np.where(active.links, -signs.links / force - margin, short)
     short[~np.isfinite(limits.least)] = -np.inf
     return Violations(

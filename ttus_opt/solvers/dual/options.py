@@ -42,6 +42,9 @@ class DualOptions:
             at what single precision leaves [–].
         preconditioner_delay: Steps over which that error is estimated (Hestenes and
             Stiefel's rule; Strakoš and Tichý, ETNA 13, 2002) [–].
+        warm_start: A subproblem starts from the field of the one before where it is
+            solved to this relative residual or better: a start costs a response, and
+            gains less than that where less is asked for [–].
         max_working_sets: Most working sets [–].
         subproblem_accuracy: Relative residual of a working set's dual over its worst
             KKT violation [–].
@@ -49,9 +52,6 @@ class DualOptions:
         field_accuracy: Residual of the solves behind a field that is not the last, over
             its dual's [–].
         violation: What counts as a KKT violation, over the KKT tolerance [–].
-        doubtful: What may be an error of the field only, over its dual's residual:
-            where a limit holds with equality by itself its voxels are no violations
-            [–].
         acceptable: What may remain, over the KKT tolerance, after more than
         acceptable_sets working sets with no more than that: thousands of limits may
             lie so near to active that it hardly matters which of them are [–].
@@ -75,12 +75,12 @@ class DualOptions:
     preconditioner_residual: float = _option(0.002, 1e-4, 0.1, 0.05)
     preconditioner_energy: float = _option(0.01, 0.0, 0.5, 0.0, 0.1)
     preconditioner_delay: int = _option(4, 1, 20, 1)
+    warm_start: float = _option(3e-4, 0.0, 1.0, 0.0, 1.0)
     max_working_sets: int = _option(100, 1, 10_000)
     subproblem_accuracy: float = _option(1e-2, 0.0, 1.0, 0.0, 0.1)
     loosest_subproblem: float = _option(1e-3, 1e-6, 0.1, 1e-4, 1e-2)
     field_accuracy: float = _option(1e-3, 0.0, 0.1, 0.0)
     violation: float = _option(1e-3, 0.0, 0.1, 0.0, 0.1)
-    doubtful: float = _option(0.1, 0.0, 1.0, 0.0)
     acceptable: float = _option(0.1, 0.0, 1.0, 0.0)
     acceptable_sets: int = _option(2, 0, 100, 0)
     patience: int = _option(5, 0, 10_000, 0, 10_000)

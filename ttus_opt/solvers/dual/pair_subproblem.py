@@ -221,8 +221,12 @@ class PairSubproblem:
 
     def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
         """The best fields of the working set, after those of the last one."""
-        near = 0.0 if last is None else self._whole.beside(last)
-        answer = self._solver.solve(self._b, self._t, accuracy, np.array([near]))
+        near, z = 0.0, None
+        if last is not None:
+            near = self._whole.beside(last)
+            z = np.where(self._unknowns.own, last - self._unknowns.offset, 0.0)
+            z += near * self._made
+        answer = self._solver.solve(self._b, self._t, accuracy, z, np.array([near]))
         z = answer.p - answer.c[0] * self._made
         p = np.asarray(self._unknowns.expansion @ z + self._unknowns.offset)
         return replace(answer, p=p)

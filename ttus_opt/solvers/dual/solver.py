@@ -9,7 +9,7 @@ Comput. Oper. Res. 21, 1994, with Murty's rule where a set comes again).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -110,6 +110,7 @@ class DualSolver:
         b: Array,
         t: Array,
         accuracy: Accuracy,
+        guess: Array | None = None,
         near: Array | None = None,
     ) -> DualAnswer:
         """Solve for one right-hand side.
@@ -118,6 +119,8 @@ class DualSolver:
             b: Of L p = b, shape (V,).
             t: Weighted targets, shape (m,).
             accuracy: How exactly, and until when.
+            guess: A field near the answer, shape (V,); None for none. It is not used
+                where less is asked for than `DualOptions.warm_start`.
             near: Where c may lie, shape (k,): at a bound it is tried first whether it
                 stays there. None to begin with what was free last.
 
@@ -128,7 +131,11 @@ class DualSolver:
         base = self._prior_field(b, accuracy.field_rtol)
         right_side = t - self.system.measure(base)
         goal = accuracy.rtol * float(np.linalg.norm(right_side))
-        point = start = _Point(np.zeros_like(right_side), base)
+        misfit: Array | None = None
+        if guess is not None and accuracy.rtol <= self._options.warm_start:
+            misfit = t - self.system.measure(guess)
+        point: _Point | None = None
+        steps = 0
         c = parameters.clipped(np.zeros(E.shape[1]) if near is None else near)
         free = self._free if near is None else parameters.between(c)
         seen: set[bytes] = set()
@@ -136,6 +143,9 @@ class DualSolver:
             given = np.where(free, 0.0, c)
             seen.add(free.tobytes() + given.tobytes())
             target, complement = t - E @ given, self._complement_of(free)
+            if point is None:
+                y = None if misfit is None else complement.part(misfit - E @ given)
+                point = self._start(base, y, accuracy, steps)
             point, rest = self._refined(point, target, complement, goal, accuracy)
             c = given.copy()
             c[free] = complement.coefficients(rest)
@@ -146,8 +156,16 @@ class DualSolver:
                 self._free = free
                 return DualAnswer(point.p, c, point.steps, accuracy.late)
             if (following & ~free).any():  # y has to lie across more columns
-                point = replace(start, steps=point.steps)
+                point, steps = None, point.steps
             free = following
+
+    def _start(
+        self, base: Array, y: Array | None, accuracy: Accuracy, steps: int
+    ) -> _Point:
+        """Multipliers to begin with, zero for None."""
+        if y is None:
+            return _Point(np.zeros_like(self.system.root_weights), base, steps)
+        return _Point(y, base + self.system.response(y, accuracy.field_rtol), steps)
 
     def _refined(
         self,

@@ -85,8 +85,12 @@ class Subproblem:
     offset: Array = field(repr=False)
 
     def solve(self, accuracy: Accuracy, last: Array | None = None) -> DualAnswer:
-        """The best field of the working set; the last one's does not matter."""
-        answer = self.solver.solve(self.b, self.t, accuracy)
+        """The best field of the working set, after that of the last one."""
+        if last is not None:
+            moving = np.zeros(len(last), dtype=bool)
+            moving[self.expansion.indices] = True
+            last = np.where(moving, last, 0.0)
+        answer = self.solver.solve(self.b, self.t, accuracy, last)
         return replace(answer, p=self.expansion @ answer.p + self.offset)
 
 
