@@ -138,12 +138,6 @@ def test_limits_that_hardly_matter_end_the_iteration() -> None:
     cut = solved(program, 1e-2, soon)
     assert cut.claim is Claim.DONE
     assert kkt_residuals(program, cut.x, cut.duals).worst_relative <= 1e-2
-    # multipliers of what remains are told with the sign that they should have
-    assert (cut.duals.rows["monotone"] <= 0.0).all()
-    lower, upper = program.box
-    assert cut.duals.bounds is not None
-    assert (cut.duals.bounds[upper == INF] <= 0.0).all()
-    assert (cut.duals.bounds[lower == -INF] >= 0.0).all()
     assert working_sets(cut) < working_sets(whole)
 
 
