@@ -89,8 +89,13 @@ TARGETS = (
         "solvers/dual/active_set.py", ("solvers/dual/test_primal_dual_active_set.py",)
     ),
     Target(
-        "solvers/dual/optimality.py", ("solvers/dual/test_primal_dual_active_set.py",)
+        "solvers/dual/optimality.py",
+        (
+            "solvers/dual/test_optimality.py",
+            "solvers/dual/test_primal_dual_active_set.py",
+        ),
     ),
+    Target("solvers/dual/solver.py", ("solvers/dual/test_solver.py",)),
     Target("laplace/system.py", ("laplace/test_system.py",)),
 )
 

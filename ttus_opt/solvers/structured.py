@@ -44,7 +44,7 @@ from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
-#: Most unknowns beside the field: each costs a rough dual solve
+#: Most unknowns beside the field: each costs an approximate dual solve
 MOST = 64
 
 
@@ -125,9 +125,12 @@ class _Limited(Prepared):
 
     _program: Program
 
-    def __init__(self, request: Request, options: DualOptions) -> None:
+    def __init__(
+        self, program: Program, request: Request, options: DualOptions
+    ) -> None:
         self._request, self._options = request, options
         self._last: tuple[Array, WorkingSet] | None = None
+        self.update(program)
 
     def _contradiction(self, limits: SpokeLimits) -> Candidate | None:
         """What to answer where limits leave nothing."""
@@ -198,12 +201,6 @@ def _candidate(answer: ActiveSetIteration, x: Array, duals: Duals) -> Candidate:
 
 
 class _LoadedPair(_Limited):
-    def __init__(
-        self, program: Program, request: Request, options: DualOptions
-    ) -> None:
-        super().__init__(request, options)
-        self.update(program)
-
     def update(self, program: Program) -> None:
         """Take other data; the multigrid and the last working set are kept."""
         self._program, self._pair = program, FieldPair.of(program, self._options)
@@ -221,12 +218,7 @@ class _LoadedPair(_Limited):
 
 
 class _Loaded(_Limited):
-    def __init__(
-        self, program: Program, request: Request, options: DualOptions
-    ) -> None:
-        super().__init__(request, options)
-        self._solver: DualSolver | None = None
-        self.update(program)
+    _solver: DualSolver | None = None
 
     def update(self, program: Program) -> None:
         """Take other data; keeps what the module's docstring says."""

@@ -232,6 +232,9 @@ def test_contradictions_are_named() -> None:
     solution = tt.fit(scene, coulomb(scene, 1.0, more, small), solver="structured")
     assert solution.status is Status.INFEASIBLE
     assert set(solution.conflict) == {"drag_limit", "own", "within"}
+    candidate = solved(coulomb(scene, 1.0, more, small).compile())
+    assert candidate.claim is Claim.INFEASIBLE
+    assert "contradict each other" in candidate.detail
 
 
 class OtherShare(DragLimit):

@@ -120,6 +120,20 @@ def test_equals_dense_least_squares(kind: str, hard: bool) -> None:
         assert of.variables(found)[of.others] == pytest.approx(c, abs=1e-6)
 
 
+@pytest.mark.parametrize("share", [0.02, 1.0], ids=["c at its bound", "c within"])
+def test_a_guess_nearby_saves_directions(share: float) -> None:
+    of = pair(1.0, 1.0, share, hard=False)
+    own = active(of, 0.3, 0.3, seed=3)
+    first = of.subproblem(own).solve(Accuracy(1e-9), None)
+    noise = np.random.default_rng(0).standard_normal(first.p.shape)
+    guess = first.p + 1e-5 * np.abs(first.p).max() * noise
+    again = of.subproblem(own).solve(Accuracy(1e-9), guess)
+    assert again.steps < first.steps
+    np.testing.assert_allclose(
+        again.p, first.p, rtol=0.0, atol=1e-7 * np.abs(first.p).max()
+    )
+
+
 def system_of(of: FieldPair, own: WorkingSet) -> PairLaplace:
     laplace = of.subproblem(own).system.laplace
     assert isinstance(laplace, PairLaplace)

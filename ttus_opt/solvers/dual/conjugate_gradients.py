@@ -69,33 +69,6 @@ class DualOperator(Protocol):
         """S y to a relative accuracy, shape (m,)."""
 
 
-class _Rows:
-    """Rows of equal length that grow in number without being copied each time."""
-
-    def __init__(self, length: int, dtype: type[np.floating[Any]]) -> None:
-        self._store: Kept = np.empty((16, length), dtype)
-        self._count = 0
-
-    @property
-    def all(self) -> Kept:
-        """All rows so far, shape (k, length)."""
-        return self._store[: self._count]
-
-    def append(self, row: Array) -> None:
-        """Add one row."""
-        if self._count == len(self._store):
-            shape = 2 * self._count, self._store.shape[1]
-            longer = np.empty(shape, self._store.dtype)
-            longer[: self._count] = self._store
-            self._store = longer
-        self._store[self._count] = row
-        self._count += 1
-
-    def replace(self, rows: Array) -> None:
-        """Put others in their place, shape (k, length)."""
-        self._store, self._count = rows, len(rows)
-
-
 class RecycledSubspace:
     """Conjugate directions of one operator, growing as right-hand sides ask for them.
 
@@ -113,28 +86,34 @@ class RecycledSubspace:
             system: The operator.
             kept_as: Precision in which directions are kept.
         """
-        m = len(system.root_weights)
         self.system = system
-        self._directions = _Rows(m, kept_as)
-        self._images = _Rows(m, kept_as)
+        #: Directions and their images, with room for more, shape (2, k, m)
+        self._store: Kept = np.empty((2, 16, len(system.root_weights)), kept_as)
+        self._count = 0
 
     def __len__(self) -> int:
         """Number of directions."""
-        return len(self._directions.all)
+        return self._count
+
+    @property
+    def _kept(self) -> tuple[Kept, Kept]:
+        """Directions d and their images S d, shape (k, m) each."""
+        return self._store[0, : self._count], self._store[1, : self._count]
 
     def adopt(self, system: DualOperator) -> None:
         """Take a system that differs by the weights of its rows; no solve is spent."""
         ratio = system.root_weights / self.system.root_weights
         self.system = system
-        bare = self._images.all - self._directions.all
-        d = self._directions.all / ratio
-        image = d + bare * ratio
+        old, images = self._kept
+        d = old / ratio
+        image = d + (images - old) * ratio
         gram = d @ image.T
         size, turn = np.linalg.eigh((gram + gram.T) / 2.0)
         keep = size > DEPENDENT * size.max(initial=0.0)
         mix = (turn[:, keep] / np.sqrt(size[keep])).T
-        self._directions.replace(mix @ d)
-        self._images.replace(mix @ image)
+        self._count = len(mix)
+        self._store = np.empty((2, max(16, self._count), d.shape[1]), old.dtype)
+        self._store[:, : self._count] = mix @ d, mix @ image
 
     def project(self, right_side: Array) -> tuple[Array, Array]:
         """Best y in the subspace, and the residual it leaves.
@@ -145,15 +124,13 @@ class RecycledSubspace:
         Returns:
             y and right_side - S y, shape (m,) each.
         """
-        d, images = self._directions.all, self._images.all
+        d, images = self._kept
         parts = _products(d, right_side)
         return _combination(parts, d), right_side - _combination(parts, images)
 
     def step(self, right_side: Array) -> tuple[Array, Array]:
         """`project` onto the last direction alone."""
-        d, image = (
-            rows.all[-1].astype(float) for rows in (self._directions, self._images)
-        )
+        d, image = (rows[-1].astype(float) for rows in self._kept)
         part = float(d @ right_side)
         return part * d, right_side - part * image
 
@@ -168,17 +145,21 @@ class RecycledSubspace:
             Whether there is a direction to keep: where weights are so large that I
             drowns in S, rounding leaves none.
         """
+        d, images = self._kept
         for _ in range(2):  # twice is enough; once goes astray where S is large
-            parts = _products(self._images.all, direction)
-            direction = direction - _combination(parts, self._directions.all)
+            parts = _products(images, direction)
+            direction = direction - _combination(parts, d)
         if not np.isfinite(direction).all():
             return False
         image = self.system.apply(direction, rtol)
         square = float(direction @ image)
         if not (np.isfinite(square) and square > 0.0):
             return False
-        self._directions.append(direction / np.sqrt(square))
-        self._images.append(image / np.sqrt(square))
+        if self._count == self._store.shape[1]:
+            self._store = np.concatenate([self._store, self._store], axis=1)
+        self._store[:, self._count] = direction, image
+        self._store[:, self._count] /= np.sqrt(square)
+        self._count += 1
         return True
 
 

@@ -95,10 +95,7 @@ class SpokeLimits:
         Links along a spoke carry bounds from voxel to voxel: what comes out of both
         sweeps is what the limits leave of every voxel.
         """
-        lower, upper = self._carried()
-        with np.errstate(invalid="ignore"):
-            gap = lower - upper
-        return float(np.max(np.nan_to_num(gap, nan=0.0, neginf=0.0), initial=0.0))
+        return float(np.max(_gap(*self._carried()), initial=0.0))
 
     def proof_of_contradiction(self) -> Duals | None:
         """Multipliers that prove the worst contradiction; None where there is none.
@@ -107,8 +104,7 @@ class SpokeLimits:
         one at either end and one on every link between.
         """
         low, up = self._carried()
-        with np.errstate(invalid="ignore"):
-            gap = np.nan_to_num(low - up, nan=0.0, neginf=0.0)
+        gap = _gap(low, up)
         layer, spoke = np.unravel_index(int(np.argmax(gap)), gap.shape)
         if gap[layer, spoke] <= 0.0:
             return None
@@ -178,6 +174,12 @@ class SpokeLimits:
             rows[self.given_by] = of_bounds[self.given]
         bounds = np.where(self.given, 0.0, of_bounds)
         return Duals(rows, bounds)
+
+
+def _gap(low: Array, up: Array) -> Array:
+    """By how much lower bounds lie above upper ones; 0 where one is missing."""
+    with np.errstate(invalid="ignore"):
+        return np.nan_to_num(low - up, nan=0.0, neginf=0.0)
 
 
 def two_entries(matrix: sp.csr_array) -> tuple[IntArray, Array] | None:

@@ -59,7 +59,7 @@ class LinearParameters:
         """The nearest values within the bounds, shape (k,)."""
         return np.clip(c, self.lower, self.upper)
 
-    def wrong(self, c: Array, y: Array, free: Mask) -> Mask:
+    def violating(self, c: Array, y: Array, free: Mask) -> Mask:
         """Free ones beyond a bound, and others that a bound keeps from a lesser cost.
 
         Args:
@@ -83,7 +83,7 @@ class Complement:
 
         Args:
             columns: E of the free unknowns, shape (m, k); k may be 0.
-            schur: Roughly S⁻¹.
+            schur: S⁻¹, approximately.
         """
         U, size, V = np.linalg.svd(columns, full_matrices=False)
         kept = size > DEPENDENT * size.max(initial=0.0)
@@ -100,13 +100,13 @@ class Complement:
         return np.asarray(self._inverse @ residual)
 
     def precondition(self, residual: Array) -> Array:
-        """Roughly S⁻¹ across E, shape (m,)."""
+        """S⁻¹ across E, approximately, shape (m,)."""
         z, made = self._schur(residual), self._made
         inner = self._basis.T @ made
         return np.asarray(z - made @ np.linalg.solve(inner, self._basis.T @ z))
 
     @cached_property
     def _made(self) -> Array:
-        """Roughly S⁻¹ of the basis, shape (m, k)."""
+        """S⁻¹ of the basis, approximately, shape (m, k)."""
         made = [self._schur(column) for column in self._basis.T]
         return np.array(made).reshape(-1, len(self._basis)).T

@@ -42,6 +42,9 @@ class DualOptions:
             at what single precision leaves [–].
         preconditioner_delay: Steps over which that error is estimated (Hestenes and
             Stiefel's rule; Strakoš and Tichý, ETNA 13, 2002) [–].
+        warm_start: A subproblem starts from the field of the one before where it is
+            solved to this relative residual or better: a start costs a response, and
+            gains less than that where less is asked for [–].
         max_working_sets: Most working sets [–].
         subproblem_accuracy: Relative residual of a working set's dual over its worst
             KKT violation [–].
@@ -72,6 +75,7 @@ class DualOptions:
     preconditioner_residual: float = _option(0.002, 1e-4, 0.1, 0.05)
     preconditioner_energy: float = _option(0.01, 0.0, 0.5, 0.0, 0.1)
     preconditioner_delay: int = _option(4, 1, 20, 1)
+    warm_start: float = _option(3e-4, 0.0, 1.0, 0.0, 1.0)
     max_working_sets: int = _option(100, 1, 10_000)
     subproblem_accuracy: float = _option(1e-2, 0.0, 1.0, 0.0, 0.1)
     loosest_subproblem: float = _option(1e-3, 1e-6, 0.1, 1e-4, 1e-2)

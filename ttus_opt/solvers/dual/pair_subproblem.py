@@ -28,6 +28,7 @@ from ttus_opt.solvers.dual.linear_parameters import LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.pair_laplace import PairBlock, PairLaplace
 from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
+from ttus_opt.solvers.dual.subproblem import selection
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
@@ -122,14 +123,7 @@ class _Unknowns:
         own[V:] &= ~follows
         columns = np.arange(n)
         columns[V:] = np.where(follows, np.arange(V), columns[V:])
-        expansion = sp.csr_array(
-            (
-                np.ones(np.count_nonzero(~held)),
-                columns[~held],
-                np.concatenate([[0], np.cumsum(~held)]),
-            ),
-            shape=(n, n),
-        )
+        expansion = selection(~held, columns)
         return cls(expansion, offset, own, held, follows)
 
 
@@ -227,8 +221,12 @@ class PairSubproblem:
 
     def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
         """The best fields of the working set, after those of the last one."""
-        near = 0.0 if last is None else self._whole.beside(last)
-        answer = self._solver.solve(self._b, self._t, accuracy, np.array([near]))
+        near, z = 0.0, None
+        if last is not None:
+            near = self._whole.beside(last)
+            z = np.where(self._unknowns.own, last - self._unknowns.offset, 0.0)
+            z += near * self._made
+        answer = self._solver.solve(self._b, self._t, accuracy, z, np.array([near]))
         z = answer.p - answer.c[0] * self._made
         p = np.asarray(self._unknowns.expansion @ z + self._unknowns.offset)
         return replace(answer, p=p)

@@ -71,7 +71,7 @@ def primal_dual_active_set(
             rtol = max(options.subproblem_accuracy * found.worst, accuracy.rtol)
             rtol = min(rtol, options.loosest_subproblem)
             chosen = _chosen(found, active, problem)
-            active = chosen.exchanged(iteration.limits, active)
+            active = chosen.pivoted(iteration.limits, active)
         found = iteration.solve(active, rtol)
     return iteration
 
@@ -124,13 +124,13 @@ class _Safeguard:
         """
         backwards = found.among(active.bounds != 0, active.links)
         if backwards.count:
-            return backwards.exchanged(limits, active)
+            return backwards.pivoted(limits, active)
         # a single one that was missing cannot fail, but for rounding
         if self._last is None or height > self._height or self._last[1].count == 1:
             self._height, self._last = height, (active, found)
         else:
             self._last = self._last[0], self._last[1].worse_half()
-        return self._last[1].exchanged(limits, self._last[0])
+        return self._last[1].pivoted(limits, self._last[0])
 
 
 def _chosen(

@@ -9,7 +9,7 @@ Comput. Oper. Res. 21, 1994, with Murty's rule where a set comes again).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -110,6 +110,7 @@ class DualSolver:
         b: Array,
         t: Array,
         accuracy: Accuracy,
+        guess: Array | None = None,
         near: Array | None = None,
     ) -> DualAnswer:
         """Solve for one right-hand side.
@@ -118,6 +119,8 @@ class DualSolver:
             b: Of L p = b, shape (V,).
             t: Weighted targets, shape (m,).
             accuracy: How exactly, and until when.
+            guess: A field near the answer, shape (V,); None for none. It is not used
+                where less is asked for than `DualOptions.warm_start`.
             near: Where c may lie, shape (k,): at a bound it is tried first whether it
                 stays there. None to begin with what was free last.
 
@@ -128,7 +131,11 @@ class DualSolver:
         base = self._prior_field(b, accuracy.field_rtol)
         right_side = t - self.system.measure(base)
         goal = accuracy.rtol * float(np.linalg.norm(right_side))
-        point = start = _Point(np.zeros_like(right_side), base)
+        misfit: Array | None = None
+        if guess is not None and accuracy.rtol <= self._options.warm_start:
+            misfit = t - self.system.measure(guess)
+        point: _Point | None = None
+        steps = 0
         c = parameters.clipped(np.zeros(E.shape[1]) if near is None else near)
         free = self._free if near is None else parameters.between(c)
         seen: set[bytes] = set()
@@ -136,18 +143,29 @@ class DualSolver:
             given = np.where(free, 0.0, c)
             seen.add(free.tobytes() + given.tobytes())
             target, complement = t - E @ given, self._complement_of(free)
+            if point is None:
+                y = None if misfit is None else complement.part(misfit - E @ given)
+                point = self._start(base, y, accuracy, steps)
             point, rest = self._refined(point, target, complement, goal, accuracy)
             c = given.copy()
             c[free] = complement.coefficients(rest)
-            wrong = parameters.wrong(c, point.y, free)
+            violating = parameters.violating(c, point.y, free)
             c = parameters.clipped(c)
-            following = _next_set(free, wrong, c, seen)
+            following = _next_set(free, violating, c, seen)
             if following is None or accuracy.late:
                 self._free = free
                 return DualAnswer(point.p, c, point.steps, accuracy.late)
             if (following & ~free).any():  # y has to lie across more columns
-                point = replace(start, steps=point.steps)
+                point, steps = None, point.steps
             free = following
+
+    def _start(
+        self, base: Array, y: Array | None, accuracy: Accuracy, steps: int
+    ) -> _Point:
+        """Multipliers to begin with, zero for None."""
+        if y is None:
+            return _Point(np.zeros_like(self.system.root_weights), base, steps)
+        return _Point(y, base + self.system.response(y, accuracy.field_rtol), steps)
 
     def _refined(
         self,
@@ -188,10 +206,10 @@ class DualSolver:
         key = free.tobytes()
         if self._complement is None or self._complement[0] != key:
             columns = self.parameters.columns[:, free]
-            self._complement = key, Complement(columns, self._rough_inverse)
+            self._complement = key, Complement(columns, self._approximate_inverse)
         return self._complement[1]
 
-    def _rough_inverse(self, residual: Array) -> Array:
+    def _approximate_inverse(self, residual: Array) -> Array:
         if self._schur is None:
             self._schur = schur_preconditioner(self.system, self._options)
         return self._schur(residual)
@@ -204,19 +222,19 @@ class DualSolver:
         return kept[2]
 
 
-def _next_set(free: Mask, wrong: Mask, c: Array, seen: set[bytes]) -> Mask | None:
-    """The free unknowns to try next; None where nothing is wrong, or new.
+def _next_set(free: Mask, violating: Mask, c: Array, seen: set[bytes]) -> Mask | None:
+    """The free unknowns to try next; None where none is needed, or new.
 
     Args:
         free: Those tried last, shape (k,).
-        wrong: Those on the wrong side, shape (k,).
+        violating: Those beyond a bound, or held back by one, shape (k,).
         c: Their values within their bounds, shape (k,).
         seen: What was tried: the free ones and the values of the others.
     """
-    if not wrong.any():
+    if not violating.any():
         return None
-    last = np.arange(len(free)) == np.flatnonzero(wrong)[-1]  # Murty's rule
-    for change in (wrong, last):
+    last = np.arange(len(free)) == np.flatnonzero(violating)[-1]  # Murty's rule
+    for change in (violating, last):
         following = free ^ change
         if following.tobytes() + np.where(following, 0.0, c).tobytes() not in seen:
             return following

@@ -86,8 +86,12 @@ class Subproblem:
     offset: Array = field(repr=False)
 
     def solve(self, accuracy: Accuracy, last: Array | None = None) -> DualAnswer:
-        """The best field of the working set; the last one's does not matter."""
-        answer = self.solver.solve(self.b, self.t, accuracy)
+        """The best field of the working set, after that of the last one."""
+        if last is not None:
+            moving = np.zeros(len(last), dtype=bool)
+            moving[self.expansion.indices] = True
+            last = np.where(moving, last, 0.0)
+        answer = self.solver.solve(self.b, self.t, accuracy, last)
         return replace(answer, p=self.expansion @ answer.p + self.offset)
 
 
@@ -198,7 +202,7 @@ def reduced(
     voxels = np.arange(n)
     blocks = _Blocks.of(laplace, limits, active)
     moving = blocks.unknown >= 0
-    expansion = _selection(moving, blocks.unknown)
+    expansion = selection(moving, blocks.unknown)
     members = laplace.free & moving & ~blocks.dirichlet
     own = members & (blocks.unknown == voxels)
     fixed = moving & ~laplace.free & (blocks.unknown == voxels)
@@ -210,7 +214,7 @@ def reduced(
     across = _across_blocks(laplace, blocks, pooled)
     loose = laplace.free & ~members
     loose |= moving & ~laplace.free & ~fixed & (system.compliance > 0.0)
-    rest = sp.csr_array(sp.vstack([across, _selection(loose, voxels)[loose]]))
+    rest = sp.csr_array(sp.vstack([across, selection(loose, voxels)[loose]]))
     extra = sp.csr_array(rest @ laplace.L @ expansion)
     filled = np.diff(extra.indptr) > 0
     rows = sp.vstack([system.rows @ expansion, extra[filled]], format="csr")
@@ -238,7 +242,7 @@ def reduced(
     )
 
 
-def _selection(rows: Mask, columns: IntArray) -> sp.csr_array:
+def selection(rows: Mask, columns: IntArray) -> sp.csr_array:
     """Ones at (v, columns[v]) for some rows v, shape (V, V)."""
     indptr = np.concatenate([[0], np.cumsum(rows)])
     entries = np.ones(indptr[-1]), columns[rows], indptr
