@@ -5,6 +5,9 @@ VENV ?= .venv
 TESTFLAGS ?=
 # Tests run side by side, one process a core (slow ones, which may be large, on two).
 PARALLEL ?= -n auto --maxprocesses 4 --dist worksteal
+# Bytecode is kept, also where the environment says not to: without it each process
+# compiles every module and rewrites every assertion again.
+PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
 # make mutants MUTANTS="metrics kkt" SAMPLE=50
 MUTANTS ?=
 SAMPLE ?= 20
@@ -35,10 +38,10 @@ demo: $(STAMP)
 	$(BIN)/ttus-opt demo -o demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -m "not slow" $(PARALLEL) $(TESTFLAGS)
+	$(PYTEST) -m "not slow" $(PARALLEL) $(TESTFLAGS)
 
 slow: $(STAMP) notebooks
-	$(BIN)/python -m pytest -m slow $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)
+	$(PYTEST) -m slow $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)
 
 notebooks: $(STAMP)
 	$(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks

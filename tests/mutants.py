@@ -72,6 +72,13 @@ TARGETS = (
     Target("fitting/recursive.py", ("fitting/test_recursive.py",)),
     Target("fitting/dual_recursion.py", ("fitting/test_dual_recursion.py",)),
     Target("fitting/low_rank_kernel.py", ("fitting/test_low_rank_kernel.py",)),
+    Target("fitting/parabola.py", ("fitting/test_parabola.py",)),
+    Target(
+        "fitting/packed_triangle.py",
+        ("fitting/test_packed_triangle.py",),
+        is_compiled=False,
+    ),
+    Target("solvers/verified.py", ("solvers/test_verified.py",)),
     Target("haptic/renderer.py", ("haptic/test_renderer.py",)),
     Target("haptic/blend.py", ("haptic/test_blend.py",)),
     Target("contact/friction.py", ("contact/test_friction.py",)),

@@ -215,6 +215,19 @@ def test_rows_that_nearly_depend_do_not_spoil_each_other() -> None:
     assert np.linalg.norm(kernel.adjoint(np.ones(n))) < 1e3 * np.sqrt(n)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_error_of_an_entry_makes_no_variance(sign: float) -> None:
+    """An entry of K ten times what two variances allow, as an error may leave it."""
+    K = np.diag([1.0, 1e-6, 2e-4])
+    K[1, 2] = K[2, 1] = sign * 1e-4
+    kernel = grown(K, 1, 1e-4)
+    assert kernel.pivots.tolist() == [0, 2]
+    row = kernel.dense()[1]
+    assert row @ row <= 1e-6 * (1.0 + 1e-9)
+    assert row[1] == pytest.approx(sign * 1e-3, rel=1e-6)  # cut, and its sign kept
+    assert kernel.largest_residual <= 1e-12
+
+
 def test_what_is_no_variance_brings_no_column() -> None:
     kernel = grown(np.diag([1.0, 1e-8, 2.0, 0.0]), 2, 1e-6)
     assert sorted(kernel.pivots.tolist()) == [0, 2]
