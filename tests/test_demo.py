@@ -100,6 +100,6 @@ def test_the_command_ends_below_what_can_be_felt(
         main(["demo", "-o", str(tmp_path / "demo"), "--json"])
     assert not stop.value.code
     for row in json.loads(capsys.readouterr().out)["errors"]:
-        # design §3: a person feels about 0.36 N and 18° of direction
+        # docs/method.md, section 15: a person feels about 0.36 N and 18° of direction
         assert row["after"]["force_magnitude_error_N"] < 0.36
         assert row["after"]["force_angle_error_deg"] < 18.0

@@ -27,7 +27,7 @@ def tube(
 
 
 def reference_rows(voxmap: Voxmap) -> sp.csr_array:
-    """The stencil of design §3 written down voxel by voxel."""
+    """The stencil (docs/method.md, eq. 4.2) written down voxel by voxel."""
     grid = voxmap.grid
     n_r, n_theta, n_z = grid.shape
     at = np.arange(grid.n_voxels).reshape(grid.shape)

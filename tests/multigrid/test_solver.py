@@ -37,7 +37,7 @@ def box(grid: CylindricalGrid) -> Mask:
 
 
 def explicit(grid: CylindricalGrid, free: Mask) -> sp.csc_array:
-    """A written down voxel by voxel from the design, on the free voxels."""
+    """A written down voxel by voxel (docs/method.md, 4.3), on the free voxels."""
     number = np.full(grid.shape, -1)
     number[free] = np.arange(free.sum())
     entries: list[tuple[int, int, float]] = []

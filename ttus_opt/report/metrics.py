@@ -1,4 +1,4 @@
-"""Errors of a field against measured wrenches (design §3, tables I-IV of the paper).
+"""Errors of a field against measured wrenches (tables I-IV of the paper).
 
 Magnitude errors are means over all frames of |‖f‖ - ‖f̂‖|; direction errors are mean
 angles over the frames in contact, where a direction exists.

@@ -1,4 +1,4 @@
-"""The structured solver: eq. 10 without ever forming Q (design §3, structures a-d).
+"""The structured solver: eq. 10 without ever forming Q (docs/method.md, section 10).
 
 The dual system is solved by conjugate gradients in a recycled subspace, with an
 approximate Schur preconditioner (`ttus_opt.solvers.dual`); L⁻¹ is a multigrid
