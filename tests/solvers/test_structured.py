@@ -21,6 +21,7 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.voxmap.voxmap import Voxmap
 
 STRUCTURED = registry.solvers()["structured"]
@@ -104,6 +105,24 @@ def test_a_new_solve_reuses_and_agrees_with_a_fresh_one() -> None:
             assert again.iterations <= max(fresh.iterations, 2), what
     prepared.update(program(scene, 1.0))
     assert prepared.solve().iterations < first / 2
+
+
+def test_a_dual_is_solved_more_exactly_until_the_kkt_residuals_hold(
+    scene: Scene,
+) -> None:
+    """An answer that is off by what is asked of it, times 1e4."""
+    prepared = STRUCTURED.prepare(program(scene, 1e-2), TIGHT)
+    exact, asked = prepared.solve(), []
+
+    def attempt(accuracy: Accuracy) -> Candidate:
+        asked.append(accuracy.rtol)
+        return replace(exact, x=exact.x * (1.0 + 1e4 * accuracy.rtol), iterations=3)
+
+    found = prepared._tightened(attempt)
+    assert len(asked) == 2
+    assert asked[1] < asked[0]
+    assert found.iterations == 6
+    np.testing.assert_array_equal(found.x, exact.x * (1.0 + 1e4 * asked[1]))
 
 
 def test_another_trajectory_is_taken(scene: Scene) -> None:

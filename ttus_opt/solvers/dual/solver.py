@@ -156,7 +156,8 @@ class DualSolver:
                 self._free = free
                 return DualAnswer(point.p, c, point.steps, accuracy.late)
             if (following & ~free).any():  # y has to lie across more columns
-                point, steps = None, point.steps
+                steps = point.steps
+                point = None
             free = following
 
     def _start(
