@@ -60,7 +60,11 @@ class Vectors(Workspace):
         self._direction = self._vector(self._p[RED], layout.stored_shape)
         self._is_odd = hierarchy.levels[0].is_odd
         self._colours = (RED, BLACK) if self._is_odd else (BLACK,)
-        self._blocks = None if blocks is None else blocks.places(layout, self.index.b)
+        self._blocks = None
+        if blocks is not None:
+            followers, leaders = blocks.places(layout, self.index.b)
+            used = followers >= self._b[self._colours[0]]
+            self._blocks = (followers[used], leaders[used])
 
     def correct(self, goal: float, limit: int) -> int:
         """Solve A e = ``b`` roughly, into ``answer``; ``b`` becomes the residual.
