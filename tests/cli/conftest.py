@@ -14,8 +14,8 @@ import pytest
 from tests.conftest import presses, torso
 from ttus_opt.cli import main
 
-#: As tqdm draws one; what follows may stand on its line
-BAR = re.compile(r"[^\r\n|]*\|[^\r\n|]*\|[^\r\n\]]*\]")
+#: A bar as the console draws it; what follows may stand on its line
+BAR = re.compile(r"[^\r\n|]*\|[^\r\n|]*\|\s*\d+/\d+\s+[\d:]+")
 
 PROBE = "ellipsoid:0.02,0.015,0.015"
 

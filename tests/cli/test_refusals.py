@@ -64,7 +64,10 @@ def test_cloud_that_never_meets_the_axis(run: Run, files: Path, output: Path) ->
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ("--n-theta 0", ["n_theta", "0"]),
+        (
+            "--n-theta 0 --no-support --axis-origin 0,0,0 --axis-direction 0,0,1",
+            ["n_theta", "0"],
+        ),
         ("--n-theta many", ["--n-theta", "integer"]),
         ("--axis-origin 0,0,0", ["--axis-direction"]),
         ("--axis-origin 0,0 --axis-direction 0,0,1", ["--axis-origin", "3 numbers"]),

@@ -106,8 +106,10 @@ def surface_folder(name: str) -> Path:
     return SHARED / name
 
 
-CASES = [("example", grid) for grid in GRIDS] + [
-    ("phantom_frictionless", grid) for grid in ("coarse", "S")
+CASES = [
+    pytest.param(name, grid, marks=pytest.mark.slow if grid == "M" else ())
+    for name, grids in (("example", GRIDS), ("phantom_frictionless", ["coarse", "S"]))
+    for grid in grids
 ]
 
 

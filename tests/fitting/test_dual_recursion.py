@@ -170,6 +170,20 @@ def test_a_spoilt_factor_is_made_anew_from_the_rows(coarse: Scene, array: str) -
     assert close(system.field(), problem.dense([0, 1, 2, 3, 4, 5, 5])[1])
 
 
+def test_a_spoilt_factor_is_noticed_by_the_next_rows(coarse: Scene) -> None:
+    """Rows that are said to be known better than they are measured: R is made anew."""
+    problem = Problem(coarse, 7, 9, 1e2)
+    system = problem.start()
+    problem.fold(system, list(range(6)))
+    expected = system.forecast(problem.blocks[5]).schur
+    system._kernel._C *= 0.5
+    np.testing.assert_allclose(
+        system.forecast(problem.blocks[5]).schur, expected, rtol=1e-6, atol=1e-9
+    )
+    problem.fold(system, [5])
+    assert close(system.field(), problem.dense([0, 1, 2, 3, 4, 5, 5])[1])
+
+
 def test_solves_that_fail_leave_what_is_held(
     coarse: Scene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
