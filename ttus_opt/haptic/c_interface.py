@@ -30,7 +30,6 @@ from numba.extending import intrinsic
 
 from ttus_opt.arrays import IntArray
 from ttus_opt.compiled import compiled
-from ttus_opt.contact.shell_blocks import Tiles
 from ttus_opt.errors import TtusError
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.wrench import (
@@ -41,8 +40,6 @@ from ttus_opt.haptic.wrench import (
     FrameLimits,
     render_frame,
 )
-from ttus_opt.scan.radius_lookup import RadiusLayout
-from ttus_opt.voxmap.grid import GridLimits
 
 #: The C header that declares the function and its codes
 HEADER = Path(__file__).with_name("ttus_frame.h")
@@ -109,7 +106,7 @@ class Context:
     def __init__(self, data: FrameData, limits: FrameLimits, pair: FieldPair) -> None:
         own = data.with_own_scratch()
         self._arrays = (  # kept alive
-            *(np.asarray(part) for part in own[1:]),
+            *own[1:],
             *FrameBuffers.empty(),
             *limits,
         )
@@ -221,11 +218,6 @@ def _matrix(table: IntArray, k: int, kind: Any) -> Any:
 def _data(trilinear: bool, table: IntArray) -> FrameData:
     """The data that a context's table describes (compiled)."""
     real, whole = np.float64, np.int64
-    extent, layout, tiles = (
-        _vector(table, 5, real),
-        _vector(table, 9, real),
-        _vector(table, 12, real),
-    )
     return FrameData(
         trilinear,
         _matrix(table, 0, real),  # points
@@ -233,22 +225,14 @@ def _data(trilinear: bool, table: IntArray) -> FrameData:
         _vector(table, 2, real),  # reference
         _vector(table, 3, whole),  # start
         _matrix(table, 4, real),  # spheres
-        GridLimits(
-            extent[0],
-            extent[1],
-            extent[2],
-            extent[3],
-            extent[4],
-            extent[5],
-            extent[6],
-        ),
+        _vector(table, 5, real),  # limits
         _vector(table, 6, whole),  # shape
         _vector(table, 7, real),  # radius
         _vector(table, 8, whole),  # nodes
-        RadiusLayout(layout[0], layout[1], layout[2], layout[3]),
+        _vector(table, 9, real),  # layout
         _matrix(table, 10, real),  # spokes
         _matrix(table, 11, real),  # ceiling
-        Tiles(tiles[0], tiles[1], tiles[2], tiles[3]),
+        _vector(table, 12, real),  # tiles
         _matrix(table, 13, real),  # place
         _vector(table, 14, np.bool_),  # near
         _matrix(table, 15, whole),  # node

@@ -49,9 +49,11 @@ def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
     # taken out of the tuple once: it counts references on every look
     start, points, place, node = s.start, s.points, s.place, s.node
     n_blocks, room = start.size - 1, place.shape[1]
-    near = s.near
+    near, limits = s.near, _extent(s.limits)
+    a, b = s.layout, s.tiles
+    layout, tiles = RadiusLayout(a[0], a[1], a[2], a[3]), Tiles(b[0], b[1], b[2], b[3])
     _place(R, at, s.spheres, 0, n_blocks, place)
-    _find_near(place, s.spheres[3], s.limits, s.ceiling, s.tiles, near)
+    _find_near(place, s.spheres[3], limits, s.ceiling, tiles, near)
     contact, beyond, in_grid, first = 0, 0, False, 0
     while first < n_blocks:
         if not near[first]:
@@ -63,7 +65,7 @@ def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
         low, high = start[first], start[last]
         first = last
         _place(R, at, points, low, high, place)
-        _find_nodes(high - low, s.nodes, s.layout, place, node)
+        _find_nodes(high - low, s.nodes, layout, place, node)
         contact, deeper, met = _select(low, high - low, contact, s)
         in_grid, beyond = in_grid or met, beyond + deeper
     if s.trilinear:
@@ -71,6 +73,12 @@ def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
     else:
         _find_voxels(contact, s)
     return contact, in_grid or _meets_grid(R, at, s), beyond
+
+
+@compiled(inline="always")
+def _extent(a: Array) -> GridLimits:
+    """A grid's limits by name (compiled)."""
+    return GridLimits(a[0], a[1], a[2], a[3], a[4], a[5], a[6])
 
 
 @compiled(inline="always")
@@ -152,7 +160,7 @@ def _select(low: int, size: int, contact: int, s: FrameData) -> tuple[int, int, 
         Points in contact so far, how many of the new ones lie beyond the inner layer,
         and whether any point lies within the grid.
     """
-    place, node, radius, limits = s.place, s.node, s.radius, s.limits
+    place, node, radius, limits = s.place, s.node, s.radius, _extent(s.limits)
     touched, depth, share = s.touched, s.depth, s.share
     in_grid, beyond = False, 0
     for m in range(size):
@@ -175,7 +183,8 @@ def _select(low: int, size: int, contact: int, s: FrameData) -> tuple[int, int, 
 @compiled(error_model="numpy", nogil=True)
 def _find_spokes(contact: int, s: FrameData) -> None:
     """Places of every contact on the four spokes around it (compiled)."""
-    depth, share, voxel, spokes, limits = s.depth, s.share, s.voxel, s.spokes, s.limits
+    depth, share, voxel, spokes = s.depth, s.share, s.voxel, s.spokes
+    limits = _extent(s.limits)
     counts = (s.shape[1], s.shape[2])
     for c in range(contact):
         cell = spoke_cell(share[1, c], share[2, c], limits, counts[0], counts[1])
@@ -189,7 +198,8 @@ def _find_spokes(contact: int, s: FrameData) -> None:
 @compiled(error_model="numpy", nogil=True)
 def _find_voxels(contact: int, s: FrameData) -> None:
     """Voxel of every contact and its part in the voxel's mean (compiled)."""
-    depth, share, voxel, spokes, limits = s.depth, s.share, s.voxel, s.spokes, s.limits
+    depth, share, voxel, spokes = s.depth, s.share, s.voxel, s.spokes
+    limits = _extent(s.limits)
     shape, hits = s.shape, s.hits
     for c in range(contact):
         v, samples = nearest_voxel(
@@ -206,7 +216,7 @@ def _find_voxels(contact: int, s: FrameData) -> None:
 @compiled(error_model="numpy", nogil=True)
 def _meets_grid(R: Array, at: Array, s: FrameData) -> bool:
     """Whether any shell point lies within the grid, skipped blocks too (compiled)."""
-    start, spheres, points, limits = s.start, s.spheres, s.points, s.limits
+    start, spheres, points, limits = s.start, s.spheres, s.points, _extent(s.limits)
     for b in range(start.size - 1):
         x, y, z = rotated(R, spheres[0, b], spheres[1, b], spheres[2, b])
         x, y, z, reach = x + at[0], y + at[1], z + at[2], spheres[3, b]

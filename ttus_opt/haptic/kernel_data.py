@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.contact.rows import shell_arrays
-from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks, SurfaceCeiling, Tiles
+from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks, SurfaceCeiling
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.radius_lookup import RadiusLayout
 from ttus_opt.voxmap.depth_sampling import spoke_table
-from ttus_opt.voxmap.grid import GridLimits
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Most blocks placed at once: their scratch stays in the first cache
@@ -35,14 +33,15 @@ class FrameData(NamedTuple):
         reference: Torques are about this point, probe frame, shape (3,) [m].
         start: First point of each block, shape (B + 1,).
         spheres: Bounding spheres, x, y, z, radius apart, shape (4, B) [m].
-        limits: `CylindricalGrid.kernel_limits`.
+        limits: `CylindricalGrid.kernel_limits`, an array as tuples of numbers are slow
+            to pass, shape (7,).
         shape: Voxel counts, shape (3,).
         radius: Of the surface's nodes, flat [m].
         nodes: Their counts over θ and z, shape (2,).
-        layout: `Surface.kernel_layout`.
+        layout: `Surface.kernel_layout`, shape (4,).
         spokes: `depth_sampling.spoke_table`.
         ceiling: `SurfaceCeiling.ceiling`.
-        tiles: Where the ceiling's tiles lie.
+        tiles: `SurfaceCeiling.tiles`, shape (4,).
         place: Scratch, points about the axis: r², θ, z, then the place within the
             surface's cell, shape (5, RUN·BLOCK) or (5, B) if that is more.
         near: Scratch, blocks that may touch, shape (B,).
@@ -61,14 +60,14 @@ class FrameData(NamedTuple):
     reference: Array
     start: IntArray
     spheres: Array
-    limits: GridLimits
+    limits: Array
     shape: IntArray
     radius: Array
     nodes: IntArray
-    layout: RadiusLayout
+    layout: Array
     spokes: Array
     ceiling: Array
-    tiles: Tiles
+    tiles: Array
     place: Array
     near: NDArray[np.bool_]
     node: IntArray
@@ -95,14 +94,14 @@ class FrameData(NamedTuple):
             reference,
             blocks.start,
             np.ascontiguousarray(np.column_stack([blocks.centre, blocks.reach]).T),
-            voxmap.grid.kernel_limits,
+            np.array(voxmap.grid.kernel_limits),
             np.array(voxmap.grid.shape),
             np.ascontiguousarray(voxmap.surface.radius).reshape(-1),
             np.array(voxmap.surface.radius.shape),
-            voxmap.surface.kernel_layout,
+            np.array(voxmap.surface.kernel_layout),
             spoke_table(voxmap),
             above.ceiling,
-            above.tiles,
+            np.array(above.tiles),
             np.empty((5, width)),
             np.empty(len(blocks.reach), dtype=np.bool_),
             np.empty((2, width), dtype=np.int64),
