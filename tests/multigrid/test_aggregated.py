@@ -41,7 +41,7 @@ def some_ties(free: Mask, seed: int, share: float = 0.3) -> Mask:
 
 
 def whole_spokes(free: Mask, seed: int) -> Mask:
-    """Every second or third spoke is one chain, inside to outside."""
+    """Every second or third spoke is one block, inside to outside."""
     rng = np.random.default_rng(seed)
     return allowed(free) & (rng.random(free.shape[1:]) < 0.4)[None]
 
@@ -52,7 +52,7 @@ def every_spoke(free: Mask, seed: int) -> Mask:
 
 
 def nearly_whole(free: Mask, seed: int) -> Mask:
-    """Chains over nearly the whole radius, cut at a random layer each."""
+    """Blocks over nearly the whole radius, cut at a random layer each."""
     rng = np.random.default_rng(seed)
     ties = allowed(free)
     cut = rng.integers(1, free.shape[0] - 1, free.shape[1:])
@@ -70,7 +70,7 @@ def one_tie(free: Mask, seed: int) -> Mask:
 def spread(
     free: Mask, ties: Mask, rng: np.random.Generator
 ) -> tuple[sp.csc_array, NDArray[np.int64]]:
-    """P by connected components, on free voxels, and a random member of each chain."""
+    """P by connected components, on free voxels, and a random member of each block."""
     stride = free.shape[1] * free.shape[2]
     number = np.full(free.size, -1)
     number[free.reshape(-1)] = np.arange(free.sum())
@@ -90,7 +90,7 @@ def spread(
 def aggregated(
     grid: CylindricalGrid, free: Mask, ties: Mask
 ) -> tuple[AggregatedMultigrid, NDArray[np.bool_]]:
-    """The solver, and the voxels at which chains stand."""
+    """The solver, and the voxels at which blocks stand."""
     _, member = spread(free, ties, np.random.default_rng(0))
     shown = np.zeros(free.size, dtype=bool)
     shown[member] = True
@@ -138,8 +138,8 @@ def test_equals_a_factorisation_on_ill_shaped_masks(
         check(GRIDS[name], free, ties(free, 4))
 
 
-def test_a_chain_through_a_neck_of_one_voxel() -> None:
-    """Two chambers that meet in a chain which is the neck itself."""
+def test_a_block_through_a_neck_of_one_voxel() -> None:
+    """Two chambers that meet in a block which is the neck itself."""
     grid = make_grid((15, 12, 9))
     free = box(grid)
     free[6:9] = False
@@ -211,7 +211,7 @@ def test_pickles() -> None:
     np.testing.assert_array_equal(copy.solve(b).x, solver.solve(b).x)
 
 
-def test_chains_cost_hardly_more_cycles_than_none() -> None:
+def test_blocks_cost_hardly_more_cycles_than_none() -> None:
     grid = make_grid((24, 48, 24))
     free = torso(grid)
     b = np.where(

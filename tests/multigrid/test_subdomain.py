@@ -82,7 +82,7 @@ def test_large_boxes_are_the_grid() -> None:
 @pytest.mark.parametrize("ties", [False, True])
 @pytest.mark.parametrize("spoke", [30, 0, 62])
 def test_v_cycle_nearly_inverts_the_box(spoke: int, ties: bool) -> None:
-    """With zero around the box, and chains of tied voxels that move as one."""
+    """With zero around the box, and pooled blocks of tied voxels."""
     free = torso(GRID)
     flat = free.reshape(-1)
     near = patch(GRID, free, spoke)

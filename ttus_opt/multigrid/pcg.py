@@ -67,7 +67,9 @@ class Vectors(Workspace):
             self._blocks = (followers[used], leaders[used])
 
     def correct(self, goal: float, limit: int) -> int:
-        """Solve A e = ``b`` roughly, into ``answer``; ``b`` becomes the residual.
+        """Solve A e = ``b`` to a low accuracy; ``b`` becomes the residual.
+
+        The answer e is left in ``answer``.
 
         Args:
             goal: Relative residual to reach [–].

@@ -222,8 +222,7 @@ class Multigrid:
                 )
             goal = max(REDUCTION, 0.5 * target / now)
             iterations += work.correct(goal, limit - iterations)
-            squares = refinement.add(x, work.answer, 1.0 / scale, *self._sizes)
-            norm_x = math.sqrt(squares)
+            norm_x = math.sqrt(self._add(x, work, 1.0 / scale))
             before, scale = now, 1.0 / now
             now = self._residual(work, x, b, scale)
             failures = failures + 1 if now > 0.5 * before else 0
@@ -267,6 +266,10 @@ class Multigrid:
         return math.sqrt(
             refinement.residual(work.b, given, b, self._operator, scale, x is None)
         )
+
+    def _add(self, x: Array, work: Vectors, scale: float) -> float:
+        """Correct x by scale · ``work.answer``; returns ‖x‖²."""
+        return float(refinement.add(x, work.answer, scale, *self._sizes))
 
 
 def _largest(values: Array) -> float:
