@@ -51,9 +51,9 @@ def test_exported_problem_is_the_same_problem(tmp_path: Path) -> None:
 
 def test_group_norms_are_not_exported(tmp_path: Path) -> None:
     from tests.solvers.problems import program, term
-    from ttus_opt.terms.base import Penalty
+    from ttus_opt.terms.penalties.groups import Groups
 
-    bent = program([term(np.eye(2), [0, 0], 1.0, Penalty.GROUPS, group_size=2)])
+    bent = program([term(np.eye(2), [0, 0], 1.0, Groups(2))])
     with pytest.raises(InputError, match="no QP"):
         export_program(bent, tmp_path, "bent")
     assert not list(tmp_path.iterdir())

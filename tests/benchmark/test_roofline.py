@@ -16,7 +16,7 @@ b1 d1 x1 | d0 x0 x1 | x0 r1 d1 | r1 w0 w1 | w0 w1 x1 x1 | d0 x0 x1 | b1 d1 x1 x0
 COLOUR_0, COLOUR_1 = "b0 d0 R0 T0 T1 Z0 Z1 x0 x1", "b1 d1 R1 T0 T1 Z0 Z1 x1 x0"
 WEIGHTS = "wr0 wr1 wt0 wt1 wz0 wz1"
 COARSER = f"""
-x0 x1 | {COLOUR_1} | {COLOUR_0} | x0 T0 T1 Z0 Z1 r1 | {COLOUR_1} | {COLOUR_0} |
+b1 d1 R1 x1 | {COLOUR_0} | x0 T0 T1 Z0 Z1 r1 | {COLOUR_1} | {COLOUR_0} |
 x0 T0 T1 Z0 Z1 r1 r1 | r1 {WEIGHTS} | {WEIGHTS} x1 x1 |
 {COLOUR_0} | {COLOUR_1} | {COLOUR_0} | {COLOUR_1}
 """

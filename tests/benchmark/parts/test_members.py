@@ -91,7 +91,7 @@ def test_a_profile_has_the_fit_and_its_kernels(tmp_path: Path) -> None:
     saved = pstats.Stats(str(tmp_path / KEPT / "profile-tiny.prof"))
     names = {name for _, _, name in saved.stats}  # type: ignore[attr-defined]
     # compiled kernels are told as well
-    assert {"_fit", "solve", "_correct", "contact_rows"} <= names
+    assert {"_fit", "solve", "v_cycle", "contact_rows"} <= names
     rows.append({"case": "gone", "status": "refused", "detail": "no file"})
     text = "\n".join(part.below(rows))
     assert "GB/s" in text
