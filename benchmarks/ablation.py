@@ -1,7 +1,8 @@
 """What each number of the structured solver buys, on problems with contested limits.
 
     python benchmarks/ablation.py
-    python benchmarks/ablation.py --case M --only patience,share --problems growth
+    python benchmarks/ablation.py --only patience,share --problems growth,noise
+    python benchmarks/ablation.py --case M --only divergence --problems "noise drag"
 
 Every option of `DualOptions` is moved alone to each of its trials. A row has CPU
 seconds, working sets, directions and the relative KKT residual per problem; a problem
@@ -29,9 +30,10 @@ PROBLEMS: dict[str, tuple[str, str, str, float | None]] = {
     "sign": ("eq10_sign", "reversed", "trilinear", 100.0),
     "growth": ("eq10_sign_monotone", "reversed", "trilinear", 100.0),
     "noise": ("eq10_sign_monotone", "noise", "voxel-mean", 100.0),
-    "noise, trilinear": ("eq10_sign_monotone", "noise", "trilinear", 100.0),
+    "noise trilinear": ("eq10_sign_monotone", "noise", "trilinear", 100.0),
     "drag": ("coulomb_drag", "reversed", "trilinear", 100.0),
     "no drag": ("coulomb_drag", "", "trilinear", None),
+    "noise drag": ("coulomb_drag", "noise", "voxel-mean", 100.0),
     "heavy": ("eq10", "noise", "trilinear", 1e6),
 }
 

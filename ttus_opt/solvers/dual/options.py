@@ -52,9 +52,9 @@ class DualOptions:
         field_accuracy: Residual of the solves behind a field that is not the last, over
             its dual's [–].
         violation: What counts as a KKT violation, over the KKT tolerance [–].
-        acceptable: What may remain, over the KKT tolerance, after more than
-        acceptable_sets working sets with no more than that: thousands of limits may
-            lie so near to active that it hardly matters which of them are [–].
+        acceptable: What may remain, over the KKT tolerance: thousands of limits may lie
+            so near to active that it hardly matters which of them are [–].
+        acceptable_sets: After how many working sets with no more than that [–].
         patience: Iterations without progress before the safeguard [–].
         progress: The worst violation or their number has to fall below this part of
             the least so far, or the active limits to become more than ever [–].
