@@ -28,9 +28,9 @@ from ttus_opt.report.tables import table
 #: an odd number of spokes asks for a few more
 FINEST = 23
 
-#: On a coarser level: eight sweeps of a colour (9 each: conductances R, both colours of
-#: T and Z, too; the first, with nothing opposite yet, 4), two residuals (6, 7), transfers
-#: of six weights (7, 8)
+#: On a coarser level: eight sweeps of a colour (9 each: conductances R, both colours
+#: of T and Z, too; the first, with nothing opposite yet, 4), two residuals (6, 7),
+#: transfers of six weights (7, 8)
 COARSER = 95
 
 #: What restriction and prolongation move on the level below: b and x, both colours
