@@ -144,9 +144,14 @@ def test_a_write_that_fails_is_one_line_and_keeps_the_old_file(
 
 def test_an_interrupt_waits_for_the_file(tmp_path: Path) -> None:
     file = tmp_path / "a.txt"
-    with pytest.raises(KeyboardInterrupt), io.signals_deferred():
-        signal.raise_signal(signal.SIGINT)
-        file.write_text("whole")
+    # a process in the background may have been started with interrupts ignored
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt), io.signals_deferred():
+            signal.raise_signal(signal.SIGINT)
+            file.write_text("whole")
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert file.read_text() == "whole"
 
 
