@@ -3,9 +3,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.phantom.block import box_mesh
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.phantom import ElasticBody, SkinPatch, skin_compliance
-from ttus_opt.phantom.mesh import box_mesh
 
 
 def column(poisson, young=2e4):
