@@ -162,7 +162,7 @@ def test_poses_without_wrench_have_rows_but_no_measurements() -> None:
 def test_a_plan_goes_from_scan_to_scene_step_by_step() -> None:
     """From a cloud, from its surface and by hand: the same scene."""
     theta, z = np.meshgrid(
-        np.linspace(0, 2 * np.pi, 400), np.linspace(0.0, 0.2, 200), indexing="ij"
+        np.linspace(0, 2 * np.pi, 200), np.linspace(0.0, 0.2, 100), indexing="ij"
     )
     r = SURFACE.radius_at(theta, z)
     cloud = np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1).reshape(-1, 3)

@@ -230,6 +230,7 @@ def test_a_frame_leaves_the_ledger_to_a_waiting_update(
     assert renderer.blend.progress > 0.0
 
 
+@pytest.mark.slow
 def test_the_how_to_page_runs(scene: Scene, tmp_path: Path) -> None:
     """Its C++ loop and its Python host, as they are printed."""
     page = Path(__file__).parents[2] / "docs" / "how-to" / "rendering-cpp.md"

@@ -12,6 +12,7 @@ from ttus_opt.benchmark.parts.rendering import frame_times, time_rendering
 from ttus_opt.errors import InputError
 
 
+@pytest.mark.slow
 def test_every_way_is_timed_over_the_same_poses() -> None:
     scene = small_scene("trilinear")
     rows = time_rendering(scene, passes=2)
