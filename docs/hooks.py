@@ -26,9 +26,6 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "ttus_opt"
 
-#: Pages that a later change brings; they are left out of the menu until they exist
-LATER = ("how-to/rendering-cpp.md",)
-
 #: Pages that are a section of their own
 ALONE = ("index.md", "method.md", "api.md", "modules.md", "benchmark.md")
 
@@ -38,7 +35,7 @@ _log = logging.getLogger("mkdocs.hooks.ttus_opt")
 
 
 def on_config(config: Any) -> Any:
-    """Leave out pages that are still to be written; outputs belong to a package."""
+    """Outputs of notebooks belong to a state of the package."""
     digest = hashlib.sha256()
     for folder in (PACKAGE, ROOT / "formulations"):
         for path in sorted(folder.rglob("*.py")):
@@ -46,19 +43,7 @@ def on_config(config: Any) -> Any:
     notebooks = config.plugins["mkdocs-jupyter"].config
     outputs = digest.hexdigest()[:16] if notebooks["execute"] else "none"
     notebooks["cache_dir"] = f"{notebooks['cache_dir']}/{outputs}"
-    missing = [page for page in LATER if not (ROOT / "docs" / page).exists()]
-    config.nav = _without(config.nav, missing)
     return config
-
-
-def _without(nav: Any, pages: list[str]) -> Any:
-    if isinstance(nav, list):
-        kept = [_without(entry, pages) for entry in nav]
-        return [entry for entry in kept if entry is not None]
-    if isinstance(nav, dict):
-        inner = {title: _without(entry, pages) for title, entry in nav.items()}
-        return inner if all(v is not None for v in inner.values()) else None
-    return None if nav in pages else nav
 
 
 @event_priority(100)  # before the notebook plugin looks for notebooks
