@@ -35,8 +35,9 @@ def test_crash_is_a_row(tmp_path: Path) -> None:
 def test_exception_is_a_row_with_its_last_line(tmp_path: Path) -> None:
     spec = trapped(tmp_path, "raise KeyError('my own mistake')")
     (row,) = run_isolated(spec, tmp_path)
-    assert row["status"] == "crashed"
-    assert "trap" in row["detail"]
+    assert row["status"] == "refused"
+    assert "KeyError: 'my own mistake'" in row["detail"]
+    assert "trap.py, line 6" in row["detail"]
 
 
 @pytest.mark.slow

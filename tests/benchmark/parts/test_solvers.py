@@ -108,4 +108,4 @@ def test_perturbed_rows_say_how_many_limits_are_active(tmp_path: Path) -> None:
     assert found["case"] == "tiny-reversed"
     assert found["active_limits"]
     # the active set says by itself how large it is
-    assert f"{found['active_limits']} limits active" in found["detail"]
+    assert f"{found['active_limits']} active limits" in found["detail"]
