@@ -118,23 +118,8 @@ def content_stamp(dispatcher: Any) -> str:
 
 def _content(value: Any, seen: dict[int, int]) -> Iterator[str]:
     """Lines that tell a value apart from all others, whatever process it lives in."""
-    if isinstance(value, types.FunctionType) and value.__module__.startswith("numba."):
-        yield f"{value.__module__}.{value.__qualname__}"  # told by numba's version
-    elif isinstance(value, numba.core.dispatcher.Dispatcher | types.FunctionType):
-        if id(value) in seen:
-            yield f"function {seen[id(value)]}"
-            return
-        seen[id(value)] = len(seen)
-        function = getattr(value, "py_func", value)
-        yield f"{function.__module__}.{function.__qualname__}"
-        yield from _content(getattr(value, "targetoptions", None), seen)
-        yield from _content((function.__defaults__, function.__kwdefaults__), seen)
-        for cell in function.__closure__ or ():
-            yield from _content(cell.cell_contents, seen)
-        code = function.__code__
-        told = code.co_consts[:1] == (function.__doc__,)  # what says it, not what does
-        code = code.replace(co_consts=(None, *code.co_consts[1:])) if told else code
-        yield from _code_content(code, function.__globals__, seen)
+    if isinstance(value, numba.core.dispatcher.Dispatcher | types.FunctionType):
+        yield from _function_content(value, seen)
     elif isinstance(value, tuple | list):
         yield f"{type(value).__name__} of {len(value)}"
         for part in value:
@@ -143,25 +128,56 @@ def _content(value: Any, seen: dict[int, int]) -> Iterator[str]:
         yield f"{type(value).__name__} of {len(value)}"
         parts = value.items() if isinstance(value, dict) else value
         yield from sorted("\n".join(_content(part, seen)) for part in parts)
-    elif isinstance(value, np.ndarray):
-        content = hashlib.sha256(value.tobytes()).hexdigest()
-        yield f"{value.dtype} {value.shape} {content}"
     elif isinstance(value, type):
         yield f"{value.__module__}.{value.__qualname__}"
         yield from _content(getattr(value, "_fields", ()), seen)
-    elif isinstance(value, int | float | complex | str | bytes | None | np.generic):
-        yield f"{type(value).__name__} {value!r}"
-    elif isinstance(value, types.ModuleType):
-        yield f"module {value.__name__}"
-    elif isinstance(value, np.dtype | numba.types.Type | np.ufunc | types.EllipsisType):
-        yield f"{type(value).__name__} {value}"
-    elif callable(value) and hasattr(value, "__name__"):  # of numpy or Python itself
-        yield f"{getattr(value, '__module__', None)}.{value.__name__}"
     else:
-        raise TypeError(
-            f"a compiled function reads a {type(value).__name__}, whose content cannot "
-            "be told: make it a number, a tuple or an array"
-        )
+        yield _leaf_content(value)
+
+
+def _function_content(value: Any, seen: dict[int, int]) -> Iterator[str]:
+    """Lines of a function, compiled or not: its code and what it reads."""
+    function = getattr(value, "py_func", value)
+    name = f"{function.__module__}.{function.__qualname__}"
+    if function is value and function.__module__.startswith("numba."):
+        yield name  # told by numba's version
+        return
+    if id(value) in seen:
+        yield f"function {seen[id(value)]}"
+        return
+    seen[id(value)] = len(seen)
+    yield name
+    yield from _content(getattr(value, "targetoptions", None), seen)
+    yield from _content((function.__defaults__, function.__kwdefaults__), seen)
+    for cell in function.__closure__ or ():
+        yield from _content(cell.cell_contents, seen)
+    code = function.__code__
+    told = code.co_consts[:1] == (function.__doc__,)  # what says it, not what does
+    code = code.replace(co_consts=(None, *code.co_consts[1:])) if told else code
+    yield from _code_content(code, function.__globals__, seen)
+
+
+def _leaf_content(value: Any) -> str:
+    """One line for a value that holds no others.
+
+    Raises:
+        TypeError: Its content cannot be told.
+    """
+    if isinstance(value, np.ndarray):
+        content = hashlib.sha256(value.tobytes()).hexdigest()
+        return f"{value.dtype} {value.shape} {content}"
+    if isinstance(value, int | float | complex | str | bytes | None | np.generic):
+        return f"{type(value).__name__} {value!r}"
+    if isinstance(value, types.ModuleType):
+        return f"module {value.__name__}"
+    if isinstance(value, np.dtype | numba.types.Type | np.ufunc | types.EllipsisType):
+        return f"{type(value).__name__} {value}"
+    if callable(value) and hasattr(value, "__name__"):  # of numpy or Python itself
+        return f"{getattr(value, '__module__', None)}.{value.__name__}"
+    raise TypeError(
+        f"a compiled function reads a {type(value).__name__}, whose content cannot "
+        "be told: make it a number, a tuple or an array"
+    )
 
 
 def _code_content(

@@ -26,7 +26,7 @@ _LEAST_POINTS = 100
 _LEAST_OBSERVED = 0.05  # share of nodes below which nothing was really seen
 
 
-def extract_surface(
+def extract_surface(  # noqa: PLR0913  public, all but two by name
     cloud: Array,
     *,
     axis: Axis,
