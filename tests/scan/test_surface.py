@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -127,6 +128,45 @@ def test_bad_files(tmp_path: Path) -> None:
     (tmp_path / "cut.nc").write_bytes(raw[: len(raw) // 2])
     with pytest.raises(FileError, match="truncated"):
         Surface.load(tmp_path / "cut.nc")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda d: d.assign_coords(z=1000.0 * d["z"]),
+        lambda d: d.assign_coords(theta=[f"{t:.3f}" for t in d["theta"].values]),
+        lambda d: d.assign_attrs(axis_origin="[NaN, 0, 0]"),
+        lambda d: d.assign_attrs(axis_origin="{}"),
+        lambda d: d.assign_attrs(axis_origin="[[0, 1], [2]]"),
+        lambda d: d.assign_attrs(axis_origin="null"),
+        lambda d: d.assign_attrs(axis_origin=5.0),
+        lambda d: d.assign_attrs(axis_rotation=np.arange(9.0)),
+        lambda d: d.drop_attrs().assign_attrs(axis_origin="[0, 0, 0]"),
+    ],
+    ids=[
+        "heights in mm",
+        "angles as text",
+        "NaN origin",
+        "no array",
+        "ragged",
+        "null",
+        "a number",
+        "an array",
+        "no rotation",
+    ],
+)
+def test_hostile_files_are_one_line(
+    tmp_path: Path, damage: Callable[[xr.Dataset], xr.Dataset]
+) -> None:
+    wavy().save(tmp_path / "s.nc")
+    with xr.open_dataset(tmp_path / "s.nc") as data:
+        bad = damage(data.load())
+    bad["radius"].attrs = {"units": "m"}
+    bad.to_netcdf(tmp_path / "bad.nc")
+    with pytest.raises(FileError) as told:
+        Surface.load(tmp_path / "bad.nc")
+    assert "bad.nc" in str(told.value)
+    assert "\n" not in str(told.value)
 
 
 def test_no_coordinates_in_the_file(tmp_path: Path) -> None:

@@ -128,6 +128,14 @@ DAMAGES = {
         lambda d: d.assign_attrs(grid_limits='["a", 0.14, 0.0, 0.2]'),
         "must be real number",
     ),
+    "a parameter that is NaN": (
+        lambda d: d.assign_attrs(parameters='{"boundary_scale": NaN}'),
+        "parameter boundary_scale must be a finite number, got nan",
+    ),
+    "parameters that are a list": (
+        lambda d: d.assign_attrs(parameters="[1.0]"),
+        "attribute parameters must be a JSON object, got [1.0]",
+    ),
     "no region": (lambda d: d.drop_vars("region"), "it has no variable region"),
 }
 

@@ -41,13 +41,16 @@ class Axis:
         """Validate the frame.
 
         Raises:
-            InputError: Wrong shapes, or a matrix that is not a rotation.
+            InputError: Wrong shapes, an origin that is not finite, or a matrix that is
+                not a rotation.
         """
         if self.origin.shape != (3,) or self.rotation.shape != (3, 3):
             raise InputError(
                 "an axis needs origin (3,) [m] and rotation (3, 3), got "
                 f"{self.origin.shape} and {self.rotation.shape}"
             )
+        if not np.isfinite(self.origin).all():
+            raise InputError(f"axis origin must be finite [m], got {self.origin}")
         error = np.abs(self.rotation.T @ self.rotation - np.eye(3)).max()
         if not (error < 1e-6 and np.linalg.det(self.rotation) > 0):
             raise InputError(
@@ -111,9 +114,16 @@ class Axis:
 
     @classmethod
     def from_attributes(cls, attributes: Mapping[str, Any]) -> Axis:
-        """Read what `attributes` wrote; the identity where a file has none."""
-        if "axis_origin" not in attributes:
+        """Read what `attributes` wrote; the identity where a file has none.
+
+        Raises:
+            InputError: One of the two is missing, or is no array of numbers.
+        """
+        if not {"axis_origin", "axis_rotation"} & set(attributes):
             return cls.identity()
+        for name in ("axis_origin", "axis_rotation"):
+            if not isinstance(attributes.get(name), str):
+                raise InputError(f"attribute {name} must be JSON text, like [0, 0, 0]")
         return cls(
             np.array(json.loads(attributes["axis_origin"]), dtype=float),
             np.array(json.loads(attributes["axis_rotation"]), dtype=float),

@@ -8,7 +8,6 @@ first slice it keeps the nearest slice's value (`ttus_opt.scan.radius_lookup`).
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import dataclass, field
 
@@ -24,6 +23,9 @@ from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.radius_lookup import RadiusLayout, radii_at
 
 KIND, VERSION = "surface", 1
+
+#: Radii and heights beyond this are in another unit [m]
+LARGEST = 10.0
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,12 @@ class Surface:
         dz = np.diff(self.z)
         if dz.min() <= 0 or np.ptp(dz) > 1e-5 * dz.mean():
             raise InputError("z must increase in equal steps [m]: resample the surface")
+        for name in ("radius", "z"):
+            most = float(np.abs(getattr(self, name)).max())
+            if LARGEST < most < np.inf:
+                raise InputError(
+                    f"{name} reaches {most:.4g} m: is it in millimetres? Divide by 1000"
+                )
         bad = ~(np.isfinite(self.radius) & (self.radius > 0))
         if bad.any():
             raise GeometryError(
@@ -221,5 +229,5 @@ class Surface:
                 else observed.to_numpy().astype(bool),
                 Axis.from_attributes(dataset.attrs),
             )
-        except (InputError, KeyError, json.JSONDecodeError) as error:
+        except (InputError, KeyError, TypeError, ValueError) as error:
             raise FileError(f"{path}: {error}") from error

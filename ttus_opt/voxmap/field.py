@@ -7,10 +7,11 @@ the field came from.
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -60,7 +61,8 @@ class PotentialField:
         """Validate the values.
 
         Raises:
-            InputError: Wrong shape, a value that is not finite, unknown sampling.
+            InputError: Wrong shape, a value or parameter that is not finite, unknown
+                sampling.
         """
         if self.values.shape != self.voxmap.grid.shape:
             raise InputError(
@@ -74,6 +76,11 @@ class PotentialField:
                 f"sampling must be one of {', '.join(FIELD_UNIT)}, got "
                 f"{self.sampling!r}"
             )
+        for name, value in self.parameters.items():
+            if not (isinstance(value, int | float) and math.isfinite(value)):
+                raise InputError(
+                    f"parameter {name} must be a finite number, got {value}"
+                )
 
     @property
     def unit(self) -> str:
@@ -194,7 +201,20 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         Voxmap(grid, surface, io.array_of(data, "region", DIMS, "1")),
         values,
         sampling,
-        json.loads(data.attrs["parameters"]),
-        json.loads(data.attrs["provenance"]),
-        json.loads(data.attrs.get("standard_errors", "{}")),
+        *(
+            _by_name(name, data.attrs.get(name, "{}"))
+            for name in ("parameters", "provenance", "standard_errors")
+        ),
     )
+
+
+def _by_name(attribute: str, text: str) -> dict[str, Any]:
+    """What an attribute has by name.
+
+    Raises:
+        InputError: It is no JSON object.
+    """
+    found = json.loads(text)
+    if not isinstance(found, dict):
+        raise InputError(f"attribute {attribute} must be a JSON object, got {text}")
+    return found
