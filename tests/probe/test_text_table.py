@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
+from tests.hostile import NUMBERS, only_our_errors
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.probe.text_table import known_name, read_text_table
 
@@ -124,3 +125,11 @@ def test_numbers_are_taken_whatever_their_form(tmp_path: Path) -> None:
     np.testing.assert_array_equal(
         read_text_table(file, ["t"]).numbers(["t", "x"]), [[1e-3, -2.0]]
     )
+
+
+@pytest.mark.parametrize("n", NUMBERS)
+def test_mutations_raise_nothing_but_our_own(n: int, tmp_path: Path) -> None:
+    write(tmp_path, ",".join(OURS), lines(",")).rename(tmp_path / "own.csv")
+    body = [f"{1_700_000_000 + i},{i}" + ",0.5" * 13 for i in range(3)]
+    write(tmp_path, ROS, body).rename(tmp_path / "ros.csv")
+    only_our_errors(sorted(tmp_path.iterdir()), tt.read_trajectory, n)

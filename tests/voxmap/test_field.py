@@ -9,7 +9,9 @@ import pytest
 import xarray as xr
 
 from tests.conftest import torso
+from tests.hostile import NUMBERS, only_our_errors
 from ttus_opt.errors import FileError, InputError
+from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -179,3 +181,14 @@ def test_the_dataset_is_what_is_saved(field: PotentialField, tmp_path: Path) -> 
         assert given.attrs.items() <= saved.attrs.items()
     np.testing.assert_array_equal(given["potential"], field.values)
     assert given["potential"].dims == ("r", "theta", "z")
+
+
+@pytest.mark.parametrize("n", NUMBERS)
+@pytest.mark.filterwarnings("ignore")
+def test_mutated_files_raise_nothing_but_our_own(
+    n: int, field: PotentialField, tmp_path: Path
+) -> None:
+    field.save(tmp_path / "field.nc")
+    field.voxmap.surface.save(tmp_path / "surface.nc")
+    only_our_errors([tmp_path / "field.nc"], PotentialField.load, n // 4)
+    only_our_errors([tmp_path / "surface.nc"], Surface.load, n // 4)

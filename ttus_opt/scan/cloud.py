@@ -8,6 +8,7 @@ metres would otherwise fail much later and far from their cause.
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -122,9 +123,15 @@ def _read_ply(file: Path) -> Array:
     for line in head.split(b"end_header")[0].splitlines():
         words = line.split()
         if words[:2] == [b"element", b"vertex"] and len(words) == 3:
-            announced = int(words[2]) if words[2].isdigit() else 0
+            # a number of more digits than any file has bytes is no number
+            announced = int(words[2]) if re.fullmatch(rb"\d{1,15}", words[2]) else 0
     if announced == 0:
         raise FileError(f"{file} announces no vertices: record or export it again")
+    if announced > file.stat().st_size:
+        raise FileError(
+            f"{file} is truncated: its header announces {announced} points, it has "
+            f"{file.stat().st_size} bytes: record or copy it again"
+        )
     try:
         with file.open("rb") as stream:
             loaded = trimesh.load(stream, file_type="ply", process=False)
@@ -144,9 +151,10 @@ def _read_ply(file: Path) -> Array:
 
 def _read_npy(file: Path) -> Array:
     try:
-        values = np.load(file, allow_pickle=False)
-        points = np.asarray(values, dtype=np.float64)
-    except (ValueError, EOFError, OSError, TypeError) as error:
+        # mapped: a header that announces more than the file holds allocates nothing
+        values = np.lib.format.open_memmap(file, mode="r")
+        points = np.array(values, dtype=np.float64)
+    except Exception as error:  # numpy raises nearly every class on damaged headers
         raise FileError(
             f"{file} does not read as a NPY array of numbers ({type(error).__name__}): "
             "truncated or damaged? save it again"

@@ -21,6 +21,10 @@ from ttus_opt.errors import FileError
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 
 
+#: Most values of one field of a point
+MOST_VALUES = 2**16
+
+
 @dataclass(frozen=True)
 class _Header:
     """What the text part of a PCD file says."""
@@ -71,8 +75,8 @@ def read_pcd(path: Path) -> Array:
     return _compressed(header, path)
 
 
-def _read_header(path: Path) -> _Header:
-    raw = path.read_bytes()
+def _entries(path: Path, raw: bytes) -> tuple[dict[str, list[str]], int]:
+    """Words of the header's lines by their first, and where the data begin."""
     entries: dict[str, list[str]] = {}
     start = 0
     while "DATA" not in entries:
@@ -83,6 +87,12 @@ def _read_header(path: Path) -> _Header:
         start = end + 1
         if words and not words[0].startswith("#"):
             entries[words[0].upper()] = words[1:]
+    return entries, start
+
+
+def _read_header(path: Path) -> _Header:
+    raw = path.read_bytes()
+    entries, start = _entries(path, raw)
     try:
         fields = tuple(entries["FIELDS"])
         sizes = [int(size) for size in entries["SIZE"]]
@@ -99,11 +109,15 @@ def _read_header(path: Path) -> _Header:
         )
         if not len(fields) == len(types) == len(counts) or n_points < 0:
             raise ValueError("field counts disagree")
+        if not all(0 < count <= MOST_VALUES for count in counts):
+            raise ValueError(f"COUNT must be 1 to {MOST_VALUES}")
     except (KeyError, ValueError, IndexError, TypeError) as error:
         raise FileError(
             f"{path} has a damaged PCD header ({type(error).__name__}: {error}): "
             "export it again"
         ) from error
+    if n_points > len(raw):  # before anything of that size is made
+        raise _truncated(path, n_points, 0)
     if not {"x", "y", "z"} <= set(fields):
         raise FileError(
             f"{path} has the fields {' '.join(fields)}, expected x, y and z among them"

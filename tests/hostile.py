@@ -1,0 +1,58 @@
+"""Mutations of sound files: a reader raises the package's own errors and no other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ttus_opt.errors import TtusError
+
+SEED = 20261122
+
+#: How many mutations: a few each time, many with the slow tests
+NUMBERS = [pytest.param(60), pytest.param(10_000, marks=pytest.mark.slow)]
+
+
+def mutated(content: bytes, rng: np.random.Generator) -> bytes:
+    """A few bytes changed, taken out, doubled, or the end cut off."""
+    data = bytearray(content)
+    for _ in range(int(rng.integers(1, 5))):
+        if not data:
+            break
+        # headers are where readers are led astray
+        reach = min(len(data), 400) if rng.random() < 0.7 else len(data)
+        at, span = int(rng.integers(reach)), int(rng.integers(1, 12))
+        match int(rng.integers(5)):
+            case 0:
+                data[at : at + span] = rng.bytes(span)
+            case 1:
+                del data[at : at + span]
+            case 2:
+                data[at:at] = data[at : at + span]
+            case 3:
+                data[at : at + span] = b"9" * span
+            case _:
+                del data[at + 1 :]
+    return bytes(data)
+
+
+def only_our_errors(
+    sources: Sequence[Path], read: Callable[[Path], object], n: int
+) -> None:
+    """Read n mutations; their number and the seed are told where one misbehaves."""
+    rng = np.random.default_rng(SEED)
+    contents = [source.read_bytes() for source in sources]
+    for number in range(n):
+        chosen = int(rng.integers(len(sources)))
+        file = sources[chosen].with_name(f"mutated{sources[chosen].suffix}")
+        file.write_bytes(mutated(contents[chosen], rng))
+        try:
+            read(file)
+        except TtusError as error:
+            assert "\n" not in str(error)
+        except Exception as error:
+            name = sources[chosen].name
+            raise AssertionError(f"seed {SEED}, mutation {number} of {name}") from error

@@ -1,0 +1,91 @@
+"""Damaged and hostile clouds: one of the package's own errors, never another."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import torso
+from tests.hostile import NUMBERS, only_our_errors
+from ttus_opt.errors import FileError, TtusError
+from ttus_opt.scan.cloud import read_cloud
+
+POINTS = torso(40, 12).points().reshape(-1, 3)
+
+
+def npy_header(text: str) -> bytes:
+    header = text.encode().ljust(117) + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header
+
+
+def archive() -> bytes:
+    made = io.BytesIO()
+    with zipfile.ZipFile(made, "w") as file:
+        file.writestr("x.npy", b"nothing")
+    return made.getvalue()
+
+
+PCD = (
+    "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT {count}\n"
+    "WIDTH 2\nHEIGHT 1\nPOINTS {points}\nDATA {kind}\n"
+)
+HOSTILE = {
+    "damaged.npy": npy_header("{'descr': '<f8', 'fortran_order': (((, 'shape': 3}"),
+    "zip.npy": b"PK\x03\x04 and nothing more",
+    "archive.npy": archive(),
+    "endless.npy": npy_header(
+        f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({10**23}, 3), }}"
+    ),
+    "huge.npy": npy_header(
+        f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({10**12}, 3), }}"
+    ),
+    "zero.pcd": PCD.format(count="0 0 0", points=2, kind="binary").encode() + bytes(24),
+    "minus.pcd": PCD.format(count="-1 1 1", points=2, kind="ascii").encode() + b"1 1\n",
+    "count.pcd": PCD.format(count="1 1 99999999", points=2, kind="binary").encode(),
+    "points.pcd": PCD.format(count="1 1 1", points=10**15, kind="ascii").encode(),
+    "digits.ply": b"ply\nformat ascii 1.0\nelement vertex " + b"9" * 5000 + b"\nend",
+    "many.ply": b"ply\nformat ascii 1.0\nelement vertex 999999999999\n"
+    b"property float x\nproperty float y\nproperty float z\nend_header\n",
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_one_line_that_names_the_file(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(HOSTILE[name])
+    with pytest.raises(FileError, match=name) as told:
+        read_cloud(tmp_path / name)
+    assert "\n" not in str(told.value)
+
+
+def seeds(folder: Path) -> list[Path]:
+    """A sound file of every kind."""
+    import trimesh
+
+    np.save(folder / "a.npy", POINTS)
+    np.savetxt(folder / "a.csv", POINTS, delimiter=",", header="x,y,z", comments="")
+    np.savetxt(folder / "a.xyz", POINTS)
+    for encoding in ("ascii", "binary"):
+        data = trimesh.PointCloud(POINTS).export(file_type="ply", encoding=encoding)
+        (folder / f"{encoding}.ply").write_bytes(data)
+    head = PCD.replace("WIDTH 2", f"WIDTH {len(POINTS)}")
+    binary = head.format(count="1 1 1", points=len(POINTS), kind="binary").encode()
+    (folder / "b.pcd").write_bytes(binary + POINTS.astype("<f4").tobytes())
+    return sorted(folder.iterdir())
+
+
+@pytest.mark.parametrize("n", NUMBERS)
+@pytest.mark.filterwarnings("ignore")
+def test_mutations_raise_nothing_but_our_own(n: int, tmp_path: Path) -> None:
+    only_our_errors(seeds(tmp_path), read_cloud, n)
+
+
+def test_a_cloud_that_fills_a_volume_is_refused() -> None:
+    rng = np.random.default_rng(0)
+    cloud = rng.uniform(-0.3, 0.3, (20_000, 3))
+    with pytest.raises(TtusError):
+        tt.extract_surface(cloud, axis=tt.Axis.from_cloud(cloud))
