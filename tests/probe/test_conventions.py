@@ -84,6 +84,7 @@ def test_poses_alone() -> None:
         ({"wrench_frame": "base"}, "wrench_frame must be patient or tool"),
         ({"torque_unit": "ftlb"}, "torque_unit must be Nm or Nmm"),
         ({"torque_about": "tip"}, "centroid, origin or x,y,z"),
+        ({"torque_about": (0.0, 0.0, 0.0, 0.0)}, "torque_about must be a point"),
         ({"torque_about": (0.0, np.nan, 0.0)}, "torque_about must be a point"),
         ({"wrench_delay": np.inf}, "wrench_delay must be finite"),
     ],

@@ -69,7 +69,7 @@ def test_an_export_of_ros(tmp_path: Path) -> None:
 def test_columns_are_told(tmp_path: Path) -> None:
     header = ",".join(["tip_x" if n == "px" else n for n in OURS])
     file = write(tmp_path, header, lines(","))
-    with pytest.raises(FileError, match=r"no column px: .*for instance px=x"):
+    with pytest.raises(FileError, match=r"no column px: .*got t,tip_x,.* px=x"):
         tt.read_trajectory(file)
     read = tt.read_trajectory(file, columns={"px": "tip_x"})
     np.testing.assert_array_equal(read.position[:, 0], 0.1)
@@ -94,6 +94,20 @@ def test_a_told_column_that_is_not_there(tmp_path: Path) -> None:
     file = write(tmp_path, ",".join(OURS), lines(","))
     with pytest.raises(InputError, match="columns names tip, the header has t, px"):
         tt.read_trajectory(file, columns={"fx": "tip"})
+
+
+@pytest.mark.parametrize(
+    ("line", "extra", "told"),
+    [(0, None, "repair"), (2, None, "truncated"), (2, "9", "repair")],
+)
+def test_a_line_of_another_length(
+    tmp_path: Path, line: int, extra: str | None, told: str
+) -> None:
+    """A short last line was cut off; any other is damaged."""
+    body = lines(",")
+    body[line] = body[line][:-4] if extra is None else f"{body[line]},{extra}"
+    with pytest.raises(FileError, match=rf"line {line + 2}: .*{told}"):
+        tt.read_trajectory(write(tmp_path, ",".join(OURS), body))
 
 
 def test_a_decimal_comma_is_named(tmp_path: Path) -> None:
