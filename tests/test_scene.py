@@ -170,8 +170,9 @@ def test_a_plan_goes_from_scan_to_scene_step_by_step() -> None:
         (9, 20, 10), 0.04, 0.16, inner=3.0, outer=2.0, sampling="trilinear"
     )
     halves = [TRAJECTORY.select(slice(0, 5)), TRAJECTORY.select(slice(5, None))]
-    found = plan.build(cloud, SHELL, halves, axis=Axis.identity())
-    surface = tt.extract_surface(cloud, axis=Axis.identity())
+    frame = Axis(np.zeros(3), np.eye(3), support=None)  # no plane to look for
+    found = plan.build(cloud, SHELL, halves, axis=frame)
+    surface = tt.extract_surface(cloud, axis=frame)
     voxmap = Voxmap.from_surface(surface, shape=(9, 20, 10), r_inner=0.04, r_outer=0.16)
     whole = Trajectory.concatenate(halves)
     expected = Scene.assemble(

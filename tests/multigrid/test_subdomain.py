@@ -112,6 +112,7 @@ def test_v_cycle_nearly_inverts_the_box(spoke: int, ties: bool) -> None:
     np.testing.assert_allclose(x, splu(A).solve(b), atol=1e-4 * np.abs(x).max())
 
 
+@pytest.mark.slow
 def test_zero_around_a_box_hardly_matters_near_its_voxels() -> None:
     """What loads of the patch do there keeps its energy, but for the widest one."""
     free = torso(GRID)

@@ -47,6 +47,7 @@ def test_resolved_contact_is_within_one_per_cent_of_hertz():
     assert np.abs(hertz_error(1.5e-3)).max() < 0.01
 
 
+@pytest.mark.slow
 def test_force_grows_with_the_power_three_halves():
     deep, shallow = (pressed(3e-3, d).force[2] for d in (1.2e-3, 4e-4))
     assert np.log(deep / shallow) / np.log(3.0) == pytest.approx(1.5, abs=0.06)
