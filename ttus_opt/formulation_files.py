@@ -27,6 +27,8 @@ def shelf() -> ModuleType:
     Raises:
         FileError: They are in neither place.
     """
+    if NAME in sys.modules:  # imported by its name before
+        return sys.modules[NAME]
     package = Path(__file__).resolve().parent
     for folder in (package / "formulations", package.parent / "formulations"):
         first = folder / "__init__.py"

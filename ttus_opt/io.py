@@ -116,7 +116,7 @@ def signals_deferred() -> Iterator[None]:
         yield
     finally:
         for kind, handler in zip(deferred, before, strict=True):
-            signal.signal(kind, handler)
+            signal.signal(kind, handler or signal.SIG_DFL)
         for number in received[:1]:
             signal.raise_signal(number)
 

@@ -51,10 +51,14 @@ def test_the_command_names_the_mistake_and_the_option_mends_it(
     wrong = run(words(written, tmp_path / "wrong.nc"))
     assert wrong.status == 0
     assert "forces of the opposite sign?" in wrong.err
-    assert "try --flip-wrench" in wrong.err
+    assert "read them with --flip-wrench" in wrong.err
     right = run(words(written, tmp_path / "right.nc", "--flip-wrench --json"))
     told = json.loads(right.out)["sanity"]
     assert "opposite" not in right.err
+    # an option that is itself the mistake is to be taken away
+    own_sign = words(example.path("press_fit.csv"), tmp_path / "o.nc", "--flip-wrench")
+    told_twice = run(own_sign.replace("--columns t=__time", ""))
+    assert "read them with none of those options" in told_twice.err
     assert told["mistake"] is None
     assert told["recordings"][0]["name"] == "press.csv"
     own = run(

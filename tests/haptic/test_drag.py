@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -108,7 +109,9 @@ def test_no_motion_or_no_contact_no_drag() -> None:
 def test_what_is_no_drag(parameters: dict[str, float], word: str) -> None:
     with pytest.raises(InputError, match=word):
         DragLaw.of(parameters, VOXMAP.grid)
-    with pytest.raises(InputError, match=f"{word}|must be a finite number, got nan"):
+    if any(map(math.isnan, parameters.values())):  # no field has such a parameter
+        word = "must be a finite number, got nan"
+    with pytest.raises(InputError, match=word):
         Renderer(pushing("trilinear", parameters), SHELL)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json as json_module
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
@@ -44,6 +45,13 @@ EXAMPLE = (
     "--trajectory press_fit.csv --inner fit --sampling trilinear "
     "--force-weight 1e-2 --torque-weight 1e-2 -o field.nc"
 )
+
+
+#: Potential in double precision and region of a field file [byte]
+BYTES_PER_VOXEL = 9
+
+#: Most that a field file is taken to need before the work [byte]
+LARGEST_FILE = 2**31
 
 
 def register(app: typer.Typer) -> None:
@@ -141,8 +149,11 @@ def fit(
         torque_unit=torque_unit,
         wrench_delay=wrench_delay,
     )
-    check_outputs([output], [surface, probe, *trajectory], force=force)
     counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
+    # a grid beyond any memory is refused for that, in words of its own
+    size = min(BYTES_PER_VOXEL * math.prod(counts), LARGEST_FILE)
+    inputs: list[Path | str] = [surface, probe, *trajectory]
+    check_outputs([output], inputs, force=force, size=size)
     with Stages(5) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
@@ -174,7 +185,13 @@ def fit(
         report = None
         if solution.verified_field is not None:
             begin("checking the recordings")
-            report = check_recordings(scene, solution.field, _names(trajectory))
+            report = check_recordings(
+                scene,
+                solution.field,
+                _names(trajectory),
+                written=as_written,
+                told=conventions,
+            )
     if json:
         sanity = None if report is None else report.as_dict()
         print_json({**_summary(solution, output), "sanity": sanity})

@@ -200,6 +200,9 @@ def warn_of_another_probe(
         provenance: Of the field.
         probe: As typed.
         conventions: Of the recordings at hand.
+
+    Raises:
+        FileError: The provenance is damaged.
     """
     fitted = provenance.get("probe")
     own = probe_name(probe)
@@ -210,7 +213,12 @@ def warn_of_another_probe(
             TtusWarning,
             stacklevel=2,
         )
-    written = json.loads(provenance.get("conventions", "{}")).get("torque_about")
+    try:
+        written = json.loads(provenance.get("conventions", "{}")).get("torque_about")
+    except (ValueError, AttributeError, TypeError) as error:
+        raise FileError(
+            "the field file's conventions are damaged: fit the field again"
+        ) from error
     about = tuple(written) if isinstance(written, list) else written
     if about and about != conventions.torque_about:
         warnings.warn(

@@ -12,6 +12,7 @@ sign, frame, order, instant) says which reading they were likely written in.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -21,7 +22,7 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
-from ttus_opt.probe.conventions import Conventions
+from ttus_opt.probe.conventions import QUATERNIONS, WRENCH_FRAMES, Conventions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
 from ttus_opt.scene import Scene
@@ -85,9 +86,10 @@ class Mistake:
 
     Attributes:
         what: In words.
-        mends: Option of ``ttus-opt fit`` that mends it.
+        mends: All options of ``ttus-opt fit`` about how recordings are written, as
+            they should be; empty where none is right.
         before: S as read [–].
-        after: S with the option [–].
+        after: S with these options; a unit does not change it [–].
     """
 
     what: str
@@ -98,7 +100,7 @@ class Mistake:
     def __str__(self) -> str:
         return (
             f"{self.what}? Disagreement with the geometry {self.before:.2f} → "
-            f"{self.after:.2f}: try {self.mends}"
+            f"{self.after:.2f}: read them with {self.mends or 'none of those options'}"
         )
 
 
@@ -136,7 +138,12 @@ class SanityReport:
 
 
 def check_recordings(
-    scene: Scene, field: PotentialField, names: Sequence[str] = ()
+    scene: Scene,
+    field: PotentialField,
+    names: Sequence[str] = (),
+    *,
+    written: Trajectory | None = None,
+    told: Conventions | None = None,
 ) -> SanityReport:
     """Compare recordings with the fitted field and with the geometry.
 
@@ -144,6 +151,9 @@ def check_recordings(
         scene: With measured wrenches.
         field: Fitted to it.
         names: Of the recordings, one for each segment; numbers by default.
+        written: The recordings with the files' numbers taken at their word; the
+            scene's by default.
+        told: How they were read from that; the package's own conventions by default.
 
     Returns:
         The report.
@@ -162,7 +172,9 @@ def check_recordings(
         for name, number in zip(names, numbers, strict=True)
     ]
     shell = scene.shell
-    disagreement, mistake = _likely_mistake(scene)
+    disagreement, mistake = _likely_mistake(
+        scene, written or trajectory, told or Conventions()
+    )
     return SanityReport(
         tuple(checks),
         tuple(np.ptp(shell.points, axis=0).tolist()),
@@ -193,82 +205,93 @@ def _recording(
     )
 
 
-def _likely_mistake(scene: Scene) -> tuple[float, Mistake | None]:
+def _likely_mistake(
+    scene: Scene, written: Trajectory, told: Conventions
+) -> tuple[float, Mistake | None]:
     """S as read, and what fits clearly better."""
-    frames = np.linspace(0, len(scene.trajectory) - 1, FRAMES)
+    frames = np.linspace(0, len(written) - 1, FRAMES)
     chosen = np.unique(frames.astype(np.int64))
     prior = scene.laplace.solve(scene.b)
     own = _agreement(scene, prior, scene.trajectory.select(chosen))
     best: Mistake | None = None
-    for what, mends, reread in _readings(scene):
+    for what, mends, reread in _readings(scene, written, told):
         # read as a whole first: an instant needs its neighbours
         other = _agreement(scene, prior, reread.select(chosen))
         bound = CLEARLY * own.disagreement if best is None else best.after
         if other.disagreement < bound:
             best = Mistake(what, mends, own.disagreement, other.disagreement)
-    if best is None and own.torque_ratio > WRONG_UNIT:
-        unit = "--torque-unit Nmm"
-        best = Mistake(
-            "torques in N·mm", unit, own.torque_ratio, 1e-3 * own.torque_ratio
+    if best is None and told.torque_unit == "Nm" and own.torque_ratio > WRONG_UNIT:
+        mends = replace(told, torque_unit="Nmm").options
+        size = f"{own.torque_ratio:.0f} times those expected"
+        return own.disagreement, Mistake(
+            f"torques in N·mm, {size}", mends, own.disagreement, own.disagreement
         )
     return own.disagreement, best
 
 
-def _readings(scene: Scene) -> Iterator[tuple[str, str, Trajectory]]:
-    """Other ways to read the recordings: what, the option, and the result."""
-    own, centroid = scene.trajectory, np.asarray(scene.shell.reference)
-    assert own.force is not None
-    assert own.torque is not None
-    ways = [
-        ("forces of the opposite sign", "--flip-wrench", Conventions(flip_wrench=True)),
-        (
-            "wrenches in the tool's axes",
-            "--wrench-frame tool",
-            Conventions(wrench_frame="tool"),
-        ),
-        (
-            "wrenches in the tool's axes and of the opposite sign",
-            "--wrench-frame tool --flip-wrench",
-            Conventions(wrench_frame="tool", flip_wrench=True),
-        ),
-        ("quaternions x, y, z, w", "--quaternion xyzw", Conventions(quaternion="xyzw")),
-        (
-            "quaternions x, y, z, w and wrenches in the tool's axes",
-            "--quaternion xyzw --wrench-frame tool",
-            Conventions(quaternion="xyzw", wrench_frame="tool"),
-        ),
-        (
-            "quaternions x, y, z, w and wrenches of the opposite sign",
-            "--quaternion xyzw --flip-wrench",
-            Conventions(quaternion="xyzw", flip_wrench=True),
-        ),
-        (
-            "quaternions x, y, z, w, wrenches in the tool's axes and of the opposite "
-            "sign",
-            "--quaternion xyzw --wrench-frame tool --flip-wrench",
-            Conventions(quaternion="xyzw", wrench_frame="tool", flip_wrench=True),
-        ),
-    ]
-    if np.linalg.norm(centroid) > NEAR:
-        about = Conventions(torque_about="origin")
-        ways.append(("torques about the pose's origin", "--torque-about origin", about))
-    for delay in DELAYS:
-        words = f"wrenches {abs(delay)} s {'late' if delay > 0 else 'early'}"
-        late = Conventions(wrench_delay=delay)
-        ways.append((words, f"--wrench-delay {delay}", late))
-    for what, mends, conventions in ways:
-        yield what, mends, conventions.read(own, centroid)
+def _readings(
+    scene: Scene, written: Trajectory, told: Conventions
+) -> Iterator[tuple[str, str, Trajectory]]:
+    """Other ways to read the recordings: what, the options, and the result."""
+    centroid = np.asarray(scene.shell.reference)
+    for other in _other_conventions(told, centroid):
+        yield _difference(told, other), other.options, other.read(written, centroid)
+    # the columns of the file, before anything else is made of them
+    assert written.force is not None
+    assert written.torque is not None
     swap = [1, 0, 2]
-    yield (
-        "columns px and py swapped",
-        "--columns px=py,py=px",
-        replace(own, position=own.position[:, swap]),
-    )
-    yield (
-        "columns fx and fy, tx and ty swapped",
-        "--columns fx=fy,fy=fx,tx=ty,ty=tx",
-        replace(own, force=own.force[:, swap], torque=own.torque[:, swap]),
-    )
+    for what, columns, swapped in (
+        (
+            "columns px and py swapped",
+            "px=py,py=px",
+            replace(written, position=written.position[:, swap]),
+        ),
+        (
+            "columns fx and fy, tx and ty swapped",
+            "fx=fy,fy=fx,tx=ty,ty=tx",
+            replace(
+                written,
+                force=written.force[:, swap],
+                torque=written.torque[:, swap],
+            ),
+        ),
+    ):
+        mends = f"--columns {columns} {told.options}".rstrip()
+        yield what, mends, told.read(swapped, centroid)
+
+
+def _other_conventions(told: Conventions, centroid: Array) -> Iterator[Conventions]:
+    """Conventions that are often mistaken for those that were told."""
+    for quaternion, frame, flip in itertools.product(
+        QUATERNIONS, WRENCH_FRAMES, (False, True)
+    ):
+        other = replace(
+            told, quaternion=quaternion, wrench_frame=frame, flip_wrench=flip
+        )
+        if other != told:
+            yield other
+    if np.linalg.norm(centroid) > NEAR:
+        about = "origin" if told.torque_about == "centroid" else "centroid"
+        yield replace(told, torque_about=about)
+    for delay in DELAYS:
+        yield replace(told, wrench_delay=round(told.wrench_delay + delay, 9))
+
+
+def _difference(told: Conventions, other: Conventions) -> str:
+    """In words, how another reading differs."""
+    words = []
+    if other.quaternion != told.quaternion:
+        words.append(f"quaternions {', '.join(other.quaternion)}")
+    if other.wrench_frame != told.wrench_frame:
+        words.append(f"wrenches in the {other.wrench_frame}'s axes")
+    if other.flip_wrench != told.flip_wrench:
+        words.append("forces of the opposite sign")
+    if other.torque_about != told.torque_about:
+        words.append(f"torques about the {other.torque_about}")
+    if other.wrench_delay != told.wrench_delay:
+        late = other.wrench_delay - told.wrench_delay
+        words.append(f"wrenches {abs(late):.1g} s {'later' if late > 0 else 'earlier'}")
+    return " and ".join(words)
 
 
 @dataclass(frozen=True)

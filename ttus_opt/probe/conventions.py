@@ -9,7 +9,7 @@ origin, and often what the probe exerts on the patient.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
@@ -71,6 +71,20 @@ class Conventions:
             raise InputError(
                 f"wrench_delay must be finite [s], got {self.wrench_delay}"
             )
+
+    @property
+    def options(self) -> str:
+        """What differs from the package's own, as options of the commands."""
+        words = []
+        for name, own in asdict(Conventions()).items():
+            value = getattr(self, name)
+            if value == own:
+                continue
+            option = f"--{name.replace('_', '-')}"
+            if isinstance(value, tuple):
+                value = ",".join(map(str, value))
+            words.append(option if value is True else f"{option} {value}")
+        return " ".join(words)
 
     def point(self, centroid: Array) -> Array:
         """What torques are about, in the probe frame, shape (3,) [m].
