@@ -45,8 +45,8 @@ REQUEST = Request(1e-6, 600.0)
 
 def build(case: str, problem: str) -> Program:
     """A problem on a reference case."""
-    name, contest, sampling, weight = PROBLEMS[problem]
-    spec = reference_cases(case)[0].sampled(sampling).contested(contest)
+    name, how, sampling, weight = PROBLEMS[problem]
+    spec = reference_cases(case)[0].sampled(sampling).perturbed(how)
     weights = {} if weight is None else dict.fromkeys(WEIGHTS, weight)
     return formulation.load(name, spec.build(), **weights).compile()
 

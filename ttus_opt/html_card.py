@@ -1,4 +1,4 @@
-"""What a notebook shows of an object: a title, a few facts, a small picture.
+"""What a notebook shows of an object: a title, a few facts, a picture or a table.
 
 Pictures are drawn here, as a few hundred bytes of SVG or PNG, so that showing an object
 loads no plotting package.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 import numpy as np
@@ -37,6 +37,22 @@ def card(title: str, facts: Mapping[str, str], picture: str) -> str:
         f'<div style="display:flex;gap:1em;align-items:center">{picture}'
         f"<div><b>{escape(title)}</b><table>{rows}</table></div></div>"
     )
+
+
+def page(title: str, lines: Iterable[str], *parts: str) -> str:
+    """A title and lines of text above other parts, HTML themselves."""
+    text = "<br>".join(escape(line) for line in lines)
+    return f"<div><b>{escape(title)}</b><br>{text}{''.join(parts)}</div>"
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table; all entries are text."""
+    top = "".join(f"<th>{escape(head)}</th>" for head in heads)
+    body = "".join(
+        "<tr>" + "".join(f"<td>{escape(entry)}</td>" for entry in row) + "</tr>"
+        for row in rows
+    )
+    return f"<table><tr>{top}</tr>{body}</table>"
 
 
 def sections_svg(

@@ -150,7 +150,11 @@ def noise(free: Mask, seed: int = 0) -> Array:
 
 def one_cycle(solver: Multigrid, b: Array) -> Array:
     """A V-cycle's answer to b, both of shape (V,); zero at fixed voxels."""
-    at, cycle, x = np.flatnonzero(solver.free), solver.rough(), np.zeros_like(b)
+    at, cycle, x = (
+        np.flatnonzero(solver.free),
+        solver.preconditioner(),
+        np.zeros_like(b),
+    )
     places = cycle.places(at)
     cycle.b[places] = b[at]
     cycle.run()
@@ -290,7 +294,7 @@ def test_nothing_is_left_over_from_the_cycle_before(
 ) -> None:
     _, free, solver = case
     expected = one_cycle(solver, noise(free, 3))
-    at, cycle = np.flatnonzero(free), solver.rough()
+    at, cycle = np.flatnonzero(free), solver.preconditioner()
     places = cycle.places(at)
     for seed in (4, 3):
         cycle.b[places] = noise(free, seed)[at]

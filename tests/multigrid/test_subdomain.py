@@ -79,36 +79,36 @@ def test_large_boxes_are_the_grid() -> None:
     assert around.shape[1] == GRID.shape[1] and not around.is_whole
 
 
-@pytest.mark.parametrize("ties", [False, True])
+@pytest.mark.parametrize("pooled", [False, True])
 @pytest.mark.parametrize("spoke", [30, 0, 62])
-def test_v_cycle_nearly_inverts_the_box(spoke: int, ties: bool) -> None:
-    """With zero around the box, and pooled blocks of tied voxels."""
+def test_v_cycle_nearly_inverts_the_box(spoke: int, pooled: bool) -> None:
+    """With zero around the box, and pooled blocks of pooled voxels."""
     free = torso(GRID)
     flat = free.reshape(-1)
     near = patch(GRID, free, spoke)
-    tied = np.zeros(GRID.n_voxels, dtype=bool)
-    if ties:  # every third pair of voxels of the patch, along its spoke
+    joined = np.zeros(GRID.n_voxels, dtype=bool)
+    if pooled:  # every third pair of voxels of the patch, along its spoke
         stride = GRID.strides[0]
         own = near[np.isin(near + stride, near) & ~np.isin(near - stride, near)]
-        tied[own[::3]] = True
-        shown = flat & ~np.roll(tied, stride)
-        cycle = AggregatedMultigrid(GRID, flat, tied, shown).rough(near)
+        joined[own[::3]] = True
+        shown = flat & ~np.roll(joined, stride)
+        cycle = AggregatedMultigrid(GRID, flat, joined, shown).preconditioner(near)
     else:
         shown = flat
-        cycle = Multigrid(GRID, free).rough(near)
+        cycle = Multigrid(GRID, free).preconditioner(near)
     assert 0 < cycle.free.sum() < 0.5 * flat.sum()
     number = np.full(GRID.n_voxels, -1)
     at = np.flatnonzero(cycle.free & shown)
     number[at] = np.arange(len(at))
     inner = np.roll(number, GRID.strides[0])
-    heads = np.where(np.roll(tied, GRID.strides[0]), inner, number)[cycle.free]
+    heads = np.where(np.roll(joined, GRID.strides[0]), inner, number)[cycle.free]
     P = sp.csr_array((np.ones(len(heads)), (np.arange(len(heads)), heads)))
     A = sp.csc_array(P.T @ explicit(GRID, GRID.unflatten(cycle.free)) @ P)
     b = np.random.default_rng(1).normal(size=len(at))
     B = LinearOperator(A.shape, matvec=lambda v: run(cycle, at, v.ravel()), dtype=float)
     steps: list[int] = []
     x, failed = cg(A, b, rtol=1e-6, M=B, callback=lambda _: steps.append(1))
-    assert failed == 0 and len(steps) <= (12 if ties else 8)
+    assert failed == 0 and len(steps) <= (12 if pooled else 8)
     np.testing.assert_allclose(x, splu(A).solve(b), atol=1e-4 * np.abs(x).max())
 
 

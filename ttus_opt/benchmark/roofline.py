@@ -68,9 +68,9 @@ def roofline(laplace: LaplaceSystem) -> Row:
     # and single precision both ways; it leaves `REDUCTION` of the residual
     rounds = math.ceil(math.log(RTOL) / math.log(REDUCTION))
     refinement = b.size * (4 * 8 + 1) + 6 * level
-    rough = multigrid.rough()
+    one = multigrid.preconditioner()
     voxels = np.flatnonzero(laplace.free)
-    rough.b[rough.places(voxels)] = b[voxels]
+    one.b[one.places(voxels)] = b[voxels]
     source, target = np.ones(level // 8), np.empty(level // 8)
     solving = _seconds(lambda: multigrid.solve(b, rtol=RTOL), SOLVES)
     copying = _seconds(lambda: np.copyto(target, source), COPIES)
@@ -79,7 +79,7 @@ def roofline(laplace: LaplaceSystem) -> Row:
         "bytes_cycle": cycle,
         "bytes_solve": cycles * (cycle + GRADIENTS * level // 2) + rounds * refinement,
         "cycles": cycles,
-        "seconds_cycle": statistics.median(_seconds(rough.run, CYCLES)),
+        "seconds_cycle": statistics.median(_seconds(one.run, CYCLES)),
         "seconds_solve": statistics.median(solving),
         "bandwidth": 2.0 * source.nbytes / min(copying),
     }

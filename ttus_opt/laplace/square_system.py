@@ -1,11 +1,12 @@
-"""Solves with a square L through its symmetric block A on the free voxels.
+"""Solves with a square L through its block A on the free voxels.
 
 With the voxels ordered fixed, then free, and rows of free voxels scaled by -r,
 
     L = [ I   0 ]        p_free = A⁻¹ (r (C p_fixed - g_free)),   A = -diag(r) F.
         [ C   F ],
 
-`LaplaceSystem` is the plain case; the dual solver reduces it to working sets.
+`LaplaceSystem` is the plain case, A is then symmetric; the dual solver reduces it to
+working sets, and has one of two fields.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from ttus_opt.multigrid import MultigridResult
 RTOL = 1e-12
 
 
-class RoughCycle(Protocol):
+class Preconditioner(Protocol):
     """Preconditioner of A, as `VCycle`; A need not be symmetric."""
 
     @property
@@ -51,15 +52,14 @@ class RoughCycle(Protocol):
 class Block(Protocol):
     """The square block A of L on free voxels."""
 
-    def rough(self, near: NDArray[np.integer]) -> RoughCycle:
+    def preconditioner(self, near: NDArray[np.integer]) -> Preconditioner:
         """A preconditioner that need only be good near some voxels."""
 
-
-class BlockSolver(Block, Protocol):
-    """A solver of a symmetric block A."""
-
     def solve(self, rhs: Array, *, rtol: float) -> MultigridResult:
-        """Its answer to one right-hand side."""
+        """Solve A x = b."""
+
+    def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
+        """Solve Aᵀ x = b."""
 
 
 class SquareSystem(Protocol):
@@ -83,7 +83,7 @@ class SquareSystem(Protocol):
 
     @property
     def multigrid(self) -> Block:
-        """The block A."""
+        """Solver of the block A."""
 
     def solve(self, right_side: Array, *, rtol: float = RTOL) -> Array:
         """Solve L p = g."""
@@ -92,23 +92,15 @@ class SquareSystem(Protocol):
         """Solve Lᵀ q = g."""
 
 
-class SymmetricSystem(SquareSystem, Protocol):
-    """A `SquareSystem` whose block A is symmetric."""
-
-    @property
-    def multigrid(self) -> BlockSolver:
-        """Solver of A."""
-
-
 class BlockSolves:
-    """The solves of a `SymmetricSystem`."""
+    """The solves of a `SquareSystem`."""
 
-    def solve(self: SymmetricSystem, right_side: Array, *, rtol: float = RTOL) -> Array:
+    def solve(self: SquareSystem, right_side: Array, *, rtol: float = RTOL) -> Array:
         """Solve L p = g.
 
         Args:
             right_side: g, shape (V,).
-            rtol: Relative residual of the symmetric block.
+            rtol: Relative residual of the block A.
 
         Returns:
             p, shape (V,).
@@ -123,10 +115,10 @@ class BlockSolves:
         return p
 
     def solve_adjoint(
-        self: SymmetricSystem, right_side: Array, *, rtol: float = RTOL
+        self: SquareSystem, right_side: Array, *, rtol: float = RTOL
     ) -> Array:
         """Solve Lᵀ q = g; arguments as `solve`."""
         rest = np.where(self.free, -right_side, 0.0)
-        q = self.radii * self.multigrid.solve(rest, rtol=rtol).x
+        q = self.radii * self.multigrid.solve_adjoint(rest, rtol=rtol).x
         # the adjoint of the identity rows: what flows from free to fixed voxels
         return np.where(self.free, q, right_side - self.coupling[1] @ q)

@@ -1,9 +1,9 @@
 """Multigrid where voxels of a spoke are aggregated: one value for a pooled block.
 
 The operator is PᵀA P, P giving every voxel of a block its block's one value. Blocks lie
-in radial lines, which the smoother solves exactly, ties included: in single precision
-these are links so strong that both ends have the same value. What is left to do is to
-sum residuals over blocks.
+in radial lines, which the smoother solves exactly, blocks included: in single precision
+the links within a block are so strong that both ends have the same value. What is left
+to do is to sum residuals over blocks.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, Mask
-from ttus_opt.multigrid.chains import PooledBlocks
 from ttus_opt.multigrid.pcg import Vectors
+from ttus_opt.multigrid.pooled_blocks import PooledBlocks
 from ttus_opt.multigrid.solver import Multigrid, MultigridResult
 from ttus_opt.multigrid.v_cycle import VCycle
 from ttus_opt.voxmap.grid import CylindricalGrid
@@ -29,34 +29,34 @@ class AggregatedMultigrid(Multigrid):
     """
 
     def __init__(
-        self, grid: CylindricalGrid, free: Mask, ties: Mask, leads: Mask
+        self, grid: CylindricalGrid, free: Mask, pooled: Mask, leads: Mask
     ) -> None:
         """Build the levels.
 
         Args:
             grid: The grid.
             free: Unknown voxels, shape (V,); a block is free as a whole.
-            ties: Voxels tied to the next one outwards, shape (V,).
+            pooled: Voxels pooled with the next one outwards, shape (V,).
             leads: Free voxels outside blocks, and one of each, shape (V,).
         """
         self._leads = leads
-        self._blocks = PooledBlocks.of(free, ties, leads, grid.strides[0])
-        super().__init__(grid, grid.unflatten(free), ties=grid.unflatten(ties))
+        self._blocks = PooledBlocks.of(free, pooled, leads, grid.strides[0])
+        super().__init__(grid, grid.unflatten(free), pooled=grid.unflatten(pooled))
         self.norm_bound *= math.sqrt(self._blocks.longest)
 
     def __reduce__(self) -> tuple[type[Multigrid], tuple[object, ...]]:
         """Pickle as what it was built from."""
-        assert self._ties is not None
-        ties = self.grid.flatten(self._ties)
-        return AggregatedMultigrid, (self.grid, self.free, ties, self._leads)
+        assert self._pooled is not None
+        pooled = self.grid.flatten(self._pooled)
+        return AggregatedMultigrid, (self.grid, self.free, pooled, self._leads)
 
-    def rough(self, near: NDArray[np.integer] | None = None) -> VCycle:
-        """One V-cycle at a time, as `Multigrid.rough`; it knows all blocks."""
-        assert self._ties is not None
-        ties = self.grid.flatten(self._ties)
+    def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
+        """One V-cycle at a time, as `Multigrid.preconditioner`; it knows all blocks."""
+        assert self._pooled is not None
+        pooled = self.grid.flatten(self._pooled)
         if near is not None:  # a block that is cut would be held fixed
-            near = np.union1d(near, np.flatnonzero(ties))
-        return VCycle.near(near, self._hierarchy, self.grid, self.free, ties)
+            near = np.union1d(near, np.flatnonzero(pooled))
+        return VCycle.near(near, self.hierarchy, self.grid, self.free, pooled)
 
     def apply(self, x: Array) -> Array:
         """PᵀA P z, shape (V,)."""
@@ -80,7 +80,7 @@ class AggregatedMultigrid(Multigrid):
         return answer
 
     def _vectors(self) -> Vectors:
-        return Vectors(self._hierarchy, self._blocks)
+        return Vectors(self.hierarchy, self._blocks)
 
     def _vector(self, values: Array, name: str) -> Array:
         vector = super()._vector(values, name)

@@ -23,46 +23,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.multigrid.red_black import Single
+from ttus_opt.multigrid.subdomain import Box
 
 #: A level with at most this many free nodes is solved directly.
 DIRECT_NODES = 100
 #: A direction is coarsened while its step is at most so many times that of θ and z.
 STEP_RATIO = 1.6
-#: Conductance of a tie over that of its link: its ends are equal in single precision
+#: Factor on the conductance of a link within a pooled block: its ends are then equal
+#: in single precision [–]
 STIFFNESS = 1e7
 
 R, THETA, Z = 0, 1, 2
-
-
-class Box(Protocol):
-    """What the levels need to know of a cylindrical grid, or of a part of one."""
-
-    @property
-    def shape(self) -> tuple[int, int, int]:
-        """Counts (n_r, n_theta, n_z) [–]."""
-
-    @property
-    def r(self) -> Array:
-        """Radii of the layers, shape (n_r,) [m]."""
-
-    @property
-    def r_step(self) -> float:
-        """Radial step [m]."""
-
-    @property
-    def theta_step(self) -> float:
-        """Angular step [rad]."""
-
-    @property
-    def z_step(self) -> float:
-        """Step along the axis [m]."""
 
 
 @dataclass(frozen=True)
@@ -104,10 +81,10 @@ class Network:
             total += ground
         return total
 
-    def tied(self, ties: NDArray[np.bool_]) -> Network:
-        """The same with nodes that are tied to the next layer, same shape."""
+    def with_blocks(self, pooled: NDArray[np.bool_]) -> Network:
+        """The same with nodes that are pooled with the next layer's, same shape."""
         along, *across = self.links
-        strong = np.where(ties, along * np.float32(STIFFNESS), along)
+        strong = np.where(pooled, along * np.float32(STIFFNESS), along)
         return replace(self, links=(strong, *across))
 
     def weights(self, axis: int) -> tuple[Single, Single]:

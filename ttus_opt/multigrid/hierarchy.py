@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from ttus_opt.multigrid.coarsening import (
     DIRECT_NODES,
-    Box,
     Network,
     coarsen,
     conductances,
@@ -25,6 +24,7 @@ from ttus_opt.multigrid.cycle import v_cycle
 from ttus_opt.multigrid.kernels import LevelIndex, Table
 from ttus_opt.multigrid.line_smoother import TILE, inverse_pivots
 from ttus_opt.multigrid.red_black import LANES, Layout, Single
+from ttus_opt.multigrid.subdomain import Box
 from ttus_opt.multigrid.transfer import scratch_size
 
 
@@ -35,8 +35,8 @@ class Level:
     Attributes:
         layout: Where nodes are stored.
         R: Conductances to the next layer; on the finest level one number per layer,
-            shape (n_r,), elsewhere and with ties in red-black order [m].
-        T: Conductances to the next spoke, likewise but for ties [m].
+            shape (n_r,), elsewhere and with pooled blocks in red-black order [m].
+        T: Conductances to the next spoke, likewise but for blocks [m].
         Z: Conductances to the next slice, likewise [m].
         inverse: Inverse pivots of the radial lines, in red-black order [1/m].
         weights: Interpolation weights of the node before and after in r, θ, z, each in
@@ -54,23 +54,24 @@ class Level:
 
     @classmethod
     def finest(
-        cls, grid: Box, network: Network, flags: tuple[bool, bool, bool]
+        cls,
+        grid: Box,
+        network: Network,
+        flags: tuple[bool, bool, bool],
+        has_blocks: bool,
     ) -> Level:
-        """The grid itself: conductances depend on the layer alone."""
+        """The grid itself: but for blocks, conductances depend on the layer alone."""
         layout = Layout.of(grid.shape)
         R, T, Z = (v.astype(np.float32) for v in conductances(grid))
         # a dropped node has equal neighbours, and none if it is fixed
         half = layout.split(network.free * np.float32(0.5))
+        weights: tuple[Single, ...] = (half,) * 6
+        if has_blocks:  # which lie along r
+            R = layout.split(network.links[0])
+            along = (layout.split(w) for w in network.weights(0))
+            weights = (*along, *weights[2:])
         inverse = inverse_pivots(layout.split(network.aside), R)
-        return cls(layout, R, T, Z, inverse, (half,) * 6, flags)
-
-    def tied(self, network: Network) -> Level:
-        """The grid itself with ties, of which only links along r know."""
-        R = self.layout.split(network.links[0])
-        inverse = inverse_pivots(self.layout.split(network.aside), R)
-        along = (self.layout.split(w) for w in network.weights(0))
-        weights = (*along, *self.weights[2:])
-        return replace(self, R=R, inverse=inverse, weights=weights)
+        return cls(layout, R, T, Z, inverse, weights, flags)
 
     @classmethod
     def coarse(cls, network: Network, flags: tuple[bool, bool, bool]) -> Level:
@@ -124,18 +125,18 @@ class Hierarchy:
         cls,
         grid: Box,
         free: NDArray[np.bool_],
-        ties: NDArray[np.bool_] | None = None,
+        pooled: NDArray[np.bool_] | None = None,
     ) -> Hierarchy:
         """Coarsen until the rest is small.
 
         Args:
             grid: The grid.
             free: Unknown voxels, shape ``grid.shape``.
-            ties: Those that move with the next layer, same shape; None for none.
+            pooled: Those pooled with the next layer's, same shape; None for none.
         """
         network = finest(grid, free)
-        if ties is not None:
-            network = network.tied(ties)
+        if pooled is not None:
+            network = network.with_blocks(pooled)
         levels: list[Level] = []
         for flags in (*plan(grid), (False, False, False)):
             if network.n_free <= DIRECT_NODES:
@@ -143,8 +144,7 @@ class Hierarchy:
             if levels:
                 levels.append(Level.coarse(network, flags))
             else:
-                level = Level.finest(grid, network, flags)
-                levels.append(level if ties is None else level.tied(network))
+                levels.append(Level.finest(grid, network, flags, pooled is not None))
             if not any(flags):
                 break
             for axis in np.flatnonzero(flags):
@@ -208,7 +208,7 @@ def _packed(levels: list[Level], along: Single) -> tuple[Table, Single, int]:
 
     Args:
         levels: From fine to coarse; their arrays become parts of the one.
-        along: Conductances along r on the finest level, without ties.
+        along: Conductances along r on the finest level, blocks or not.
 
     Returns:
         Where each level's arrays begin, that array, and the size of a workspace.

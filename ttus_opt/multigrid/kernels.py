@@ -40,10 +40,10 @@ class LevelIndex(NamedTuple):
         coarsens_r: Whether the next level has half the layers, 0 or 1.
         coarsens_theta: Likewise the spokes.
         coarsens_z: Likewise the slices.
-        is_tied: Whether every link along r has a conductance of its own, 0 or 1.
-        is_uneven: Whether every link has; else there is one per layer.
-        along: In ``fields``: conductances along r, one per layer, without ties; on the
-            finest level only [m].
+        varies_r: Whether conductances along r vary within a layer, 0 or 1.
+        varies: Whether all do; else there is one per layer and direction.
+        along: In ``fields``: conductances along r, one per layer, as without blocks;
+            on the finest level only [m].
         R: Conductances to the next layer [m].
         T: Conductances to the next spoke [m].
         Z: Conductances to the next slice [m].
@@ -70,8 +70,8 @@ class LevelIndex(NamedTuple):
     coarsens_r: int
     coarsens_theta: int
     coarsens_z: int
-    is_tied: int
-    is_uneven: int
+    varies_r: int
+    varies: int
     along: int
     R: int
     T: int
@@ -255,7 +255,7 @@ def _flow(
 
 
 @compiled(inner=True, nogil=True, fastmath=FAST)
-def _flow_uneven(
+def _flow_varying(
     work: Single, fields: Single, rows: Rows, links: Links, kept: np.float32
 ) -> None:
     """The same with a conductance for every link, zero at fixed nodes (compiled)."""
@@ -294,7 +294,7 @@ def flow(
     for i in range(1, at.n_r - 1):
         p = i * at.width + first
         rows = rows_of(at, black, p, out, opposite, at.zeros, last - first)
-        if at.is_uneven:
-            _flow_uneven(work, fields, rows, links_of(at, black, p), factor)
+        if at.varies:
+            _flow_varying(work, fields, rows, links_of(at, black, p), factor)
         else:
             _flow(work, fields, rows, fields[at.Z + i], fields[at.T + i], factor)

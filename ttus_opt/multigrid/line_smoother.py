@@ -57,7 +57,7 @@ def _invert_pivots(inverse: Single, aside: Single, R: Single, held: Array) -> No
 
     R has three dimensions; ``held`` is what lines hold their last nodes with [m].
     """
-    tied = 1 if R.shape[2] > 1 else 0
+    own_r = 1 if R.shape[2] > 1 else 0
     for c in range(2):
         for h in range(held.size):
             held[h] = 0.0
@@ -66,9 +66,11 @@ def _invert_pivots(inverse: Single, aside: Single, R: Single, held: Array) -> No
                 own = np.float64(aside[c, i, h])
                 if own > 0.0:
                     if held[h] > 0.0:
-                        r = np.float64(R[c * tied, i - 1, h * tied])
+                        r = np.float64(R[c * own_r, i - 1, h * own_r])
                         own += r * held[h] / (r + held[h])
-                    ahead = R[c * tied, i, h * tied] if aside[c, i + 1, h] > 0.0 else 0
+                    ahead = np.float32(0)
+                    if aside[c, i + 1, h] > 0.0:
+                        ahead = R[c * own_r, i, h * own_r]
                     inverse[c, i, h] = 1.0 / (own + ahead)
                 held[h] = own
 
@@ -92,7 +94,7 @@ def _forward(
 
 
 @compiled(inner=True, nogil=True, fastmath=FAST)
-def _forward_tied(
+def _forward_varying_r(
     work: Single,
     fields: Single,
     rows: Rows,
@@ -110,7 +112,7 @@ def _forward_tied(
 
 
 @compiled(inner=True, nogil=True, fastmath=FAST)
-def _forward_uneven(
+def _forward_varying(
     work: Single,
     fields: Single,
     rows: Rows,
@@ -144,7 +146,7 @@ def _back(
 
 
 @compiled(inner=True, nogil=True, fastmath=FAST)
-def _back_tied(
+def _back_varying_r(
     work: Single,
     fields: Single,
     out: np.uint64,
@@ -175,13 +177,13 @@ def _solve_tile(
         p = i * at.width + s
         rows = rows_of(at, colour, p, out, opposite, load, count)
         inner, along = np.uint64(out + p - at.width), np.uint64(R + p - at.width)
-        if at.is_uneven and opposite != at.zeros:
+        if at.varies and opposite != at.zeros:
             links = links_of(at, colour, p)
-            _forward_uneven(work, fields, rows, inner, along, links)
+            _forward_varying(work, fields, rows, inner, along, links)
         else:
             z, t = fields[at.Z + i], fields[at.T + i]
-            if at.is_tied:
-                _forward_tied(work, fields, rows, inner, along, z, t)
+            if at.varies_r:
+                _forward_varying_r(work, fields, rows, inner, along, z, t)
             else:
                 _forward(work, fields, rows, inner, fields[at.R + i - 1], z, t)
     inverse = at.inverse + colour * at.n_r * at.width
@@ -189,8 +191,8 @@ def _solve_tile(
         p = i * at.width + s
         own, outer = np.uint64(out + p), np.uint64(out + p + at.width)
         pivot, n = np.uint64(inverse + p), np.uint64(count)
-        if at.is_tied:
-            _back_tied(work, fields, own, outer, pivot, np.uint64(R + p), n)
+        if at.varies_r:
+            _back_varying_r(work, fields, own, outer, pivot, np.uint64(R + p), n)
         else:
             _back(work, fields, own, outer, pivot, fields[at.R + i], n)
 

@@ -2,8 +2,8 @@
 
 As red nodes follow exactly from black ones, conjugate gradients run on black nodes
 alone (the Schur complement), unless an odd number of spokes spoils the colouring.
-Pooled blocks lie in lines of one colour, which are solved exactly with all their ties,
-so that this holds for them too.
+Pooled blocks lie in lines of one colour, which are solved exactly, so that this holds
+for them too.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.compiled import compiled
-from ttus_opt.multigrid.chains import PooledBlocks, pool
 from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
 from ttus_opt.multigrid.kernels import (
     FAST,
@@ -25,6 +24,7 @@ from ttus_opt.multigrid.kernels import (
     span,
 )
 from ttus_opt.multigrid.line_smoother import sweep
+from ttus_opt.multigrid.pooled_blocks import PooledBlocks, pool
 from ttus_opt.multigrid.red_black import BLACK, RED, Single
 
 
@@ -219,8 +219,8 @@ def operate(
 ) -> float:
     """Rows of one colour of A p on the finest level; returns their p · A p (compiled).
 
-    Of ties nothing flows, since all voxels of a block have one value: conductances
-    along r are those without ties.
+    Within a block nothing flows, as all its voxels have one value: conductances along
+    r are those without blocks.
 
     Args:
         row: The finest level.

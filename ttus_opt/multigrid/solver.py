@@ -56,6 +56,12 @@ class Multigrid:
     An instance may be used by several threads at once: each call works in arrays of
     its own, and compiled code releases the interpreter's lock. One solve runs on one
     core. Equal calls give equal bits.
+
+    Attributes:
+        grid: The grid.
+        free: Unknown voxels, shape (V,).
+        hierarchy: The levels.
+        norm_bound: Bound of the operator's norm (Gershgorin) [m].
     """
 
     def __init__(
@@ -63,7 +69,7 @@ class Multigrid:
         grid: CylindricalGrid,
         free: NDArray[np.bool_],
         *,
-        ties: NDArray[np.bool_] | None = None,
+        pooled: NDArray[np.bool_] | None = None,
     ) -> None:
         """Build the levels.
 
@@ -71,8 +77,9 @@ class Multigrid:
             grid: The grid.
             free: Unknown voxels, shape ``grid.shape``; none in the first and last
                 layer and slice.
-            ties: Of those, the ones that move with the next one outwards, same shape:
-                for `AggregatedMultigrid`, which knows what that means for a residual.
+            pooled: Those of them that have the value of the next one outwards, same
+                shape: for `AggregatedMultigrid`, which knows what that means for a
+                residual.
 
         Raises:
             InputError: The mask has another shape, or frees a voxel on the rim.
@@ -91,12 +98,11 @@ class Multigrid:
         self.grid = grid
         self.free = grid.flatten(free)
         r, t, z = conductances(grid)
-        #: Bound of the operator's norm (Gershgorin) [m].
         self.norm_bound = float(np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z)))
-        self._ties = ties
-        self._hierarchy = Hierarchy.build(grid, free, ties)
+        self._pooled = pooled
+        self.hierarchy = Hierarchy.build(grid, free, pooled)
         #: Spokes, slices and pitch
-        self._sizes = (*grid.shape[1:], self._hierarchy.levels[0].layout.pitch)
+        self._sizes = (*grid.shape[1:], self.hierarchy.levels[0].layout.pitch)
         self._operator = refinement.Operator(self.free, r, t, z, *self._sizes)
         self._idle: deque[Vectors] = deque()
 
@@ -108,15 +114,10 @@ class Multigrid:
     def memory_bytes(self) -> int:
         """Size of the levels and of the scratch arrays kept for the next solve."""
         return (
-            self._hierarchy.memory_bytes
+            self.hierarchy.memory_bytes
             + self.free.nbytes
             + sum(work.memory_bytes for work in list(self._idle))
         )
-
-    @property
-    def hierarchy(self) -> Hierarchy:
-        """The levels, for who counts what they hold."""
-        return self._hierarchy
 
     def apply(self, x: Array) -> Array:
         """A x.
@@ -132,14 +133,14 @@ class Multigrid:
         """
         return self._operate(self._vector(x, "x"))
 
-    def rough(self, near: NDArray[np.integer] | None = None) -> VCycle:
+    def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
         """One V-cycle at a time, in arrays of its own and without copies.
 
         Args:
             near: Flat indices of the voxels at which it matters, shape (k,): it may
                 know of a box around them only. None for all voxels.
         """
-        return VCycle.near(near, self._hierarchy, self.grid, self.free)
+        return VCycle.near(near, self.hierarchy, self.grid, self.free)
 
     def solve(
         self,
@@ -187,6 +188,10 @@ class Multigrid:
                 )
         result = self._refine(b, x, rtol, max_iterations)
         return replace(result, x=result.x * unit)
+
+    def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
+        """Solve Aᵀ x = b: the same, as A is symmetric."""
+        return self.solve(rhs, rtol=rtol)
 
     def _refine(
         self, b: Array, x: Array | None, rtol: float, limit: int
@@ -256,7 +261,7 @@ class Multigrid:
 
     def _vectors(self) -> Vectors:
         """New scratch arrays."""
-        return Vectors(self._hierarchy)
+        return Vectors(self.hierarchy)
 
     def _residual(
         self, work: Vectors, x: Array | None, b: Array, scale: float

@@ -139,6 +139,10 @@ class Subdomain:
         )
 
 
+#: What levels are built on
+Box = CylindricalGrid | Subdomain
+
+
 def _interval(places: Index, count: int, margin: int) -> tuple[int, int]:
     """First place and number of places of an interval around some, with its margin."""
     low = max(int(places.min()) - margin, 0)

@@ -61,7 +61,7 @@ class VCycle:
         hierarchy: Hierarchy,
         grid: CylindricalGrid,
         free: NDArray[np.bool_],
-        ties: NDArray[np.bool_] | None = None,
+        pooled: NDArray[np.bool_] | None = None,
     ) -> VCycle:
         """As exact as one V-cycle can be at some voxels, and no larger than needed.
 
@@ -70,13 +70,14 @@ class VCycle:
             hierarchy: The levels of the whole grid.
             grid: The grid.
             free: Its unknown voxels, shape (V,).
-            ties: Those that move with the next one outwards, shape (V,); None for none.
+            pooled: Those pooled with the next one outwards, shape (V,); None for none.
         """
         part = Subdomain.around(grid, voxels)
         if not part.is_whole:
             inside = part.free(grid.unflatten(free))
-            tied = None if ties is None else part.restrict(grid.unflatten(ties))
-            hierarchy = Hierarchy.build(part, inside, tied)
+            if pooled is not None:
+                pooled = part.restrict(grid.unflatten(pooled))
+            hierarchy = Hierarchy.build(part, inside, pooled)
         return cls(hierarchy, part, free, sweeps=1 if voxels is None else 2)
 
     def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:

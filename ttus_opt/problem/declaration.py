@@ -13,8 +13,8 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.constraints.base import Bounds, ConeRows, Constraint
 from ttus_opt.errors import InputError
+from ttus_opt.html_card import page, table
 from ttus_opt.problem.cvxpy_form import CvxpyProgram
-from ttus_opt.problem.html import page, table
 from ttus_opt.problem.program import Program
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import Fitted, Term

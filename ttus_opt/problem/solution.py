@@ -11,7 +11,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import TtusError
-from ttus_opt.problem.html import page, table
+from ttus_opt.html_card import page, table
 from ttus_opt.problem.kkt import KKT, Duals, bound_duals
 from ttus_opt.problem.program import Program
 from ttus_opt.voxmap.field import PotentialField

@@ -49,7 +49,7 @@ def test_a_box_of_the_grid_is_enough(name: str) -> None:
     system = DualData.of(program).system
     touched = np.unique(system.rows.indices)
     rows = sp.csr_array(sp.eye_array(scene.voxmap.grid.n_voxels, format="csr")[touched])
-    part = scene.laplace.multigrid.rough(touched[scene.laplace.free[touched]])
+    part = scene.laplace.multigrid.preconditioner(touched[scene.laplace.free[touched]])
     assert part.free.sum() < 0.6 * scene.laplace.free.sum()
     for weight in (1e-2, 1e2):
         system = replace(system, rows=rows, root_weights=np.full(len(touched), weight))

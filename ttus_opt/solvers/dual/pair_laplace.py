@@ -19,8 +19,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
-from ttus_opt.laplace.system import RTOL
-from ttus_opt.multigrid import Multigrid, VCycle
+from ttus_opt.laplace.square_system import BlockSolves
+from ttus_opt.multigrid import Multigrid, MultigridResult, VCycle
 
 
 class PairCycle:
@@ -61,7 +61,7 @@ class PairCycle:
         return at
 
     def run(self) -> None:
-        """Set ``x`` to A⁻¹ b roughly."""
+        """Set ``x`` to an approximation of A⁻¹ b."""
         n, first, second = self._first.b.size, self._first, self._second
         first.b[:], second.b[:] = self.b[:n], self.b[n:]
         first.run()
@@ -70,7 +70,7 @@ class PairCycle:
         self.x[:n], self.x[n:] = first.x, second.x
 
     def run_adjoint(self) -> None:
-        """Set ``x`` to A⁻ᵀ b roughly."""
+        """Set ``x`` to an approximation of A⁻ᵀ b."""
         n, first, second = self._first.b.size, self._first, self._second
         first.b[:], second.b[:] = self.b[:n], self.b[n:]
         second.run()
@@ -97,30 +97,38 @@ class PairBlock:
     def _adjoint(self) -> sp.csr_array:
         return sp.csr_array(self.across.T)
 
-    def solve(self, rhs: Array, *, rtol: float) -> Array:
+    def solve(self, rhs: Array, *, rtol: float) -> MultigridResult:
         """A⁻¹ b, shape (2V,)."""
         b, c = np.split(rhs, 2)
-        x = self.first.solve(b, rtol=rtol).x
-        y = self.second.solve(c - self.across @ x, rtol=rtol).x
-        return np.concatenate([x, y])
+        x = self.first.solve(b, rtol=rtol)
+        y = self.second.solve(c - self.across @ x.x, rtol=rtol)
+        return _both(x, y)
 
-    def solve_adjoint(self, rhs: Array, *, rtol: float) -> Array:
+    def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
         """A⁻ᵀ b, shape (2V,)."""
         b, c = np.split(rhs, 2)
-        y = self.second.solve(c, rtol=rtol).x
-        x = self.first.solve(b - self._adjoint @ y, rtol=rtol).x
-        return np.concatenate([x, y])
+        y = self.second.solve(c, rtol=rtol)
+        x = self.first.solve(b - self._adjoint @ y.x, rtol=rtol)
+        return _both(x, y)
 
-    def rough(self, near: NDArray[np.integer]) -> PairCycle:
+    def preconditioner(self, near: NDArray[np.integer]) -> PairCycle:
         """One V-cycle at a time, of use near some voxels of either field."""
         places = np.unique(near % self.across.shape[0])
-        first, second = self.first.rough(places), self.second.rough(places)
+        first, second = (m.preconditioner(places) for m in (self.first, self.second))
         return PairCycle(first, second, self.across)
 
 
+def _both(x: MultigridResult, y: MultigridResult) -> MultigridResult:
+    """The answers of both fields as one."""
+    worse = max(x.relative_residual, y.relative_residual)
+    return MultigridResult(
+        np.concatenate([x.x, y.x]), x.iterations + y.iterations, worse
+    )
+
+
 @dataclass(frozen=True)
-class PairLaplace:
-    """Square system of two fields; a `SquareSystem`.
+class PairLaplace(BlockSolves):
+    """Square system of two fields.
 
     Attributes:
         free: Voxels with an unknown of their own, shape (2V,).
@@ -133,16 +141,3 @@ class PairLaplace:
     radii: Array = field(repr=False)
     coupling: tuple[sp.csr_array, sp.csr_array] = field(repr=False)
     multigrid: PairBlock = field(repr=False)
-
-    def solve(self, right_side: Array, *, rtol: float = RTOL) -> Array:
-        """Solve L x = g; as `BlockSolves.solve`."""
-        x = np.where(self.free, 0.0, right_side)
-        rest = self.radii * (self.coupling[0] @ x - right_side)
-        rest[~self.free] = 0.0
-        return x + self.multigrid.solve(rest, rtol=rtol)
-
-    def solve_adjoint(self, right_side: Array, *, rtol: float = RTOL) -> Array:
-        """Solve Lᵀ w = g."""
-        rest = np.where(self.free, -right_side, 0.0)
-        w = self.radii * self.multigrid.solve_adjoint(rest, rtol=rtol)
-        return np.where(self.free, w, right_side - self.coupling[1] @ w)

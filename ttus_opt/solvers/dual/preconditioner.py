@@ -41,7 +41,9 @@ class ApproximateSchur:
         touched = np.unique(system.rows.indices)
         contact = np.unique(system.rows[: system.n_measured].indices)
         self.root_weights = system.root_weights
-        self._cycle = laplace.multigrid.rough(near=contact[laplace.free[contact]])
+        self._cycle = laplace.multigrid.preconditioner(
+            near=contact[laplace.free[contact]]
+        )
         free = self._cycle.free
         own = touched[free[touched]]
         rim = np.flatnonzero((np.diff(inward.indptr) > 0) & free)

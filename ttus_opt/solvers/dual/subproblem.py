@@ -27,7 +27,7 @@ from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.square_system import BlockSolves
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid import AggregatedMultigrid, Multigrid
-from ttus_opt.multigrid.chains import chain_heads
+from ttus_opt.multigrid.pooled_blocks import block_heads
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
@@ -157,7 +157,7 @@ class _Blocks:
         cls, laplace: LaplaceSystem, limits: SpokeLimits, active: WorkingSet
     ) -> _Blocks:
         n = len(active.bounds)
-        head = chain_heads(active.links, limits.stride)
+        head = block_heads(active.links, limits.stride)
         # where a block stands: at its first Dirichlet voxel, else at its head
         stand = np.arange(n)
         fixed = np.flatnonzero(~laplace.free)[::-1]

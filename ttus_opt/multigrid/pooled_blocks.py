@@ -1,4 +1,4 @@
-"""Pooled blocks: voxels of a spoke that are tied together and move as one.
+"""Pooled blocks: neighbours along a spoke that have one value.
 
 With P giving every voxel of a block its block's one value, vectors of unknowns z are
 kept where the blocks' leaders are, zero at the others: `PooledBlocks.prolong` makes P z
@@ -17,26 +17,26 @@ from ttus_opt.multigrid.red_black import Layout, Single
 from ttus_opt.voxmap.grid import nodes_of
 
 
-def chain_heads(ties: Mask, stride: int) -> IntArray:
+def block_heads(pooled: Mask, stride: int) -> IntArray:
     """The innermost voxel of every voxel's block; a voxel alone is its own.
 
     Args:
-        ties: Voxels tied to the next one outwards, shape (V,).
+        pooled: Voxels pooled with the next one outwards, shape (V,).
         stride: Flat distance to the next voxel outwards [–].
 
     Returns:
         Flat indices, shape (V,).
     """
-    head = np.arange(len(ties))
-    for start in range(stride, len(ties), stride):  # layer by layer, outwards
+    head = np.arange(len(pooled))
+    for start in range(stride, len(pooled), stride):  # layer by layer, outwards
         own, inner = slice(start, start + stride), slice(start - stride, start)
-        head[own] = np.where(ties[inner], head[inner], head[own])
+        head[own] = np.where(pooled[inner], head[inner], head[own])
     return head
 
 
 @dataclass(frozen=True)
 class PooledBlocks:
-    """Who follows whom.
+    """Which voxels have the value of which other.
 
     Attributes:
         followers: Voxels, shape (k,).
@@ -47,16 +47,16 @@ class PooledBlocks:
     leaders: IntArray = field(repr=False)
 
     @classmethod
-    def of(cls, free: Mask, ties: Mask, leads: Mask, stride: int) -> PooledBlocks:
-        """Read blocks off their ties.
+    def of(cls, free: Mask, pooled: Mask, leads: Mask, stride: int) -> PooledBlocks:
+        """Gather the voxels of every block.
 
         Args:
             free: Unknown voxels, shape (V,); a block is free as a whole.
-            ties: Voxels tied to the next one outwards, shape (V,).
+            pooled: Voxels pooled with the next one outwards, shape (V,).
             leads: Free voxels outside blocks, and one of each block, shape (V,).
             stride: Flat distance to the next voxel outwards [–].
         """
-        head = chain_heads(ties, stride)
+        head = block_heads(pooled, stride)
         leader = np.arange(len(free))
         leader[head[leads]] = np.flatnonzero(leads)
         followers = np.flatnonzero(free & ~leads)
