@@ -21,9 +21,8 @@ from ttus_opt.problem.formulation import Formulation, available, load
 from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Solution, Status, Timings
 from ttus_opt.scene import Scene
-from ttus_opt.solvers import cvxpy_clarabel, cvxpy_scs, osqp, registry, scs
+from ttus_opt.solvers import osqp, registry, scs
 from ttus_opt.solvers.base import Candidate, Claim, Request
-from ttus_opt.solvers.clarabel import Clarabel
 from ttus_opt.solvers.dual.options import DualOptions
 
 TOLERANCE = 1e-6
@@ -137,13 +136,6 @@ def test_a_perturbed_answer_is_solved_only_where_it_does_not_matter(
     assert refused > 0
 
 
-def _few_clarabel(patch: pytest.MonkeyPatch, n: int) -> None:
-    whole = Clarabel.options
-    patch.setattr(
-        Clarabel, "options", lambda *a: {**whole(*a), "max_iter": 1 + n // 10}
-    )
-
-
 def _few_dual(patch: pytest.MonkeyPatch, n: int) -> None:
     few = DualOptions(max_directions=n, refinements=1, max_working_sets=1 + n // 10)
     patch.setattr(registry.solvers()["structured"], "options", few)
@@ -157,10 +149,11 @@ def _few_iterations(module: Any) -> Callable[[pytest.MonkeyPatch, int], None]:
     return stop
 
 
-def _few_cvxpy(kind: Any, key: str) -> Callable[[pytest.MonkeyPatch, int], None]:
+def _few_of(name: str, key: str) -> Callable[[pytest.MonkeyPatch, int], None]:
     def stop(patch: pytest.MonkeyPatch, n: int) -> None:
-        whole = kind.options
-        patch.setattr(kind, "options", lambda *a: {**whole(*a), key: n})
+        solver: Any = registry.solvers()[name]
+        fixed = {**solver.package.fixed, key: n}
+        patch.setattr(solver, "package", replace(solver.package, fixed=fixed))
 
     return stop
 
@@ -168,11 +161,11 @@ def _few_cvxpy(kind: Any, key: str) -> Callable[[pytest.MonkeyPatch, int], None]
 #: How each solver is made to stop after about so many iterations
 STOPS: dict[str, Callable[[pytest.MonkeyPatch, int], None]] = {
     "structured": _few_dual,
-    "clarabel": _few_clarabel,
+    "clarabel": _few_of("clarabel", "max_iter"),
     "osqp": _few_iterations(osqp),
     "scs": _few_iterations(scs),
-    "cvxpy_clarabel": _few_cvxpy(cvxpy_clarabel.CvxpyClarabel, "max_iter"),
-    "cvxpy_scs": _few_cvxpy(cvxpy_scs.CvxpyScs, "max_iters"),
+    "cvxpy_clarabel": _few_of("cvxpy_clarabel", "max_iter"),
+    "cvxpy_scs": _few_of("cvxpy_scs", "max_iters"),
 }
 
 

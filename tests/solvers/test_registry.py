@@ -15,7 +15,7 @@ from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Claim, Request, Solver
-from ttus_opt.solvers.qpsolvers_base import claim_from
+from ttus_opt.solvers.qp_packages import claim_from
 from ttus_opt.terms.penalties.groups import Groups
 
 ALL = list(registry.solvers().values())

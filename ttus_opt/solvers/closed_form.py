@@ -8,7 +8,8 @@ what is here.
 from __future__ import annotations
 
 import abc
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
@@ -30,27 +31,20 @@ from ttus_opt.solvers.base import (
 REFINEMENTS = 2
 
 
-class Factor(abc.ABC):
-    """A factorisation of a symmetric positive definite Q."""
+@dataclass(frozen=True)
+class Factor:
+    """A factorisation of a symmetric positive definite Q.
 
-    @abc.abstractmethod
-    def solve(self, d: Array) -> Array:
-        """Solve Q x = d."""
+    Attributes:
+        solve: Solves Q x = d.
+        refactorise: Takes other numbers in the same pattern; None where the package
+            keeps no analysis.
+        release: Gives memory back that is not Python's.
+    """
 
-    def refactorise(self, Q: sp.csc_array) -> bool:
-        """Take other numbers in the same pattern, where the package keeps an analysis.
-
-        Args:
-            Q: The new matrix.
-
-        Returns:
-            Whether that was possible; False asks for a new factor.
-        """
-        return False
-
-    def release(self) -> None:
-        """Give memory back that is not Python's."""
-        return None
+    solve: Callable[[Array], Array]
+    refactorise: Callable[[sp.csc_array], object] | None = None
+    release: Callable[[], object] | None = None
 
 
 class ClosedFormSolver(Solver):
@@ -81,22 +75,13 @@ class ClosedForm(ClosedFormSolver):
 
     def factorise(self, Q: sp.csc_array) -> Factor:
         """Order Q itself and do not pivot: it is symmetric positive definite."""
-        return _SuperLU(
-            splu(
-                Q,
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+        factor = splu(
+            Q,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
         )
-
-
-class _SuperLU(Factor):
-    def __init__(self, factor: Any) -> None:
-        self._factor = factor
-
-    def solve(self, d: Array) -> Array:
-        return np.asarray(self._factor.solve(d))
+        return Factor(factor.solve)
 
 
 class _Factorised(Prepared):
@@ -119,10 +104,13 @@ class _Factorised(Prepared):
         )
         factor = self._factor
         if isinstance(factor, Factor):
-            same = pattern and np.array_equal(Q.data, before.data)
-            if same or (pattern and factor.refactorise(Q)):
+            if pattern and np.array_equal(Q.data, before.data):
                 return
-            factor.release()  # before the next one asks for as much again
+            if pattern and factor.refactorise is not None:
+                factor.refactorise(Q)
+                return
+            if factor.release is not None:  # before the next asks for as much again
+                factor.release()
         self._factor = _attempted(self._solver, Q)
 
     def solve(self) -> Candidate:

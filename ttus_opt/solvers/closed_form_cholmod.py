@@ -7,8 +7,6 @@ and much slower (93 s where PARDISO took 8).
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -30,19 +28,10 @@ class ClosedFormCholmod(ClosedFormSolver):
             cholesky,
         )
 
-        return _Cholmod(cholesky(sp.csc_matrix(Q)))
-
-
-class _Cholmod(Factor):
-    def __init__(self, factor: Any) -> None:
-        self._factor = factor
-
-    def solve(self, d: Array) -> Array:
-        return np.asarray(self._factor(d))
-
-    def refactorise(self, Q: sp.csc_array) -> bool:
-        self._factor.cholesky_inplace(sp.csc_matrix(Q))
-        return True
+        factor = cholesky(sp.csc_matrix(Q))
+        return Factor(
+            factor, lambda other: factor.cholesky_inplace(sp.csc_matrix(other))
+        )
 
 
 class ClosedFormCholespy(ClosedFormSolver):
@@ -60,19 +49,16 @@ class ClosedFormCholespy(ClosedFormSolver):
             MatrixType,
         )
 
-        return _Cholespy(
-            CholeskySolverD(Q.shape[0], Q.indptr, Q.indices, Q.data, MatrixType.CSC)
+        factor = CholeskySolverD(
+            Q.shape[0], Q.indptr, Q.indices, Q.data, MatrixType.CSC
         )
 
+        def solve(d: Array) -> Array:
+            x = np.zeros_like(d)
+            factor.solve(np.ascontiguousarray(d), x)
+            return x
 
-class _Cholespy(Factor):
-    def __init__(self, factor: Any) -> None:
-        self._factor = factor
-
-    def solve(self, d: Array) -> Array:
-        x = np.zeros_like(d)
-        self._factor.solve(np.ascontiguousarray(d), x)
-        return x
+        return Factor(solve)
 
 
 SOLVERS = [ClosedFormCholmod(), ClosedFormCholespy()]

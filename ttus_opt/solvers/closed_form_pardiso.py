@@ -24,10 +24,11 @@ class ClosedFormPardiso(ClosedFormSolver):
 
     def factorise(self, Q: sp.csc_array) -> Factor:
         """Factorise the upper triangle."""
-        return _Pardiso(Q)
+        pardiso = _Pardiso(Q)
+        return Factor(pardiso.solve, release=pardiso.release)
 
 
-class _Pardiso(Factor):
+class _Pardiso:
     def __init__(self, Q: sp.csc_array) -> None:
         from pypardiso import PyPardisoSolver
 
@@ -46,7 +47,7 @@ class _Pardiso(Factor):
     def __del__(self) -> None:
         # MKL's memory is not Python's: without this every fit would keep its factor
         if hasattr(self, "_pardiso"):
-            self._pardiso.free_memory(everything=True)
+            self.release()
 
 
 SOLVERS = [ClosedFormPardiso()]

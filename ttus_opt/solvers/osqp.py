@@ -21,7 +21,7 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.qpsolvers_base import claim_from
+from ttus_opt.solvers.qp_packages import claim_from
 from ttus_opt.solvers.quadratic import TwoSided, read_back
 from ttus_opt.solvers.verified import Verified
 

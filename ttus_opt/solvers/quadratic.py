@@ -54,7 +54,7 @@ class OneSided:
 
     @classmethod
     def of(cls, form: QuadraticForm) -> OneSided:
-        """Split two-sided rows."""
+        """Split two-sided rows; the box stays one."""
         equal = form.lower == form.upper
         above = ~equal & np.isfinite(form.upper)
         below = ~equal & np.isfinite(form.lower)
@@ -128,6 +128,13 @@ class TwoSided:
             len(form.lower),
             bounded,
         )
+
+    @property
+    def form(self) -> QuadraticForm:
+        """The same without a box."""
+        free = np.full(len(self.q), np.inf)
+        P, A = sp.csc_array(self.P), sp.csc_array(self.A)
+        return QuadraticForm(P, self.q, A, self.lower, self.upper, -free, free)
 
     def split(self, y: Array) -> tuple[Array, Array]:
         """Multipliers of the form's rows, and of the bounds at full length."""

@@ -21,8 +21,8 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.qpsolvers_base import claim_from
-from ttus_opt.solvers.quadratic import TwoSided, read_back
+from ttus_opt.solvers.qp_packages import claim_from
+from ttus_opt.solvers.quadratic import OneSided, TwoSided, read_back
 from ttus_opt.solvers.verified import Verified
 
 #: Iterations between two checks of the answer, and most checks
@@ -72,17 +72,8 @@ class _Loaded(Verified):
             and np.array_equal(rows.A.data, before.A.data)
             and np.array_equal(rows.P.data, before.P.data)
         )
-        self._rows = rows
-        self._equal = rows.lower == rows.upper
-        self._above = ~self._equal & np.isfinite(rows.upper)
-        self._below = ~self._equal & np.isfinite(rows.lower)
-        self._b = np.concatenate(
-            [
-                rows.upper[self._equal],
-                rows.upper[self._above],
-                -rows.lower[self._below],
-            ]
-        )
+        self._rows, self._split = rows, OneSided.of(rows.form)
+        self._b = np.concatenate([self._split.b, self._split.h])
         if same:
             self._solver.update(self._b, rows.q)
         else:
@@ -92,20 +83,15 @@ class _Loaded(Verified):
     def _set_up(self, eps: float, seconds: float | None) -> Any:
         import scs  # type: ignore[import-untyped,unused-ignore]
 
-        assert self._rows is not None
-        A = sp.csr_matrix(self._rows.A)
-        stacked = sp.vstack([A[self._equal], A[self._above], -A[self._below]])
-        cone = {
-            "z": int(self._equal.sum()),
-            "l": int(self._above.sum() + self._below.sum()),
-        }
+        split = self._split
+        cone = {"z": len(split.b), "l": len(split.h)}
         self._set_with = (eps, seconds)
         return scs.SCS(
             {
-                "P": sp.csc_matrix(sp.triu(self._rows.P)),
-                "A": sp.csc_matrix(stacked),
+                "P": sp.csc_matrix(sp.triu(split.P)),
+                "A": sp.csc_matrix(sp.vstack([split.A, split.G])),
                 "b": self._b,
-                "c": self._rows.q,
+                "c": split.q,
             },
             cone,
             verbose=False,
@@ -130,11 +116,8 @@ class _Loaded(Verified):
             self._last = None
             return Candidate(None, claim=claim, detail=words)
         self._last = {key: np.array(answer[key]) for key in ("x", "y", "s")}
-        y = np.zeros(len(self._equal))
-        n_equal, n_above = int(self._equal.sum()), int(self._above.sum())
-        y[self._equal] = answer["y"][:n_equal]
-        y[self._above] += answer["y"][n_equal : n_equal + n_above]
-        y[self._below] -= answer["y"][n_equal + n_above :]
+        n_equal = len(self._split.b)
+        y = self._split.row_duals(answer["y"][:n_equal], answer["y"][n_equal:])
         rows, box = self._rows.split(y)
         return read_back(
             self._program,

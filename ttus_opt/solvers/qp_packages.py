@@ -1,0 +1,251 @@
+"""Sparse QP packages reached through qpsolvers: a row each.
+
+Every package gets the least-squares form, which has equality rows: without any,
+qpsolvers sends several packages through LSQR, where a false "unbounded below" is
+possible. qpsolvers does not see ``csc_array`` as sparse: it is handed
+``csc_matrix``. Its duals carry our signs already (`ttus_opt.solvers.quadratic`).
+
+What qpsolvers reaches through CVXOPT (MOSEK among them) is left out: its licence is the
+GPL; MOSEK is reached through cvxpy.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import (
+    Candidate,
+    Capabilities,
+    Claim,
+    Prepared,
+    Request,
+    Solver,
+)
+from ttus_opt.solvers.package import Package
+from ttus_opt.solvers.quadratic import OneSided, read_back
+from ttus_opt.solvers.verified import Verified
+
+
+class QpPackage(Solver):
+    """One of qpsolvers' packages; its name is ours."""
+
+    def __init__(self, package: Package) -> None:
+        self.package = package
+        self.name, self.summary = package.name, package.summary
+        self.module = package.module
+        self.pip_name = package.pip_name or package.module
+        self.capabilities = Capabilities(
+            inequalities=True, equalities=True, time_limit=bool(package.time_limit)
+        )
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        """Bring the program into the package's form."""
+        self.require(program)
+        return _Loaded(self.package, program, request)
+
+
+class Highs(QpPackage):
+    """HiGHS' QP solver; for small problems."""
+
+    def refusal(self, program: Program) -> str:
+        """Nothing without an inequality: it then says "optimal" with infinite x."""
+        base = super().refusal(program)
+        if base:
+            return base
+        bounded = any(np.isfinite(limit).any() for limit in program.box)
+        if bounded or any((c.lower < c.upper).any() for c in program.constraints):
+            return ""
+        return "HiGHS goes wrong without an inequality"
+
+
+class _Loaded(Verified):
+    """A program in qpsolvers' terms; nothing is kept between solves."""
+
+    def __init__(self, package: Package, program: Program, request: Request) -> None:
+        self._package, self.margin = package, package.margin
+        super().__init__(program, request)
+
+    def _load(self, program: Program) -> None:
+        self._form = program.least_squares_qp()
+        self._split = OneSided.of(self._form)
+
+    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+        import qpsolvers
+
+        s = self._split
+        some = len(s.h) > 0
+        problem = qpsolvers.Problem(
+            s.P,
+            s.q,
+            s.G if some else None,
+            s.h if some else None,
+            s.A,
+            s.b,
+            s.lb if s.boxed else None,
+            s.ub if s.boxed else None,
+        )
+        with warnings.catch_warnings():
+            # about the package's own defaults and status; the answer is checked here
+            warnings.simplefilter("ignore")
+            try:
+                answer = qpsolvers.solve_problem(
+                    problem,
+                    solver=self._package.name,
+                    **self._package.options(eps, seconds),
+                )
+            except (qpsolvers.SolverError, ValueError, RuntimeError) as error:
+                said = f"{type(error).__name__}: {error}"
+                return Candidate(None, claim=Claim.GAVE_UP, detail=said)
+        words, iterations = _own_words(answer.extras or {})
+        return read_back(
+            self._program,
+            self._form,
+            None if answer.x is None else np.asarray(answer.x),
+            s.row_duals(answer.y, answer.z),
+            answer.z_box,
+            iterations=iterations,
+            claim=claim_from(words, bool(answer.found)),
+            detail=words,
+        )
+
+
+def _own_words(extras: dict[str, Any]) -> tuple[str, int]:
+    """Status text and iterations, wherever the package put them."""
+    info = extras.get("info", extras)
+
+    def get(key: str) -> Any:
+        return info.get(key) if isinstance(info, dict) else getattr(info, key, None)
+
+    iterations = next(
+        (int(v) for k in ("iter", "iterations") if (v := get(k)) is not None), 0
+    )
+    return str(get("status") or ""), iterations
+
+
+def claim_from(words: str, found: bool) -> Claim:
+    """What a package's status text claims.
+
+    Args:
+        words: Status in the package's own words.
+        found: Whether it says that it solved the problem.
+
+    Returns:
+        The claim.
+
+    >>> claim_from("PROXQP_PRIMAL_INFEASIBLE", False)
+    <Claim.INFEASIBLE: 'infeasible'>
+    >>> claim_from("time limit reached", False)
+    <Claim.TIME_LIMIT: 'time limit'>
+    >>> claim_from("AlmostSolved", True).name
+    'DOUBTS'
+    """
+    plain = words.lower().replace("_", "").replace(" ", "").replace("-", "")
+    if "inaccurate" in plain or "almost" in plain:
+        # also of infeasibility: a certificate in doubt does not count
+        return Claim.PAUSED if "iter" in plain else Claim.DOUBTS
+    if found:
+        return Claim.DONE
+    if "dualinfeasible" in plain or "unbounded" in plain:
+        return Claim.UNBOUNDED
+    if "infeasible" in plain:
+        return Claim.INFEASIBLE
+    if "time" in plain:
+        return Claim.TIME_LIMIT
+    if "iter" in plain:
+        return Claim.PAUSED
+    return Claim.GAVE_UP
+
+
+#: Added to the Hessian's diagonal by HiGHS: its default of 1e-7 bounds the residual
+#: from below near 1e-4, without any (0.0) it gives up on penalties with a kink
+REGULARISATION = 1e-11
+
+SOLVERS = [
+    QpPackage(
+        Package(
+            "clarabel",
+            "interior point (Clarabel)",
+            "clarabel",
+            ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
+            time_limit="time_limit",
+        )
+    ),
+    QpPackage(
+        Package(
+            "piqp",
+            "proximal interior point (PIQP)",
+            "piqp",
+            ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
+            fixed={"check_duality_gap": True},
+        )
+    ),
+    QpPackage(
+        Package(
+            "proxqp",
+            "proximal augmented Lagrangian (ProxQP)",
+            "proxsuite",
+            ("eps_rel", "eps_duality_gap_rel"),
+            absolute=("eps_abs", "eps_duality_gap_abs"),
+            fixed={"check_duality_gap": True},
+        )
+    ),
+    QpPackage(
+        Package(
+            "qpalm",
+            "proximal augmented Lagrangian (QPALM)",
+            "qpalm",
+            ("eps_rel",),
+            absolute=("eps_abs",),
+            time_limit="time_limit",
+        )
+    ),
+    Highs(
+        Package(
+            "highs",
+            "active set (HiGHS): exact, for thousands of voxels at most",
+            "highspy",
+            ("primal_feasibility_tolerance", "dual_feasibility_tolerance"),
+            time_limit="time_limit",
+            fixed={"qp_regularization_value": REGULARISATION},
+            least=1e-10,
+            margin=1.0,
+        )
+    ),
+    # commercial or young: no part of this project's own test runs, but the tests take
+    # in whatever is installed, and every answer is verified in any case
+    QpPackage(
+        Package(
+            "gurobi",
+            "interior point (Gurobi, commercial)",
+            "gurobipy",
+            ("BarConvTol",),
+            time_limit="TimeLimit",
+            fixed={"FeasibilityTol": 1e-9, "OptimalityTol": 1e-9},  # its least
+        )
+    ),
+    QpPackage(
+        Package(
+            "copt",
+            "interior point (COPT, commercial)",
+            "coptpy",
+            (),
+            time_limit="TimeLimit",
+            fixed={"FeasTol": 1e-9, "DualTol": 1e-9},  # its least
+        )
+    ),
+    QpPackage(Package("qtqp", "interior point (QTQP)", "qtqp", ("atol", "rtol"))),
+    QpPackage(
+        Package(
+            "sip",
+            "barrier augmented Lagrangian (SIP)",
+            "sip_qp_python",
+            ("eps_abs", "eps_rel"),
+            time_limit="time_limit",
+            pip_name="sip-qp-python",
+        )
+    ),
+]
