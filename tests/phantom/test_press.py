@@ -69,13 +69,6 @@ def test_no_force_out_of_contact_and_a_small_one_just_in_it(coarse_patch):
     assert (np.diff(forces, 2) > 0.0).all()  # a growing contact stiffens
 
 
-def test_a_guess_changes_nothing(coarse_patch, pose):
-    cold = press(coarse_patch, PROBE, *pose)
-    warm = press(coarse_patch, PROBE, *pose, guess=cold.nodes[::2])
-    assert warm.force == pytest.approx(cold.force, rel=1e-10)
-    assert np.array_equal(warm.nodes, cold.nodes)
-
-
 def test_drag_is_mu_times_normal_force_against_the_motion(coarse_patch, pose):
     rotation, position = pose
     smooth = press(coarse_patch, PROBE, rotation, position)

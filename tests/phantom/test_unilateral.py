@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ttus_opt.errors import InputError, TtusError
+from ttus_opt.errors import InputError
 from ttus_opt.phantom.unilateral import solve_unilateral
 
 
@@ -37,38 +37,22 @@ def brute_force(compliance, depth):
 def test_equals_brute_force(seed, n):
     compliance, depth = problem(seed, n)
     answer = solve_unilateral(compliance, depth)
-    assert answer.forces == pytest.approx(brute_force(compliance, depth), abs=1e-8)
+    assert answer == pytest.approx(brute_force(compliance, depth), abs=1e-8)
 
 
 @settings(max_examples=40, deadline=None)
-@given(seed=st.integers(0, 10**6), n=st.integers(1, 60), flip=st.integers(0, 10**6))
-def test_conditions_hold_from_any_start(seed, n, flip):
+@given(seed=st.integers(0, 10**6), n=st.integers(1, 60))
+def test_conditions_hold(seed, n):
     compliance, depth = problem(seed, n)
-    start = np.random.default_rng(flip).random(n) < 0.5
-    answer = solve_unilateral(compliance, depth, start)
-    gap = compliance @ answer.forces - depth
-    assert (answer.forces >= 0.0).all()
+    answer = solve_unilateral(compliance, depth)
+    gap = compliance @ answer - depth
+    assert (answer >= 0.0).all()
     assert gap.min() >= -1e-9 * np.abs(depth).max()
-    assert abs(answer.forces @ gap) <= 1e-8 * (1.0 + answer.forces.sum())
-
-
-def test_single_pivots_finish_where_blocks_make_no_progress(monkeypatch):
-    monkeypatch.setattr("ttus_opt.phantom.unilateral.PATIENCE", 0)
-    compliance, depth = problem(5, 40)
-    single = solve_unilateral(compliance, depth)
-    monkeypatch.undo()
-    assert single.forces == pytest.approx(solve_unilateral(compliance, depth).forces)
-
-
-def test_a_good_guess_needs_one_system():
-    compliance, depth = problem(3, 50)
-    first = solve_unilateral(compliance, depth)
-    assert first.pivots > 1
-    assert solve_unilateral(compliance, depth, first.active).pivots == 1
+    assert abs(answer @ gap) <= 1e-8 * (1.0 + answer.sum())
 
 
 def test_refuses_wrong_shapes_and_indefinite_compliance():
     with pytest.raises(InputError, match=r"\(3, 3\)"):
         solve_unilateral(np.eye(2), np.ones(3))
-    with pytest.raises(TtusError, match="positive definite"):
+    with pytest.raises(InputError, match="positive definite"):
         solve_unilateral(-np.eye(3), np.ones(3))

@@ -6,41 +6,29 @@ The same knowledge may be a term (soft) or a constraint (hard); the caller decid
 from __future__ import annotations
 
 import abc
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.scene import Scene
 from ttus_opt.terms.declared_rows import uniform_blocks, uniform_vector
 from ttus_opt.terms.limits import Bounds as Bounds
 from ttus_opt.terms.limits import ConeRows as ConeRows
 from ttus_opt.terms.limits import LinearRows as LinearRows
+from ttus_opt.terms.member import Member
 from ttus_opt.terms.structure import check_structure
 from ttus_opt.user_code import defined_at, told_by_line
 
 
 @dataclass(frozen=True)
-class Constraint(abc.ABC):
+class Constraint(Member):
     """Something known for certain about the solution.
 
     Attributes:
         scene: What the rows are made from.
     """
-
-    scene: Scene = field(repr=False)
-
-    @property
-    def name(self) -> str:
-        """Name under which slack and dual are returned.
-
-        Raises:
-            InputError: The class has no name.
-        """
-        kind = type(self).__name__
-        raise InputError(f'{kind} has no name: add name = "…" to the class')
 
     @property
     def formula(self) -> str:

@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Mask
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 
 Value = TypeVar("Value", bound=np.generic)
@@ -79,7 +79,7 @@ class Subdomain:
         return self.shape == self.grid.shape
 
     @property
-    def r(self) -> NDArray[np.float64]:
+    def r(self) -> Array:
         """Radii of its layers, shape (n_r,) [m]."""
         return self.grid.r[self.first[0] : self.first[0] + self.shape[0]]
 

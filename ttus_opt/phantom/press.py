@@ -108,7 +108,6 @@ def press(
     *,
     motion: Motion | None = None,
     drag: CoulombDrag | None = None,
-    guess: NDArray[np.intp] | None = None,
 ) -> Contact:
     """Press a probe into the skin.
 
@@ -119,7 +118,6 @@ def press(
         position: The probe's centre, shape (3,) [m].
         motion: How it moves; at rest when not given. Only drag asks for it.
         drag: Coulomb drag; none when not given.
-        guess: Patch nodes that touched at the pose before, to start from.
 
     Returns:
         The wrench on the probe and where it comes from.
@@ -135,10 +133,8 @@ def press(
         return Contact.none()
     depth = reach.depth[under]
     compliance = patch.compliance[np.ix_(under, under)]
-    known = guess is not None and guess.size > 0
-    start = np.isin(under, guess) if known and guess is not None else None
-    answer = solve_unilateral(compliance, depth, start)
-    touch = answer.forces > 0.0
+    forces = solve_unilateral(compliance, depth)
+    touch = forces > 0.0
     nodes = under[touch]
     if patch.rim[nodes].any():
         raise GeometryError(
@@ -146,7 +142,7 @@ def press(
             "ends: keep it further inside or mesh a larger patch"
         )
     inward, outward = -patch.normals[nodes], reach.normals[nodes]
-    normal_forces = answer.forces[touch] / np.einsum("ij,ij->i", outward, inward)
+    normal_forces = forces[touch] / np.einsum("ij,ij->i", outward, inward)
     points = patch.points[nodes] + reach.depth[nodes, None] * inward
     on_probe = -normal_forces[:, None] * outward
     if drag is not None and motion is not None and drag.coefficient > 0.0:
@@ -155,7 +151,7 @@ def press(
     return Contact(
         on_probe.sum(axis=0),
         np.cross(points - position, on_probe).sum(axis=0),
-        0.5 * float(answer.forces @ answer.displacements),
+        0.5 * float(forces @ compliance @ forces),
         normal_forces,
         nodes,
         points,

@@ -44,7 +44,6 @@ def record(
     """
     velocity, turning = poses.velocity(), poses.angular_velocity()
     force, torque = np.zeros((len(poses), 3)), np.zeros((len(poses), 3))
-    touching = None
     for m in range(len(poses)):
         contact = press(
             patch,
@@ -53,10 +52,8 @@ def record(
             poses.position[m],
             motion=Motion(velocity[m], turning[m]),
             drag=drag,
-            guess=touching,
         )
         force[m], torque[m] = contact.force, contact.torque
-        touching = contact.nodes
         if progress is not None:
             progress()
     return replace(poses, force=force, torque=torque)

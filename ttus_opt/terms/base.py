@@ -18,10 +18,10 @@ import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.scene import Scene
 from ttus_opt.terms.declared_rows import uniform_blocks, uniform_vector
 from ttus_opt.terms.kept import replaced
 from ttus_opt.terms.limits import ConeRows, LinearRows
+from ttus_opt.terms.member import Member
 from ttus_opt.terms.penalties.base import Penalty
 from ttus_opt.terms.penalties.squares import Squares
 from ttus_opt.terms.structure import Tags, check_structure
@@ -60,7 +60,7 @@ class Fitted:
 
 
 @dataclass(frozen=True)
-class Term(abc.ABC):
+class Term(Member):
     """A weighted penalty of an affine residual over a scene.
 
     Attributes:
@@ -68,7 +68,6 @@ class Term(abc.ABC):
         weight: Its λ, not negative [–].
     """
 
-    scene: Scene = field(repr=False)
     weight: float = 1.0
 
     #: Whether its rows are measurements, whose noise the residuals show
@@ -85,16 +84,6 @@ class Term(abc.ABC):
                 f"{self.name} weight must be finite and not negative, got "
                 f"{self.weight:g}"
             )
-
-    @property
-    def name(self) -> str:
-        """Name under which cost and weight are addressed.
-
-        Raises:
-            InputError: The class has no name.
-        """
-        kind = type(self).__name__
-        raise InputError(f'{kind} has no name: add name = "…" to the class')
 
     @property
     def formula(self) -> str:

@@ -9,9 +9,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ttus_opt.arrays import Array
 from ttus_opt.terms.base import AffineRows, Fitted, Term
 from ttus_opt.terms.drag import DragModel
 
@@ -38,11 +36,11 @@ class DragForceTerm(Term):
         """N and drag's rows by variable, and f."""
         return AffineRows(self.drag.force_blocks(), self.scene.f)
 
-    def parameters(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
+    def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """Drag's coefficients."""
         return self.drag.parameters(values)
 
-    def fitted(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, Fitted]:
+    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
         """Drag's coefficients that are found among the variables."""
         return self.drag.fitted(values)
 

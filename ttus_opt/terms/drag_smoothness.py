@@ -15,8 +15,8 @@ from typing import Self
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.terms.base import AffineRows, Fitted, Term
 from ttus_opt.terms.structure import LaplaceRows
 
@@ -51,11 +51,11 @@ class DragSmoothnessTerm(Term):
         tags = frozenset({LaplaceRows("q", beside=("m",))})
         return AffineRows({"q": self.scene.L, "m": mean}, np.zeros(len(b)), tags)
 
-    def parameters(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
+    def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """The mean friction coefficient."""
         return {MEAN_FRICTION: float(values["m"][0]) if self.has_mean else 0.0}
 
-    def fitted(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, Fitted]:
+    def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
         """m, as far from 0 as drag that is as large as the normal force."""
         return {MEAN_FRICTION: Fitted({"m": np.ones(1)}, 1.0)} if self.has_mean else {}
 

@@ -7,9 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.scene import BOUNDARY_SCALE
 from ttus_opt.terms.base import AffineRows, Term
@@ -53,7 +51,7 @@ class LaplaceTerm(Term):
         tags = frozenset({LaplaceRows("p")})
         return AffineRows({"p": self.scene.L}, self.factor * self.scene.b, tags)
 
-    def parameters(self, values: Mapping[str, NDArray[np.float64]]) -> dict[str, float]:
+    def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """The boundary scale, where the scene has fitted one."""
         if BOUNDARY_SCALE not in self.scene.parameters:
             return {}

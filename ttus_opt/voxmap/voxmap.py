@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.grid import BYTES_PER_VOXEL, CylindricalGrid
@@ -135,7 +136,7 @@ def _check_memory(grid: CylindricalGrid, limit: float | None) -> None:
         )
 
 
-def _check_radius(radius: NDArray[np.float64], grid: CylindricalGrid) -> None:
+def _check_radius(radius: Array, grid: CylindricalGrid) -> None:
     low, high = float(radius.min()), float(radius.max())
     if low <= grid.r_inner + grid.r_step / 2:
         raise GeometryError(
@@ -150,9 +151,7 @@ def _check_radius(radius: NDArray[np.float64], grid: CylindricalGrid) -> None:
         )
 
 
-def surface_layer(
-    grid: CylindricalGrid, radius: NDArray[np.float64]
-) -> NDArray[np.int64]:
+def surface_layer(grid: CylindricalGrid, radius: Array) -> NDArray[np.int64]:
     """The layer of voxels nearest to a surface, the lower one of two.
 
     Args:
@@ -167,7 +166,7 @@ def surface_layer(
     return np.asarray(layer.astype(np.int64))
 
 
-def _classify(grid: CylindricalGrid, radius: NDArray[np.float64]) -> NDArray[np.int8]:
+def _classify(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:
     """Region of every voxel from the surface radius at (θ_j, z_k) [m]."""
     depth = (radius[None] - grid.r[:, None, None]) / grid.r_step  # [voxels]
     layer = surface_layer(grid, radius)
