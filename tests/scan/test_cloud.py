@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from tests.conftest import SHARED
 from ttus_opt.errors import FileError, InputError, TtusError
 from ttus_opt.scan.cloud import read_cloud
-from ttus_opt.scan.pcd import lzf_decompress
 
 DATA = SHARED / "torso"
 
@@ -268,18 +267,6 @@ def test_pcd_with_padding_and_wider_fields(tmp_path: Path) -> None:
     path = tmp_path / "c.pcd"
     path.write_bytes(header.encode() + table.tobytes())
     np.testing.assert_array_equal(read_cloud(path), POINTS.astype(float))
-
-
-@given(st.binary(max_size=400).map(lambda b: b * 3) | st.binary(max_size=2000))
-def test_lzf_round_trip(raw: bytes) -> None:
-    assert lzf_decompress(lzf_compress(raw), len(raw)) == raw
-
-
-def test_lzf_overlapping_repetition() -> None:
-    # Two literals "ab", then 7 bytes from 2 back: their own output is repeated.
-    assert lzf_decompress(bytes([1, 97, 98, 5 << 5, 1]), 9) == b"ababababa"
-    with pytest.raises(ValueError, match="before the beginning"):
-        lzf_decompress(bytes([0, 97, 1 << 5, 5]), 4)
 
 
 @settings(max_examples=60, deadline=None)

@@ -15,7 +15,6 @@ from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Claim, Request, Solver
-from ttus_opt.solvers.qp_packages import claim_from
 from ttus_opt.terms.penalties.groups import Groups
 
 ALL = list(registry.solvers().values())
@@ -121,21 +120,6 @@ def test_time_limit_strikes(solver: Solver) -> None:
         problem = declared.with_constraints(Sign(scene)).compile()
     candidate = solver.prepare(problem, Request(1e-12, 1e-4)).solve()
     assert candidate.claim is Claim.TIME_LIMIT
-
-
-@pytest.mark.parametrize(
-    ("words", "found", "claim"),
-    [
-        ("Solved", True, Claim.DONE),
-        ("PrimalInfeasible", False, Claim.INFEASIBLE),
-        ("DualInfeasible", False, Claim.UNBOUNDED),
-        ("MaxTime", False, Claim.TIME_LIMIT),
-        ("Status.PIQP_NUMERICS", False, Claim.GAVE_UP),
-        ("", False, Claim.GAVE_UP),
-    ],
-)
-def test_claims_from_words(words: str, found: bool, claim: Claim) -> None:
-    assert claim_from(words, found) is claim
 
 
 def test_request_refuses_what_cannot_be_asked() -> None:

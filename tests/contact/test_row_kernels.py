@@ -1,0 +1,63 @@
+"""The kernels' small parts: heap sort, room for more entries, arrays of a shell."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.conftest import ellipsoid, small_scene
+from ttus_opt.compiled import compiled
+from ttus_opt.contact.row_kernels import (
+    REFERENCE_AREA,
+    Rows,
+    Scratch,
+    VoxmapArrays,
+    _sort,
+    pose_rows,
+    shell_arrays,
+)
+
+
+@compiled()
+def _sorted(keys: np.ndarray, order: np.ndarray, count: int) -> None:
+    _sort(keys, order, count)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 7, 100])
+def test_heap_sort_orders_the_first_keys(count: int) -> None:
+    rng = np.random.default_rng(count)
+    keys = rng.integers(0, 1000, 100).astype(np.int32)
+    order = np.full(100, -1)
+    _sorted(keys, order, count)
+    assert sorted(order[:count].tolist()) == list(range(count))
+    assert (np.diff(keys[order[:count]]) >= 0).all()
+    assert (order[count:] == -1).all()
+
+
+def test_rows_go_on_where_there_was_no_room() -> None:
+    """Made in many small pieces they are those made in one."""
+    scene = small_scene("trilinear")
+    trajectory, V = scene.trajectory, scene.n_voxels
+    poses = (trajectory.rotation, trajectory.position, shell_arrays(scene.shell))
+    arrays, scratch = VoxmapArrays.of(scene.voxmap), Scratch.of(V, len(scene.shell))
+    rows, done, pieces = Rows.empty(len(trajectory), 8), 0, 0
+    while True:
+        done = pose_rows(done, True, *poses, arrays, rows, scratch)
+        if done == len(trajectory):
+            break
+        pieces += 1
+        rows = rows.grown(3 * done, 1.0)
+    used = rows.row_ptr[-1]
+    assert pieces > 3
+    np.testing.assert_array_equal(rows.row_ptr, scene.N.indptr)
+    np.testing.assert_array_equal(rows.columns[:used], scene.N.indices)
+    np.testing.assert_array_equal(rows.force[:used], scene.N.data)
+    np.testing.assert_array_equal(rows.torque[:used], scene.W.data)
+    assert (scratch.slot == -1).all()  # left as it was found
+
+
+def test_areas_refer_to_a_square_centimetre() -> None:
+    shell = ellipsoid()
+    assert shell_arrays(shell).areas.sum() * REFERENCE_AREA == pytest.approx(
+        shell.areas.sum()
+    )

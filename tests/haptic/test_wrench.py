@@ -1,0 +1,81 @@
+"""One frame by hand: a sphere over a field that grows with depth, and its limits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.contact.row_kernels import REFERENCE_AREA
+from ttus_opt.haptic.renderer import Renderer
+from ttus_opt.haptic.wrench import mixed, orthonormalise
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
+
+#: A round body, layers exactly on its surface, and a field of 300 N/cm² per metre
+RADIUS, SLOPE = 0.1, 300.0
+
+
+def made() -> tuple[PotentialField, PointShell]:
+    surface = Surface.from_radius(np.full((24, 5), RADIUS), np.linspace(0.0, 0.2, 5))
+    voxmap = Voxmap.from_surface(surface, shape=(10, 24, 5), r_inner=0.03, r_outer=0.12)
+    depth = RADIUS - voxmap.grid.r
+    values = np.broadcast_to(SLOPE * depth[:, None, None], voxmap.grid.shape)
+    field = PotentialField(voxmap, values.copy(), "trilinear")
+    return field, PointShell.sphere(0.01, n_points=200)
+
+
+FIELD, SHELL = made()
+
+
+def by_hand(R: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Σ (a/A₀) n̂ p and Σ (a/A₀) r × n̂ p with p = slope · depth."""
+    x = SHELL.points @ R.T + at
+    depth = RADIUS - np.hypot(x[:, 0], x[:, 1])
+    p = SLOPE * np.maximum(depth, 0.0) * SHELL.areas / REFERENCE_AREA
+    normals = SHELL.normals @ R.T
+    arms = (SHELL.points - SHELL.reference) @ R.T
+    return p @ normals, p @ np.cross(arms, normals)
+
+
+@pytest.mark.parametrize("depth", [-0.001, 0.002, 0.006])
+def test_a_press_by_hand(depth: float) -> None:
+    R = Rotation.from_rotvec([0.2, -0.1, 0.4]).as_matrix()
+    at = np.array([RADIUS + 0.01 - depth, 0.0, 0.1])
+    wrench = Renderer(FIELD, SHELL).render(R, at)
+    force, torque = by_hand(R, at)
+    np.testing.assert_allclose(wrench.force, force, atol=1e-10)
+    np.testing.assert_allclose(wrench.torque, torque, atol=1e-11)
+    assert (wrench.contact_points > 0) == (depth > 0.0)
+    if depth > 0.0:
+        assert wrench.force[0] > 0.9 * np.linalg.norm(wrench.force)  # outwards
+
+
+def test_a_force_limit_shortens_the_wrench_as_a_whole() -> None:
+    R, at = np.eye(3), np.array([RADIUS + 0.004, 0.001, 0.1])
+    whole = Renderer(FIELD, SHELL).render(R, at)
+    size = float(np.linalg.norm(whole.force))
+    cut = Renderer(FIELD, SHELL, force_limit=0.25 * size).render(R, at)
+    assert cut.saturated and not whole.saturated
+    np.testing.assert_allclose(cut.force, 0.25 * whole.force, rtol=1e-12)
+    np.testing.assert_allclose(cut.torque, 0.25 * whole.torque, rtol=1e-12)
+
+
+def test_rounding_of_a_rotation_is_undone_and_more_is_refused() -> None:
+    exact = Rotation.from_rotvec([0.3, 1.0, -0.5]).as_matrix()
+    rounded = exact + 1e-6 * np.random.default_rng(0).normal(size=(3, 3))
+    assert orthonormalise(rounded)
+    np.testing.assert_allclose(rounded.T @ rounded, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(rounded, exact, atol=1e-5)
+    mirrored = exact * [1.0, 1.0, -1.0]
+    for wrong in (1.01 * exact, mirrored, np.full((3, 3), math.nan), np.zeros((3, 3))):
+        assert not orthonormalise(wrong.copy())
+
+
+def test_mixing_is_linear() -> None:
+    a, b = np.arange(4.0), np.arange(4.0)[::-1].copy()
+    np.testing.assert_allclose(mixed(a, b, 0.25), 0.75 * a + 0.25 * b)

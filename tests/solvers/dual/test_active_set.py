@@ -1,0 +1,65 @@
+"""Where an iteration over working sets stands, after each of them."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from tests.solvers.dual.user_limits import contested, eq10
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.solvers.dual.active_set import ActiveSetIteration
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.subproblem import LimitedField
+from ttus_opt.solvers.dual.working_set import WorkingSet
+
+SCENE = contested(0)
+PROGRAM = eq10(SCENE, 1.0).with_constraints(Sign(SCENE)).compile()
+LIMITS = SpokeLimits.of(PROGRAM)
+
+
+def iteration(accuracy: Accuracy, **options: int) -> ActiveSetIteration:
+    data, chosen = DualData.of(PROGRAM), DualOptions(**options)  # type: ignore[arg-type]
+    solver = DualSolver(data.system, options=chosen)
+    problem = LimitedField(PROGRAM, LIMITS, data, solver, chosen)
+    return ActiveSetIteration(problem, LIMITS, None, 1e-6, accuracy)
+
+
+def test_the_empty_set_violates_limits_and_pivots_mend_them() -> None:
+    at = iteration(Accuracy(1e-8))
+    assert at.sets == 0 and at.active.count == 0 and not at.over
+    found = at.solve(at.active, 1e-8)
+    assert at.sets == 1 and found.count > 0 and not at.settled
+    lower = np.where(LIMITS.given, -np.inf, LIMITS.lower)
+    assert ((at.p - lower)[found.side < 0] < 0.0).any()
+    following = found.pivoted(at.limits, at.active)
+    after = at.solve(following, 1e-8)
+    held = following.bounds < 0
+    assert held.any()
+    np.testing.assert_allclose(at.p[held], at.limits.lower[held], atol=1e-12)
+    assert after.worst < found.worst
+    assert (at.multipliers.bounds[held] <= 0.0).all()
+
+
+def test_it_is_over_when_time_or_working_sets_are() -> None:
+    late = iteration(Accuracy(1e-8, deadline=time.perf_counter() - 1.0))
+    late.solve(late.active, 1e-3)
+    assert late.late and late.over and not late.settled
+    once = iteration(Accuracy(1e-8), max_working_sets=1)
+    once.solve(once.active, 1e-3)
+    assert once.over and not once.settled
+
+
+def test_no_violation_at_the_last_accuracy_settles_it() -> None:
+    wide = replace(LIMITS, lower=np.full(len(LIMITS.lower), -np.inf))
+    wide = replace(wide, upper=np.full(len(wide.upper), np.inf))
+    at = iteration(Accuracy(1e-8))
+    at.limits = wide
+    assert at.solve(WorkingSet.empty(len(wide.lower)), 1e-3).count == 0
+    assert not at.settled  # solved less exactly than it is to be
+    at.solve(at.active, 1e-8)
+    assert at.settled and at.over

@@ -1,0 +1,102 @@
+"""A recycled subspace of a dense operator: conjugate, exact, kept by new weights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ttus_opt.arrays import Array
+from ttus_opt.solvers.dual.conjugate_gradients import (
+    RecycledSubspace,
+    conjugate_gradients,
+)
+from ttus_opt.solvers.dual.linear_parameters import Complement
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+
+M = 12
+
+
+class Dense:
+    """S = I + w K w."""
+
+    def __init__(self, w: Array) -> None:
+        root = np.random.default_rng(0).normal(size=(M, M)) * 10.0 ** np.linspace(
+            -2, 2, M
+        )
+        self.root_weights, self.calls = w, 0
+        self.S = np.eye(M) + w[:, None] * (root @ root.T) * w
+
+    def apply(self, y: Array, rtol: float) -> Array:
+        self.calls += 1
+        return self.S @ y
+
+
+def everything(columns: Array | None = None) -> Complement:
+    """The whole space, or what lies across some columns; no preconditioner."""
+    return Complement(np.zeros((M, 0)) if columns is None else columns, lambda r: r)
+
+
+def solved(
+    subspace: RecycledSubspace, t: Array, space: Complement | None = None, **o: float
+) -> tuple[Array, int]:
+    options = DualOptions(**o)  # type: ignore[arg-type]
+    goal = 1e-10 * float(np.linalg.norm(t))
+    space = space or everything()
+    return conjugate_gradients(subspace, t, goal, space, Accuracy(1e-10), options)
+
+
+def test_solves_and_keeps_conjugate_directions() -> None:
+    system = Dense(np.ones(M))
+    subspace = RecycledSubspace(system)
+    t = np.random.default_rng(1).normal(size=M)
+    y, steps = solved(subspace, t)
+    np.testing.assert_allclose(system.S @ y, t, atol=1e-9 * np.linalg.norm(t))
+    assert steps == len(subspace) == system.calls <= M + 2
+    d, images = subspace._kept
+    np.testing.assert_allclose(d @ images.T, np.eye(len(d)), atol=1e-7)
+    # the same space once more: nothing is applied
+    calls = system.calls
+    again, none = solved(subspace, 2.0 * t)
+    assert (none, system.calls) == (0, calls)
+    np.testing.assert_allclose(again, 2.0 * y, rtol=1e-6)
+
+
+def test_other_weights_cost_no_product() -> None:
+    w = np.linspace(0.5, 2.0, M)
+    first, second = Dense(np.ones(M)), Dense(w)
+    subspace = RecycledSubspace(first)
+    for t in np.eye(M):
+        solved(subspace, t)
+    subspace.adopt(second)
+    t = np.random.default_rng(2).normal(size=M)
+    y, rest = subspace.project(t)
+    assert second.calls == 0
+    np.testing.assert_allclose(second.S @ y, t - rest, atol=1e-8)
+    np.testing.assert_allclose(rest, 0.0, atol=1e-6)
+
+
+def test_across_columns_only_the_rest_counts() -> None:
+    E = np.random.default_rng(3).normal(size=(M, 2))
+    system, t = Dense(np.ones(M)), np.random.default_rng(4).normal(size=M)
+    y, _ = solved(RecycledSubspace(system), t, everything(E))
+    full = np.block([[system.S, E], [E.T, np.zeros((2, 2))]])
+    expected = np.linalg.solve(full, np.concatenate([t, np.zeros(2)]))[:M]
+    np.testing.assert_allclose(y, expected, atol=1e-7)
+
+
+def test_directions_are_limited_and_nonsense_is_not_kept() -> None:
+    subspace = RecycledSubspace(Dense(np.ones(M)))
+    _, steps = solved(subspace, np.ones(M), max_directions=3)
+    assert steps == len(subspace) == 3
+    assert not subspace.extend(np.full(M, np.nan), 0.0)
+    assert len(subspace) == 3
+
+
+@pytest.mark.parametrize("kept_as", [np.float64, np.float32])
+def test_a_step_is_the_projection_onto_the_last(kept_as: type) -> None:
+    subspace = RecycledSubspace(Dense(np.ones(M)), kept_as)
+    rng = np.random.default_rng(5)
+    subspace.extend(rng.normal(size=M), 0.0)
+    r = rng.normal(size=M)
+    for found, expected in zip(subspace.step(r), subspace.project(r), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-5)

@@ -1,0 +1,50 @@
+"""What the dual reads of a program: its minimiser is that of dense least squares."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.conftest import small_scene
+from ttus_opt.problem import formulation
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior, row_scale
+
+SCENE = small_scene("trilinear", shape=(5, 8, 5), n_poses=4)
+
+
+def compiled(name: str) -> Program:
+    return formulation.load(name, SCENE, force_weight=3.0, torque_weight=2.0).compile()
+
+
+@pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary", "volume_weighted"])
+def test_multipliers_give_the_minimiser(name: str) -> None:
+    program = compiled(name)
+    data = DualData.of(program)
+    system, L = data.system, SCENE.L.toarray()
+    base = np.linalg.solve(L, data.b)
+    S = np.array([system.apply(e) for e in np.eye(len(data.t))])
+    y = np.linalg.solve(S, data.t - system.measure(base))
+    p = base + system.response(y)
+    # the program itself, given values held
+    fixed = np.zeros(len(p), dtype=bool)
+    if program.dirichlet is not None:
+        fixed = ~program.laplace.free
+    value = np.where(fixed, data.b, 0.0)
+    rows = [np.sqrt(t.weight) * t.matrix.toarray() for t in program.terms]
+    target = [np.sqrt(t.weight) * t.target for t in program.terms]
+    M, t = np.vstack(rows), np.concatenate(target)
+    free, *_ = np.linalg.lstsq(M[:, ~fixed], t - M @ value, rcond=None)
+    np.testing.assert_allclose(p[~fixed], free, atol=1e-8 * np.abs(free).max())
+    np.testing.assert_allclose(p[fixed], value[fixed], atol=1e-12)
+
+
+def test_priors_that_are_none() -> None:
+    assert laplace_prior(compiled("free_surface")) is None
+    plain, weighted = compiled("eq10"), compiled("volume_weighted")
+    prior, scaled = laplace_prior(plain), laplace_prior(weighted)
+    assert prior is not None and scaled is not None
+    assert row_scale(prior) is None and hard_values(plain) is None
+    scale, values = row_scale(scaled), hard_values(weighted)
+    assert scale is not None and (scale > 0.0).all()
+    assert values is not None and len(values) == int((~SCENE.laplace.free).sum())

@@ -1,0 +1,71 @@
+"""Working sets on a grid of one slice and few spokes, block by block, by hand."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
+
+INF = np.inf
+
+
+def limits(lower: list[float], upper: list[float], least: float = 0.0) -> SpokeLimits:
+    """One spoke, inside out."""
+    n = len(lower)
+    return SpokeLimits(
+        (n, 1, 1), np.array(lower), np.array(upper), np.zeros(n, dtype=bool),
+        np.append(np.full(n - 1, least), -INF), {},
+    )  # fmt: skip
+
+
+def active(bounds: list[int], links: list[int]) -> WorkingSet:
+    return WorkingSet(np.array(bounds, dtype=np.int8), np.array(links, dtype=bool))
+
+
+def test_counts_and_differences() -> None:
+    one, other = active([0, -1, 1], [1, 0, 0]), active([1, -1, 0], [1, 1, 0])
+    assert (one.count, other.count) == (3, 4)
+    assert one.differs(other) == other.differs(one) == 3
+    assert WorkingSet.empty(3).count == 0 and one.differs(one) == 0
+
+
+def test_limits_that_are_gone_are_left_out() -> None:
+    there = active([-1, 1, 1], [1, 1, 1]).existing(limits([0, 0, 0], [INF, 5, INF]))
+    assert there.bounds.tolist() == [-1, 1, 0]
+    assert there.links.tolist() == [True, True, False]
+
+
+@pytest.mark.parametrize(
+    ("bounds", "kept", "links"),
+    [
+        # p_0 >= p_1 >= p_2, lower bounds 0, upper bounds 4; all linked
+        ([-1, 0, 0], [-1, 0, 0], [1, 1]),  # one bound stays
+        ([-1, 0, -1], [-1, 0, 0], [1, 1]),  # of two that agree the first does
+        ([1, 0, -1], [1, 0, -1], [1, 0]),  # between 4 and 0 a link is slack: cut
+    ],
+)
+def test_a_block_has_one_bound(
+    bounds: list[int], kept: list[int], links: list[int]
+) -> None:
+    spoke = limits([0.0, 0.0, 0.0], [4.0, 4.0, 4.0])
+    found = one_bound_each(spoke, active(bounds, [1, 1, 0]))
+    assert found.bounds.tolist() == kept
+    assert found.links[:2].astype(int).tolist() == links
+
+
+def test_never_two_bounds_in_a_block_nor_more_limits_than_before() -> None:
+    """Every working set of a spoke of four with a least slope."""
+    spoke = limits([1.0, 0.5, 0.0, -1.0], [9.0, 6.0, 4.0, 2.0], least=1.0)
+    for bounds in itertools.product((-1, 0, 1), repeat=4):
+        for links in itertools.product((0, 1), repeat=3):
+            before = active(list(bounds), [*links, 0])
+            after = one_bound_each(spoke, before)
+            blocks = np.concatenate([[0], np.cumsum(~after.links[:3])])
+            assert (np.bincount(blocks, after.bounds != 0) <= 1).all()
+            assert not ((after.bounds != 0) & (before.bounds == 0)).any()
+            assert not (after.links & ~before.links).any()
+            assert (after.bounds * before.bounds >= 0).all()
