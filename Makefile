@@ -22,7 +22,7 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
 	sys.version_info >= (3, 11) and print("ok")' 2>/dev/null),$(name))))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow notebooks mutants check picture docs clean
+.PHONY: help demo test slow notebooks mutants check picture docs docs-check clean
 
 help:
 	@echo "make demo     the whole method on the bundled example, into demo/"
@@ -32,6 +32,7 @@ help:
 	@echo "make check    format, lint, types, layers"
 	@echo "make picture  the README's picture, docs/overview.png"
 	@echo "make docs     the documentation, notebooks run, into site/"
+	@echo "make docs-check  every page, link, public name and example, no notebook run"
 	@echo "make clean    removes what the other targets made"
 
 demo: $(STAMP)
@@ -63,6 +64,12 @@ docs: $(DOCS_STAMP)
 	$(BIN)/python docs/pictures.py
 	$(BIN)/python docs/examples.py
 	$(BIN)/python -m mkdocs build --strict
+
+# `make slow` runs the notebooks; this is all else that may rot.
+docs-check: $(DOCS_STAMP)
+	$(BIN)/python docs/pictures.py
+	$(BIN)/python docs/examples.py
+	RUN_NOTEBOOKS=false $(BIN)/python -m mkdocs build --strict --site-dir .cache/site
 
 clean:
 	rm -rf $(VENV) demo site docs/pictures .cache

@@ -144,8 +144,9 @@ def skin_compliance(
         The patch and its compliance.
     """
     basis, stiffness = _assemble(body)
-    free = np.ones(stiffness.shape[0], dtype=bool)
-    free[np.asarray(basis.nodal_dofs)[body.fixed.T]] = False
+    held = np.zeros(stiffness.shape[0], dtype=bool)
+    held[np.asarray(basis.nodal_dofs)[body.fixed.T]] = True
+    free = np.flatnonzero(~held)
     # minimum degree keeps the fill low; the matrix is definite: no pivoting needed
     factor = splu(
         stiffness[free][:, free].tocsc(),
