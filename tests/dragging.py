@@ -21,11 +21,11 @@ def dragged_scene(
     mu: float = 0.3,
     viscous: float = 0.0,
     shape: tuple[int, int, int] = (12, 30, 14),
+    n: int = 60,
 ) -> Scene:
     """Wrenches made from the Laplace field and drag, without noise."""
     surface = torso()
     rng = np.random.default_rng(3)
-    n = 60
     angle = 1.4 + 0.5 * np.sin(0.3 * np.arange(n))
     z = 0.1 + 0.03 * np.cos(0.21 * np.arange(n))
     r = surface.radius_at(angle, z) + 0.007 + 0.002 * np.sin(0.5 * np.arange(n))

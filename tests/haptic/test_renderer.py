@@ -79,7 +79,7 @@ def test_the_law_at_five_thousand_points(sampling: str) -> None:
 
 
 def least_memory(frame: Callable[[], object]) -> tuple[int, int]:
-    """Bytes that 500 frames leave and at most hold: the least of three rounds.
+    """Bytes that 250 frames leave and at most hold: the least of three rounds.
 
     Python's count is of the whole process. A progress bar's thread of an earlier test,
     or the collection of its garbage, may fall into one round; what a frame allocates is
@@ -91,7 +91,7 @@ def least_memory(frame: Callable[[], object]) -> tuple[int, int]:
         for _ in range(4):  # the first fills the interpreter's lists of spare objects
             tracemalloc.reset_peak()
             before = tracemalloc.get_traced_memory()[0]
-            for _ in range(500):
+            for _ in range(250):
                 frame()
             now, peak = tracemalloc.get_traced_memory()
             rounds.append((now - before, peak - before))
@@ -126,7 +126,7 @@ def test_nothing_is_compiled_or_allocated_in_a_frame(scene: Scene) -> None:
     after: dict[str, dict[str, float]] = {"settled": {}}
     for stage, frame in frames.items():
         kept, peak = least_memory(frame)
-        assert kept < 200, stage  # less than half a byte per frame
+        assert kept < 200, stage  # less than a byte per frame
         assert peak < 2100, stage  # numba's fingerprint of one call's arguments
         drag = after.get(stage, {"friction_coefficient": 0.3})
         values = 2 * field.values if stage == "settled" else field.values

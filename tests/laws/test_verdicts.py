@@ -32,7 +32,7 @@ NAMES = [info.name for info in available()]
 
 #: Viscous and dry drag, so that every parameter has something to say
 def made() -> Scene:
-    return dragged_scene("contact", mu=0.3, viscous=40.0, shape=(8, 16, 9))
+    return dragged_scene("contact", 0.3, 40.0, (8, 16, 9), n=30)
 
 
 @dataclass(frozen=True)

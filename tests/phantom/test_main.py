@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from typer import Typer
 from typer.testing import CliRunner
 
@@ -11,6 +12,23 @@ def run(*arguments):
     return CliRunner().invoke(app, list(arguments))
 
 
+def test_a_stored_compliance_is_what_is_pressed(coarse_patch, tmp_path, monkeypatch):
+    written = []
+
+    def write(folder, patch, progress):
+        written.append((folder, patch))
+
+    monkeypatch.setattr("ttus_opt.phantom.__main__.write_example", write)
+    stored, folder = tmp_path / "skin.npz", tmp_path / "made"
+    coarse_patch.save(stored)
+    result = run("--folder", str(folder), "--compliance", str(stored))
+    assert result.exit_code == 0, result.output
+    ((where, patch),) = written
+    assert where == folder
+    np.testing.assert_array_equal(patch.compliance, coarse_patch.compliance)
+
+
+@pytest.mark.slow
 def test_writes_the_example_from_a_stored_compliance(coarse_patch, tmp_path):
     stored, folder = tmp_path / "skin.npz", tmp_path / "made"
     coarse_patch.save(stored)

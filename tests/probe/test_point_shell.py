@@ -124,6 +124,12 @@ def capsule():
     return vertices, np.array(made.faces), made.area
 
 
+@functools.cache
+def capsule_shell():
+    vertices, faces, _ = capsule()
+    return PointShell.from_triangles(vertices, faces, 120)
+
+
 def test_mesh_area_centroid_and_closed_law():
     vertices, faces, area = capsule()
     shell = PointShell.from_triangles(vertices, faces, 800)
@@ -145,7 +151,7 @@ def test_mesh_area_centroid_and_closed_law():
 def test_moving_and_scaling_the_mesh_moves_and_scales_the_shell(turn, shift, scale):
     vertices, faces, _ = capsule()
     rotation = Rotation.from_rotvec(turn).as_matrix()
-    base = PointShell.from_triangles(vertices, faces, 120)
+    base = capsule_shell()
     moved = PointShell.from_triangles(scale * vertices @ rotation.T + shift, faces, 120)
     assert moved.total_area == pytest.approx(scale**2 * base.total_area, rel=1e-9)
     assert moved.rms_radius == pytest.approx(scale * base.rms_radius, rel=1e-6)

@@ -72,10 +72,11 @@ def test_sparse_sources_are_sparse() -> None:
 
 
 def test_without_measurements_priors_give_the_laplace_field() -> None:
-    expected = SCENE.voxmap.grid.unflatten(SCENE.laplace.solve(SCENE.b))
+    scene = small_scene("trilinear", shape=(7, 12, 8))
+    expected = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
     for name in ("sparse_sources", "total_variation", "volume_weighted", "tikhonov"):
-        declared = load(name, SCENE).with_weights(force=0.0, torque=0.0)
-        solution = fit(SCENE, declared, tolerance=1e-5)
+        declared = load(name, scene).with_weights(force=0.0, torque=0.0)
+        solution = fit(scene, declared, tolerance=1e-5)
         np.testing.assert_allclose(
             solution.field.values, expected, atol=2e-6, err_msg=name
         )

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -54,14 +53,10 @@ class ShellBlocks:
         order = np.arange(len(shell))
         _sort(order, shell.points, size)
         start = np.append(np.arange(0, len(shell), size), len(shell))
-        points = shell.points[order]
-        spheres = [_sphere(points[a:b]) for a, b in pairwise(start)]
-        return cls(
-            order,
-            start.astype(np.int64),
-            np.array([centre for centre, _ in spheres]),
-            np.array([reach for _, reach in spheres]) + MARGIN,
-        )
+        # a smaller last block is filled up with its last point
+        places = np.minimum(start[:-1, None] + np.arange(size), start[1:, None] - 1)
+        centre, radius = _spheres(shell.points[order][places])
+        return cls(order, start.astype(np.int64), centre, radius + MARGIN)
 
 
 def _sort(order: NDArray[np.intp], points: Array, size: int) -> None:
@@ -77,13 +72,20 @@ def _sort(order: NDArray[np.intp], points: Array, size: int) -> None:
     _sort(order[cut:], points, size)
 
 
-def _sphere(points: Array) -> tuple[Array, float]:
-    """A nearly smallest ball around points: centre [m] and radius [m]."""
-    centre = points.mean(axis=0)
+def _spheres(blocks: Array) -> tuple[Array, Array]:
+    """Nearly smallest balls around points, shape (B, n, 3) [m].
+
+    Returns:
+        Centres, shape (B, 3) [m], and radii, shape (B,) [m].
+    """
+    every = np.arange(len(blocks))
+    centre = blocks.mean(axis=1)
     for step in range(2, 34):  # walks to the farthest point by ever smaller parts
-        farthest = ((points - centre) ** 2).sum(axis=1).argmax()
-        centre = centre + (points[farthest] - centre) / step
-    return centre, math.sqrt(float(((points - centre) ** 2).sum(axis=1).max()))
+        away = blocks - centre[:, None]
+        farthest = np.einsum("bnd,bnd->bn", away, away).argmax(axis=1)
+        centre += away[every, farthest] / step
+    away = blocks - centre[:, None]
+    return centre, np.sqrt(np.einsum("bnd,bnd->bn", away, away).max(axis=1))
 
 
 class Tiles(NamedTuple):

@@ -30,6 +30,9 @@ ROUNDS = 4
 #: their distance, and when a cell takes a sample (60°).
 SAME_SHEET, SAME_CELL = -0.2, 0.5
 
+#: Seeds a sample looks at: the nearest one, then, if that faces elsewhere, many.
+NEAREST, MANY = 1, 12
+
 #: With fewer points than this only the total area is kept (7 moments would be
 #: more than a handful of areas can carry).
 LEAST_FOR_MOMENTS = 50
@@ -192,14 +195,23 @@ def _cells(
 ) -> IntArray:
     """Number of the nearest seed on a sample's own side, shape (n,) [–].
 
-    Among the 12 nearest seeds, the first whose normal is within 60°; when there is
+    Among the `MANY` nearest seeds, the first whose normal is within 60°; when there is
     none (a detail smaller than the spacing), the one that faces most alike.
     """
     from scipy.spatial import KDTree
 
-    k = min(12, len(seeds))
-    near = np.asarray(KDTree(seeds).query(points, k=k)[1])
-    cosine = np.einsum("nd,nkd->nk", normals, seed_normals[near])
-    alike = cosine > SAME_CELL
-    pick = np.where(alike.any(axis=1), alike.argmax(axis=1), cosine.argmax(axis=1))
-    return np.asarray(near[np.arange(len(points)), pick], dtype=np.int64)
+    tree = KDTree(seeds)
+    cell = np.empty(len(points), dtype=np.int64)
+    left = np.arange(len(points))
+    for k in (NEAREST, MANY):  # one does for most samples
+        count = min(k, len(seeds))
+        near = np.asarray(tree.query(points[left], k=count)[1]).reshape(-1, count)
+        cosine = np.einsum("nd,nkd->nk", normals[left], seed_normals[near])
+        alike = cosine > SAME_CELL
+        found = alike.any(axis=1)
+        pick = np.where(found, alike.argmax(axis=1), cosine.argmax(axis=1))
+        cell[left] = near[np.arange(len(left)), pick]
+        left = left[~found]
+        if not len(left) or count == len(seeds):
+            break
+    return cell

@@ -149,15 +149,16 @@ def _find(formulation: str | Path) -> tuple[Callable[..., Formulation], str]:
         with told_by_line(f"formulation file {path}"):
             spec.loader.exec_module(module)
         return _build_function(module), path.stem
-    names = [*_names(), *_elsewhere()]
-    if str(formulation) not in names:
-        near = difflib.get_close_matches(str(formulation), names, n=3, cutoff=0.4)
+    name = str(formulation)
+    if name not in _names() and name not in _elsewhere():
+        names = [*_names(), *_elsewhere()]
+        near = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
         raise InputError(
-            f"unknown formulation {str(formulation)!r}, "
+            f"unknown formulation {name!r}, "
             f"{'did you mean ' if near else 'there are '}"
             f"{', '.join(near or names)}? A file of your own ends in .py"
         )
-    return _build_of(str(formulation)), str(formulation)
+    return _build_of(name), name
 
 
 def _build_of(name: str) -> Callable[..., Formulation]:

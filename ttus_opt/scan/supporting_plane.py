@@ -120,8 +120,12 @@ def _trial_planes(sample: Array, rng: np.random.Generator) -> tuple[Array, Array
 
 def _refine(sample: Array, normal: Array, offset: float) -> tuple[Array, float]:
     """Least squares on the points within the tolerance, repeated."""
+    last: NDArray[np.bool_] | None = None
     for _ in range(6):
-        near = sample[np.abs(sample @ normal - offset) < TOLERANCE]
+        within = np.abs(sample @ normal - offset) < TOLERANCE
+        if last is not None and np.array_equal(within, last):
+            break  # nothing moves any more
+        near, last = sample[within], within
         if len(near) < 10:
             break
         centre = np.median(near, axis=0)

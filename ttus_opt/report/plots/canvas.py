@@ -75,4 +75,8 @@ def save_picture(figure: Figure, path: str | os.PathLike[str]) -> None:
     """
     require_picture_suffix(path)
     with look(), io.replacing(path) as temporary:
+        engine = figure.get_layout_engine()
+        if engine is not None:  # else savefig draws all twice, once for the layout
+            engine.execute(figure)
+            figure.set_layout_engine("none")
         figure.savefig(temporary, dpi=DPI)
