@@ -74,7 +74,7 @@ def test_evaluation_and_report_say_that_there_are_none() -> None:
 
 
 def test_a_flipped_sensor_of_forces_is_told() -> None:
-    whole, only = scenes()
+    _, only = scenes()
     force = only.trajectory.force
     assert force is not None
     wrong = replace(only, trajectory=replace(only.trajectory, force=-force))

@@ -6,8 +6,9 @@ and contacts follow from geometry: with f̂ = N p₀ and τ̂ = W p₀ of a few 
 
     S = min_s ‖f - s f̂‖²/‖f‖² + min_k ‖τ - k τ̂‖²/‖τ‖²,    s, k ≥ 0,
 
-is small where they belong together; of forces alone it is the first half. The same S of the recordings read otherwise (other
-sign, frame, order, instant) says which reading they were likely written in.
+is small where they belong together; of forces alone it is the first half. The same S
+of the recordings read otherwise (other sign, frame, order, instant) says which reading
+they were likely written in.
 """
 
 from __future__ import annotations

@@ -169,7 +169,7 @@ class Conventions:
         if self.wrench_delay:
             values = _advanced(recorded, values, self.wrench_delay)
         sign = -1.0 if self.flip_wrench else 1.0
-        return sign * np.einsum("...ij,...j->...i", turn, values)
+        return np.asarray(sign * np.einsum("...ij,...j->...i", turn, values))
 
     def _wrench_turn(self, poses: Trajectory, scan_to_patient: Array | None) -> Array:
         """Rotation from the wrench's axes to the patient's, (3, 3) or (T, 3, 3)."""

@@ -147,9 +147,9 @@ def poses_of(
     if matrices.shape[1:] != (3, 3) or at.shape != (len(matrices), 3):
         told = "no positions" if positions is None else f"positions {at.shape}"
         raise InputError(
-            "poses need orientations (T, 3, 3), a SciPy Rotation or quaternions (T, 4), "
-            "and positions (T, 3) [m]; or matrices (T, 4, 4) alone; got orientations "
-            f"{matrices.shape} and {told}"
+            "poses need orientations (T, 3, 3), a SciPy Rotation or quaternions "
+            "(T, 4), and positions (T, 3) [m]; or matrices (T, 4, 4) alone; got "
+            f"orientations {matrices.shape} and {told}"
         )
     return Poses(matrices, at)
 

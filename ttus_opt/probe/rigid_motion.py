@@ -1,8 +1,8 @@
 """Rigid motions between frames: robot base, scan, patient.
 
-A motion is a matrix (4, 4) named after what it maps, ``base_to_scan``: x_scan = R x_base
-+ t. Files and words say it as such a matrix (text, CSV, NPY, JSON) or as seven numbers
-x, y, z [m] and a quaternion x, y, z, w, the order of ROS.
+A motion is a matrix (4, 4) named after what it maps: ``base_to_scan`` is x_scan =
+R x_base + t. Files and words say it as such a matrix (text, CSV, NPY, JSON) or as seven
+numbers x, y, z [m] and a quaternion x, y, z, w, the order of ROS.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from ttus_opt import io
 from ttus_opt.arrays import Array

@@ -315,8 +315,8 @@ class Trajectory:
             )
         if len({p.has_torque for p in parts}) > 1:
             raise InputError(
-                "some of the trajectories have torques and some have forces only: leave "
-                "out the ones or the others"
+                "some of the trajectories have torques and some have forces only: "
+                "leave out the ones or the others"
             )
         numbers, first = [], 0
         for part in parts:

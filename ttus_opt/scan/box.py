@@ -31,9 +31,8 @@ def cropped(cloud: Array, box: Sequence[float]) -> Array:
     """
     limits = np.asarray(box, dtype=np.float64)
     if limits.shape != (6,) or np.isnan(limits).any():
-        raise InputError(
-            f"a box is xmin,xmax,ymin,ymax,zmin,zmax [m], got {', '.join(map(str, box))}"
-        )
+        given = ",".join(map(str, box))
+        raise InputError(f"a box is xmin,xmax,ymin,ymax,zmin,zmax [m], got {given}")
     low, high = limits[::2], limits[1::2]
     for axis, a, b in zip("xyz", low, high, strict=True):
         if not a < b:
@@ -44,8 +43,8 @@ def cropped(cloud: Array, box: Sequence[float]) -> Array:
     inside = cloud[((cloud >= low) & (cloud <= high)).all(axis=1)]
     if len(inside) == 0:
         raise InputError(
-            f"no point lies in the box: the scan reaches {extent_words(cloud)} m: "
-            "are the box's numbers metres in the scan's frame?"
+            f"no point lies in the box: the scan reaches {extent_words(cloud)} m: give "
+            "the box in metres, in the scan's frame"
         )
     return inside
 

@@ -1,8 +1,8 @@
 """Reading a depth scan: an (n, 3) array of points in metres, or a clear refusal.
 
-PLY, PCD, text (XYZ, CSV, TXT, PTS, ASC) and NPY. The unit is converted here and nowhere else; a cloud
-whose extent cannot be a torso in that unit is refused, because millimetres read as
-metres would otherwise fail much later and far from their cause.
+PLY, PCD, text (XYZ, CSV, TXT, PTS, ASC) and NPY. The unit is converted here and nowhere
+else; a cloud whose extent cannot be a torso in that unit is refused, because
+millimetres read as metres would otherwise fail much later and far from their cause.
 """
 
 from __future__ import annotations
@@ -113,8 +113,8 @@ def _check_extent(file: Path, extent: float, unit: Unit | None) -> None:
         advice = f"are these {names[guess]}? pass unit='{guess}'"
     else:
         advice = (
-            f"a torso has {least:g} to {largest:g} m: crop the scan to the patient "
-            "(box) or check its unit"
+            f"a torso has {least:g} to {largest:g} m: check its unit, or crop a room "
+            "to the patient by box=xmin,xmax,ymin,ymax,zmin,zmax"
         )
     how = "" if unit is None else f" read with unit='{unit}'"
     raise InputError(
