@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import hashlib
 import importlib.metadata
 import os
 import platform
@@ -50,6 +51,12 @@ def existing_file(path: str | os.PathLike[str], what: str) -> Path:
     if file.stat().st_size == 0:
         raise FileError(f"{what} file {file} is empty: record or export it again")
     return file
+
+
+def sha256(path: str | os.PathLike[str]) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal digits."""
+    with Path(path).open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def check_output(

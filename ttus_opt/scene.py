@@ -151,11 +151,12 @@ class Scene:
     def _facts(self) -> dict[str, str]:
         """What it is in a few words, by name."""
         touching = int((self.rows.contact_points > 0).sum())
-        wrench = "measured" if self.trajectory.has_wrench else "no"
+        measured = "measured" if self.trajectory.has_wrench else "no"
+        kind = "forces" if self.measures_force_only else "wrenches"
         return {
             "grid": self.voxmap.grid.sizes,
             "poses": f"{len(self.trajectory)} poses, {touching} in contact",
-            "wrenches": f"{wrench} wrenches",
+            "wrenches": f"{measured} {kind}",
             "probe": f"{len(self.shell)} shell points",
             "sampling": self.sampling,
             "boundary": f"p_in {self.inner:.4g}, p_out {self.outer:.4g}",
@@ -207,9 +208,14 @@ class Scene:
         """Measured torques, frame by frame, shape (3T,) [N·m].
 
         Raises:
-            InputError: The trajectory carries no wrench.
+            InputError: The trajectory carries no torque.
         """
         return _measured(self.trajectory.torque, "torques (columns tx, ty, tz)")
+
+    @property
+    def measures_force_only(self) -> bool:
+        """Whether forces were measured without torques: there are no torque rows."""
+        return self.trajectory.has_wrench and not self.trajectory.has_torque
 
     @property
     def torque_length(self) -> float:

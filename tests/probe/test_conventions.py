@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import presses, torso
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.trajectory import Trajectory
@@ -51,7 +52,7 @@ def test_torques_about_another_point() -> None:
     written = replace(OWN, torque=OWN.torque + np.cross(r, OWN.force))
     told = Conventions(torque_about="origin")
     same(told.read(written, CENTROID), OWN)
-    same(told.torque_as_recorded(OWN, CENTROID), written)
+    same(told.as_recorded(OWN, CENTROID), written)
     point = Conventions(torque_about=(0.01, -0.02, 0.06))
     same(point.read(OWN, CENTROID), OWN)
 
@@ -77,11 +78,78 @@ def test_poses_alone() -> None:
     assert read.force is None
 
 
+def motion(seed: int) -> Array:
+    rng = np.random.default_rng(seed)
+    out = np.eye(4)
+    out[:3, :3] = Rotation.random(rng=rng).as_matrix()
+    out[:3, 3] = rng.uniform(-1, 1, 3)
+    return out
+
+
+BASE_TO_SCAN, SCAN_TO_PATIENT = motion(1), motion(2)
+
+
+def in_frame(to_patient: Array) -> Trajectory:
+    """The own recording as a frame sees it, by points rather than by rotations."""
+    back = np.linalg.inv(to_patient)
+    turn = back[:3, :3]
+    return replace(
+        OWN,
+        position=(back @ np.c_[OWN.position, np.ones(len(OWN))].T).T[:, :3],
+        rotation=np.array([turn @ r for r in OWN.rotation]),
+        force=np.array([turn @ f for f in OWN.force]),
+        torque=np.array([turn @ m for m in OWN.torque]),
+    )
+
+
+def test_recordings_in_the_scan_and_in_the_robots_base() -> None:
+    scan = in_frame(SCAN_TO_PATIENT)
+    told = Conventions(frame="scan")
+    assert told.wrench_frame == "scan"
+    same(told.read(scan, CENTROID, SCAN_TO_PATIENT), OWN)
+    same(told.as_recorded(OWN, CENTROID, SCAN_TO_PATIENT), scan)
+    base = in_frame(SCAN_TO_PATIENT @ BASE_TO_SCAN)
+    motions = tuple(map(tuple, BASE_TO_SCAN.tolist()))
+    told = Conventions(frame="base", base_to_scan=motions)
+    same(told.read(base, CENTROID, SCAN_TO_PATIENT), OWN)
+    same(told.as_recorded(OWN, CENTROID, SCAN_TO_PATIENT), base)
+    # poses of a camera, wrenches in the axes of the robot's base
+    mixed = replace(scan, force=base.force, torque=base.torque)
+    told = Conventions(frame="scan", wrench_frame="base", base_to_scan=motions)
+    same(told.read(mixed, CENTROID, SCAN_TO_PATIENT), OWN)
+    # and a wrench in the tool's axes is the same whatever frame the poses are in
+    turn = OWN.rotation.transpose(0, 2, 1)
+    tool = replace(
+        base,
+        force=(turn @ OWN.force[..., None])[..., 0],
+        torque=(turn @ OWN.torque[..., None])[..., 0],
+    )
+    told = Conventions(frame="base", wrench_frame="tool", base_to_scan=motions)
+    same(told.read(tool, CENTROID, SCAN_TO_PATIENT), OWN)
+    assert told.options == "--frame base --wrench-frame tool --base-to-scan …"
+    with pytest.raises(InputError, match="frame scan needs the surface's place"):
+        Conventions(frame="scan").read(scan, CENTROID)
+
+
+def test_forces_alone() -> None:
+    turn = OWN.rotation.transpose(0, 2, 1)
+    written = replace(OWN, force=-(turn @ OWN.force[..., None])[..., 0], torque=None)
+    told = Conventions(wrench_frame="tool", flip_wrench=True, torque_about="origin")
+    read = told.read(written, CENTROID)
+    np.testing.assert_allclose(read.force, OWN.force, atol=1e-12)
+    assert read.torque is None
+
+
 @pytest.mark.parametrize(
     ("wrong", "text"),
     [
         ({"quaternion": "zyxw"}, "quaternion must be wxyz or xyzw"),
-        ({"wrench_frame": "base"}, "wrench_frame must be patient or tool"),
+        ({"wrench_frame": "hand"}, "wrench_frame must be patient or .* tool"),
+        ({"frame": "tool"}, "frame must be patient or scan or base"),
+        ({"frame": "base"}, "needs base_to_scan"),
+        ({"wrench_frame": "base"}, "needs base_to_scan"),
+        ({"base_to_scan": np.eye(4)}, "frame is patient, give base"),
+        ({"frame": "base", "base_to_scan": 2 * np.eye(4)}, "4, 4|ends in the row"),
         ({"torque_unit": "ftlb"}, "torque_unit must be Nm or Nmm"),
         ({"torque_about": "tip"}, "centroid, origin or x,y,z"),
         ({"torque_about": (0.0, 0.0, 0.0, 0.0)}, "torque_about must be a point"),

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -148,7 +150,6 @@ EYE = np.tile(np.eye(3), (3, 1, 1))
         ({"position": np.full((3, 3), np.nan)}, "not finite in 3 of 3"),
         ({"rotation": 2 * EYE}, "frame 0: not a rotation"),
         ({"rotation": -EYE}, "not a rotation"),
-        ({"force": np.zeros((3, 3))}, "only force"),
         ({"torque": np.zeros((3, 3))}, "only torque"),
         ({"segment": np.array([0, 1, 0])}, "stand together"),
         ({"segment": np.array([0, 1])}, "segment must have shape"),
@@ -159,3 +160,106 @@ def test_a_trajectory_is_validated(change, text):
     with pytest.raises(InputError, match=text) as caught:
         Trajectory(**{**parts, **change})
     assert "\n" not in str(caught.value)
+
+
+def test_from_arrays_takes_every_form() -> None:
+    rng = np.random.default_rng(9)
+    turns = Rotation.random(5, rng=rng)
+    positions = rng.uniform(-1, 1, (5, 3))
+    times = np.arange(5) * 0.1
+    whole = np.tile(np.eye(4), (5, 1, 1))
+    whole[:, :3, :3], whole[:, :3, 3] = turns.as_matrix(), positions
+    forms = [
+        Trajectory.from_arrays(positions, turns, times=times),
+        Trajectory.from_arrays(positions, turns.as_matrix(), times=times),
+        Trajectory.from_arrays(positions, turns.as_quat(), times=times, order="xyzw"),
+        Trajectory.from_arrays(
+            positions,
+            turns.as_quat(scalar_first=True).tolist(),
+            times=times,
+            order="wxyz",
+        ),
+        Trajectory.from_arrays(None, whole, times=times),
+    ]
+    for found in forms:
+        np.testing.assert_allclose(found.rotation, turns.as_matrix(), atol=1e-12)
+        np.testing.assert_array_equal(found.position, positions)
+        np.testing.assert_array_equal(found.time, times)
+        assert not found.has_wrench
+    force = rng.standard_normal((5, 3))
+    found = Trajectory.from_arrays(positions, turns, force)
+    assert found.has_wrench
+    assert not found.has_torque
+    assert found.time.tolist() == [0, 1, 2, 3, 4]
+    force[0] = 7.0  # the caller's array is the caller's
+    assert found.force is not None
+    assert found.force[0, 0] != 7.0
+
+
+@pytest.mark.parametrize(
+    ("positions", "orientations", "order", "text"),
+    [
+        (np.zeros((2, 3)), np.tile([0, 0, 0, 1.0], (2, 1)), None, "needs order="),
+        (np.zeros((2, 3)), np.tile([0, 0, 0, 2.0], (2, 1)), "xyzw", "length 2"),
+        (np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), "xyzw", "of quaternions"),
+        (np.zeros((2, 3)), np.tile(np.eye(4), (2, 1, 1)), None, r"\(2, 4, 4\) and"),
+        (None, np.tile(np.eye(3), (2, 1, 1)), None, "no positions"),
+        (np.zeros((3, 3)), np.tile(np.eye(3), (2, 1, 1)), None, r"positions \(3, 3\)"),
+        (None, np.ones((2, 4, 4)), None, "ends in the row"),
+    ],
+)
+def test_from_arrays_refuses(positions, orientations, order, text):
+    with pytest.raises(InputError, match=text):
+        Trajectory.from_arrays(positions, orientations, order=order)
+
+
+def test_a_motion_carries_points_and_forces_of_the_probe() -> None:
+    """A point of the probe and a force on it land where the motions put them."""
+    rng = np.random.default_rng(2)
+    own = Trajectory.from_arrays(
+        rng.uniform(-1, 1, (4, 3)),
+        Rotation.random(4, rng=rng),
+        rng.standard_normal((4, 3)),
+        rng.standard_normal((4, 3)),
+    )
+    first, second = np.eye(4), np.eye(4)
+    for matrix in (first, second):
+        matrix[:3, :3] = Rotation.random(rng=rng).as_matrix()
+        matrix[:3, 3] = rng.uniform(-1, 1, 3)
+    moved = own.transformed(first, second)
+    tip = np.array([0.01, 0.02, 0.1])
+    for t in range(4):
+        before = own.rotation[t] @ tip + own.position[t]
+        after = moved.rotation[t] @ tip + moved.position[t]
+        expected = second @ first @ np.append(before, 1.0)
+        np.testing.assert_allclose(after, expected[:3], atol=1e-12)
+        # power of force and torque does not depend on the frame
+        arm, turned = rng.standard_normal((2, 3))
+        power = own.force[t] @ arm + own.torque[t] @ turned
+        turn = second[:3, :3] @ first[:3, :3]
+        same = moved.force[t] @ (turn @ arm) + moved.torque[t] @ (turn @ turned)
+        assert same == pytest.approx(power)
+    assert own.transformed().position.tolist() == own.position.tolist()
+    with pytest.raises(InputError, match="scales by 1000"):
+        own.transformed(np.diag([1e3, 1e3, 1e3, 1.0]))
+
+
+def test_forces_alone_are_written_read_and_joined(tmp_path: Path) -> None:
+    own = Trajectory.from_arrays(
+        np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)), np.ones((3, 3))
+    )
+    assert repr(own) == "Trajectory(3 frames, with forces)"
+    own.save(tmp_path / "force.csv")
+    again = read_trajectory(tmp_path / "force.csv")
+    np.testing.assert_array_equal(again.force, own.force)
+    assert again.torque is None
+    assert own.select(slice(0, 2)).torque is None
+    assert Trajectory.concatenate([own, again]).torque is None
+    whole = Trajectory.from_arrays(
+        np.zeros((3, 3)),
+        np.tile(np.eye(3), (3, 1, 1)),
+        np.ones((3, 3)),
+        np.ones((3, 3)),
+    )
+    with pytest.raises(InputError, match="some have forces only"):
+        Trajectory.concatenate([own, whole])

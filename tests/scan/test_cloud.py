@@ -196,9 +196,12 @@ def test_header_promises_more_points_than_the_file_holds(tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("c.xyz", "1 2\n3 4\n", "2 columns, expected 3"),
-        ("c.xyz", "0 0 0 9 9 9\n1 1 1 9 9 9\n", "6 columns, expected 3"),
-        ("c.xyz", "0 0 0\n1 1\n", "point 2 has 2 columns"),
+        ("c.xyz", "1 2\n3 4\n", "2 columns, expected x, y, z"),
+        ("c.xyz", "0 0 0 9 9\n1 1 1 9 9\n", "5 columns, expected x, y, z"),
+        ("c.xyz", "0 0 0\n1 1\n", "line 2: 2 columns, expected 3"),
+        ("c.xyz", "0 9 9 9\n1 9 9 9\n2 9 9 9\n", "the first column counts"),
+        ("c.pts", "3\n0 0 0\n1 1 1\n", "announces 3 points .* holds 2"),
+        ("c.csv", "x,y,z,r\n0,0,0\n", "names 4 columns, its points have 3"),
         ("c.csv", "x,y,z\n0,0,0\n1,abc,1\n", "no number"),
         ("c.csv", "x,y,w\n0,0,0\n", "expected x, y and z"),
         ("c.csv", "x,y,z\n", "no points"),

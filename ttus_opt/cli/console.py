@@ -26,6 +26,9 @@ OPTIONS = {
     "inner": "--inner",
     "solver": "--solver",
     "surface": "--probe-surface",
+    "box": "--box",
+    "head": "--head",
+    "prone": "--prone",
 }
 
 #: A stage bar is shown on a terminal when the work has taken this long [s].

@@ -9,28 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import (
-    Columns,
-    Field,
-    FlipWrench,
-    Force,
-    Json,
-    Points,
-    Probe,
-    ProbeSurface,
-    ProbeUnit,
-    QuaternionOrder,
-    TorqueAbout,
-    TorqueUnit,
-    Trajectories,
-    WrenchDelay,
-    WrenchFrame,
-    check_outputs,
-    read_conventions,
-    read_probe,
-    read_trajectories,
-    warn_of_another_probe,
-)
+from ttus_opt.cli.option_groups import grouped
+from ttus_opt.cli.options import Field, Force, Json, check_outputs
+from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.sources import seen, warn_of_another_probe
 from ttus_opt.errors import TtusWarning
 
 if TYPE_CHECKING:
@@ -45,23 +27,13 @@ EXAMPLE = (
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("evaluate", epilog=f"Example: {EXAMPLE}")(evaluate)
+    app.command("evaluate", epilog=f"Example: {EXAMPLE}")(grouped(evaluate))
 
 
 def evaluate(
     field: Field,
-    probe: Probe,
-    trajectory: Trajectories,
-    columns: Columns = "",
-    quaternion: QuaternionOrder = "wxyz",
-    wrench_frame: WrenchFrame = "patient",
-    flip_wrench: FlipWrench = False,
-    torque_unit: TorqueUnit = "Nm",
-    torque_about: TorqueAbout = "centroid",
-    wrench_delay: WrenchDelay = 0.0,
-    points: Points = 1500,
-    probe_unit: ProbeUnit = "mm",
-    probe_surface: ProbeSurface = "outer",
+    probe: ProbeOptions,
+    recordings: RecordingOptions,
     picture: Annotated[
         Path | None, typer.Option(help="Draw measured and rendered force here.")
     ] = None,
@@ -76,22 +48,16 @@ def evaluate(
         from ttus_opt.report import plots
 
         plots.require_picture_suffix(picture)
-    conventions = read_conventions(
-        torque_about,
-        quaternion=quaternion,
-        wrench_frame=wrench_frame,
-        flip_wrench=flip_wrench,
-        torque_unit=torque_unit,
-        wrench_delay=wrench_delay,
-    )
-    check_outputs([picture], [field, probe, *trajectory], force=force)
+    inputs: list[Path | str] = [field, probe.probe, *recordings.files]
+    check_outputs([picture], inputs, force=force)
     with Stages(2 if picture is None else 3) as begin:
         begin("reading field and recordings")
-        as_written = read_trajectories(trajectory, columns)
+        as_written = recordings.as_written()
         potential = PotentialField.load(field)
-        warn_of_another_probe(potential.provenance, probe, conventions)
-        shell = read_probe(probe, points, probe_unit, probe_surface)
-        recorded = conventions.read(as_written, shell.reference)
+        warn_of_another_probe(potential.provenance, probe, recordings)
+        told = seen(potential.provenance, recordings.trajectory)
+        shell = probe.read()
+        recorded = recordings.read(as_written, shell, potential.voxmap.surface)
         begin("rendering")
         found = metrics.evaluate(potential, shell, recorded)
         warn_off_grid(found.in_grid)
@@ -101,14 +67,20 @@ def evaluate(
             plots.save_picture(plots.force_over_time({"rendered": found}), picture)
     errors = found.errors
     if json:
-        print_json(errors.as_dict())
+        print_json({**errors.as_dict(), "recordings": told})
         return
+    for recording in told:
+        if recording["seen"]:
+            typer.echo(f"{recording['name']}: seen, the field was fitted to it")
     typer.echo(
         f"force   {errors.force_magnitude_error_N:.3f} N mean, "
         f"{errors.force_magnitude_rmse_N:.3f} N rmse, "
         f"{errors.force_angle_error_deg:.1f}° over {errors.frames_in_contact} of "
         f"{errors.frames} frames in contact"
     )
+    if not recorded.has_torque:
+        typer.echo("torque  not measured")
+        return
     typer.echo(
         f"torque  {1e3 * errors.torque_magnitude_error_Nm:.1f} mN m mean, "
         f"{1e3 * errors.torque_magnitude_rmse_Nm:.1f} mN m rmse, "

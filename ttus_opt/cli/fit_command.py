@@ -13,31 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import (
-    Columns,
-    FlipWrench,
-    Force,
-    Json,
-    Points,
-    Probe,
-    ProbeSurface,
-    ProbeUnit,
-    QuaternionOrder,
-    TorqueAbout,
-    TorqueUnit,
-    Trajectories,
-    WrenchDelay,
-    WrenchFrame,
-    check_outputs,
-    probe_name,
-    read_conventions,
-    read_probe,
-    read_trajectories,
-    whole_numbers,
-)
+from ttus_opt.cli.option_groups import grouped
+from ttus_opt.cli.options import Force, Json, check_outputs, whole_numbers
+from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.sources import sources
 from ttus_opt.errors import InputError, TtusWarning
 
 if TYPE_CHECKING:
+    from ttus_opt.probe.conventions import Conventions
+    from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.problem.solution import Solution
 
 EXAMPLE = (
@@ -56,13 +40,14 @@ LARGEST_FILE = 2**31
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("fit", epilog=f"Example: {EXAMPLE}")(fit)
+    app.command("fit", epilog=f"Example: {EXAMPLE}")(grouped(fit))
 
 
 def fit(
+    context: typer.Context,
     surface: Annotated[Path, typer.Option(help="Surface file (.nc).")],
-    probe: Probe,
-    trajectory: Trajectories,
+    probe: ProbeOptions,
+    recordings: RecordingOptions,
     output: Annotated[Path, typer.Option("-o", "--output", help="Field file (.nc).")],
     formulation: Annotated[
         str, typer.Option(help="A formulation's name, or the path of your own file.")
@@ -109,16 +94,6 @@ def fit(
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="A further option; may be repeated."),
     ] = None,
-    columns: Columns = "",
-    quaternion: QuaternionOrder = "wxyz",
-    wrench_frame: WrenchFrame = "patient",
-    flip_wrench: FlipWrench = False,
-    torque_unit: TorqueUnit = "Nm",
-    torque_about: TorqueAbout = "centroid",
-    wrench_delay: WrenchDelay = 0.0,
-    points: Points = 1500,
-    probe_unit: ProbeUnit = "mm",
-    probe_surface: ProbeSurface = "outer",
     tolerance: Annotated[
         float, typer.Option(help="Largest relative residual of a solution.")
     ] = 1e-6,
@@ -141,25 +116,18 @@ def fit(
     }
     options = {name: value for name, value in given.items() if value is not None}
     options |= _options(option or ())
-    conventions = read_conventions(
-        torque_about,
-        quaternion=quaternion,
-        wrench_frame=wrench_frame,
-        flip_wrench=flip_wrench,
-        torque_unit=torque_unit,
-        wrench_delay=wrench_delay,
-    )
+    conventions = recordings.conventions
     counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(counts), LARGEST_FILE)
-    inputs: list[Path | str] = [surface, probe, *trajectory]
+    inputs: list[Path | str] = [surface, probe.probe, *recordings.files]
     check_outputs([output], inputs, force=force, size=size)
     with Stages(5) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
-        as_written = read_trajectories(trajectory, columns)
-        shell = read_probe(probe, points, probe_unit, probe_surface)
-        recorded = conventions.read(as_written, shell.reference)
+        as_written = recordings.as_written()
+        shell = probe.read()
+        recorded = recordings.read(as_written, shell, patient)
         begin("assembling (first run compiles)")
         plan = ScenePlan(counts, r_inner, r_outer, boundary, outer, sampling)
         scene = plan.build(patient, shell, recorded)
@@ -175,12 +143,8 @@ def fit(
         begin("writing the field")
         if solution.verified_field is not None:
             found = solution.field
-            sources = {
-                "probe": probe_name(probe),
-                "trajectories": ", ".join(path.name for path in trajectory),
-                "conventions": json_module.dumps(asdict(conventions)),
-            }
-            kept = {**found.provenance, **sources}
+            told = sources(surface, probe, recordings, context.params)
+            kept = {**found.provenance, **told}
             replace(found, provenance=kept).save(output)
         report = None
         if solution.verified_field is not None:
@@ -188,7 +152,7 @@ def fit(
             report = check_recordings(
                 scene,
                 solution.field,
-                _names(trajectory),
+                _names(recordings.trajectory),
                 written=as_written,
                 told=conventions,
             )
@@ -201,9 +165,22 @@ def fit(
         assert report is not None
         for line in report.lines:
             typer.echo(line)
-        typer.echo(f"torques about: {torque_about}")
+        for line in _how_read(recorded, conventions):
+            typer.echo(line)
     if report is not None and report.mistake is not None:
         warnings.warn(str(report.mistake), TtusWarning, stacklevel=2)
+
+
+def _how_read(recorded: Trajectory, conventions: Conventions) -> list[str]:
+    """What was taken for granted of the recordings, in words."""
+    frame, axes = conventions.frame, conventions.wrench_frame
+    about = conventions.torque_about
+    if not isinstance(about, str):
+        about = ",".join(f"{v:g}" for v in about)
+    torques = f"torques about: {about}"
+    if not recorded.has_torque:
+        torques = "no torques were measured: forces alone were fitted"
+    return [f"poses in the {frame}'s frame, wrenches in the {axes}'s axes", torques]
 
 
 def _names(paths: Sequence[Path]) -> list[str]:

@@ -11,24 +11,10 @@ import typer
 
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.evaluate_command import warn_beyond, warn_off_grid
-from ttus_opt.cli.options import (
-    Columns,
-    Field,
-    Force,
-    Json,
-    Points,
-    Probe,
-    ProbeSurface,
-    ProbeUnit,
-    QuaternionOrder,
-    TorqueAbout,
-    Trajectories,
-    check_outputs,
-    read_conventions,
-    read_probe,
-    read_trajectories,
-    warn_of_another_probe,
-)
+from ttus_opt.cli.option_groups import grouped
+from ttus_opt.cli.options import Field, Force, Json, check_outputs
+from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.sources import warn_of_another_probe
 
 EXAMPLE = (
     "ttus-opt render --field field.nc --probe ellipsoid:0.030,0.0125,0.018 "
@@ -38,22 +24,16 @@ EXAMPLE = (
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command("render", epilog=f"Example: {EXAMPLE}")(render)
+    app.command("render", epilog=f"Example: {EXAMPLE}")(grouped(render))
 
 
 def render(
     field: Field,
-    probe: Probe,
-    trajectory: Trajectories,
+    probe: ProbeOptions,
+    recordings: RecordingOptions,
     output: Annotated[
         Path, typer.Option("-o", "--output", help="Trajectory CSV with wrenches.")
     ],
-    columns: Columns = "",
-    quaternion: QuaternionOrder = "wxyz",
-    torque_about: TorqueAbout = "centroid",
-    points: Points = 1500,
-    probe_unit: ProbeUnit = "mm",
-    probe_surface: ProbeSurface = "outer",
     force_limit: Annotated[
         float | None, typer.Option(help="Cut larger forces to this [N].")
     ] = None,
@@ -63,22 +43,24 @@ def render(
     """Render force and torque for every pose of a trajectory.
 
     A field that was fitted with friction drags as the trajectory's motion tells: the
-    wrenches are those that `ttus-opt evaluate` judges.
+    wrenches are those that `ttus-opt evaluate` judges. They are written in the frame of
+    the recordings, with quaternions w, x, y, z.
     """
     import numpy as np
 
     from ttus_opt.haptic.renderer import Renderer
     from ttus_opt.voxmap.field import PotentialField
 
-    conventions = read_conventions(torque_about, quaternion=quaternion)
-    check_outputs([output], [field, probe, *trajectory], force=force)
+    conventions = recordings.conventions
+    inputs: list[Path | str] = [field, probe.probe, *recordings.files]
+    check_outputs([output], inputs, force=force)
     with Stages(3) as begin:
         begin("reading field and poses")
-        as_written = read_trajectories(trajectory, columns)
+        as_written = recordings.as_written()
         potential = PotentialField.load(field)
-        warn_of_another_probe(potential.provenance, probe, conventions)
-        shell = read_probe(probe, points, probe_unit, probe_surface)
-        poses = conventions.read(as_written, shell.reference)
+        warn_of_another_probe(potential.provenance, probe, recordings)
+        shell, patient = probe.read(), potential.voxmap.surface
+        poses = recordings.read(as_written, shell, patient)
         begin("rendering")
         renderer = Renderer(potential, shell, force_limit=force_limit)
         frames = list(zip(poses.rotation, poses.position, poses.twist(), strict=True))
@@ -93,7 +75,8 @@ def render(
             force=np.array([w.force for w in wrenches]),
             torque=np.array([w.torque for w in wrenches]),
         )
-        conventions.torque_as_recorded(rendered, shell.reference).save(output)
+        place = patient.axis.scan_to_patient
+        conventions.as_recorded(rendered, shell.reference, place).save(output)
     told = {
         "output": str(output),
         "frames": len(poses),

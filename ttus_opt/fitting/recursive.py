@@ -97,7 +97,7 @@ class RecursiveFit:
             scene: Patient, probe and, where its trajectory has wrenches, the first
                 measurements; these are folded in without a test, one by one.
             force_weight: λ_f of eq. 10 [–].
-            torque_weight: λ_τ [–].
+            torque_weight: λ_τ [–]; 0 where the scene has forces alone.
             torque_length: ℓ, by default the shell's root-mean-square radius [m].
             capacity: Most measurements in contact that may be held [–].
             outlier_level: Probability with which a good measurement is rejected by
@@ -114,6 +114,8 @@ class RecursiveFit:
             NumericalError: A solve did not reach its tolerance.
         """
         length = scene.torque_length if torque_length is None else torque_length
+        if scene.measures_force_only:
+            torque_weight = 0.0
         _check_weights(force_weight, torque_weight, length)
         _check_options(capacity, outlier_level, noise_std)
         self.scene = scene
@@ -189,7 +191,11 @@ class RecursiveFit:
         )
 
     def update(
-        self, rotation: Array, position: Array, force: Array, torque: Array
+        self,
+        rotation: Array,
+        position: Array,
+        force: Array,
+        torque: Array | None = None,
     ) -> Innovation:
         """Fold one measurement in, unless it is an outlier.
 
@@ -197,7 +203,8 @@ class RecursiveFit:
             rotation: Probe to patient, shape (3, 3) [–].
             position: Of the probe frame's origin, patient frame, shape (3,) [m].
             force: On the probe, patient axes, shape (3,) [N].
-            torque: About the shell's reference point, shape (3,) [N·m].
+            torque: About the shell's reference point, shape (3,) [N·m]; may be left
+                out where torques have no weight.
 
         Returns:
             The innovation, and whether it was accepted. A pose without contact is
@@ -212,7 +219,13 @@ class RecursiveFit:
         rotation = _checked(rotation, (3, 3), "rotation (3, 3)")
         position = _checked(position, (3,), "position (3,) [m]")
         force = _checked(force, (3,), "force (3,) [N]")
-        torque = _checked(torque, (3,), "torque (3,) [N·m]")
+        if torque is None and (self._used >= 3).any():
+            raise InputError(
+                "a measurement needs torque (3,) [N·m]: give it, or start the fit with "
+                "torque_weight=0"
+            )
+        given = np.zeros(3) if torque is None else torque
+        torque = _checked(given, (3,), "torque (3,) [N·m]")
         checked_poses(rotation[None], position[None])
         if np.linalg.det(rotation) < 0.0:
             raise InputError("rotation is a reflection: its determinant must be +1")
@@ -283,7 +296,10 @@ class RecursiveFit:
 
     def _fold_scene(self) -> None:
         scene = self.scene
-        wrenches = np.hstack([scene.f.reshape(-1, 3), scene.tau.reshape(-1, 3)])
+        force = scene.f.reshape(-1, 3)
+        only = scene.measures_force_only
+        torque = np.zeros_like(force) if only else scene.tau.reshape(-1, 3)
+        wrenches = np.hstack([force, torque])
         for t, wrench in enumerate(wrenches):
             self._fold(scene.rows, t, wrench, math.inf, time.perf_counter())
 

@@ -6,13 +6,15 @@ and contacts follow from geometry: with f̂ = N p₀ and τ̂ = W p₀ of a few 
 
     S = min_s ‖f - s f̂‖²/‖f‖² + min_k ‖τ - k τ̂‖²/‖τ‖²,    s, k ≥ 0,
 
-is small where they belong together. The same S of the recordings read otherwise (other
-sign, frame, order, instant) says which reading they were likely written in.
+is small where they belong together; of forces alone it is the first half. The same S
+of the recordings read otherwise (other sign, frame, order, instant) says which reading
+they were likely written in.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -22,7 +24,7 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
-from ttus_opt.probe.conventions import QUATERNIONS, WRENCH_FRAMES, Conventions
+from ttus_opt.probe.conventions import QUATERNIONS, Conventions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
 from ttus_opt.scene import Scene
@@ -52,7 +54,7 @@ class RecordingCheck:
         name: Of the recording.
         frames: Its frames [–].
         force_residual_N: Mean ‖f - f̂‖ [N].
-        torque_residual_Nm: Mean ‖τ - τ̂‖ [N·m].
+        torque_residual_Nm: Mean ‖τ - τ̂‖; NaN without measured torques [N·m].
         force_angle_deg: Mean angle between f and f̂ in contact; NaN without any [°].
         force_without_contact: Frames with a measured force where no shell point is
             inside the patient [–].
@@ -71,9 +73,12 @@ class RecordingCheck:
     beyond_inner: int
 
     def __str__(self) -> str:
+        torque = f"{1e3 * self.torque_residual_Nm:.1f} mN·m"
+        if math.isnan(self.torque_residual_Nm):
+            torque = "no torques"
         return (
             f"{self.name}: {self.frames} frames, residual {self.force_residual_N:.2f} "
-            f"N, {1e3 * self.torque_residual_Nm:.1f} mN·m, "
+            f"N, {torque}, "
             f"{self.force_angle_deg:.1f}°; {self.force_without_contact} with force but "
             f"no contact, {self.contact_without_force} with contact but no force, "
             f"{self.beyond_inner} below the inner layer"
@@ -234,39 +239,50 @@ def _readings(
 ) -> Iterator[tuple[str, str, Trajectory]]:
     """Other ways to read the recordings: what, the options, and the result."""
     centroid = np.asarray(scene.shell.reference)
+    place = scene.voxmap.surface.axis.scan_to_patient
     for other in _other_conventions(told, centroid):
-        yield _difference(told, other), other.options, other.read(written, centroid)
-    # the columns of the file, before anything else is made of them
-    assert written.force is not None
-    assert written.torque is not None
+        reread = other.read(written, centroid, place)
+        yield _difference(told, other), other.options, reread
+    for what, columns, swapped in _swapped(written):
+        mends = f"--columns {columns} {told.options}".rstrip()
+        yield what, mends, told.read(swapped, centroid, place)
+
+
+def _swapped(written: Trajectory) -> Iterator[tuple[str, str, Trajectory]]:
+    """The file's columns in another order, before anything else is made of them."""
     swap = [1, 0, 2]
-    for what, columns, swapped in (
-        (
-            "columns px and py swapped",
-            "px=py,py=px",
-            replace(written, position=written.position[:, swap]),
-        ),
-        (
+    position = written.position[:, swap]
+    yield (
+        "columns px and py swapped",
+        "px=py,py=px",
+        replace(written, position=position),
+    )
+    assert written.force is not None
+    force, torque = written.force[:, swap], written.torque
+    if torque is None:
+        what, columns = "columns fx and fy swapped", "fx=fy,fy=fx"
+    else:
+        what, columns = (
             "columns fx and fy, tx and ty swapped",
             "fx=fy,fy=fx,tx=ty,ty=tx",
-            replace(
-                written,
-                force=written.force[:, swap],
-                torque=written.torque[:, swap],
-            ),
-        ),
-    ):
-        mends = f"--columns {columns} {told.options}".rstrip()
-        yield what, mends, told.read(swapped, centroid)
+        )
+        torque = torque[:, swap]
+    yield what, columns, replace(written, force=force, torque=torque)
 
 
 def _other_conventions(told: Conventions, centroid: Array) -> Iterator[Conventions]:
     """Conventions that are often mistaken for those that were told."""
-    for quaternion, frame, flip in itertools.product(
-        QUATERNIONS, WRENCH_FRAMES, (False, True)
+    axes = dict.fromkeys((told.frame, told.wrench_frame, "tool"))
+    for quaternion, wrench_frame, flip in itertools.product(
+        QUATERNIONS, axes, (False, True)
     ):
+        if "base" in (told.frame, told.wrench_frame) and "base" not in (
+            told.frame,
+            wrench_frame,
+        ):
+            continue  # its motion would be of no use
         other = replace(
-            told, quaternion=quaternion, wrench_frame=frame, flip_wrench=flip
+            told, quaternion=quaternion, wrench_frame=wrench_frame, flip_wrench=flip
         )
         if other != told:
             yield other
@@ -312,10 +328,10 @@ def _agreement(scene: Scene, prior: Array, frames: Trajectory) -> _Agreement:
         sampling=scene.sampling,
     )
     assert frames.force is not None
-    assert frames.torque is not None
-    force, torque = frames.force.reshape(-1), frames.torque.reshape(-1)
-    s, force_left = _scaled(force, rows.N @ prior)
-    k, torque_left = _scaled(torque, rows.W @ prior)
+    s, force_left = _scaled(frames.force.reshape(-1), rows.N @ prior)
+    if frames.torque is None:
+        return _Agreement(force_left, 0.0)
+    k, torque_left = _scaled(frames.torque.reshape(-1), rows.W @ prior)
     return _Agreement(force_left + torque_left, k / s if s > 0.0 else 0.0)
 
 

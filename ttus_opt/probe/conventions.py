@@ -2,8 +2,9 @@
 
 Inside, a quaternion is w, x, y, z; a wrench is the force ON the probe and the torque
 about the shell's area centroid, both in patient axes. Robots and sensors differ: ROS
-writes x, y, z, w; a force sensor reads in the axes of the tool, about the tool's
-origin, and often what the probe exerts on the patient.
+writes x, y, z, w; a robot tells poses in its base's frame, a camera in the scan's; a
+force sensor reads in the axes of the tool, about the tool's origin, and often what the
+probe exerts on the patient.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
+from ttus_opt.probe.rigid_motion import Rows, as_rows, inverse, rigid_motion
 from ttus_opt.probe.trajectory import Trajectory
 
 QUATERNIONS = ("wxyz", "xyzw")
-WRENCH_FRAMES = ("patient", "tool")
+FRAMES = ("patient", "scan", "base")
+WRENCH_FRAMES = (*FRAMES, "tool")
 TORQUE_UNITS = {"Nm": 1.0, "Nmm": 1e-3}
 
 
@@ -29,7 +32,12 @@ class Conventions:
     Attributes:
         quaternion: Order of the columns ``qw,qx,qy,qz`` as they stand: ``wxyz``, or
             ``xyzw`` where a file of that order carries those names.
-        wrench_frame: Axes of force and torque: ``patient`` or ``tool``.
+        frame: Of the poses: ``patient``, ``scan`` (of the cloud that the surface was
+            extracted from) or ``base`` (of the robot or tracker).
+        wrench_frame: Axes of force and torque: one of these or ``tool``; empty for the
+            frame of the poses, which then stands here.
+        base_to_scan: The rigid motion x_scan = R x_base + t, rows of a matrix (4, 4);
+            None where nothing is in the base's frame.
         flip_wrench: Whether the wrench is that of the probe on the patient.
         torque_unit: ``Nm`` or ``Nmm``.
         torque_about: What torques are about: ``centroid`` of the shell, ``origin`` of
@@ -38,7 +46,9 @@ class Conventions:
     """
 
     quaternion: str = "wxyz"
-    wrench_frame: str = "patient"
+    frame: str = "patient"
+    wrench_frame: str = ""
+    base_to_scan: Rows | None = None
     flip_wrench: bool = False
     torque_unit: str = "Nm"
     torque_about: str | tuple[float, float, float] = "centroid"
@@ -48,10 +58,14 @@ class Conventions:
         """Refuse what is not known.
 
         Raises:
-            InputError: An unknown word, or a point or delay that is not finite.
+            InputError: An unknown word, a point or delay that is not finite, or a
+                frame without its motion, or the other way round.
         """
+        if not self.wrench_frame:
+            object.__setattr__(self, "wrench_frame", self.frame)
         for name, known in (
             ("quaternion", QUATERNIONS),
+            ("frame", FRAMES),
             ("wrench_frame", WRENCH_FRAMES),
             ("torque_unit", tuple(TORQUE_UNITS)),
         ):
@@ -59,6 +73,7 @@ class Conventions:
                 raise InputError(
                     f"{name} must be {' or '.join(known)}, got {getattr(self, name)!r}"
                 )
+        self._require_motion()
         about = self.torque_about
         if isinstance(about, str):
             if about not in ("centroid", "origin"):
@@ -72,15 +87,32 @@ class Conventions:
                 f"wrench_delay must be finite [s], got {self.wrench_delay}"
             )
 
+    def _require_motion(self) -> None:
+        """Check the motion of the base's frame, where there is one."""
+        in_base = "base" in (self.frame, self.wrench_frame)
+        if in_base != (self.base_to_scan is not None):
+            raise InputError(
+                "frame base needs base_to_scan, the rigid motion from base to scan"
+                if in_base
+                else "base_to_scan is for recordings in the base's frame: frame is "
+                f"{self.frame}, give base"
+            )
+        if self.base_to_scan is not None:
+            checked = rigid_motion(self.base_to_scan)
+            object.__setattr__(self, "base_to_scan", as_rows(checked))
+
     @property
     def options(self) -> str:
         """What differs from the package's own, as options of the commands."""
         words = []
-        for name, own in asdict(Conventions()).items():
+        usual = {**asdict(Conventions()), "wrench_frame": self.frame}
+        for name, own in usual.items():
             value = getattr(self, name)
             if value == own:
                 continue
             option = f"--{name.replace('_', '-')}"
+            if name == "base_to_scan":
+                value = "…"  # as it was told: a file or numbers
             if isinstance(value, tuple):
                 value = ",".join(map(str, value))
             words.append(option if value is True else f"{option} {value}")
@@ -96,49 +128,97 @@ class Conventions:
             return np.zeros(3) if self.torque_about == "origin" else np.array(centroid)
         return np.array(self.torque_about, dtype=np.float64)
 
-    def read(self, recorded: Trajectory, centroid: Array) -> Trajectory:
+    def read(
+        self,
+        recorded: Trajectory,
+        centroid: Array,
+        scan_to_patient: Array | None = None,
+    ) -> Trajectory:
         """A recording as the package has it.
 
         Args:
             recorded: With the file's numbers taken at their word.
             centroid: Area centroid of the shell, probe frame, shape (3,) [m].
+            scan_to_patient: Rigid motion, shape (4, 4); `Axis.scan_to_patient` of the
+                surface. None where all is in the patient's frame.
 
         Returns:
             The same poses and wrenches by the package's conventions.
+
+        Raises:
+            InputError: A frame without its motion.
         """
         out = recorded
         if self.quaternion == "xyzw":
             out = replace(out, rotation=_reordered(out))
-        if out.force is None or out.torque is None:
-            return out
-        force, torque = out.force, out.torque * TORQUE_UNITS[self.torque_unit]
-        if self.wrench_delay:
-            force, torque = (
-                _advanced(out, values, self.wrench_delay) for values in (force, torque)
-            )
-        if self.flip_wrench:
-            force, torque = -force, -torque
-        if self.wrench_frame == "tool":
-            force, torque = (
-                np.einsum("tij,tj->ti", out.rotation, values)
-                for values in (force, torque)
-            )
-        arm = out.rotation @ (centroid - self.point(centroid))
-        return replace(out, force=force, torque=torque - np.cross(arm, force))
+        force, torque = out.force, out.torque
+        poses = replace(out, force=None, torque=None)
+        poses = poses.transformed(*self._to_patient(self.frame, scan_to_patient))
+        if force is None:
+            return poses
+        turn = self._wrench_turn(poses, scan_to_patient)
+        force = self._wrench(out, force, turn)
+        if torque is None:
+            return replace(poses, force=force)
+        torque = TORQUE_UNITS[self.torque_unit] * self._wrench(out, torque, turn)
+        arm = poses.rotation @ (centroid - self.point(centroid))
+        return replace(poses, force=force, torque=torque - np.cross(arm, force))
 
-    def torque_as_recorded(self, trajectory: Trajectory, centroid: Array) -> Trajectory:
-        """Torques about the recording's own point, for what is written or shown.
+    def _wrench(self, recorded: Trajectory, values: Array, turn: Array) -> Array:
+        """Measured vectors at the poses' instants, on the probe, patient axes."""
+        if self.wrench_delay:
+            values = _advanced(recorded, values, self.wrench_delay)
+        sign = -1.0 if self.flip_wrench else 1.0
+        return np.asarray(sign * np.einsum("...ij,...j->...i", turn, values))
+
+    def _wrench_turn(self, poses: Trajectory, scan_to_patient: Array | None) -> Array:
+        """Rotation from the wrench's axes to the patient's, (3, 3) or (T, 3, 3)."""
+        if self.wrench_frame == "tool":
+            return poses.rotation
+        matrix = np.eye(4)
+        for motion in self._to_patient(self.wrench_frame, scan_to_patient):
+            matrix = motion @ matrix
+        return matrix[:3, :3]
+
+    def _to_patient(self, frame: str, scan_to_patient: Array | None) -> list[Array]:
+        """Rigid motions from a frame to the patient's, one after the other.
+
+        Raises:
+            InputError: The scan's is needed and not given.
+        """
+        if frame == "patient":
+            return []
+        if scan_to_patient is None:
+            raise InputError(
+                f"frame {frame} needs the surface's place in the scan: "
+                "read(..., surface.axis.scan_to_patient)"
+            )
+        if frame == "scan":
+            return [scan_to_patient]
+        return [np.array(self.base_to_scan), scan_to_patient]
+
+    def as_recorded(
+        self,
+        trajectory: Trajectory,
+        centroid: Array,
+        scan_to_patient: Array | None = None,
+    ) -> Trajectory:
+        """Poses and wrenches in the recording's own frame and about its own point.
+
+        For what is written or shown beside it. Forces are on the probe, in the frame
+        of the poses, torques in N·m.
 
         Args:
             trajectory: By the package's conventions.
             centroid: Area centroid of the shell, probe frame, shape (3,) [m].
+            scan_to_patient: As of `read`.
         """
-        if trajectory.force is None or trajectory.torque is None:
-            return trajectory
-        arm = trajectory.rotation @ (centroid - self.point(centroid))
-        return replace(
-            trajectory, torque=trajectory.torque + np.cross(arm, trajectory.force)
-        )
+        out = trajectory
+        if out.force is not None and out.torque is not None:
+            arm = out.rotation @ (centroid - self.point(centroid))
+            out = replace(out, torque=out.torque + np.cross(arm, out.force))
+        motions = self._to_patient(self.frame, scan_to_patient)
+        return out.transformed(*(inverse(motion) for motion in reversed(motions)))
 
 
 def _reordered(recorded: Trajectory) -> Array:

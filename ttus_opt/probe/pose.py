@@ -100,6 +100,60 @@ def pose_of(
     return Pose(matrix, at)
 
 
+class Poses(NamedTuple):
+    """Where the probe is at T times.
+
+    Attributes:
+        rotation: Probe to patient, shape (T, 3, 3) [–].
+        position: Shape (T, 3) [m].
+    """
+
+    rotation: Array
+    position: Array
+
+
+def poses_of(
+    positions: ArrayLike | None,
+    orientations: PoseLike,
+    order: QuaternionOrder | None = None,
+) -> Poses:
+    """Poses from any of their forms.
+
+    Args:
+        positions: Shape (T, 3) [m]; None with whole poses.
+        orientations: Matrices (T, 3, 3), SciPy `Rotation`, quaternions (T, 4); or whole
+            poses as matrices (T, 4, 4) or SciPy `RigidTransform`.
+        order: Of quaternions: ``wxyz``, or ``xyzw`` as in ROS and SciPy.
+
+    Returns:
+        Matrices and positions; the matrices are not checked, see `rotations`.
+
+    Raises:
+        InputError: Another form, positions missing or given twice, quaternions without
+            their order, or some that are not of unit length.
+    """
+    as_matrix = getattr(orientations, "as_matrix", None)
+    given = orientations if as_matrix is None else as_matrix()
+    matrices = np.asarray(given, dtype=np.float64)
+    if matrices.ndim == 2 and matrices.shape[1] == 4 and positions is not None:
+        matrices = from_quaternions(matrices, order)
+    elif order is not None:
+        raise InputError(f"order {order!r} is of quaternions (T, 4) and positions")
+    elif matrices.ndim == 3 and matrices.shape[1:] == (4, 4) and positions is None:
+        for matrix in matrices:
+            pose_of(matrix)  # its last row
+        return Poses(matrices[:, :3, :3], matrices[:, :3, 3])
+    at = np.asarray(np.nan if positions is None else positions, dtype=np.float64)
+    if matrices.shape[1:] != (3, 3) or at.shape != (len(matrices), 3):
+        told = "no positions" if positions is None else f"positions {at.shape}"
+        raise InputError(
+            "poses need orientations (T, 3, 3), a SciPy Rotation or quaternions "
+            "(T, 4), and positions (T, 3) [m]; or matrices (T, 4, 4) alone; got "
+            f"orientations {matrices.shape} and {told}"
+        )
+    return Poses(matrices, at)
+
+
 def from_quaternions(quaternions: Array, order: QuaternionOrder | None) -> Array:
     """Rotation matrices of unit quaternions.
 

@@ -2,7 +2,8 @@
 
 Pose: probe-to-patient rotation and position. Wrench: force ON the probe and torque
 about the point shell's reference point, both in patient axes. The file is a CSV
-with the header ``t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz``.
+with the header ``t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz``. A recording from another
+frame is carried to the patient's by `Trajectory.transformed`.
 """
 
 from __future__ import annotations
@@ -10,15 +11,23 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ttus_opt import io
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import FileError, InputError
-from ttus_opt.probe.pose import from_quaternions, rotations, to_quaternions
+from ttus_opt.probe.pose import (
+    PoseLike,
+    QuaternionOrder,
+    from_quaternions,
+    poses_of,
+    rotations,
+    to_quaternions,
+)
+from ttus_opt.probe.rigid_motion import rigid_motion
 from ttus_opt.probe.trajectory_csv import (
     FORCE,
     POSITION,
@@ -41,7 +50,7 @@ class Trajectory:
             corrected (`ttus_opt.probe.pose`).
         force: On the probe, patient axes, shape (T, 3) [N]; None when not measured.
         torque: About the shell's reference, patient axes, shape (T, 3) [N·m]; None
-            when not measured.
+            when not measured, as by a sensor of forces alone.
         segment: Which recording a frame is from; frames of a recording stand
             together, and nothing is differenced across recordings; shape (T,) [–].
             One recording when not given.
@@ -61,18 +70,17 @@ class Trajectory:
 
         Raises:
             InputError: No frames, shapes that disagree, values that are not finite,
-                times that do not increase, matrices that are not rotations, or only
-                half a wrench.
+                times that do not increase, matrices that are not rotations, or
+                torques without forces.
         """
         n = len(self.time)
         if n == 0:
             raise InputError("a trajectory needs at least one frame, got none")
         if len(self.segment) == 0:
             object.__setattr__(self, "segment", np.zeros(n, dtype=np.int64))
-        if (self.force is None) != (self.torque is None):
+        if self.force is None and self.torque is not None:
             raise InputError(
-                "a wrench needs force (T, 3) [N] and torque (T, 3) [N·m], got only "
-                f"{'torque' if self.force is None else 'force'}: give both or none"
+                "a wrench needs force (T, 3) [N], got only torque: give the force too"
             )
         self._require_shapes(n)
         object.__setattr__(self, "rotation", rotations(self.rotation))
@@ -123,13 +131,99 @@ class Trajectory:
     def __repr__(self) -> str:
         parts = len(self._segments())
         recordings = f" in {parts} recordings" if parts > 1 else ""
-        wrench = "with" if self.has_wrench else "without"
-        return f"Trajectory({len(self)} frames{recordings}, {wrench} wrenches)"
+        wrench = (
+            "without wrenches"
+            if self.force is None
+            else "with forces"
+            if self.torque is None
+            else "with wrenches"
+        )
+        return f"Trajectory({len(self)} frames{recordings}, {wrench})"
+
+    @classmethod
+    def from_arrays(
+        cls,
+        positions: ArrayLike | None,
+        orientations: PoseLike,
+        forces: ArrayLike | None = None,
+        torques: ArrayLike | None = None,
+        times: ArrayLike | None = None,
+        *,
+        order: QuaternionOrder | None = None,
+    ) -> Trajectory:
+        """A trajectory from arrays, in the forms that others hold them in.
+
+        Args:
+            positions: Of the probe frame, shape (T, 3) [m]; None with whole poses.
+            orientations: Probe to patient: matrices (T, 3, 3), SciPy `Rotation`,
+                quaternions (T, 4); or whole poses as matrices (T, 4, 4) or SciPy
+                `RigidTransform`.
+            forces: On the probe, patient axes, shape (T, 3) [N].
+            torques: About the shell's reference, patient axes, shape (T, 3) [N·m].
+            times: Shape (T,) [s]; one frame a second when not given: give them where
+                friction counts.
+            order: Of quaternions, which is never guessed: ``wxyz``, or ``xyzw`` as in
+                ROS and SciPy.
+
+        Returns:
+            The trajectory, one recording.
+
+        Raises:
+            InputError: Forms or shapes that do not fit, as of `Trajectory`.
+
+        Examples:
+            >>> Trajectory.from_arrays([[0.1, 0, 0]], [[0, 0, 0, 1]], order="xyzw")
+            Trajectory(1 frames, without wrenches)
+        """
+        rotation, position = poses_of(positions, orientations, order)
+        every = np.arange(float(len(position))) if times is None else times
+        force, torque = (
+            None if given is None else np.array(given, dtype=np.float64)
+            for given in (forces, torques)
+        )
+        return cls(
+            np.array(every, dtype=np.float64),
+            position.copy(),
+            rotation.copy(),
+            force,
+            torque,
+        )
+
+    def transformed(self, *motions: PoseLike) -> Trajectory:
+        """The same trajectory in another frame, poses and wrenches.
+
+        A wrench is turned with its frame; the point that torques are about moves with
+        the probe, so that they stay torques about it.
+
+        Args:
+            motions: One after the other, each a matrix (4, 4) or a SciPy
+                `RigidTransform` that maps coordinates of the frame before to those of
+                the next: ``transformed(base_to_scan, axis.scan_to_patient)``.
+
+        Raises:
+            InputError: One is no rigid motion.
+        """
+        matrix = np.eye(4)
+        for motion in motions:
+            matrix = rigid_motion(motion) @ matrix
+        turn = matrix[:3, :3]
+        return replace(
+            self,
+            position=self.position @ turn.T + matrix[:3, 3],
+            rotation=turn @ self.rotation,
+            force=None if self.force is None else self.force @ turn.T,
+            torque=None if self.torque is None else self.torque @ turn.T,
+        )
 
     @property
     def has_wrench(self) -> bool:
-        """Whether forces and torques were measured."""
+        """Whether forces were measured; see ``has_torque``."""
         return self.force is not None
+
+    @property
+    def has_torque(self) -> bool:
+        """Whether torques were measured beside the forces."""
+        return self.torque is not None
 
     @property
     def quat_wxyz(self) -> Array:
@@ -210,7 +304,7 @@ class Trajectory:
         """Several recordings as one; segments stay apart and are numbered from 0.
 
         Raises:
-            InputError: Nothing given, or wrenches in some recordings only.
+            InputError: Nothing given, or forces or torques in some recordings only.
         """
         if not parts:
             raise InputError("concatenate needs at least one trajectory, got none")
@@ -218,6 +312,11 @@ class Trajectory:
             raise InputError(
                 "some of the trajectories have wrenches and some have none: leave out "
                 "those without"
+            )
+        if len({p.has_torque for p in parts}) > 1:
+            raise InputError(
+                "some of the trajectories have torques and some have forces only: "
+                "leave out the ones or the others"
             )
         numbers, first = [], 0
         for part in parts:
@@ -246,9 +345,10 @@ class Trajectory:
         """
         names = [*TIME, *POSITION, *QUATERNION]
         columns = [self.time[:, None], self.position, self.quat_wxyz]
-        if self.force is not None and self.torque is not None:
-            names += [*FORCE, *TORQUE]
-            columns += [self.force, self.torque]
+        for own, values in ((FORCE, self.force), (TORQUE, self.torque)):
+            if values is not None:
+                names += own
+                columns.append(values)
         rows = [map(repr, row) for row in np.hstack(columns).tolist()]
         lines = [",".join(row) for row in rows]
         if len(self._segments()) > 1:
@@ -264,7 +364,7 @@ def read_trajectory(
     """Read a trajectory.
 
     The header names the columns, in any order: ``t`` [s], ``px,py,pz`` [m],
-    ``qw,qx,qy,qz`` and, all six or none, ``fx,fy,fz`` [N] and ``tx,ty,tz`` [N·m]. An
+    ``qw,qx,qy,qz``, ``fx,fy,fz`` [N] and, beside forces, ``tx,ty,tz`` [N·m]. An
     integer column ``segment`` keeps several recordings apart; other columns are
     ignored. Quaternions within 1 % of unit length are normalised.
 

@@ -90,8 +90,10 @@ def read_trajectory_columns(
     quaternion = _unit_quaternions(table)
     force = torque = None
     if FORCE[0] in table.names:
-        force, torque = table.columns(FORCE), table.columns(TORQUE)
+        force = table.columns(FORCE)
         _require_below(table, force, MOST_FORCE, "N", "millinewtons? convert to N")
+    if TORQUE[0] in table.names:
+        torque = table.columns(TORQUE)
         _require_below(table, torque, MOST_TORQUE, "N·m", "N·mm? divide by 1000")
     return TrajectoryColumns(time, position, quaternion, force, torque, segment)
 
@@ -107,12 +109,7 @@ def _read_table(file: Path, columns: Mapping[str, str] | None) -> _Table:
             f"trajectory {file} has column {', '.join(twice)} more than once: remove "
             "one"
         )
-    wrench = [name for name in (*FORCE, *TORQUE) if name not in wanted]
-    if 0 < len(wrench) < 6:
-        raise FileError(
-            f"trajectory {file} has no column {', '.join(wrench)}: a wrench needs "
-            f"{','.join((*FORCE, *TORQUE))}, all or none"
-        )
+    _refuse_half_a_wrench(file, wanted)
     values = text.numbers(wanted)
     table = _Table(file, tuple(wanted), values, text.line)
     bad = np.argwhere(~np.isfinite(values))
@@ -124,6 +121,22 @@ def _read_table(file: Path, columns: Mapping[str, str] | None) -> _Table:
             f"{len(np.unique(bad[:, 0]))} line(s) with missing values",
         )
     return table
+
+
+def _refuse_half_a_wrench(file: Path, names: Sequence[str]) -> None:
+    """Forces are three columns or none, and so are torques beside them."""
+    for own in (FORCE, TORQUE):
+        missing = [name for name in own if name not in names]
+        if 0 < len(missing) < 3:
+            raise FileError(
+                f"trajectory {file} has no column {', '.join(missing)}: it needs "
+                f"{','.join(own)}, all or none"
+            )
+    if TORQUE[0] in names and FORCE[0] not in names:
+        raise FileError(
+            f"trajectory {file} has no column {', '.join(FORCE)}: torques need forces "
+            "beside them"
+        )
 
 
 def _segments(table: _Table) -> NDArray[np.int64]:

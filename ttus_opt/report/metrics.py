@@ -34,7 +34,8 @@ class Errors:
         force_magnitude_rmse_N: Root mean square of the same.
         force_vector_rmse_N: Root mean square of ‖f - f̂‖.
         force_angle_error_deg: Mean angle over frames in contact; NaN without any.
-        torque_magnitude_error_Nm: Mean |‖τ‖ - ‖τ̂‖|.
+        torque_magnitude_error_Nm: Mean |‖τ‖ - ‖τ̂‖|; NaN without measured torques, as
+            all errors of torque.
         torque_magnitude_rmse_Nm: Root mean square of the same.
         torque_angle_error_deg: Mean angle over frames with a torque; NaN without any.
         frames: T.
@@ -71,7 +72,7 @@ class Evaluation:
         time: Shape (T,) [s].
         measured_force: Shape (T, 3) [N].
         rendered_force: Shape (T, 3) [N].
-        measured_torque: Shape (T, 3) [N·m].
+        measured_torque: Shape (T, 3) [N·m]; NaN where only forces were measured.
         rendered_torque: Shape (T, 3) [N·m].
         in_grid: False where the pose lies outside the grid, shape (T,).
         beyond_inner: Points in contact beyond the field's inner layer, (T,) [–].
@@ -103,7 +104,7 @@ def evaluate(
     Args:
         potential: The field.
         shell: The probe.
-        trajectory: Poses with wrenches.
+        trajectory: Poses with wrenches, or with forces alone.
         force_threshold: Least measured force of a frame in contact [N].
         torque_threshold: Least measured torque with a direction [N·m].
 
@@ -111,17 +112,21 @@ def evaluate(
         Errors and both series.
 
     Raises:
-        InputError: The trajectory has no wrench.
+        InputError: The trajectory has no forces.
     """
-    if trajectory.force is None or trajectory.torque is None:
+    if trajectory.force is None:
         raise InputError(
-            "the trajectory has no wrench to compare with: add fx,fy,fz,tx,ty,tz"
+            "the trajectory has no wrench to compare with: add fx,fy,fz, and tx,ty,tz "
+            "where torques were measured"
         )
+    torque = trajectory.torque
+    if torque is None:
+        torque = np.full_like(trajectory.force, np.nan)
     rendered = wrenches_along(potential, shell, trajectory)
     errors = _errors(
         trajectory.force,
         rendered.force,
-        trajectory.torque,
+        torque,
         rendered.torque,
         force_threshold,
         torque_threshold,
@@ -131,7 +136,7 @@ def evaluate(
         trajectory.time,
         trajectory.force,
         rendered.force,
-        trajectory.torque,
+        torque,
         rendered.torque,
         rendered.in_grid,
         rendered.beyond_inner,

@@ -1,14 +1,15 @@
 """Reading a depth scan: an (n, 3) array of points in metres, or a clear refusal.
 
-PLY, PCD, XYZ/CSV/TXT and NPY. The unit is converted here and nowhere else; a cloud
-whose extent cannot be a torso in that unit is refused, because millimetres read as
-metres would otherwise fail much later and far from their cause.
+PLY, PCD, text (XYZ, CSV, TXT, PTS, ASC) and NPY. The unit is converted here and nowhere
+else; a cloud whose extent cannot be a torso in that unit is refused, because
+millimetres read as metres would otherwise fail much later and far from their cause.
 """
 
 from __future__ import annotations
 
 import os
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -17,7 +18,9 @@ import numpy as np
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
+from ttus_opt.scan.box import cropped
 from ttus_opt.scan.pcd import read_pcd
+from ttus_opt.scan.xyz import read_xyz
 
 Unit = Literal["m", "cm", "mm"]
 
@@ -26,7 +29,8 @@ UNITS: dict[str, float] = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 #: Least and largest plausible extent of a scan of a torso [m].
 EXTENT_LIMITS = (0.1, 3.0)
 
-_SUFFIXES = (".ply", ".pcd", ".xyz", ".csv", ".txt", ".npy")
+_TEXT = (".xyz", ".csv", ".txt", ".pts", ".asc")
+_SUFFIXES = (".ply", ".pcd", *_TEXT, ".npy")
 
 
 def read_cloud(
@@ -34,15 +38,19 @@ def read_cloud(
     *,
     unit: Unit | None = None,
     drop_nan: bool = False,
+    box: Sequence[float] | None = None,
 ) -> Array:
     """Read a point cloud.
 
     Args:
-        path: A .ply, .pcd, .xyz, .csv, .txt or .npy file. Text has three columns,
-            or a first line that names x, y and z among its columns.
+        path: A .ply, .pcd, .xyz, .csv, .txt, .pts, .asc or .npy file. Text has x, y
+            and z first, or a line that names them among its columns; colours, normals
+            and intensities are left out (`ttus_opt.scan.xyz`).
         unit: Unit of the file's coordinates; metres are assumed when not given.
         drop_nan: Leave points out that have a NaN or infinite coordinate (cameras
             write them where they saw nothing) instead of refusing the file.
+        box: xmin, xmax, ymin, ymax, zmin, zmax in the scan's frame [m]: what is read of
+            a room; everything when not given.
 
     Returns:
         Points in the scan's frame, shape (n, 3) [m].
@@ -50,7 +58,7 @@ def read_cloud(
     Raises:
         FileError: Missing, empty, truncated, of unknown kind, or wrong columns.
         InputError: An unknown unit, coordinates that are not finite, or an extent
-            that no torso has in this unit.
+            that no torso has in this unit; a box without points.
     """
     if unit is not None and unit not in UNITS:
         raise InputError(f"unit must be one of 'm', 'cm', 'mm', got {unit!r}")
@@ -67,9 +75,11 @@ def read_cloud(
             f"{file}: {n_bad} of {len(points)} points have NaN or infinite "
             "coordinates: pass drop_nan=True to leave them out"
         )
-    points = points[finite]
-    _check_extent(file, float(np.ptp(points, axis=0).max()), unit)
-    return np.ascontiguousarray(points * UNITS[unit or "m"])
+    points = points[finite] * UNITS[unit or "m"]
+    if box is not None:
+        points = cropped(points, box)
+    _check_extent(file, float(np.ptp(points, axis=0).max()) / UNITS[unit or "m"], unit)
+    return np.ascontiguousarray(points)
 
 
 def _read_points(file: Path) -> Array:
@@ -80,8 +90,8 @@ def _read_points(file: Path) -> Array:
         return _read_ply(file)
     if suffix == ".npy":
         return _read_npy(file)
-    if suffix in (".xyz", ".csv", ".txt"):
-        return _read_text(file)
+    if suffix in _TEXT:
+        return read_xyz(file)
     raise FileError(
         f"{file} has the suffix {suffix!r}, expected one of {', '.join(_SUFFIXES)}: "
         "export it as one of these"
@@ -103,8 +113,8 @@ def _check_extent(file: Path, extent: float, unit: Unit | None) -> None:
         advice = f"are these {names[guess]}? pass unit='{guess}'"
     else:
         advice = (
-            f"a torso has {least:g} to {largest:g} m: crop the scan to the patient or "
-            "check its unit"
+            f"a torso has {least:g} to {largest:g} m: check its unit, or crop a room "
+            "to the patient by box=xmin,xmax,ymin,ymax,zmin,zmax"
         )
     how = "" if unit is None else f" read with unit='{unit}'"
     raise InputError(
@@ -163,53 +173,3 @@ def _read_npy(file: Path) -> Array:
         hint = "transposed?" if points.shape[:1] == (3,) else "save x, y, z columns"
         raise FileError(f"{file}: points must be (n, 3), got {points.shape}: {hint}")
     return points
-
-
-def _read_text(file: Path) -> Array:
-    try:
-        lines = file.read_text(encoding="utf-8-sig").splitlines()
-    except UnicodeDecodeError as error:
-        raise FileError(f"{file} is not a text file: check its suffix") from error
-    rows = [s for line in lines if (s := line.strip()) and not s.startswith("#")]
-    if not rows:
-        raise FileError(f"{file} holds no points: record or export it again")
-    delimiter = next((mark for mark in ",;" if mark in rows[0]), None)
-    names = [word.strip().strip('"').lower() for word in rows[0].split(delimiter)]
-    columns: list[int] | None = None
-    if not _is_number(names[0]):
-        if not {"x", "y", "z"} <= set(names):
-            raise FileError(
-                f"{file} has the columns {', '.join(names)}, expected x, y and z among "
-                "them"
-            )
-        columns = [names.index(name) for name in "xyz"]
-        rows = rows[1:]
-    elif len(names) != 3:
-        raise FileError(
-            f"{file} has {len(names)} columns, expected 3 (x, y, z): name x, y and z "
-            "in a first line to pick them"
-        )
-    if not rows:
-        raise FileError(f"{file} holds no points: record or export it again")
-    width = len(names)
-    for number, row in enumerate(rows):
-        found = len(row.split(delimiter))
-        if found != width:
-            raise FileError(
-                f"{file}: point {number + 1} has {found} columns, expected {width}: "
-                "truncated or damaged, export it again"
-            )
-    try:
-        values = np.loadtxt(rows, delimiter=delimiter, usecols=columns, ndmin=2)
-    except ValueError as error:
-        reason = str(error).splitlines()[0]
-        raise FileError(f"{file} has a value that is no number ({reason})") from error
-    return np.asarray(values, dtype=np.float64)
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True

@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.scan.frame_estimate import estimate_frame
+from ttus_opt.scan.frame_estimate import Lying, estimate_frame
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 
 
@@ -64,25 +65,39 @@ class Axis:
 
     @classmethod
     def from_cloud(
-        cls, cloud: Array, *, rng: np.random.Generator | None = None
+        cls,
+        cloud: Array,
+        *,
+        head: ArrayLike | None = None,
+        flip: bool = False,
+        prone: bool = False,
+        rng: np.random.Generator | None = None,
     ) -> Axis:
         """Estimate the patient frame from a scan (`ttus_opt.scan.frame_estimate`).
 
-        z runs along what stands above the supporting plane, x away from that plane
-        (anterior), and the origin is inside the body. The plane is kept in ``support``.
+        x points to the patient's right, y to the front, z to the head, and the origin
+        is inside the body. The front is away from the plane the body lies on, the head
+        where the trunk is deeper (`ttus_opt.scan.body_sides`). The plane is kept in
+        ``support``.
 
         Args:
             cloud: Scan, shape (n, 3) [m].
+            head: Direction to the head in the scan, shape (3,); guessed when not given.
+            flip: The head is at the end opposite to the one that would be found.
+            prone: The patient lies on the front.
             rng: Draws trial planes; a fixed seed when not given.
 
         Returns:
-            The frame.
+            The frame. Where the scan hardly tells head from feet a `TtusWarning` says
+            so.
 
         Raises:
-            InputError: The cloud is not (n, 3) or has fewer than 100 points.
-            GeometryError: The scan shows no body.
+            InputError: The cloud is not (n, 3) or has fewer than 100 points, or a
+                direction that is none.
+            GeometryError: The scan shows no body, or ``head`` points across it.
         """
-        return cls(*estimate_frame(cloud, rng=rng))
+        towards = None if head is None else np.asarray(head, dtype=np.float64)
+        return cls(*estimate_frame(cloud, Lying(towards, flip, prone), rng=rng))
 
     def supporting_plane(self, cloud: Array) -> SupportingPlane | None:
         """The plane kept in the frame; found in the scan where it is unknown.
@@ -96,6 +111,14 @@ class Axis:
         if isinstance(self.support, str):
             return find_supporting_plane(cloud)
         return self.support
+
+    @property
+    def scan_to_patient(self) -> Array:
+        """The rigid motion x_patient = R x_scan + t, shape (4, 4) [–, m]."""
+        motion = np.eye(4)
+        motion[:3, :3] = self.rotation.T
+        motion[:3, 3] = -self.rotation.T @ self.origin
+        return motion
 
     def to_patient(self, points: Array) -> Array:
         """Scan points (n, 3) [m] in the patient frame, shape (n, 3) [m]."""

@@ -1,27 +1,35 @@
 """The patient frame estimated from a scan: where a body's long inner axis runs.
 
-With a supporting plane: x is the plane's normal (anterior, away from the support),
-z lies in the plane along the body, and the origin is half-way between the support
-and the ridge of the body, in the middle of its width: inside the body although only
-its upper half was seen. Without one: z from the surface normals alone, the origin is
-the centre of the circle that fits the cross-section best, x points to the side that
-was seen or, on a body seen all around, along the shorter diameter.
+x points to the patient's right, y to the front (anterior), z to the head: the axes RAS
+of medical images. With a supporting plane y is its normal, away from the support, z
+lies in the plane along the body, and the origin is half-way between the support and
+the ridge of the body, in the middle of its width: inside the body although only its
+upper half was seen. Without one, z comes from the surface normals alone, the origin is
+the centre of the circle that fits the cross-section best, and y points to the side
+that was seen or, on a body seen all around, along the shorter diameter.
 
 z is the direction the body's sides run along: surface normals stand across it, so
 the sum of (n·z)² is least. The squares are cut off, because the ends of a torso (a
 shoulder, a cut) face along z and would otherwise outvote its sides; a second term
-prefers the direction in which the body is long. The sign of an axis that is not
-fixed otherwise is such that its largest component in the scan is positive.
+prefers the direction in which the body is long. Which of its ends is the head, and
+which side the front where no support says so, is found in `ttus_opt.scan.body_sides`.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError
+from ttus_opt.scan.body_sides import (
+    checked_direction,
+    front_along,
+    head_along,
+    sign_towards,
+)
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 
 _CELL = 0.012  # edge of the cells that even out the density of points [m]
@@ -29,6 +37,7 @@ _CUT = 0.25  # (n·z)² beyond which a normal counts no more, 60° from the axis
 #: Weight of the ratio of variances (longest/along) beside the mean cut (n·z)².
 _LENGTH_WEIGHT = 0.05
 _NEARBY = np.cos(np.radians(20.0))
+_STEPS = 50  # of the refinement, which settles in about five
 
 
 class FrameEstimate(NamedTuple):
@@ -45,23 +54,42 @@ class FrameEstimate(NamedTuple):
     support: SupportingPlane | None
 
 
+@dataclass(frozen=True)
+class Lying:
+    """What is known of how the patient lies; the rest is found in the scan.
+
+    Attributes:
+        head: Direction to the head in the scan, shape (3,); None to find it.
+        flip: The head is at the end opposite to the one that would be found.
+        prone: The patient lies on the front.
+    """
+
+    head: Array | None = None
+    flip: bool = False
+    prone: bool = False
+
+
 def estimate_frame(
-    cloud: Array, *, rng: np.random.Generator | None = None
+    cloud: Array, lying: Lying | None = None, *, rng: np.random.Generator | None = None
 ) -> FrameEstimate:
     """Estimate the patient frame from a scan.
 
     Args:
         cloud: Scan, shape (n, 3) [m].
+        lying: What is known of how the patient lies.
         rng: Draws the trial planes; a fixed seed when not given.
 
     Returns:
-        The frame.
+        The frame. Where the scan hardly tells head from feet a `TtusWarning` says so.
 
     Raises:
-        InputError: The cloud is not (n, 3) or has fewer than 100 points.
-        GeometryError: Nothing stands above the supporting plane, or the points do
-            not span a body.
+        InputError: The cloud is not (n, 3) or has fewer than 100 points, or a
+            direction that is none.
+        GeometryError: Nothing stands above the supporting plane, the points do not
+            span a body, or the direction to the head points across it.
     """
+    known = lying or Lying()
+    head = None if known.head is None else checked_direction(known.head)
     plane = find_supporting_plane(cloud, rng=rng)
     body = cloud if plane is None else cloud[plane.above(cloud)]
     points = _thinned(body)
@@ -70,9 +98,21 @@ def estimate_frame(
             f"only {len(body)} points stand above the supporting plane: the scan shows "
             "no body, or give the axis"
         )
+    normals = _normals(points)
     if plane is None:
-        return _free_frame(points, _normals(points))
-    return _supported_frame(points, _normals(points), plane)
+        found = _free_frame(points, normals)
+    else:
+        found = _supported_frame(points, normals, plane)
+    upward, z = found.upward, found.z
+    if head is not None:
+        z = z * sign_towards(z, head)
+    else:
+        depth = body @ upward if plane is None else plane.height(body)
+        z = z * head_along(body @ z, depth, supported=plane is not None)
+    if known.flip:
+        z = -z
+    y = -upward if known.prone else upward
+    return FrameEstimate(found.origin, np.stack([np.cross(y, z), y, z], axis=1), plane)
 
 
 def _thinned(points: Array) -> Array:
@@ -97,44 +137,67 @@ def _normals(points: Array) -> Array:
     return np.asarray(vectors[:, :, 0])
 
 
-def _along(points: Array, normals: Array, candidates: Array) -> Array:
-    """The candidate direction (m, 3) that fits as the body's long axis, (3,)."""
+def _along(points: Array, normals: Array, candidates: Array, basis: Array) -> Array:
+    """The direction that fits as the body's long axis, shape (3,).
+
+    Args:
+        points: Shape (n, 3) [m].
+        normals: Shape (n, 3) [–].
+        candidates: Directions to try, shape (m, 3) [–].
+        basis: Orthonormal rows that span the candidates, shape (2 or 3, 3) [–].
+    """
     facing = np.minimum((normals @ candidates.T) ** 2, _CUT).mean(axis=0)
     spread = (points @ candidates.T).var(axis=0)
     coarse = candidates[np.argmin(facing + _LENGTH_WEIGHT * spread.max() / spread)]
     # The outline decides which way the body lies, its sides how exactly.
     nearby = np.abs(candidates @ coarse) > _NEARBY
-    return np.asarray(candidates[np.argmin(np.where(nearby, facing, np.inf))])
+    z = candidates[np.argmin(np.where(nearby, facing, np.inf))]
+    # From there the least squares of the normals within the cut, until those stay the
+    # same: the minimum itself, wherever the candidates stand.
+    within = np.zeros(len(normals), dtype=bool)
+    for _ in range(_STEPS):
+        before, within = within, (normals @ z) ** 2 < _CUT
+        if (within == before).all():
+            break
+        flat = normals[within] @ basis.T
+        _, vectors = np.linalg.eigh(flat.T @ flat)
+        z = vectors[:, 0] @ basis
+    return np.asarray(z)
 
 
-def _positive(direction: Array) -> Array:
-    """The direction with its largest component positive."""
-    return np.asarray(direction * np.sign(direction[np.argmax(np.abs(direction))]))
+class _Lengthwise(NamedTuple):
+    """A frame whose z may be turned round; `upward` points away from the support."""
+
+    origin: Array
+    upward: Array
+    z: Array
+
+
+def _across(direction: Array) -> Array:
+    """Two unit vectors across a direction, shape (2, 3)."""
+    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
 
 
 def _supported_frame(
     points: Array, normals: Array, plane: SupportingPlane
-) -> FrameEstimate:
-    x = plane.normal
-    first = np.cross(x, np.eye(3)[np.argmin(np.abs(x))])
-    first /= np.linalg.norm(first)
+) -> _Lengthwise:
+    up, basis = plane.normal, _across(plane.normal)
     angle = np.arange(0.0, np.pi, np.radians(1.0))
-    circle = np.outer(np.cos(angle), first) + np.outer(
-        np.sin(angle), np.cross(x, first)
-    )
-    z = _positive(_along(points, normals, circle))
-    y = np.cross(z, x)
-    middle = [np.percentile(points @ a, [2, 98]).mean() for a in (y, z)]
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ basis
+    z = _along(points, normals, circle, basis)
+    side = np.cross(up, z)
+    middle = [np.percentile(points @ a, [2, 98]).mean() for a in (side, z)]
     ridge = np.percentile(plane.height(points), 98)
-    origin = (plane.offset + 0.5 * ridge) * x + middle[0] * y + middle[1] * z
-    return FrameEstimate(origin, np.stack([x, y, z], axis=1), plane)
+    origin = (plane.offset + 0.5 * ridge) * up + middle[0] * side + middle[1] * z
+    return _Lengthwise(origin, up, z)
 
 
-def _free_frame(points: Array, normals: Array) -> FrameEstimate:
-    z = _positive(_along(points, normals, _half_sphere(4000)))
-    u = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
-    u /= np.linalg.norm(u)
-    section = points @ np.stack([u, np.cross(z, u)], axis=1)
+def _free_frame(points: Array, normals: Array) -> _Lengthwise:
+    z = _along(points, normals, _half_sphere(4000), np.eye(3))
+    basis = _across(z)
+    section = points @ basis.T
     # Algebraic circle fit: |q|² = 2 c·q + (R² − |c|²) in least squares.
     mean = section.mean(axis=0)
     q = section - mean
@@ -149,14 +212,14 @@ def _free_frame(points: Array, normals: Array) -> FrameEstimate:
     centre, seen = solution[:2], -solution[:2]
     if np.linalg.norm(seen) < 0.15 * radius:  # seen all around
         _, vectors = np.linalg.eigh(np.cov(q.T))
-        x = _positive(vectors[0, 0] * u + vectors[1, 0] * np.cross(z, u))
+        upward = vectors[:, 0] @ basis
+        upward = upward * front_along(points @ upward)
     else:
-        x = seen[0] * u + seen[1] * np.cross(z, u)
-        x /= np.linalg.norm(x)
-    centre = centre + mean
+        upward = seen @ basis
+        upward /= np.linalg.norm(upward)
     height = np.percentile(points @ z, [2, 98]).mean()
-    origin = centre[0] * u + centre[1] * np.cross(z, u) + height * z
-    return FrameEstimate(origin, np.stack([x, np.cross(z, x), z], axis=1), None)
+    origin = (centre + mean) @ basis + height * z
+    return _Lengthwise(origin, upward, z)
 
 
 def _half_sphere(n: int) -> Array:

@@ -24,7 +24,8 @@ class DragEstimate:
         friction_coefficient: μ, not negative [–].
         boundary_scale: Factor on the scene's boundary values [–].
         acts_at: ``contact`` or ``reference``.
-        misfit: Root mean square of force residuals and torque residuals over ℓ [N].
+        misfit: Root mean square of force residuals and, where they were measured,
+            torque residuals over ℓ [N].
     """
 
     friction_coefficient: float
@@ -48,14 +49,18 @@ def estimate_drag(
     """
     places = ("contact", "reference") if acts_at == "auto" else (acts_at,)
     p = scene.laplace.solve(scene.b)
+    measured, pressed = scene.f, scene.N @ p
     scale = 1.0 / scene.torque_length
-    measured = np.concatenate([scene.f, scale * scene.tau])
-    pressed = np.concatenate([scene.N @ p, scale * (scene.W @ p)])
+    if not scene.measures_force_only:
+        measured = np.concatenate([measured, scale * scene.tau])
+        pressed = np.concatenate([pressed, scale * (scene.W @ p)])
     found = []
     for place in places:
         sliding = Sliding.of(scene.voxmap, scene.shell, scene.trajectory, place)
         rows = coulomb_rows(sliding, scene.rows, deadband=deadband)
-        dragged = np.concatenate([rows.force @ p, scale * (rows.torque @ p)])
+        dragged = rows.force @ p
+        if not scene.measures_force_only:
+            dragged = np.concatenate([dragged, scale * (rows.torque @ p)])
         columns = np.stack([pressed, -dragged], axis=1)
         (s, s_mu), *_ = np.linalg.lstsq(columns, measured, rcond=None)
         rest = measured - columns @ [s, s_mu]

@@ -34,9 +34,7 @@ class DragTorqueTerm(TorqueTerm):
 
     def rows(self) -> AffineRows:
         """W/ℓ and drag's rows by variable, and τ/ℓ."""
-        scale = 1.0 / (self.length or self.scene.torque_length)
-        blocks = {k: M * scale for k, M in self.drag.torque_blocks().items()}
-        return AffineRows(blocks, self.scene.tau * scale)
+        return self._measured(self.drag.torque_blocks())
 
     def with_neutral(self, names: Collection[str]) -> Self:
         """The same term without this drag."""

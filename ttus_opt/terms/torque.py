@@ -9,7 +9,11 @@ See docs/method.md, Eq. 10.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
 
 from ttus_opt.errors import InputError
 from ttus_opt.terms.base import AffineRows, Term
@@ -18,6 +22,8 @@ from ttus_opt.terms.base import AffineRows, Term
 @dataclass(frozen=True)
 class TorqueTerm(Term):
     """Squares of the torque residuals over ℓ, of every frame [N²].
+
+    Without rows where forces alone were measured.
 
     Attributes:
         length: ℓ [m]; None takes the shell's root-mean-square radius, 1.0 is the
@@ -44,5 +50,12 @@ class TorqueTerm(Term):
 
     def rows(self) -> AffineRows:
         """W/ℓ and τ/ℓ of the scene."""
+        return self._measured({"p": self.scene.W})
+
+    def _measured(self, blocks: Mapping[str, sp.csr_array]) -> AffineRows:
+        """Rows by variable beside the measured torques, all over ℓ."""
+        if self.scene.measures_force_only:
+            return AffineRows({k: M[:0] for k, M in blocks.items()}, np.zeros(0))
         scale = 1.0 / (self.length or self.scene.torque_length)
-        return AffineRows({"p": self.scene.W * scale}, self.scene.tau * scale)
+        scaled = {k: M * scale for k, M in blocks.items()}
+        return AffineRows(scaled, self.scene.tau * scale)

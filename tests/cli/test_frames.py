@@ -1,0 +1,199 @@
+"""Recordings of a camera's or a robot's frame and of forces alone, by the commands."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.cli.conftest import Run, refused
+from ttus_opt import example
+from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.sources import seen, sources, warn_of_another_probe
+from ttus_opt.errors import FileError, TtusWarning
+from ttus_opt.probe.rigid_motion import inverse
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
+
+SURFACE = example.path("surface.nc")
+PLACE = Surface.load(SURFACE).axis.scan_to_patient
+BASE_TO_SCAN = np.eye(4)
+BASE_TO_SCAN[:3, :3] = Rotation.from_rotvec([0.4, -2.0, 1.0]).as_matrix()
+BASE_TO_SCAN[:3, 3] = 0.6, -0.3, 0.2
+
+
+def recording(name: str = "press_fit") -> Trajectory:
+    return read_trajectory(example.path(f"{name}.csv")).select(slice(0, 400, 20))
+
+
+def fit_words(recording: Path, output: Path, more: str = "") -> str:
+    return (
+        f"fit --surface {SURFACE} --probe {example.PROBE} --trajectory {recording} "
+        f"--shape 12,24,12 --points 200 --inner 10 --sampling trilinear "
+        f"-o {output} {more}"
+    )
+
+
+def evaluate_words(field: Path, recording: Path, more: str = "") -> str:
+    return (
+        f"evaluate --field {field} --probe {example.PROBE} --points 200 "
+        f"--trajectory {recording} {more} --json"
+    )
+
+
+@pytest.mark.slow
+def test_every_frame_gives_the_same_field(run: Run, tmp_path: Path) -> None:
+    own = recording()
+    scan = own.transformed(inverse(PLACE))
+    base = scan.transformed(inverse(BASE_TO_SCAN))
+    np.savetxt(tmp_path / "base.txt", BASE_TO_SCAN)
+    fields = {}
+    for name, trajectory, options in (
+        ("patient", own, ""),
+        ("scan", scan, "--frame scan"),
+        ("base", base, f"--base-to-scan {tmp_path / 'base.txt'}"),
+    ):
+        trajectory.save(tmp_path / f"{name}.csv")
+        answer = run(
+            fit_words(tmp_path / f"{name}.csv", tmp_path / f"{name}.nc", options)
+        )
+        assert answer.status == 0, answer.err
+        assert (
+            f"poses in the {name}'s frame, wrenches in the {name}'s axes" in answer.out
+        )
+        fields[name] = PotentialField.load(tmp_path / f"{name}.nc").values
+    np.testing.assert_allclose(fields["scan"], fields["patient"], atol=1e-6)
+    np.testing.assert_allclose(fields["base"], fields["patient"], atol=1e-6)
+    # what is rendered beside poses of a frame is compared in that frame
+    options = f"--base-to-scan {tmp_path / 'base.txt'}"
+    rendered = tmp_path / "rendered.csv"
+    words = evaluate_words(tmp_path / "base.nc", tmp_path / "base.csv", options)
+    assert run(words.replace("evaluate", f"render -o {rendered}")).status == 0
+    again = run(evaluate_words(tmp_path / "base.nc", rendered, options))
+    errors = json.loads(again.out)
+    assert errors["force_magnitude_error_N"] < 1e-9
+    assert errors["torque_magnitude_error_Nm"] < 1e-9
+    np.testing.assert_allclose(
+        read_trajectory(rendered).position, base.position, atol=1e-9
+    )
+
+
+def test_recordings_of_the_scan_read_as_the_patients_are_told(
+    run: Run, tmp_path: Path
+) -> None:
+    recording().transformed(inverse(PLACE)).save(tmp_path / "scan.csv")
+    wrong = run(fit_words(tmp_path / "scan.csv", tmp_path / "wrong.nc"))
+    assert "100 % of the poses near it in the scan's: read them with --frame scan" in (
+        wrong.err
+    )
+    right = run(fit_words(tmp_path / "scan.csv", tmp_path / "r.nc", "--frame scan"))
+    assert "--frame" not in right.err
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--frame base", ["--frame base needs --base-to-scan"]),
+        ("--frame hand", ["--frame must be patient or scan or base"]),
+        ("--wrench-frame hand", ["--wrench-frame must be"]),
+        ("--base-to-scan nowhere.txt", ["--base-to-scan", "not found: nowhere.txt"]),
+        ("--base-to-scan 1,2,3", ["--base-to-scan", "got 3 numbers"]),
+        ("--base-to-scan 400,0,0,0,0,0,1", ["millimetres"]),
+        ("--base-to-scan 0,0,0,0,0,0,2", ["length 2, expected 1"]),
+        (
+            '--base-to-scan "[[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]"',
+            ["scales by 2"],
+        ),
+        (
+            "--base-to-scan -1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1",
+            ["a reflection"],
+        ),
+        ("--frame scan --base-to-scan 0,0,0,0,0,0,1", ["frame is scan, give base"]),
+    ],
+)
+def test_what_is_no_frame_is_refused(
+    run: Run, tmp_path: Path, options: str, words: list[str]
+) -> None:
+    answer = run(fit_words(example.path("press_fit.csv"), tmp_path / "f.nc", options))
+    refused(answer, *words)
+    assert not list(tmp_path.iterdir())
+
+
+def test_forces_alone(run: Run, tmp_path: Path) -> None:
+    replace(recording(), torque=None).save(tmp_path / "force.csv")
+    fitted = run(fit_words(tmp_path / "force.csv", tmp_path / "f.nc"))
+    assert fitted.status == 0, fitted.err
+    assert "no torques were measured: forces alone were fitted" in fitted.out
+    assert "no torques, " in fitted.out
+    words = evaluate_words(tmp_path / "f.nc", tmp_path / "force.csv")
+    told = json.loads(run(words).out)
+    assert told["torque_magnitude_error_Nm"] is None
+    assert told["force_magnitude_error_N"] < 2.0
+    assert "torque  not measured" in run(words.replace("--json", "")).out
+
+
+def test_a_field_knows_where_it_came_from(run: Run, tmp_path: Path) -> None:
+    recording().save(tmp_path / "seen.csv")
+    recording("press_test").save(tmp_path / "unseen.csv")
+    field = tmp_path / "f.nc"
+    assert (
+        run(fit_words(tmp_path / "seen.csv", field, "--force-weight 0.5")).status == 0
+    )
+    kept = PotentialField.load(field).provenance
+    assert kept["trajectories"] == "seen.csv"
+    assert kept["surface"] == "surface.nc"
+    assert json.loads(kept["options"])["force_weight"] == 0.5
+    assert set(json.loads(kept["versions"])) >= {"python", "numpy", "ttus-opt"}
+    assert len(json.loads(kept["hashes"])["surface.nc"]) == 64
+    (tmp_path / "seen.csv").rename(tmp_path / "renamed.csv")
+    both = f"{tmp_path / 'renamed.csv'} --trajectory {tmp_path / 'unseen.csv'}"
+    answer = run(evaluate_words(field, Path(both)))
+    told = json.loads(answer.out)["recordings"]
+    assert [(r["name"], r["seen"]) for r in told] == [
+        ("renamed.csv", True),
+        ("unseen.csv", False),
+    ]
+    text = run(evaluate_words(field, Path(both)).replace("--json", "")).out
+    assert "renamed.csv: seen, the field was fitted to it" in text
+    assert "unseen.csv" not in text
+
+
+def test_a_probes_file_that_changed_is_told(tmp_path: Path) -> None:
+    mesh, recordings = tmp_path / "probe.stl", RecordingOptions([tmp_path / "a.csv"])
+    mesh.write_bytes(b"solid one")
+    recordings.trajectory[0].write_bytes(b"t,px")
+    probe = ProbeOptions(str(mesh))
+    kept = sources(mesh, probe, recordings, {})
+    warn_of_another_probe(kept, probe, recordings)  # nothing to say
+    mesh.write_bytes(b"solid two")
+    with pytest.warns(TtusWarning, match="fitted with another file probe.stl"):
+        warn_of_another_probe(kept, probe, recordings)
+    mesh.write_bytes(b"solid one")
+    for key in ("hashes", "conventions", "recordings"):
+        damaged = {**kept, key: "[1]"}
+        with pytest.raises(FileError, match=f"{key} are damaged"):
+            warn_of_another_probe(damaged, probe, recordings)
+            seen(damaged, recordings.trajectory)
+
+
+def test_head_and_box(run: Run, tmp_path: Path) -> None:
+    words = (
+        f"surface {example.path('scan.ply')} -o {tmp_path / 's.nc'} --n-theta 36 "
+        "--n-z 8"
+    )
+    found = run(words)
+    assert "the head lies towards (-0.96, -0.22, -0.17)" in found.out
+    assert "if not, add --flip-axis" in found.out
+    z = Surface.load(tmp_path / "s.nc").axis.rotation[:, 2]
+    told = run(f"{words} --head 1,0,0 --box -2,2,-2,2,-2,2 --json")
+    given = json.loads(told.out)
+    np.testing.assert_allclose(np.array(given["axis_rotation"])[:, 2], -z, atol=1e-12)
+    refused(run(f"{words} --head 0,0,1"), "away from the body's axis")
+    refused(run(f"{words} --head 1,0,0 --flip-axis"), "--head or --flip-axis")
+    refused(run(f"{words} --box 5,6,5,6,5,6"), "the scan reaches x", "--box"[2:])
+    refused(run(f"{words} --box 1,2,3"), "--box takes 6 numbers")

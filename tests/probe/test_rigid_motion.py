@@ -1,0 +1,102 @@
+"""Rigid motions from words and files, and what is none."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.probe.rigid_motion import inverse, read_rigid_motion, rigid_motion
+
+TURN = Rotation.from_rotvec([0.3, -1.1, 0.7])
+SHIFT = np.array([0.4, -0.2, 1.5])
+
+
+def motion(turn: Array | None = None, shift: Array = SHIFT) -> Array:
+    out = np.eye(4)
+    out[:3, :3] = TURN.as_matrix() if turn is None else turn
+    out[:3, 3] = shift
+    return out
+
+
+def test_the_inverse_leads_back() -> None:
+    np.testing.assert_allclose(inverse(motion()), np.linalg.inv(motion()), atol=1e-15)
+
+
+def test_a_scipy_motion() -> None:
+    transform = pytest.importorskip("scipy.spatial.transform")
+    if not hasattr(transform, "RigidTransform"):
+        pytest.skip("RigidTransform came with SciPy 1.16")
+    own = transform.RigidTransform.from_components(SHIFT, TURN)
+    np.testing.assert_allclose(rigid_motion(own), motion(), atol=1e-15)
+
+
+def test_every_way_to_write_it(tmp_path: Path) -> None:
+    seven = [*SHIFT, *TURN.as_quat()]
+    told = {
+        "words": ",".join(map(repr, map(float, seven))),
+        "json": json.dumps(motion().tolist()),
+    }
+    files = {
+        "blanks.txt": "# base to scan\n"
+        + "\n".join(" ".join(map(repr, row)) for row in motion().tolist()),
+        "m.csv": "\n".join(",".join(map(repr, row)) for row in motion().tolist()),
+        "m.json": told["json"],
+        "seven.txt": told["words"],
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+        told[name] = str(tmp_path / name)
+    np.save(tmp_path / "m.npy", motion())
+    told["npy"] = str(tmp_path / "m.npy")
+    for way, text in told.items():
+        np.testing.assert_allclose(read_rigid_motion(text), motion(), atol=1e-12), way
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        (motion(1000.0 * TURN.as_matrix()), "scales by 1000: remove the scale"),
+        (motion(np.diag([1.0, 1.0, -1.0])), "a reflection"),
+        (motion(np.diag([1.0, 1.0, 1.1])), "off the identity by 0.21"),
+        (motion(shift=np.array([0.0, 400.0, 0.0])), "400 m, .*millimetres"),
+        (motion().T, "transposed"),
+        (np.full((4, 4), np.nan), "NaN"),
+        (np.eye(3), r"matrix \(4, 4\), got \(3, 3\)"),
+    ],
+)
+def test_what_is_no_rigid_motion(matrix: Array, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        rigid_motion(matrix)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"1 2 3\n", "got 3 numbers"),
+        (b"0 0 0 1 1 1 1\n", "length 2, expected 1"),
+        (b"one two\n", r"does not read .*x,y,z,qx,qy,qz,qw"),
+        (b"# nothing\n", "does not read"),
+        (b"\xff\xfe\x00", "does not read"),
+        (b"1 " * 60_000, "too large"),
+        (b"0 0 0 nan 0 0 1", "NaN"),
+    ],
+)
+def test_a_file_that_holds_none(content: bytes, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "m.txt"
+    path.write_bytes(content)
+    with pytest.raises(FileError, match=message) as caught:
+        read_rigid_motion(path)
+    assert "m.txt" in str(caught.value)
+
+
+def test_words_that_are_no_file() -> None:
+    with pytest.raises(FileError, match="not found: nowhere"):
+        read_rigid_motion("nowhere")
+    with pytest.raises(InputError, match="got 3 numbers"):
+        read_rigid_motion("1,2,3")

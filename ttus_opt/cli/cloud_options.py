@@ -1,0 +1,172 @@
+"""Options about a scan and how the patient lies in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from ttus_opt.arrays import Array
+from ttus_opt.cli.options import numbers
+from ttus_opt.errors import GeometryError, InputError
+
+if TYPE_CHECKING:
+    from ttus_opt.scan.frame import Axis
+
+
+@dataclass(frozen=True)
+class CloudOptions:
+    """The scan, as typed."""
+
+    scan: Annotated[
+        Path, typer.Argument(help="Cloud: PLY, PCD, XYZ, CSV, TXT, PTS or NPY.")
+    ]
+    unit: Annotated[
+        str, typer.Option(help="Unit of the scan's coordinates: m, cm, mm.")
+    ] = "m"
+    drop_nan: Annotated[
+        bool, typer.Option("--drop-nan", help="Leave out points that are NaN.")
+    ] = False
+    box: Annotated[
+        str | None,
+        typer.Option(
+            metavar="xmin,xmax,ymin,ymax,zmin,zmax",
+            help="Read only the points inside, in the scan's frame [m]; inf and -inf "
+            "leave a side open.",
+        ),
+    ] = None
+
+    def read(self) -> Array:
+        """The points in metres, shape (n, 3).
+
+        Raises:
+            FileError: The file is no usable cloud.
+            InputError: Unit, box or coordinates that cannot be used.
+        """
+        from ttus_opt.scan.cloud import read_cloud
+
+        box = None if self.box is None else numbers(self.box, 6, "--box")
+        return read_cloud(
+            self.scan,
+            unit=self.unit,  # type: ignore[arg-type]  # checked there
+            drop_nan=self.drop_nan,
+            box=box,
+        )
+
+
+@dataclass(frozen=True)
+class AxisOptions:
+    """Where the patient's frame lies in the scan, as typed."""
+
+    head: Annotated[
+        str | None,
+        typer.Option(
+            metavar="x,y,z",
+            help="Direction to the head in the scan; by default the end where the "
+            "trunk is deeper.",
+        ),
+    ] = None
+    flip_axis: Annotated[
+        bool,
+        typer.Option("--flip-axis", help="The head is at the other end than found."),
+    ] = False
+    prone: Annotated[
+        bool, typer.Option("--prone", help="The patient lies on the front.")
+    ] = False
+    axis_origin: Annotated[
+        str | None,
+        typer.Option(help="A point inside the body, x,y,z in the scan [m]."),
+    ] = None
+    axis_direction: Annotated[
+        str | None,
+        typer.Option(
+            help="Along the body to the head, x,y,z in the scan; with --axis-origin."
+        ),
+    ] = None
+    axis_from: Annotated[
+        Path | None,
+        typer.Option(help="Take the patient frame of this surface file."),
+    ] = None
+
+    support: Annotated[
+        bool,
+        typer.Option(
+            "--support/--no-support",
+            help="Find the plane the body lies on and leave it out.",
+        ),
+    ] = True
+
+    @property
+    def guesses(self) -> bool:
+        """Whether which end is the head is found in the scan."""
+        told = (self.head, self.axis_from, self.axis_direction)
+        return not any(told) and not self.flip_axis
+
+    def frame(self, cloud: Array) -> Axis:
+        """The patient frame: from a file, from origin and direction, or estimated.
+
+        Args:
+            cloud: The scan, shape (n, 3) [m].
+
+        Raises:
+            InputError: Options that do not go together, or are no numbers.
+            GeometryError: The scan shows no body.
+        """
+        from ttus_opt.scan.frame import Axis
+        from ttus_opt.scan.surface import Surface
+
+        given = self.axis_origin is not None or self.axis_direction is not None
+        lying = self.head is not None or self.flip_axis or self.prone
+        if self.axis_from is not None:
+            if given or lying:
+                raise InputError(
+                    "give either --axis-from or where the axis lies, not both"
+                )
+            return Surface.load(self.axis_from).axis
+        if self.head is not None and self.flip_axis:
+            raise InputError("give either --head or --flip-axis, not both")
+        if not given:
+            head = None if self.head is None else numbers(self.head, 3, "--head")
+            return Axis.from_cloud(
+                cloud, head=head, flip=self.flip_axis, prone=self.prone
+            )
+        if self.axis_origin is None or self.axis_direction is None:
+            raise InputError(
+                "--axis-origin and --axis-direction go together: give both"
+            )
+        if self.head is not None:
+            raise InputError("--axis-direction points to the head: leave --head out")
+        return self._given(cloud, self.axis_origin, self.axis_direction)
+
+    def _given(self, cloud: Array, origin: str, direction: str) -> Axis:
+        """The frame of an origin and a direction; the front is off the support."""
+        from ttus_opt.scan.frame import Axis
+        from ttus_opt.scan.supporting_plane import find_supporting_plane
+
+        z = np.array(numbers(direction, 3, "--axis-direction"))
+        length = float(np.linalg.norm(z))
+        if not (np.isfinite(length) and length > 0):
+            raise GeometryError(
+                f"--axis-direction must not be zero, got {direction}: for instance "
+                "0,0,1"
+            )
+        z *= (-1.0 if self.flip_axis else 1.0) / length
+        plane = find_supporting_plane(cloud) if self.support else None
+        if plane is None:
+            # x: the scan's axis that stands across the body most squarely
+            x = np.eye(3)[int(np.argmin(np.abs(z)))]
+        else:
+            x = (-1.0 if self.prone else 1.0) * np.cross(plane.normal, z)
+        x = x - (x @ z) * z
+        size = float(np.linalg.norm(x))
+        if size < 0.1:
+            raise GeometryError(
+                f"--axis-direction {direction} stands up from the support: give a "
+                "direction along the body"
+            )
+        x /= size
+        at = np.array(numbers(origin, 3, "--axis-origin"))
+        return Axis(at, np.stack([x, np.cross(z, x), z], axis=1), plane)

@@ -1,0 +1,225 @@
+"""Options about probe and recordings, one list for fit, evaluate and render."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ttus_opt.cli.console import as_options
+from ttus_opt.cli.options import numbers
+from ttus_opt.errors import InputError, TtusError
+
+if TYPE_CHECKING:
+    from ttus_opt.probe.conventions import Conventions
+    from ttus_opt.probe.point_shell import PointShell
+    from ttus_opt.probe.trajectory import Trajectory
+    from ttus_opt.scan.surface import Surface
+
+
+@dataclass(frozen=True)
+class ProbeOptions:
+    """The probe, as typed."""
+
+    probe: Annotated[
+        str,
+        typer.Option(
+            "--probe",
+            help="ellipsoid:a,b,c (semi-axes), sphere:r, box:a,b,c (edges) in metres, "
+            "or a mesh file (STL, PLY, OBJ).",
+        ),
+    ]
+    points: Annotated[int, typer.Option(help="Points of the probe's shell.")] = 1500
+    probe_unit: Annotated[
+        str, typer.Option(help="Unit of a mesh file: m, cm, mm, in.")
+    ] = "mm"
+    probe_surface: Annotated[
+        str, typer.Option(help="What to keep of a mesh: outer, all, hull.")
+    ] = "outer"
+
+    @property
+    def name(self) -> str:
+        """As a field file names it: the description, or the file's name."""
+        return self.probe if ":" in self.probe else Path(self.probe).name
+
+    def read(self) -> PointShell:
+        """The point shell.
+
+        Raises:
+            InputError: Whatever is wrong with it, in the words of the command line.
+        """
+        from ttus_opt.probe.point_shell import PointShell
+
+        try:
+            return PointShell.from_spec(
+                self.probe,
+                n_points=self.points,
+                unit=self.probe_unit,
+                surface=self.probe_surface,  # type: ignore[arg-type]  # checked there
+            )
+        except TtusError as error:
+            raise InputError(as_options(str(error), unit="--probe-unit")) from error
+
+
+@dataclass(frozen=True)
+class RecordingOptions:
+    """Recordings and how they are written, as typed."""
+
+    trajectory: Annotated[
+        list[Path],
+        typer.Option(
+            "--trajectory", metavar="PATH", help="Trajectory CSV; may be repeated."
+        ),
+    ]
+    columns: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME=COLUMN,…",
+            help="Names of the file's columns by ours, for instance px=tip_x; ROS's "
+            "names are known.",
+        ),
+    ] = ""
+    quaternion: Annotated[
+        str,
+        typer.Option(
+            help="Order of qw,qx,qy,qz as they stand: wxyz, or xyzw under those names."
+        ),
+    ] = "wxyz"
+    frame: Annotated[
+        str,
+        typer.Option(
+            help="Frame of the poses: patient (of the surface file), scan (of the "
+            "cloud it was extracted from) or base (of the robot or tracker). By "
+            "default patient, or base with --base-to-scan."
+        ),
+    ] = ""
+    base_to_scan: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE|x,y,z,qx,qy,qz,qw",
+            help="Rigid motion from base to scan [m]: a 4x4 matrix in a text, CSV, "
+            "JSON or NPY file, or seven numbers.",
+        ),
+    ] = ""
+    wrench_frame: Annotated[
+        str,
+        typer.Option(
+            help="Axes of measured wrenches: patient, scan, base or tool; by default "
+            "those of the poses' frame."
+        ),
+    ] = ""
+    flip_wrench: Annotated[
+        bool,
+        typer.Option(
+            "--flip-wrench", help="Wrenches are those of the probe on the skin."
+        ),
+    ] = False
+    torque_unit: Annotated[
+        str, typer.Option(help="Unit of measured torques: Nm or Nmm.")
+    ] = "Nm"
+    torque_about: Annotated[
+        str,
+        typer.Option(
+            help="What torques are about: centroid (of the probe's area), origin (of "
+            "the pose, as CAD and ROS have it) or x,y,z in the probe's frame [m]."
+        ),
+    ] = "centroid"
+    wrench_delay: Annotated[
+        float, typer.Option(help="By how much wrenches lag behind poses [s].")
+    ] = 0.0
+
+    @property
+    def files(self) -> list[Path | str]:
+        """What is read, for the check of outputs."""
+        motion = self.base_to_scan
+        return [*self.trajectory, *([motion] if Path(motion).is_file() else [])]
+
+    @cached_property
+    def conventions(self) -> Conventions:
+        """How recordings are written.
+
+        Raises:
+            InputError: In the words of the command line.
+        """
+        from ttus_opt.probe.conventions import Conventions
+        from ttus_opt.probe.rigid_motion import as_rows, read_rigid_motion
+
+        about: Any = self.torque_about
+        if "," in self.torque_about:
+            about = numbers(self.torque_about, 3, "--torque-about")
+        motion = None
+        if self.base_to_scan:
+            try:
+                motion = as_rows(read_rigid_motion(self.base_to_scan))
+            except TtusError as error:
+                raise InputError(f"--base-to-scan: {error}") from error
+        try:
+            return Conventions(
+                quaternion=self.quaternion,
+                frame=self.frame or ("patient" if motion is None else "base"),
+                wrench_frame=self.wrench_frame,
+                base_to_scan=motion,
+                flip_wrench=self.flip_wrench,
+                torque_unit=self.torque_unit,
+                torque_about=about,
+                wrench_delay=self.wrench_delay,
+            )
+        except InputError as error:
+            name, _, rest = str(error).partition(" ")
+            rest = rest.replace("base_to_scan", "--base-to-scan")
+            raise InputError(f"--{name.replace('_', '-')} {rest}") from error
+
+    def as_written(self) -> Trajectory:
+        """All recordings as one, with the files' numbers taken at their word.
+
+        Raises:
+            FileError: A file is not a usable trajectory.
+            InputError: Only some of them have wrenches, or columns that are no pairs.
+        """
+        return read_trajectories(self.trajectory, self.columns)
+
+    def read(
+        self, as_written: Trajectory, shell: PointShell, patient: Surface
+    ) -> Trajectory:
+        """The recordings as the package has them, in the patient's frame.
+
+        A `TtusWarning` tells when they lie on the skin in another frame only.
+
+        Args:
+            as_written: As of the method of that name.
+            shell: The probe.
+            patient: Whose frame it is.
+        """
+        from ttus_opt.fitting.frame_check import warn_of_another_frame
+
+        read = self.conventions.read(
+            as_written, shell.reference, patient.axis.scan_to_patient
+        )
+        warn_of_another_frame(as_written, read, shell, patient, self.conventions)
+        return read
+
+
+def read_trajectories(paths: Sequence[Path], columns: str = "") -> Trajectory:
+    """All recordings as one trajectory, with the files' numbers taken at their word.
+
+    Args:
+        paths: The files.
+        columns: Pairs ``ours=theirs`` of column names, separated by commas.
+
+    Raises:
+        FileError: A file is not a usable trajectory.
+        InputError: Only some of them have wrenches, or columns that are no pairs.
+    """
+    from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+
+    pairs = [pair.partition("=") for pair in columns.split(",") if pair]
+    if not all(ours and theirs for ours, _, theirs in pairs):
+        raise InputError(f"--columns takes NAME=COLUMN,…, got {columns!r}")
+    told = {ours.strip(): theirs.strip() for ours, _, theirs in pairs}
+    return Trajectory.concatenate(
+        [read_trajectory(path, columns=told) for path in paths]
+    )

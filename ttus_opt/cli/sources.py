@@ -1,0 +1,146 @@
+"""Where a field came from: what `fit` writes of it, what others say of it.
+
+The provenance of a field file has texts by key. ``probe``, ``trajectories``,
+``surface`` are names; ``recordings`` and ``hashes`` are JSON objects of file names and
+SHA-256 sums; ``conventions``, ``options`` and ``versions`` are JSON objects too.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import platform
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ttus_opt import io
+from ttus_opt.errors import FileError, TtusWarning
+
+if TYPE_CHECKING:
+    from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+
+#: Packages that a field's numbers depend on
+PACKAGES = ("ttus-opt", "numpy", "scipy", "numba")
+
+#: Options that say nothing of the field
+NOT_OF_THE_FIELD = ("output", "json", "force", "picture")
+
+
+def sources(
+    surface: Path,
+    probe: ProbeOptions,
+    recordings: RecordingOptions,
+    typed: Mapping[str, Any],
+) -> dict[str, str]:
+    """What a field file says of where the field came from.
+
+    Args:
+        surface: The surface file.
+        probe: The probe.
+        recordings: The recordings.
+        typed: Every option of the command by name, defaults included.
+    """
+    files = [surface, *([Path(probe.probe)] if ":" not in probe.probe else [])]
+    options = {k: v for k, v in typed.items() if k not in NOT_OF_THE_FIELD}
+    return {
+        "probe": probe.name,
+        "surface": surface.name,
+        "trajectories": ", ".join(path.name for path in recordings.trajectory),
+        "recordings": _hashes(recordings.trajectory),
+        "hashes": _hashes(files),
+        "conventions": json.dumps(asdict(recordings.conventions)),
+        "options": json.dumps(options, default=str),
+        "versions": json.dumps(_versions()),
+    }
+
+
+def seen(
+    provenance: Mapping[str, str], recordings: Sequence[Path]
+) -> list[dict[str, Any]]:
+    """Name and hash of recordings, and whether the field was fitted to them.
+
+    Args:
+        provenance: Of the field.
+        recordings: Files to judge by.
+
+    Raises:
+        FileError: The provenance is damaged.
+    """
+    fitted = _read(provenance, "recordings").values()
+    named = [(path.name, io.sha256(path)) for path in recordings]
+    return [{"name": n, "sha256": h, "seen": h in fitted} for n, h in named]
+
+
+def warn_of_another_probe(
+    provenance: Mapping[str, str], probe: ProbeOptions, recordings: RecordingOptions
+) -> None:
+    """Say when a field was fitted with another probe or other torques.
+
+    Args:
+        provenance: Of the field.
+        probe: At hand.
+        recordings: At hand.
+
+    Raises:
+        FileError: The provenance is damaged.
+    """
+    fitted = provenance.get("probe")
+    told = f"probe {fitted}, this is {probe.name}" if fitted != probe.name else ""
+    file = Path(probe.probe)
+    if not told and ":" not in probe.probe and file.is_file():
+        own = _read(provenance, "hashes").get(file.name)
+        told = f"another file {fitted}" if own not in (None, io.sha256(file)) else ""
+    if fitted and told:
+        _warn(
+            f"the field was fitted with {told}: forces of another probe are a "
+            "prediction, not a check"
+        )
+    written = _read(provenance, "conventions").get("torque_about")
+    about = tuple(written) if isinstance(written, list) else written
+    own_about = recordings.conventions.torque_about
+    if about and about != own_about:
+        _warn(
+            f"the field was fitted to torques about {about}, these are about "
+            f"{own_about}: is --torque-about right?"
+        )
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, TtusWarning, stacklevel=3)
+
+
+def _hashes(files: Sequence[Path]) -> str:
+    return json.dumps({path.name: io.sha256(path) for path in files})
+
+
+def _versions() -> dict[str, str]:
+    """Of Python and of the packages that are installed, by name."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:  # run from a plain checkout
+            found[name] = "unknown"
+    return found
+
+
+def _read(provenance: Mapping[str, str], key: str) -> dict[str, Any]:
+    """A JSON object of the provenance; empty where a file has none.
+
+    Raises:
+        FileError: It is damaged.
+    """
+    try:
+        found = json.loads(provenance.get(key, "{}"))
+    except (ValueError, TypeError) as error:
+        raise _damaged(key) from error
+    if not isinstance(found, dict):
+        raise _damaged(key)
+    return found
+
+
+def _damaged(key: str) -> FileError:
+    return FileError(f"the field file's {key} are damaged: fit the field again")

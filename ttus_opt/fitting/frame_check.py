@@ -1,0 +1,79 @@
+"""Are recordings in the frame that was told? The skin says so.
+
+A probe that measures is near the skin. Recordings that are read in the patient's frame
+and were written in the scan's lie somewhere else, as a rule, and near the skin when
+they are carried over.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import TtusWarning
+from ttus_opt.probe.conventions import Conventions
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.surface import Surface
+
+#: A probe's centroid this near the skin is near it [m]
+NEAR = 0.1
+
+#: Shares of frames near the skin: below the first a frame is doubted, above the second
+#: another one is named [–]
+FEW, MANY = 0.2, 0.6
+
+
+def share_near_skin(trajectory: Trajectory, shell: PointShell, skin: Surface) -> float:
+    """Share of frames whose probe is near the skin.
+
+    Args:
+        trajectory: Patient frame.
+        shell: The probe.
+        skin: The patient.
+    """
+    points = trajectory.position + trajectory.rotation @ np.asarray(shell.reference)
+    radius = np.hypot(points[:, 0], points[:, 1])
+    angle, z = np.arctan2(points[:, 1], points[:, 0]), points[:, 2]
+    near = np.abs(radius - skin.radius_at(angle, z)) < NEAR
+    near &= (z > skin.z[0] - NEAR) & (z < skin.z[-1] + NEAR)
+    return float(near.mean())
+
+
+def warn_of_another_frame(
+    as_written: Trajectory,
+    read: Trajectory,
+    shell: PointShell,
+    skin: Surface,
+    told: Conventions,
+) -> None:
+    """Say when recordings lie on the skin in another frame than the one told.
+
+    Args:
+        as_written: With the file's numbers taken at their word.
+        read: By what was told.
+        shell: The probe.
+        skin: The patient.
+        told: How they were read.
+    """
+    if told.frame == "base":  # its motion belongs to it, there is nothing to compare
+        return
+    if share_near_skin(read, shell, skin) >= FEW:
+        return
+    other = "scan" if told.frame == "patient" else "patient"
+    place: Array = skin.axis.scan_to_patient
+    reread = replace(told, frame=other, wrench_frame="").read(
+        replace(as_written, force=None, torque=None), np.zeros(3), place
+    )
+    share = share_near_skin(reread, shell, skin)
+    if share > MANY:
+        warnings.warn(
+            f"the recordings lie beside the skin in the {told.frame}'s frame, and "
+            f"{100 * share:.0f} % of the poses near it in the {other}'s: read them "
+            f"with --frame {other}",
+            TtusWarning,
+            stacklevel=2,
+        )

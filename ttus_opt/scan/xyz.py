@@ -1,0 +1,167 @@
+"""Point clouds as text: x y z and what others write beside them.
+
+Cells are separated by commas, semicolons, tabs or blanks. Comment lines (``#``, ``%``,
+``//``), a first line with the number of points (PTS) and a line with the names of the
+columns, itself a comment or not, may stand before the points. Without names the first
+three columns are the coordinates, and what follows must be what clouds usually have:
+an intensity, a colour, a normal, or these together.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError
+
+COMMENT = re.compile(r"^\s*(#|%|//)+\s*")
+
+#: Other programs' names of the coordinates (ParaView)
+SAME = {"points:0": "x", "points:1": "y", "points:2": "z"}
+
+#: Columns of unnamed points: coordinates alone, with an intensity, with three numbers
+#: (colour or normal), four, six, or seven
+WIDTHS = (3, 4, 6, 7, 9, 10)
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line with something on it, and its number in the file."""
+
+    number: int
+    text: str
+
+
+def read_xyz(file: Path) -> Array:
+    """Coordinates of a text file, in the file's own unit and order.
+
+    Args:
+        file: The file, known to exist.
+
+    Returns:
+        Points, shape (n, 3) [the file's unit].
+
+    Raises:
+        FileError: No text, no points, columns that cannot be told, or fewer or more
+            points than the file announces.
+    """
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise FileError(f"{file} is not a text file: check its suffix") from error
+    lines = [
+        _Line(n, line.strip())
+        for n, line in enumerate(text.splitlines(), start=1)
+        if line.strip()
+    ]
+    names, announced, rows = _preamble(lines)
+    if not rows:
+        raise FileError(f"{file} holds no points: record or export it again")
+    mark = _separator(rows[0].text)
+    width = len(rows[0].text.split(mark))
+    columns = _columns(file, names, width)
+    for row in rows:
+        found = len(row.text.split(mark))
+        if found != width:
+            raise FileError(
+                f"{file}, line {row.number}: {found} columns, expected {width}: "
+                "truncated or damaged, export it again"
+            )
+    if announced is not None and announced != len(rows):
+        raise FileError(
+            f"{file} announces {announced} points in its first line and holds "
+            f"{len(rows)}: truncated or damaged, export it again"
+        )
+    try:
+        values = np.loadtxt(
+            [row.text for row in rows], delimiter=mark, usecols=columns, ndmin=2
+        )
+    except ValueError as error:
+        reason = str(error).splitlines()[0]
+        raise FileError(f"{file} has a value that is no number ({reason})") from error
+    points = np.asarray(values, dtype=np.float64)
+    if not names and width > 3:
+        _refuse_a_counter(file, points)
+    return points
+
+
+def _preamble(lines: Sequence[_Line]) -> tuple[list[str], int | None, list[_Line]]:
+    """Names of the columns, the number of points that is announced, and the points."""
+    names: list[str] = []
+    announced: int | None = None
+    rows: list[_Line] = []
+    for line in lines:
+        comment = COMMENT.match(line.text)
+        words = _words(COMMENT.sub("", line.text))
+        if not rows and not names and {"x", "y", "z"} <= set(words):
+            names = words
+        elif comment:
+            continue
+        elif not rows and announced is None and re.fullmatch(r"\d{1,15}", line.text):
+            announced = int(line.text)
+        elif not rows and not names and not _is_number(words[0]):
+            names = words  # refused where they are looked up
+        else:
+            rows.append(line)
+    return names, announced, rows
+
+
+def _columns(file: Path, names: Sequence[str], width: int) -> list[int]:
+    """Places of x, y and z.
+
+    Raises:
+        FileError: They cannot be told.
+    """
+    if names:
+        if not {"x", "y", "z"} <= set(names):
+            raise FileError(
+                f"{file} has the columns {', '.join(names)}, expected x, y and z among "
+                "them"
+            )
+        if len(names) != width:
+            raise FileError(
+                f"{file} names {len(names)} columns, its points have {width}: repair "
+                "the line of names"
+            )
+        return [names.index(name) for name in "xyz"]
+    if width not in WIDTHS:
+        raise FileError(
+            f"{file} has {width} columns, expected x, y, z alone or with intensity, "
+            "colour or normal (3, 4, 6, 7, 9 or 10): name x, y and z in a first line "
+            "to pick them"
+        )
+    return [0, 1, 2]
+
+
+def _refuse_a_counter(file: Path, points: Array) -> None:
+    """The first of unnamed columns may count the points, as tables do."""
+    first = points[:, 0]
+    if len(first) > 2 and (np.diff(first) == 1.0).all():
+        raise FileError(
+            f"{file}: the first column counts the points: name x, y and z in a first "
+            "line to pick them"
+        )
+
+
+def _words(text: str) -> list[str]:
+    """Names on a line, in small letters; other programs' names as ours."""
+    words = [w.strip().strip('"').lower() for w in text.split(_separator(text))]
+    return [SAME.get(word, word) for word in words if word] or [""]
+
+
+def _separator(text: str) -> str | None:
+    """What stands between cells; None for blanks and tabs."""
+    return next((mark for mark in (",", ";") if mark in text), None)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
