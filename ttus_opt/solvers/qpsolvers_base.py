@@ -121,6 +121,9 @@ def claim_from(words: str, found: bool) -> Claim:
     Returns:
         The claim.
 
+    Raises:
+        KeyboardInterrupt: It was interrupted; some packages take that for themselves.
+
     >>> claim_from("PROXQP_PRIMAL_INFEASIBLE", False)
     <Claim.INFEASIBLE: 'infeasible'>
     >>> claim_from("time limit reached", False)
@@ -129,6 +132,8 @@ def claim_from(words: str, found: bool) -> Claim:
     'DOUBTS'
     """
     plain = words.lower().replace("_", "").replace(" ", "").replace("-", "")
+    if "interrupt" in plain or "sigint" in plain:
+        raise KeyboardInterrupt
     if "inaccurate" in plain or "almost" in plain:
         # also of infeasibility: a certificate in doubt does not count
         return Claim.PAUSED if "iter" in plain else Claim.DOUBTS
