@@ -42,8 +42,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = (
     "ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
-    "--trajectory press_fit.csv --inner fit --sampling trilinear "
-    "--force-weight 1e-2 --torque-weight 1e-2 -o field.nc"
+    "--trajectory press_fit.csv -o field.nc"
 )
 
 
@@ -85,21 +84,44 @@ def fit(
         typer.Option(help="Radius of the outermost layer [m]; by default 2 cm beyond."),
     ] = None,
     inner: Annotated[
-        str,
-        typer.Option(help="Value on the inner layer, or fit: scaled to the forces."),
-    ] = "1.0",
+        str | None,
+        typer.Option(
+            help="Value on the inner layer, or fit: scaled to the forces, which is the "
+            "default where there are any."
+        ),
+    ] = None,
     outer: Annotated[
         float,
-        typer.Option(help="Minus the outer layer's value; a ratio with --inner fit."),
+        typer.Option(help="Minus the outer layer's value; a ratio where that is fit."),
     ] = 1.0,
     sampling: Annotated[
-        str, typer.Option(help="How contact samples p: voxel-mean or trilinear.")
-    ] = "voxel-mean",
+        str | None,
+        typer.Option(
+            help="How contact samples p: trilinear, the default, or voxel-mean."
+        ),
+    ] = None,
     force_weight: Annotated[
-        float | None, typer.Option(help="λ_f; the formulation's own by default.")
+        float | None,
+        typer.Option(help="λ_f; the formulation's own by default, 0.01."),
     ] = None,
     torque_weight: Annotated[
-        float | None, typer.Option(help="λ_τ; the formulation's own by default.")
+        float | None,
+        typer.Option(help="λ_τ; the formulation's own by default, 0.01."),
+    ] = None,
+    paper: Annotated[
+        bool,
+        typer.Option(
+            "--paper",
+            help="The paper's choices where nothing else is said: --inner 1 "
+            "--sampling voxel-mean --force-weight 1e-4 --torque-weight 1e-4.",
+        ),
+    ] = False,
+    every: Annotated[
+        int, typer.Option(help="Take every so many frames of a recording only.")
+    ] = 1,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="Take at most so many frames a second of a recording [Hz]."),
     ] = None,
     torque_length: Annotated[
         float | None,
@@ -131,6 +153,7 @@ def fit(
     """Fit a potential field to measured forces and torques."""
     from ttus_opt.fitting.batch import fit as fit_scene
     from ttus_opt.fitting.sanity import check_recordings
+    from ttus_opt.probe.thinning import thinned
     from ttus_opt.scan.surface import Surface
     from ttus_opt.scene import ScenePlan
 
@@ -141,6 +164,10 @@ def fit(
     }
     options = {name: value for name, value in given.items() if value is not None}
     options |= _options(option or ())
+    if paper:
+        inner, sampling, options = _as_in_the_paper(
+            formulation, inner, sampling, options
+        )
     conventions = read_conventions(
         torque_about,
         quaternion=quaternion,
@@ -150,6 +177,7 @@ def fit(
         wrench_delay=wrench_delay,
     )
     counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
+    sampling = sampling or ScenePlan.sampling
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(counts), LARGEST_FILE)
     inputs: list[Path | str] = [surface, probe, *trajectory]
@@ -157,7 +185,9 @@ def fit(
     with Stages(5) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
-        as_written = read_trajectories(trajectory, columns)
+        as_written = thinned(
+            read_trajectories(trajectory, columns), every=every, rate=rate
+        )
         shell = read_probe(probe, points, probe_unit, probe_surface)
         recorded = conventions.read(as_written, shell.reference)
         begin("assembling (first run compiles)")
@@ -210,9 +240,32 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return [path.name for path in paths]
 
 
-def _inner(text: str) -> float | Literal["fit"]:
-    if text == "fit":
-        return "fit"
+def _as_in_the_paper(
+    formulation: str,
+    inner: str | None,
+    sampling: str | None,
+    options: dict[str, Any],
+) -> tuple[str, str, dict[str, Any]]:
+    """The paper's boundary value, sampling and weights where none are given."""
+    from ttus_opt.paper import SCENE, WEIGHTS
+    from ttus_opt.problem.formulation import option_names
+
+    known = option_names(formulation)
+    weights = {
+        name: weight
+        for name, weight in WEIGHTS.items()
+        if known is None or name in known
+    }
+    return (
+        str(SCENE["inner"]) if inner is None else inner,
+        SCENE["sampling"] if sampling is None else sampling,
+        weights | options,
+    )
+
+
+def _inner(text: str | None) -> float | Literal["fit"] | None:
+    if text is None or text == "fit":
+        return text  # type: ignore[return-value]  # one word alone
     try:
         return float(text)
     except ValueError:
@@ -252,6 +305,7 @@ def _summary(solution: Solution, output: Path) -> dict[str, Any]:
         "parameters": solution.parameters,
         "standard_errors": solution.standard_errors,
         "not_identified": solution.not_identified,
+        "compressed": solution.compressed,
         "remarks": solution.remarks,
         "seconds": solution.timings.as_dict(),
         "output": str(output) if solved else None,
@@ -275,5 +329,7 @@ def _tell(solution: Solution, output: Path) -> None:
         f"{times.assembly:.1f} s assembly, {times.setup + times.solve:.1f} s solve"
     )
     typer.echo(f"objective {solution.objective:.4g} ({costs})")
+    for name, (had, has) in solution.compressed.items():
+        typer.echo(f"{name}: {had:,} rows compressed to {has:,}, exactly")
     for line in solution.identified:
         typer.echo(line)

@@ -22,7 +22,7 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 
@@ -119,12 +119,13 @@ def _decomposed(rows: sp.csr_array, target: Array) -> tuple[sp.csr_array, Array]
     both[:, k] = target
     (R,) = la.qr(both, mode="r", overwrite_a=True, check_finite=False)
     upper = sp.coo_array(np.triu(R[:k, :k]))
-    spread = sp.csr_array((upper.data, (upper.row, columns[upper.col])), shape=(k, n))
+    places = upper.row, columns[upper.col]
+    spread = sp.csr_array((upper.data, places), shape=(k, n))
     return spread, np.ascontiguousarray(R[:k, k])
 
 
-def _columns(matrix: sp.csr_array) -> Array:
+def _columns(matrix: sp.csr_array) -> IntArray:
     """Columns that are not empty, increasing."""
     found = np.zeros(matrix.shape[1], dtype=bool)
     found[matrix.indices] = True
-    return np.flatnonzero(found)
+    return np.flatnonzero(found).astype(np.int64)
