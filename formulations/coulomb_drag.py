@@ -26,8 +26,8 @@ from ttus_opt.terms.laplace import LaplaceTerm
 
 def build(
     scene: Scene,
-    force_weight: float = 1e-4,
-    torque_weight: float = 1e-4,
+    force_weight: float = 1e-2,
+    torque_weight: float = 1e-2,
     torque_length: float | None = None,
     smoothness: float = 1.0,
     largest_friction: float = 1.0,

@@ -30,8 +30,8 @@ from ttus_opt.terms.laplace import LaplaceTerm
 
 def build(
     scene: Scene,
-    force_weight: float = 1e-4,
-    torque_weight: float = 1e-4,
+    force_weight: float = 1e-2,
+    torque_weight: float = 1e-2,
     torque_length: float | None = None,
     largest_friction: float = 1.0,
     acts_at: str = "auto",

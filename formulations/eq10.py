@@ -4,8 +4,8 @@ min_p ‖L p - b‖² + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
 
 Source: Yeung, Black, Salcudean, Measurement and Potential Field-Based Patient
 Modeling for Model-Mediated Tele-ultrasound (2025); the paper has
-λ_f = λ_τ = 1e-4. ℓ makes torque comparable with force; ``torque_length=1`` is the
-paper's literal form in SI units.
+λ_f = λ_τ = 1e-4 (`ttus_opt.paper`). ℓ makes torque comparable with force;
+``torque_length=1`` is the paper's literal form in SI units.
 """
 
 from ttus_opt.problem.formulation import Formulation
@@ -17,8 +17,8 @@ from ttus_opt.terms.torque import TorqueTerm
 
 def build(
     scene: Scene,
-    force_weight: float = 1e-4,
-    torque_weight: float = 1e-4,
+    force_weight: float = 1e-2,
+    torque_weight: float = 1e-2,
     torque_length: float | None = None,
 ) -> Formulation:
     """Eq. 10 with weights λ_f, λ_τ [–] and torque length ℓ [m]."""

@@ -17,8 +17,8 @@ from ttus_opt.terms.torque import TorqueTerm
 
 def build(
     scene: Scene,
-    force_weight: float = 1e-4,
-    torque_weight: float = 1e-4,
+    force_weight: float = 1e-2,
+    torque_weight: float = 1e-2,
     torque_length: float | None = None,
     skin: float = 1e-3,
 ) -> Formulation:

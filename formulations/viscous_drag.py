@@ -18,8 +18,8 @@ from ttus_opt.terms.laplace import LaplaceTerm
 
 def build(
     scene: Scene,
-    force_weight: float = 1e-4,
-    torque_weight: float = 1e-4,
+    force_weight: float = 1e-2,
+    torque_weight: float = 1e-2,
     torque_length: float | None = None,
     sectors: int = 1,
     bands: int = 1,

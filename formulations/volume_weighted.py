@@ -17,8 +17,8 @@ from ttus_opt.terms.volume_weighted import VolumeWeightedTerm
 
 def build(
     scene: Scene,
-    force_weight: float = 1e-4,
-    torque_weight: float = 1e-4,
+    force_weight: float = 1e-2,
+    torque_weight: float = 1e-2,
     torque_length: float | None = None,
 ) -> Formulation:
     """Weights λ_f, λ_τ [–] and torque length ℓ [m]."""

@@ -26,6 +26,7 @@ KEPT = {
 OTHERWISE = {
     "constraints": "ttus_opt.constraints",
     "load_formulation": "load",
+    "paper": "ttus_opt.paper",
     "terms": "ttus_opt.terms",
 }
 

@@ -15,8 +15,6 @@ import os
 import platform
 import secrets
 import shutil
-import signal
-import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -25,6 +23,7 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import NDArray
 
 from ttus_opt.errors import FileError, InputError
+from ttus_opt.interrupts import signals_deferred as signals_deferred
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -103,29 +102,6 @@ def check_output(
             f"cannot write {path}: it takes about {size / 2**20:.0f} MiB and "
             f"{free / 2**20:.0f} MiB are free: make room or name another folder"
         )
-
-
-@contextlib.contextmanager
-def signals_deferred() -> Iterator[None]:
-    """Hold interrupts and termination back until a file is written.
-
-    An exception in the middle of the netCDF library leaves its lock taken and the next
-    writer waiting for ever. Only the main thread receives signals; elsewhere this does
-    nothing.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    received: list[int] = []
-    deferred = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(s, lambda n, _: received.append(n)) for s in deferred]
-    try:
-        yield
-    finally:
-        for kind, handler in zip(deferred, before, strict=True):
-            signal.signal(kind, handler or signal.SIG_DFL)
-        for number in received[:1]:
-            signal.raise_signal(number)
 
 
 @contextlib.contextmanager

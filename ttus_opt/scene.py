@@ -78,9 +78,9 @@ class Scene:
         shell: PointShell,
         trajectory: Trajectory,
         *,
-        inner: float | Literal["fit"] = 1.0,
+        inner: float | Literal["fit"] | None = None,
         outer: float = 1.0,
-        sampling: str = "voxel-mean",
+        sampling: str = "trilinear",
     ) -> Scene:
         """Assemble L, b, N, f, W and τ.
 
@@ -90,9 +90,11 @@ class Scene:
             trajectory: Poses, and wrenches where they were measured.
             inner: p_in, or "fit": the one scale for which the Laplace field alone
                 matches the measured forces best in least squares; 1 where its
-                standard error is larger than half of it (a `TtusWarning`).
-            outer: p_out; with ``inner="fit"`` the ratio p_out / p_in.
-            sampling: ``voxel-mean`` (the paper) or ``trilinear``.
+                standard error is larger than half of it (a `TtusWarning`). None is
+                "fit" where forces were measured in contact, else 1.
+            outer: p_out; where p_in is fitted the ratio p_out / p_in.
+            sampling: ``trilinear`` or ``voxel-mean``. The paper has the latter and
+                p_in = p_out = 1: `ttus_opt.paper.SCENE`.
 
         Returns:
             The scene. Poses off the grid or without contact are reported as a
@@ -116,6 +118,9 @@ class Scene:
         )
         _report_contact(rows, voxmap.grid.r_inner)
         known = _Identified({}, {}, {})
+        if inner is None:
+            touching = bool((rows.contact_points > 0).any())
+            inner = "fit" if touching and trajectory.has_wrench else 1.0
         if isinstance(inner, str):
             known = _identified_scale(laplace, rows, trajectory, outer)
             inner = known.parameters[BOUNDARY_SCALE]
@@ -231,17 +236,17 @@ class ScenePlan:
         shape: Voxel counts (n_r, n_theta, n_z) [–].
         r_inner: Radius of the inner layer [m].
         r_outer: Radius of the outer layer; None for 20 mm beyond the surface [m].
-        inner: p_in, or "fit", as for `Scene.assemble`.
-        outer: p_out; with "fit" the ratio p_out / p_in.
-        sampling: ``voxel-mean`` or ``trilinear``.
+        inner: p_in, "fit" or None, as for `Scene.assemble`.
+        outer: p_out; where p_in is fitted the ratio p_out / p_in.
+        sampling: ``trilinear`` or ``voxel-mean``.
     """
 
     shape: Sequence[int] = (48, 120, 60)
     r_inner: float = 0.03
     r_outer: float | None = None
-    inner: float | Literal["fit"] = 1.0
+    inner: float | Literal["fit"] | None = None
     outer: float = 1.0
-    sampling: str = "voxel-mean"
+    sampling: str = "trilinear"
 
     def build(
         self,

@@ -30,3 +30,10 @@ def test_tolerances_follow_what_is_asked_for(solver) -> None:  # type: ignore[no
     assert all(tight[name] < loose[name] for name in asked)
     assert solver.capabilities.time_limit == (7.0 in tight.values())
     assert (solver.name == "highs") == isinstance(solver, Highs)
+
+
+def test_an_interrupt_that_a_package_took_for_itself_goes_on() -> None:
+    """OSQP and SCS end with these words; the answer so far is none."""
+    for words in ("interrupted", "Interrupted", "OSQP_SIGINT"):
+        with pytest.raises(KeyboardInterrupt):
+            claim_from(words, True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -13,8 +15,9 @@ from ttus_opt.errors import InputError, SolverUnavailableError
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import reduce
 from ttus_opt.solvers import registry
-from ttus_opt.solvers.base import Claim, Request, Solver
+from ttus_opt.solvers.base import Capabilities, Claim, Prepared, Request, Solver
 from ttus_opt.terms.penalties.groups import Groups
 
 ALL = list(registry.solvers().values())
@@ -26,12 +29,6 @@ def test_says_who_it_is(solver: Solver) -> None:
     assert bool(solver.module) == bool(solver.pip_name)
 
 
-def test_every_preference_exists_and_has_a_reason() -> None:
-    for name, reason in registry.PREFERENCE:
-        assert name in registry.solvers()
-        assert len(reason) > 20
-
-
 def bounded(n: int) -> Program:
     """A box over n variables."""
     zero, one = np.zeros(n), np.ones(n)
@@ -39,10 +36,50 @@ def bounded(n: int) -> Program:
     return program([fit], (), [bounds("box", zero, one)])
 
 
+class Costing(Solver):
+    """A solver with an estimate that takes anything."""
+
+    summary = "stands for another"
+    capabilities = Capabilities(inequalities=True, equalities=True, nonquadratic=True)
+
+    def __init__(self, name: str, seconds: float) -> None:
+        self.name, self.seconds = name, seconds
+
+    def cost(self, program: Program) -> float:
+        return self.seconds
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        raise AssertionError
+
+
+def test_auto_takes_the_cheapest_and_keeps_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    offered = [Costing("slow", 3.0), Costing("fast", 1.0), Costing("never", math.inf)]
+    monkeypatch.setattr(registry, "solvers", lambda: {s.name: s for s in offered})
+    order = [s.name for s in registry.candidates("auto", bounded(3))]
+    assert order == ["fast", "slow"]
+
+
 def test_auto_takes_interior_point_when_small_and_splitting_when_large() -> None:
+    """A small box, and a grid whose factor an interior point repeats."""
     assert registry.choose("auto", bounded(10)).name == "clarabel"
-    large = registry.choose("auto", bounded(registry.LARGEST["clarabel"] + 1)).name
-    assert large == ("scs" if registry.solvers()["scs"].installed else "clarabel")
+    scene = small_scene("trilinear", shape=(24, 48, 24), n_poses=6)
+    robust = reduce(shelf.load("robust", scene).compile()).program
+    clarabel, scs = (registry.solvers()[name] for name in ("clarabel", "scs"))
+    assert scs.cost(robust) < clarabel.cost(robust)
+
+
+def test_estimates_grow_with_the_grid_and_with_limits() -> None:
+    small, large = (
+        shelf.load("eq10", small_scene("trilinear", shape=shape)).compile()
+        for shape in ((9, 20, 10), (18, 40, 20))
+    )
+    limited = shelf.load("eq10_sign", small_scene("trilinear", shape=(9, 20, 10)))
+    for name in registry.estimating():
+        solver = registry.solvers()[name]
+        assert solver.cost(small) < solver.cost(large)
+        assert solver.cost(small) < solver.cost(limited.compile())
 
 
 def test_auto_takes_the_structured_solver_on_eq10() -> None:
@@ -53,8 +90,8 @@ def test_auto_takes_the_structured_solver_on_eq10() -> None:
 
 
 def test_auto_never_takes_a_reference() -> None:
-    assert "amg_pcg" in registry.solvers()
-    assert "amg_pcg" not in dict(registry.PREFERENCE)
+    assert {"amg_pcg", "closed_form"} <= set(registry.solvers())
+    assert not {"amg_pcg", "closed_form"} & set(registry.estimating())
 
 
 def test_auto_takes_cones_for_group_norms() -> None:

@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = (
     "ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
-    "--trajectory press_fit.csv --inner fit --sampling trilinear "
-    "--force-weight 1e-2 --torque-weight 1e-2 -o field.nc"
+    "--trajectory press_fit.csv -o field.nc"
 )
 
 
@@ -70,21 +69,44 @@ def fit(
         typer.Option(help="Radius of the outermost layer [m]; by default 2 cm beyond."),
     ] = None,
     inner: Annotated[
-        str,
-        typer.Option(help="Value on the inner layer, or fit: scaled to the forces."),
-    ] = "1.0",
+        str | None,
+        typer.Option(
+            help="Value on the inner layer, or fit: scaled to the forces, which is the "
+            "default where there are any."
+        ),
+    ] = None,
     outer: Annotated[
         float,
-        typer.Option(help="Minus the outer layer's value; a ratio with --inner fit."),
+        typer.Option(help="Minus the outer layer's value; a ratio where that is fit."),
     ] = 1.0,
     sampling: Annotated[
-        str, typer.Option(help="How contact samples p: voxel-mean or trilinear.")
-    ] = "voxel-mean",
+        str | None,
+        typer.Option(
+            help="How contact samples p: trilinear, the default, or voxel-mean."
+        ),
+    ] = None,
     force_weight: Annotated[
-        float | None, typer.Option(help="λ_f; the formulation's own by default.")
+        float | None,
+        typer.Option(help="λ_f; the formulation's own by default, 0.01."),
     ] = None,
     torque_weight: Annotated[
-        float | None, typer.Option(help="λ_τ; the formulation's own by default.")
+        float | None,
+        typer.Option(help="λ_τ; the formulation's own by default, 0.01."),
+    ] = None,
+    paper: Annotated[
+        bool,
+        typer.Option(
+            "--paper",
+            help="The paper's choices where nothing else is said: --inner 1 "
+            "--sampling voxel-mean --force-weight 1e-4 --torque-weight 1e-4.",
+        ),
+    ] = False,
+    every: Annotated[
+        int, typer.Option(help="Take every so many frames of a recording only.")
+    ] = 1,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="Take at most so many frames a second of a recording [Hz]."),
     ] = None,
     torque_length: Annotated[
         float | None,
@@ -106,6 +128,7 @@ def fit(
     """Fit a potential field to measured forces and torques."""
     from ttus_opt.fitting.batch import fit as fit_scene
     from ttus_opt.fitting.sanity import check_recordings
+    from ttus_opt.probe.thinning import thinned
     from ttus_opt.scan.surface import Surface
     from ttus_opt.scene import ScenePlan
 
@@ -116,8 +139,13 @@ def fit(
     }
     options = {name: value for name, value in given.items() if value is not None}
     options |= _options(option or ())
+    if paper:
+        inner, sampling, options = _as_in_the_paper(
+            formulation, inner, sampling, options
+        )
     conventions = recordings.conventions
     counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
+    sampling = sampling or ScenePlan.sampling
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(counts), LARGEST_FILE)
     inputs: list[Path | str] = [surface, probe.probe, *recordings.files]
@@ -125,7 +153,7 @@ def fit(
     with Stages(5) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
-        as_written = recordings.as_written()
+        as_written = thinned(recordings.as_written(), every=every, rate=rate)
         shell = probe.read()
         recorded = recordings.read(as_written, shell, patient)
         begin("assembling (first run compiles)")
@@ -187,9 +215,32 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return [path.name for path in paths]
 
 
-def _inner(text: str) -> float | Literal["fit"]:
-    if text == "fit":
-        return "fit"
+def _as_in_the_paper(
+    formulation: str,
+    inner: str | None,
+    sampling: str | None,
+    options: dict[str, Any],
+) -> tuple[str, str, dict[str, Any]]:
+    """The paper's boundary value, sampling and weights where none are given."""
+    from ttus_opt.paper import SCENE, WEIGHTS
+    from ttus_opt.problem.formulation import option_names
+
+    known = option_names(formulation)
+    weights = {
+        name: weight
+        for name, weight in WEIGHTS.items()
+        if known is None or name in known
+    }
+    return (
+        str(SCENE["inner"]) if inner is None else inner,
+        SCENE["sampling"] if sampling is None else sampling,
+        weights | options,
+    )
+
+
+def _inner(text: str | None) -> float | Literal["fit"] | None:
+    if text is None or text == "fit":
+        return text  # type: ignore[return-value]  # one word alone
     try:
         return float(text)
     except ValueError:
@@ -229,6 +280,7 @@ def _summary(solution: Solution, output: Path) -> dict[str, Any]:
         "parameters": solution.parameters,
         "standard_errors": solution.standard_errors,
         "not_identified": solution.not_identified,
+        "compressed": solution.compressed,
         "remarks": solution.remarks,
         "seconds": solution.timings.as_dict(),
         "output": str(output) if solved else None,
@@ -252,5 +304,7 @@ def _tell(solution: Solution, output: Path) -> None:
         f"{times.assembly:.1f} s assembly, {times.setup + times.solve:.1f} s solve"
     )
     typer.echo(f"objective {solution.objective:.4g} ({costs})")
+    for name, (had, has) in solution.compressed.items():
+        typer.echo(f"{name}: {had:,} rows compressed to {has:,}, exactly")
     for line in solution.identified:
         typer.echo(line)

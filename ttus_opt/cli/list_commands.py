@@ -28,7 +28,7 @@ def solvers(json: Json = False) -> None:
 
     known = registry.solvers()
     if json:
-        order = [name for name, _reason in registry.PREFERENCE]
+        order = registry.estimating()
         rows = [_solver(solver) for solver in known.values()]
         print_json({"solvers": rows, "auto_tries": order})
         return
@@ -44,9 +44,10 @@ def solvers(json: Json = False) -> None:
         for name, solver in known.items()
     ]
     typer.echo(table(header, body))
-    typer.echo("\nauto takes the first of these that is installed and fits:")
-    for name, reason in registry.PREFERENCE:
-        typer.echo(f"  {name}: {reason}")
+    typer.echo(
+        "\nauto takes, of those that are installed and take the problem, the one that "
+        f"estimates the least time: {', '.join(registry.estimating())}"
+    )
 
 
 def formulations(json: Json = False) -> None:

@@ -14,8 +14,9 @@ from ttus_opt.fitting.parameter_search import Found, searched
 from ttus_opt.fitting.verdict import check_candidate
 from ttus_opt.fitting.verdict import judged as judged
 from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.compression import Compression
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.problem.reduction import reduce
+from ttus_opt.problem.reduction import Reduction, reduce
 from ttus_opt.problem.solution import Attempt, Solution, Status, Timings
 from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
@@ -170,7 +171,8 @@ class Fitter:
         start = time.perf_counter() if started is None else started
         self._request = request or Request()
         self._declared = declared
-        self._reduction = reduce(declared.compile())
+        self._compression = Compression()
+        self._reduction = self._reduced()
         self._backend, *self._others = registry.candidates(
             solver, self._reduction.program
         )
@@ -195,7 +197,7 @@ class Fitter:
         """Take other weights or data; the solver keeps what it can."""
         start = time.perf_counter()
         self._declared = declared
-        self._reduction = reduce(declared.compile())
+        self._reduction = self._reduced()
         with told_by_line(f"solver {self._backend.name}"):
             self._prepared.update(self._reduction.program)
         self._taken_in = time.perf_counter() - start
@@ -220,6 +222,11 @@ class Fitter:
             attempts.append(Attempt.of(solution))
             attempts = [a for a in attempts if a.solver != best.solver]
         return replace(best, attempts=tuple(attempts))
+
+    def _reduced(self) -> Reduction:
+        """The program as solvers get it, and as answers are judged by."""
+        reduction = reduce(self._declared.compile())
+        return replace(reduction, program=self._compression(reduction.program))
 
     def _loaded(self) -> Prepared:
         """The solver in charge with the program."""
@@ -247,7 +254,7 @@ class Fitter:
             again = self._taken_in + spent
         self._taken_in = 0.0
         timings = Timings(self._assembly, self._setup, self._first, again)
-        return judged(
+        solution = judged(
             self._declared,
             self._reduction,
             self._backend.name,
@@ -255,6 +262,7 @@ class Fitter:
             self._request,
             timings,
         )
+        return replace(solution, compressed=self._compression.rows)
 
 
 def _better(one: Solution, other: Solution) -> Solution:

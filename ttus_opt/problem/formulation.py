@@ -101,6 +101,16 @@ def load(
 load_formulation = load
 
 
+def option_names(formulation: str | Path) -> tuple[str, ...] | None:
+    """Names of a formulation's options; None where it takes any.
+
+    Raises:
+        InputError: There is no such formulation.
+    """
+    known = _options(_find(formulation)[0])
+    return None if known is None else tuple(known)
+
+
 def _check_option(what: str, parameter: inspect.Parameter, value: Any) -> None:
     """Validate the kind of an option by its default and its annotation.
 

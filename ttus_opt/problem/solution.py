@@ -126,6 +126,8 @@ class Solution:
             used, with the reason, by name.
         remarks: What else there is to say of a parameter, by name: it is at its limit,
             or why it has no standard error.
+        compressed: How many rows terms have and how many the solver got instead, with
+            the same least squares, by name; see `ttus_opt.problem.compression`.
     """
 
     status: Status
@@ -148,6 +150,7 @@ class Solution:
     standard_errors: Mapping[str, float] = field(default_factory=dict)
     not_identified: Mapping[str, str] = field(default_factory=dict)
     remarks: Mapping[str, str] = field(default_factory=dict)
+    compressed: Mapping[str, tuple[int, int]] = field(default_factory=dict)
 
     @property
     def field(self) -> PotentialField:

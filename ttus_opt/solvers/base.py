@@ -9,6 +9,7 @@ from __future__ import annotations
 import abc
 import enum
 import importlib.util
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -144,9 +145,23 @@ class Solver(abc.ABC):
                 return f"it takes no constraint {constraint.name}"
         return ""
 
-    def suits(self, program: Program) -> bool:
-        """Whether "auto" should consider it before those that suit a program better."""
-        return True
+    @property
+    def estimates(self) -> bool:
+        """Whether "auto" considers it: whether it has a `cost` of its own."""
+        return type(self).cost is not Solver.cost
+
+    def cost(self, program: Program) -> float:
+        """About how many seconds set-up and first solve take; "auto" takes the least.
+
+        It has to be quick and needs sizes only (`ttus_opt.solvers.sizes`).
+
+        Args:
+            program: One that it takes, reduced and compressed.
+
+        Returns:
+            Seconds of one core; infinite where "auto" shall leave it out [s].
+        """
+        return math.inf
 
     def require(self, program: Program) -> None:
         """Check that the solver is there and can take a program.

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
+
+from ttus_opt.problem.program import Program
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,7 @@ class Package:
         margin: First tolerance handed to it, as a part of the one asked for: an
             iteration more is often cheaper than a second solve [–].
         pip_name: How to install it; "" where that is its import name.
+        cost: Estimate for ``solver="auto"`` (`Solver.cost`); None to be left out [s].
     """
 
     name: str
@@ -38,6 +41,7 @@ class Package:
     within: str = ""
     margin: float = 0.1
     pip_name: str = ""
+    cost: Callable[[Program], float] | None = None
 
     def options(self, eps: float, seconds: float | None) -> dict[str, Any]:
         """A tolerance and a time limit in the package's own words.

@@ -11,6 +11,7 @@ GPL; MOSEK is reached through cvxpy.
 
 from __future__ import annotations
 
+import math
 import warnings
 from typing import Any
 
@@ -27,6 +28,7 @@ from ttus_opt.solvers.base import (
 )
 from ttus_opt.solvers.package import Package
 from ttus_opt.solvers.quadratic import OneSided, read_back
+from ttus_opt.solvers.sizes import interior_point_seconds
 from ttus_opt.solvers.verified import Verified
 
 
@@ -41,6 +43,15 @@ class QpPackage(Solver):
         self.capabilities = Capabilities(
             inequalities=True, equalities=True, time_limit=bool(package.time_limit)
         )
+
+    @property
+    def estimates(self) -> bool:
+        """Whether its row has an estimate."""
+        return self.package.cost is not None
+
+    def cost(self, program: Program) -> float:
+        """The estimate of its row."""
+        return self.package.cost(program) if self.package.cost else math.inf
 
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Bring the program into the package's form."""
@@ -136,6 +147,9 @@ def claim_from(words: str, found: bool) -> Claim:
     Returns:
         The claim.
 
+    Raises:
+        KeyboardInterrupt: It was interrupted; some packages take that for themselves.
+
     >>> claim_from("PROXQP_PRIMAL_INFEASIBLE", False)
     <Claim.INFEASIBLE: 'infeasible'>
     >>> claim_from("time limit reached", False)
@@ -144,6 +158,8 @@ def claim_from(words: str, found: bool) -> Claim:
     'DOUBTS'
     """
     plain = words.lower().replace("_", "").replace(" ", "").replace("-", "")
+    if "interrupt" in plain or "sigint" in plain:
+        raise KeyboardInterrupt
     if "inaccurate" in plain or "almost" in plain:
         # also of infeasibility: a certificate in doubt does not count
         return Claim.PAUSED if "iter" in plain else Claim.DOUBTS
@@ -172,6 +188,7 @@ SOLVERS = [
             "clarabel",
             ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
             time_limit="time_limit",
+            cost=interior_point_seconds,
         )
     ),
     QpPackage(
@@ -181,6 +198,7 @@ SOLVERS = [
             "piqp",
             ("eps_abs", "eps_rel", "eps_duality_gap_abs", "eps_duality_gap_rel"),
             fixed={"check_duality_gap": True},
+            cost=lambda program: 1.5 * interior_point_seconds(program),
         )
     ),
     QpPackage(

@@ -1,5 +1,7 @@
 """The solvers there are, found by looking into this folder, and which one to take.
 
+``solver="auto"`` takes the one whose own estimate of its cost (`Solver.cost`) is least.
+
 A backend is added by adding a file with a list ``SOLVERS``; another package offers its
 own by an entry point of the group ``ttus_opt.solvers``, a user by path or as an object.
 """
@@ -11,6 +13,7 @@ import functools
 import importlib
 import importlib.metadata
 import importlib.util
+import math
 import pkgutil
 from pathlib import Path
 from typing import Any
@@ -23,23 +26,6 @@ from ttus_opt.user_code import told_by_line
 
 #: Where another package offers solvers
 ENTRY_POINTS = "ttus_opt.solvers"
-
-#: What ``solver="auto"`` tries, in this order, and why. The first that is installed
-#: and takes the program is chosen.
-PREFERENCE: tuple[tuple[str, str], ...] = (
-    ("structured", "never forms Q: exact to rounding and the fastest at every size, "
-     "while the measured rows are fewer than half the voxels"),
-    ("clarabel", "interior point on the sparse least-squares form: sure and accurate"),
-    ("scs", "splitting, one factor for all iterations: two to three times faster than "
-     "interior point where that factor is large, and a re-solve costs a tenth"),
-    ("piqp", "interior point with a slower factor: for small problems"),
-    ("osqp", "splitting with a slower factor: for small problems"),
-    ("cvxpy_clarabel", "the same interior point on cones: takes group norms"),
-)  # fmt: skip
-
-#: Up to how many variables a member of `PREFERENCE` goes before later ones; beyond,
-#: it is taken only when no other can
-LARGEST = {name: 30_000 for name in ("clarabel", "piqp", "osqp", "cvxpy_clarabel")}
 
 
 @functools.cache
@@ -56,7 +42,7 @@ def solvers() -> dict[str, Solver]:
 
 
 def candidates(solver: str | Path | Solver, program: Program) -> list[Solver]:
-    """The solver that was asked for, or for "auto" those of `PREFERENCE` in turn.
+    """The solver that was asked for, or for "auto" all that offer an estimate.
 
     Args:
         solver: A name, "auto", the path of a file with ``SOLVERS``, or a solver.
@@ -77,18 +63,21 @@ def candidates(solver: str | Path | Solver, program: Program) -> list[Solver]:
 
 
 def _preferred(program: Program) -> list[Solver]:
-    """Those of `PREFERENCE` that take a program, the one to try first in front."""
-    known = solvers()
-    able = [
-        known[candidate]
-        for candidate, _reason in PREFERENCE
-        if known[candidate].installed and not known[candidate].refusal(program)
-    ]
-    size = program.n_variables
-    within = [s for s in able if size <= LARGEST.get(s.name, size) and s.suits(program)]
+    """Those that take a program and estimate its cost, the cheapest in front."""
+    costs: list[tuple[float, Solver]] = []
+    for known in solvers().values():
+        if known.installed and not known.refusal(program):
+            with told_by_line(f"solver {known.name}"):
+                costs.append((known.cost(program), known))
+    able = [(cost, solver) for cost, solver in costs if cost < math.inf]
     if able:
-        return within or able
+        return [solver for _, solver in sorted(able, key=lambda pair: pair[0])]
     raise InputError("no installed solver takes this problem: see ttus-opt solvers")
+
+
+def estimating() -> list[str]:
+    """Names of the solvers that "auto" considers, in alphabetical order."""
+    return [s.name for s in solvers().values() if s.estimates]
 
 
 def _asked_for(solver: str | Path | Solver) -> Solver:

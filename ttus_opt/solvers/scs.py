@@ -23,6 +23,7 @@ from ttus_opt.solvers.base import (
 )
 from ttus_opt.solvers.qp_packages import claim_from
 from ttus_opt.solvers.quadratic import OneSided, TwoSided, read_back
+from ttus_opt.solvers.sizes import splitting_seconds
 from ttus_opt.solvers.verified import Verified
 
 #: Iterations between two checks of the answer, and most checks
@@ -41,6 +42,10 @@ class Scs(Solver):
     )
     module = "scs"
     pip_name = "scs"
+
+    def cost(self, program: Program) -> float:
+        """Of a splitting method."""
+        return splitting_seconds(program)
 
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Load, scale and factorise."""

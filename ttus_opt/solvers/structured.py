@@ -43,6 +43,7 @@ from ttus_opt.solvers.dual.primal_dual_active_set import primal_dual_active_set
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.dual.working_set import WorkingSet
+from ttus_opt.solvers.sizes import Sizes
 
 #: Most unknowns beside the field: each costs an approximate dual solve
 MOST = 64
@@ -103,14 +104,13 @@ class Structured(Solver):
             return f"of two fields it takes bounds and a largest share: {error}"
         return ""
 
-    def suits(self, program: Program) -> bool:
-        """Few measured rows: a term over all voxels makes the dual as large as p."""
-        second = second_field(program)
-        priors = [laplace_prior(program), second[1] if second else None]
-        rows = sum(
-            len(t.target) for t in program.terms if not any(t is k for k in priors)
-        )
-        return rows <= program.n_variables / 2
+    def cost(self, program: Program) -> float:
+        """In proportion to the voxels; more with limits, most with a second field."""
+        s = Sizes.of(program)
+        if second_field(program) is not None:
+            return 0.1 + 4e-5 * s.voxels
+        harder = 1.0 + 5.0 * min(s.measured / s.voxels, 2.0) + (5.0 if s.limits else 0)
+        return 0.03 + 2.5e-6 * harder * s.voxels
 
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Set up the multigrid and the dual system."""

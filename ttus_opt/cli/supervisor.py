@@ -1,0 +1,98 @@
+"""A command runs in a child process, so that Ctrl-C ends it whatever it is doing.
+
+Python handles a signal between two of its own instructions: a factorisation that takes
+minutes in a library keeps it waiting, and some solvers take the interrupt for
+themselves. The process the user started only waits. It passes an interrupt on, gives
+the child a moment to clean up, and then ends it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import sys
+from types import FrameType
+
+from ttus_opt.interrupts import INTERRUPT
+
+#: Commands that compute; the others are over at once, or watch children of their own
+COMMANDS = ("demo", "evaluate", "fit", "render", "surface")
+
+#: What a child that was asked to stop is given to clean up [s]
+GRACE = 1.0
+
+INTERRUPTED, TERMINATED = 130, 143
+
+
+def run_supervised(command: str) -> None:
+    """Go on in a child process, where the system can fork.
+
+    Returns in the child; the process itself waits and ends as the child does.
+
+    Args:
+        command: The first word of the command line.
+    """
+    if command not in COMMANDS or not hasattr(os, "fork"):
+        return
+    child = os.fork()
+    if child:
+        os._exit(_watch(child))
+    _end_with_parent()
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+        # a terminal interrupts parent and child alike: only the parent's word counts,
+        # or the second interrupt would strike while the first is cleaned up after
+        signal.signal(signal.SIGINT, lambda *_: None)
+        signal.signal(INTERRUPT, _interrupt)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+def _watch(child: int) -> int:
+    """Wait for a child and pass signals on; the exit status it leaves.
+
+    Args:
+        child: Its process number.
+    """
+    stopped: list[int] = []
+
+    def stop(number: int, _frame: FrameType | None) -> None:
+        if stopped:
+            os.kill(child, signal.SIGKILL)
+            return
+        stopped.append(INTERRUPTED if number == signal.SIGINT else TERMINATED)
+        os.kill(child, INTERRUPT if number == signal.SIGINT else signal.SIGTERM)
+        signal.setitimer(signal.ITIMER_REAL, GRACE)
+
+    if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
+        signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGALRM, lambda *_: os.kill(child, signal.SIGKILL))
+    _, status = os.waitpid(child, 0)
+    code = os.waitstatus_to_exitcode(status)
+    if not stopped:
+        return code if code >= 0 else _like_the_child(-code)
+    if code == -signal.SIGKILL and stopped[0] == INTERRUPTED:
+        sys.stderr.write("\nerror: interrupted: nothing further was written\n")
+        sys.stderr.flush()
+    return stopped[0] if code else 0
+
+
+def _like_the_child(number: int) -> int:
+    """End by the signal that ended the child, so that a shell tells the same."""
+    with contextlib.suppress(OSError, ValueError):  # SIGKILL takes no handler
+        signal.signal(number, signal.SIG_DFL)
+    os.kill(os.getpid(), number)
+    return 128 + number
+
+
+def _end_with_parent() -> None:
+    """Do not outlive the parent, where the system can promise that."""
+    if sys.platform != "linux":
+        return
+    import ctypes
+
+    set_parent_death_signal = 1
+    ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)

@@ -1,0 +1,49 @@
+"""Fewer frames of a dense recording: every so many, or so many a second."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ttus_opt.errors import InputError
+from ttus_opt.probe.trajectory import Trajectory
+
+
+def thinned(
+    trajectory: Trajectory, *, every: int = 1, rate: float | None = None
+) -> Trajectory:
+    """Some of the frames of every recording, the first one among them.
+
+    Args:
+        trajectory: Of one recording or several.
+        every: Every how many frames one is kept [–].
+        rate: At most how many frames are kept per second of the recording, before
+            `every` counts; None for all [Hz].
+
+    Returns:
+        The frames that are left, as they were measured: nothing is averaged.
+
+    Raises:
+        InputError: `every` is no positive whole number, or `rate` is not positive.
+
+    >>> from ttus_opt import example
+    >>> from ttus_opt.probe.trajectory import read_trajectory
+    >>> press = read_trajectory(example.path("press_fit.csv"))  # 20 s at 20 Hz
+    >>> len(thinned(press, every=3)), len(thinned(press, rate=5.0))
+    (134, 100)
+    """
+    if not (isinstance(every, int) and every >= 1):
+        raise InputError(f"every must be a whole number from 1 on, got {every!r}")
+    if rate is not None and not 0.0 < rate < math.inf:
+        raise InputError(f"rate must be positive [Hz], got {rate}")
+    kept = []
+    for segment in dict.fromkeys(trajectory.segment.tolist()):
+        frames = np.flatnonzero(trajectory.segment == segment)
+        if rate is not None:
+            passed = trajectory.time[frames] - trajectory.time[frames[0]]
+            # rounding of the times must not put a frame into the interval before
+            interval = np.floor(passed * rate + 1e-6)
+            frames = frames[np.diff(interval, prepend=-1.0) > 0.0]
+        kept.append(frames[::every])
+    return trajectory.select(np.concatenate(kept))

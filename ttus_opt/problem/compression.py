@@ -1,0 +1,131 @@
+"""Many measured rows of few voxels, as few rows with the same least squares.
+
+A recording at 1 kHz has tens of thousands of rows over some hundred voxels. With the
+QR decomposition of rows and target together,
+
+    [M t] = Q [R c; 0 ρ]   ⟹   ‖M x - t‖² = ‖R x - c‖² + ρ²,
+
+R has no more rows than M has columns that are not zero, and nothing is lost but the
+constant. Blocks of consecutive rows, which touch few voxels each, are decomposed one
+by one, and what they leave again, until that no longer pays. Penalties that are no sum
+of squares, and rows with limits, are left as they are; an answer is verified with all
+rows.
+
+See docs/method.md, Dense recordings.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+
+#: Terms of fewer rows are left as they are: a solve costs more than its rows
+LEAST_ROWS = 10_000
+
+#: Rows per column that is touched, at least, for the decomposition to pay
+OVERDETERMINED = 4.0
+
+#: Rows decomposed at once, and the part that a round has to leave out to be worth it
+BLOCK, GAIN = 1024, 0.3
+
+
+class Compression:
+    """Compresses programs, and keeps what it found while rows and targets stay."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, tuple[ProgramTerm, ProgramTerm]] = {}
+        self.rows: dict[str, tuple[int, int]] = {}
+
+    def __call__(self, program: Program) -> Program:
+        """The program with compressed terms; itself where nothing is to be gained.
+
+        `rows` then says how many rows each such term had and has, by name.
+        """
+        terms = tuple(self._compressed(term) for term in program.terms)
+        pairs = list(zip(program.terms, terms, strict=True))
+        self.rows = {
+            old.name: (len(old.target), len(new.target))
+            for old, new in pairs
+            if new is not old
+        }
+        return replace(program, terms=terms) if self.rows else program
+
+    def _compressed(self, term: ProgramTerm) -> ProgramTerm:
+        if not _pays(term):
+            return term
+        kept = self._kept.get(term.name)
+        if (
+            kept is None
+            or kept[0].matrix is not term.matrix
+            or not np.array_equal(kept[0].target, term.target)
+        ):
+            matrix, target = compressed_rows(term.matrix, term.target)
+            kept = term, replace(term, matrix=matrix, target=target)
+            self._kept[term.name] = kept
+        return kept[1].with_weight(term.weight)
+
+
+def _pays(term: ProgramTerm) -> bool:
+    """Whether a term is a sum of squares with many more rows than columns."""
+    m = len(term.target)
+    if m < LEAST_ROWS or not term.is_squares or term.laplace_rows is not None:
+        return False
+    return m >= OVERDETERMINED * len(_columns(term.matrix))
+
+
+def compressed_rows(matrix: sp.csr_array, target: Array) -> tuple[sp.csr_array, Array]:
+    """Rows R x - c with the same least squares as M x - t, up to a constant.
+
+    Args:
+        matrix: M, shape (m, n).
+        target: t, shape (m,).
+
+    Returns:
+        R, shape (k, n), and c, shape (k,).
+
+    >>> R, c = compressed_rows(sp.csr_array([[3.0], [4.0]]), np.array([1.0, 2.0]))
+    >>> abs(R.toarray()).round(12), abs(c).round(12)
+    (array([[5.]]), array([2.2]))
+    """
+    rows = sp.csr_array(matrix)
+    while True:
+        parts = [
+            _decomposed(rows[start : start + BLOCK], target[start : start + BLOCK])
+            for start in range(0, rows.shape[0], BLOCK)
+        ]
+        before = rows.shape[0]
+        rows = sp.csr_array(sp.vstack([part for part, _ in parts], format="csr"))
+        target = np.concatenate([part for _, part in parts])
+        if len(parts) == 1 or rows.shape[0] > (1.0 - GAIN) * before:
+            return rows, target
+
+
+def _decomposed(rows: sp.csr_array, target: Array) -> tuple[sp.csr_array, Array]:
+    """R and c of a block of rows; the block itself where R would be no smaller."""
+    m, n = rows.shape
+    columns = _columns(rows)
+    k = len(columns)
+    if k >= m:
+        return rows, target
+    both = np.empty((m, k + 1), order="F")
+    both[:, :k] = rows[:, columns].toarray()
+    both[:, k] = target
+    (R,) = la.qr(both, mode="r", overwrite_a=True, check_finite=False)
+    upper = sp.coo_array(np.triu(R[:k, :k]))
+    places = upper.row, columns[upper.col]
+    spread = sp.csr_array((upper.data, places), shape=(k, n))
+    return spread, np.ascontiguousarray(R[:k, k])
+
+
+def _columns(matrix: sp.csr_array) -> IntArray:
+    """Columns that are not empty, increasing."""
+    found = np.zeros(matrix.shape[1], dtype=bool)
+    found[matrix.indices] = True
+    return np.flatnonzero(found).astype(np.int64)
