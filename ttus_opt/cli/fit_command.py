@@ -38,7 +38,10 @@ from ttus_opt.cli.options import (
 from ttus_opt.errors import InputError, TtusWarning
 
 if TYPE_CHECKING:
+    from ttus_opt.probe.point_shell import PointShell
+    from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.problem.solution import Solution
+    from ttus_opt.scan.surface import Surface
 
 EXAMPLE = (
     "ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
@@ -125,6 +128,10 @@ def fit(
     time_limit: Annotated[
         float | None, typer.Option(help="Most seconds the solver may take.")
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw the probe on the skin with measured forces here."),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -153,13 +160,17 @@ def fit(
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(counts), LARGEST_FILE)
     inputs: list[Path | str] = [surface, probe, *trajectory]
-    check_outputs([output], inputs, force=force, size=size)
-    with Stages(5) as begin:
+    check_outputs([output, picture], inputs, force=force, size=size)
+    _check_picture(picture)
+    with Stages(5 + (picture is not None)) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
         as_written = read_trajectories(trajectory, columns)
         shell = read_probe(probe, points, probe_unit, probe_surface)
         recorded = conventions.read(as_written, shell.reference)
+        if picture is not None:  # before the fit: it may tell why there is none
+            begin("drawing")
+            _draw_poses(patient, shell, recorded, _names(trajectory), picture)
         begin("assembling (first run compiles)")
         plan = ScenePlan(counts, r_inner, r_outer, boundary, outer, sampling)
         scene = plan.build(patient, shell, recorded)
@@ -208,6 +219,29 @@ def fit(
 
 def _names(paths: Sequence[Path]) -> list[str]:
     return [path.name for path in paths]
+
+
+def _check_picture(picture: Path | None) -> None:
+    """Check its name before the work."""
+    if picture is not None:
+        from ttus_opt.report.plots.canvas import require_picture_suffix
+
+        require_picture_suffix(picture)
+
+
+def _draw_poses(
+    patient: Surface,
+    shell: PointShell,
+    recorded: Trajectory,
+    names: Sequence[str],
+    picture: Path,
+) -> None:
+    """Draw them; a file of several recordings has more of them than names."""
+    from ttus_opt.report import plots
+
+    n_recordings = len(set(recorded.segment.tolist()))
+    own = names if len(names) == n_recordings else ()
+    plots.save_picture(plots.pose_picture(patient, shell, recorded, own), picture)
 
 
 def _inner(text: str) -> float | Literal["fit"]:
