@@ -9,6 +9,7 @@ from __future__ import annotations
 import abc
 import enum
 import importlib.util
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -78,10 +79,13 @@ class Request:
     Attributes:
         tolerance: Largest relative KKT residual [–].
         time_limit: Most seconds to spend; None for no limit [s].
+        told: Called with the relative KKT residual of every better answer on the way,
+            by solvers that check them [–].
     """
 
     tolerance: float = 1e-6
     time_limit: float | None = None
+    told: Callable[[float], None] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         """Validate tolerance and time limit.

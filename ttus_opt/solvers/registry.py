@@ -71,7 +71,7 @@ def candidates(solver: str | Path | Solver, program: Program) -> list[Solver]:
     """
     if isinstance(solver, str) and solver == "auto":
         return _preferred(program)
-    one = _asked_for(solver)
+    one = asked_for(solver)
     one.require(program)
     return [one]
 
@@ -91,8 +91,12 @@ def _preferred(program: Program) -> list[Solver]:
     raise InputError("no installed solver takes this problem: see ttus-opt solvers")
 
 
-def _asked_for(solver: str | Path | Solver) -> Solver:
-    """One solver by name, by path, or as it is."""
+def asked_for(solver: str | Path | Solver) -> Solver:
+    """One solver by name, by path, or as it is.
+
+    Raises:
+        InputError: There is no such solver.
+    """
     if isinstance(solver, Solver):
         return solver
     if not isinstance(solver, str | Path):

@@ -229,7 +229,7 @@ def _outline(points: Array) -> Array:
 
     # joggled: a flat probe seen edge-on is a line
     corners = ConvexHull(points, qhull_options="QJ").vertices
-    return points[np.append(corners, corners[0])]
+    return np.asarray(points[np.append(corners, corners[0])])
 
 
 def _draw_skin(axis: Any, surface: Surface, view: _View, z: float) -> None:
