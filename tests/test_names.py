@@ -26,6 +26,7 @@ KEPT = {
 OTHERWISE = {
     "constraints": "ttus_opt.constraints",
     "load_formulation": "load",
+    "plots": "ttus_opt.plots",
     "terms": "ttus_opt.terms",
 }
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ttus_opt import constraints as constraints
+    from ttus_opt import plots as plots
     from ttus_opt import terms as terms
     from ttus_opt.errors import TtusError as TtusError
     from ttus_opt.errors import TtusWarning as TtusWarning
@@ -69,8 +70,8 @@ _HOME = {
     "read_trajectory": "probe.trajectory",
 }
 
-#: Folders whose classes are found by name, such as ``tt.terms.LaplaceTerm``
-_SHELVES = ("constraints", "terms")
+#: Folders whose names are found there, such as ``tt.terms.LaplaceTerm``
+_SHELVES = ("constraints", "plots", "terms")
 
 __all__ = [*_HOME, *_SHELVES]
 

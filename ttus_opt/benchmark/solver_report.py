@@ -48,9 +48,9 @@ LEGEND = (
     "is the last it had reached, and a dash where it had no answer yet. *First* "
     "includes set-up; *again* is taking in other measured values of the same structure "
     "and solving. Imports and compilation are done before on a small problem. *Gap* is "
-    "the objective over the best verified one. *Peak* is the largest size of the process, "
-    "*solver* what set-up and solve added at most. *Active limits* are the bounds and "
-    f"inequality rows whose multiplier is above {NONZERO:g} of the largest."
+    "the objective over the best verified one. *Peak* is the largest size of the "
+    "process, *solver* what set-up and solve added at most. *Active limits* are the "
+    f"bounds and inequality rows whose multiplier is above {NONZERO:g} of the largest."
 )
 MEANS = (
     f"Shifted geometric means (shift {SHIFT:g} s) over the problems a solver takes, a "

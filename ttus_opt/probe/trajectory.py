@@ -124,7 +124,12 @@ class Trajectory:
         parts = len(self._segments())
         recordings = f" in {parts} recordings" if parts > 1 else ""
         wrench = "with" if self.has_wrench else "without"
-        return f"Trajectory({len(self)} frames{recordings}, {wrench} wrenches)"
+        spans = [self.time[p.stop - 1] - self.time[p.start] for p in self._segments()]
+        seconds = float(np.sum(spans))
+        return (
+            f"Trajectory({len(self)} frames{recordings}, {seconds:.4g} s, {wrench} "
+            "wrenches)"
+        )
 
     @property
     def has_wrench(self) -> bool:

@@ -130,6 +130,9 @@ class Solver(abc.ABC):
     module: str = ""
     pip_name: str = ""
 
+    def __repr__(self) -> str:
+        return f"<solver {self.name}: {self.summary}>"
+
     @property
     def installed(self) -> bool:
         """Whether its package can be found."""
