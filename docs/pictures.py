@@ -5,6 +5,7 @@ The demo's own, and two of the method: the voxmap and the sampling below the ski
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,11 +88,28 @@ def sampling_picture(path: Path) -> None:
         plots.save_picture(figure, path)
 
 
+def poses_picture(path: Path) -> None:
+    """Two recordings on the skin, and one with two columns mistaken."""
+    press, sweep = (
+        tt.read_trajectory(example.path(f"{name}.csv"))
+        for name in ("press_fit", "sweep_fit")
+    )
+    swapped = replace(press, position=press.position[:, [1, 0, 2]])
+    figure = plots.pose_picture(
+        tt.Surface.load(example.path("surface.nc")),
+        tt.PointShell.ellipsoid(semi_axes=(0.030, 0.0125, 0.018)),
+        tt.Trajectory.concatenate([press, sweep, swapped]),
+        ["presses", "sweeps", "presses, px and py swapped"],
+    )
+    plots.save_picture(figure, path)
+
+
 def main() -> None:
     """Draw them all."""
     FOLDER.mkdir(exist_ok=True)
     voxmap_picture(FOLDER / "voxmap.svg")
     sampling_picture(FOLDER / "sampling.svg")
+    poses_picture(FOLDER / "poses.png")
     demo.run(FOLDER)
     for data in (*FOLDER.glob("*.nc"), *FOLDER.glob("*.md")):
         data.unlink()

@@ -27,6 +27,7 @@ OTHERWISE = {
     "constraints": "ttus_opt.constraints",
     "load_formulation": "load",
     "paper": "ttus_opt.paper",
+    "plots": "ttus_opt.plots",
     "terms": "ttus_opt.terms",
 }
 

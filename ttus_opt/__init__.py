@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from ttus_opt import constraints as constraints
     from ttus_opt import paper as paper
+    from ttus_opt import plots as plots
     from ttus_opt import terms as terms
     from ttus_opt.errors import TtusError as TtusError
     from ttus_opt.errors import TtusWarning as TtusWarning
@@ -71,7 +72,7 @@ _HOME = {
 }
 
 #: Modules whose content is found by name, such as ``tt.terms.LaplaceTerm``
-_SHELVES = ("constraints", "paper", "terms")
+_SHELVES = ("constraints", "paper", "plots", "terms")
 
 __all__ = [*_HOME, *_SHELVES]
 

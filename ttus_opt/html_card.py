@@ -93,7 +93,7 @@ def signed_map(values: Array) -> str:
     pixels = (255 * np.stack([red, pale, blue], axis=-1)).astype(np.uint8)
     data = base64.b64encode(_png(pixels)).decode()
     return (
-        f'<img width="{2 * SIZE}" height="{SIZE}" style="image-rendering:pixelated" '
+        f'<img width="{SIZE}" height="{SIZE}" style="image-rendering:pixelated" '
         f'src="data:image/png;base64,{data}"/>'
     )
 

@@ -8,11 +8,16 @@ from pathlib import Path
 import pytest
 
 from tests.benchmark.tiny import TINY, trapped
+from tests.conftest import small_scene
 from ttus_opt.benchmark import isolation
 from ttus_opt.benchmark.isolation import run_isolated
 from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import RunSpec
 from ttus_opt.benchmark.settings import Settings
+from ttus_opt.fitting.batch import Fitter
+from ttus_opt.problem.formulation import load
+from ttus_opt.solvers.base import Request
 
 
 def assembly() -> RunSpec:
@@ -85,6 +90,18 @@ def test_other_parts_fail_as_rows_as_well(tmp_path: Path) -> None:
 
 
 def test_compiling_and_assembling_may_take_longer() -> None:
-    assert isolation._allowed("first", 100.0) == pytest.approx(115.0)
+    assert isolation._allowed("first", 100.0) == pytest.approx(205.0)
+    assert isolation._allowed("again", 100.0) == pytest.approx(115.0)
     assert isolation._allowed("scene", 100.0) == isolation.PREPARATION
     assert isolation._allowed("scene", 2000.0) == pytest.approx(2205.0)
+
+
+def test_an_ended_run_tells_the_residual_it_reached(tmp_path: Path) -> None:
+    """What a solver reports on the way is what is left when its process is ended."""
+    assert isolation._reached(tmp_path) == {}
+    request = Request(told=Progress(tmp_path).reached)
+    fitter = Fitter(load("eq10", small_scene()), solver="osqp", request=request)
+    kkt = fitter.solve().kkt
+    assert kkt is not None
+    reached = isolation._reached(tmp_path)["residual_reached"]
+    assert reached == pytest.approx(kkt.worst_relative, rel=1e-6)

@@ -39,7 +39,12 @@ def test_report_has_the_closed_form_first_and_pictures(tmp_path: Path) -> None:
     assert "## Memory by stage [MiB]" in headings(text)
     assert headings(text)[-1] == "## Machine"
     assert "| eq10        | other  | S to M (2) | time ∝ V^0.63 |" in text
-    for picture in ("time.png", "memory.png", "residual.png"):
+    for picture in (
+        "time-eq10.png",
+        "memory-eq10.png",
+        "residual-eq10.png",
+        "profile.png",
+    ):
         assert picture in text
         assert (tmp_path / picture).stat().st_size > 5_000
 

@@ -103,6 +103,18 @@ def test_fit_tells_how_well_parameters_are_known(
     assert stored == {"boundary_scale": error}
 
 
+def test_a_fit_that_fails_still_draws_the_poses(
+    run: Run, files: Path, tmp_path: Path
+) -> None:
+    picture = tmp_path / "poses.png"
+    answer = run(
+        fit_words(files, tmp_path / "f.nc", f"--flip-wrench --picture {picture}")
+    )
+    assert answer.status == 2
+    assert "push into the patient" in answer.err
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
 def test_options_reach_the_formulation(run: Run, files: Path, tmp_path: Path) -> None:
     own = tmp_path / "own.py"
     own.write_text(

@@ -81,7 +81,7 @@ def test_the_answer_is_the_dense_minimum() -> None:
     assert solution.kkt is not None
     assert solution.kkt.worst_relative < 1e-6
     assert solution.objective == pytest.approx(sum(solution.costs.values()))
-    assert solution.field.provenance["formulation"] == repr(eq10())
+    assert solution.field.provenance["formulation"] == str(eq10())
     assert set(solution.timings.as_dict()) == {"assembly", "setup", "solve"}
 
 

@@ -94,4 +94,4 @@ def test_weights_reach_the_measured_rows(name: str) -> None:
     assert (weights[force], weights["torque"]) == (0.25, 0.125)
     torque = next(term for term in declared.terms if term.name == "torque")
     assert torque.length == 0.02  # type: ignore[attr-defined]
-    assert "0.25" in repr(declared)
+    assert "0.25" in str(declared)

@@ -118,6 +118,28 @@ def test_potential_shows_the_slice_that_changed_most(
     assert np.mean(part.get_ylim()) == pytest.approx(8.0, abs=0.7)
 
 
+def _data(line: Any) -> tuple[Array, Array]:
+    return line.get_xdata(), line.get_ydata()
+
+
+def test_one_field_in_one_slice(
+    fields: tuple[PotentialField, PotentialField],
+) -> None:
+    grid = fields[0].voxmap.grid
+    figure = plots.field_slice(fields[0], z=grid.z[7])
+    axes, bar = figure.axes
+    assert axes.get_title(loc="left") == f"Potential at z = {100 * grid.z[7]:.1f} cm"
+    assert bar.get_ylabel() == "p [N/cm²]"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [cm]", "y [cm]")
+    x, y = (
+        np.concatenate(parts) for parts in zip(*map(_data, axes.lines), strict=True)
+    )
+    skin = fields[0].voxmap.surface.radius_at(np.array(0.0), np.array(grid.z[7]))
+    assert np.nanmax(np.hypot(x, y)) == pytest.approx(100 * float(skin), rel=0.05)
+    with pytest.raises(InputError, match="in metres"):
+        plots.field_slice(fields[0], z=10.0)
+
+
 def test_colours_are_centred_at_zero(
     fields: tuple[PotentialField, PotentialField],
 ) -> None:

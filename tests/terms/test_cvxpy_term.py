@@ -88,7 +88,7 @@ def test_another_weight_is_brought_into_form_once() -> None:
     heavier.compile()
     assert len(calls) == 1
     assert heavier.terms[-1].weight == 0.1
-    assert "tv" in repr(declared) or "norm" in repr(declared)
+    assert "tv" in str(declared) or "norm" in str(declared)
 
 
 @pytest.mark.parametrize(

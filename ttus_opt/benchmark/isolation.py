@@ -16,7 +16,7 @@ from typing import Any
 
 from ttus_opt.benchmark.memory import resident_bytes
 from ttus_opt.benchmark.parts.registry import parts
-from ttus_opt.benchmark.progress import KEPT, STAGES
+from ttus_opt.benchmark.progress import KEPT, RESIDUAL, STAGES
 from ttus_opt.benchmark.row import Row, RunSpec
 
 #: The process of a run
@@ -31,6 +31,10 @@ PAUSE = 0.1
 #: A stage that computes is ended when it is late by this factor and these seconds: who
 #: knows its time limit stops by itself before
 LATE_FACTOR, LATE_SECONDS = 1.1, 5.0
+
+#: The stage of set-up and first solve, and its factor: a solver keeps to its limit from
+#: after set-up on, and shall be able to tell how far it came
+SOLVING, SOLVING_FACTOR = "first", 2.0
 
 #: Stages that compile and assemble, and the least time they are given [s]
 PREPARING, PREPARATION = ("start", "warm-up", "scene", "program"), 900.0
@@ -64,7 +68,7 @@ def run_isolated(
         failure, detail, peak = _run(spec.time_limit, folder, memory_limit, watching)
         if failure:
             row = parts()[spec.part].row(spec, failure, detail)
-            return [row | {"peak_memory_bytes": peak or None}]
+            return [row | {"peak_memory_bytes": peak or None} | _reached(folder)]
         if (folder / KEPT).is_dir():
             shutil.copytree(folder / KEPT, output, dirs_exist_ok=True)
         rows: list[Row] = json.loads((folder / ANSWER).read_text("utf-8"))
@@ -114,8 +118,17 @@ def _run(
 
 def _allowed(stage: str, time_limit: float) -> float:
     """When a stage that should have stopped by itself is ended [s]."""
-    late = time_limit * LATE_FACTOR + LATE_SECONDS
+    factor = SOLVING_FACTOR if stage == SOLVING else LATE_FACTOR
+    late = time_limit * factor + LATE_SECONDS
     return max(PREPARATION, late) if stage in PREPARING else late
+
+
+def _reached(folder: Path) -> Row:
+    """The residual a run had reached when it was ended, if it told one."""
+    try:
+        return {"residual_reached": float((folder / RESIDUAL).read_text("utf-8"))}
+    except (OSError, ValueError):  # none, or ended while it was being written
+        return {}
 
 
 def _environment() -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import filterfalse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -28,9 +28,12 @@ SPREAD = 0.04
 #: What a row stands for in a picture; NaN where it has no such figure
 Figured = Callable[[Row], float]
 
+#: Ink, marker and line by solver
+Inks = Mapping[str, Mapping[str, Any]]
+
 
 def save_pictures(rows: Sequence[Row], folder: Path) -> dict[str, str]:
-    """Draw and save what there is to show.
+    """Draw and save what there is to show, up to three pictures a formulation.
 
     Args:
         rows: All rows of solvers.
@@ -40,50 +43,72 @@ def save_pictures(rows: Sequence[Row], folder: Path) -> dict[str, str]:
         Caption by file name.
     """
     rows = sorted(filter(was_run, rows), key=lambda row: (row["voxels"], row["solver"]))
-    first = "first solve, set-up included [s]"
-    size = "largest size of the process [MiB]"
+    inks = solver_styles(row["solver"] for row in rows)
     captions = {}
-    with look():
-        if rows:
-            figure = _against_size(
-                rows,
-                first,
-                lambda r: r["seconds_first"] if solved(r) else r["time_limit"],
-            )
-            captions["time.png"] = "time against voxels"
-            save_picture(figure, folder / "time.png")
-        if any(row["peak_memory_bytes"] for row in rows):
-            figure = _against_size(
-                rows, size, lambda r: (r["peak_memory_bytes"] or math.nan) / MIB
-            )
-            captions["memory.png"] = "memory against voxels"
-            save_picture(figure, folder / "memory.png")
-        if any(row["kkt"] for row in rows):
-            captions["residual.png"] = "residual against time"
-            save_picture(_residual_against_time(rows, first), folder / "residual.png")
+    for formulation in dict.fromkeys(row["formulation"] for row in rows):
+        own = [row for row in rows if row["formulation"] == formulation]
+        for name, caption, figure in _pictures(own, inks):
+            file = f"{name}-{formulation}.png"
+            captions[file] = f"{formulation}: {caption}"
+            save_picture(figure, folder / file)
     return captions
 
 
-def _against_size(rows: Sequence[Row], label: str, figured: Figured) -> Figure:
-    """One axis per formulation, a curve per solver; failures are unfilled marks."""
-    formulations = list(dict.fromkeys(row["formulation"] for row in rows))
+def _pictures(rows: Sequence[Row], inks: Inks) -> Iterator[tuple[str, str, Figure]]:
+    """Name, caption and figure of what one formulation's rows show."""
+    first = "first solve, set-up included [s]"
+    size = "largest size of the process [MiB]"
+    with look():
+        yield (
+            "time",
+            "time against voxels; unfilled: not solved, at its time limit",
+            _against_size(
+                rows,
+                inks,
+                first,
+                lambda r: r["seconds_first"] if solved(r) else r["time_limit"],
+            ),
+        )
+        if any(row["peak_memory_bytes"] for row in rows):
+            yield (
+                "memory",
+                "memory against voxels; unfilled: not solved",
+                _against_size(
+                    rows,
+                    inks,
+                    size,
+                    lambda r: (r["peak_memory_bytes"] or math.nan) / MIB,
+                ),
+            )
+        if any(worst_relative(row) is not None for row in rows):
+            yield (
+                "residual",
+                "residual against time; unfilled: above the tolerance, or out of time",
+                _residual_against_time(rows, inks, first),
+            )
+
+
+def _against_size(
+    rows: Sequence[Row], inks: Inks, label: str, figured: Figured
+) -> Figure:
+    """A curve per solver; failures are unfilled marks."""
     sizes = sorted({row["voxels"] for row in rows})
-    figure = new_figure(1.0 + 3.4 * len(formulations), 3.6)
-    axes = figure.subplots(1, len(formulations), squeeze=False, sharey=True)[0]
-    for axis, formulation in zip(axes, formulations, strict=True):
-        for index, (solver, style) in enumerate(_styles(rows).items()):
-            place = (formulation, solver)
-            own = [r for r in rows if (r["formulation"], r["solver"]) == place]
-            answers = _points(filter(solved, own), figured, 1.0)
-            failed = _points(filterfalse(solved, own), figured, 1.0 + SPREAD * index)
-            axis.plot(*answers, label=solver, **style)
-            axis.plot(*failed, **style | {"linestyle": "none", "fillstyle": "none"})
-        axis.set(xscale="log", yscale="log", title=formulation, xlabel="voxels V")
-        axis.set_xlim(sizes[0] / 1.5, sizes[-1] * 2.0)
-        axis.set_xticks(sizes, [f"{size:,}" for size in sizes])
-        axis.set_xticks([], minor=True)
-    axes[0].set_ylabel(label)
-    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right upper")
+    figure = new_figure(5.6, 3.6)
+    axis = figure.subplots()
+    shown = sorted({row["solver"] for row in rows})
+    for index, solver in enumerate(shown):
+        own, style = [r for r in rows if r["solver"] == solver], inks[solver]
+        answers = _points(filter(solved, own), figured, 1.0)
+        failed = _points(filterfalse(solved, own), figured, 1.0 + SPREAD * index)
+        axis.plot(*answers, label=solver, **style)
+        axis.plot(*failed, **{**style, "linestyle": "none", "fillstyle": "none"})
+    axis.set(xscale="log", yscale="log", title=rows[0]["formulation"])
+    axis.set(xlabel="voxels V", ylabel=label)
+    axis.set_xlim(sizes[0] / 1.5, sizes[-1] * 2.0)
+    axis.set_xticks(sizes, [f"{size:,}" for size in sizes])
+    axis.set_xticks([], minor=True)
+    axis.plot([], [], "o", color="0.4", fillstyle="none", label="unfilled: not solved")
+    figure.legend(loc="outside right upper")
     return figure
 
 
@@ -95,33 +120,34 @@ def _points(
     return list(told), list(told.values())
 
 
-def _residual_against_time(rows: Sequence[Row], label: str) -> Figure:
+def _residual_against_time(rows: Sequence[Row], inks: Inks, label: str) -> Figure:
     """One mark per answer; unfilled when it failed its check."""
     figure = new_figure(6.4, 3.8)
     axis = figure.subplots()
-    styles = _styles(rows)
     for row in rows:
         residual = worst_relative(row)
         if residual is None:
             continue
-        at = (row["seconds_first"], max(residual, 1e-17))
+        # a run that was ended has the residual of the last answer it told
+        seconds = row["seconds_first"] or row["time_limit"]
+        at = (seconds, max(residual, 1e-17))
         fill = {"linestyle": "none", "fillstyle": "full" if solved(row) else "none"}
-        axis.plot(*at, **styles[row["solver"]] | fill)
+        axis.plot(*at, **{**inks[row["solver"]], **fill})
         beside: dict[str, Any] = {"xytext": (5, 3), "textcoords": "offset points"}
         axis.annotate(row["solver"], at, fontsize=7.5, **beside)
-    axis.set(xscale="log", yscale="log", xlabel=label)
+    axis.set(xscale="log", yscale="log", xlabel=label, title=rows[0]["formulation"])
     axis.set_ylabel("relative KKT residual, verified")
     axis.margins(x=0.15, y=0.1)
     return figure
 
 
-def _styles(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Ink, marker and line of every solver."""
+def solver_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Ink, marker and line of every solver, by name."""
     return {
         solver: {
             "color": INKS[n % len(INKS)],
             "marker": MARKERS[n % len(MARKERS)],
             "linestyle": STYLES[n % len(STYLES)],
         }
-        for n, solver in enumerate(sorted({row["solver"] for row in rows}))
+        for n, solver in enumerate(sorted(set(names)))
     }

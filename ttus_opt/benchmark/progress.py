@@ -8,8 +8,8 @@ from pathlib import Path
 
 from ttus_opt.benchmark import memory
 
-#: In a run's folder: a line per stage, and what is moved to the results
-STAGES, KEPT = "stages.jsonl", "kept"
+#: In a run's folder: a line per stage, the residual reached, and what is kept
+STAGES, RESIDUAL, KEPT = "stages.jsonl", "residual.txt", "kept"
 
 
 class Progress:
@@ -38,6 +38,10 @@ class Progress:
             before = self.peaks.get(self._current, 0)
             self.peaks[self._current] = max(before, memory.peak_bytes())
             self._current = ""
+
+    def reached(self, residual: float) -> None:
+        """Note a relative KKT residual, for the case that the run is ended [–]."""
+        (self._folder / RESIDUAL).write_text(repr(residual), encoding="utf-8")
 
     def keep(self, name: str) -> Path:
         """Where to write a file that is to stand in the folder of the results."""

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
+
+from ttus_opt.solvers.base import Solver
 
 #: Weight of force and torque rows by default [–]
 WEIGHT = 1e-2
 
 #: The same by option, as it is given to every formulation that has them
 WEIGHTS = {"force_weight": WEIGHT, "torque_weight": WEIGHT}
+
+#: Among formulations or solvers: every one there is, or that is installed
+ALL = "all"
 
 #: As the reference: `CLOSED_FORM` where it fits the case
 AUTO = "auto"
@@ -26,9 +32,10 @@ class Settings:
 
     Attributes:
         time_limit: Most seconds of one solve, or of one stage of another part [s].
-        formulations: Names or paths.
-        solvers: Names; empty for every one installed, closed forms on cases of up to
-            `CLOSED_FORM_FITS` voxels only.
+        formulations: Names, paths, or `ALL`.
+        solvers: Names, paths of files with ``SOLVERS``, or solvers; empty or `ALL` for
+            every one installed, closed forms on cases of up to `CLOSED_FORM_FITS`
+            voxels only.
         closed_form: Name of the solver whose answer is the reference; "" for none;
             `AUTO` for the closed form on cases of up to `CLOSED_FORM_FITS` voxels.
         options: Formulation options beside the weights.
@@ -40,7 +47,7 @@ class Settings:
 
     time_limit: float = 600.0
     formulations: Sequence[str] = ("eq10",)
-    solvers: Sequence[str] = ()
+    solvers: Sequence[str | Path | Solver] = ()
     closed_form: str = AUTO
     options: Mapping[str, Any] = field(default_factory=dict)
     tolerance: float = 1e-6

@@ -6,6 +6,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ttus_opt.benchmark.active_limits import NONZERO
+from ttus_opt.benchmark.performance_profile import LEGEND as PROFILE
+from ttus_opt.benchmark.performance_profile import (
+    profile_picture,
+    profile_table,
+    ranked,
+)
 from ttus_opt.benchmark.row import Row
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.benchmark.summary import (
@@ -14,9 +20,17 @@ from ttus_opt.benchmark.summary import (
     group,
     growth_table,
     memory_table,
+    problem_table,
     row_table,
     score_table,
+    time_table,
 )
+
+#: With more problems the terminal shows a line for each, and the report all tables
+MANY = 4
+
+#: A profile over fewer problems says nothing
+FEWEST = 2
 
 AGAINST = (
     "`{}` forms Q and factorises it. Difference is the Euclidean norm of the "
@@ -30,16 +44,21 @@ NO_REFERENCE = (
 )
 LEGEND = (
     "Every answer is checked here: KKT is the largest relative residual of the "
-    "original problem, whatever the solver says of itself. *First* includes set-up; "
-    "*again* is taking in other measured values of the same structure and solving. "
-    "Imports and compilation are done before on a small problem. *Gap* is the "
-    "objective over the best verified one. *Peak* is the largest size of the process, "
-    "*solver* what set-up and solve added at most. *Active limits* are the bounds and "
-    f"inequality rows whose multiplier is above {NONZERO:g} of the largest."
+    "original problem, whatever the solver says of itself; of a run that was ended it "
+    "is the last it had reached, and a dash where it had no answer yet. *First* "
+    "includes set-up; *again* is taking in other measured values of the same structure "
+    "and solving. Imports and compilation are done before on a small problem. *Gap* is "
+    "the objective over the best verified one. *Peak* is the largest size of the "
+    "process, *solver* what set-up and solve added at most. *Active limits* are the "
+    f"bounds and inequality rows whose multiplier is above {NONZERO:g} of the largest."
 )
 MEANS = (
     f"Shifted geometric means (shift {SHIFT:g} s) over the problems a solver takes, a "
     "failure counted as its time limit."
+)
+TIMES = (
+    "Seconds of the first solve, set-up included; in brackets why there is no verified "
+    "answer, a dash where a solver cannot take the problem."
 )
 GROWTH = (
     "A power of V fitted by least squares to the verified answers, logarithm against "
@@ -55,12 +74,20 @@ def terminal(rows: Sequence[Row], settings: Settings) -> str:
         settings: What was asked for.
     """
     told = []
-    against = closed_form_table(rows, settings.reference)
-    if against:
-        told.append(f"Against the closed form:\n{against}")
-    for (case, formulation), own in _groups(rows):
-        size = f"{own[0]['voxels']:,} voxels"
-        told.append(f"{case}, {formulation}, {size}:\n{row_table(own)}")
+    groups = _groups(rows)
+    if len(groups) > MANY:
+        told.append(f"Solved of those run, and the fastest:\n{problem_table(rows)}")
+    else:
+        against = closed_form_table(rows, settings.reference)
+        if against:
+            told.append(f"Against the closed form:\n{against}")
+        for (case, formulation), own in groups:
+            size = f"{own[0]['voxels']:,} voxels"
+            told.append(f"{case}, {formulation}, {size}:\n{row_table(own)}")
+    found, n_problems = _profile(rows)
+    if found:
+        head = f"Share of {n_problems} problems solved within τ times the fastest:"
+        told.append(f"{head}\n{profile_table(found)}")
     told.append(f"Shifted geometric means:\n{score_table(rows)}")
     if settings.memory:
         told.append(f"Memory by stage [MiB]:\n{memory_table(rows)}")
@@ -84,7 +111,12 @@ def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[str]
         lines += [AGAINST.format(reference), "", against]
     else:
         lines += [NO_REFERENCE.format(reference or "no closed form")]
-    for (case, formulation), own in _groups(rows):
+    groups = _groups(rows)
+    if len(groups) > 1:
+        lines += ["", "## Every problem", "", problem_table(rows), ""]
+        lines += [TIMES, "", time_table(rows)]
+    lines += _profile_section(rows, folder)
+    for (case, formulation), own in groups:
         size = f"{own[0]['voxels']:,} voxels, {own[0]['poses'] or 'all'} poses"
         taken = [r["seconds_assembly"] for r in own if r["seconds_assembly"]]
         made = f", assembly {min(taken):.2g} s" if taken else ""
@@ -98,6 +130,25 @@ def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[str]
     for name, caption in save_pictures(rows, folder).items():
         lines += [f"![{caption}]({name})", ""]
     return lines
+
+
+def _profile(rows: Sequence[Row]) -> tuple[dict[str, list[float]], int]:
+    """Ratios by solver, none where a profile says nothing; number of problems."""
+    found = ranked(rows)
+    n_problems = len(next(iter(found.values()), []))
+    return (found if n_problems >= FEWEST else {}), n_problems
+
+
+def _profile_section(rows: Sequence[Row], folder: Path) -> list[str]:
+    """Performance profile as table and picture; nothing where it says nothing."""
+    found, n_problems = _profile(rows)
+    if not found:
+        return []
+    from ttus_opt.report.plots.canvas import save_picture
+
+    save_picture(profile_picture(found), folder / "profile.png")
+    lines = ["", "## Performance profile", "", PROFILE.format(n=n_problems), ""]
+    return [*lines, profile_table(found), "", "![performance profile](profile.png)"]
 
 
 def _groups(rows: Sequence[Row]) -> list[tuple[tuple[str, str], list[Row]]]:

@@ -11,6 +11,7 @@ import numpy as np
 from ttus_opt.benchmark import memory
 from ttus_opt.benchmark.active_limits import active_limits
 from ttus_opt.benchmark.cases import with_new_values
+from ttus_opt.benchmark.own_solver import solver_of
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.fitting.batch import Fitter
@@ -18,7 +19,7 @@ from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Solution
 from ttus_opt.scene import Scene
-from ttus_opt.solvers.base import Request
+from ttus_opt.solvers.base import Request, Solver
 
 #: Folder of the fields in that of the results
 FIELDS = "fields"
@@ -56,9 +57,10 @@ def measured(spec: RunSpec, begin: Progress) -> Row:
     Returns:
         The figures, some of `parts.solvers.FIGURES`.
     """
-    request = Request(spec.options["tolerance"], spec.time_limit)
+    solver = solver_of(spec.options)
+    request = Request(spec.options["tolerance"], spec.time_limit, begin.reached)
     begin("warm-up")
-    _warm_up(spec, request)
+    _warm_up(spec, solver, request)
     begin("scene")
     scene = spec.scene_case.build()
     begin("program")
@@ -66,15 +68,18 @@ def measured(spec: RunSpec, begin: Progress) -> Row:
     for each in both:
         each.compile()  # what terms and constraints keep is made here, for all alike
     base = memory.current_bytes()
-    told = _solved(spec, request, both, begin)
+    told = _solved(spec, solver, request, both, begin)
     begin.end()
     assert told.solution is not None
     solving = max(begin.peaks.get(name, 0) for name in ("first", "again"))
-    return _answer(spec, told.solution, begin) | {
-        **_again(told),
+    first = statistics.median(told.first)
+    answer = _answer(spec, told.solution, begin) | _again(told)
+    if answer["status"] == "solved" and first > spec.time_limit:
+        answer |= {"status": "time limit", "detail": f"solved after {first:.3g} s"}
+    return answer | {
         "poses": len(scene.trajectory),
         "seconds_assembly": told.solution.timings.assembly,
-        "seconds_first": statistics.median(told.first),
+        "seconds_first": first,
         "seconds_each": {"first": told.first, "again": told.again},
         "solver_memory_bytes": max(0, solving - base),
     }
@@ -82,6 +87,7 @@ def measured(spec: RunSpec, begin: Progress) -> Row:
 
 def _solved(
     spec: RunSpec,
+    solver: Solver,
     request: Request,
     formulations: tuple[Formulation, Formulation],
     begin: Progress,
@@ -91,7 +97,7 @@ def _solved(
     told = _Solves()
     for _ in range(spec.options["repeat"]):
         begin("first")
-        fitter = Fitter(original, solver=spec.options["solver"], request=request)
+        fitter = Fitter(original, solver=solver, request=request)
         latest = fitter.solve()
         told.solution = told.solution or latest
         told.first.append(latest.timings.setup + latest.timings.solve)
@@ -112,13 +118,13 @@ def declared(spec: RunSpec, scene: Scene) -> Formulation:
     return shelf.load(spec.options["formulation"], scene, **spec.options["options"])
 
 
-def _warm_up(spec: RunSpec, request: Request) -> None:
+def _warm_up(spec: RunSpec, solver: Solver, request: Request) -> None:
     """Imports and compilation are no part of what is compared."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         small = declared(spec, spec.scene_case.small().build())
-        brief = replace(request, time_limit=WARM_UP)
-        fitter = Fitter(small, solver=spec.options["solver"], request=brief)
+        brief = replace(request, time_limit=WARM_UP, told=None)
+        fitter = Fitter(small, solver=solver, request=brief)
         fitter.solve()
         fitter.update(small)
         fitter.solve()

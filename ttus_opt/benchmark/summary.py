@@ -30,10 +30,10 @@ def was_run(row: Row) -> bool:
 
 
 def worst_relative(row: Row) -> float | None:
-    """The largest relative KKT residual [–]."""
+    """The largest relative KKT residual, or what a run had reached when ended [–]."""
     kkt = row["kkt"] or {}
     told = (v for k, v in kkt.items() if k.endswith("_relative") and v is not None)
-    return max(told, default=None)
+    return max(told, default=row.get("residual_reached"))
 
 
 def group(row: Row) -> tuple[str, str]:
@@ -119,6 +119,43 @@ def closed_form_table(rows: Sequence[Row], closed_form: str) -> str:
             body.append([*group(row), row["solver"], *told])
     header = ["case", "formulation", "solver", "difference of p", "time: first"]
     return table([*header, "again", "memory"], body) if body else ""
+
+
+def problem_table(rows: Sequence[Row], n_best: int = 3) -> str:
+    """A line per case and formulation: how many solved it, and the fastest of them.
+
+    Args:
+        rows: All rows.
+        n_best: How many are named, with their seconds.
+    """
+    body = []
+    for problem in dict.fromkeys(map(group, rows)):
+        own = [row for row in rows if group(row) == problem]
+        best = sorted(filter(solved, own), key=lambda row: row["seconds_first"])
+        named = [f"{r['solver']} {seconds(r['seconds_first'])}" for r in best[:n_best]]
+        count = f"{len(best)}/{sum(map(was_run, own))}"
+        body.append([*problem, count, *named, *["–"] * (n_best - len(named))])
+    places = ["fastest [s]", *(f"{n}." for n in range(2, n_best + 1))]
+    return table(["case", "formulation", "solved", *places], body)
+
+
+def time_table(rows: Sequence[Row]) -> str:
+    """Seconds of the first solve: a line per case and formulation, a column a solver.
+
+    A failure has its reason in brackets; a dash is a solver that cannot take it.
+    """
+    names = [score["solver"] for score in scores(rows)]
+    body = []
+    for problem in dict.fromkeys(map(group, rows)):
+        own = {row["solver"]: row for row in rows if group(row) == problem}
+        body.append([*problem, *(_time(own.get(name)) for name in names)])
+    return table(["case", "formulation", *names], body)
+
+
+def _time(row: Row | None) -> str:
+    if row is None or not was_run(row):
+        return "–"
+    return seconds(row["seconds_first"]) if solved(row) else f"({row['status']})"
 
 
 def row_table(rows: Sequence[Row]) -> str:

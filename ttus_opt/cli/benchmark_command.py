@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import shlex
 import sys
+import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -22,6 +23,9 @@ EXAMPLE = (
     "--solvers structured,closed_form,clarabel,osqp --time-limit 300 -o results"
 )
 
+#: A run's part of the bar is half full after this time [s]
+HALF = 30.0
+
 #: Name of a case that is a user's own
 OWN = "user"
 
@@ -32,12 +36,14 @@ Case = Annotated[
         "own."
     ),
 ]
-Formulations = Annotated[str, typer.Option(help="Names or paths, separated by commas.")]
+Formulations = Annotated[
+    str, typer.Option(help="Names or paths, separated by commas, or all.")
+]
 Solvers = Annotated[
     str,
     typer.Option(
-        help="Names separated by commas, or all that are installed, closed forms up to "
-        "100,000 voxels only."
+        help="Names, or paths of your own files, separated by commas; all stands for "
+        "those installed, closed forms up to 100,000 voxels only."
     ),
 ]
 ClosedForm = Annotated[
@@ -50,7 +56,11 @@ ClosedForm = Annotated[
 ]
 Repeat = Annotated[int, typer.Option(help="Times each is measured.")]
 TimeLimit = Annotated[
-    float, typer.Option(help="Most seconds of one solve, set-up included.")
+    float,
+    typer.Option(
+        help="Most seconds of one solve, set-up included; a run may take twice that to "
+        "tell how far it came."
+    ),
 ]
 Tolerance = Annotated[
     float, typer.Option(help="Largest relative residual of a solution.")
@@ -155,7 +165,7 @@ def benchmark(
     settings = Settings(
         time_limit,
         _listed(formulations),
-        () if solvers == "all" else _listed(solvers),
+        _listed(solvers),
         "" if closed_form == "none" else closed_form,
         tolerance=tolerance,
         repeat=repeat,
@@ -226,6 +236,35 @@ def _cases(
     return [existing(own)]
 
 
+class _Watched:
+    """A bar over runs that moves within each, and names what runs."""
+
+    def __init__(self, bar: Any) -> None:
+        self._bar, self._done = bar, 0
+        self._begun: dict[str, float] = {}
+        self._show(0.0, "")
+
+    def told(self, spec: RunSpec, rows: Sequence[Row]) -> None:
+        """A run ended."""
+        self._begun.pop(spec.key, None)
+        self._done += 1
+        self._show(0.0, f"{spec.title}: {rows[0]['status']}")
+
+    def watching(self, spec: RunSpec, stage: str, since: float) -> None:
+        """A run is under way."""
+        spent = time.monotonic() - self._begun.setdefault(spec.key, time.monotonic())
+        # nobody knows how long it will take: half of its part in the first half minute
+        part = spent / (spent + HALF)
+        self._show(part, f"{spec.title}: {stage}, {since:.0f} s")
+
+    def _show(self, part: float, words: str) -> None:
+        self._bar.n = min(self._done + part, self._bar.total)
+        self._bar.set_description_str(
+            f"{self._done} of {self._bar.total} runs", refresh=False
+        )
+        self._bar.set_postfix_str(words)
+
+
 def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
     """Run with a bar on stderr, write the report, tell the figures."""
     from tqdm import tqdm
@@ -234,18 +273,14 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
     from ttus_opt.benchmark.report import write_report
 
     total = len(suite.plan)  # tells what is wrong before anything runs
-    with tqdm(total=total, file=sys.stderr, unit="run", dynamic_ncols=True) as bar:
-
-        def told(spec: RunSpec, rows: Sequence[Row]) -> None:
-            bar.set_postfix_str(f"{spec.title}: {rows[0]['status']}")
-            bar.update()
-
-        def watching(spec: RunSpec, stage: str, since: float) -> None:
-            bar.set_postfix_str(f"{spec.title}: {stage}, {since:.0f} s")
-
+    shape = "{desc} |{bar:20}| {elapsed}{postfix}"
+    with tqdm(total=total, file=sys.stderr, bar_format=shape) as bar:
+        watched = _Watched(bar)
         try:
             # a file or a pipe hears of what is done only
-            found = suite.run(told, watching if sys.stderr.isatty() else None)
+            found = suite.run(
+                watched.told, watched.watching if sys.stderr.isatty() else None
+            )
         except KeyboardInterrupt:
             bar.close()
             done = f"what is done is in {suite.rows_file}"

@@ -21,8 +21,10 @@ from ttus_opt.errors import InputError, TtusWarning
 
 if TYPE_CHECKING:
     from ttus_opt.probe.conventions import Conventions
+    from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.problem.solution import Solution
+    from ttus_opt.scan.surface import Surface
 
 EXAMPLE = (
     "ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
@@ -122,6 +124,10 @@ def fit(
     time_limit: Annotated[
         float | None, typer.Option(help="Most seconds the solver may take.")
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(help="Draw the probe on the skin with measured forces here."),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -149,13 +155,19 @@ def fit(
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(counts), LARGEST_FILE)
     inputs: list[Path | str] = [surface, probe.probe, *recordings.files]
-    check_outputs([output], inputs, force=force, size=size)
-    with Stages(5) as begin:
+    check_outputs([output, picture], inputs, force=force, size=size)
+    _check_picture(picture)
+    with Stages(5 + (picture is not None)) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
         as_written = thinned(recordings.as_written(), every=every, rate=rate)
         shell = probe.read()
         recorded = recordings.read(as_written, shell, patient)
+        if picture is not None:  # before the fit: it may tell why there is none
+            begin("drawing")
+            _draw_poses(
+                patient, shell, recorded, _names(recordings.trajectory), picture
+            )
         begin("assembling (first run compiles)")
         plan = ScenePlan(counts, r_inner, r_outer, boundary, outer, sampling)
         scene = plan.build(patient, shell, recorded)
@@ -169,17 +181,15 @@ def fit(
             **options,
         )
         begin("writing the field")
+        report = None
         if solution.verified_field is not None:
             found = solution.field
             told = sources(surface, probe, recordings, context.params)
-            kept = {**found.provenance, **told}
-            replace(found, provenance=kept).save(output)
-        report = None
-        if solution.verified_field is not None:
+            replace(found, provenance={**found.provenance, **told}).save(output)
             begin("checking the recordings")
             report = check_recordings(
                 scene,
-                solution.field,
+                found,
                 _names(recordings.trajectory),
                 written=as_written,
                 told=conventions,
@@ -189,11 +199,9 @@ def fit(
         print_json({**_summary(solution, output), "sanity": sanity})
     solution.field  # noqa: B018  raises what is wrong when nothing was verified
     if not json:
-        _tell(solution, output)
         assert report is not None
-        for line in report.lines:
-            typer.echo(line)
-        for line in _how_read(recorded, conventions):
+        _tell(solution, output)
+        for line in [*report.lines, *_how_read(recorded, conventions)]:
             typer.echo(line)
     if report is not None and report.mistake is not None:
         warnings.warn(str(report.mistake), TtusWarning, stacklevel=2)
@@ -213,6 +221,29 @@ def _how_read(recorded: Trajectory, conventions: Conventions) -> list[str]:
 
 def _names(paths: Sequence[Path]) -> list[str]:
     return [path.name for path in paths]
+
+
+def _check_picture(picture: Path | None) -> None:
+    """Check its name before the work."""
+    if picture is not None:
+        from ttus_opt.report.plots.canvas import require_picture_suffix
+
+        require_picture_suffix(picture)
+
+
+def _draw_poses(
+    patient: Surface,
+    shell: PointShell,
+    recorded: Trajectory,
+    names: Sequence[str],
+    picture: Path,
+) -> None:
+    """Draw them; a file of several recordings has more of them than names."""
+    from ttus_opt.report import plots
+
+    n_recordings = len(set(recorded.segment.tolist()))
+    own = names if len(names) == n_recordings else ()
+    plots.save_picture(plots.pose_picture(patient, shell, recorded, own), picture)
 
 
 def _as_in_the_paper(

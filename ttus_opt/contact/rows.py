@@ -59,6 +59,13 @@ class ContactRows:
     in_grid: NDArray[np.bool_]
     beyond_inner: NDArray[np.int64]
 
+    def __repr__(self) -> str:
+        touching = int((self.contact_points > 0).sum())
+        return (
+            f"ContactRows({len(self.in_grid)} poses, {touching} in contact, "
+            f"{self.N.shape[1]:,} voxels)"
+        )
+
 
 def checked_sampling(sampling: str) -> Sampling:
     """The sampling's name, or a sentence.

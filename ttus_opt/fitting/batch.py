@@ -183,6 +183,9 @@ class Fitter:
         self._first: float | None = None
         self._taken_in = 0.0
 
+    def __repr__(self) -> str:
+        return f"<Fitter by {self.solver_name} of {self._declared!r}>"
+
     @property
     def solver(self) -> Solver:
         """The solver that was chosen."""

@@ -139,6 +139,12 @@ class RecursiveFit:
         if fold_scene and scene.trajectory.has_wrench:
             self._fold_scene()
 
+    def __repr__(self) -> str:
+        return (
+            f"<RecursiveFit on {self.scene.voxmap.grid.sizes}: {self.measurements} "
+            f"measurements held, {len(self.in_contact)} in contact>"
+        )
+
     @property
     def measurements(self) -> int:
         """Measurements held, those without contact included [–]."""

@@ -127,6 +127,13 @@ class SanityReport:
     disagreement: float
     mistake: Mistake | None
 
+    def __repr__(self) -> str:
+        told = "no mistake found" if self.mistake is None else self.mistake.what
+        return (
+            f"<SanityReport on {len(self.recordings)} recordings: disagreement "
+            f"{self.disagreement:.2f}, {told}>"
+        )
+
     @property
     def lines(self) -> list[str]:
         """The report as text."""

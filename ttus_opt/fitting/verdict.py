@@ -127,7 +127,7 @@ def _field(
         scene.voxmap.grid.unflatten(x[program.variables["p"]]).copy(),
         scene.sampling,
         parameters,
-        {"formulation": repr(declared), "solver": solver},
+        {"formulation": str(declared), "solver": solver},
     )
 
 

@@ -165,6 +165,10 @@ class Renderer:
         self._c: Context | None = None  # of a loop in C
         self.warm_up()
 
+    def __repr__(self) -> str:
+        grid, sampling = self._field.voxmap.grid, self._field.sampling
+        return f"<Renderer of {grid.sizes}, {sampling}, drag: {self._fields.drag}>"
+
     def warm_up(self) -> None:
         """Compile, so that no frame or update has to; called on construction.
 

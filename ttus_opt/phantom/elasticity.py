@@ -163,10 +163,11 @@ def skin_compliance(
         ),
         shape=(stiffness.shape[0], k),
     )[free].tocsc()
-    compliance = np.empty((k, k))
+    compliance: Array = np.empty((k, k))
     for start in range(0, k, BATCH):
         loads = inward[:, start : start + BATCH].toarray()
-        compliance[:, start : start + BATCH] = inward.T @ factor.solve(loads)
+        part = slice(start, start + BATCH)
+        compliance[:, part] = np.asarray(inward.T @ factor.solve(loads))
         if progress is not None:
             progress(min(start + BATCH, k), k)
     points = np.ascontiguousarray(body.mesh.p.T[body.patch])

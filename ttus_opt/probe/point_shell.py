@@ -96,7 +96,11 @@ class PointShell:
         return len(self.points)
 
     def __repr__(self) -> str:
-        return f"PointShell({len(self)} points, {1e4 * self.total_area:.4g} cm²)"
+        size = " × ".join(f"{1e3 * v:.0f}" for v in np.ptp(self.points, axis=0))
+        return (
+            f"PointShell({len(self)} points, {size} mm, "
+            f"{1e4 * self.total_area:.4g} cm²)"
+        )
 
     @property
     def total_area(self) -> float:

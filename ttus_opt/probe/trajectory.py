@@ -138,7 +138,9 @@ class Trajectory:
             if self.torque is None
             else "with wrenches"
         )
-        return f"Trajectory({len(self)} frames{recordings}, {wrench})"
+        spans = [self.time[p.stop - 1] - self.time[p.start] for p in self._segments()]
+        seconds = float(np.sum(spans))
+        return f"Trajectory({len(self)} frames{recordings}, {seconds:.4g} s, {wrench})"
 
     @classmethod
     def from_arrays(
@@ -173,7 +175,7 @@ class Trajectory:
 
         Examples:
             >>> Trajectory.from_arrays([[0.1, 0, 0]], [[0, 0, 0, 1]], order="xyzw")
-            Trajectory(1 frames, without wrenches)
+            Trajectory(1 frames, 0 s, without wrenches)
         """
         rotation, position = poses_of(positions, orientations, order)
         every = np.arange(float(len(position))) if times is None else times

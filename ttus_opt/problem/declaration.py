@@ -269,7 +269,14 @@ class Formulation:
         return self._changed(terms, kept, lambda built: built.with_neutral(names))
 
     def __repr__(self) -> str:
-        """The mathematics with sizes and weights."""
+        """Its members in one line; `str` gives the mathematics."""
+        members = [f"{weight} {name}" for name, weight, *_ in self._term_lines()]
+        limits = ", ".join(name for name, *_ in self._constraint_lines())
+        sums = " + ".join(members) + (f" subject to {limits}" if limits else "")
+        return f"<Formulation {self.name} over {self._over()}: {sums}>"
+
+    def __str__(self) -> str:
+        """The mathematics with sizes and weights, a line for each member."""
         lines = [
             f"  + {weight} · {formula}    [{name}: {size}]"
             for name, weight, formula, size in self._term_lines()

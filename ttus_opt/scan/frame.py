@@ -58,6 +58,13 @@ class Axis:
                 "axis rotation is not a rotation matrix (orthonormal, determinant +1)"
             )
 
+    def __repr__(self) -> str:
+        origin, z = (
+            ", ".join(f"{v:.{digits}f}" for v in values)
+            for values, digits in ((100 * self.origin, 1), (self.rotation[:, 2], 2))
+        )
+        return f"Axis(origin ({origin}) cm, z along ({z}) of the scan)"
+
     @classmethod
     def identity(cls) -> Axis:
         """The scan's own frame."""

@@ -10,6 +10,7 @@ import abc
 import enum
 import importlib.util
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -79,10 +80,13 @@ class Request:
     Attributes:
         tolerance: Largest relative KKT residual [–].
         time_limit: Most seconds to spend; None for no limit [s].
+        told: Called with the relative KKT residual of every better answer on the way,
+            by solvers that check them [–].
     """
 
     tolerance: float = 1e-6
     time_limit: float | None = None
+    told: Callable[[float], None] | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         """Validate tolerance and time limit.
@@ -126,6 +130,9 @@ class Solver(abc.ABC):
     capabilities: Capabilities
     module: str = ""
     pip_name: str = ""
+
+    def __repr__(self) -> str:
+        return f"<solver {self.name}: {self.summary}>"
 
     @property
     def installed(self) -> bool:

@@ -57,7 +57,7 @@ def candidates(solver: str | Path | Solver, program: Program) -> list[Solver]:
     """
     if isinstance(solver, str) and solver == "auto":
         return _preferred(program)
-    one = _asked_for(solver)
+    one = asked_for(solver)
     one.require(program)
     return [one]
 
@@ -80,8 +80,12 @@ def estimating() -> list[str]:
     return [s.name for s in solvers().values() if s.estimates]
 
 
-def _asked_for(solver: str | Path | Solver) -> Solver:
-    """One solver by name, by path, or as it is."""
+def asked_for(solver: str | Path | Solver) -> Solver:
+    """One solver by name, by path, or as it is.
+
+    Raises:
+        InputError: There is no such solver.
+    """
     if isinstance(solver, Solver):
         return solver
     if not isinstance(solver, str | Path):

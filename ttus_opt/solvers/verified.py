@@ -76,6 +76,8 @@ class Verified(Prepared):
             residual = self._residual(candidate)
             if best.x is None or residual < least:
                 best, least = candidate, residual
+                if self._request.told is not None and np.isfinite(residual):
+                    self._request.told(residual)
             if residual <= self._request.tolerance or candidate.x is None:
                 break
             if candidate.claim is Claim.DONE:

@@ -17,8 +17,9 @@ import numpy as np
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
+from ttus_opt.cylindrical import TURN
 from ttus_opt.errors import FileError, InputError
-from ttus_opt.html_card import card, signed_map
+from ttus_opt.html_card import SIZE, card, signed_map
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.grid import CylindricalGrid
@@ -91,9 +92,19 @@ class PotentialField:
         return f"PotentialField({', '.join(self._facts().values())})"
 
     def _repr_html_(self) -> str:
-        middle = self.values[::-1, :, self.values.shape[2] // 2]
-        title = "PotentialField (mid-height, r upwards, θ to the right)"
-        return card(title, self._facts(), signed_map(middle))
+        return card("PotentialField", self._facts(), signed_map(self._section()))
+
+    def _section(self) -> Array:
+        """P at mid-height as seen along z, y upwards; zero beyond the grid, (n, n)."""
+        grid = self.voxmap.grid
+        across = np.linspace(-grid.r_outer, grid.r_outer, SIZE // 2)
+        x, y = across[None, :], across[::-1, None]
+        layer = np.rint((np.hypot(x, y) - grid.r_inner) / grid.r_step).astype(int)
+        n_r, n_theta, n_z = grid.shape
+        spoke = np.rint(np.arctan2(y, x) / TURN * n_theta).astype(int) % n_theta
+        inside = (layer >= 0) & (layer < n_r)
+        values = self.values[np.clip(layer, 0, n_r - 1), spoke, n_z // 2]
+        return np.where(inside, values, 0.0)
 
     def _facts(self) -> dict[str, str]:
         """What it is in a few words, by name."""

@@ -103,6 +103,17 @@ class CylindricalGrid:
         """Number of voxels V [–]."""
         return math.prod(self.shape)
 
+    def __repr__(self) -> str:
+        return f"CylindricalGrid({self.extent})"
+
+    @property
+    def extent(self) -> str:
+        """Counts and where they lie, to be read."""
+        return (
+            f"{self.sizes}, r {100 * self.r_inner:.1f} to {100 * self.r_outer:.1f} cm, "
+            f"z {100 * self.z_min:.1f} to {100 * self.z_max:.1f} cm"
+        )
+
     @property
     def sizes(self) -> str:
         """Counts and their product, to be read."""

@@ -58,6 +58,9 @@ class Voxmap:
                 f"{OUTSIDE} outside only"
             )
 
+    def __repr__(self) -> str:
+        return f"Voxmap({self.grid.extent})"
+
     @classmethod
     def from_surface(
         cls,

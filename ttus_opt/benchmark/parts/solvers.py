@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 import warnings
 from collections.abc import Mapping, Sequence
@@ -12,10 +11,17 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.benchmark.cases import CaseSpec
+from ttus_opt.benchmark.own_solver import options_of, solver_of, version
 from ttus_opt.benchmark.parts.base import Part
 from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec
-from ttus_opt.benchmark.settings import AUTO, CLOSED_FORM, CLOSED_FORM_FITS, Settings
+from ttus_opt.benchmark.settings import (
+    ALL,
+    AUTO,
+    CLOSED_FORM,
+    CLOSED_FORM_FITS,
+    Settings,
+)
 from ttus_opt.benchmark.solver_report import sections, terminal
 from ttus_opt.benchmark.solver_run import FIELDS, label, measured
 from ttus_opt.benchmark.summary import row_table
@@ -24,7 +30,7 @@ from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.scene import Scene
-from ttus_opt.solvers.base import Request
+from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import solvers
 
 #: Figures of a row that has an answer; None without one. (``case``, ``formulation``,
@@ -38,6 +44,7 @@ FIGURES = {
     "solver_memory_bytes": "what set-up and solve added to it at most",
     "memory_by_stage": "largest size of the process per stage",
     "kkt": "residuals verified here, absolute and relative",
+    "residual_reached": "largest relative residual of an ended run's last answer",
     "objective": "at the answer",
     "iterations": "of the first solve",
     "active_limits": "bounds and inequality rows with a multiplier that is not zero",
@@ -60,18 +67,17 @@ class SolversPart(Part):
         runs = []
         for case in cases:
             small = _small_scene(case)
-            for formulation in settings.formulations:
+            for formulation in _formulations(settings):
                 asked = {
                     "formulation": formulation,
+                    **version(Path(formulation)),
                     "options": _accepted(formulation, settings, small),
                     "tolerance": settings.tolerance,
                     "repeat": settings.repeat,
                 }
                 runs += [
-                    RunSpec(
-                        self.name, case, {**asked, "solver": name}, settings.time_limit
-                    )
-                    for name in _names(case, settings)
+                    RunSpec(self.name, case, {**asked, **solver}, settings.time_limit)
+                    for solver in _solvers(case, settings)
                 ]
         return runs
 
@@ -80,7 +86,7 @@ class SolversPart(Part):
         rows: dict[str, Row] = {}
         programs: dict[tuple[str, str], Program] = {}
         for spec in specs:
-            solver = solvers()[spec.options["solver"]]
+            solver = solver_of(spec.options)
             if not solver.installed:
                 install = f"pip install {solver.pip_name}"
                 rows[spec.key] = self.row(spec, "not installed", install)
@@ -162,14 +168,9 @@ def check(settings: Settings) -> None:
     Raises:
         InputError: Unknown solver, or a number out of range.
     """
-    known = solvers()
-    for name in filter(None, (*settings.solvers, settings.reference)):
-        if name not in known:
-            near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
-            raise InputError(
-                f"unknown solver {name!r}, {'did you mean' if near else 'there are'} "
-                f"{', '.join(near or known)}?"
-            )
+    for given in (*settings.solvers, settings.reference):
+        if given not in ("", ALL):
+            options_of(given)
     if settings.reference and not settings.reference.startswith(CLOSED_FORM):
         raise InputError(
             f"the reference must be a closed form, got {settings.reference!r}: "
@@ -182,18 +183,32 @@ def check(settings: Settings) -> None:
         raise InputError(f"weight must be positive, got {settings.weight}")
 
 
-def _names(case: CaseSpec, settings: Settings) -> list[str]:
-    """Solvers of a case, the reference first where it has one."""
+def _formulations(settings: Settings) -> list[str]:
+    """Names and paths, each once; `ALL` stands for the whole shelf."""
+    shelf_names = [info.name for info in shelf.available()]
+    given = [
+        name
+        for each in settings.formulations
+        for name in (shelf_names if each == ALL else [each])
+    ]
+    return list(dict.fromkeys(given))
+
+
+def _solvers(case: CaseSpec, settings: Settings) -> list[dict[str, Any]]:
+    """Options of a case's solvers, the reference first where it has one."""
     fits = case.n_voxels <= CLOSED_FORM_FITS
-    names = list(settings.solvers) or [
+    every = [
         name
         for name, solver in solvers().items()
         if solver.installed and (fits or not name.startswith(CLOSED_FORM))
     ]
-    reference = settings.reference
-    if reference and (fits or settings.closed_form != AUTO):
-        names = [reference, *(n for n in names if n != reference)]
-    return names
+    given: list[str | Path | Solver] = []
+    if settings.reference and (fits or settings.closed_form != AUTO):
+        given = [settings.reference]
+    for each in settings.solvers or (ALL,):
+        given += every if each == ALL else [each]
+    found = [options_of(each) for each in given]
+    return list({options["solver"]: options for options in found}.values())
 
 
 def _small_scene(case: CaseSpec) -> Scene:

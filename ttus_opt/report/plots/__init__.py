@@ -6,6 +6,8 @@ from ttus_opt.report.plots.canvas import (
 from ttus_opt.report.plots.canvas import save_picture as save_picture
 from ttus_opt.report.plots.forces import force_over_time as force_over_time
 from ttus_opt.report.plots.overview import overview as overview
+from ttus_opt.report.plots.poses import pose_picture as pose_picture
+from ttus_opt.report.plots.potential import field_slice as field_slice
 from ttus_opt.report.plots.potential import potential_slices as potential_slices
 from ttus_opt.report.plots.residuals import residual_histogram as residual_histogram
 from ttus_opt.report.plots.skin import surface_picture as surface_picture

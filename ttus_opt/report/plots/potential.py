@@ -1,4 +1,4 @@
-"""The potential in a transverse slice: before, after and the difference."""
+"""The potential in a transverse slice: one field, or before, after and difference."""
 
 from __future__ import annotations
 
@@ -81,6 +81,41 @@ def potential_slices(
             ha="left",
             fontsize=10,
         )
+    return figure
+
+
+def field_slice(field: PotentialField, z: float | None = None) -> Figure:
+    """One field in one transverse slice.
+
+    Args:
+        field: Any field.
+        z: Height of the slice, the nearest is drawn [m]; by default mid-height.
+
+    Returns:
+        The figure: p in colours, contours solid where p > 0 and dashed where p < 0,
+        the skin solid where it was seen and dotted where it was filled.
+
+    Raises:
+        InputError: A height beyond the grid.
+    """
+    grid = field.voxmap.grid
+    wanted = (grid.z_min + grid.z_max) / 2 if z is None else z
+    if not grid.z_min <= wanted <= grid.z_max:
+        raise InputError(
+            f"z must lie on the grid, {grid.z_min:.4g} to {grid.z_max:.4g} m, got "
+            f"{wanted:.4g}: is it in metres?"
+        )
+    k = int(np.argmin(np.abs(grid.z - wanted)))
+    limit = colour_limit(field, k)
+    with look():
+        figure = new_figure(4.8, 4.0)
+        axes = figure.subplots()
+        mesh = draw_slice(axes, field, field.values[:, :, k], k, limit)
+        axes.set_title(f"Potential at z = {100 * grid.z[k]:.1f} cm")
+        axes.set(xlabel="x [cm]", ylabel="y [cm]")
+        bar = figure.colorbar(mesh, ax=axes)
+        bar.set_label(f"p [{_UNITS[field.sampling]}]")
+        bar.set_ticks([share * limit for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
     return figure
 
 

@@ -1,0 +1,70 @@
+"""A user's own solver: by path and as an object, to another process and back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.benchmark.tiny import tiny_suite
+from ttus_opt.benchmark.own_solver import options_of, solver_of
+from ttus_opt.errors import InputError
+from ttus_opt.solvers.closed_form import ClosedForm
+
+FILE = """
+from ttus_opt.solvers.closed_form import ClosedForm
+
+class Mine(ClosedForm):
+    name = "mine"
+
+SOLVERS = [Mine()]
+"""
+
+
+class Renamed(ClosedForm):
+    """An object of an importable class."""
+
+    name = "renamed"
+
+
+def own_file(folder: Path) -> Path:
+    path = folder / "mine.py"
+    path.write_text(FILE)
+    return path
+
+
+def test_a_file_and_an_object_come_back_from_json(tmp_path: Path) -> None:
+    path = own_file(tmp_path)
+    for given, name in ((str(path), "mine"), (path, "mine"), (Renamed(), "renamed")):
+        options = json.loads(json.dumps(options_of(given)))
+        assert options["solver"] == name
+        assert solver_of(options).name == name
+    assert options_of("osqp") == {"solver": "osqp"}
+    before = options_of(path)
+    path.write_text(FILE + "# another version\n")
+    assert options_of(path) != before
+
+
+def test_what_cannot_travel_is_refused(tmp_path: Path) -> None:
+    class Local(ClosedForm):
+        name = "local"
+
+    with pytest.raises(InputError, match="give its path"):
+        options_of(Local())
+    clash = tmp_path / "clash.py"
+    clash.write_text(FILE.replace('"mine"', '"osqp"'))
+    with pytest.raises(InputError, match="another name"):
+        options_of(clash)
+    with pytest.raises(InputError, match="not found"):
+        options_of(tmp_path / "gone.py")
+
+
+@pytest.mark.slow
+def test_both_are_measured(tmp_path: Path) -> None:
+    own = [own_file(tmp_path), Renamed()]
+    found = tiny_suite(tmp_path / "out", solvers=own).run()["solvers"]
+    assert [(row["solver"], row["status"]) for row in found] == [
+        (name, "solved") for name in ("closed_form", "mine", "renamed")
+    ]
+    assert all(row["difference_from_closed_form"] < 1e-9 for row in found)

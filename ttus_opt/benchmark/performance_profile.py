@@ -1,0 +1,109 @@
+"""Performance profiles: how often a solver is within a factor of the fastest.
+
+ρ_s(τ) is the share of problems p that solver s solves with t_{p,s} ≤ τ min_s' t_{p,s'}
+(E. D. Dolan and J. J. Moré, Benchmarking optimization software with performance
+profiles, Mathematical Programming 91, 2002, eq. 2.1). ρ_s(1) is how often it is the
+fastest, ρ_s at the right end how much it solves at all; a problem it cannot take or
+fails on counts as never solved. Problems that no solver solved are left out.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from ttus_opt.benchmark.row import Row
+from ttus_opt.benchmark.summary import group, solved
+from ttus_opt.report.tables import table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+#: Factors of the table [–]
+FACTORS = (1.0, 2.0, 5.0, 10.0, 100.0)
+
+LEGEND = (
+    "Share of the {n} problems that a solver solves within a factor τ of the fastest, "
+    "set-up included (Dolan & Moré 2002): τ = 1 is how often it is the fastest, *ever* "
+    "how much it solves within the time limit. What a solver cannot take or fails on "
+    "counts as not solved."
+)
+
+
+def ratios(rows: Sequence[Row]) -> dict[str, list[float]]:
+    """Time over the fastest solver's, for every problem that some solver solved.
+
+    Args:
+        rows: All rows of solvers.
+
+    Returns:
+        r_{p,s} by solver, in the order of the problems; inf where it has no verified
+        answer [–]. Solvers that solved nothing are there as well.
+    """
+    taken: dict[tuple[str, str], dict[str, float]] = {}
+    for row in rows:
+        if solved(row):
+            taken.setdefault(group(row), {})[row["solver"]] = row["seconds_first"]
+    return {
+        solver: [
+            own.get(solver, math.inf) / min(own.values()) for own in taken.values()
+        ]
+        for solver in dict.fromkeys(row["solver"] for row in rows)
+    }
+
+
+def share(of_solver: Sequence[float], factor: float) -> float:
+    """ρ_s(τ) of one solver's ratios; NaN without problems [–].
+
+    >>> share([1.0, 3.0, math.inf], 3.0)
+    0.6666666666666666
+    """
+    if not of_solver:
+        return math.nan
+    return sum(r <= factor for r in of_solver) / len(of_solver)
+
+
+def ranked(rows: Sequence[Row]) -> dict[str, list[float]]:
+    """`ratios` of solvers that solved something, the most often within 2 first."""
+    found = {
+        s: r for s, r in ratios(rows).items() if min(r, default=math.inf) < math.inf
+    }
+    order = sorted(
+        found, key=lambda s: (-share(found[s], 2.0), -share(found[s], 1e300), s)
+    )
+    return {solver: found[solver] for solver in order}
+
+
+def profile_table(found: Mapping[str, Sequence[float]]) -> str:
+    """ρ_s at `FACTORS` as a Markdown table; `found` from `ranked`."""
+    body = [
+        [solver, *(f"{share(own, f):.0%}" for f in (*FACTORS, 1e300))]
+        for solver, own in found.items()
+    ]
+    return table(["solver", *(f"τ = {f:g}" for f in FACTORS), "ever"], body)
+
+
+def profile_picture(found: Mapping[str, Sequence[float]]) -> Figure:
+    """ρ_s(τ) as steps over a logarithmic τ; `found` from `ranked`."""
+    from ttus_opt.benchmark.pictures import solver_styles
+    from ttus_opt.report.plots.canvas import look, new_figure
+
+    finite = [r for own in found.values() for r in own if r < math.inf]
+    end = 1.5 * max(finite)
+    with look():
+        figure = new_figure(7.0, 4.0)
+        axis = figure.subplots()
+        for solver, style in solver_styles(list(found)).items():
+            own = sorted(r for r in found[solver] if r < math.inf)
+            steps = [1.0, *own, end]
+            heights = [share(found[solver], r) for r in steps]
+            axis.step(
+                steps, heights, where="post", label=solver, markevery=(0.02, 0.15),
+                **style,
+            )  # fmt: skip
+        axis.set(xscale="log", xlabel="factor τ of the fastest", xlim=(1.0, end))
+        axis.set_ylabel("share of problems solved within τ")
+        axis.set_ylim(0.0, 1.03)
+        figure.legend(loc="outside right upper")
+    return figure

@@ -1,0 +1,249 @@
+"""The probe's poses on the skin with measured forces as arrows, one row a recording.
+
+Three projections with the patient on the back: from above, from the side and along the
+body. A recording whose columns, frame or sign are mistaken stands beside the skin, or
+pulls where it should push.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.metrics import FORCE_THRESHOLD
+from ttus_opt.report.plots.canvas import look, new_figure
+from ttus_opt.report.plots.potential import round_up
+from ttus_opt.scan.surface import Surface
+
+#: Most recordings that are drawn, and most arrows and probes in each
+RECORDINGS, ARROWS, PROBES = 8, 60, 3
+
+#: Length of an arrow of the largest force [cm]
+LONGEST = 6.0
+
+#: What touches by geometry and by force: label, ink and marker
+_KINDS: dict[tuple[bool, bool], tuple[str, str, str]] = {
+    (True, True): ("contact and force", "#0b4f9c", "o"),
+    (True, False): ("contact, no force", "#e08214", "s"),
+    (False, True): ("force, no contact", "#b2182b", "X"),
+    (False, False): ("neither", "0.6", "."),
+}
+
+
+class _View(NamedTuple):
+    """A projection: its name, and the patient's axes to the right and upwards."""
+
+    name: str
+    right: Array
+    up: Array
+
+
+def pose_picture(
+    surface: Surface,
+    shell: PointShell,
+    trajectory: Trajectory,
+    names: Sequence[str] = (),
+) -> Figure:
+    """Draw where the probe was and what it measured.
+
+    Args:
+        surface: The patient's.
+        shell: The probe.
+        trajectory: One or several recordings, in the patient frame.
+        names: Of the recordings, one for each segment; numbers by default.
+
+    Returns:
+        The figure: a row for each of the first `RECORDINGS` recordings, seen from
+        above, from the side and along the body. A frame is coloured by whether the
+        probe touches the skin by geometry and by its measured force, which is drawn
+        from the probe's reference point on; outlines are those of the whole probe.
+
+    Raises:
+        InputError: Other than one name for each recording.
+    """
+    segments = np.unique(trajectory.segment)
+    names = names or [f"recording {number}" for number in segments]
+    if len(names) != len(segments):
+        raise InputError(f"{len(segments)} recordings need as many names: {len(names)}")
+    shown = segments[:RECORDINGS]
+    views = _views(surface)
+    longest = _largest_force(trajectory)
+    with look():
+        figure = new_figure(11.0, 0.7 + 3.3 * len(shown))
+        axes = figure.subplots(
+            len(shown), 3, squeeze=False, width_ratios=(1.2, 1.2, 1.0)
+        )
+        for row, number, name in zip(axes, shown, names, strict=False):
+            frames = _Frames.of(
+                surface, shell, trajectory.select(trajectory.segment == number)
+            )
+            for axis, view in zip(row, views, strict=True):
+                _draw_skin(axis, surface, view, float(np.median(frames.at[:, 2])))
+                _draw(axis, frames, view, longest)
+                axis.set_title(view.name)
+            row[0].set_title(f"{name}: {views[0].name}")
+        found = {
+            label: handle
+            for axis in axes.flat
+            for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+        }
+        figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=4)
+        left = f", first {len(shown)} of {len(segments)}" * (len(segments) > len(shown))
+        figure.suptitle(
+            "Probe and measured force in the patient frame, patient on the back, z "
+            f"along the body{left}; {LONGEST:.0f} cm of arrow = {longest:g} N",
+            x=0.01,
+            ha="left",
+            fontsize=10,
+        )
+    return figure
+
+
+def _largest_force(trajectory: Trajectory) -> float:
+    """The force whose arrow is the longest, a round number [N]."""
+    force = trajectory.force
+    return 1.0 if force is None else round_up(float(np.abs(force).max()))
+
+
+def _views(surface: Surface) -> tuple[_View, _View, _View]:
+    """Projections with the side that was seen upwards, along the nearest axis."""
+    share = surface.observed.mean(axis=1)
+    seen = np.array([share @ np.cos(surface.theta), share @ np.sin(surface.theta)])
+    # seen all around: y is up, as in a drawing
+    nearest = int(np.argmax(np.abs(seen))) if np.abs(seen).max() > 1e-6 else 1
+    up, along = np.zeros(3), np.array([0.0, 0.0, 1.0])
+    up[nearest] = 1.0 if seen[nearest] > -1e-6 else -1.0
+    across = np.cross(up, along)
+    return (
+        _View("seen from above", along, across),
+        _View("from the side", along, up),
+        _View("along the body", across, up),
+    )
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """What is drawn of one recording.
+
+    Attributes:
+        at: The probe's reference point, patient frame, shape (n, 3) [m].
+        force: Measured, shape (n, 3) [N]; None without.
+        kinds: Contact by geometry and by force, shape (n, 2).
+        probes: Shells of a few frames, patient frame, each of shape (M, 3) [m].
+    """
+
+    at: Array
+    force: Array | None
+    kinds: NDArray[np.bool_]
+    probes: list[Array]
+
+    @classmethod
+    def of(cls, surface: Surface, shell: PointShell, recorded: Trajectory) -> _Frames:
+        """Some frames of a recording, evenly over its length."""
+        n = len(recorded)
+        some = recorded.select(np.unique(np.linspace(0, n - 1, ARROWS).astype(int)))
+        placed = [
+            shell.points @ rotation.T + position
+            for rotation, position in zip(some.rotation, some.position, strict=True)
+        ]
+        contact = np.array([_touches(surface, points) for points in placed])
+        felt = np.zeros_like(contact)
+        if some.force is not None:
+            felt = np.linalg.norm(some.force, axis=1) > FORCE_THRESHOLD
+        shown = np.linspace(0, len(some) - 1, PROBES + 2).astype(int)[1:-1]
+        return cls(
+            some.rotation @ shell.reference + some.position,
+            some.force,
+            np.stack([contact, felt], axis=1),
+            [placed[i] for i in shown],
+        )
+
+
+def _touches(surface: Surface, points: Array) -> bool:
+    """Whether some of the points (M, 3) [m] are inside the skin."""
+    x, y, z = points.T
+    inside = np.hypot(x, y) < surface.radius_at(np.arctan2(y, x), z)
+    return bool((inside & (z >= surface.z[0]) & (z <= surface.z[-1])).any())
+
+
+def _draw(axis: Any, frames: _Frames, view: _View, longest: float) -> None:
+    """One recording in one projection, everything in cm."""
+    plane = 100.0 * np.stack([view.right, view.up], axis=1)
+    for points in frames.probes:
+        outline = _outline(points @ plane)
+        axis.plot(*outline.T, color="0.2", linewidth=0.7, label="probe")
+    for kind, (label, ink, marker) in _KINDS.items():
+        own = (frames.kinds == kind).all(axis=1)
+        if not own.any():
+            continue
+        at = frames.at[own] @ plane
+        axis.plot(
+            *at.T, linestyle="none", marker=marker, color=ink, markersize=3, label=label
+        )
+        if frames.force is not None:
+            along = frames.force[own] @ plane * (LONGEST / longest / 100.0)
+            _draw_arrows(axis, at, along, ink)
+    axis.set_aspect("equal", adjustable="datalim")
+    axis.autoscale_view()
+    _label(axis, view)
+
+
+def _draw_arrows(axis: Any, at: Array, along: Array, ink: str) -> None:
+    """Arrows from points on, both of shape (n, 2) [cm]."""
+    axis.quiver(
+        *at.T,
+        *along.T,
+        color=ink,
+        angles="xy",
+        scale_units="xy",
+        scale=1.0,
+        width=3e-3,
+        headwidth=4.5,
+    )
+    axis.update_datalim(at + along)
+
+
+def _label(axis: Any, view: _View) -> None:
+    """Name the patient's axes; one that points backwards has its sign there."""
+    for set_label, direction in (
+        (axis.set_xlabel, view.right),
+        (axis.set_ylabel, view.up),
+    ):
+        number = int(np.argmax(np.abs(direction)))
+        sign = "−" if direction[number] < 0 else ""
+        set_label(f"{sign}{'xyz'[number]} [cm]")
+
+
+def _outline(points: Array) -> Array:
+    """The closed convex outline of points in the plane, shape (n, 2)."""
+    from scipy.spatial import ConvexHull
+
+    # joggled: a flat probe seen edge-on is a line
+    corners = ConvexHull(points, qhull_options="QJ").vertices
+    return np.asarray(points[np.append(corners, corners[0])])
+
+
+def _draw_skin(axis: Any, surface: Surface, view: _View, z: float) -> None:
+    """The skin's silhouette, or its section at a height where one looks along z."""
+    nodes = surface.points()
+    if abs(view.right[2]) < 0.5:
+        outline = nodes[:, int(np.argmin(np.abs(surface.z - z)))]
+        closed = 100.0 * np.stack([outline @ view.right, outline @ view.up], axis=1)
+        axis.fill(*closed.T, color="0.92", zorder=0)
+        axis.plot(*np.vstack([closed, closed[:1]]).T, color="black", linewidth=1.2)
+        return
+    reach = 100.0 * nodes @ view.up
+    height = 100.0 * surface.z
+    low, high = reach.min(axis=0), reach.max(axis=0)
+    axis.fill_between(height, low, high, color="0.92", zorder=0)
+    for edge in (low, high):
+        axis.plot(height, edge, color="black", linewidth=1.2)
