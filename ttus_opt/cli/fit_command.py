@@ -140,7 +140,7 @@ def fit(
         "torque_length": torque_length,
     }
     options = {name: value for name, value in given.items() if value is not None}
-    options |= _options(option or ())
+    options |= further_options(option or ())
     conventions = read_conventions(
         torque_about,
         quaternion=quaternion,
@@ -149,7 +149,7 @@ def fit(
         torque_unit=torque_unit,
         wrench_delay=wrench_delay,
     )
-    counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
+    counts, boundary = whole_numbers(shape, 3, "--shape"), boundary_value(inner)
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(counts), LARGEST_FILE)
     inputs: list[Path | str] = [surface, probe, *trajectory]
@@ -210,7 +210,12 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return [path.name for path in paths]
 
 
-def _inner(text: str) -> float | Literal["fit"]:
+def boundary_value(text: str) -> float | Literal["fit"]:
+    """Value of ``--inner``.
+
+    Raises:
+        InputError: Neither a number nor fit.
+    """
     if text == "fit":
         return "fit"
     try:
@@ -219,8 +224,12 @@ def _inner(text: str) -> float | Literal["fit"]:
         raise InputError(f"--inner takes a number or fit, got {text!r}") from None
 
 
-def _options(pairs: Sequence[str]) -> dict[str, Any]:
-    """Options written key=value; a value is JSON where it can be read as that."""
+def further_options(pairs: Sequence[str]) -> dict[str, Any]:
+    """Options written key=value; a value is JSON where it can be read as that.
+
+    Raises:
+        InputError: A pair that is none.
+    """
     options: dict[str, Any] = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")

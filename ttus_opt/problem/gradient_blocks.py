@@ -76,9 +76,9 @@ def quadratic_summands(program: Program, x: Array) -> Iterator[Array]:
     alone = np.zeros_like(x)
     for part in parts:
         alone[part] = x[part]
-        yield program.quadratic_gradient(alone)[0]
+        yield program.curvature_times(alone)
         alone[part] = 0.0
-    yield program.quadratic_gradient(alone)[1]
+    yield program.gradient_at_zero()
 
 
 def _least_gradient(program: Program, part: slice, largest: float) -> float:
