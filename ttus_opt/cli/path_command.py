@@ -129,9 +129,6 @@ def path(
     tolerance: Annotated[
         float, typer.Option(help="Largest relative residual of a solution.")
     ] = 1e-6,
-    time_limit: Annotated[
-        float | None, typer.Option(help="Most seconds each point may take.")
-    ] = None,
     fields: Annotated[
         bool, typer.Option("--fields", help="Keep the potential of every point.")
     ] = False,
@@ -192,7 +189,6 @@ def path(
         held_out=unseen,
         solver=solver,
         tolerance=tolerance,
-        time_limit=time_limit,
         fields=fields,
         progress=True,
         **options,
@@ -202,6 +198,7 @@ def path(
         "trajectories": ", ".join(one.name for one in trajectory),
         "conventions": json_module.dumps(asdict(conventions)),
     }
+    found = _with_names(found, [one.stem for one in trajectory])
     write_solution_path(found, output)
     if picture is not None and not bool(found["objective"].isnull().all()):
         from ttus_opt.report import plots
@@ -287,6 +284,13 @@ def _summary(found: xr.Dataset, best: dict[str, float], output: Path) -> dict[st
     }
 
 
+def _with_names(found: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """Recordings by the names of their files, where each file is one."""
+    if found.sizes.get("recording") != len(names) or len(set(names)) < len(names):
+        return found
+    return found.assign_coords(recording=("recording", list(names), {"units": "1"}))
+
+
 def _solved(found: xr.Dataset) -> int:
     return int((found["status"] == 0).sum())
 
@@ -294,13 +298,14 @@ def _solved(found: xr.Dataset) -> int:
 def _tell(found: xr.Dataset, best: dict[str, float], output: Path) -> None:
     typer.echo(
         f"{output}: {_solved(found)} of {found.attrs['points']} points solved by "
-        f"{found.attrs['solver']}, KKT {float(found['kkt_residual'].max()):.1e} at most, "
+        f"{found.attrs['solver']}, KKT at most "
+        f"{float(found['kkt_residual'].max()):.1e}, "
         f"{float(found['seconds'].sum()):.1f} s"
     )
     if not best:
         return
     names = {f"{name}_weight": value for name, value in best.items()}
-    where = {dim: names[dim] for dim in found["status"].dims}
+    where = {dim: names[str(dim)] for dim in found["status"].dims}
     at = found.sel(where, method="nearest")
     typer.echo(
         "smallest held-out error at "

@@ -97,7 +97,7 @@ class _Searching:
 
 
 class _CommonBasis:
-    """The structured solver's reduced basis; single fits where it does not get there."""
+    """The structured solver's reduced basis; single fits where that does not do."""
 
     common = True
 

@@ -1,9 +1,9 @@
 """A path of weights: one formulation solved for many, at the cost of few solves.
 
-Where the problem is one field without limits, the fields of all weights are combinations
-of a few response fields (`ttus_opt.solvers.dual.weight_sweep`). With limits the working
-set of one point starts the next; other solvers keep what they can. Every point is
-verified by its own residuals, as any other fit.
+Where the problem is one field without limits, the fields of all weights are
+combinations of a few response fields (`ttus_opt.solvers.dual.weight_sweep`). With
+limits the working set of one point starts the next; other solvers keep what they can.
+Every point is verified by its own residuals, as any other fit.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ def solution_path(
     held_out: HeldOut = (),
     solver: str | Path | Solver = "auto",
     tolerance: float = 1e-6,
-    time_limit: float | None = None,
     fields: bool = False,
     progress: bool = False,
     **options: Any,
@@ -58,7 +57,6 @@ def solution_path(
         held_out: Recordings with wrenches, on which every point is evaluated.
         solver: As of `ttus_opt.fit`.
         tolerance: Largest relative KKT residual of a solution [–].
-        time_limit: Most seconds each point may take [s].
         fields: Whether to keep every point's potential.
         progress: Whether to show a progress bar.
         options: The formulation's own.
@@ -66,8 +64,9 @@ def solution_path(
     Returns:
         Over one dimension per entry of ``weights`` (``force_weight``): status, KKT
         residual, objective, value of every term, residual of every recording that was
-        fitted, errors on held-out recordings, parameters, seconds, and where asked for
-        the potential; units on everything, NaN where a point was not solved.
+        fitted, errors on held-out recordings, parameters (the minimiser's, without
+        `fit`'s test whether the data bear them), seconds, and where asked for the
+        potential; units on everything, NaN where a point was not solved.
         `write_solution_path` writes it, `ttus_opt.report.plots.weight_path` draws it.
 
     Raises:
@@ -78,7 +77,7 @@ def solution_path(
     declared = _declared(formulation, scene, options)
     grid = WeightGrid.of(weights, [term.name for term in declared.terms])
     record = PathRecord(declared, grid, _named(held_out), tolerance, keep_fields=fields)
-    request = Request(tolerance, time_limit)
+    request = Request(tolerance)
     doubts = declared.not_identifiable()
     declared = declared.with_neutral(doubts)
     first = declared.with_weights(**grid.at((0,) * len(grid.axes)))
@@ -127,7 +126,8 @@ def _named(held_out: HeldOut) -> dict[str, Trajectory]:
     for name, one in held_out.items():
         if not isinstance(one, Trajectory):
             raise InputError(
-                f"{name} must be a Trajectory, got {type(one).__name__}: read_trajectory"
+                f"{name} must be a Trajectory, got {type(one).__name__}: read it with "
+                "read_trajectory"
             )
         if not one.has_wrench:
             raise InputError(

@@ -1,4 +1,4 @@
-"""The weights of a path: one axis per term, or per group of terms that share a weight."""
+"""The weights of a path: an axis per term, or per group of terms with a common one."""
 
 from __future__ import annotations
 

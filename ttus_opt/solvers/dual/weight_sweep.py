@@ -1,16 +1,16 @@
 """Minimisers of Σ (L p - b)²/ω + ‖W(D p - t)‖² for many weights W of the same rows.
 
-The minimiser departs from p₀ = L⁻¹b by L⁻¹ω L⁻ᵀDᵀz with some multipliers z, whatever the
-weights. So few of these *response fields* serve all weights: a reduced basis. They are
-made orthonormal in the prior's energy, zᵢᵀC zⱼ = δᵢⱼ with C = D L⁻¹ω L⁻ᵀDᵀ. With K the
-matrix of their measurements, Kⱼ = C zⱼ, the best combination for any weights is
+The minimiser departs from p₀ = L⁻¹b by L⁻¹ω L⁻ᵀDᵀz with some multipliers z, whatever
+the weights. So a few such *response fields* serve all weights: a reduced basis. They
+are made orthonormal in the prior's energy, zᵢᵀC zⱼ = δᵢⱼ with C = D L⁻¹ω L⁻ᵀDᵀ. With K
+the matrix of their measurements, Kⱼ = C zⱼ, the best combination for any weights is
 
     c = (1 + K W²Kᵀ)⁻¹ K W²d,   d = t - D p₀,   p = p₀ + Σ cⱼ L⁻¹ω L⁻ᵀDᵀzⱼ,
 
-a system as small as the basis (Rayleigh-Ritz). What remains of the gradient is 2 Dᵀρ with
-ρ = W²(d - Kᵀc) - Zᵀc, and its energy ρᵀC ρ is how far the objective is from its minimum,
-at most. Where it is too large, ρ preconditioned for these weights is a new direction: two
-solves. KᵀK is the Nyström approximation of C, exact on the basis (docs/method.md, section 10.8).
+a system as small as the basis (Rayleigh-Ritz). What remains of the gradient is -2 Dᵀρ
+with ρ = W²(d - Kᵀc) - Zᵀc, and the objective is at most ρᵀC ρ from its minimum. Where
+that is too much, ρ, preconditioned for these weights, is a new direction: two solves.
+KᵀK is the Nyström approximation of C (docs/method.md, section 10.8).
 """
 
 from __future__ import annotations
