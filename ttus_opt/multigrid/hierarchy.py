@@ -152,7 +152,8 @@ class Hierarchy:
         inverse = np.linalg.inv(network.matrix()).astype(np.float32)
         places = levels[-1].layout.places(np.nonzero(network.free))
         along = conductances(grid)[0].astype(np.float32)
-        return cls(tuple(levels), places, inverse, *_packed(levels, along))
+        packed = _packed(levels, along)  # replaces the levels' arrays
+        return cls(tuple(levels), places, inverse, *packed)
 
     @property
     def memory_bytes(self) -> int:

@@ -31,7 +31,7 @@ from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, schur_precond
 
 #: Relative residual of the solves behind a response field: an error there is an error
 #: of every field made of it [–]
-FIELD_RTOL = 1e-10
+FIELD_RTOL = 1e-8
 
 #: Most rows and voxels: 60 response fields of the latter take 2 GiB
 MOST_ROWS, MOST_VOXELS = 50_000, 4_000_000
