@@ -54,7 +54,10 @@ def main() -> None:
     scene, told = case.build(), dict[str, float]()
     with timed("path", told):
         path = tt.solution_path(
-            given.formulation, fresh(scene), weights={terms: weights}, fields=True
+            given.formulation,
+            fresh(scene),
+            weights={terms: weights},
+            extras=["potential"],
         )
     worst, alone = 0.0, []
     with timed("fits", told):

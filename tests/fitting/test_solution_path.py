@@ -31,7 +31,7 @@ def path() -> Any:
         small_scene("trilinear"),
         weights={("force", "torque"): WEIGHTS},
         held_out={"unseen": unseen()},
-        fields=True,
+        extras=["potential"],
     )
 
 
@@ -124,10 +124,8 @@ def test_a_drag_coefficient_is_a_variable() -> None:
     assert float(found[1]) == pytest.approx(value, rel=1e-4, abs=1e-6)
 
 
-class Stumbling:
+class Stumbling(path_solvers._WithoutCriteria):
     """Solves until a point, where it does something else."""
-
-    common = False
 
     def __init__(self, solve: Any, at: int, what: Any) -> None:
         self._solve, self._left, self._what = solve, at, what
@@ -169,7 +167,9 @@ def test_a_point_that_fails_leaves_nan_and_its_status(
 
     stumbling(monkeypatch, fails)
     scene = small_scene("trilinear")
-    path = tt.solution_path("eq10", scene, weights={"force": WEIGHTS}, fields=True)
+    path = tt.solution_path(
+        "eq10", scene, weights={"force": WEIGHTS}, extras=["potential"]
+    )
     meanings = path["status"].attrs["flag_meanings"].split()
     values = path["status"].attrs["flag_values"]
     told = meanings[list(values).index(int(path["status"][3]))]

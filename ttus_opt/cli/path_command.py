@@ -132,6 +132,13 @@ def path(
     fields: Annotated[
         bool, typer.Option("--fields", help="Keep the potential of every point.")
     ] = False,
+    criteria: Annotated[
+        bool,
+        typer.Option(
+            "--criteria",
+            help="Add evidence, cross-validation and errors on presses left out.",
+        ),
+    ] = False,
     picture: Annotated[
         Path | None, typer.Option(help="Draw L-curve and held-out errors here.")
     ] = None,
@@ -156,6 +163,7 @@ def path(
     )
     counts, boundary = whole_numbers(shape, 3, "--shape"), boundary_value(inner)
     others = held_out or []
+    extras = {"potential": fields, "criteria": criteria}
     if picture is not None:
         from ttus_opt.report import plots
 
@@ -189,7 +197,7 @@ def path(
         held_out=unseen,
         solver=solver,
         tolerance=tolerance,
-        fields=fields,
+        extras=[name for name, asked in extras.items() if asked],
         progress=True,
         **options,
     )

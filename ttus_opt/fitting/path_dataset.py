@@ -12,6 +12,7 @@ from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.errors import FileError
+from ttus_opt.fitting.weight_criteria import TOLD
 from ttus_opt.fitting.weight_grid import Index, WeightGrid
 from ttus_opt.haptic.field_wrench import wrenches_by_rows
 from ttus_opt.probe.trajectory import Trajectory
@@ -78,6 +79,7 @@ class PathRecord:
             for name in ("force_residual", "torque_residual")
         }
         self._errors = {name: self._empty(len(held_out)) for name in HELD_OUT}
+        self._criteria: dict[str, Array] = {}
         self._parameters: dict[str, Array] = {}
         shape = scene.voxmap.grid.shape
         self._potential = self._empty(*shape) if keep_fields else None
@@ -86,8 +88,10 @@ class PathRecord:
     def _empty(self, *beyond: int) -> Array:
         return np.full((*self._grid.shape, *beyond), np.nan)
 
-    def add(self, at: Index, solution: Solution) -> None:
-        """Note the solution of one point."""
+    def add(
+        self, at: Index, solution: Solution, criteria: Mapping[str, float] | None = None
+    ) -> None:
+        """Note the solution of one point, and what measurements say of its weights."""
         self._status[at] = list(Status).index(solution.status)
         if solution.solver not in self._solvers:
             self._solvers.append(solution.solver)
@@ -103,6 +107,8 @@ class PathRecord:
         for k, name in enumerate(self._terms):
             if weights.get(name, 0.0) > 0.0:
                 self._values[(*at, k)] = solution.costs[name] / weights[name]
+        for name, value in (criteria or {}).items():
+            self._criteria.setdefault(name, self._empty())[at] = value
         for name, value in solution.parameters.items():
             self._parameters.setdefault(name, self._empty())[at] = value
         self._judge(at, solution.verified_field)
@@ -164,6 +170,9 @@ class PathRecord:
             for name, (unit, figure, _scale) in HELD_OUT.items():
                 about = {"units": unit, "long_name": f"{figure} of evaluate"}
                 out[name] = ((*dims, "held_out"), self._errors[name], about)
+        for name, values in self._criteria.items():
+            unit, meaning = TOLD[name]
+            out[name] = (dims, values, {"units": unit, "long_name": meaning})
         for name, values in self._parameters.items():
             about = {"units": PARAMETER_UNITS.get(name, "1")}
             out[f"parameter_{name}"] = (dims, values, about)

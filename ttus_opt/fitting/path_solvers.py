@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
+from ttus_opt.errors import InputError
 from ttus_opt.fitting.batch import Fitter, fit
 from ttus_opt.fitting.verdict import judged
+from ttus_opt.fitting.weight_criteria import Criteria, criteria_of
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
@@ -36,6 +39,33 @@ class PointSolver(Protocol):
     def __call__(self, declared: Formulation) -> Solution:
         """Solve for the weights of a formulation, and verify."""
 
+    def criteria(self, declared: Formulation) -> Mapping[str, float]:
+        """What measurements say of these weights, as `weight_criteria.TOLD`."""
+
+    def prepare_criteria(self, largest: Formulation) -> None:
+        """Compute what `criteria` needs, for weights up to these.
+
+        Raises:
+            InputError: The problem is not one field without limits.
+        """
+
+
+class _WithoutCriteria:
+    """A way to solve that knows no criteria."""
+
+    common = False
+
+    def criteria(self, declared: Formulation) -> Mapping[str, float]:
+        """Nothing."""
+        return {}
+
+    def prepare_criteria(self, largest: Formulation) -> None:
+        """Refuse."""
+        raise InputError(
+            f"no criteria for {largest.name}: they need one field without limits, a "
+            "Laplace term and measured squares; judge by held-out recordings"
+        )
+
 
 def point_solver(
     declared: Formulation, solver: str | Path | Solver, request: Request
@@ -61,10 +91,8 @@ def point_solver(
     return _InTurn(solver, request)
 
 
-class _InTurn:
+class _InTurn(_WithoutCriteria):
     """Any solver, with what it keeps from point to point."""
-
-    common = False
 
     def __init__(self, solver: str | Path | Solver, request: Request) -> None:
         self._solver, self._request = solver, request
@@ -78,10 +106,8 @@ class _InTurn:
         return self._fitter.solve()
 
 
-class _Searching:
+class _Searching(_WithoutCriteria):
     """A formulation with a number to search for: a fit per point."""
-
-    common = False
 
     def __init__(self, solver: str | Path | Solver, request: Request) -> None:
         self._solver, self._request = solver, request
@@ -105,6 +131,7 @@ class _CommonBasis:
         self._request = request
         self._sweep = WeightSweep(DualData.of(program))
         self._alone = _InTurn("structured", request)
+        self._criteria: Criteria | None = None
 
     def __call__(self, declared: Formulation) -> Solution:
         start = time.perf_counter()
@@ -135,3 +162,26 @@ class _CommonBasis:
                 return solution
             rtol *= TIGHTENING
         return self._alone(declared)
+
+    def prepare_criteria(self, largest: Formulation) -> None:
+        """Complete the basis, and find out which rows are whose."""
+        frames = len(largest.scene.trajectory)
+        terms = {
+            term.name: len(term.assembled.target)
+            for term in largest.terms
+            if term.measures and term.weight > 0.0
+        }
+        if any(n != 3 * frames for n in terms.values()):
+            raise InputError("criteria need terms with three rows per frame")
+        told = self._sweep.told
+        if sum(terms.values()) != len(told):
+            raise InputError("criteria need a Laplace term and measured ones only")
+        self._criteria = criteria_of(largest.scene, terms, told)
+        self._sweep.complete(root_weights(largest.compile()))
+
+    def criteria(self, declared: Formulation) -> Mapping[str, float]:
+        """By the basis."""
+        if self._criteria is None:
+            return {}
+        root = root_weights(declared.compile())[self._sweep.told]
+        return self._criteria.values(self._sweep.images, self._sweep.misfit, root)

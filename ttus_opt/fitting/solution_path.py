@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
 #: Recordings that no point is fitted to: one, several, or several by name
 HeldOut = Trajectory | Sequence[Trajectory] | Mapping[str, Trajectory]
 
+#: What a path may have beside what it always has
+EXTRAS = ("potential", "criteria")
+
 
 def solution_path(
     formulation: str | Path | Formulation,
@@ -39,7 +42,7 @@ def solution_path(
     held_out: HeldOut = (),
     solver: str | Path | Solver = "auto",
     tolerance: float = 1e-6,
-    fields: bool = False,
+    extras: Collection[str] = (),
     progress: bool = False,
     **options: Any,
 ) -> xr.Dataset:
@@ -57,7 +60,10 @@ def solution_path(
         held_out: Recordings with wrenches, on which every point is evaluated.
         solver: As of `ttus_opt.fit`.
         tolerance: Largest relative KKT residual of a solution [–].
-        fields: Whether to keep every point's potential.
+        extras: "potential" keeps every point's field; "criteria" adds what the
+            measurements say of the weights: evidence, generalised cross-validation, and
+            errors on presses left out in turn. These need one field without limits,
+            and cost about as much as the path itself.
         progress: Whether to show a progress bar.
         options: The formulation's own.
 
@@ -65,28 +71,38 @@ def solution_path(
         Over one dimension per entry of ``weights`` (``force_weight``): status, KKT
         residual, objective, value of every term, residual of every recording that was
         fitted, errors on held-out recordings, parameters (the minimiser's, without
-        `fit`'s test whether the data bear them), seconds, and where asked for the
-        potential; units on everything, NaN where a point was not solved.
+        `fit`'s test whether the data bear them), seconds and ``extras``; units on
+        everything, NaN where a point was not solved.
         `write_solution_path` writes it, `ttus_opt.report.plots.weight_path` draws it.
 
     Raises:
-        InputError: Unknown formulation, option, solver or term, weights that are not
-            positive, or held-out recordings without wrenches.
+        InputError: Unknown formulation, option, solver, term or extra, weights that are
+            not positive, held-out recordings without wrenches, or criteria of a
+            problem that has none.
         SolverUnavailableError: The solver's package is not installed.
     """
     declared = _declared(formulation, scene, options)
     grid = WeightGrid.of(weights, [term.name for term in declared.terms])
-    record = PathRecord(declared, grid, _named(held_out), tolerance, keep_fields=fields)
+    for extra in extras:
+        if extra not in EXTRAS:
+            raise InputError(f"unknown extra {extra!r}: choose {' or '.join(EXTRAS)}")
+    record = PathRecord(
+        declared, grid, _named(held_out), tolerance, keep_fields="potential" in extras
+    )
     request = Request(tolerance)
     doubts = declared.not_identifiable()
     declared = declared.with_neutral(doubts)
     first = declared.with_weights(**grid.at((0,) * len(grid.axes)))
     solve = point_solver(first, solver, request)
+    if "criteria" in extras:
+        last = tuple(n - 1 for n in grid.shape)
+        solve.prepare_criteria(declared.with_weights(**grid.at(last)))
     order = grid.from_both_ends() if solve.common else grid.from_the_prior()
     done = 0
     try:
         for index in _shown(order, progress):
-            record.add(index, solve(declared.with_weights(**grid.at(index))))
+            weighted = declared.with_weights(**grid.at(index))
+            record.add(index, solve(weighted), solve.criteria(weighted))
             done += 1
     except KeyboardInterrupt:
         warnings.warn(

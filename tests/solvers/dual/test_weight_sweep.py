@@ -91,3 +91,18 @@ def test_only_one_field_without_limits_suits() -> None:
     names = ("eq10_sign", "tikhonov", "viscous_drag", "coulomb_drag")
     for name in names:
         assert not suits_sweep(shelf.load(name, scene).compile()), name
+
+
+def test_completed_it_holds_all_that_the_rows_tell_of_each_other() -> None:
+    """KᵀK against C from dense inverses, in the trace that was asked for."""
+    program = declared("eq10", 30.0, 30.0).compile()
+    data = DualData.of(program)
+    sweep = WeightSweep(data)
+    root = root_weights(program)
+    assert sweep.complete(root, missing=0.1)
+    D = data.system.rows.toarray()[sweep.told]
+    G = np.linalg.solve(program.laplace.L.toarray().T, D.T)
+    rest = G.T @ G - sweep.images.T @ sweep.images
+    assert -1e-6 < (root[sweep.told] ** 2 * np.diag(rest)).sum() < 0.3
+    before = len(sweep)
+    assert sweep.solve(root, 1e-5).settled and len(sweep) - before < 5

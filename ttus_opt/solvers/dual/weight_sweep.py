@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.linalg
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
@@ -35,6 +35,9 @@ FIELD_RTOL = 1e-8
 
 #: Most rows and voxels: 60 response fields of the latter take 2 GiB
 MOST_ROWS, MOST_VOXELS = 50_000, 4_000_000
+
+#: Random multipliers whose mean energy counts
+PROBES = 8
 
 #: Response fields that share one array
 BLOCK = 16
@@ -110,6 +113,43 @@ class WeightSweep:
         """Number of response fields."""
         return len(self._images)
 
+    @property
+    def told(self) -> Mask:
+        """Rows of the data that say something of the field, shape (m,)."""
+        return self._told
+
+    @property
+    def misfit(self) -> Array:
+        """What these rows measured beyond p₀, without weights, d, shape (rows,)."""
+        return self._misfit
+
+    @property
+    def images(self) -> Array:
+        """What they measure of the response fields, K, shape (k, rows)."""
+        return self._images
+
+    def complete(self, root_weights: Array, missing: float = 0.5) -> bool:
+        """Add response fields until the basis holds C for these weights and smaller.
+
+        Multipliers W g with a random g of unit variance: the energy that such a one has
+        beyond the basis is on average tr W(C - KᵀK)W, by which log det(1 + WCW) is too
+        small at most (Halko, Martinsson and Tropp, SIAM Rev. 53, 2011).
+
+        Args:
+            root_weights: W, the largest there will be, shape (m,) [–].
+            missing: Trace to reach, the mean of the last `PROBES` [–].
+
+        Returns:
+            Whether it was reached.
+        """
+        root, random = root_weights[self._told], np.random.default_rng(0)
+        recent: list[float] = []
+        while len(self) < min(len(root), self._options.max_directions):
+            recent.append(self._extend(root * random.standard_normal(len(root))))
+            if len(recent) >= PROBES and np.mean(recent[-PROBES:]) <= missing:
+                return True
+        return len(self) >= len(root)
+
     def solve(
         self, root_weights: Array, rtol: float, deadline: float | None = None
     ) -> SweepAnswer:
@@ -163,22 +203,22 @@ class WeightSweep:
         rest = root * (root * self._misfit - c @ weighted) - c @ self._multipliers
         return c, rest
 
-    def _extend(self, multipliers: Array) -> bool:
+    def _extend(self, multipliers: Array) -> float:
         """Add the response field of some multipliers, orthonormal to the others.
 
         Returns:
-            Whether there is anything new in it.
+            The energy that it had beyond them; 0 where there is nothing to add.
         """
         z, size = multipliers, float(np.linalg.norm(multipliers))
         for _ in range(2):  # twice is enough
             z = z - (self._images @ z) @ self._multipliers
         if not (np.isfinite(z).all() and np.linalg.norm(z) > DEPENDENT * size):
-            return False
+            return 0.0
         response = self._response(z)
         image = self._system.rows @ response
         square = float(z @ image)
         if not (np.isfinite(square) and square > 0.0):
-            return False
+            return 0.0
         unit = 1.0 / np.sqrt(square)
         self._multipliers = np.vstack([self._multipliers, unit * z])
         self._images = np.vstack([self._images, unit * image])
@@ -186,7 +226,7 @@ class WeightSweep:
         if at == 0:
             self._fields.append(np.empty((BLOCK, len(response))))
         self._fields[-1][at] = unit * response
-        return True
+        return square
 
     def _response(self, multipliers: Array) -> Array:
         """L⁻¹ω L⁻ᵀDᵀz, shape (V,)."""
