@@ -44,6 +44,7 @@ def test_the_shown_commands_have_these_options(
     assert [name for name, _ in commands] == [
         "surface",
         "fit",
+        "path",
         "evaluate",
         "render",
         "benchmark",

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from ttus_opt.errors import TtusWarning as TtusWarning
     from ttus_opt.fitting.batch import Fitter as Fitter
     from ttus_opt.fitting.batch import fit as fit
+    from ttus_opt.fitting.path_dataset import read_solution_path as read_solution_path
+    from ttus_opt.fitting.path_dataset import write_solution_path as write_solution_path
     from ttus_opt.fitting.recursive import RecursiveFit as RecursiveFit
+    from ttus_opt.fitting.solution_path import solution_path as solution_path
     from ttus_opt.haptic.blend import BlendLaw as BlendLaw
     from ttus_opt.haptic.renderer import Renderer as Renderer
     from ttus_opt.probe.point_shell import PointShell as PointShell
@@ -68,7 +71,10 @@ _HOME = {
     "fit": "fitting.batch",
     "load_formulation": "problem.formulation",
     "read_cloud": "scan.cloud",
+    "read_solution_path": "fitting.path_dataset",
     "read_trajectory": "probe.trajectory",
+    "solution_path": "fitting.solution_path",
+    "write_solution_path": "fitting.path_dataset",
 }
 
 #: Modules whose content is found by name, such as ``tt.terms.LaplaceTerm``

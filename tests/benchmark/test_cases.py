@@ -24,11 +24,17 @@ def test_reference_cases_have_the_sizes_of_the_design() -> None:
     assert sizes == {"S": (51_840, 200), "M": (345_600, 400), "L": (1_080_000, 400)}
 
 
+def test_the_largest_case_comes_on_request() -> None:
+    (case,) = reference_cases("XL")
+    assert case.shape == (200, 360, 150) and case.n_poses == 400
+    assert [case.name for case in reference_cases("all, XL")] == ["S", "M", "L", "XL"]
+
+
 def test_reference_cases_by_name() -> None:
     assert [case.name for case in reference_cases("M")] == ["M"]
     assert [case.name for case in reference_cases("M, S")] == ["S", "M"]
-    with pytest.raises(InputError, match="unknown case 'XL'"):
-        reference_cases("S,XL")
+    with pytest.raises(InputError, match="unknown case 'XXL'"):
+        reference_cases("S,XXL")
 
 
 def test_sampled_otherwise_a_case_has_another_name_and_inner_value() -> None:

@@ -32,8 +32,8 @@ OWN = "user"
 Case = Annotated[
     str,
     typer.Option(
-        help="S, M, L, several separated by commas, or all; not with a scene of your "
-        "own."
+        help="S, M, L, XL, several separated by commas, or all, which leaves out XL; "
+        "not with a scene of your own."
     ),
 ]
 Formulations = Annotated[

@@ -144,13 +144,13 @@ def fit(
         "torque_length": torque_length,
     }
     options = {name: value for name, value in given.items() if value is not None}
-    options |= _options(option or ())
+    options |= further_options(option or ())
     if paper:
         inner, sampling, options = _as_in_the_paper(
             formulation, inner, sampling, options
         )
     conventions = recordings.conventions
-    counts, boundary = whole_numbers(shape, 3, "--shape"), _inner(inner)
+    counts, boundary = whole_numbers(shape, 3, "--shape"), boundary_value(inner)
     sampling = sampling or ScenePlan.sampling
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(counts), LARGEST_FILE)
@@ -269,7 +269,12 @@ def _as_in_the_paper(
     )
 
 
-def _inner(text: str | None) -> float | Literal["fit"] | None:
+def boundary_value(text: str | None) -> float | Literal["fit"] | None:
+    """Value of ``--inner``.
+
+    Raises:
+        InputError: Neither a number nor fit.
+    """
     if text is None or text == "fit":
         return text  # type: ignore[return-value]  # one word alone
     try:
@@ -278,8 +283,12 @@ def _inner(text: str | None) -> float | Literal["fit"] | None:
         raise InputError(f"--inner takes a number or fit, got {text!r}") from None
 
 
-def _options(pairs: Sequence[str]) -> dict[str, Any]:
-    """Options written key=value; a value is JSON where it can be read as that."""
+def further_options(pairs: Sequence[str]) -> dict[str, Any]:
+    """Options written key=value; a value is JSON where it can be read as that.
+
+    Raises:
+        InputError: A pair that is none.
+    """
     options: dict[str, Any] = {}
     for pair in pairs:
         key, equals, value = pair.partition("=")

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.contact.friction import Sliding
-from ttus_opt.contact.rows import contact_rows
+from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.haptic.drag import DragLaw, drag_of
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -68,6 +68,23 @@ def wrenches_along(
         trajectory.position,
         sampling=potential.sampling,
     )
+    return wrenches_by_rows(rows, potential, shell, trajectory)
+
+
+def wrenches_by_rows(
+    rows: ContactRows,
+    potential: PotentialField,
+    shell: PointShell,
+    trajectory: Trajectory,
+) -> FieldWrenches:
+    """The same where the trajectory's rows are there already.
+
+    Args:
+        rows: Contact rows of the trajectory, in the field's grid and sampling.
+        potential: The field, its drag among its parameters.
+        shell: The probe.
+        trajectory: Poses over time.
+    """
     p = potential.values.reshape(-1)
     wrench = np.concatenate([(m @ p).reshape(-1, 3) for m in (rows.N, rows.W)], axis=1)
     law = DragLaw.of(potential.parameters, potential.voxmap.grid)

@@ -190,10 +190,15 @@ class LaplaceSystem(BlockSolves):
     @cached_property
     def coupling(self) -> tuple[sp.csr_array, sp.csr_array]:
         """Entries of L in free rows and fixed columns, and their adjoint, (V, V)."""
-        row = np.repeat(np.arange(self.L.shape[0]), np.diff(self.L.indptr))
-        keep = self.free[row] & ~self.free[self.L.indices]
-        entries = (self.L.data[keep], (row[keep], self.L.indices[keep]))
-        coupling = sp.csr_array(entries, shape=self.L.shape)
+        starts, columns = self.L.indptr, self.L.indices
+        keep = ~self.free[columns]
+        keep[starts[:-1][~self.free]] = False  # identity rows
+        at = np.flatnonzero(keep)
+        counts = np.zeros(len(starts), starts.dtype)
+        rows = np.searchsorted(starts, at, side="right")  # one beyond
+        np.add.at(counts, rows, 1)
+        parts = (self.L.data[at], columns[at], np.cumsum(counts, dtype=starts.dtype))
+        coupling = sp.csr_array(parts, shape=self.L.shape)
         return coupling, sp.csr_array(coupling.T)
 
 
@@ -241,7 +246,8 @@ def _matrix(
     )
     V = grid.n_voxels
     nnz = 7 * V - 6 * int(np.count_nonzero(fixed))
-    indptr, indices = np.zeros(V + 1, np.int32), np.empty(nnz, np.int32)
+    kind = sp.get_index_dtype(maxval=nnz)  # 32 bits up to 300 million voxels
+    indptr, indices = np.zeros(V + 1, kind), np.empty(nnz, kind)
     data = np.empty(nnz)
     _fill_rows(fixed, offsets, weights, indptr, indices, data)
     L = sp.csr_array((data, indices, indptr), shape=(V, V))
@@ -254,8 +260,8 @@ def _fill_rows(
     fixed: NDArray[np.bool_],
     offsets: IntArray,
     weights: Array,
-    indptr: NDArray[np.int32],
-    indices: NDArray[np.int32],
+    indptr: NDArray[np.int32] | NDArray[np.int64],
+    indices: NDArray[np.int32] | NDArray[np.int64],
     data: Array,
 ) -> None:
     """Rows of L in CSR, from seven entries per kind of spoke and layer (compiled).

@@ -19,6 +19,9 @@ from ttus_opt.terms.penalties.linear import Linear
 #: What cancelling leaves of a sum of squares, generously
 ROUNDING = 1e-6
 
+#: Rows whose lengths are found at a time
+CHUNK = 1 << 16
+
 #: Guards a division by a size that is zero
 TINY = float(np.finfo(float).tiny)
 
@@ -76,9 +79,9 @@ def quadratic_summands(program: Program, x: Array) -> Iterator[Array]:
     alone = np.zeros_like(x)
     for part in parts:
         alone[part] = x[part]
-        yield program.quadratic_gradient(alone)[0]
+        yield program.curvature_times(alone)
         alone[part] = 0.0
-    yield program.quadratic_gradient(alone)[1]
+    yield program.gradient_at_zero()
 
 
 def _least_gradient(program: Program, part: slice, largest: float) -> float:
@@ -107,9 +110,13 @@ def _length(*vectors: Array) -> float:
 def _longest_row(matrix: sp.csr_array) -> float:
     """Euclidean length of the longest row."""
     starts = matrix.indptr[:-1][np.diff(matrix.indptr) > 0]
-    if not len(starts):
-        return 0.0
-    return float(np.sqrt(np.add.reduceat(matrix.data**2, starts).max()))
+    longest = 0.0
+    for k in range(0, len(starts), CHUNK):  # no second copy of the entries at once
+        own = starts[k : k + CHUNK]
+        end = starts[k + CHUNK] if k + CHUNK < len(starts) else len(matrix.data)
+        squares = matrix.data[own[0] : end] ** 2
+        longest = max(longest, float(np.add.reduceat(squares, own - own[0]).max()))
+    return math.sqrt(longest)
 
 
 def largest_of(*values: float) -> float:

@@ -174,7 +174,10 @@ class Program:
 
     @property
     def box(self) -> tuple[Array, Array]:
-        """All bounds together, (lb, ub), shape (n,) each."""
+        """All bounds together, (lb, ub), shape (n,) each; not to be written to."""
+        if not self.bounds:  # one number that stands for all
+            none = (np.broadcast_to(np.inf, self.n_variables) for _ in range(2))
+            return -next(none), next(none)
         lower = np.full(self.n_variables, -np.inf)
         upper = np.full(self.n_variables, np.inf)
         for bound in self.bounds:
@@ -240,13 +243,23 @@ class Program:
 
     def quadratic_gradient(self, x: Array) -> tuple[Array, Array]:
         """`gradient` of those terms that are squares or linear."""
-        curved, linear = np.zeros(self.n_variables), self._slope()
+        return self.curvature_times(x), self.gradient_at_zero()
+
+    def curvature_times(self, x: Array) -> Array:
+        """P x of the squares, shape (n,)."""
+        curved = np.zeros(self.n_variables)
         for term in self.terms:
             if term.is_squares:
-                adjoint = term.matrix.T
-                curved += 2.0 * term.weight * (adjoint @ (term.matrix @ x))
-                linear -= 2.0 * term.weight * (adjoint @ term.target)
-        return curved, linear
+                curved += 2.0 * term.weight * (term.matrix.T @ (term.matrix @ x))
+        return curved
+
+    def gradient_at_zero(self) -> Array:
+        """The vector q of squares and linear penalties, shape (n,)."""
+        linear = self._slope()
+        for term in self.terms:
+            if term.is_squares:
+                linear -= 2.0 * term.weight * (term.matrix.T @ term.target)
+        return linear
 
     def _slope(self) -> Array:
         """Gradient of the linear penalties, shape (n,)."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.haptic.field_wrench import wrenches_along
+from ttus_opt.haptic.field_wrench import FieldWrenches, wrenches_along
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
@@ -123,6 +123,32 @@ def evaluate(
     Raises:
         InputError: The trajectory has no forces.
     """
+    return compare(
+        trajectory,
+        wrenches_along(potential, shell, trajectory),
+        force_threshold=force_threshold,
+        torque_threshold=torque_threshold,
+    )
+
+
+def compare(
+    trajectory: Trajectory,
+    rendered: FieldWrenches,
+    *,
+    force_threshold: float = FORCE_THRESHOLD,
+    torque_threshold: float = TORQUE_THRESHOLD,
+) -> Evaluation:
+    """Compare wrenches with what was measured; the last part of `evaluate`.
+
+    Args:
+        trajectory: Poses with wrenches.
+        rendered: What the probe feels in its frames.
+        force_threshold: As of `evaluate` [N].
+        torque_threshold: As of `evaluate` [N·m].
+
+    Raises:
+        InputError: The trajectory has no forces.
+    """
     if trajectory.force is None:
         raise InputError(
             "the trajectory has no wrench to compare with: add fx,fy,fz, and tx,ty,tz "
@@ -131,7 +157,6 @@ def evaluate(
     torque = trajectory.torque
     if torque is None:
         torque = np.full_like(trajectory.force, np.nan)
-    rendered = wrenches_along(potential, shell, trajectory)
     errors = _errors(
         trajectory.force,
         rendered.force,

@@ -56,6 +56,22 @@ def hard_values(program: Program) -> Array | None:
     return None if given is None else given.lower
 
 
+def root_weights(program: Program) -> Array:
+    """Roots of the measured rows' weights over the prior's, shape (m,) [–]."""
+    prior = laplace_prior(program)
+    assert prior is not None
+    roots = [
+        np.full(len(t.target), np.sqrt(t.weight / prior.weight))
+        for t in _measured(program, prior)
+    ]
+    return np.concatenate([*roots, np.zeros(0)])
+
+
+def _measured(program: Program, prior: ProgramTerm) -> list[ProgramTerm]:
+    """The terms beside the prior that count."""
+    return [t for t in program.terms if t is not prior and t.weight > 0.0]
+
+
 def _right_side(program: Program, prior: ProgramTerm) -> Array:
     """Vector b of L p = b, from scaled free rows and hard boundary values."""
     free, hard, scale = program.laplace.free, hard_values(program), row_scale(prior)
@@ -73,15 +89,14 @@ def _dual_system(
     program: Program, prior: ProgramTerm
 ) -> tuple[DualSystem, Array, Array, Array]:
     """The dual system of a program, b, weighted targets and weighted columns."""
-    measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
+    measured = _measured(program, prior)
     V = len(program.laplace.free)
     compliance, scale = np.ones(V), row_scale(prior)
     if scale is not None:
         compliance /= scale**2
     if hard_values(program) is not None:
         compliance[~program.laplace.free] = 0.0
-    roots = [np.full(len(t.target), np.sqrt(t.weight / prior.weight)) for t in measured]
-    root = np.concatenate([*roots, np.zeros(0)])
+    root = root_weights(program)
     empty = sp.csr_array((0, program.n_variables))
     rows = sp.csr_array(sp.vstack([empty, *(t.matrix for t in measured)], format="csr"))
     target = root * np.concatenate([*(t.target for t in measured), np.zeros(0)])

@@ -52,10 +52,12 @@ class SpokeLimits:
         """
         shape = program.laplace.grid.shape
         own = program.variables["p"]
-        lower, upper = (limit[own].copy() for limit in program.box)
+        lower, upper = (limit[own] for limit in program.box)
         given = np.zeros(len(lower), dtype=bool)
-        least = np.full(len(lower), -np.inf)
+        least = np.broadcast_to(-np.inf, len(lower))
         links, dirichlet = {}, program.dirichlet
+        if program.constraints:  # which write to them
+            lower, upper, least = lower.copy(), upper.copy(), least.copy()
         for constraint in program.constraints:
             if constraint is dirichlet:
                 given[~program.laplace.free] = True

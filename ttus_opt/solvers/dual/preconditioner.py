@@ -88,7 +88,9 @@ class ApproximateSchur:
 
 
 def schur_preconditioner(
-    system: DualSystem, options: DualOptions
+    system: DualSystem,
+    options: DualOptions,
+    approximate: ApproximateSchur | None = None,
 ) -> Callable[[Array], Array]:
     """An approximation of S⁻¹ by conjugate directions of S̃.
 
@@ -97,11 +99,12 @@ def schur_preconditioner(
     Args:
         system: The exact dual system.
         options: Of the solver.
+        approximate: S̃, where it is there already.
 
     Returns:
         A function from (m,) to (m,), almost linear and positive definite.
     """
-    subspace = RecycledSubspace(ApproximateSchur(system), np.float32)
+    subspace = RecycledSubspace(approximate or ApproximateSchur(system), np.float32)
 
     def precondition(residual: Array) -> Array:
         goal = options.preconditioner_residual * float(np.linalg.norm(residual))

@@ -1,0 +1,93 @@
+"""``ttus-opt path``: what it writes, tells and refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.cli.conftest import PROBE, Run, empty, refused
+
+
+def words(files: Path, output: Path, more: str = "") -> str:
+    return (
+        f"path --surface {files / 'surface.nc'} --probe {PROBE} "
+        f"--trajectory {files / 'press.csv'} --held-out {files / 'press.csv'} "
+        f"--shape 10,16,8 --points 200 --inner fit --sampling trilinear -o {output} "
+        f"{more}"
+    )
+
+
+def test_it_writes_a_file_and_a_picture_and_tells(
+    run: Run, files: Path, tmp_path: Path
+) -> None:
+    output, picture = tmp_path / "path.nc", tmp_path / "path.png"
+    more = f"--weight force,torque=1e-3:10:3 --picture {picture}"
+    answer = run(words(files, output, f"{more} --json"))
+    assert answer.status == 0, answer.err
+    told = json.loads(answer.out)
+    assert told["points"] == told["points_done"] == told["points_solved"] == 3
+    assert told["solver"] == "structured" and told["worst_kkt"] < 1e-6
+    found = tt.read_solution_path(output)
+    assert found.attrs["probe"] == PROBE
+    assert found["recording"].values.tolist() == ["press"]
+    np.testing.assert_allclose(found["force_weight"], [1e-3, 0.1, 10.0])
+    error = told["variables"]["held_out_force_magnitude_error"]
+    assert error["units"] == "N"
+    np.testing.assert_allclose(error["values"], found["held_out_force_magnitude_error"])
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    best = told["best_weights"]["force"]
+    plain = run(words(files, output, more))
+    assert "3 of 3 points solved by structured" in plain.out
+    assert f"force weight {best:.3g}" in plain.out
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ("--weight force", "--weight takes"),
+        ("--weight =1,2", "--weight takes"),
+        ("--weight force=1:2", "--weight takes"),
+        ("--weight force=2:1:5", "--weight takes"),
+        ("--weight force=1:2:1", "--weight takes"),
+        ("--weight force=a,b", "--weight takes"),
+        ("--weight force=0,1", "positive"),
+        ("--weight force=1,2 --weight force=3", "given twice"),
+        ("--weight forse=1,2", "no term 'forse'"),
+        ("--weight force=1,2 --picture x.doc", "must end in"),
+        ("--weight force=1,2 --inner none", "--inner takes"),
+        ("--weight force=1,2 --held-out gone.csv", "gone.csv"),
+        ("--weight force=1,2 --formulation none", "none"),
+    ],
+)
+def test_bad_input_is_one_line(
+    run: Run, files: Path, output: Path, more: str, told: str
+) -> None:
+    refused(run(words(files, output / "path.nc", more)), told)
+    assert empty(output)
+
+
+def test_an_interrupt_writes_what_is_done(
+    run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from ttus_opt.fitting import solution_path as module
+
+    plain = module.PathRecord.add
+    count = 0
+
+    def add(*given: object) -> None:
+        nonlocal count
+        count += 1
+        if count == 3:
+            raise KeyboardInterrupt
+        plain(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module.PathRecord, "add", add)
+    output = tmp_path / "path.nc"
+    answer = run(words(files, output, "--weight force=1e-2:1:4"))
+    assert answer.status == 130
+    assert "interrupted after 2 of 4 points" in answer.err
+    assert int((tt.read_solution_path(output)["status"] == 0).sum()) == 2

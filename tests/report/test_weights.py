@@ -1,0 +1,63 @@
+"""The picture of a path draws its numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import presses, small_scene, torso
+from ttus_opt.errors import InputError
+from ttus_opt.report import plots
+
+WEIGHTS = [1e-3, 1e-1, 10.0]
+
+
+def path(**more: Any) -> Any:
+    scene = small_scene("trilinear")
+    return tt.solution_path("eq10", scene, **more)
+
+
+def test_the_curve_and_the_errors_are_those_of_the_path() -> None:
+    unseen = presses(torso(), 6, np.random.default_rng(9))
+    found = path(weights={"force": WEIGHTS}, held_out={"unseen": unseen})
+    left, right, angle = plots.weight_path(found, title="a path").axes
+    value = found["term_value"]
+    x, y = left.lines[0].get_data()
+    np.testing.assert_allclose(x, value.sel(term="force"))
+    rest = value.sel(term="laplace") + 1e-4 * value.sel(term="torque")
+    np.testing.assert_allclose(y, rest, rtol=1e-6)
+    assert left.get_title(loc="left") == "a path"
+    error = found["held_out_force_magnitude_error"].to_numpy()[:, 0]
+    np.testing.assert_allclose(right.lines[0].get_data()[1], error)
+    assert right.lines[1].get_xdata()[0] == WEIGHTS[error.argmin()]
+    held_angle = found["held_out_force_angle_error"].to_numpy()[:, 0]
+    np.testing.assert_allclose(angle.lines[0].get_data()[1], held_angle)
+
+
+def test_without_held_out_recordings_the_residuals_are_drawn() -> None:
+    found = path(weights={"force": WEIGHTS})
+    right = plots.weight_path(found).axes[1]
+    np.testing.assert_allclose(
+        right.lines[0].get_data()[1], found["force_residual"].to_numpy()[:, 0]
+    )
+
+
+def test_a_grid_is_a_map() -> None:
+    found = path(weights={"force": WEIGHTS, "torque": [1e-2, 1.0]})
+    _left, right, _bar = plots.weight_path(found).axes
+    drawn = np.asarray(right.collections[0].get_array()).reshape(2, 3)
+    np.testing.assert_allclose(drawn, found["force_residual"].mean("recording").T)
+
+
+def test_what_cannot_be_drawn_is_one_line() -> None:
+    found = path(weights={"force": [1.0]})
+    with pytest.raises(InputError, match="solution_path"):
+        plots.weight_path(found.drop_vars("term_value"))
+    with pytest.raises(InputError, match="no point"):
+        plots.weight_path(found.assign(objective=found["objective"] * np.nan))
+    three = found.expand_dims({"a_weight": 1, "b_weight": 1})
+    with pytest.raises(InputError, match="3 weights"):
+        plots.weight_path(three)

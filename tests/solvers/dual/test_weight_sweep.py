@@ -1,0 +1,108 @@
+"""A reduced basis for many weights: its minimisers against a direct factorisation."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
+
+from tests.conftest import small_scene
+from ttus_opt.arrays import Array
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.dual.data import DualData, root_weights
+from ttus_opt.solvers.dual.weight_sweep import WeightSweep, suits_sweep, value_duals
+
+WEIGHTS = ((1e-4, 1e-4), (1.0, 1e-2), (1e2, 1e2), (1e-3, 10.0))
+
+
+def declared(
+    name: str = "eq10", force: float = 1.0, torque: float = 1.0
+) -> Formulation:
+    scene = small_scene("trilinear")
+    return shelf.load(name, scene).with_weights(force=force, torque=torque)
+
+
+def exact(program: Program) -> Array:
+    """The minimiser over the voxels that no equality holds, by a factorisation."""
+    Q, d = program.normal_equations()
+    given = program.dirichlet
+    if given is None:
+        return np.asarray(spsolve(Q, d))
+    free = program.laplace.free
+    x = np.zeros(len(d))
+    x[~free] = given.lower
+    Q = sp.csc_array(Q)
+    x[free] = spsolve(sp.csc_array(Q[free][:, free]), (d - Q @ x)[free])
+    return x
+
+
+@pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary", "volume_weighted"])
+def test_minimisers_are_those_of_a_factorisation(name: str) -> None:
+    sweep = WeightSweep(DualData.of(declared(name).compile()))
+    for force, torque in WEIGHTS:
+        program = declared(name, force, torque).compile()
+        assert suits_sweep(program)
+        answer = sweep.solve(root_weights(program), 1e-8)
+        x = exact(program)
+        assert answer.settled
+        assert np.abs(answer.p - x).max() < 1e-7 * np.abs(x).max()
+        kkt = kkt_residuals(program, answer.p, value_duals(program, answer.p))
+        assert kkt.worst_relative < 1e-7
+
+
+def test_what_was_solved_needs_nothing_new() -> None:
+    sweep = WeightSweep(DualData.of(declared().compile()))
+    roots = [root_weights(declared("eq10", *pair).compile()) for pair in WEIGHTS]
+    first = [sweep.solve(root, 1e-6).directions for root in roots]
+    assert min(first) > 0 and len(sweep) == sum(first)
+    assert [sweep.solve(root, 1e-6).directions for root in roots] == [0] * len(roots)
+
+
+def test_the_basis_is_orthonormal_and_its_error_is_what_it_says() -> None:
+    """Loosely solved, the objective is above its minimum by the square asked for."""
+    program = declared().compile()
+    sweep = WeightSweep(DualData.of(program))
+    least = program.objective(exact(program))
+    for rtol in (1e-1, 1e-2, 1e-3):
+        found = program.objective(sweep.solve(root_weights(program), rtol).p)
+        # a V-cycle stands for the solves in the estimate
+        assert found - least < 2.0 * rtol**2 * found
+    energy = sweep._multipliers @ sweep._images.T
+    assert np.abs(energy - np.eye(len(sweep))).max() < 1e-8
+
+
+def test_a_deadline_ends_it() -> None:
+    program = declared().compile()
+    sweep = WeightSweep(DualData.of(program))
+    answer = sweep.solve(root_weights(program), 1e-6, time.perf_counter() - 1.0)
+    assert not answer.settled and answer.directions == 0
+    p0 = program.laplace.solve(declared().scene.b)
+    np.testing.assert_allclose(answer.p, p0, atol=1e-9)
+
+
+def test_only_one_field_without_limits_suits() -> None:
+    scene = small_scene("trilinear")
+    names = ("eq10_sign", "tikhonov", "viscous_drag", "coulomb_drag")
+    for name in names:
+        assert not suits_sweep(shelf.load(name, scene).compile()), name
+
+
+def test_completed_it_holds_all_that_the_rows_tell_of_each_other() -> None:
+    """KᵀK against C from dense inverses, in the trace that was asked for."""
+    program = declared("eq10", 30.0, 30.0).compile()
+    data = DualData.of(program)
+    sweep = WeightSweep(data)
+    root = root_weights(program)
+    assert sweep.complete(root, missing=0.1)
+    D = data.system.rows.toarray()[sweep.told]
+    G = np.linalg.solve(program.laplace.L.toarray().T, D.T)
+    rest = G.T @ G - sweep.images.T @ sweep.images
+    assert -1e-6 < (root[sweep.told] ** 2 * np.diag(rest)).sum() < 0.3
+    before = len(sweep)
+    assert sweep.solve(root, 1e-5).settled and len(sweep) - before < 5

@@ -1,0 +1,293 @@
+"""``ttus-opt path``: one formulation for many weights, to choose them by."""
+
+from __future__ import annotations
+
+import json as json_module
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from ttus_opt.arrays import Array
+from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.fit_command import boundary_value, further_options
+from ttus_opt.cli.option_groups import grouped
+from ttus_opt.cli.options import Force, Json, check_outputs, whole_numbers
+from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.errors import InputError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+EXAMPLE = (
+    "ttus-opt path --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
+    "--trajectory press_fit.csv --held-out press_test.csv "
+    "--weight force,torque=1e-4:1e2:25 -o path.nc "
+    "--picture path.png"
+)
+
+#: Status of a path that was interrupted; what was done is written
+INTERRUPTED = 130
+
+#: Most weights of one option
+MOST = 10_000
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("path", epilog=f"Example: {EXAMPLE}")(grouped(path))
+
+
+def path(
+    surface: Annotated[Path, typer.Option(help="Surface file (.nc).")],
+    probe: ProbeOptions,
+    recordings: RecordingOptions,
+    weight: Annotated[
+        list[str],
+        typer.Option(
+            metavar="TERM[,TERM]=LOW:HIGH:COUNT",
+            help="Weights of a term, or common to several, evenly spread over the "
+            "logarithm, or as a list 1e-4,1e-2; a second one makes a grid.",
+        ),
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Path file (.nc).")],
+    held_out: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="PATH",
+            help="Trajectory CSV on which every point is judged; may be repeated.",
+        ),
+    ] = None,
+    formulation: Annotated[
+        str, typer.Option(help="A formulation's name, or the path of your own file.")
+    ] = "eq10",
+    solver: Annotated[
+        str, typer.Option(help="A solver's name, the path of your own file, or auto.")
+    ] = "auto",
+    shape: Annotated[
+        str, typer.Option(help="Voxels in r, θ, z: n_r,n_theta,n_z.")
+    ] = "48,120,60",
+    r_inner: Annotated[
+        float, typer.Option(help="Radius of the innermost layer [m].")
+    ] = 0.03,
+    r_outer: Annotated[
+        float | None,
+        typer.Option(help="Radius of the outermost layer [m]; by default 2 cm beyond."),
+    ] = None,
+    inner: Annotated[
+        str | None,
+        typer.Option(
+            help="Value on the inner layer, or fit: scaled to the forces, which is the "
+            "default where there are any."
+        ),
+    ] = None,
+    outer: Annotated[
+        float,
+        typer.Option(help="Minus the outer layer's value; a ratio where that is fit."),
+    ] = 1.0,
+    sampling: Annotated[
+        str, typer.Option(help="How contact samples p: trilinear or voxel-mean.")
+    ] = "trilinear",
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="An option of the formulation, such as torque_weight=1e-2; may be "
+            "repeated.",
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float, typer.Option(help="Largest relative residual of a solution.")
+    ] = 1e-6,
+    fields: Annotated[
+        bool, typer.Option("--fields", help="Keep the potential of every point.")
+    ] = False,
+    criteria: Annotated[
+        bool,
+        typer.Option(
+            "--criteria",
+            help="Add evidence, cross-validation and errors on presses left out.",
+        ),
+    ] = False,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw L-curve and held-out errors here.")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Solve for many weights at the cost of few, and say what each is worth."""
+    from ttus_opt.fitting.path_dataset import best_weights, write_solution_path
+    from ttus_opt.fitting.solution_path import solution_path
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.scene import ScenePlan
+
+    weights = read_weights(weight)
+    options = further_options(option or ())
+    counts, boundary = whole_numbers(shape, 3, "--shape"), boundary_value(inner)
+    others = held_out or []
+    extras = {"potential": fields, "criteria": criteria}
+    if picture is not None:
+        from ttus_opt.report import plots
+
+        plots.require_picture_suffix(picture)
+    size = math.prod(len(values) for values in weights.values())
+    bytes_needed = 8 * size * math.prod(counts) if fields else 0
+    inputs: list[Path | str] = [
+        surface,
+        probe.probe,
+        *recordings.files,
+        *others,
+    ]
+    check_outputs([output, picture], inputs, force=force, size=bytes_needed)
+    with Stages(2) as begin:
+        begin("reading surface and recordings")
+        patient = Surface.load(surface)
+        shell = probe.read()
+        recorded = recordings.read(recordings.as_written(), shell, patient)
+        apart = [replace(recordings, trajectory=[one]) for one in others]
+        unseen = {
+            one.trajectory[0].name: one.read(one.as_written(), shell, patient)
+            for one in apart
+        }
+        if len(unseen) < len(others):
+            raise InputError("--held-out names two files of one name: rename one")
+        begin("assembling (first run compiles)")
+        plan = ScenePlan(counts, r_inner, r_outer, boundary, outer, sampling)
+        scene = plan.build(patient, shell, recorded)
+    found = solution_path(
+        formulation,
+        scene,
+        weights=weights,
+        held_out=unseen,
+        solver=solver,
+        tolerance=tolerance,
+        extras=[name for name, asked in extras.items() if asked],
+        progress=True,
+        **options,
+    )
+    found.attrs |= {
+        "probe": probe.name,
+        "trajectories": ", ".join(one.name for one in recordings.trajectory),
+        "conventions": json_module.dumps(asdict(recordings.conventions)),
+    }
+    found = _with_names(found, [one.stem for one in recordings.trajectory])
+    write_solution_path(found, output)
+    if picture is not None and not bool(found["objective"].isnull().all()):
+        from ttus_opt.report import plots
+
+        plots.save_picture(plots.weight_path(found), picture)
+    best = best_weights(found)
+    if json:
+        print_json(_summary(found, best, output))
+    else:
+        _tell(found, best, output)
+    if found.attrs["points_done"] < found.attrs["points"]:
+        raise typer.Exit(INTERRUPTED)
+
+
+def read_weights(given: Sequence[str]) -> dict[str | tuple[str, ...], Array]:
+    """Weights as typed: names, an equals sign, a range or a list.
+
+    Raises:
+        InputError: Something else.
+
+    >>> read_weights(["force,torque=1:100:3"])
+    {('force', 'torque'): array([  1.,  10., 100.])}
+    """
+    found: dict[str | tuple[str, ...], Array] = {}
+    for text in given:
+        names, equals, values = text.partition("=")
+        terms = tuple(name.strip() for name in names.split(","))
+        numbers = _range(values) if ":" in values else _list(values)
+        if not (equals and all(terms)) or numbers is None:
+            raise InputError(
+                "--weight takes TERM=LOW:HIGH:COUNT or TERM=VALUE,VALUE with positive "
+                f"numbers, got {text!r}"
+            )
+        if terms in found:
+            raise InputError(
+                f"--weight {names} is given twice: give all values at once"
+            )
+        found[terms] = numbers
+    return found
+
+
+def _range(text: str) -> Array | None:
+    """LOW:HIGH:COUNT, evenly spread over the logarithm; None where it is not that."""
+    try:
+        low, high, count = text.split(":")
+        first, last, number = float(low), float(high), int(count)
+    except ValueError:
+        return None
+    if not (0.0 < first < last < math.inf and 2 <= number <= MOST):
+        return None
+    return np.geomspace(first, last, number)
+
+
+def _list(text: str) -> Array | None:
+    """Numbers with commas between them; None where they are not that."""
+    try:
+        return np.array([float(value) for value in text.split(",")])
+    except ValueError:
+        return None
+
+
+def _summary(found: xr.Dataset, best: dict[str, float], output: Path) -> dict[str, Any]:
+    variables = {
+        str(name): {
+            "dims": list(one.dims),
+            "units": one.attrs.get("units", "1"),
+            "values": one.to_numpy(),
+        }
+        for name, one in found.variables.items()
+        if name not in ("potential", "r", "theta", "z")
+    }
+    return {
+        "formulation": found.attrs["title"].removeprefix("solution path of "),
+        "solver": found.attrs["solver"],
+        "points": found.attrs["points"],
+        "points_done": found.attrs["points_done"],
+        "points_solved": _solved(found),
+        "worst_kkt": float(found["kkt_residual"].max()),
+        "seconds": float(found["seconds"].sum()),
+        "best_weights": best or None,
+        "variables": variables,
+        "output": str(output),
+    }
+
+
+def _with_names(found: xr.Dataset, names: Sequence[str]) -> xr.Dataset:
+    """Recordings by the names of their files, where each file is one."""
+    if found.sizes.get("recording") != len(names) or len(set(names)) < len(names):
+        return found
+    return found.assign_coords(recording=("recording", list(names), {"units": "1"}))
+
+
+def _solved(found: xr.Dataset) -> int:
+    return int((found["status"] == 0).sum())
+
+
+def _tell(found: xr.Dataset, best: dict[str, float], output: Path) -> None:
+    typer.echo(
+        f"{output}: {_solved(found)} of {found.attrs['points']} points solved by "
+        f"{found.attrs['solver']}, KKT at most "
+        f"{float(found['kkt_residual'].max()):.1e}, "
+        f"{float(found['seconds'].sum()):.1f} s"
+    )
+    if not best:
+        return
+    names = {f"{name}_weight": value for name, value in best.items()}
+    where = {dim: names[str(dim)] for dim in found["status"].dims}
+    at = found.sel(where, method="nearest")
+    typer.echo(
+        "smallest held-out error at "
+        + ", ".join(f"{name} weight {value:.3g}" for name, value in best.items())
+        + f": force {float(at['held_out_force_magnitude_error'].mean()):.3f} N, "
+        f"{float(at['held_out_force_angle_error'].mean()):.1f}°; torque "
+        f"{float(at['held_out_torque_magnitude_error'].mean()):.1f} mN m, "
+        f"{float(at['held_out_torque_angle_error'].mean()):.1f}°"
+    )

@@ -1,0 +1,187 @@
+"""How the points of a path are solved: each from what those before have left."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol
+
+from ttus_opt.errors import InputError
+from ttus_opt.fitting.batch import Fitter, fit
+from ttus_opt.fitting.verdict import judged
+from ttus_opt.fitting.weight_criteria import Criteria, criteria_of
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import Reduction
+from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.solvers import registry
+from ttus_opt.solvers.base import Candidate, Claim, Request, Solver
+from ttus_opt.solvers.dual.data import DualData, root_weights
+from ttus_opt.solvers.dual.weight_sweep import WeightSweep, suits_sweep, value_duals
+
+#: Energy of the error over that of the objective, both as roots, in units of the KKT
+#: tolerance: the gap is its square, far below the tolerance, so that fields agree with
+#: those of single fits [–]
+ENERGY = 10.0
+
+#: Where the KKT residuals do not hold, the energy is made smaller by this, so often [–]
+TIGHTENING, TIGHTENINGS = 1e-2, 2
+
+
+class PointSolver(Protocol):
+    """Solves a formulation for one set of weights after the other."""
+
+    @property
+    def common(self) -> bool:
+        """Whether points share what they need, so that it pays to begin at the ends."""
+
+    def __call__(self, declared: Formulation) -> Solution:
+        """Solve for the weights of a formulation, and verify."""
+
+    def criteria(self, declared: Formulation) -> Mapping[str, float]:
+        """What measurements say of these weights, as `weight_criteria.TOLD`."""
+
+    def prepare_criteria(self, largest: Formulation) -> None:
+        """Compute what `criteria` needs, for weights up to these.
+
+        Raises:
+            InputError: The problem is not one field without limits.
+        """
+
+
+class _WithoutCriteria:
+    """A way to solve that knows no criteria."""
+
+    common = False
+
+    def criteria(self, declared: Formulation) -> Mapping[str, float]:
+        """Nothing."""
+        return {}
+
+    def prepare_criteria(self, largest: Formulation) -> None:
+        """Refuse."""
+        raise InputError(
+            f"no criteria for {largest.name}: they need one field without limits, a "
+            "Laplace term and measured squares; judge by held-out recordings"
+        )
+
+
+def point_solver(
+    declared: Formulation, solver: str | Path | Solver, request: Request
+) -> PointSolver:
+    """The cheapest way to solve many points.
+
+    Args:
+        declared: The formulation at one of them.
+        solver: As of `ttus_opt.fit`.
+        request: Tolerance and time limit of each point.
+
+    Raises:
+        InputError: Unknown solver, or one that cannot take the problem.
+        SolverUnavailableError: The solver's package is not installed.
+    """
+    if declared.search is not None:
+        return _Searching(solver, request)
+    program = declared.compile()
+    if program.is_quadratic:
+        first = registry.candidates(solver, program)[0]
+        if first.name == "structured" and suits_sweep(program):
+            return _CommonBasis(program, request)
+    return _InTurn(solver, request)
+
+
+class _InTurn(_WithoutCriteria):
+    """Any solver, with what it keeps from point to point."""
+
+    def __init__(self, solver: str | Path | Solver, request: Request) -> None:
+        self._solver, self._request = solver, request
+        self._fitter: Fitter | None = None
+
+    def __call__(self, declared: Formulation) -> Solution:
+        if self._fitter is None:
+            self._fitter = Fitter(declared, solver=self._solver, request=self._request)
+        else:
+            self._fitter.update(declared)
+        return self._fitter.solve()
+
+
+class _Searching(_WithoutCriteria):
+    """A formulation with a number to search for: a fit per point."""
+
+    def __init__(self, solver: str | Path | Solver, request: Request) -> None:
+        self._solver, self._request = solver, request
+
+    def __call__(self, declared: Formulation) -> Solution:
+        return fit(
+            declared.scene,
+            declared,
+            solver=self._solver,
+            tolerance=self._request.tolerance,
+            time_limit=self._request.time_limit,
+        )
+
+
+class _CommonBasis:
+    """The structured solver's reduced basis; single fits where that does not do."""
+
+    common = True
+
+    def __init__(self, program: Program, request: Request) -> None:
+        self._request = request
+        self._sweep = WeightSweep(DualData.of(program))
+        self._alone = _InTurn("structured", request)
+        self._criteria: Criteria | None = None
+
+    def __call__(self, declared: Formulation) -> Solution:
+        start = time.perf_counter()
+        limit = self._request.time_limit
+        deadline = None if limit is None else start + limit
+        program = declared.compile()
+        rtol, steps = ENERGY * self._request.tolerance, 0
+        for _ in range(1 + TIGHTENINGS):
+            answer = self._sweep.solve(root_weights(program), rtol, deadline)
+            steps += answer.directions
+            late = deadline is not None and time.perf_counter() > deadline
+            candidate = Candidate(
+                answer.p,
+                value_duals(program, answer.p),
+                steps,
+                Claim.TIME_LIMIT if late and not answer.settled else Claim.DONE,
+            )
+            spent = time.perf_counter() - start
+            solution = judged(
+                declared,
+                Reduction(program, program),
+                "structured",
+                candidate,
+                self._request,
+                Timings(0.0, 0.0, spent),
+            )
+            if solution.status is not Status.INACCURATE:
+                return solution
+            rtol *= TIGHTENING
+        return self._alone(declared)
+
+    def prepare_criteria(self, largest: Formulation) -> None:
+        """Complete the basis, and find out which rows are whose."""
+        frames = len(largest.scene.trajectory)
+        terms = {
+            term.name: len(term.assembled.target)
+            for term in largest.terms
+            if term.measures and term.weight > 0.0
+        }
+        if any(n != 3 * frames for n in terms.values()):
+            raise InputError("criteria need terms with three rows per frame")
+        told = self._sweep.told
+        if sum(terms.values()) != len(told):
+            raise InputError("criteria need a Laplace term and measured ones only")
+        self._criteria = criteria_of(largest.scene, terms, told)
+        self._sweep.complete(root_weights(largest.compile()))
+
+    def criteria(self, declared: Formulation) -> Mapping[str, float]:
+        """By the basis."""
+        if self._criteria is None:
+            return {}
+        root = root_weights(declared.compile())[self._sweep.told]
+        return self._criteria.values(self._sweep.images, self._sweep.misfit, root)

@@ -1,0 +1,177 @@
+"""The weights of a path: an axis per term, or per group of terms with a common one."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+
+#: Weights of one axis each, by the name of a term or the names of several
+Weights = Mapping[str | tuple[str, ...], ArrayLike]
+
+#: Most points of a grid
+MOST = 100_000
+
+Index = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class WeightAxis:
+    """Weights that one or more terms take in turn.
+
+    Attributes:
+        terms: Names of the terms.
+        values: Ascending, positive, shape (n,) [–].
+    """
+
+    terms: tuple[str, ...]
+    values: Array
+
+    @property
+    def dimension(self) -> str:
+        """Name of the axis in a dataset."""
+        return f"{self.terms[0]}_weight"
+
+
+@dataclass(frozen=True)
+class WeightGrid:
+    """All combinations of the weights of several axes.
+
+    Attributes:
+        axes: At least one.
+    """
+
+    axes: tuple[WeightAxis, ...]
+
+    @classmethod
+    def of(cls, weights: Weights, known: Sequence[str]) -> WeightGrid:
+        """Read weights as a user gives them.
+
+        Args:
+            weights: Values by term; a tuple of names for terms with a common weight.
+            known: The terms there are.
+
+        Raises:
+            InputError: Nothing to vary, an unknown term or one named twice, or weights
+                that are not positive, finite and different.
+        """
+        if not (isinstance(weights, Mapping) and weights):
+            raise InputError(
+                'weights takes values by term, such as {"force": [1e-4, 1e-2, 1]}, got '
+                f"{weights!r}"
+            )
+        axes = [
+            WeightAxis(_terms(key), _values(key, given))
+            for key, given in weights.items()
+        ]
+        named = [name for axis in axes for name in axis.terms]
+        for name in named:
+            if name not in known:
+                raise InputError(f"no term {name!r}, there are {', '.join(known)}")
+            if named.count(name) > 1:
+                raise InputError(f"term {name!r} has two series of weights: give one")
+        grid = cls(tuple(axes))
+        if grid.size > MOST:
+            raise InputError(f"{grid.size:,} points of weights: give at most {MOST:,}")
+        return grid
+
+    @property
+    def shape(self) -> Index:
+        """Weights per axis [–]."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+    @property
+    def size(self) -> int:
+        """Number of points [–]."""
+        return int(np.prod([float(n) for n in self.shape]))
+
+    def at(self, index: Index) -> dict[str, float]:
+        """The weights of one point, by term."""
+        return {
+            name: float(axis.values[i])
+            for axis, i in zip(self.axes, index, strict=True)
+            for name in axis.terms
+        }
+
+    def from_both_ends(self) -> list[Index]:
+        """All points, the ends of each axis first, then halves, quarters and so on.
+
+        What lies between points that are solved needs little that is new.
+        """
+        ranks = [{i: r for r, i in enumerate(_halving(n))} for n in self.shape]
+
+        def late(index: Index) -> tuple[int, int]:
+            own = [rank[i] for rank, i in zip(ranks, index, strict=True)]
+            return max(own), sum(own)
+
+        return sorted(itertools.product(*map(range, self.shape)), key=late)
+
+    def from_the_prior(self) -> list[Index]:
+        """All points from the smallest weights on, each next to the one before."""
+        return list(_winding(self.shape))
+
+
+def _terms(key: str | tuple[str, ...]) -> tuple[str, ...]:
+    names = (key,) if isinstance(key, str) else key
+    if not (
+        isinstance(names, tuple) and names and all(isinstance(n, str) for n in names)
+    ):
+        raise InputError(
+            f"weights are named by a term or a tuple of terms, got {key!r}"
+        )
+    return names
+
+
+def _values(key: object, given: ArrayLike) -> Array:
+    try:
+        values = np.atleast_1d(np.asarray(given, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise InputError(f"weights of {key} must be numbers, got {given!r}") from None
+    usable = values.ndim == 1 and len(values) > 0
+    if not (usable and np.isfinite(values).all() and (values > 0.0).all()):
+        raise InputError(
+            f"weights of {key} must be positive and finite, got {given!r}: a path is "
+            "over their logarithm"
+        )
+    ascending = np.unique(values)
+    if len(ascending) < len(values):
+        raise InputError(f"weights of {key} must differ, got {given!r}")
+    return ascending
+
+
+def _halving(n: int) -> Iterator[int]:
+    """Numbers below n: the last, the first, then middles of what is between.
+
+    >>> list(_halving(5))
+    [4, 0, 2, 3, 1]
+    """
+    yield n - 1
+    if n > 1:
+        yield 0
+    gaps = [(0, n - 1)]
+    for low, high in gaps:  # grows while it is walked through
+        if high - low > 1:
+            middle = (low + high) // 2
+            yield middle
+            gaps += [(middle, high), (low, middle)]
+
+
+def _winding(shape: Index) -> Iterator[Index]:
+    """Every index of a grid, from one to the next by one step along one axis.
+
+    >>> list(_winding((2, 2)))
+    [(0, 0), (0, 1), (1, 1), (1, 0)]
+    """
+    if not shape:
+        yield ()
+        return
+    rest = list(_winding(shape[1:]))
+    for i in range(shape[0]):
+        for index in rest if i % 2 == 0 else rest[::-1]:
+            yield (i, *index)

@@ -1,0 +1,155 @@
+"""What weights do: the L-curve, and errors on held-out recordings, along a path."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ttus_opt.errors import InputError
+from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: Dashes tell recordings apart in greyscale
+_DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1)), (0, (5, 1, 1, 1)))
+
+#: Variables of held-out recordings that are drawn, the first also over a grid
+_HELD_OUT = ("held_out_force_magnitude_error", "held_out_force_angle_error")
+
+
+def weight_path(path: xr.Dataset, title: str = "") -> Figure:
+    """Draw a path of weights, as `ttus_opt.solution_path` gives it.
+
+    Args:
+        path: Over one or two weights.
+        title: Of the picture.
+
+    Returns:
+        The figure: on the left the L-curve, what the varied terms cost against what
+        the others do; on the right errors on held-out recordings (without any, the
+        residuals of those that were fitted) against the weight, or over both weights.
+
+    Raises:
+        InputError: No path, more than two weights, or no point that was solved.
+    """
+    if "term_value" not in path:
+        raise InputError("weight_path draws what solution_path returns")
+    dims = [str(dim) for dim in path["status"].dims]
+    if len(dims) > 2:
+        raise InputError(
+            f"a path over {len(dims)} weights cannot be drawn: take a slice of it, "
+            f"path.isel({dims[-1]}=0)"
+        )
+    if bool(path["objective"].isnull().all()):
+        raise InputError("no point of the path was solved: there is nothing to draw")
+    with look():
+        figure = new_figure(8.0, 3.4)
+        left, right = figure.subplots(1, 2)
+        _draw_l_curve(left, path, dims)
+        left.set_title(title or str(path.attrs.get("title", "")))
+        if len(dims) == 1:
+            _draw_errors(right, path, dims[0])
+        else:
+            _draw_map(figure, right, path, dims)
+    return figure
+
+
+def _draw_l_curve(axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
+    """The other terms against the varied ones, a line per value of a second weight."""
+    varied = [str(name) for name in path.coords if str(name).endswith("_weight")]
+    named = [name.removesuffix("_weight") for name in varied]
+    terms = [str(term) for term in path["term"].values]
+    own = path["term_value"].sel(term=[t for t in terms if t in named]).sum("term")
+    # what they cost with their weights is the rest of the objective
+    paid = sum(
+        path[f"{t}_weight"] * path["term_value"].sel(term=t).fillna(0.0)
+        for t in terms
+        if t in named
+    )
+    rest = path["objective"] - paid
+    lines = (
+        [{}] if len(dims) == 1 else [{dims[1]: k} for k in range(path.sizes[dims[1]])]
+    )
+    for k, at in enumerate(lines):
+        shade = str(0.7 * k / max(len(lines) - 1, 1))
+        colour = AFTER if len(dims) == 1 else shade
+        x, y = own.isel(at).to_numpy(), rest.isel(at).to_numpy()
+        axes.loglog(x, y, color=colour, marker=".", linewidth=1.1)
+        if k == 0:
+            _write_weights(axes, x, y, path[dims[0]].to_numpy())
+    axes.set_xlabel(f"{' + '.join(named)}: what is left, without weight")
+    axes.set_ylabel("all other terms")
+    axes.grid(color="0.92", linewidth=0.5)
+
+
+def _write_weights(axes: Any, x: Any, y: Any, weights: Any) -> None:
+    """A few weights beside their points."""
+    solved = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    for i in solved[np.linspace(0, len(solved) - 1, min(5, len(solved))).astype(int)]:
+        axes.annotate(
+            f"{weights[i]:.2g}",
+            (x[i], y[i]),
+            textcoords="offset points",
+            xytext=(4, 4),
+            fontsize=7.5,
+            color=BEFORE,
+        )
+
+
+def _draw_errors(axes: Any, path: xr.Dataset, dim: str) -> None:
+    """Force [N] on the left scale, its angle [°] on the right one."""
+    weights = path[dim].to_numpy()
+    held = _HELD_OUT[0] in path
+    name, over = (_HELD_OUT[0], "held_out") if held else ("force_residual", "recording")
+    axes.set_xscale("log")
+    axes.set_xlabel("weight [–]")
+    if name not in path:
+        axes.text(
+            0.5, 0.5, "nothing was measured", transform=axes.transAxes, ha="center"
+        )
+        return
+    for k, one in enumerate(path[over].values):
+        dashes = _DASHES[k % len(_DASHES)]
+        values = path[name].isel({over: k}).to_numpy()
+        axes.plot(weights, values, color=AFTER, linestyle=dashes, label=f"{one}")
+        if held:
+            _mark_least(axes, weights, values)
+    axes.set_ylabel("held-out force error [N]" if held else "force residual, rms [N]")
+    axes.set_ylim(bottom=0.0)
+    axes.legend(loc="best", title=None if held else "recording")
+    if held:
+        second = axes.twinx()
+        for k in range(path.sizes[over]):
+            angle = path[_HELD_OUT[1]].isel({over: k}).to_numpy()
+            dashes = _DASHES[k % len(_DASHES)]
+            second.plot(weights, angle, color="0.6", linestyle=dashes, linewidth=0.9)
+        second.set_ylabel("angle [°] (grey)")
+        second.set_ylim(bottom=0.0)
+        second.spines["right"].set_visible(True)
+
+
+def _mark_least(axes: Any, weights: Any, values: Any) -> None:
+    if np.isfinite(values).any():
+        at = int(np.nanargmin(values))
+        axes.plot(weights[at], values[at], "o", color=AFTER, markersize=4.0)
+
+
+def _draw_map(figure: Figure, axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
+    """Errors over two weights, the mean of all recordings."""
+    held = _HELD_OUT[0] in path
+    name, over = (_HELD_OUT[0], "held_out") if held else ("force_residual", "recording")
+    values = path[name].mean(over).transpose(*dims).to_numpy()
+    x, y = (np.log10(path[dim].to_numpy()) for dim in dims)
+    mesh = axes.pcolormesh(x, y, values.T, cmap="Blues", shading="nearest")
+    figure.colorbar(mesh, ax=axes).set_label(
+        "held-out force error [N]" if held else "force residual, rms [N]"
+    )
+    if np.isfinite(values).any():
+        i, j = np.unravel_index(np.nanargmin(values), values.shape)
+        axes.plot(x[i], y[j], "o", color="black", markersize=4.0, fillstyle="none")
+    for set_label, dim in ((axes.set_xlabel, dims[0]), (axes.set_ylabel, dims[1])):
+        set_label(f"log₁₀ of the {dim.replace('_', ' ')}")
