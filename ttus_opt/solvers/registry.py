@@ -27,6 +27,8 @@ ENTRY_POINTS = "ttus_opt.solvers"
 #: What ``solver="auto"`` tries, in this order, and why. The first that is installed
 #: and takes the program is chosen.
 PREFERENCE: tuple[tuple[str, str], ...] = (
+    ("covariance", "dense and exact in the few voxels that are touched, where the "
+     "prior's covariance is known"),
     ("structured", "never forms Q: exact to rounding and the fastest at every size, "
      "while the measured rows are fewer than half the voxels"),
     ("clarabel", "interior point on the sparse least-squares form: sure and accurate"),
