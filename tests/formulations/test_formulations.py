@@ -27,6 +27,8 @@ EXPECTED = {
         "mean_friction",
     ),
     "coulomb_global": ("laplace", "force", "torque"),
+    "depth_map": ("depth_map", "force", "torque"),
+    "depth_map_coulomb": ("depth_map", "force", "torque"),
     "eq10": ("laplace", "force", "torque"),
     "eq10_hard_boundary": ("laplace", "force", "torque", "boundary"),
     "eq10_monotone": ("laplace", "force", "torque", "monotone"),

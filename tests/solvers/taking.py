@@ -46,11 +46,16 @@ HIGHS = frozenset({"highs"})
 #: Laplace's rows and measured ones; the multigrid stands on the plain operator
 STRUCTURED, AMG = frozenset({"structured"}), frozenset({"amg_pcg"})
 
+#: A prior whose covariance is known
+COVARIANCE = frozenset({"covariance"})
+
 #: Who takes the reduced program of a formulation of the shelf
 FORMULATIONS: Mapping[str, frozenset[str]] = {
     "anisotropic": QP | CLOSED,
     "coulomb_drag": QP | HIGHS | STRUCTURED,
     "coulomb_global": QP | CLOSED | STRUCTURED | AMG,
+    "depth_map": QP | CLOSED | COVARIANCE,
+    "depth_map_coulomb": QP | CLOSED | COVARIANCE,
     "eq10": QP | CLOSED | STRUCTURED | AMG,
     "eq10_hard_boundary": QP | STRUCTURED,
     "eq10_monotone": QP | HIGHS | STRUCTURED,

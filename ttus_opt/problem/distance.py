@@ -10,7 +10,8 @@ section 5.5.1):
 A relative residual alone tells neither: where the field is large and the weights of
 the measurements are small, an answer that ignores all measurements has a small one.
 
-Of P⁻¹ the Laplace terms' part is known exactly, A⁻¹ = L⁻¹Ω L⁻ᵀ/2w. With rows R beside:
+Of P⁻¹ the Laplace terms' part is known exactly, A⁻¹ = L⁻¹Ω L⁻ᵀ/2w, as is that of a term
+whose covariance is known. With rows R beside:
 
 - fields only: P = A + RᵀR ⪰ A, so that rᵀA⁻¹r is a bound. Conjugate gradients
   preconditioned by A bring it closer: after some steps rᵀP⁻¹r lies between what they
@@ -37,7 +38,11 @@ from ttus_opt.errors import NumericalError
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.structure import LaplaceRows
+from ttus_opt.terms.structure import (
+    FieldCovariance,
+    LaplaceRows,
+    known_covariance,
+)
 
 _Map = Callable[[Array], Array]
 
@@ -126,28 +131,59 @@ class _Field:
         return self.laplace.solve(u, rtol=rtol) / (2.0 * self.term.weight)
 
 
+@dataclass(frozen=True)
+class _KnownField(_Field):
+    """A variable over the voxels and a term whose covariance is known.
+
+    Attributes:
+        covariance: (RᵀR)⁻¹ of the term's rows.
+    """
+
+    covariance: FieldCovariance = field(repr=False)
+
+    def square(self, r: Array, rtol: float) -> float:
+        """The field's part of rᵀA⁻¹r; ``rtol`` has no meaning here."""
+        return float(r[self.part] @ self.inverse(r, rtol))
+
+    def inverse(self, r: Array, rtol: float) -> Array:
+        """The field's part of A⁻¹r, shape (V,)."""
+        return self.covariance.times(r[self.part]) / (2.0 * self.term.weight)
+
+
 def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_Field]:
-    """The fields, each with a Laplace term of its own; empty unless all have one."""
+    """The fields, each with a term that alone determines it; empty unless all have one.
+
+    That is a Laplace term, or one whose covariance is known.
+    """
     laplace = program.laplace
     if laplace is None:
         return []
-    V, found = len(laplace.free), []
+    found = []
     for name, part in program.variables.items():
-        if part.stop - part.start != V:
+        if part.stop - part.start != len(laplace.free):
             continue
-        holds = [(t, t.laplace_rows) for t in squares]
-        own = [
-            (term, rows.scale)
-            for term, rows in holds
-            if rows is not None and _holds(rows, name, fixed[part], laplace)
-        ]
-        if not own:
+        own = [_field(term, name, part, fixed[part], laplace) for term in squares]
+        determined = [one for one in own if one is not None]
+        if not determined:
             return []
-        term, scale = own[0]
-        compliance = np.ones(V) if scale is None else 1.0 / scale**2
-        compliance[fixed[part]] = 0.0
-        found.append(_Field(part, term, laplace, compliance))
+        found.append(determined[0])
     return found
+
+
+def _field(
+    term: ProgramTerm, name: str, part: slice, fixed: Mask, laplace: LaplaceSystem
+) -> _Field | None:
+    """A field whose term determines it and can be inverted; None otherwise."""
+    known, rows = known_covariance(term.tags), term.laplace_rows
+    compliance = np.ones(len(fixed))
+    if known is not None and name == "p" and not fixed.any():
+        return _KnownField(part, term, laplace, compliance, known.covariance)
+    if rows is None or not _holds(rows, name, fixed, laplace):
+        return None
+    if rows.scale is not None:
+        compliance /= rows.scale**2
+    compliance[fixed] = 0.0
+    return _Field(part, term, laplace, compliance)
 
 
 def _holds(

@@ -9,18 +9,22 @@ is that of lineax (Rader, Lyons, Kidger, 2023).
 from __future__ import annotations
 
 import enum
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
 
 #: Relative difference of two products that is rounding
 ROUNDING = 1e-12
+
+#: Difference of R C Rᵀ and the identity that is rounding: R's condition squared [–]
+COVARIANCE_ROUNDING = 1e-6
 
 
 class Tag(enum.Enum):
@@ -46,12 +50,53 @@ class LaplaceRows:
     beside: tuple[str, ...] = ()
 
 
-Tags = frozenset[Tag | LaplaceRows]
+class FieldCovariance(Protocol):
+    """A covariance over the voxels, known where it is asked for."""
+
+    def columns(self, voxels: IntArray) -> CovarianceColumns:
+        """Its columns at some voxels."""
+
+    def times(self, values: Array) -> Array:
+        """Covariance @ values, shape (V,)."""
 
 
-def laplace_rows(tags: Iterable[Tag | LaplaceRows]) -> LaplaceRows | None:
+class CovarianceColumns(Protocol):
+    """Some columns of a covariance, without their V entries each."""
+
+    @property
+    def voxels(self) -> IntArray:
+        """Which ones, shape (n,)."""
+
+    @property
+    def among(self) -> Array:
+        """The covariance between these voxels, shape (n, n)."""
+
+    def times(self, values: Array) -> Array:
+        """Columns @ values: (n,) to (V,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownCovariance:
+    """Square rows R over p alone whose covariance (RᵀR)⁻¹ is known.
+
+    Attributes:
+        covariance: It.
+    """
+
+    covariance: FieldCovariance = field(repr=False)
+
+
+Tags = frozenset[Tag | LaplaceRows | KnownCovariance]
+
+
+def laplace_rows(tags: Tags) -> LaplaceRows | None:
     """The declaration of L's rows among tags, if there is one."""
     return next((tag for tag in tags if isinstance(tag, LaplaceRows)), None)
+
+
+def known_covariance(tags: Tags) -> KnownCovariance | None:
+    """The declaration of a known covariance among tags, if there is one."""
+    return next((tag for tag in tags if isinstance(tag, KnownCovariance)), None)
 
 
 def check_structure(
@@ -76,6 +121,12 @@ def check_structure(
         raise InputError(
             f"{owner}: it declares the rows of the scene's L over "
             f"{declared.variable!r}, its rows are others: drop the tag LaplaceRows"
+        )
+    known = known_covariance(tags)
+    if known is not None and not _has_covariance(known, blocks, laplace):
+        raise InputError(
+            f"{owner}: the covariance it declares is not that of its rows: drop the "
+            "tag KnownCovariance"
         )
     if Tag.DIRICHLET in tags and not _are_dirichlet(blocks, laplace):
         raise InputError(
@@ -106,6 +157,18 @@ def _are_laplace(
         expected = (scale * expected)[laplace.free]
     size = float(np.abs(expected).max(initial=0.0))
     return bool(np.abs(own @ probe - expected).max(initial=0.0) <= ROUNDING * size)
+
+
+def _has_covariance(
+    known: KnownCovariance, blocks: Mapping[str, sp.csr_array], laplace: LaplaceSystem
+) -> bool:
+    """Whether R C Rᵀ leaves a random vector as it is."""
+    V = len(laplace.free)
+    if set(blocks) != {"p"} or blocks["p"].shape != (V, V):
+        return False
+    probe = np.random.default_rng(0).normal(size=V)
+    again = blocks["p"] @ known.covariance.times(blocks["p"].T @ probe)
+    return bool(np.abs(again - probe).max() <= COVARIANCE_ROUNDING)
 
 
 def _are_dirichlet(blocks: Mapping[str, sp.csr_array], laplace: LaplaceSystem) -> bool:

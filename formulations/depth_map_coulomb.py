@@ -1,0 +1,48 @@
+"""A depth map with Coulomb drag of one friction coefficient μ, found by a search.
+
+min_μ min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖(N − μ F) p − f‖² + λ_τ ‖((W − μ G) p − τ)/ℓ‖²
+
+The profile φ, σ, the length along the surface and the noise are chosen once, by their
+evidence at a first estimate of μ. See `depth_map` and `coulomb_global`.
+
+Source: as `depth_map`, with Coulomb's law.
+"""
+
+from ttus_opt.contact.friction import DEADBAND
+from ttus_opt.problem.formulation import Formulation, Search
+from ttus_opt.scene import Scene
+from ttus_opt.terms.depth_map import DepthMapTerm
+from ttus_opt.terms.depth_map_estimate import estimate_depth_map
+from ttus_opt.terms.drag import GlobalCoulomb
+from ttus_opt.terms.drag_estimate import estimate_drag
+from ttus_opt.terms.drag_force import DragForceTerm
+from ttus_opt.terms.drag_torque import DragTorqueTerm
+
+
+def build(
+    scene: Scene,
+    force_weight: float | None = None,
+    torque_weight: float = 0.0,
+    torque_length: float | None = None,
+    depth_length: float = 0.015,
+    largest_friction: float = 1.0,
+    acts_at: str = "auto",
+    deadband: float = DEADBAND,
+) -> Formulation:
+    """Weights λ_f, λ_τ [1/N²], lengths [m], range of μ, where drag acts, deadband."""
+    guess = estimate_drag(scene, acts_at, deadband)
+    drag = GlobalCoulomb(scene, guess.acts_at, deadband)
+    first = drag.with_coefficient(min(guess.friction_coefficient, largest_friction))
+    rows = scene.N - first.coefficient * drag.rows.force
+    found = estimate_depth_map(scene, rows, depth_length=depth_length)
+    weight = found.noise**-2 if force_weight is None else force_weight
+    prior = DepthMapTerm.of(scene, found)
+
+    def given(mu: float) -> Formulation:
+        dragged = drag.with_coefficient(mu)
+        force = DragForceTerm(scene, weight, drag=dragged)
+        torque = DragTorqueTerm(scene, torque_weight, torque_length, drag=dragged)
+        return Formulation(terms=[prior, force, torque])
+
+    search = Search("friction_coefficient", 0.0, largest_friction, given)
+    return given(first.coefficient).with_search(search)

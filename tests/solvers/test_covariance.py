@@ -1,0 +1,103 @@
+"""Gaussian-process regression against dense algebra and general solvers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+from tests.conftest import small_scene
+from ttus_opt import fit
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.constraints.viscous_sign import ViscousSign
+from ttus_opt.errors import InputError
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.scene import Scene
+from ttus_opt.solvers import covariance
+from ttus_opt.solvers.base import Request
+from ttus_opt.terms.depth_map import DepthMapTerm
+from ttus_opt.terms.depth_profile import DepthProfile
+from ttus_opt.terms.drag import Viscous
+from ttus_opt.terms.drag_force import DragForceTerm
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.torque import TorqueTerm
+
+
+def scene() -> Scene:
+    return small_scene("trilinear", (7, 12, 8), 20)
+
+
+def declared(weight: float = 10.0) -> Formulation:
+    prior = DepthMapTerm(
+        scene(), 2.0, DepthProfile((1.0,), (2.0,)), surface_length=0.06
+    )
+    return Formulation(
+        terms=[prior, ForceTerm(scene(), weight), TorqueTerm(scene(), weight)]
+    )
+
+
+@pytest.mark.parametrize("weight", [1e-6, 1.0, 1e6])
+def test_it_gives_the_normal_equations_solution(weight: float) -> None:
+    formulation = declared(weight)
+    solution = fit(scene(), formulation, solver="covariance")
+    assert solution.status.name == "SOLVED"
+    rows, targets = [], []
+    for term in formulation.terms:
+        rows.append(np.sqrt(term.weight) * term.assembled.blocks["p"].toarray())
+        targets.append(np.sqrt(term.weight) * term.assembled.target)
+    expected, *_ = np.linalg.lstsq(np.vstack(rows), np.concatenate(targets), rcond=None)
+    got = solution.field.values.ravel()
+    assert np.abs(got - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+def test_parameters_within_bounds_agree_with_bounded_least_squares() -> None:
+    at_bound = []
+    for seed in range(4):
+        own = small_scene("trilinear", (5, 10, 6), 16, seed)
+        prior = DepthMapTerm(own, 1.0, DepthProfile((1.0,), (2.0,)))
+        drag = DragForceTerm(own, 50.0, drag=Viscous(own, "reference"))
+        formulation = Formulation(
+            terms=[prior, drag], constraints=[ViscousSign(own, 1)]
+        )
+        program = formulation.compile()
+        rows = [np.sqrt(t.weight) * t.matrix.toarray() for t in program.terms]
+        aims = [np.sqrt(t.weight) * t.target for t in program.terms]
+        expected = scipy.optimize.lsq_linear(
+            np.vstack(rows), np.concatenate(aims), program.box, method="bvls"
+        )
+        candidate = covariance.Covariance().prepare(program, Request()).solve()
+        x, size = candidate.x, np.abs(expected.x).max()
+        assert x is not None
+        assert np.abs(x - expected.x).max() < 1e-7 * size
+        kkt = kkt_residuals(program, x, candidate.duals, tolerance=1e-9)
+        assert kkt.worst_relative < 1e-9
+        at_bound.append(bool(expected.x[-1] <= 0.0))
+    assert set(at_bound) == {True, False}
+
+
+def test_rows_may_be_fewer_or_more_than_the_voxels_they_touch() -> None:
+    for n_poses in (2, 60):
+        own = small_scene("trilinear", (7, 12, 8), n_poses)
+        prior = DepthMapTerm(own, 1.0, DepthProfile((1.0,), (2.0,)))
+        force = ForceTerm(own, 100.0)
+        solution = fit(own, Formulation(terms=[prior, force]), solver="covariance")
+        assert solution.status.name == "SOLVED"
+        touched = len(np.unique(own.N.indices))
+        assert (touched < len(own.f)) == (n_poses == 60)
+
+
+def test_it_says_what_it_does_not_take() -> None:
+    signed = Formulation(terms=declared().terms, constraints=[Sign(scene())])
+    with pytest.raises(InputError, match="no bounds of the field"):
+        fit(scene(), signed, solver="covariance")
+    with pytest.raises(InputError, match="whose covariance is known"):
+        fit(scene(), "eq10", solver="covariance")
+
+
+def test_it_refuses_what_would_not_fit_in_memory(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(covariance, "LARGEST", 10)
+    with pytest.raises(InputError, match="touch 10 voxels at most"):
+        fit(scene(), declared(), solver="covariance")

@@ -1,0 +1,65 @@
+"""The term of a depth map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import small_scene
+from ttus_opt.errors import InputError
+from ttus_opt.terms.base import AffineRows
+from ttus_opt.terms.depth_map import DepthMapTerm
+from ttus_opt.terms.depth_profile import DepthProfile, voxel_depths
+
+PROFILE = DepthProfile((1.0, 2.0), (0.8, 0.3))
+
+
+def term(**options: float) -> DepthMapTerm:
+    return DepthMapTerm(small_scene("trilinear"), profile=PROFILE, **options)
+
+
+def test_the_profile_costs_nothing_and_grows_inwards() -> None:
+    one = term()
+    rows = one.assembled
+    assert np.abs(rows.blocks["p"] @ one.mean - rows.target).max() < 1e-9
+    field = one.mean.reshape(one.scene.voxmap.grid.shape)
+    assert (np.diff(field, axis=0) < 0.0).all()
+    assert (field[one.scene.voxmap.inside] > 0.0).all()
+    assert (one.mean > 0.0).sum() == (voxel_depths(one.scene.voxmap) > 0.0).sum()
+
+
+def test_a_field_with_twice_the_deviation_costs_four_times_as_much() -> None:
+    one = term()
+    rows = one.assembled
+    g = np.random.default_rng(1).normal(size=len(one.mean))
+    costs = [
+        float(np.sum((rows.blocks["p"] @ (one.mean * (1 + s * g)) - rows.target) ** 2))
+        for s in (1.0, 2.0)
+    ]
+    assert costs[1] == pytest.approx(4.0 * costs[0])
+    wider = term(deviation=0.8).assembled
+    cost = np.sum((wider.blocks["p"] @ (one.mean * (1 + g)) - wider.target) ** 2)
+    assert cost == pytest.approx(costs[0] / 4.0)
+
+
+@pytest.mark.parametrize("name", ["deviation", "surface_length", "depth_length"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+def test_bad_options_are_refused(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=f"{name} must be positive"):
+        term(**{name: value})
+
+
+class Wrong(DepthMapTerm):
+    """Declares the covariance of other rows."""
+
+    def rows(self) -> AffineRows:
+        rows = super().rows()
+        return replace(rows, blocks={"p": rows.blocks["p"] * 1.01})
+
+
+def test_a_covariance_that_is_not_that_of_the_rows_is_refused() -> None:
+    wrong = Wrong(small_scene("trilinear"), profile=PROFILE)
+    with pytest.raises(InputError, match="drop the tag KnownCovariance"):
+        wrong.assembled  # noqa: B018

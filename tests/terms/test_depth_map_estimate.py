@@ -1,0 +1,83 @@
+"""Evidence against the density of a Gaussian, and what it finds of a drawn field."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.spatial.distance import cdist
+from scipy.stats import multivariate_normal
+
+from tests.conftest import small_scene
+from ttus_opt.errors import InputError
+from ttus_opt.scene import Scene
+from ttus_opt.terms import depth_map_estimate
+from ttus_opt.terms.depth_map_estimate import estimate_depth_map
+from ttus_opt.terms.depth_profile import voxel_depths
+
+EXPONENTS = (1.0, 2.0)
+
+
+def with_forces(scene: Scene, force: np.ndarray) -> Scene:
+    return replace(
+        scene, trajectory=replace(scene.trajectory, force=force.reshape(-1, 3))
+    )
+
+
+def drawn(seed: int, n_poses: int = 80) -> Scene:
+    """Forces of φ(d)(1 + g) with g drawn from the prior, and noise of 0.1 N."""
+    scene = small_scene("trilinear", (9, 24, 14), n_poses, seed)
+    depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+    touched = np.unique(scene.N.indices)
+    grid = scene.voxmap.grid
+    _, j, k = np.unravel_index(touched, grid.shape)
+    radius = scene.voxmap.surface.radius_at(grid.theta[j], grid.z[k])
+    place = np.stack(
+        [radius * np.cos(grid.theta[j]), radius * np.sin(grid.theta[j]), grid.z[k]], 1
+    )
+    down = np.abs(depth[touched, None] - depth[touched])
+    prior = 0.3**2 * matern(cdist(place, place), 0.03) * matern(down, 0.015)
+    rng = np.random.default_rng(seed)
+    g = rng.multivariate_normal(np.zeros(len(touched)), prior, method="eigh")
+    p = np.zeros(scene.n_voxels)
+    p[touched] = 200.0 * depth[touched] * (1.0 + g)
+    force = scene.N @ p
+    return with_forces(scene, force + rng.normal(0.0, 0.1, force.shape))
+
+
+def matern(distance: np.ndarray, length: float) -> np.ndarray:
+    scaled = np.sqrt(3.0) * distance / length
+    return (1.0 + scaled) * np.exp(-scaled)
+
+
+def test_evidence_is_the_log_density_of_the_forces() -> None:
+    scene = drawn(0, 40)
+    problem = depth_map_estimate._Problem.of(scene, scene.N, EXPONENTS)
+    evidence, c = problem.evidence(0.03, 0.3, 0.1, 0.015)
+    # φ that the covariance was made of is that of the round before: the same to 1 %
+    phi = problem.powers @ c
+    prior = 0.09 * matern(problem.along, 0.03) * matern(problem.down, 0.015)
+    G = (problem.rows @ sp.diags_array(phi)).toarray()
+    cov = G @ prior @ G.T + 0.01 * np.eye(len(problem.force))
+    expected = multivariate_normal(problem.rows @ phi, cov).logpdf(problem.force)
+    constant = 0.5 * len(problem.force) * np.log(2.0 * np.pi)
+    assert evidence == pytest.approx(expected + constant, abs=1.0)
+
+
+def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
+    scene = drawn(3)
+    found = estimate_depth_map(scene, exponents=EXPONENTS)
+    assert found.noise == pytest.approx(0.1, rel=0.2)
+    depth = np.array([0.004])
+    assert found.profile(depth)[0] == pytest.approx(0.8, rel=0.25)
+    assert 0.15 < found.deviation < 0.6
+
+
+def test_forces_that_pull_and_none_at_all_are_refused() -> None:
+    scene = drawn(0, 20)
+    with pytest.raises(InputError, match="pull the probe in"):
+        estimate_depth_map(with_forces(scene, -scene.f), exponents=EXPONENTS)
+    with pytest.raises(InputError, match="never touches"):
+        estimate_depth_map(with_forces(scene, 0.0 * scene.f), exponents=EXPONENTS)

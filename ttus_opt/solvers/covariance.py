@@ -1,0 +1,221 @@
+"""Gaussian-process regression: a prior of known covariance, few measured rows.
+
+Where a term's square rows R have a covariance C = (RᵀR)⁻¹ that is known at single
+voxels (`ttus_opt.terms.structure.KnownCovariance`), the minimiser of
+‖R p − t₀‖² + ‖D p + E c − t‖² is
+
+    p = p̄ + C Dᵀ y,   p̄ = C Rᵀ t₀,   S = I + D C Dᵀ,   S y = t − D p̄ − E c,
+
+and only C among the voxels that D touches is ever formed: S, or its complement in
+these voxels where they are fewer than the rows, is factorised once. The unknowns c
+beside the field, within bounds, solve a least-squares problem of their own.
+
+Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
+(2006), sections 2.2 and 2.7. See docs/method.md, Depth map.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
+from ttus_opt.terms.structure import (
+    CovarianceColumns,
+    KnownCovariance,
+    known_covariance,
+)
+
+#: Most voxels that measured rows may touch: dense matrices of this size are made
+LARGEST = 12_000
+
+#: Eigenvalues below this part of the largest are rounding [–]
+ROUNDING = 1e-14
+
+#: Rounds of iterative refinement
+REFINEMENTS = 3
+
+
+class Covariance(Solver):
+    """Dense Cholesky factors of the dual, from the prior's covariance."""
+
+    name = "covariance"
+    summary = "Gaussian-process regression: a prior whose covariance is known"
+    capabilities = Capabilities(
+        inequalities=True,
+        equalities=False,
+        any_terms=False,
+        time_limit=False,
+        keeps="the covariance of the touched voxels while the rows stay",
+    )
+
+    def refusal(self, program: Program) -> str:
+        """A prior with a known covariance, squares of few rows, bounds beside p."""
+        base = super().refusal(program)
+        if base:
+            return base
+        prior = _prior(program)
+        if prior is None or prior.weight == 0.0:
+            return "it needs a term whose covariance is known, such as depth_map"
+        V = len(prior.target)
+        if any(np.isfinite(bound[:V]).any() for bound in program.box):
+            return "it takes no bounds of the field"
+        if program.constraints:
+            return "it takes no constraints but bounds of parameters"
+        touched = len(_touched(program, prior))
+        if touched > LARGEST:
+            return (
+                f"it takes rows that touch {LARGEST:,} voxels at most, these touch "
+                f"{touched:,}"
+            )
+        return ""
+
+    def cost(self, program: Program) -> float:
+        """An eigendecomposition among the touched voxels, and solves on the grid."""
+        prior = _prior(program)
+        if prior is None:
+            return math.inf
+        n = float(len(_touched(program, prior)))
+        return 0.05 + 1e-5 * len(prior.target) + 4e-10 * n**3
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        """Form and factorise the dual."""
+        self.require(program)
+        return _Loaded(program)
+
+
+class _Loaded(Prepared):
+    _columns: CovarianceColumns
+    _tag: KnownCovariance | None = None
+
+    def __init__(self, program: Program) -> None:
+        self.update(program)
+
+    def update(self, program: Program) -> None:
+        """Take other data; the covariance is kept while voxels and prior stay."""
+        prior = _prior(program)
+        assert prior is not None
+        V = len(prior.target)
+        measured = _measured(program, prior)
+        roots = [np.sqrt(t.weight / prior.weight) for t in measured]
+        empty = sp.csr_array((0, program.n_variables))
+        rows = [t.matrix * root for t, root in zip(measured, roots, strict=True)]
+        stacked = sp.csr_array(sp.vstack([empty, *rows], format="csr"))
+        targets = [t.target * root for t, root in zip(measured, roots, strict=True)]
+        self._target = np.concatenate([*targets, np.zeros(0)])
+        self._beside = stacked[:, V:].toarray()
+        self._bounds = tuple(bound[V:] for bound in program.box)
+        self._take_prior(prior, _touched(program, prior))
+        self._rows = sp.csr_array(stacked[:, :V])
+        self._touching = sp.csr_array(self._rows.tocsc()[:, self._columns.voxels])
+        self._program, self._V = program, V
+        self._factorise()
+
+    def _take_prior(self, prior: ProgramTerm, voxels: IntArray) -> None:
+        """The covariance of the touched voxels and the prior's mean."""
+        tag = known_covariance(prior.tags)
+        assert tag is not None
+        if tag is self._tag and np.array_equal(voxels, self._columns.voxels):
+            return
+        self._tag = tag
+        self._columns = tag.covariance.columns(voxels)
+        self._root = _square_root(self._columns.among)
+        own = prior.matrix[:, : len(prior.target)]
+        self._mean = tag.covariance.times(own.T @ prior.target)
+
+    def _factorise(self) -> None:
+        """S, or I + BᵀB with S = I + B Bᵀ where that is smaller."""
+        B = self._touching @ self._root
+        self._low = B if B.shape[1] < B.shape[0] else None
+        small = B.T @ B if self._low is not None else B @ B.T
+        small[np.diag_indices_from(small)] += 1.0
+        self._factor = scipy.linalg.cho_factor(small, lower=True)
+
+    def _inverse(self, right_side: Array) -> Array:
+        """S⁻¹ right_side."""
+        if self._low is None:
+            return np.asarray(scipy.linalg.cho_solve(self._factor, right_side))
+        inner = scipy.linalg.cho_solve(self._factor, self._low.T @ right_side)
+        return np.asarray(right_side - self._low @ inner)
+
+    def solve(self) -> Candidate:
+        """The unknowns beside the field, the multipliers, the field."""
+        misfit = self._target - self._rows @ self._mean
+        c = self._parameters(misfit)
+        misfit = misfit - self._beside @ c
+        y, p = np.zeros_like(misfit), self._mean
+        for _ in range(REFINEMENTS):
+            y = y + self._inverse(misfit - (self._rows @ (p - self._mean)) - y)
+            p = self._mean + self._columns.times(self._touching.T @ y)
+        x = np.concatenate([p, c])
+        return Candidate(x, self._duals(x), REFINEMENTS)
+
+    def _parameters(self, misfit: Array) -> Array:
+        """Minimise (misfit − E c)ᵀ S⁻¹ (misfit − E c) within bounds."""
+        E = self._beside
+        if not E.shape[1]:
+            return np.zeros(0)
+        lower, upper = self._bounds
+        moving = E.any(axis=0)
+        c = np.clip(np.zeros(E.shape[1]), lower, upper)
+        if not moving.any():
+            return np.asarray(c)
+        gram = E[:, moving].T @ self._inverse(E[:, moving])
+        slope = self._inverse(misfit - E @ np.where(moving, 0.0, c)) @ E[:, moving]
+        values, turn = scipy.linalg.eigh((gram + gram.T) / 2.0)
+        kept = values > ROUNDING * values.max()
+        root = (turn[:, kept] * np.sqrt(values[kept])).T
+        aim = turn[:, kept].T @ slope / np.sqrt(values[kept])
+        found = scipy.optimize.lsq_linear(
+            root, aim, (lower[moving], upper[moving]), method="bvls", tol=1e-14
+        )
+        c[moving] = found.x
+        return np.asarray(c)
+
+    def _duals(self, x: Array) -> Duals:
+        """Multipliers of the parameters' bounds."""
+        program = self._program
+        if not program.bounds:
+            return Duals()
+        slope = -np.add(*program.gradient(x))
+        lower, upper = program.box
+        z = np.where(x <= lower, np.minimum(slope, 0.0), 0.0)
+        z += np.where(x >= upper, np.maximum(slope, 0.0), 0.0)
+        z[: self._V] = 0.0
+        return Duals(bounds=z)
+
+
+def _prior(program: Program) -> ProgramTerm | None:
+    """The term over p alone whose covariance is known."""
+    known = (t for t in program.terms if known_covariance(t.tags) is not None)
+    return next(known, None)
+
+
+def _measured(program: Program, prior: ProgramTerm) -> list[ProgramTerm]:
+    return [t for t in program.terms if t is not prior and t.weight > 0.0]
+
+
+def _touched(program: Program, prior: ProgramTerm) -> IntArray:
+    """Voxels that the measured rows touch, in order."""
+    V = len(prior.target)
+    columns = [t.matrix.indices for t in _measured(program, prior)]
+    touched = np.unique(np.concatenate([*columns, np.zeros(0, dtype=np.int64)]))
+    return np.asarray(touched[touched < V], dtype=np.int64)
+
+
+def _square_root(matrix: Array) -> Array:
+    """F with F Fᵀ = matrix, without what is rounding."""
+    values, turn = scipy.linalg.eigh(matrix)
+    kept = values > ROUNDING * values.max(initial=0.0)
+    return np.asarray(turn[:, kept] * np.sqrt(values[kept]))
+
+
+SOLVERS = [Covariance()]

@@ -1,0 +1,116 @@
+"""A profile of the depth, the same everywhere, times what varies over the patient.
+
+p = φ(d) (1 + g): φ is one curve of the depth d below the surface, g a Gaussian field
+of standard deviation σ with a Matérn covariance along the surface times one along the
+depth. The term is −2 log of g's density, up to a constant: ‖R (p/φ − 1)‖²/σ².
+
+See docs/method.md, Depth map.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.scene import Scene
+from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.depth_map_estimate import DepthMapEstimate
+from ttus_opt.terms.depth_profile import DepthProfile, voxel_depths
+from ttus_opt.terms.matern import SeparableCovariance
+from ttus_opt.terms.structure import KnownCovariance
+
+#: φ is taken at this part of a layer's thickness at least: a voxel whose centre lies
+#: on the surface keeps some freedom, and the rows stay finite [–]
+LEAST_DEPTH = 0.1
+
+
+@dataclass(frozen=True)
+class DepthMapTerm(Term):
+    """Squares of the whitened relative departure from a depth profile [–].
+
+    Attributes:
+        profile: φ.
+        deviation: σ, relative standard deviation of the field about φ [–].
+        surface_length: Matérn length along the surface [m].
+        depth_length: Matérn length along the depth [m].
+    """
+
+    profile: DepthProfile = field(default=DepthProfile((1.0,), (1.0,)))
+    deviation: float = 0.4
+    surface_length: float = 0.03
+    depth_length: float = 0.015
+
+    name = "depth_map"
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        estimate: DepthMapEstimate,
+        deviation: float | None = None,
+        surface_length: float | None = None,
+    ) -> Self:
+        """With what the evidence chose, where nothing else is given."""
+        return cls(
+            scene,
+            profile=estimate.profile,
+            deviation=estimate.deviation if deviation is None else deviation,
+            surface_length=(
+                estimate.surface_length if surface_length is None else surface_length
+            ),
+            depth_length=estimate.depth_length,
+        )
+
+    @property
+    def formula(self) -> str:
+        """With φ, σ and the lengths as they are."""
+        return (
+            f"‖R (p/φ − 1)‖²/σ², φ = {self.profile}, σ = {self.deviation:.3g}, lengths "
+            f"{1e3 * self.surface_length:.3g}, {1e3 * self.depth_length:.3g} mm"
+        )
+
+    def __post_init__(self) -> None:
+        """Validate weight, deviation and lengths.
+
+        Raises:
+            InputError: One of them is not usable.
+        """
+        super().__post_init__()
+        for name, unit in (
+            ("deviation", ""),
+            ("surface_length", " [m]"),
+            ("depth_length", " [m]"),
+        ):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0.0):
+                raise InputError(f"{name} must be positive{unit}, got {value}")
+
+    @cached_property
+    def mean(self) -> Array:
+        """φ at every voxel, shape (V,) [unit of p]."""
+        return voxel_profile(self.scene, self.profile)
+
+    def rows(self) -> AffineRows:
+        """R diag(1/φ)/σ and R 1/σ."""
+        covariance = SeparableCovariance.over(
+            self.scene.voxmap,
+            self.deviation * self.mean,
+            self.surface_length,
+            self.depth_length,
+        )
+        rows = covariance.rows
+        tags = frozenset({KnownCovariance(covariance)})
+        return AffineRows({"p": rows}, rows @ self.mean, tags)
+
+
+def voxel_profile(scene: Scene, profile: DepthProfile) -> Array:
+    """A profile at every voxel, never zero, shape (V,) [unit of p]."""
+    least = LEAST_DEPTH * scene.voxmap.grid.r_step
+    depth = voxel_depths(scene.voxmap)
+    return profile(np.copysign(np.maximum(np.abs(depth), least), depth))

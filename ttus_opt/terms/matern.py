@@ -1,0 +1,220 @@
+"""Gaussian fields on the voxel grid with a Matérn covariance, and its sparse factor.
+
+A Matérn field solves (κ² − Δ) g = white noise. On the surface with finite volumes and
+along the depth with finite differences that is a sparse matrix R whose RᵀR is the
+field's precision; a product of both is separable, so that its covariance is known at
+the few voxels that measurements touch without a solve over all of them.
+
+Source: F. Lindgren, H. Rue, J. Lindström, An explicit link between Gaussian fields and
+Gaussian Markov random fields, J. R. Stat. Soc. B 73 (2011). See docs/method.md, Depth
+map.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.voxmap.voxmap import Voxmap
+
+
+@dataclass(frozen=True)
+class MaternFactor:
+    """(κ² C + G) τ / √C: white noise from a field of unit variance.
+
+    Attributes:
+        volumes: C, length or area that belongs to each node, shape (n,) [m or m²].
+        stiffness: G, of −Δ with zero flux at the rim, (n, n).
+        kappa: κ [1/m].
+        tau: τ, makes the variance 1 far from the rim.
+    """
+
+    volumes: Array = field(repr=False)
+    stiffness: sp.csc_array = field(repr=False)
+    kappa: float
+    tau: float
+
+    @classmethod
+    def along_line(cls, n: int, step: float, length: float) -> MaternFactor:
+        """Matérn 3/2, (1 + √3 d/ℓ) exp(−√3 d/ℓ), on equal steps.
+
+        Args:
+            n: Nodes [–].
+            step: Between them [m].
+            length: ℓ [m].
+        """
+        volumes = np.full(n, step)
+        volumes[[0, -1]] /= 2.0
+        links = np.full(n - 1, 1.0 / step)
+        kappa = np.sqrt(3.0) / length
+        stiffness = _stiffness(np.arange(n - 1), np.arange(1, n), links, n)
+        return cls(volumes, stiffness, kappa, 1.0 / np.sqrt(4.0 * kappa**3))
+
+    @classmethod
+    def on_surface(cls, points: Array, length: float) -> MaternFactor:
+        """Matérn 1, (κd) K₁(κd), on a closed tube of quadrilaterals.
+
+        Its range √8/κ is that of a Matérn 3/2 of the length ℓ: κ = √2/ℓ.
+
+        Args:
+            points: Nodes around (periodic) and along, shape (n_theta, n_z, 3) [m].
+            length: ℓ [m].
+        """
+        n_theta, n_z, _ = points.shape
+        around = np.linalg.norm(np.roll(points, -1, 0) - points, axis=-1)
+        along = np.linalg.norm(np.diff(points, axis=1), axis=-1)
+        width = (around + np.roll(around, 1, 0)) / 2.0  # of a node, around
+        padded = np.pad(along, ((0, 0), (1, 1)))
+        height = (padded[:, 1:] + padded[:, :-1]) / 2.0  # of a node, along
+        node = np.arange(n_theta * n_z).reshape(n_theta, n_z)
+        heads = np.concatenate([node.ravel(), node[:, :-1].ravel()])
+        tails = np.concatenate([np.roll(node, -1, 0).ravel(), node[:, 1:].ravel()])
+        across_around = (height + np.roll(height, -1, 0)) / 2.0 / around
+        across_along = (width[:, :-1] + width[:, 1:]) / 2.0 / along
+        links = np.concatenate([across_around.ravel(), across_along.ravel()])
+        kappa = np.sqrt(2.0) / length
+        return cls(
+            (width * height).ravel(),
+            _stiffness(heads, tails, links, node.size),
+            kappa,
+            1.0 / np.sqrt(4.0 * np.pi * kappa**2),
+        )
+
+    @cached_property
+    def operator(self) -> sp.csc_array:
+        """κ² C + G, symmetric positive definite."""
+        return sp.csc_array(
+            self.stiffness + sp.diags_array(self.kappa**2 * self.volumes)
+        )
+
+    @property
+    def rows(self) -> sp.csr_array:
+        """R, (n, n)."""
+        return sp.csr_array(
+            sp.diags_array(self.tau / np.sqrt(self.volumes)) @ self.operator
+        )
+
+    @cached_property
+    def _solved(self) -> scipy.sparse.linalg.SuperLU:
+        return scipy.sparse.linalg.splu(self.operator, permc_spec="MMD_AT_PLUS_A")
+
+    def covariance(self, nodes: IntArray) -> Array:
+        """Columns of (RᵀR)⁻¹, shape (n, k)."""
+        unit = np.zeros((len(self.volumes), len(nodes)))
+        unit[nodes, np.arange(len(nodes))] = 1.0
+        return self.covariance_times(unit)
+
+    def covariance_times(self, values: Array) -> Array:
+        """(RᵀR)⁻¹ values, shape (n, k)."""
+        inner = self.volumes[:, None] * self._solved.solve(values)
+        return np.asarray(self._solved.solve(inner) / self.tau**2)
+
+
+@dataclass(frozen=True)
+class SeparableCovariance:
+    """Covariance of s_v g_v over voxels, g separable in radius and surface place.
+
+    Attributes:
+        radial: Along the layers, n_r nodes.
+        surface: Over the spokes, n_θ n_z nodes.
+        scale: s, shape (V,).
+    """
+
+    radial: MaternFactor
+    surface: MaternFactor
+    scale: Array = field(repr=False)
+
+    @classmethod
+    def over(
+        cls, voxmap: Voxmap, scale: Array, surface_length: float, depth_length: float
+    ) -> SeparableCovariance:
+        """On the voxels of a voxmap.
+
+        Args:
+            voxmap: Grid and surface.
+            scale: s, shape (V,) [unit of p].
+            surface_length: Matérn length along the surface [m].
+            depth_length: Along the depth [m].
+        """
+        grid = voxmap.grid
+        theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
+        radius = voxmap.surface.radius_at(theta, z)
+        points = np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=-1)
+        return cls(
+            MaternFactor.along_line(grid.shape[0], grid.r_step, depth_length),
+            MaternFactor.on_surface(points, surface_length),
+            scale,
+        )
+
+    @property
+    def rows(self) -> sp.csr_array:
+        """Square R with (RᵀR)⁻¹ the covariance, shape (V, V)."""
+        both = sp.kron(self.radial.rows, self.surface.rows, format="csr")
+        return sp.csr_array(sp.csr_array(both) @ sp.diags_array(1.0 / self.scale))
+
+    def columns(self, voxels: IntArray) -> VoxelColumns:
+        """Its columns at some voxels, in factored form."""
+        return VoxelColumns.of(self, voxels)
+
+    def times(self, values: Array) -> Array:
+        """Covariance @ values, shape (V,)."""
+        shape = (len(self.radial.volumes), len(self.surface.volumes))
+        g = (self.scale * values).reshape(shape)
+        g = self.surface.covariance_times(g.T).T
+        return np.asarray(self.scale * self.radial.covariance_times(g).ravel())
+
+
+@dataclass(frozen=True)
+class VoxelColumns:
+    """Columns of a separable covariance at n voxels.
+
+    Attributes:
+        voxels: Shape (n,).
+        scale: s of all voxels, shape (V,).
+        radial: Columns of the radial part at the layers that occur, (n_r, k_r).
+        surface: Columns of the surface part at the spokes that occur, (n_s, k_s).
+        layer: Which of those layers, shape (n,).
+        spoke: Which of those spokes, shape (n,).
+        among: The covariance between the voxels, shape (n, n).
+    """
+
+    voxels: IntArray
+    scale: Array = field(repr=False)
+    radial: Array = field(repr=False)
+    surface: Array = field(repr=False)
+    layer: IntArray = field(repr=False)
+    spoke: IntArray = field(repr=False)
+    among: Array = field(repr=False)
+
+    @classmethod
+    def of(cls, covariance: SeparableCovariance, voxels: IntArray) -> VoxelColumns:
+        """Assemble them."""
+        n_spokes = len(covariance.surface.volumes)
+        layers, layer = np.unique(voxels // n_spokes, return_inverse=True)
+        spokes, spoke = np.unique(voxels % n_spokes, return_inverse=True)
+        radial = covariance.radial.covariance(layers)
+        surface = covariance.surface.covariance(spokes)
+        own = covariance.scale[voxels]
+        among = radial[layers][np.ix_(layer, layer)]
+        among *= surface[spokes][np.ix_(spoke, spoke)]
+        among *= own[:, None] * own
+        return cls(voxels, covariance.scale, radial, surface, layer, spoke, among)
+
+    def times(self, values: Array) -> Array:
+        """The covariance's columns @ values: (n,) to (V,)."""
+        w = np.zeros((self.radial.shape[1], self.surface.shape[1]))
+        np.add.at(w, (self.layer, self.spoke), self.scale[self.voxels] * values)
+        return np.asarray(self.scale * (self.radial @ w @ self.surface.T).ravel())
+
+
+def _stiffness(heads: IntArray, tails: IntArray, links: Array, n: int) -> sp.csc_array:
+    """Graph Laplacian of weighted links."""
+    i, j = np.concatenate([heads, tails]), np.concatenate([tails, heads])
+    w = np.concatenate([links, links])
+    off = sp.csc_array((w, (i, j)), shape=(n, n))
+    return sp.csc_array(sp.diags_array(np.asarray(off.sum(axis=1)).ravel()) - off)
