@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.multigrid.coarsening import (
     DIRECT_NODES,
+    Added,
     Box,
     Network,
     coarsen,
@@ -125,6 +126,7 @@ class Hierarchy:
         grid: Box,
         free: NDArray[np.bool_],
         ties: NDArray[np.bool_] | None = None,
+        added: Added | None = None,
     ) -> Hierarchy:
         """Coarsen until the rest is small.
 
@@ -132,15 +134,19 @@ class Hierarchy:
             grid: The grid.
             free: Unknown voxels, shape ``grid.shape``.
             ties: Those that move with the next layer, same shape; None for none.
+            added: What is added to the operator; None for nothing.
         """
         network = finest(grid, free)
+        uneven = added is not None and bool(added.links)
+        if added is not None:
+            network = network.plus(added)
         if ties is not None:
             network = network.tied(ties)
         levels: list[Level] = []
         for flags in (*plan(grid), (False, False, False)):
             if network.n_free <= DIRECT_NODES:
                 flags = (False, False, False)
-            if levels:
+            if levels or uneven:
                 levels.append(Level.coarse(network, flags))
             else:
                 level = Level.finest(grid, network, flags)

@@ -34,7 +34,13 @@ from ttus_opt.solvers.base import (
     Solver,
 )
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
-from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior, row_scale
+from ttus_opt.solvers.dual.data import (
+    DualData,
+    duals_without_limits,
+    hard_values,
+    laplace_prior,
+    row_scale,
+)
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
@@ -262,23 +268,7 @@ class _Loaded(_Limited):
         answer = self._solver.solve(self._data.b, self._data.t, accuracy)
         x = np.concatenate([answer.p, answer.c])
         claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
-        return Candidate(x, self._duals(x), answer.steps, claim)
-
-    def _duals(self, x: Array) -> Duals:
-        """Multipliers of given values and of other unknowns' bounds."""
-        program, V = self._program, len(self._data.b)
-        given = program.dirichlet
-        if given is None and not program.bounds:
-            return Duals()
-        slope = -np.add(*program.gradient(x))
-        rows = {}
-        if given is not None:
-            rows[given.name] = slope[:V][~program.laplace.free]
-        lower, upper = program.box
-        z = np.where(x <= lower, np.minimum(slope, 0.0), 0.0)
-        z += np.where(x >= upper, np.maximum(slope, 0.0), 0.0)
-        z[:V] = 0.0
-        return Duals(rows, z if program.bounds else None)
+        return Candidate(x, duals_without_limits(self._program, x), answer.steps, claim)
 
 
 def _largest_limit(limits: SpokeLimits) -> float:

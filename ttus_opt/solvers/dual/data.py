@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
+from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.system import DualSystem
@@ -30,11 +32,20 @@ class DualData:
     columns: Array = field(repr=False)
 
     @classmethod
-    def of(cls, program: Program) -> DualData:
-        """Read a program whose terms are a Laplace term and measured rows."""
+    def of(
+        cls, program: Program, measured: Sequence[ProgramTerm] | None = None
+    ) -> DualData:
+        """Read a program whose terms are a Laplace term and measured rows.
+
+        Args:
+            program: The program.
+            measured: Terms whose rows are taken; None for all beside the Laplace term.
+        """
         prior = laplace_prior(program)
         assert prior is not None
-        return cls(*_dual_system(program, prior))
+        if measured is None:
+            measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
+        return cls(*_dual_system(program, prior, measured))
 
 
 def laplace_prior(program: Program) -> ProgramTerm | None:
@@ -70,10 +81,9 @@ def _right_side(program: Program, prior: ProgramTerm) -> Array:
 
 
 def _dual_system(
-    program: Program, prior: ProgramTerm
+    program: Program, prior: ProgramTerm, measured: Sequence[ProgramTerm]
 ) -> tuple[DualSystem, Array, Array, Array]:
     """The dual system of a program, b, weighted targets and weighted columns."""
-    measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
     V = len(program.laplace.free)
     compliance, scale = np.ones(V), row_scale(prior)
     if scale is not None:
@@ -89,3 +99,24 @@ def _dual_system(
     own = rows if rows.shape[1] == V else sp.csr_array(rows[:, :V])
     system = DualSystem(program.laplace, compliance, own, root)
     return system, _right_side(program, prior), target, columns
+
+
+def duals_without_limits(program: Program, x: Array) -> Duals:
+    """Multipliers of given values of p and of the bounds of other unknowns.
+
+    Args:
+        program: Without other limits.
+        x: The answer, shape (n,).
+    """
+    given, V = program.dirichlet, len(program.laplace.free)
+    if given is None and not program.bounds:
+        return Duals()
+    slope = -np.add(*program.gradient(x))
+    rows = {}
+    if given is not None:
+        rows[given.name] = slope[:V][~program.laplace.free]
+    lower, upper = program.box
+    z = np.where(x <= lower, np.minimum(slope, 0.0), 0.0)
+    z += np.where(x >= upper, np.maximum(slope, 0.0), 0.0)
+    z[:V] = 0.0
+    return Duals(rows, z if program.bounds else None)
