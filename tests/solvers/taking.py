@@ -43,7 +43,7 @@ CLOSED = frozenset(
 #: Inequalities, through an active set; no lone equalities
 HIGHS = frozenset({"highs"})
 
-#: Laplace's rows and measured ones; the multigrid stands on the plain operator
+#: Laplace's rows and measured ones; amg_pcg takes those of the plain operator
 STRUCTURED, AMG = frozenset({"structured"}), frozenset({"amg_pcg"})
 
 #: Any sum of squares beside Laplace's rows
@@ -51,7 +51,7 @@ NORMAL = frozenset({"normal_equations"})
 
 #: Who takes the reduced program of a formulation of the shelf
 FORMULATIONS: Mapping[str, frozenset[str]] = {
-    "anisotropic": QP | CLOSED,
+    "anisotropic": QP | CLOSED | STRUCTURED | NORMAL,
     "coulomb_drag": QP | HIGHS | STRUCTURED,
     "coulomb_global": QP | CLOSED | STRUCTURED | NORMAL | AMG,
     "eq10": QP | CLOSED | STRUCTURED | NORMAL | AMG,
@@ -59,10 +59,10 @@ FORMULATIONS: Mapping[str, frozenset[str]] = {
     "eq10_monotone": QP | HIGHS | STRUCTURED,
     "eq10_sign": QP | HIGHS | STRUCTURED,
     "eq10_sign_monotone": QP | HIGHS | STRUCTURED,
-    "free_surface": QP | HIGHS,
+    "free_surface": QP | HIGHS | STRUCTURED,
     "laplace_only": QP | CLOSED | STRUCTURED | NORMAL | AMG,
     "robust": QP | HIGHS,
-    "screened": QP | CLOSED,
+    "screened": QP | CLOSED | STRUCTURED | NORMAL,
     "sparse_sources": QP | HIGHS,
     "tikhonov": QP | CLOSED | STRUCTURED | NORMAL,
     "total_variation": QP | HIGHS,

@@ -85,9 +85,14 @@ class Added:
     screening: Array = field(repr=False)
     links: tuple[Array, ...] = field(default=(), repr=False)
 
+    @classmethod
+    def in_layers(cls, screening: Array, shape: tuple[int, int, int]) -> Added:
+        """Screening that is the same all over a layer, shape (n_r,)."""
+        return cls(np.broadcast_to(screening[:, None, None], shape))
+
     def within(self, part: Part) -> Added:
         """The same on a part of the grid."""
-        links = tuple(part.restrict(values) for values in self.links)
+        links: tuple[Array, ...] = tuple(part.restrict(v) for v in self.links)
         return Added(part.restrict(self.screening), links)
 
 
@@ -138,10 +143,10 @@ class Network:
     def plus(self, added: Added) -> Network:
         """The same with more conductances and screening."""
         links, grounds = list(self.links), list(self.grounds)
-        for axis, values in enumerate(added.links):
-            after = values.astype(np.float32)
+        for axis, wide in enumerate(added.links):
+            after: Single = wide.astype(np.float32)
             joined = self.free & np.roll(self.free, -1, axis)
-            links[axis] = links[axis] + joined * after
+            links[axis] = links[axis] + np.where(joined, after, np.float32(0))
             ground = (self.free & ~joined) * after
             ground += (self.free & ~np.roll(joined, 1, axis)) * np.roll(after, 1, axis)
             grounds[axis] = grounds[axis] + ground

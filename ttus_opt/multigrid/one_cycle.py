@@ -51,7 +51,8 @@ class OneCycle:
         pitch = self._hierarchy.levels[0].layout.pitch
         self._sizes = (*grid.shape[1:], pitch)
         # of the plain operator, of which only the way to red-black order is used
-        self._order = refinement.Operator(free, *conductances(grid), *self._sizes)
+        steps = conductances(grid)
+        self._order = refinement.Operator(free, *steps, steps[0], *self._sizes)
         self._idle: deque[Workspace] = deque()
 
     def rough(self, near: NDArray[np.integer] | None = None) -> VCycle:

@@ -27,8 +27,8 @@ from ttus_opt.solvers.base import (
 from ttus_opt.solvers.dual.data import (
     duals_without_limits,
     hard_values,
+    has_all_rows,
     laplace_prior,
-    row_scale,
 )
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.primal.conjugate_gradients import Goal, Minimum, Pair, minimise
@@ -69,7 +69,7 @@ class NormalEquations(Solver):
         prior = laplace_prior(program)
         if prior is None or prior.weight == 0.0:
             return "it needs a Laplace term"
-        if row_scale(prior) is not None and hard_values(program) is None:
+        if not has_all_rows(prior) and hard_values(program) is None:
             return f"it takes {prior.name} with hard boundary values only"
         bent = [t.name for t in program.terms if not t.is_squares]
         if bent:
@@ -114,9 +114,7 @@ class _Loaded(Prepared):
         self._program = program
         split = Split.of(program, self._options.few_rows)
         free = np.ones(split.few.columns.shape[1], dtype=bool)
-        self._preconditioner = preconditioner(
-            split, program.laplace, free, self._options, DualOptions()
-        )
+        self._preconditioner = preconditioner(split, free, self._options, DualOptions())
         self._function = LeastSquares(split, self._preconditioner.complement)
 
     def solve(self) -> Candidate:

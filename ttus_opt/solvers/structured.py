@@ -38,6 +38,7 @@ from ttus_opt.solvers.dual.data import (
     DualData,
     duals_without_limits,
     hard_values,
+    has_all_rows,
     laplace_prior,
     row_scale,
 )
@@ -81,21 +82,23 @@ class Structured(Solver):
         prior = laplace_prior(program)
         if prior is None or prior.weight == 0.0:
             return "it needs a Laplace term"
-        if row_scale(prior) is not None and hard_values(program) is None:
+        if not has_all_rows(prior) and hard_values(program) is None:
             return f"it takes {prior.name} with hard boundary values only"
         bent = [t.name for t in program.terms if not t.is_squares]
         if bent:
             return f"it takes sums of squares only, {bent[0]} is none"
         if second_field(program) is not None:
             return self._refusal_of_pair(program)
-        others = program.n_variables - len(program.laplace.free)
+        free = program.laplace.free
+        others = program.n_variables - len(free)
         if others > MOST:
             return f"it takes {MOST} unknowns beside the field, these are {others}"
         try:
             limits = SpokeLimits.of(program)
         except ValueError as error:
             return f"it takes bounds and growth along spokes: {error}"
-        if limits.binding and row_scale(prior) is not None:
+        scale = row_scale(prior)
+        if limits.binding and scale is not None and (scale[free] != 1.0).any():
             return f"it takes {prior.name} without bounds only"
         if limits.binding and others:
             return "it takes no limits of the field where there are other unknowns"
@@ -231,7 +234,8 @@ class _Loaded(_Limited):
         self._program = program
         self._data = DualData.of(program)
         self._limits = SpokeLimits.of(program)
-        program.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
+        # built here, in the set-up's time
+        self._data.system.laplace.multigrid  # noqa: B018
         system, bounds = (
             self._data.system,
             (b[len(self._data.b) :] for b in program.box),

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
+from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
@@ -56,9 +57,21 @@ def laplace_prior(program: Program) -> ProgramTerm | None:
 
 
 def row_scale(prior: ProgramTerm) -> Array | None:
-    """What L's free rows are multiplied by, shape (V,); None where they are all L's."""
+    """What L's rows are multiplied by, shape (V,); None where they are as they are."""
     rows = prior.laplace_rows
     return None if rows is None else rows.scale
+
+
+def has_all_rows(prior: ProgramTerm) -> bool:
+    """Whether it has rows for fixed voxels, too, so that their values may be soft."""
+    scale = row_scale(prior)
+    return scale is None or len(prior.target) == len(scale)
+
+
+def operator_of(program: Program, prior: ProgramTerm) -> LaplaceSystem:
+    """The operator whose rows a prior has: the scene's L, or a variant."""
+    rows = prior.laplace_rows
+    return program.laplace if rows is None else rows.system or program.laplace
 
 
 def hard_values(program: Program) -> Array | None:
@@ -72,7 +85,9 @@ def _right_side(program: Program, prior: ProgramTerm) -> Array:
     free, hard, scale = program.laplace.free, hard_values(program), row_scale(prior)
     if scale is None:
         b = prior.target.copy()
-    else:  # such a term has free rows only, its boundary values are hard
+    elif has_all_rows(prior):
+        b = prior.target / scale
+    else:  # its boundary values are hard
         b = np.empty(len(free))
         b[free] = prior.target / scale[free]
     if hard is not None:
@@ -97,7 +112,8 @@ def _dual_system(
     target = root * np.concatenate([*(t.target for t in measured), np.zeros(0)])
     columns = root[:, None] * rows[:, V:].toarray()
     own = rows if rows.shape[1] == V else sp.csr_array(rows[:, :V])
-    system = DualSystem(program.laplace, compliance, own, root)
+    laplace = operator_of(program, prior)
+    system = DualSystem(laplace, compliance, own, root)
     return system, _right_side(program, prior), target, columns
 
 

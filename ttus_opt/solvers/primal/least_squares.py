@@ -88,7 +88,6 @@ class LeastSquares:
 
 def preconditioner(
     split: Split,
-    laplace: LaplaceSystem,
     free: Mask,
     options: PrimalOptions,
     dual: DualOptions,
@@ -97,16 +96,18 @@ def preconditioner(
 
     Args:
         split: The terms.
-        laplace: L.
         free: Which unknowns beside the field are free, shape (k,).
         options: Of the method.
         dual: Of the dual.
     """
     exact = split.few.system
+    laplace = exact.laplace
+    assert isinstance(laplace, LaplaceSystem)
+    grid = laplace.operator_grid
     added = matched_root(
-        split.wide, laplace.grid, laplace.free, laplace.radii, exact.compliance
+        split.wide, grid, laplace.free, laplace.radii, exact.compliance
     )
-    rough = ApproximateLaplace.of(laplace, OneCycle(laplace.grid, laplace.free, added))
+    rough = ApproximateLaplace.of(laplace, OneCycle(grid, laplace.free, added))
     system = DualSystem(
         rough, exact.compliance, exact.rows, exact.root_weights, exact.n_measured
     )

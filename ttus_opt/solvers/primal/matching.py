@@ -55,14 +55,14 @@ class _Stencil:
     @classmethod
     def of(cls, term: WideTerm, grid: CylindricalGrid) -> _Stencil:
         M = term.matrix
-        squares: Array = np.bincount(M.indices, M.data**2, grid.n_voxels)
-        strength = term.weight * squares
+        squares = np.bincount(M.indices, M.data**2, grid.n_voxels)
+        strength = np.asarray(term.weight * squares)
         offsets, products = _pairs(M, grid)
         unique, at = np.unique(offsets, axis=0, return_inverse=True)
         sums = np.bincount(at.reshape(-1), products)
         own = sums[(unique == 0).all(axis=1)].sum()
         values = sums / own if own > 0.0 else sums
-        return cls(strength, unique.astype(np.int64), values)
+        return cls(strength, np.asarray(unique, dtype=np.int64), np.asarray(values))
 
     def symbol(self, waves: Array) -> Array:
         """b(f) over the diagonal at waves, shape (n, 3), in radians a step: (n,)."""
