@@ -9,6 +9,8 @@ to do is to sum residuals over blocks.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +31,13 @@ class AggregatedMultigrid(Multigrid):
     """
 
     def __init__(
-        self, grid: CylindricalGrid, free: Mask, pooled: Mask, leads: Mask
+        self,
+        grid: CylindricalGrid,
+        free: Mask,
+        pooled: Mask,
+        leads: Mask,
+        *,
+        screening: Array | None = None,
     ) -> None:
         """Build the levels.
 
@@ -38,17 +46,24 @@ class AggregatedMultigrid(Multigrid):
             free: Unknown voxels, shape (V,); a block is free as a whole.
             pooled: Voxels pooled with the next one outwards, shape (V,).
             leads: Free voxels outside blocks, and one of each, shape (V,).
+            screening: As of `Multigrid`.
         """
         self._leads = leads
         self._blocks = PooledBlocks.of(free, pooled, leads, grid.strides[0])
-        super().__init__(grid, grid.unflatten(free), pooled=grid.unflatten(pooled))
+        super().__init__(
+            grid,
+            grid.unflatten(free),
+            pooled=grid.unflatten(pooled),
+            screening=screening,
+        )
         self.norm_bound *= math.sqrt(self._blocks.longest)
 
-    def __reduce__(self) -> tuple[type[Multigrid], tuple[object, ...]]:
+    def __reduce__(self) -> tuple[Callable[..., Multigrid], tuple[object, ...]]:
         """Pickle as what it was built from."""
         assert self._pooled is not None
         pooled = self.grid.flatten(self._pooled)
-        return AggregatedMultigrid, (self.grid, self.free, pooled, self._leads)
+        built = (self.grid, self.free, pooled, self._leads)
+        return partial(AggregatedMultigrid, screening=self.screening), built
 
     def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
         """One V-cycle at a time, as `Multigrid.preconditioner`; it knows all blocks."""
@@ -56,7 +71,8 @@ class AggregatedMultigrid(Multigrid):
         pooled = self.grid.flatten(self._pooled)
         if near is not None:  # a block that is cut would be held fixed
             near = np.union1d(near, np.flatnonzero(pooled))
-        return VCycle.near(near, self.hierarchy, self.grid, self.free, pooled)
+        whole = (self.hierarchy, self.grid, self.free, pooled, self._added)
+        return VCycle.near(near, *whole)
 
     def apply(self, x: Array) -> Array:
         """PᵀA P z, shape (V,)."""

@@ -178,22 +178,27 @@ def _field(
     compliance = np.ones(len(fixed))
     if known is not None and name == "p" and not fixed.any():
         return _KnownField(part, term, laplace, compliance, known.covariance)
-    if rows is None or not _holds(rows, name, fixed, laplace):
+    if rows is None or not _holds(term, rows, name, fixed, laplace):
         return None
     if rows.scale is not None:
         compliance /= rows.scale**2
     compliance[fixed] = 0.0
-    return _Field(part, term, laplace, compliance)
+    return _Field(part, term, rows.system or laplace, compliance)
 
 
 def _holds(
-    rows: LaplaceRows, variable: str, fixed: Mask, laplace: LaplaceSystem
+    term: ProgramTerm,
+    rows: LaplaceRows,
+    variable: str,
+    fixed: Mask,
+    laplace: LaplaceSystem,
 ) -> bool:
     """Whether rows are L's over a variable and determine what is not fixed."""
     if rows.variable != variable:
         return False
-    # scaled rows are the free ones: the others' values must be fixed
-    return rows.scale is None or bool(fixed[~laplace.free].all())
+    # where rows are the free ones only the others' values must be fixed
+    all_rows = rows.scale is None or len(term.target) == len(rows.scale)
+    return all_rows or bool(fixed[~laplace.free].all())
 
 
 def _by_steps(
