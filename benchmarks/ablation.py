@@ -4,19 +4,23 @@
     python benchmarks/ablation.py --only patience,share --problems growth,noise
     python benchmarks/ablation.py --case M --only divergence --problems "noise drag"
 
-Every option of `DualOptions` is moved alone to each of its trials. A row has CPU
-seconds, working sets, directions and the relative KKT residual per problem; a problem
-that is not solved to the tolerance is marked. The first row is the defaults'.
+Every option of `DualOptions` is moved alone to each of its trials. A row has for each
+problem the V-cycles spent (over those of a whole grid), working sets, directions and
+the relative KKT residual, which are the same at every run; a problem that is not solved
+to the tolerance is marked. The first row is the defaults'. docs/benchmark.md tells what
+came of it.
 """
 
 from __future__ import annotations
 
 import argparse
-import time
+import contextlib
 from collections.abc import Iterator
 from dataclasses import fields
+from typing import Any
 
 from ttus_opt.benchmark import reference_cases
+from ttus_opt.multigrid.hierarchy import Workspace
 from ttus_opt.problem import formulation
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
@@ -61,18 +65,34 @@ def variants(only: list[str]) -> Iterator[tuple[str, DualOptions]]:
                 yield label, DualOptions(**{option.name: value})
 
 
+@contextlib.contextmanager
+def counted() -> Iterator[list[int]]:
+    """Values of the finest level in every V-cycle meanwhile, boxes of a grid too."""
+    sizes: list[int] = []
+    original = Workspace.v_cycle
+
+    def counting(self: Workspace, **options: Any) -> None:
+        sizes.append(self.b.size)
+        original(self, **options)
+
+    Workspace.v_cycle = counting  # type: ignore[method-assign]
+    try:
+        yield sizes
+    finally:
+        Workspace.v_cycle = original  # type: ignore[method-assign]
+
+
 def measured(program: Program, options: DualOptions) -> str:
     """One solve in a few words."""
-    program.laplace.__dict__.pop("multigrid", None)
-    begin = time.process_time()
-    found = Structured(options).prepare(program, REQUEST).solve()
-    seconds = time.process_time() - begin
+    with counted() as sizes:
+        found = Structured(options).prepare(program, REQUEST).solve()
+    whole = Workspace(program.laplace.multigrid.hierarchy).b.size
     assert found.x is not None
     kkt = kkt_residuals(program, found.x, found.duals).worst_relative
     failed = found.claim is not Claim.DONE or kkt > REQUEST.tolerance
     sets = found.detail.split(" ")[0]
     mark = "!" if failed else " "
-    return f"{seconds:6.2f} s {sets:>3} {found.iterations:4} {kkt:.0e}{mark}"
+    return f"{sum(sizes) / whole:7.0f} {sets:>3} {found.iterations:4} {kkt:.0e}{mark}"
 
 
 def main() -> None:

@@ -1,6 +1,6 @@
 """Draws the documentation's pictures into docs/pictures; `make docs` calls it.
 
-The demo's own, and two of the method: the voxmap and the sampling below the skin.
+The demo's own, and two of the method: the voxmap and the sampling below the surface.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FOLDER = Path(__file__).parent / "pictures"
 
 
 def voxmap_picture(path: Path) -> None:
-    """A section of a coarse voxmap with the skin."""
+    """A section of a coarse voxmap with the surface."""
     surface = tt.Surface.load(example.path("surface.nc"))
     voxmap = tt.Voxmap.from_surface(surface, shape=(14, 48, 9), r_inner=0.06)
     grid, k = voxmap.grid, 4
@@ -42,10 +42,10 @@ def voxmap_picture(path: Path) -> None:
                 markersize=3.5,
                 label=name,
             )
-        skin = 100 * surface.radius_at(fine, np.full_like(fine, grid.z[k]))
+        edge = 100 * surface.radius_at(fine, np.full_like(fine, grid.z[k]))
         axes.plot(
-            skin * np.cos(fine), skin * np.sin(fine), color="#b8860b", lw=1.2,
-            label="skin r = R(θ, z)",
+            edge * np.cos(fine), edge * np.sin(fine), color="#b8860b", lw=1.2,
+            label="surface r = R(θ, z)",
         )  # fmt: skip
         axes.set_aspect("equal")
         axes.set_xlabel("x [cm]")
@@ -58,30 +58,30 @@ def sampling_picture(path: Path) -> None:
     """The field along one spoke, and what a point samples at its depth."""
     layers = np.arange(5.0)
     values = np.array([9.0, 6.5, 4.3, 2.4, 0.0])
-    skin, last = 3.7, 3  # in radial steps from the inner layer
-    depth = np.linspace(-0.6, skin + 0.8, 400)
-    place = np.clip(skin - depth, 0.0, None)
+    edge, last = 3.7, 3  # in radial steps from the inner layer
+    depth = np.linspace(-0.6, edge + 0.8, 400)
+    place = np.clip(edge - depth, 0.0, None)
     below = np.interp(place, layers[: last + 1], values[: last + 1])
-    above = values[last] * depth / (skin - last)
+    above = values[last] * depth / (edge - last)
     sampled = np.where(place > last, above, below)
     with look():
         figure = new_figure(7.0, 2.8)
         axes = figure.subplots()
         inside = depth >= 0.0
         axes.plot(depth[inside], sampled[inside], color=AFTER, label="what is sampled")
-        axes.plot(skin - layers[:4], values[:4], "o", color=BEFORE, label="layers")
-        axes.plot(skin - 4.0, 0.0, "s", color="k", label="surface layer")
+        axes.plot(edge - layers[:4], values[:4], "o", color=BEFORE, label="layers")
+        axes.plot(edge - 4.0, 0.0, "s", color="k", label="surface layer")
         axes.axvline(0.0, color="#b8860b", lw=1.2)
-        axes.annotate("skin", (0.0, 8.3), xytext=(4, 0), textcoords="offset points")
-        axes.axvline(skin, color=MEASURED, lw=1.0)
+        axes.annotate("surface", (0.0, 8.3), xytext=(4, 0), textcoords="offset points")
+        axes.axvline(edge, color=MEASURED, lw=1.0)
         axes.annotate(
-            "inner layer", (skin, 4.0), xytext=(4, 0), textcoords="offset points"
+            "inner layer", (edge, 4.0), xytext=(4, 0), textcoords="offset points"
         )
         axes.annotate(
-            "a", (skin - last, values[last]), xytext=(5, -9),
+            "a", (edge - last, values[last]), xytext=(5, -9),
             textcoords="offset points",
         )  # fmt: skip
-        axes.set_xlabel("depth below the skin d [Δr]")
+        axes.set_xlabel("depth below the surface d [Δr]")
         axes.set_ylabel("p")
         axes.set_yticks([0])
         axes.legend(loc="lower right")

@@ -2,7 +2,7 @@
 
 min_{p,q,m} ‖L p - b‖² + α ‖L q - m b‖²
             + λ_f ‖N p - F q - f‖² + λ_τ ‖(W p - G q - τ)/ℓ‖²
-s.t.  0 ≤ q ≤ μ_max p inside, q = 0 on the skin, μ_max p ≤ q ≤ 0 outside,
+s.t.  0 ≤ q ≤ μ_max p inside, q = 0 on the surface, μ_max p ≤ q ≤ 0 outside,
       0 ≤ m ≤ μ_max
 
 F q = t̂ (n̂ᵀ N q) with t̂ the direction of sliding, n̂ the contact's normal; jointly

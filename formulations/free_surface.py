@@ -1,9 +1,9 @@
-"""No p = 0 on the skin, only p ≥ 0 from the skin inwards; the same prior inside.
+"""No p = 0 on the surface, only p ≥ 0 from there inwards; the same prior inside.
 
-min_p ‖L p - b‖² without the skin's rows + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
-s.t.  p ≥ 0 inside and on the skin
+min_p ‖L p - b‖² without the surface's rows + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
+s.t.  p ≥ 0 inside and on the surface
 
-With p = 0 on the skin a round tip's force grows like depth², that of real tissue like
+With p = 0 on the surface a round tip's force grows like depth², real tissue's like
 depth¹ to depth^1.5. Source: eq. 10 of Yeung, Black, Salcudean (2025), freed there.
 """
 
@@ -22,7 +22,7 @@ def build(
     torque_length: float | None = None,
     skin: float = 1e-3,
 ) -> Formulation:
-    """Weights λ_f, λ_τ [–], length ℓ [m]; ``skin``: what is left of the skin's rows."""
+    """Weights λ_f, λ_τ [–], length ℓ [m]; ``skin``: what the surface's rows keep."""
     return Formulation(
         terms=[
             LaplaceFreeSurfaceTerm(scene, skin=skin),

@@ -73,3 +73,23 @@ def test_the_plan_takes_the_narrow_directions_first() -> None:
         halved = np.where([False, True, False], (counts + 1) // 2, counts // 2 + 1)
         counts = np.where(chosen, halved, counts)
     assert (counts <= [3, 5, 3]).all()
+
+
+@pytest.mark.parametrize("axis", [R, THETA, Z])
+def test_weights_are_the_elimination_read_backwards(axis: int) -> None:
+    """What a dropped node gets from the one before and the one after it."""
+    grid = make_grid((9, 12, 9))
+    network = finest(grid, box(grid))
+    before, after = network.weights(axis)
+    node = np.array([3, 4, 5])
+    back, here = node.copy(), tuple(node)
+    back[axis] -= 1
+    a, b = network.links[axis][tuple(back)], network.links[axis][here]
+    assert before[here] == pytest.approx(a / (a + b), rel=1e-6)
+    assert after[here] == pytest.approx(b / (a + b), rel=1e-6)
+    # links along r grow outwards
+    assert (after[here] > before[here]) == (axis == R)
+    # next to the rim one half comes from a fixed node: nothing
+    first = tuple(np.where(np.arange(3) == axis, 1, node))
+    if axis != THETA:
+        assert before[first] == 0.0 and 0.4 < after[first] < 0.6

@@ -4,7 +4,6 @@ import pytest
 from ttus_opt.errors import InputError
 from ttus_opt.phantom import CoulombDrag, add_noise, record
 from ttus_opt.phantom.example_data import PROBE, poses
-from ttus_opt.phantom.recording import write_compact
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 
 
@@ -53,7 +52,7 @@ def test_noise_has_the_stated_deviation_and_follows_its_seed():
 
 def test_compact_file_reads_back_to_seven_digits(smooth, tmp_path):
     file = tmp_path / "sweep.csv"
-    write_compact(smooth, file)
+    smooth.save(file, digits=7)
     read = read_trajectory(file)
     assert read.position == pytest.approx(smooth.position, rel=1e-6)
     assert read.rotation == pytest.approx(smooth.rotation, abs=1e-6)
@@ -61,9 +60,7 @@ def test_compact_file_reads_back_to_seven_digits(smooth, tmp_path):
     assert read.torque == pytest.approx(smooth.torque, rel=1e-6)
 
 
-def test_refuses_trajectories_without_a_wrench(tmp_path):
+def test_refuses_trajectories_without_a_wrench():
     path = poses("press_fit")
     with pytest.raises(InputError, match="no wrench"):
         add_noise(path, np.random.default_rng(0))
-    with pytest.raises(InputError, match="no wrench"):
-        write_compact(path, tmp_path / "none.csv")

@@ -16,7 +16,10 @@ from ttus_opt.report.metrics import evaluate
 from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene
 from ttus_opt.terms.anisotropic import AnisotropicTerm
-from ttus_opt.terms.laplace_free_surface import LaplaceFreeSurfaceTerm, free_skin
+from ttus_opt.terms.laplace_free_surface import (
+    LaplaceFreeSurfaceTerm,
+    free_surface_layer,
+)
 from ttus_opt.terms.screened import ScreenedTerm
 from ttus_opt.terms.tikhonov import TikhonovTerm
 from ttus_opt.voxmap.field import PotentialField
@@ -116,7 +119,7 @@ def test_conductivities_that_are_none(bad: tuple[float, ...]) -> None:
 
 def test_free_surface_drops_the_skin_and_nothing_else() -> None:
     rows = LaplaceFreeSurfaceTerm(SCENE, skin=0.25).rows().blocks["p"]
-    skin = free_skin(SCENE.voxmap.on_surface).reshape(-1)
+    skin = free_surface_layer(SCENE.voxmap.on_surface).reshape(-1)
     assert skin.any()
     assert not skin.reshape(SCENE.voxmap.grid.shape)[:, :, 0].any()
     assert abs(rows[~skin] - SCENE.L[~skin]).max() == 0.0
@@ -129,7 +132,7 @@ def test_free_surface_lets_the_skin_push() -> None:
     """Measured forces raise the skin under the probe, and leave it elsewhere."""
     solution = fit(SCENE, "free_surface", force_weight=1.0, torque_weight=0.0)
     p = solution.field.values
-    skin = free_skin(SCENE.voxmap.on_surface)
+    skin = free_surface_layer(SCENE.voxmap.on_surface)
     # points near the skin sample the layer below it: their spokes are what counts
     touched = (np.abs(SCENE.N).sum(axis=0) > 0).reshape(p.shape).any(axis=0)
     assert p[skin & touched].max() > 0.1

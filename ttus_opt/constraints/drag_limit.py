@@ -27,7 +27,7 @@ def check_coefficient(largest: float) -> None:
 
 @dataclass(frozen=True)
 class DragLimit(Constraint):
-    """The drag field is at most μ_max times the field, here and there of the skin.
+    """The drag field is at most μ_max times the field, on either side of the surface.
 
     Attributes:
         largest: μ_max [–].

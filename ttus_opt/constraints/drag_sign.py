@@ -1,7 +1,7 @@
 """Sign of a drag field: that of the field it is a share of.
 
-Inside q ≥ 0. The skin's voxels have p = 0, and outside p ≤ 0 mirrors the inside, so
-that a sample between inside and outside goes through zero at the skin: q does as p.
+Inside q ≥ 0. The surface layer has p = 0, and outside p ≤ 0 mirrors the inside, so
+that a sample between inside and outside goes through zero at the surface: q does as p.
 
 See docs/method.md, Friction.
 """
@@ -20,7 +20,7 @@ class DragSign(Constraint):
     """Drag opposes the motion."""
 
     name = "drag_sign"
-    formula = "q ≥ 0 inside, q = 0 on the skin, q ≤ 0 outside"
+    formula = "q ≥ 0 inside, q = 0 on the surface, q ≤ 0 outside"
 
     def rows(self) -> Bounds:
         """Bounds on q."""

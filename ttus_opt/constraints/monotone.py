@@ -2,7 +2,7 @@
 
 The deeper voxel of two neighbours on a spoke has at least the value of the shallower
 one, and ``least_slope`` times their distance more. Pairs lie inside or between
-inside and the skin; pairs of two given boundary values are left out.
+inside and the surface layer; pairs of two given boundary values are left out.
 
 See docs/method.md, The shelf.
 """

@@ -1,4 +1,4 @@
-"""p ≥ 0 inside and on the skin, whose value is free.
+"""p ≥ 0 inside and on the surface, whose value is free.
 
 See docs/method.md, The shelf.
 """
@@ -14,10 +14,10 @@ from ttus_opt.constraints.base import Bounds, Constraint
 
 @dataclass(frozen=True)
 class NonNegative(Constraint):
-    """Touch never pulls: the field is not negative from the skin inwards."""
+    """Touch never pulls: the field is not negative from the surface inwards."""
 
     name = "nonnegative"
-    formula = "p ≥ 0 inside and on the skin"
+    formula = "p ≥ 0 inside and on the surface"
 
     def rows(self) -> Bounds:
         """Bounds on p."""

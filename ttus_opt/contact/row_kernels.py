@@ -76,7 +76,7 @@ class VoxmapArrays(NamedTuple):
     Attributes:
         limits: `CylindricalGrid.kernel_limits`.
         shape: Voxels in r, θ and z, shape (3,) [–].
-        skin: Radius of the surface's nodes, flat [m].
+        radius: Of the surface's nodes, flat [m].
         nodes: The surface's angles and slices [–].
         layout: `Surface.kernel_layout`.
         spokes: `spoke_table`.
@@ -85,7 +85,7 @@ class VoxmapArrays(NamedTuple):
 
     limits: GridLimits
     shape: NDArray[np.int64]
-    skin: Array
+    radius: Array
     nodes: tuple[int, int]
     layout: RadiusLayout
     spokes: Array
@@ -223,9 +223,9 @@ def _sort(keys: NDArray[np.int32], order: NDArray[np.int64], count: int) -> None
 
 @compiled(inner=True, forceinline=True)
 def _depth(r: float, theta: float, z: float, v: VoxmapArrays) -> float:
-    """How far a place is below the skin (compiled) [m]."""
+    """How far a place is below the surface (compiled) [m]."""
     here, after, a, b = radius_cell(theta, z, v.nodes[0], v.nodes[1], v.layout)
-    depth: float = radius_between(here, after, a, b, v.skin) - r
+    depth: float = radius_between(here, after, a, b, v.radius) - r
     return depth
 
 

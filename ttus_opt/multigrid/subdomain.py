@@ -1,6 +1,6 @@
 """A Dirichlet subdomain: the box of the grid that a preconditioner near voxels needs.
 
-Contact lies under a small part of the skin, and the effect of a load there decays
+Contact lies under a small part of the surface, and the effect of a load there decays
 within a few times its own extent. A V-cycle of the box alone, with zero Dirichlet
 values around it, is as good a preconditioner there as one of the whole grid, and costs
 the box's share.
@@ -21,7 +21,7 @@ from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 Value = TypeVar("Value", bound=np.generic)
 Index = NDArray[np.integer]
 
-#: How far a box goes beyond its voxels, over their smaller width on the skin [–],
+#: How far a box goes beyond its voxels, over their smaller width on the surface [–],
 #: and in voxels at least
 REACH, MARGIN = 0.5, 4
 #: Spokes of a box are a multiple: an odd number on some level spoils the colouring

@@ -166,8 +166,8 @@ def skin_compliance(
     compliance: Array = np.empty((k, k))
     for start in range(0, k, BATCH):
         loads = inward[:, start : start + BATCH].toarray()
-        part = slice(start, start + BATCH)
-        compliance[:, part] = np.asarray(inward.T @ factor.solve(loads))
+        responses = inward.T @ factor.solve(loads)
+        compliance[:, start : start + BATCH] = np.asarray(responses)
         if progress is not None:
             progress(min(start + BATCH, k), k)
     points = np.ascontiguousarray(body.mesh.p.T[body.patch])

@@ -14,7 +14,7 @@ from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.examination import push_handling, sweep_handling
 from ttus_opt.phantom.press import CoulombDrag
 from ttus_opt.phantom.probe import EllipsoidProbe
-from ttus_opt.phantom.recording import add_noise, record, write_compact
+from ttus_opt.phantom.recording import add_noise, record
 from ttus_opt.phantom.torso import Torso
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.frame import Axis
@@ -110,4 +110,4 @@ def write_example(
     true_surface().save(folder / "surface.nc")
     for name in RECORDINGS:
         recorded = recording(name, patch, progress=progress)
-        write_compact(recorded, folder / f"{name}.csv")
+        recorded.save(folder / f"{name}.csv", digits=7)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
-from ttus_opt import io
 from ttus_opt.errors import InputError
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.press import CoulombDrag, Motion, press
@@ -89,35 +87,3 @@ def add_noise(
         force=trajectory.force + force_std * noise[:, :3],
         torque=trajectory.torque + torque_std * noise[:, 3:],
     )
-
-
-def write_compact(trajectory: Trajectory, path: str | os.PathLike[str]) -> None:
-    """Write a trajectory CSV with 7 significant digits, half the full file's size.
-
-    Args:
-        trajectory: One recording with its wrench.
-        path: The file, replaced only on success.
-
-    Raises:
-        InputError: The trajectory has no wrench.
-    """
-    if trajectory.force is None or trajectory.torque is None:
-        raise InputError("the trajectory has no wrench to write: record it first")
-    table = np.column_stack(
-        [
-            trajectory.time,
-            trajectory.position,
-            trajectory.quat_wxyz,
-            trajectory.force,
-            trajectory.torque,
-        ]
-    )
-    with io.replacing(path) as temporary:
-        np.savetxt(
-            temporary,
-            table,
-            fmt="%.7g",
-            delimiter=",",
-            header="t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz",
-            comments="",
-        )

@@ -336,11 +336,15 @@ class Trajectory:
             np.concatenate(numbers),
         )
 
-    def save(self, path: str | os.PathLike[str]) -> None:
+    def save(self, path: str | os.PathLike[str], *, digits: int = 17) -> None:
         """Write the CSV, replacing ``path`` only when the writing succeeded.
 
-        Numbers are written in full, so that reading gives them back. A column
-        ``segment`` is added when there are several.
+        A column ``segment`` is added when there are several.
+
+        Args:
+            path: The file.
+            digits: Significant digits; by default all, so that reading gives every
+                number back.
 
         Raises:
             FileError: The folder cannot be written to.
@@ -351,8 +355,8 @@ class Trajectory:
             if values is not None:
                 names += own
                 columns.append(values)
-        rows = [map(repr, row) for row in np.hstack(columns).tolist()]
-        lines = [",".join(row) for row in rows]
+        told = repr if digits >= 17 else f"{{:.{digits}g}}".format
+        lines = [",".join(map(told, row)) for row in np.hstack(columns).tolist()]
         if len(self._segments()) > 1:
             names.append(SEGMENT)
             lines = [f"{a},{s}" for a, s in zip(lines, self.segment, strict=True)]

@@ -1,9 +1,10 @@
 """The patient's surface as a radius over angle and height, r = R(θ, z).
 
-"Surface" names the patient's skin all over the package. The contour filter
-(`ttus_opt.scan.extraction`) produces it, the voxmap consumes it, and it has a netCDF
-file. Between nodes the radius is bilinear, periodic in θ; above the last and below the
-first slice it keeps the nearest slice's value (`ttus_opt.scan.radius_lookup`).
+It is called surface all over the package; "skin" is the tissue that lies there. The
+contour filter (`ttus_opt.scan.extraction`) produces it, the voxmap consumes it, and it
+has a netCDF file. Between nodes the radius is bilinear, periodic in θ; above the last
+and below the first slice it keeps the nearest slice's value
+(`ttus_opt.scan.radius_lookup`).
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 KIND, VERSION = "field", 1
 
 #: Dimensions of voxel values and of the surface in the file
-DIMS, SKIN = ("r", "theta", "z"), ("surface_theta", "surface_z")
+DIMS, ON_SURFACE = ("r", "theta", "z"), ("surface_theta", "surface_z")
 
 #: Unit of the field for each sampling (docs/method.md, Unit of the field)
 FIELD_UNIT: dict[str, str] = {"voxel-mean": "N", "trilinear": "N cm-2"}
@@ -144,9 +144,9 @@ class PotentialField:
                     self.voxmap.region,
                     {"units": "1", "flags": "1 inside, 0 surface, -1 outside"},
                 ),
-                "radius": (SKIN, surface.radius, {"units": "m"}),
-                "radius_std": (SKIN, surface.radius_std, {"units": "m"}),
-                "observed": (SKIN, surface.observed.astype("i1"), {"units": "1"}),
+                "radius": (ON_SURFACE, surface.radius, {"units": "m"}),
+                "radius_std": (ON_SURFACE, surface.radius_std, {"units": "m"}),
+                "observed": (ON_SURFACE, surface.observed.astype("i1"), {"units": "1"}),
             },
             coords={
                 "r": ("r", grid.r, {"units": "m"}),
@@ -201,11 +201,11 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         if not np.allclose(centres, getattr(grid, name), rtol=0.0, atol=1e-9):
             raise InputError(f"{name} is not where grid_limits puts the voxels")
     surface = Surface(
-        io.array_of(data, "surface_theta", SKIN[:1], "rad"),
-        io.array_of(data, "surface_z", SKIN[1:], "m"),
-        io.array_of(data, "radius", SKIN, "m"),
-        io.array_of(data, "radius_std", SKIN, "m"),
-        io.array_of(data, "observed", SKIN, "1").astype(bool),
+        io.array_of(data, "surface_theta", ON_SURFACE[:1], "rad"),
+        io.array_of(data, "surface_z", ON_SURFACE[1:], "m"),
+        io.array_of(data, "radius", ON_SURFACE, "m"),
+        io.array_of(data, "radius_std", ON_SURFACE, "m"),
+        io.array_of(data, "observed", ON_SURFACE, "1").astype(bool),
         Axis.from_attributes(data.attrs),
     )
     return PotentialField(

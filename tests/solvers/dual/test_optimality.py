@@ -40,13 +40,13 @@ def test_wrong_signs_and_violated_limits_are_found() -> None:
     p = np.array([0.0, 8.0, -4.0, 2.0])
     signs = Multipliers(np.array([5.0, 0.0, 0.0, 7.0]), np.array([0.0, -2.0, 0.0, 0.0]))
     gradient = np.array([10.0, 0.0, 0.0, 0.0])
-    found = find_violations(LIMITS, active, p, signs, gradient, 0.01)
+    found = find_violations(LIMITS, active, p, signs, gradient)
     # active with the wrong sign; above 5; below 0; a given value is never free
-    np.testing.assert_allclose(found.bounds[:3], [0.49, 3 / 8 - 0.01, 0.49])
+    np.testing.assert_allclose(found.bounds[:3], [0.5, 3 / 8, 0.5])
     assert found.bounds[3] == -INF
     np.testing.assert_array_equal(found.side[1:3], [1, -1])
     # the first link lacks 9 of its fall, the second one's multiplier is negative
-    np.testing.assert_allclose(found.links[:2], [9 / 8 - 0.01, 0.19])
+    np.testing.assert_allclose(found.links[:2], [9 / 8, 0.2])
     assert (found.links[2:] == -INF).all()
     assert found.count == 5
     following = found.pivoted(LIMITS, active)

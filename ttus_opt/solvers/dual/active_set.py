@@ -137,9 +137,8 @@ class ActiveSetIteration:
         gradient = self.problem.gradient(p)
         signs = multipliers(self.limits, active, gradient)
         self.multipliers = signs.right_signs(self.limits, active)
-        margin = options.violation * self._tolerance
-        found = find_violations(self.limits, active, p, signs, gradient, margin)
-        acceptable = found.worst + margin <= options.acceptable * self._tolerance
+        found = find_violations(self.limits, active, p, signs, gradient)
+        acceptable = found.worst <= options.acceptable * self._tolerance
         self._acceptable += last and acceptable
         done = found.count == 0 or self._acceptable > options.acceptable_sets
         self.settled = last and done and not answer.late

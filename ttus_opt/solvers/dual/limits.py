@@ -127,9 +127,9 @@ class SpokeLimits:
     def without_implied(self) -> SpokeLimits:
         """The same feasible set without bounds that others imply along links.
 
-        What grows inwards and is at least 0 at the skin is at least 0 everywhere. All
-        these bounds would be active where one is: multipliers would not be unique, and
-        the active-set iteration would cycle.
+        What grows inwards and is at least 0 at the surface is so everywhere. All these
+        bounds would be active where one is: multipliers would not be unique, and the
+        active-set iteration would cycle.
         """
         low, up = self._carried()
         least, given = self.by_layer(self.least), self.by_layer(self.given)

@@ -1,7 +1,7 @@
 """The numbers of the method in one place: meaning, range, and what each buys.
 
 `benchmarks/ablation.py` solves contested problems with each option at the values
-given here as its trials, and prints seconds, working sets and KKT residuals.
+given here as its trials, and prints V-cycles, working sets and KKT residuals.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ class DualOptions:
             what these leave of each other [–].
         tightening: By how much each time [–].
         refinements: Most rounds of iterative refinement of a dual [–].
-        refinement_gain: They end where one leaves more than this part [–].
         loosest_product: Largest relative residual of a solve inside a product [–].
         divergence: A dual residual that has grown by this factor will not come back:
             the Schur complement is too large for a preconditioner in single precision,
@@ -51,9 +50,9 @@ class DualOptions:
         loosest_subproblem: The same, at most [–].
         field_accuracy: Residual of the solves behind a field that is not the last, over
             its dual's [–].
-        violation: What counts as a KKT violation, over the KKT tolerance [–].
-        acceptable: What may remain, over the KKT tolerance: thousands of limits may lie
-            so near to active that it hardly matters which of them are [–].
+        acceptable: Which KKT violation may remain, over the KKT tolerance: thousands of
+            limits may lie so near to active that it hardly matters which of them are
+            [–].
         acceptable_sets: After how many working sets with no more than that [–].
         patience: Iterations without progress before the safeguard [–].
         progress: The worst violation or their number has to fall below this part of
@@ -68,7 +67,6 @@ class DualOptions:
     tightenings: int = _option(4, 1, 10, 1)
     tightening: float = _option(1e-3, 1e-6, 0.1, 0.1)
     refinements: int = _option(8, 1, 20, 1)
-    refinement_gain: float = _option(0.5, 0.0, 1.0, 1.0)
     loosest_product: float = _option(1e-6, 0.0, 1e-3, 0.0, 1e-4)
     divergence: float = _option(1e3, 10.0, 1e300, 1e300)
     max_directions: int = _option(2000, 1, 10_000)
@@ -80,7 +78,6 @@ class DualOptions:
     subproblem_accuracy: float = _option(1e-2, 0.0, 1.0, 0.0, 0.1)
     loosest_subproblem: float = _option(1e-3, 1e-6, 0.1, 1e-4, 1e-2)
     field_accuracy: float = _option(1e-3, 0.0, 0.1, 0.0)
-    violation: float = _option(1e-3, 0.0, 0.1, 0.0, 0.1)
     acceptable: float = _option(0.1, 0.0, 1.0, 0.0)
     acceptable_sets: int = _option(2, 0, 100, 0)
     patience: int = _option(5, 0, 10_000, 0, 10_000)

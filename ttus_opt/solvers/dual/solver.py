@@ -183,7 +183,7 @@ class DualSolver:
         for _ in range(self._options.refinements):
             rest = complement.part(residual)
             size = float(np.linalg.norm(rest))
-            if size <= goal or size > self._options.refinement_gain * before:
+            if size <= goal or size >= before:
                 break
             before = size
             step, taken = conjugate_gradients(
