@@ -17,25 +17,41 @@ def test_what_it_solves_compiles_the_solver() -> None:
     assert ahead.is_kept(add)
 
 
-@pytest.mark.parametrize("is_kept", [True, False])
-def test_a_process_is_started_only_when_there_is_something_to_do(
-    is_kept: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    done: list[str] = []
+@pytest.fixture
+def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What is done with the other process, which is a stand-in."""
+    events: list[str] = []
 
     class Helper:
         def __init__(self, command: list[str], **_: Any) -> None:
             assert command[1:] == ["-m", "ttus_opt.multigrid.ahead"]
-            done.append("started")
+            events.append("started")
 
         def terminate(self) -> None:
-            done.append("ended")
+            events.append("ended")
 
         def wait(self) -> None:
-            done.append("waited for")
+            events.append("waited for")
 
-    monkeypatch.setattr(ahead, "is_kept", lambda _: is_kept)
     monkeypatch.setattr(subprocess, "Popen", Helper)
+    return events
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_a_process_is_started_only_when_there_is_something_to_do(
+    is_kept: bool, monkeypatch: pytest.MonkeyPatch, done: list[str]
+) -> None:
+    monkeypatch.setattr(ahead, "is_kept", lambda _: is_kept)
     with pytest.raises(KeyError), ahead.compiling_ahead():
         raise KeyError("a mistake meanwhile")
     assert done == ([] if is_kept else ["started", "ended", "waited for"])
+
+
+@pytest.mark.parametrize("is_kept", [True, False])
+def test_a_solve_can_wait_for_it(
+    is_kept: bool, monkeypatch: pytest.MonkeyPatch, done: list[str]
+) -> None:
+    monkeypatch.setattr(ahead, "is_kept", lambda _: is_kept)
+    with ahead.compiling_ahead() as compiled:
+        compiled()
+        assert done == ([] if is_kept else ["started", "waited for"])
