@@ -21,8 +21,11 @@ from ttus_opt.errors import InputError, TtusWarning
 
 if TYPE_CHECKING:
     from ttus_opt.probe.conventions import Conventions
+    from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.problem.solution import Solution
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.scene import ScenePlan
 
 EXAMPLE = (
     "ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
@@ -130,7 +133,15 @@ def fit(
         recorded = recordings.read(as_written, shell, patient)
         begin("assembling (first run compiles)")
         plan = ScenePlan(counts, r_inner, r_outer, boundary, outer, sampling)
-        scene = plan.build(patient, shell, recorded)
+        try:
+            scene = plan.build(patient, shell, recorded)
+        except InputError as error:
+            raise _explained(
+                error,
+                replace(plan, inner=1.0),
+                (patient, shell, recorded),
+                (as_written, conventions),
+            ) from error
         begin("solving")
         solution = fit_scene(
             scene,
@@ -169,6 +180,34 @@ def fit(
             typer.echo(line)
     if report is not None and report.mistake is not None:
         warnings.warn(str(report.mistake), TtusWarning, stacklevel=2)
+
+
+def _explained(
+    error: InputError,
+    plan: ScenePlan,
+    parts: tuple[Surface, PointShell, Trajectory],
+    reading: tuple[Trajectory, Conventions],
+) -> InputError:
+    """The error, with the mistake in the recordings that is likely behind it.
+
+    Args:
+        error: Of a plan whose boundary values are fitted.
+        plan: The same with boundary values given.
+        parts: Patient, probe and recordings.
+        reading: The recordings as written, and how they were read.
+    """
+    from ttus_opt.fitting.sanity import likely_mistake
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", TtusWarning)  # they were said before
+            scene = plan.build(*parts)
+    except InputError:
+        return error  # it is not the recordings
+    if not scene.trajectory.has_wrench:
+        return error
+    mistake = likely_mistake(scene, *reading)
+    return error if mistake is None else InputError(f"{error}; {mistake}")
 
 
 def _how_read(recorded: Trajectory, conventions: Conventions) -> list[str]:

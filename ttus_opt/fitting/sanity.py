@@ -210,6 +210,19 @@ def _recording(
     )
 
 
+def likely_mistake(
+    scene: Scene, written: Trajectory, told: Conventions
+) -> Mistake | None:
+    """What fits clearly better than what was told; no fit is needed.
+
+    Args:
+        scene: With measured forces, whatever its boundary values.
+        written: The recordings with the files' numbers taken at their word.
+        told: How the scene's were read from that.
+    """
+    return _likely_mistake(scene, written, told)[1]
+
+
 def _likely_mistake(
     scene: Scene, written: Trajectory, told: Conventions
 ) -> tuple[float, Mistake | None]:
