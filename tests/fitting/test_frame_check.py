@@ -44,7 +44,9 @@ def test_nothing_is_said_of_the_right_frame() -> None:
         warnings.simplefilter("error")
         told(OWN, Conventions())
         told(OWN.transformed(inverse(PLACE)), Conventions(frame="scan"))
-        # nor where no frame is right
+        # nor where scan and patient are one frame, nor where no frame is right
+        one = replace(SKIN, axis=Axis.identity())
+        warn_of_another_frame(OWN, OWN, SHELL, one, Conventions())
         told(replace(OWN, position=OWN.position + 3.0), Conventions())
 
 
