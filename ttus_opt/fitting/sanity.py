@@ -6,10 +6,10 @@ and contacts follow from geometry: with f̂ = N p₀ and τ̂ = W p₀ of a few 
 
     S = √(S_f S_τ),  S_f = min_s ‖f - s f̂‖²/‖f‖²,  S_τ = min_k ‖τ - k τ̂‖²/‖τ‖²
 
-with s, k ≥ 0 is small where they belong together; of forces alone S = S_f. The same S of the
-recordings read otherwise (other sign, frame, order, instant) says which reading they
-were likely written in. The product, and not the sum: to compare its logarithm is to
-compare likelihoods of Gaussian residuals whose two variances are not known, so that
+with s, k ≥ 0 is small where they belong together; of forces alone S = S_f. The same S
+of the recordings read otherwise (other sign, frame, order, instant) says which reading
+they were likely written in. The product, and not the sum: to compare its logarithm is
+to compare likelihoods of Gaussian residuals whose two variances are not known, so that
 torques that no reading explains do not hide what the forces say.
 """
 
