@@ -357,7 +357,8 @@ def _boundary_scale(
     if square == 0.0:
         raise InputError(
             'inner="fit" needs measured forces in contact, the probe never touches '
-            "the patient: give inner as a number"
+            "the patient: check the recordings' frame and unit, or give inner as a "
+            "number"
         )
     scale = float(unit @ force) / square
     if scale <= 0.0:

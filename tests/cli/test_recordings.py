@@ -105,3 +105,15 @@ def test_another_probe_is_told(run: Run, tmp_path: Path) -> None:
     )
     assert f"fitted with probe {example.PROBE}, this is sphere:0.02" in answer.err
     assert np.isfinite(json.loads(answer.out)["force_magnitude_error_N"])
+
+
+def test_a_boundary_that_cannot_be_fitted_names_the_mistake(
+    run: Run, tmp_path: Path
+) -> None:
+    written = as_ros(example.path("press_fit.csv"), tmp_path / "press.csv")
+    output = tmp_path / "f.nc"
+    answer = run(words(written, output).replace("--inner 10", "--inner fit"))
+    assert answer.status == 2
+    assert "push into the patient" in answer.err
+    assert "read them with --flip-wrench" in answer.err
+    assert not output.exists()

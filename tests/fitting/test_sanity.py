@@ -99,6 +99,15 @@ def test_an_offset_in_time_is_told() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
+def test_torques_that_nothing_explains_hide_nothing() -> None:
+    """A sensor whose torques are noise: its forces still tell the offset in time."""
+    noise = np.random.default_rng(0).normal(0.0, 0.1, (400, 3))
+    found = report(replace(late(recording("press_fit")), torque=noise))
+    assert found.mistake is not None
+    assert found.mistake.mends == "--wrench-delay 0.2"
+
+
+@pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
 def test_torques_about_the_poses_origin_are_told() -> None:
     """A probe whose mesh stands 6 cm beside its frame's origin, as CAD has it."""
     _, shell = geometry()

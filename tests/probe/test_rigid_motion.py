@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.hostile import NUMBERS, only_our_errors
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.probe.rigid_motion import inverse, read_rigid_motion, rigid_motion
@@ -100,3 +101,13 @@ def test_words_that_are_no_file() -> None:
         read_rigid_motion("nowhere")
     with pytest.raises(InputError, match="got 3 numbers"):
         read_rigid_motion("1,2,3")
+
+
+@pytest.mark.parametrize("n", NUMBERS)
+@pytest.mark.filterwarnings("ignore")
+def test_mutations_raise_nothing_but_our_own(n: int, tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "m.txt", motion(), header="base to scan")
+    np.save(tmp_path / "m.npy", motion())
+    (tmp_path / "m.json").write_text(json.dumps(motion().tolist()))
+    (tmp_path / "seven.csv").write_text("0.1,0.2,0.3,0,0,0,1")
+    only_our_errors(sorted(tmp_path.iterdir()), read_rigid_motion, n)

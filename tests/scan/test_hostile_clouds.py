@@ -69,6 +69,11 @@ def seeds(folder: Path) -> list[Path]:
     np.save(folder / "a.npy", POINTS)
     np.savetxt(folder / "a.csv", POINTS, delimiter=",", header="x,y,z", comments="")
     np.savetxt(folder / "a.xyz", POINTS)
+    coloured = np.hstack([POINTS, np.full_like(POINTS, 9)])
+    np.savetxt(
+        folder / "count.pts", coloured, header=str(len(coloured)), comments="", fmt="%g"
+    )
+    np.savetxt(folder / "named.txt", coloured, delimiter=";", header="X;Y;Z;r;g;b")
     for encoding in ("ascii", "binary"):
         data = trimesh.PointCloud(POINTS).export(file_type="ply", encoding=encoding)
         (folder / f"{encoding}.ply").write_bytes(data)

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.problem.solution import Solution
     from ttus_opt.scan.surface import Surface
+    from ttus_opt.scene import Scene, ScenePlan
 
 EXAMPLE = (
     "ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
@@ -170,7 +171,7 @@ def fit(
             )
         begin("assembling (first run compiles)")
         plan = ScenePlan(counts, r_inner, r_outer, boundary, outer, sampling)
-        scene = plan.build(patient, shell, recorded)
+        scene = _built(plan, (patient, shell, recorded), (as_written, conventions))
         begin("solving")
         solution = fit_scene(
             scene,
@@ -205,6 +206,39 @@ def fit(
             typer.echo(line)
     if report is not None and report.mistake is not None:
         warnings.warn(str(report.mistake), TtusWarning, stacklevel=2)
+
+
+def _built(
+    plan: ScenePlan,
+    parts: tuple[Surface, PointShell, Trajectory],
+    reading: tuple[Trajectory, Conventions],
+) -> Scene:
+    """The scene; where there is none, why, and what mistake is likely behind it.
+
+    Args:
+        plan: How it is built.
+        parts: Patient, probe and recordings.
+        reading: The recordings as written, and how they were read.
+
+    Raises:
+        InputError: As of `ScenePlan.build`.
+    """
+    from ttus_opt.fitting.sanity import likely_mistake
+
+    try:
+        return plan.build(*parts)
+    except InputError as error:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", TtusWarning)  # they were said before
+                scene = replace(plan, inner=1.0).build(*parts)
+        except InputError:
+            raise error from None  # it is not the recordings
+        known = scene.trajectory.has_wrench
+        mistake = likely_mistake(scene, *reading) if known else None
+        if mistake is None:
+            raise
+        raise InputError(f"{error}; {mistake}") from error
 
 
 def _how_read(recorded: Trajectory, conventions: Conventions) -> list[str]:

@@ -8,6 +8,7 @@ they are carried over.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import TtusWarning
 from ttus_opt.probe.conventions import Conventions
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.rigid_motion import as_rows, inverse
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 
@@ -59,21 +61,33 @@ def warn_of_another_frame(
         skin: The patient.
         told: How they were read.
     """
-    if told.frame == "base":  # its motion belongs to it, there is nothing to compare
-        return
     if share_near_skin(read, shell, skin) >= FEW:
         return
-    other = "scan" if told.frame == "patient" else "patient"
     place: Array = skin.axis.scan_to_patient
-    reread = replace(told, frame=other, wrench_frame="").read(
-        replace(as_written, force=None, torque=None), np.zeros(3), place
-    )
-    share = share_near_skin(reread, shell, skin)
-    if share > MANY:
-        warnings.warn(
-            f"the recordings lie beside the skin in the {told.frame}'s frame, and "
-            f"{100 * share:.0f} % of the poses near it in the {other}'s: read them "
-            f"with --frame {other}",
-            TtusWarning,
-            stacklevel=2,
+    poses = replace(as_written, force=None, torque=None)
+    for other, where, remedy in _others(told):
+        share = share_near_skin(other.read(poses, np.zeros(3), place), shell, skin)
+        if share > MANY:
+            warnings.warn(
+                f"the recordings lie beside the skin in the {told.frame}'s frame, and "
+                f"{100 * share:.0f} % of the poses near it {where}: {remedy}",
+                TtusWarning,
+                stacklevel=2,
+            )
+            return
+
+
+def _others(told: Conventions) -> Iterator[tuple[Conventions, str, str]]:
+    """Other frames of the poses, in words, and what to do."""
+    if told.base_to_scan is not None and told.frame == "base":
+        back = as_rows(inverse(np.array(told.base_to_scan)))
+        yield (
+            replace(told, base_to_scan=back),
+            "with the inverse of base_to_scan",
+            "x_scan = R x_base + t is expected, give the inverse",
         )
+    for frame in ("patient", "scan"):
+        if frame != told.frame:
+            other = replace(told, frame=frame, wrench_frame="", base_to_scan=None)
+            remedy = f"read them with --frame {frame}"
+            yield other, f"in the {frame}'s", remedy

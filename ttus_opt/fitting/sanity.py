@@ -4,11 +4,13 @@ A field fitted to forces of the wrong sign, frame or unit is still a minimum. So
 measured wrenches are compared with those of the Laplace field alone, whose directions
 and contacts follow from geometry: with f̂ = N p₀ and τ̂ = W p₀ of a few frames,
 
-    S = min_s ‖f - s f̂‖²/‖f‖² + min_k ‖τ - k τ̂‖²/‖τ‖²,    s, k ≥ 0,
+    S = √(S_f S_τ),  S_f = min_s ‖f - s f̂‖²/‖f‖²,  S_τ = min_k ‖τ - k τ̂‖²/‖τ‖²
 
-is small where they belong together; of forces alone it is the first half. The same S
+with s, k ≥ 0 is small where they belong together; of forces alone S = S_f. The same S
 of the recordings read otherwise (other sign, frame, order, instant) says which reading
-they were likely written in.
+they were likely written in. The product, and not the sum: to compare its logarithm is
+to compare likelihoods of Gaussian residuals whose two variances are not known, so that
+torques that no reading explains do not hide what the forces say.
 """
 
 from __future__ import annotations
@@ -104,8 +106,8 @@ class Mistake:
 
     def __str__(self) -> str:
         return (
-            f"{self.what}? Disagreement with the geometry {self.before:.2f} → "
-            f"{self.after:.2f}: read them with {self.mends or 'none of those options'}"
+            f"{self.what}? Disagreement with the geometry {self.before:.2g} → "
+            f"{self.after:.2g}: read them with {self.mends or 'none of those options'}"
         )
 
 
@@ -117,7 +119,7 @@ class SanityReport:
         recordings: One check each.
         shell_size: Edges of the shell's bounding box, probe frame, shape (3,) [m].
         shell_centroid: Area centroid, probe frame, shape (3,) [m].
-        disagreement: S of the recordings as read, from 0 to 2 [–].
+        disagreement: S of the recordings as read, from 0 to 1 [–].
         mistake: The likeliest mistake; None where nothing fits clearly better.
     """
 
@@ -215,6 +217,19 @@ def _recording(
         int((contact & ~force).sum()),
         int((found.beyond_inner > 0).sum()),
     )
+
+
+def likely_mistake(
+    scene: Scene, written: Trajectory, told: Conventions
+) -> Mistake | None:
+    """What fits clearly better than what was told; no fit is needed.
+
+    Args:
+        scene: With measured forces, whatever its boundary values.
+        written: The recordings with the files' numbers taken at their word.
+        told: How the scene's were read from that.
+    """
+    return _likely_mistake(scene, written, told)[1]
 
 
 def _likely_mistake(
@@ -339,7 +354,8 @@ def _agreement(scene: Scene, prior: Array, frames: Trajectory) -> _Agreement:
     if frames.torque is None:
         return _Agreement(force_left, 0.0)
     k, torque_left = _scaled(frames.torque.reshape(-1), rows.W @ prior)
-    return _Agreement(force_left + torque_left, k / s if s > 0.0 else 0.0)
+    left = math.sqrt(force_left * torque_left)
+    return _Agreement(left, k / s if s > 0.0 else 0.0)
 
 
 def _scaled(measured: Array, expected: Array) -> tuple[float, float]:
