@@ -7,7 +7,6 @@ scan or a surface.
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
+from ttus_opt.compiled import Stopwatch
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.html_card import card, sections_svg
@@ -51,10 +51,11 @@ class Scene:
         outer: p_out; the outer layer has -p_out [N or N/cm²].
         b: Right side of L p = b, shape (V,) [N or N/cm²].
         parameters: What assembling identified, by name (``boundary_scale``).
-        seconds: Time the assembly took [s].
+        seconds: Time the assembly took, without compiling [s].
         standard_errors: Of those parameters, by name.
         not_identified: Those that the data do not bear, whose neutral value is used,
             with the reason, by name.
+        compile_seconds: Time the assembly's compiling took [s].
     """
 
     voxmap: Voxmap
@@ -70,6 +71,7 @@ class Scene:
     seconds: float = field(default=0.0, compare=False)
     standard_errors: Mapping[str, float] = field(default_factory=dict)
     not_identified: Mapping[str, str] = field(default_factory=dict)
+    compile_seconds: float = field(default=0.0, compare=False)
 
     @classmethod
     def assemble(
@@ -104,7 +106,7 @@ class Scene:
             InputError: Unknown sampling, boundary values that are not finite, or
                 "fit" without a measured force in contact.
         """
-        start = time.perf_counter()
+        watch = Stopwatch()
         checked_sampling(sampling)
         if isinstance(inner, str) and inner != "fit":
             raise InputError(f'inner must be a number or "fit", got {inner!r}')
@@ -136,9 +138,10 @@ class Scene:
             float(outer),
             laplace.right_side(float(inner), float(outer)),
             known.parameters,
-            time.perf_counter() - start,
+            watch.seconds,
             known.standard_errors,
             known.not_identified,
+            watch.compile,
         )
 
     def __repr__(self) -> str:
