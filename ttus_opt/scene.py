@@ -36,6 +36,10 @@ BOUNDARY_SCALE = "boundary_scale"
 LARGEST_SCALE_ERROR = 0.5
 
 
+#: Largest boundary value: far above any stiffness, far below overflow [N or N/cm²]
+LARGEST_BOUNDARY = 1e9
+
+
 @dataclass(frozen=True)
 class Scene:
     """Matrices and measurements of one fit.
@@ -93,7 +97,8 @@ class Scene:
             inner: p_in, or "fit": the one scale for which the Laplace field alone
                 matches the measured forces best in least squares; 1 where its
                 standard error is larger than half of it (a `TtusWarning`). None is
-                "fit" where forces were measured in contact, else 1.
+                "fit" where forces were measured in contact, else 1; forces that push
+                into the patient are then a warning and no error.
             outer: p_out; where p_in is fitted the ratio p_out / p_in.
             sampling: ``trilinear`` or ``voxel-mean``. The paper has the latter and
                 p_in = p_out = 1: `ttus_opt.paper.SCENE`.
@@ -110,6 +115,8 @@ class Scene:
         checked_sampling(sampling)
         if isinstance(inner, str) and inner != "fit":
             raise InputError(f'inner must be a number or "fit", got {inner!r}')
+        for name, value in (("inner", inner), ("outer", outer)):
+            _check_boundary(name, value)
         laplace = LaplaceSystem.assemble(voxmap)
         rows = contact_rows(
             voxmap,
@@ -120,11 +127,12 @@ class Scene:
         )
         _report_contact(rows, voxmap.grid.r_inner)
         known = _Identified({}, {}, {})
+        asked = inner is not None
         if inner is None:
             touching = bool((rows.contact_points > 0).any())
             inner = "fit" if touching and trajectory.has_wrench else 1.0
         if isinstance(inner, str):
-            known = _identified_scale(laplace, rows, trajectory, outer)
+            known = _identified_scale(laplace, rows, trajectory, outer, asked)
             inner = known.parameters[BOUNDARY_SCALE]
             outer = inner * outer
         return cls(
@@ -283,6 +291,21 @@ class ScenePlan:
         )
 
 
+def _check_boundary(name: str, value: float | str | None) -> None:
+    """Validate a boundary value that is a number.
+
+    Raises:
+        InputError: It is not finite, or beyond any stiffness.
+    """
+    if isinstance(value, str) or value is None:
+        return
+    if not np.isfinite(value) or abs(value) > LARGEST_BOUNDARY:
+        raise InputError(
+            f"boundary values must be finite and at most {LARGEST_BOUNDARY:g}, got "
+            f"{name} {value}"
+        )
+
+
 def _measured(values: Array | None, what: str) -> Array:
     if values is None:
         raise InputError(
@@ -329,10 +352,24 @@ class _Identified(NamedTuple):
 
 
 def _identified_scale(
-    laplace: LaplaceSystem, rows: ContactRows, trajectory: Trajectory, outer: float
+    laplace: LaplaceSystem,
+    rows: ContactRows,
+    trajectory: Trajectory,
+    outer: float,
+    asked: bool,
 ) -> _Identified:
-    """The boundary scale; 1 where the forces do not bear it."""
+    """The boundary scale; 1 where the forces do not bear it.
+
+    Raises:
+        InputError: It was asked for and there is no force in contact, or the forces
+            push into the patient.
+    """
     scale, error = _boundary_scale(laplace, rows, trajectory, outer)
+    if asked and scale <= 0.0:
+        raise InputError(
+            f'inner="fit" found a boundary scale of {scale:.3g}: the measured forces '
+            "push into the patient: give the force ON the probe in patient axes"
+        )
     if error <= LARGEST_SCALE_ERROR * scale:
         return _Identified({BOUNDARY_SCALE: scale}, {BOUNDARY_SCALE: error}, {})
     reason = _report_scale(scale, error)
@@ -357,11 +394,6 @@ def _boundary_scale(
             "the patient: give inner as a number"
         )
     scale = float(unit @ force) / square
-    if scale <= 0.0:
-        raise InputError(
-            f'inner="fit" found a boundary scale of {scale:.3g}: the measured forces '
-            "push into the patient: give the force ON the probe in patient axes"
-        )
     contact = np.repeat(rows.contact_points > 0, 3)
     rest = (scale * unit - force)[contact]
     freedom = len(rest) - 1
@@ -372,6 +404,8 @@ def _boundary_scale(
 def _report_scale(scale: float, error: float) -> str:
     """Warn of a boundary scale that the forces do not bear, and say why."""
     reason = f"the forces give {scale:.3g} ± {error:.2g}"
+    if scale < -2.0 * error:
+        reason = f"the forces push into the patient ({scale:.3g} ± {error:.2g})"
     warnings.warn(
         f'inner="fit" cannot tell the boundary scale: {reason}: 1 is used: record more '
         "contact, or give inner as a number",
