@@ -6,6 +6,7 @@ import io
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -185,6 +186,20 @@ def test_code_nobody_asks_for_is_removed(load: Load, tmp_path: Path) -> None:
     assert sorted(left) == ["haunted.callee.step"] + ["haunted.caller.twice"] * 2
 
 
+def test_a_stopwatch_tells_compiling_apart(load: Load) -> None:
+    caller, watch = load(), kept.Stopwatch()
+    begun = time.perf_counter()
+    caller.twice(0)
+    whole, first = time.perf_counter() - begun, watch.compile
+    assert 0.0 < first < whole
+    assert watch.seconds < time.perf_counter() - begun - first + 0.01
+    caller.twice(0)
+    assert watch.compile == first
+    kept_code = load()
+    kept_code.twice(0)  # read from the folder
+    assert watch.compile == first
+
+
 def test_a_folder_that_cannot_be_written_to_is_no_failure(
     load: Load, tmp_path: Path
 ) -> None:
@@ -212,6 +227,30 @@ def test_only_a_private_folder_is_trusted(
     other.symlink_to(mine)
     with pytest.warns(RuntimeWarning, match="set NUMBA_CACHE_DIR"):
         assert chosen() is None
+
+
+def test_a_chosen_folder_that_others_may_write_to_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As NUMBA_CACHE_DIR=/tmp would be, where someone else was first."""
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "shared"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
+    choose = kept._folder.__wrapped__
+    folder = choose()
+    assert folder == tmp_path / "shared" / "ttus_opt"
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.chmod(0o770)
+    with pytest.warns(RuntimeWarning, match="others may write to it"):
+        assert choose() == tmp_path / "home" / "ttus_opt" / "compiled"
+    folder.chmod(0o755)
+    assert choose() == folder
+    owner = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: owner + 1)  # now it is another's
+    if owner != 0:  # the administrator's is trusted
+        with pytest.warns(RuntimeWarning):
+            choose()
+    else:
+        assert choose() == folder
 
 
 def test_an_inner_function_is_called_by_compiled_ones_only() -> None:

@@ -16,6 +16,7 @@ import hashlib
 import os
 import pickle
 import platform
+import stat
 import sys
 import tempfile
 import time
@@ -29,7 +30,7 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
-from numba.core import caching, compiler, sigutils
+from numba.core import caching, compiler, event, sigutils
 from numba.core.serialize import dumps
 
 # Machine code that nobody has asked for during so long is removed.
@@ -98,6 +99,46 @@ def _announce() -> None:
             "ttus_opt compiles what it uses, once on this machine: up to a minute. "
             "`ttus-opt warm-up` does all of it ahead.\n"
         )
+
+
+class _Compiling(event.Listener):
+    """How long numba has compiled in this process; loading of kept code is none."""
+
+    def __init__(self) -> None:
+        self.seconds, self._depth, self._since = 0.0, 0, 0.0
+
+    def on_start(self, event: Any) -> None:
+        """One function compiles, maybe amid another: numba lets one thread do so."""
+        if self._depth == 0:
+            self._since = time.perf_counter()
+        self._depth += 1
+
+    def on_end(self, event: Any) -> None:
+        """It is compiled, or has failed."""
+        self._depth -= 1
+        if self._depth == 0:
+            self.seconds += time.perf_counter() - self._since
+
+
+_COMPILING = _Compiling()
+event.register("numba:compile", _COMPILING)
+
+
+class Stopwatch:
+    """Time from its making on, with what numba compiled meanwhile told apart."""
+
+    def __init__(self) -> None:
+        self._start, self._compiled = time.perf_counter(), _COMPILING.seconds
+
+    @property
+    def compile(self) -> float:
+        """Compiling, all threads together [s]."""
+        return _COMPILING.seconds - self._compiled
+
+    @property
+    def seconds(self) -> float:
+        """All else [s]."""
+        return time.perf_counter() - self._start - self.compile
 
 
 def content_stamp(dispatcher: Any) -> str:
@@ -326,13 +367,20 @@ def _folder() -> Path | None:
     """Where machine code is kept: the user's cache, else a private temporary folder.
 
     What lies there is run, so it must belong to the user and be writable to no one
-    else. A folder that the user has set (``NUMBA_CACHE_DIR``) is taken as it is.
+    else. A folder that the user has set (``NUMBA_CACHE_DIR``) may also be the
+    administrator's, who compiled ahead for all.
     """
     chosen = numba.config.CACHE_DIR
     if chosen:
         folder = Path(chosen) / "ttus_opt"
-        folder.mkdir(parents=True, exist_ok=True)
-        return folder
+        if _made(folder) and _trusted(folder, owners=(0,)):
+            return folder
+        warnings.warn(
+            f"{folder} is not used for compiled code: it cannot be made, or others may "
+            "write to it: change its owner and mode, or NUMBA_CACHE_DIR",
+            RuntimeWarning,
+            stacklevel=2,
+        )
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
     for folder in (
@@ -351,18 +399,28 @@ def _folder() -> Path | None:
 
 
 def _private(folder: Path) -> bool:
-    """Make a folder, and say whether only this user may write to it."""
+    """Make a folder, and say whether this user and no other may write to it."""
+    return _made(folder) and _trusted(folder) and os.access(folder, os.W_OK)
+
+
+def _made(folder: Path) -> bool:
+    """Make a folder for this user alone, where it is not there yet."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
-        status = folder.lstat()
     except OSError:
         return False
-    if hasattr(os, "getuid") and (
-        status.st_uid != os.getuid() or status.st_mode & 0o022
-    ):
+    return True
+
+
+def _trusted(folder: Path, owners: tuple[int, ...] = ()) -> bool:
+    """Whether nobody but this user, or these, can have put anything there."""
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode):  # a link goes where others want it to
         return False
-    return folder.is_dir() and not folder.is_symlink() and os.access(folder, os.W_OK)
+    if not hasattr(os, "getuid"):
+        return True
+    return status.st_uid in (os.getuid(), *owners) and not status.st_mode & 0o022
 
 
 @functools.cache  # once in a process, and only in one that compiles

@@ -7,7 +7,6 @@ scan or a surface.
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -17,6 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
+from ttus_opt.compiled import Stopwatch
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.html_card import card, sections_svg
@@ -36,6 +36,10 @@ BOUNDARY_SCALE = "boundary_scale"
 LARGEST_SCALE_ERROR = 0.5
 
 
+#: Largest boundary value: far above any stiffness, far below overflow [N or N/cm²]
+LARGEST_BOUNDARY = 1e9
+
+
 @dataclass(frozen=True)
 class Scene:
     """Matrices and measurements of one fit.
@@ -51,10 +55,11 @@ class Scene:
         outer: p_out; the outer layer has -p_out [N or N/cm²].
         b: Right side of L p = b, shape (V,) [N or N/cm²].
         parameters: What assembling identified, by name (``boundary_scale``).
-        seconds: Time the assembly took [s].
+        seconds: Time the assembly took, without compiling [s].
         standard_errors: Of those parameters, by name.
         not_identified: Those that the data do not bear, whose neutral value is used,
             with the reason, by name.
+        compile_seconds: Time the assembly's compiling took [s].
     """
 
     voxmap: Voxmap
@@ -70,6 +75,7 @@ class Scene:
     seconds: float = field(default=0.0, compare=False)
     standard_errors: Mapping[str, float] = field(default_factory=dict)
     not_identified: Mapping[str, str] = field(default_factory=dict)
+    compile_seconds: float = field(default=0.0, compare=False)
 
     @classmethod
     def assemble(
@@ -91,7 +97,8 @@ class Scene:
             inner: p_in, or "fit": the one scale for which the Laplace field alone
                 matches the measured forces best in least squares; 1 where its
                 standard error is larger than half of it (a `TtusWarning`). None is
-                "fit" where forces were measured in contact, else 1.
+                "fit" where forces were measured in contact, else 1; forces that push
+                into the patient are then a warning and no error.
             outer: p_out; where p_in is fitted the ratio p_out / p_in.
             sampling: ``trilinear`` or ``voxel-mean``. The paper has the latter and
                 p_in = p_out = 1: `ttus_opt.paper.SCENE`.
@@ -104,10 +111,12 @@ class Scene:
             InputError: Unknown sampling, boundary values that are not finite, or
                 "fit" without a measured force in contact.
         """
-        start = time.perf_counter()
+        watch = Stopwatch()
         checked_sampling(sampling)
         if isinstance(inner, str) and inner != "fit":
             raise InputError(f'inner must be a number or "fit", got {inner!r}')
+        for name, value in (("inner", inner), ("outer", outer)):
+            _check_boundary(name, value)
         laplace = LaplaceSystem.assemble(voxmap)
         rows = contact_rows(
             voxmap,
@@ -118,11 +127,12 @@ class Scene:
         )
         _report_contact(rows, voxmap.grid.r_inner)
         known = _Identified({}, {}, {})
+        asked = inner is not None
         if inner is None:
             touching = bool((rows.contact_points > 0).any())
             inner = "fit" if touching and trajectory.has_wrench else 1.0
         if isinstance(inner, str):
-            known = _identified_scale(laplace, rows, trajectory, outer)
+            known = _identified_scale(laplace, rows, trajectory, outer, asked)
             inner = known.parameters[BOUNDARY_SCALE]
             outer = inner * outer
         return cls(
@@ -136,9 +146,10 @@ class Scene:
             float(outer),
             laplace.right_side(float(inner), float(outer)),
             known.parameters,
-            time.perf_counter() - start,
+            watch.seconds,
             known.standard_errors,
             known.not_identified,
+            watch.compile,
         )
 
     def __repr__(self) -> str:
@@ -286,6 +297,21 @@ class ScenePlan:
         )
 
 
+def _check_boundary(name: str, value: float | str | None) -> None:
+    """Validate a boundary value that is a number.
+
+    Raises:
+        InputError: It is not finite, or beyond any stiffness.
+    """
+    if isinstance(value, str) or value is None:
+        return
+    if not np.isfinite(value) or abs(value) > LARGEST_BOUNDARY:
+        raise InputError(
+            f"boundary values must be finite and at most {LARGEST_BOUNDARY:g}, got "
+            f"{name} {value}"
+        )
+
+
 def _measured(values: Array | None, what: str) -> Array:
     if values is None:
         raise InputError(
@@ -332,10 +358,24 @@ class _Identified(NamedTuple):
 
 
 def _identified_scale(
-    laplace: LaplaceSystem, rows: ContactRows, trajectory: Trajectory, outer: float
+    laplace: LaplaceSystem,
+    rows: ContactRows,
+    trajectory: Trajectory,
+    outer: float,
+    asked: bool,
 ) -> _Identified:
-    """The boundary scale; 1 where the forces do not bear it."""
+    """The boundary scale; 1 where the forces do not bear it.
+
+    Raises:
+        InputError: It was asked for and there is no force in contact, or the forces
+            push into the patient.
+    """
     scale, error = _boundary_scale(laplace, rows, trajectory, outer)
+    if asked and scale <= 0.0:
+        raise InputError(
+            f'inner="fit" found a boundary scale of {scale:.3g}: the measured forces '
+            "push into the patient: give the force ON the probe in patient axes"
+        )
     if error <= LARGEST_SCALE_ERROR * scale:
         return _Identified({BOUNDARY_SCALE: scale}, {BOUNDARY_SCALE: error}, {})
     reason = _report_scale(scale, error)
@@ -361,11 +401,6 @@ def _boundary_scale(
             "number"
         )
     scale = float(unit @ force) / square
-    if scale <= 0.0:
-        raise InputError(
-            f'inner="fit" found a boundary scale of {scale:.3g}: the measured forces '
-            "push into the patient: give the force ON the probe in patient axes"
-        )
     contact = np.repeat(rows.contact_points > 0, 3)
     rest = (scale * unit - force)[contact]
     freedom = len(rest) - 1
@@ -376,6 +411,8 @@ def _boundary_scale(
 def _report_scale(scale: float, error: float) -> str:
     """Warn of a boundary scale that the forces do not bear, and say why."""
     reason = f"the forces give {scale:.3g} ± {error:.2g}"
+    if scale < -2.0 * error:
+        reason = f"the forces push into the patient ({scale:.3g} ± {error:.2g})"
     warnings.warn(
         f'inner="fit" cannot tell the boundary scale: {reason}: 1 is used: record more '
         "contact, or give inner as a number",

@@ -319,3 +319,11 @@ def test_every_formulation_is_solved_by_what_auto_picks(info: object) -> None:
     assert solution.objective <= program.objective(x) * (1 + 1e-6) + 1e-9
     for slack in solution.slacks.values():
         assert slack.min() > -1e-5
+
+
+def test_compiling_is_no_part_of_the_other_times() -> None:
+    scene = replace(SCENE, seconds=2.0, compile_seconds=900.0)
+    times = tt.fit(scene, "eq10").timings
+    assert times.compile >= 900.0
+    assert 2.0 <= times.assembly < 900.0
+    assert times.as_dict()["compile"] == times.compile

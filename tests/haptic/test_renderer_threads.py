@@ -9,6 +9,7 @@ import pytest
 
 from tests.haptic.test_renderer import random_field
 from tests.pressing import DRAG, TWIST, deepest_pose, pressing
+from ttus_opt.errors import InputError
 from ttus_opt.haptic.blend import BlendLaw
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.scene import Scene
@@ -125,3 +126,34 @@ def test_updates_come_one_after_the_other(scene: Scene) -> None:
     threads[0].join(10.0)
     threads[1].join(10.0)
     assert claims == [True, True]
+
+
+@pytest.mark.parametrize("call", ["render", "render_into"])
+def test_two_threads_that_render_at_once_are_told(scene: Scene, call: str) -> None:
+    """A second frame comes while the first is under way; afterwards all is well."""
+    renderer, pose = Renderer(pressing(scene), scene.shell), deepest_pose(scene)
+    within, told = renderer._set_motion, []
+
+    def frame() -> object:
+        more = (np.empty(6),) if call == "render_into" else ()
+        return getattr(renderer, call)(*pose, *more)
+
+    def meanwhile(*arguments: object) -> object:
+        renderer._set_motion = within  # type: ignore[method-assign]
+
+        def other() -> None:
+            with pytest.raises(InputError, match="give each a Renderer of its own"):
+                frame()
+            told.append(True)
+
+        thread = threading.Thread(target=other)
+        thread.start()
+        thread.join()
+        return within(*arguments)  # type: ignore[arg-type]
+
+    renderer._set_motion = meanwhile  # type: ignore[method-assign,assignment]
+    frame()
+    assert told == [True]
+    with pytest.raises(InputError):
+        renderer.render(np.full((3, 3), np.nan), pose[1])
+    frame()  # a frame that was refused gives its turn back

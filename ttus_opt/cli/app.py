@@ -7,7 +7,9 @@ import importlib.metadata
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
@@ -90,7 +92,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except typer.Exit as stop:
         status = stop.exit_code
     except MemoryError as error:
-        _end(f"out of memory: {error}: choose a smaller shape", BAD_INPUT)
+        what = str(error) or f"in {_place(error)}"
+        _end(f"out of memory: {what}: choose a smaller shape", BAD_INPUT)
     except (TtusError, OSError) as error:
         _end(as_options(str(error)), BAD_INPUT)
     except Exception as error:
@@ -115,6 +118,13 @@ def _termination_as_exit() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _place(error: BaseException) -> str:
+    """The innermost function of an error, for one that says nothing of itself."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if "ttus_opt" in frame.filename] or list(frames)
+    return f"{own[-1].name} ({Path(own[-1].filename).stem})"
 
 
 def _end(message: str, status: int) -> NoReturn:

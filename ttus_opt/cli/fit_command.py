@@ -376,6 +376,7 @@ def _tell(solution: Solution, output: Path) -> None:
         f"{after if solution.attempts else ''}, "
         f"{_n_voxels(solution):,} voxels, KKT {worst:.1e}, "
         f"{times.assembly:.1f} s assembly, {times.setup + times.solve:.1f} s solve"
+        + (f", {times.compile:.1f} s compile" if times.compile > 0.05 else "")
     )
     typer.echo(f"objective {solution.objective:.4g} ({costs})")
     for name, (had, has) in solution.compressed.items():

@@ -158,11 +158,16 @@ class Sliding:
             Shape (T,), from 0 to n_theta·n_z − 1.
 
         Raises:
-            InputError: A count below 1.
+            InputError: A count below 1, or more patches than poses could tell apart.
         """
         if n_theta < 1 or n_z < 1:
             raise InputError(
                 f"regions need at least one sector and one band, got {n_theta}×{n_z}"
+            )
+        if n_theta * n_z > MOST_REGIONS:
+            raise InputError(
+                f"regions are at most {MOST_REGIONS:,}, got {n_theta}×{n_z}: choose "
+                "fewer sectors or bands"
             )
         grid = voxmap.grid
         _, theta, z = cylindrical(self.position)
@@ -259,6 +264,9 @@ FRICTION, VISCOUS = "friction_coefficient", "viscous_coefficient"
 DRAG_DEADBAND, DRAG_AT_REFERENCE = "drag_deadband", "drag_at_reference"
 DRAG_AXIS = ("drag_axis_x", "drag_axis_y", "drag_axis_z")
 SECTORS, BANDS = "viscous_sectors", "viscous_bands"
+
+#: Most patches of the torso with a coefficient each [–]
+MOST_REGIONS = 10_000
 
 
 def _blocks(blocks: Array) -> sp.csr_array:

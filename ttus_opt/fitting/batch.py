@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ttus_opt.compiled import Stopwatch
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.identification import fitted_estimates, with_estimates
 from ttus_opt.fitting.parameter_search import Found, searched
@@ -60,7 +60,7 @@ def fit(
             take the problem.
         SolverUnavailableError: The solver's package is not installed.
     """
-    start = time.perf_counter()
+    watch = Stopwatch()
     declared = shelf.load(formulation, scene, **options)
     if declared.scene is not scene:
         raise InputError("the formulation is of another scene: build it for this one")
@@ -68,14 +68,13 @@ def fit(
     doubts = declared.not_identifiable()
     declared = declared.with_neutral(doubts)
     if declared.search is None:
-        return _told(Found(declared, {}), doubts, solver, request, start)
+        return _told(Found(declared, {}), doubts, solver, request, watch)
     loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
     found = searched(
         declared.search, Again(solver, loose), Again(solver, request), doubts
     )
-    spent = time.perf_counter() - start
     found = replace(found, formulation=found.formulation.named(declared.name))
-    return _told(found, doubts, solver, request, None, spent)
+    return _told(found, doubts, solver, request, None, watch)
 
 
 def _told(
@@ -83,8 +82,8 @@ def _told(
     doubts: Mapping[str, str],
     solver: str | Path | Solver,
     request: Request,
-    started: float | None,
-    spent: float = 0.0,
+    declaring: Stopwatch | None,
+    searching: Stopwatch | None = None,
 ) -> Solution:
     """The fit of what a search found, until the data bear every parameter in it.
 
@@ -93,22 +92,26 @@ def _told(
         doubts: Why a parameter is not identified, by name.
         solver: As of `fit`.
         request: Tolerance and time limit.
-        started: When declaring it began; None where a search came between.
-        spent: On the search [s].
+        declaring: Runs since declaring it began; None where a search came between.
+        searching: Runs since the search began; None without one.
     """
     declared = found.formulation
     known = dict(doubts)
     known |= {name: e.doubt for name, e in found.estimates.items() if e.doubt}
     estimates = {n: e for n, e in found.estimates.items() if n not in known}
     n_searched = len(estimates)
-    fitter = Fitter(declared, solver=solver, request=request, started=started)
+    spent, compiled = 0.0, 0.0
+    if searching is not None:
+        spent, compiled = searching.seconds, searching.compile
+    fitter = Fitter(declared, solver=solver, request=request, watch=declaring)
     solution = fitter.solve()
     while True:
-        begun = time.perf_counter()
+        watch = Stopwatch()
         estimates |= fitted_estimates(
             declared, solution, request, n_searched, fitter.solver
         )
-        spent += time.perf_counter() - begun
+        spent += watch.seconds
+        compiled += watch.compile
         more = {n: e.doubt for n, e in estimates.items() if e.doubt}
         if not any(estimates[name].value for name in more):
             # nothing is in doubt, or what is has its neutral value already
@@ -120,7 +123,8 @@ def _told(
         fitter = Fitter(declared, solver=solver, request=request)
         solution = fitter.solve()
     if spent and (estimates or found.estimates or found.trouble):
-        timings = replace(solution.timings, search=spent)
+        timings = solution.timings
+        timings = replace(timings, search=spent, compile=timings.compile + compiled)
         solution = replace(solution, timings=timings)
     return with_estimates(solution, declared.scene, estimates, known, found.trouble)
 
@@ -151,7 +155,7 @@ class Fitter:
         declared: The formulation.
         solver: As of `fit`.
         request: Tolerance and time limit.
-        started: When declaring it began, of `time.perf_counter` [s].
+        watch: Runs since declaring it began.
     """
 
     def __init__(
@@ -160,7 +164,7 @@ class Fitter:
         *,
         solver: str | Path | Solver = "auto",
         request: Request | None = None,
-        started: float | None = None,
+        watch: Stopwatch | None = None,
     ) -> None:
         """Compile the formulation and prepare the solver.
 
@@ -168,7 +172,7 @@ class Fitter:
             InputError: Unknown solver, or one that cannot take the problem.
             SolverUnavailableError: The solver's package is not installed.
         """
-        start = time.perf_counter() if started is None else started
+        watch = watch or Stopwatch()
         self._request = request or Request()
         self._declared = declared
         self._compression = Compression()
@@ -176,10 +180,12 @@ class Fitter:
         self._backend, *self._others = registry.candidates(
             solver, self._reduction.program
         )
-        compiled = time.perf_counter()
+        self._assembly = declared.scene.seconds + watch.seconds
+        self._compile = declared.scene.compile_seconds + watch.compile
+        watch = Stopwatch()
         self._prepared = self._loaded()
-        self._assembly = declared.scene.seconds + compiled - start
-        self._setup = time.perf_counter() - compiled
+        self._setup = watch.seconds
+        self._compile += watch.compile
         self._first: float | None = None
         self._taken_in = 0.0
 
@@ -198,12 +204,13 @@ class Fitter:
 
     def update(self, declared: Formulation) -> None:
         """Take other weights or data; the solver keeps what it can."""
-        start = time.perf_counter()
+        watch = Stopwatch()
         self._declared = declared
         self._reduction = self._reduced()
         with told_by_line(f"solver {self._backend.name}"):
             self._prepared.update(self._reduction.program)
-        self._taken_in = time.perf_counter() - start
+        self._taken_in = watch.seconds
+        self._compile += watch.compile
 
     def solve(self) -> Solution:
         """Solve what is loaded and verify the answer.
@@ -237,26 +244,30 @@ class Fitter:
             return self._backend.prepare(self._reduction.program, self._request)
 
     def _take_next(self) -> None:
-        start = time.perf_counter()
+        watch = Stopwatch()
         self._backend = self._others.pop(0)
         self._prepared = self._loaded()
-        self._setup += time.perf_counter() - start
+        self._setup += watch.seconds
+        self._compile += watch.compile
         self._first = None
 
     def _solved(self) -> Solution:
         """What the solver in charge answers, verified."""
-        start = time.perf_counter()
+        watch = Stopwatch()
         with told_by_line(f"solver {self._backend.name}"):
             candidate = self._prepared.solve()
         check_candidate(candidate, self._reduction.program, self._backend.name)
-        spent = time.perf_counter() - start
+        spent = watch.seconds
+        self._compile += watch.compile
         again = None
         if self._first is None:
             self._first = spent
         else:
             again = self._taken_in + spent
         self._taken_in = 0.0
-        timings = Timings(self._assembly, self._setup, self._first, again)
+        timings = Timings(
+            self._assembly, self._setup, self._first, again, compile=self._compile
+        )
         solution = judged(
             self._declared,
             self._reduction,

@@ -103,12 +103,13 @@ class _Fields:
 class Renderer:
     """Renders contact of one probe with one field, and with the fields after it.
 
-    One thread renders; any other may call `update` and `warm_up`. A frame never waits
-    for a lock: while an update prepares a swap, frames go on with the present fields.
-    `render_into` allocates nothing; `render` allocates the `Wrench` that it returns.
-    Compiled code runs without the interpreter's lock, here and in the fit; a thread
-    busy in plain Python holds that lock for up to `sys.getswitchinterval`, so give such
-    work a process of its own, or run the loop in C (`c_function`).
+    One thread renders, a second one at the same time is refused; any other may call
+    `update` and `warm_up`. A frame never waits for a lock: while an update prepares a
+    swap, frames go on with the present fields. `render_into` allocates nothing;
+    `render` allocates the `Wrench` that it returns. Compiled code runs without the
+    interpreter's lock, here and in the fit; a thread busy in plain Python holds that
+    lock for up to `sys.getswitchinterval`, so give such work a process of its own, or
+    run the loop in C (`c_function`).
 
     A field that was fitted with friction drags on a moving probe. How it moves is
     given as a twist, or estimated from poses with their times (`MotionFilter`); with
@@ -158,6 +159,7 @@ class Renderer:
         )
         # a pose is copied here: whatever its layout, it compiles nothing new
         self._buffers = FrameBuffers.empty()
+        self._turn = threading.Lock()  # of the buffers; a frame only tries it
         self._ledger_lock = threading.Lock()  # to change the ledger; frames only try it
         self._waiting = False  # an update wants the ledger
         self._updates = threading.Lock()  # one update at a time
@@ -216,10 +218,15 @@ class Renderer:
 
         Raises:
             InputError: Another form of pose, NaN, a matrix that is not a rotation,
-                both twist and time, or a time before the last one.
+                both twist and time, a time before the last one, or another thread
+                that is rendering.
         """
-        counts, drag = self._render(rotation, position, twist, time, order)
-        wrench = self._buffers.rows[WRENCH].copy()
+        self._take_turn()
+        try:
+            counts, drag = self._render(rotation, position, twist, time, order)
+            wrench = self._buffers.rows[WRENCH].copy()
+        finally:
+            self._turn.release()
         contact_points, in_grid, beyond, saturated = counts
         return Wrench(
             wrench[:3], wrench[3:], contact_points, in_grid, beyond, drag, saturated
@@ -255,11 +262,27 @@ class Renderer:
         """
         if out.shape != (6,):
             raise InputError(f"out must have shape (6,), got {out.shape}")
-        (contact_points, in_grid, _, _), _ = self._render(
-            rotation, position, twist, time, order
-        )
-        out[:] = self._buffers.rows[WRENCH]
+        self._take_turn()
+        try:
+            (contact_points, in_grid, _, _), _ = self._render(
+                rotation, position, twist, time, order
+            )
+            out[:] = self._buffers.rows[WRENCH]
+        finally:
+            self._turn.release()
         return contact_points if in_grid else -1
+
+    def _take_turn(self) -> None:
+        """Take the buffers for a frame, without waiting for them.
+
+        Raises:
+            InputError: Another thread has them.
+        """
+        if not self._turn.acquire(blocking=False):
+            raise InputError(
+                "two threads render with one Renderer at once: give each a Renderer "
+                "of its own"
+            )
 
     def _render(
         self,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
+
+#: No recording has more frames a second [Hz]
+HIGHEST = 1e9
 
 
 def thinned(
@@ -25,7 +26,8 @@ def thinned(
         The frames that are left, as they were measured: nothing is averaged.
 
     Raises:
-        InputError: `every` is no positive whole number, or `rate` is not positive.
+        InputError: `every` is no positive whole number, or `rate` is not positive or
+            beyond `HIGHEST`.
 
     >>> from ttus_opt import example
     >>> from ttus_opt.probe.trajectory import read_trajectory
@@ -35,8 +37,8 @@ def thinned(
     """
     if not (isinstance(every, int) and every >= 1):
         raise InputError(f"every must be a whole number from 1 on, got {every!r}")
-    if rate is not None and not 0.0 < rate < math.inf:
-        raise InputError(f"rate must be positive [Hz], got {rate}")
+    if rate is not None and not 0.0 < rate <= HIGHEST:
+        raise InputError(f"rate must be positive, up to {HIGHEST:g} Hz, got {rate}")
     kept = []
     for segment in dict.fromkeys(trajectory.segment.tolist()):
         frames = np.flatnonzero(trajectory.segment == segment)

@@ -32,6 +32,11 @@ from ttus_opt.user_code import told_by_line
 ENTRY_POINTS = "ttus_opt.formulations"
 
 
+#: Options are numbers up to this: their squares, and those times a million rows, are
+#: far from what a double can hold
+LARGEST = 1e15
+
+
 @dataclass(frozen=True)
 class FormulationInfo:
     """One line about a formulation file.
@@ -133,6 +138,8 @@ def _check_option(what: str, parameter: inspect.Parameter, value: Any) -> None:
         return
     if not fits:
         raise InputError(f"{what} takes {kind}, got {value!r}")
+    if _is_number(value) and LARGEST < abs(value) < math.inf:
+        raise InputError(f"{what} takes {kind}, up to {LARGEST:g}, got {value!r}")
 
 
 def _is_number(value: Any) -> bool:

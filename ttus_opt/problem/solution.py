@@ -36,7 +36,7 @@ class Status(enum.Enum):
 
 @dataclass(frozen=True)
 class Timings:
-    """Where the time went.
+    """Where the time went; what numba compiled is no part of the other times.
 
     Attributes:
         assembly: Scene and program [s].
@@ -46,6 +46,7 @@ class Timings:
             there was none [s].
         search: All fits beside the one that is handed out: along a search, and those
             that tell standard errors; None without any [s].
+        compile: Compiling, which a machine does once [s].
     """
 
     assembly: float
@@ -53,6 +54,7 @@ class Timings:
     solve: float
     again: float | None = None
     search: float | None = None
+    compile: float = 0.0
 
     def as_dict(self) -> dict[str, float]:
         """All times there were, by name, for JSON."""

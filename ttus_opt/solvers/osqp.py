@@ -68,7 +68,8 @@ class _Loaded(Verified):
     def _load(self, program: Program) -> None:
         self._form = program.least_squares_qp()
         rows = TwoSided.of(self._form)
-        if self._rows is not None and rows.same_structure(self._rows):
+        kept = self._solver is not None and self._rows is not None
+        if kept and self._rows is not None and rows.same_structure(self._rows):
             changed: dict[str, Any] = {}
             if not np.array_equal(rows.A.data, self._rows.A.data):
                 changed["Ax"] = rows.A.data
@@ -80,9 +81,17 @@ class _Loaded(Verified):
         self._rows = rows
 
     def _set_up(self, rows: TwoSided) -> Any:
+        """A solver with its factor, None where OSQP refuses the numbers."""
         import osqp
 
         solver = osqp.OSQP()
+        try:
+            self._setup_with(solver, rows)
+        except osqp.OSQPException:
+            return None
+        return solver
+
+    def _setup_with(self, solver: Any, rows: TwoSided) -> None:
         solver.setup(
             sp.csc_matrix(sp.triu(rows.P)),
             rows.q,
@@ -95,10 +104,11 @@ class _Loaded(Verified):
             max_iter=ITERATIONS,
             polishing=False,
         )
-        return solver
 
     def _attempt(self, eps: float, seconds: float | None) -> Candidate:
         assert self._rows is not None
+        if self._solver is None:
+            return Candidate(None, claim=Claim.GAVE_UP, detail="OSQP refuses the data")
         # an absolute tolerance as well: residuals here are often far below one. Its
         # default would accept a dual residual of 1e-2
         self._solver.update_settings(

@@ -14,6 +14,9 @@ import numpy as np
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.penalties.linear import Linear
 
+#: Entries of a split row of first differences; L's have nine, and splitting takes long
+NARROW = 5.0
+
 
 @dataclass(frozen=True)
 class Sizes:
@@ -26,6 +29,7 @@ class Sizes:
         measured: Rows of terms that are no Laplace prior of a field [–].
         limits: Inequality rows and variables with a bound [–].
         kinks: Rows of linear penalties; absolute values and Huber's reduce to them [–].
+        width: Entries of a constraint's row, on average [–].
     """
 
     voxels: int
@@ -34,6 +38,7 @@ class Sizes:
     measured: int
     limits: int
     kinks: int
+    width: float
 
     @classmethod
     def of(cls, program: Program) -> Sizes:
@@ -57,6 +62,7 @@ class Sizes:
             measured=sum(m for m, t in terms if t.laplace_rows is None),
             limits=limits,
             kinks=sum(m for m, t in terms if isinstance(t.penalty, Linear)),
+            width=sum(c.matrix.nnz for c in program.constraints) / max(sum(held), 1),
         )
 
 
@@ -82,6 +88,6 @@ def splitting_seconds(program: Program) -> float:
     """
     s = Sizes.of(program)
     harder = 1.0 + min(s.limits / s.voxels, 2.0)
-    if s.kinks:
-        harder = 1.5 + 4.0 * min(s.kinks / s.voxels, 1.0)
+    if s.kinks > s.voxels:  # absolute values all over: of differences, or of L's rows
+        harder = 3.5 if s.width <= NARROW else 10.0
     return 0.08 + 1.5e-6 * harder * float(s.voxels**1.45)

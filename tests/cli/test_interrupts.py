@@ -1,0 +1,104 @@
+"""Ctrl-C: every command ends within two seconds, whatever solver is at work."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import PROBE, empty
+from ttus_opt import example
+from ttus_opt.solvers import registry
+
+#: A solver that neither heeds an interrupt nor ends: it holds Python's lock in C
+DEAF = """
+import ctypes, signal
+from ttus_opt.solvers.base import Capabilities, Solver
+
+class Deaf(Solver):
+    name, summary = "deaf", "never ends"
+    capabilities = Capabilities(inequalities=True, equalities=True)
+
+    def prepare(self, program, request):
+        open("at_work", "w").close()
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # as libraries have been seen to
+        ctypes.PyDLL(None).sleep(100)
+
+SOLVERS = [Deaf()]
+"""
+
+
+def started(words: list[str], folder: Path) -> subprocess.Popen[str]:
+    """The command line in a process that heeds interrupts."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "ttus_opt", *words],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
+def interrupted(process: subprocess.Popen[str], *, terminal: bool) -> float:
+    """Interrupt as `kill -INT` or a terminal does; seconds until it has ended."""
+    start = time.perf_counter()
+    (os.killpg if terminal else os.kill)(process.pid, signal.SIGINT)
+    process.wait(60.0)
+    return time.perf_counter() - start
+
+
+@pytest.mark.parametrize("terminal", [False, True], ids=["kill", "terminal"])
+def test_a_solver_that_never_listens(
+    files: Path, tmp_path: Path, terminal: bool
+) -> None:
+    (tmp_path / "deaf.py").write_text(DEAF)
+    output = tmp_path / "output"
+    output.mkdir()
+    words = (
+        f"fit --surface {files / 'surface.nc'} --probe {PROBE} --points 60 "
+        f"--trajectory {files / 'press.csv'} --shape 6,12,6 --solver deaf.py "
+        f"-o {output / 'f.nc'}"
+    ).split()
+    process = started(words, tmp_path)
+    while not (tmp_path / "at_work").exists():
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    interrupted(process, terminal=terminal)
+    assert process.returncode == 130
+    told = process.communicate()[1]
+    assert told.strip().endswith("nothing further was written")
+    assert empty(output)
+    with pytest.raises(ProcessLookupError):  # nothing of it goes on
+        os.killpg(process.pid, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "solver", [s.name for s in registry.solvers().values() if s.installed]
+)
+def test_every_solver_on_a_large_grid(solver: str, tmp_path: Path) -> None:
+    """Interrupted in assembly, set-up or iterations, as it happens to be."""
+    limited = registry.solvers()[solver].capabilities.inequalities
+    formulation = "eq10_sign" if limited else "eq10"
+    words = (
+        f"fit --surface {example.path('surface.nc')} --probe {example.PROBE} "
+        f"--trajectory {example.path('press_fit.csv')} --shape 48,120,60 "
+        f"--formulation {formulation} --solver {solver} -o {tmp_path / 'f.nc'}"
+    ).split()
+    process = started(words, tmp_path)
+    time.sleep(15.0)
+    if process.poll() is not None:
+        assert process.returncode == 0, process.communicate()  # it was quicker
+        return
+    assert interrupted(process, terminal=False) < 2.0
+    assert process.returncode == 130
+    process.communicate()
+    assert empty(tmp_path)
