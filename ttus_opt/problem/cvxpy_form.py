@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ttus_opt import optional
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramCones, ProgramTerm
@@ -45,7 +46,7 @@ class CvxpyProgram:
         Args:
             program: Any program; a term of weight 0 is left out.
         """
-        import cvxpy as cp
+        cp = optional.load("cvxpy", "cvxpy")
 
         variables = {
             name: cp.Variable(part.stop - part.start, name=name)
@@ -149,7 +150,7 @@ class _Cones:
 
     @classmethod
     def of(cls, value: Any, cones: ProgramCones) -> _Cones:
-        import cvxpy as cp
+        cp = optional.load("cvxpy", "cvxpy")
 
         sizes = np.asarray(cones.sizes)
         rows, stated = {}, {}

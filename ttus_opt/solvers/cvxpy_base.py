@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import importlib.util
 import warnings
 from typing import Any
 
@@ -19,6 +20,11 @@ class CvxpySolver(Solver):
     backend: str
     #: First tolerance handed to the package, as a part of the one asked for
     margin: float = 0.1
+
+    @property
+    def installed(self) -> bool:
+        """Whether the solver and cvxpy can be found."""
+        return super().installed and importlib.util.find_spec("cvxpy") is not None
 
     @abc.abstractmethod
     def options(self, eps: float, seconds: float | None) -> dict[str, Any]:

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
+from ttus_opt import optional
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
@@ -145,7 +146,7 @@ class CvxpyRows(Term):
         Raises:
             InputError: It is no convex real scalar, or needs integers.
         """
-        import cvxpy as cp
+        cp = optional.load("cvxpy", "cvxpy")
 
         shape = self.scene.voxmap.grid.shape
         names = list(inspect.signature(self.expression).parameters)
@@ -167,7 +168,7 @@ class CvxpyRows(Term):
 
     @cached_property
     def _canonical(self) -> _Canonical:
-        import cvxpy as cp
+        cp = optional.load("cvxpy", "cvxpy")
 
         stated, variables = self._stated
         problem = cp.Problem(cp.Minimize(stated))
