@@ -15,6 +15,9 @@ comma := ,
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 DOCS_STAMP := $(VENV)/.installed-docs
+LAB_STAMP := $(VENV)/.installed-lab
+# make lab LABFLAGS="--no-browser --port 8890"
+LABFLAGS ?=
 
 # The first Python that is new enough; say `make PYTHON=...` for another.
 PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
@@ -22,12 +25,16 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
 	sys.version_info >= (3, 11) and print("ok")' 2>/dev/null),$(name))))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow notebooks mutants check picture docs docs-check clean
+.PHONY: help demo test slow notebooks lab oldest newest mutants check picture docs \
+	docs-check clean
 
 help:
 	@echo "make demo     the whole method on the bundled example, into demo/"
 	@echo "make test     the tests; make slow for those over ten seconds, notebooks too"
 	@echo "make notebooks  runs the notebooks"
+	@echo "make lab      opens the notebooks"
+	@echo "make oldest   the tests with the oldest versions pyproject.toml allows"
+	@echo "make newest   the tests with the newest there are, pre-releases too"
 	@echo "make mutants  small mistakes put into core modules: how many the tests tell"
 	@echo "make check    format, lint, types, layers"
 	@echo "make picture  the README's picture, docs/overview.png"
@@ -46,6 +53,20 @@ slow: $(STAMP) notebooks
 
 notebooks: $(STAMP)
 	$(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks
+
+lab: $(LAB_STAMP)
+	$(BIN)/python -m jupyterlab --ServerApp.root_dir=notebooks $(LABFLAGS)
+
+# Each in an environment of its own, made anew; uv is what resolves to lower bounds.
+oldest: RESOLUTION = --resolution lowest-direct
+newest: RESOLUTION = --resolution highest --prerelease allow --upgrade
+oldest newest: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check uv
+	$(BIN)/uv venv --quiet --clear --python "$(PYTHON)" $(VENV)-$@
+	$(BIN)/uv pip install --quiet --python $(VENV)-$@/bin/python $(RESOLUTION) \
+		--editable '.[dev]'
+	PYTHONDONTWRITEBYTECODE= $(VENV)-$@/bin/python -m pytest -m "not slow" \
+		$(PARALLEL) $(TESTFLAGS)
 
 mutants: $(STAMP)
 	$(BIN)/python tests/mutants.py --sample $(SAMPLE) $(subst $(comma), ,$(MUTANTS))
@@ -72,7 +93,7 @@ docs-check: $(DOCS_STAMP)
 	RUN_NOTEBOOKS=false $(BIN)/python -m mkdocs build --strict --site-dir .cache/site
 
 clean:
-	rm -rf $(VENV) demo site docs/pictures .cache
+	rm -rf $(VENV) $(VENV)-oldest $(VENV)-newest demo site docs/pictures .cache
 
 $(STAMP): pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
@@ -86,4 +107,9 @@ $(STAMP): pyproject.toml constraints.txt
 $(DOCS_STAMP): $(STAMP)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
 		--constraint constraints.txt --editable '.[docs]'
+	@touch $@
+
+$(LAB_STAMP): $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
+		--constraint constraints.txt --editable '.[lab]'
 	@touch $@

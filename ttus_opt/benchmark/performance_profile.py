@@ -94,13 +94,14 @@ def profile_picture(found: Mapping[str, Sequence[float]]) -> Figure:
     with look():
         figure = new_figure(7.0, 4.0)
         axis = figure.subplots()
-        for solver, style in solver_styles(list(found)).items():
+        styles = solver_styles(found)
+        for solver in found:
             own = sorted(r for r in found[solver] if r < math.inf)
             steps = [1.0, *own, end]
             heights = [share(found[solver], r) for r in steps]
             axis.step(
                 steps, heights, where="post", label=solver, markevery=(0.02, 0.15),
-                **style,
+                **styles[solver],
             )  # fmt: skip
         axis.set(xscale="log", xlabel="factor τ of the fastest", xlim=(1.0, end))
         axis.set_ylabel("share of problems solved within τ")

@@ -106,11 +106,11 @@ def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[str]
 
     reference = settings.reference
     against = closed_form_table(rows, reference)
-    lines = ["## Against the closed form Q p = d", ""]
+    lines = ["## Against the closed form Q p = d", ""] if reference else []
     if against:
         lines += [AGAINST.format(reference), "", against]
-    else:
-        lines += [NO_REFERENCE.format(reference or "no closed form")]
+    elif reference:
+        lines += [NO_REFERENCE.format(reference)]
     groups = _groups(rows)
     if len(groups) > 1:
         lines += ["", "## Every problem", "", problem_table(rows), ""]
