@@ -293,3 +293,14 @@ def test_the_multigrid_refuses_a_variant(given: dict[str, object]) -> None:
     assert not system.is_plain
     with pytest.raises(InputError, match="plain Laplace operator only"):
         _ = system.multigrid
+
+
+def test_couplings_are_the_block_of_free_rows_and_fixed_columns() -> None:
+    system = LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=(9, 20, 10)))
+    L, free = system.L.toarray(), system.free
+    expected = np.where(free[:, None] & ~free, L, 0.0)
+    there, back = system.coupling
+    np.testing.assert_array_equal(there.toarray(), expected)
+    np.testing.assert_array_equal(back.toarray(), expected.T)
+    for matrix in (system.L, there, back):  # half the memory of 64 bits
+        assert matrix.indices.dtype == matrix.indptr.dtype == np.int32
