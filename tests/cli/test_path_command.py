@@ -25,7 +25,7 @@ def test_it_writes_a_file_and_a_picture_and_tells(
     run: Run, files: Path, tmp_path: Path
 ) -> None:
     output, picture = tmp_path / "path.nc", tmp_path / "path.png"
-    more = f"--weight force,torque=1e-3:10:3 --picture {picture}"
+    more = f"--weight force,torque=1e-3:10:3 --criteria --fields --picture {picture}"
     answer = run(words(files, output, f"{more} --json"))
     assert answer.status == 0, answer.err
     told = json.loads(answer.out)
@@ -38,6 +38,8 @@ def test_it_writes_a_file_and_a_picture_and_tells(
     error = told["variables"]["held_out_force_magnitude_error"]
     assert error["units"] == "N"
     np.testing.assert_allclose(error["values"], found["held_out_force_magnitude_error"])
+    assert found["potential"].shape == (3, 10, 16, 8)
+    assert np.isfinite(told["variables"]["log_evidence"]["values"]).all()
     assert picture.read_bytes().startswith(b"\x89PNG")
     best = told["best_weights"]["force"]
     plain = run(words(files, output, more))
@@ -61,6 +63,7 @@ def test_it_writes_a_file_and_a_picture_and_tells(
         ("--weight force=1,2 --inner none", "--inner takes"),
         ("--weight force=1,2 --held-out gone.csv", "gone.csv"),
         ("--weight force=1,2 --formulation none", "none"),
+        ("--weight force=1,2 --formulation eq10_sign --criteria", "without limits"),
     ],
 )
 def test_bad_input_is_one_line(

@@ -137,7 +137,7 @@ def test_without_contact_there_is_nothing_to_tell() -> None:
 
 @pytest.mark.parametrize("name", ["eq10_sign", "viscous_drag"])
 def test_criteria_are_refused_where_there_are_none(name: str) -> None:
-    with pytest.raises(InputError, match="one field without limits"):
+    with pytest.raises(InputError, match="a problem without limits"):
         tt.solution_path(
             name,
             small_scene("trilinear"),

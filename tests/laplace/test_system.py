@@ -312,3 +312,14 @@ def test_a_variant_is_assembled_once() -> None:
     one = system.variant(conductivities=(1.0, 2.0, 3.0))
     assert one is system.variant(conductivities=(1.0, 2.0, 3.0))
     assert one is not system.variant(conductivities=(1.0, 2.0, 3.0), screening=1.0)
+
+
+def test_couplings_are_the_block_of_free_rows_and_fixed_columns() -> None:
+    system = LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=(9, 20, 10)))
+    L, free = system.L.toarray(), system.free
+    expected = np.where(free[:, None] & ~free, L, 0.0)
+    there, back = system.coupling
+    np.testing.assert_array_equal(there.toarray(), expected)
+    np.testing.assert_array_equal(back.toarray(), expected.T)
+    for matrix in (system.L, there, back):  # half the memory of 64 bits
+        assert matrix.indices.dtype == matrix.indptr.dtype == np.int32

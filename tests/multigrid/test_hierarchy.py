@@ -8,6 +8,7 @@ from tests.multigrid.conftest import Torso
 from tests.multigrid.test_aggregated import some_pooled
 from ttus_opt.multigrid.coarsening import DIRECT_NODES, STIFFNESS, coarsen, finest
 from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
+from ttus_opt.voxmap.grid import CylindricalGrid
 
 
 def test_levels_are_the_coarsened_networks(small: Torso) -> None:
@@ -52,3 +53,14 @@ def test_memory_is_counted_once(small: Torso) -> None:
     assert h.memory_bytes == h.fields.nbytes + h.inverse.nbytes + h.table.nbytes
     more = Workspace(h, more=2).memory_bytes - Workspace(h).memory_bytes
     assert more == 2 * 4 * h.levels[0].layout.colour_size
+
+
+def test_levels_are_parts_of_one_array() -> None:
+    grid = CylindricalGrid(0.03, 0.18, 0.0, 0.3, (17, 32, 16))
+    free = np.zeros(grid.shape, dtype=bool)
+    free[1:-1, :, 1:-1] = True
+    hierarchy = Hierarchy.build(grid, free)
+    assert len(hierarchy.levels) > 2
+    for level in hierarchy.levels:
+        for array in level.arrays:
+            assert np.shares_memory(array, hierarchy.fields)

@@ -223,3 +223,10 @@ def test_constraint_rows_keep_their_limits() -> None:
     np.testing.assert_array_equal(form.lower[1:], form.upper[1:])
     x = np.full(TINY.n_voxels, 3.0)
     assert program.constraints[0].slack(x).tolist() == [-1.0]
+
+
+def test_without_bounds_the_box_takes_no_memory() -> None:
+    lower, upper = Program.build(TINY, [LaplaceTerm(TINY)], []).box
+    assert lower.shape == upper.shape == (TINY.n_voxels,)
+    assert (lower == -np.inf).all() and (upper == np.inf).all()
+    assert lower.strides == upper.strides == (0,)

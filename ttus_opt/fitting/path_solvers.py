@@ -18,7 +18,13 @@ from ttus_opt.problem.solution import Solution, Status, Timings
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request, Solver
 from ttus_opt.solvers.dual.data import DualData, root_weights
-from ttus_opt.solvers.dual.weight_sweep import WeightSweep, suits_sweep, value_duals
+from ttus_opt.solvers.dual.weight_sweep import (
+    WeightSweep,
+    is_limited,
+    keeps_limits,
+    suits_sweep,
+    value_duals,
+)
 
 #: Energy of the error over that of the objective, both as roots, in units of the KKT
 #: tolerance: the gap is its square, far below the tolerance, so that fields agree with
@@ -46,7 +52,7 @@ class PointSolver(Protocol):
         """Compute what `criteria` needs, for weights up to these.
 
         Raises:
-            InputError: The problem is not one field without limits.
+            InputError: The problem has none.
         """
 
 
@@ -62,8 +68,9 @@ class _WithoutCriteria:
     def prepare_criteria(self, largest: Formulation) -> None:
         """Refuse."""
         raise InputError(
-            f"no criteria for {largest.name}: they need one field without limits, a "
-            "Laplace term and measured squares; judge by held-out recordings"
+            f"no criteria for {largest.name}: they need a problem without limits, of "
+            "one field, a Laplace term and measured squares; judge by held-out "
+            "recordings"
         )
 
 
@@ -123,12 +130,15 @@ class _Searching(_WithoutCriteria):
 
 
 class _CommonBasis:
-    """The structured solver's reduced basis; single fits where that does not do."""
+    """The structured solver's reduced basis; single fits where that does not do.
 
-    common = True
+    A minimiser without limits that keeps them all the same is that with limits. Where
+    it does not, the working set of the last such point starts the next.
+    """
 
     def __init__(self, program: Program, request: Request) -> None:
         self._request = request
+        self.common = not is_limited(program)
         self._sweep = WeightSweep(DualData.of(program))
         self._alone = _InTurn("structured", request)
         self._criteria: Criteria | None = None
@@ -142,6 +152,8 @@ class _CommonBasis:
         for _ in range(1 + TIGHTENINGS):
             answer = self._sweep.solve(root_weights(program), rtol, deadline)
             steps += answer.directions
+            if not keeps_limits(program, answer.p):
+                break
             late = deadline is not None and time.perf_counter() > deadline
             candidate = Candidate(
                 answer.p,
@@ -165,6 +177,11 @@ class _CommonBasis:
 
     def prepare_criteria(self, largest: Formulation) -> None:
         """Complete the basis, and find out which rows are whose."""
+        if not self.common:
+            raise InputError(
+                f"no criteria for {largest.name}: they need a problem without limits; "
+                "judge by held-out recordings"
+            )
         frames = len(largest.scene.trajectory)
         terms = {
             term.name: len(term.assembled.target)

@@ -176,8 +176,8 @@ class Program:
     def box(self) -> tuple[Array, Array]:
         """All bounds together, (lb, ub), shape (n,) each; not to be written to."""
         if not self.bounds:  # one number that stands for all
-            none = (np.broadcast_to(np.inf, self.n_variables) for _ in range(2))
-            return -next(none), next(none)
+            n = self.n_variables
+            return np.broadcast_to(-np.inf, n), np.broadcast_to(np.inf, n)
         lower = np.full(self.n_variables, -np.inf)
         upper = np.full(self.n_variables, np.inf)
         for bound in self.bounds:

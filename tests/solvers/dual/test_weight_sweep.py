@@ -16,7 +16,13 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData, root_weights
-from ttus_opt.solvers.dual.weight_sweep import WeightSweep, suits_sweep, value_duals
+from ttus_opt.solvers.dual.weight_sweep import (
+    WeightSweep,
+    is_limited,
+    keeps_limits,
+    suits_sweep,
+    value_duals,
+)
 
 WEIGHTS = ((1e-4, 1e-4), (1.0, 1e-2), (1e2, 1e2), (1e-3, 10.0))
 
@@ -86,11 +92,21 @@ def test_a_deadline_ends_it() -> None:
     np.testing.assert_allclose(answer.p, p0, atol=1e-9)
 
 
-def test_only_one_field_without_limits_suits() -> None:
+def test_only_one_field_and_few_rows_suit() -> None:
     scene = small_scene("trilinear")
-    names = ("eq10_sign", "tikhonov", "viscous_drag", "coulomb_drag")
-    for name in names:
+    for name in ("tikhonov", "viscous_drag", "coulomb_drag"):
         assert not suits_sweep(shelf.load(name, scene).compile()), name
+
+
+def test_limits_are_told_from_boundary_values() -> None:
+    hard, sign = declared("eq10_hard_boundary"), declared("eq10_sign_monotone")
+    assert not is_limited(hard.compile()) and is_limited(sign.compile())
+    program = sign.compile()
+    inside = program.laplace.solve(sign.scene.b)
+    assert keeps_limits(program, inside)
+    deep = int(np.argmax(inside * program.laplace.free))
+    for broken in (-inside, np.where(np.arange(len(inside)) == deep, 0.0, inside)):
+        assert not keeps_limits(program, broken)
 
 
 def test_completed_it_holds_all_that_the_rows_tell_of_each_other() -> None:

@@ -25,7 +25,6 @@ from ttus_opt.arrays import Array, Mask
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
-from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, schur_preconditioner
 
@@ -42,23 +41,40 @@ PROBES = 8
 #: Response fields that share one array
 BLOCK = 16
 
+#: By how much a limit may be missed, over the largest value [–]
+ROUNDING = 1e-12
+
 #: A direction of which no more than this is left across the others is none [–]
 DEPENDENT = 1e-10
 
 
 def suits_sweep(program: Program) -> bool:
-    """Whether a program that `structured` takes is one field without limits.
+    """Whether a program that `structured` takes is one field and few measured rows.
 
-    Its few measured rows must be all there is beside the Laplace term, and the response
-    fields must find room.
+    These must be all there is beside the Laplace term, and the response fields must
+    find room. Limits do not matter: where the minimiser without them keeps them, it is
+    the minimiser with them (`keeps_limits`).
     """
     prior, V = laplace_prior(program), len(program.laplace.free)
     if prior is None or program.n_variables != V:
         return False
     rows = sum(len(t.target) for t in program.terms if t is not prior)
-    if rows > min(V // 2, MOST_ROWS) or V > MOST_VOXELS:
-        return False
-    return not SpokeLimits.of(program).binding
+    return rows <= min(V // 2, MOST_ROWS) and V <= MOST_VOXELS
+
+
+def is_limited(program: Program) -> bool:
+    """Whether there are limits beside hard boundary values."""
+    return bool(program.bounds) or any(
+        constraint is not program.dirichlet for constraint in program.constraints
+    )
+
+
+def keeps_limits(program: Program, x: Array) -> bool:
+    """Whether a point keeps all limits but hard boundary values, up to rounding."""
+    least = -ROUNDING * float(np.abs(x).max(initial=0.0))
+    slacks = [bound.slack(x) for bound in program.bounds]
+    slacks += [c.slack(x) for c in program.constraints if c is not program.dirichlet]
+    return all(float(slack.min(initial=0.0)) >= least for slack in slacks)
 
 
 def value_duals(program: Program, x: Array) -> Duals:
@@ -103,7 +119,8 @@ class WeightSweep:
         self._system = replace(system, rows=system.rows[self._told], root_weights=root)
         self._options = options or DualOptions()
         self._base = system.laplace.solve(data.b)
-        self._misfit: Array = data.t[self._told] / root - self._system.rows @ self._base
+        said = np.asarray(self._system.rows @ self._base)
+        self._misfit: Array = data.t[self._told] / root - said
         self._multipliers = np.empty((0, len(root)))
         self._images = np.empty((0, len(root)))
         self._fields: list[Array] = []
