@@ -69,3 +69,16 @@ def test_never_two_bounds_in_a_block_nor_more_limits_than_before() -> None:
             assert not ((after.bounds != 0) & (before.bounds == 0)).any()
             assert not (after.links & ~before.links).any()
             assert (after.bounds * before.bounds >= 0).all()
+
+
+def test_a_given_value_goes_before_a_bound_that_agrees_with_it() -> None:
+    """p_2 = 0 is given, p_0 is held at its lower bound 0, and all are linked."""
+    spoke = limits([0.0, 0.0, 0.0], [4.0, 4.0, 0.0])
+    spoke.given[2] = True
+    found = one_bound_each(spoke, active([-1, 0, 0], [1, 1, 0]))
+    assert not found.bounds.any()
+    assert found.links.tolist() == [True, True, False]
+    # at another value than the given one the block is cut
+    apart = one_bound_each(spoke, active([1, 0, 0], [1, 1, 0]))
+    assert apart.bounds.tolist() == [1, 0, 0]
+    assert apart.links.tolist() == [True, False, False]

@@ -1,0 +1,139 @@
+"""Formulations: declaring and combining them, and what cannot be one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from tests.conftest import small_scene
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.errors import InputError
+from ttus_opt.problem.formulation import Formulation, Search, load
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.terms.torque import TorqueTerm
+
+SCENE = small_scene(shape=(6, 10, 6), n_poses=5)
+
+
+def eq10(weight: float = 0.1) -> Formulation:
+    return Formulation([LaplaceTerm(SCENE), ForceTerm(SCENE, weight)], name="mine")
+
+
+def test_repr_is_the_mathematics_with_sizes_and_weights() -> None:
+    text = repr(eq10().with_constraints(Sign(SCENE), HardBoundary(SCENE)))
+    fixed = int(SCENE.voxmap.dirichlet.sum())
+    assert text.splitlines() == [
+        "mine: minimise over p in R^360",
+        "  + 1 · ‖L p − b‖²    [laplace: 360 rows]",
+        "  + 0.1 · ‖N p − f‖²    [force: 15 rows]",
+        "  subject to p ≥ 0 inside, p ≤ 0 outside    [sign: "
+        f"{int((SCENE.voxmap.region != 0).sum())} bounds]",
+        "  subject to p = b on inner, outer and surface layer and both ends    "
+        f"[boundary: {fixed} rows]",
+    ]
+
+
+def test_repr_of_a_search_and_of_more_variables() -> None:
+    text = repr(load("coulomb_global", SCENE))
+    assert "searching friction_coefficient in [0, 1]" in text
+    assert "p in R^360, q in R^360" in repr(load("coulomb_drag", SCENE))
+
+
+def test_plus_adds_a_term_and_leaves_the_first_alone() -> None:
+    first = eq10()
+    both = first + TorqueTerm(SCENE, 0.2) + SparseSourcesTerm(SCENE, 0.3)
+    assert [t.name for t in both.terms] == [
+        "laplace",
+        "force",
+        "torque",
+        "sparse_sources",
+    ]
+    assert len(first.terms) == 2
+    assert both.name == "mine"
+
+
+def test_weights_change_without_reassembly() -> None:
+    first = eq10()
+    program = first.compile()
+    second = first.with_weights(force=5.0)
+    again = second.compile()
+    assert [t.weight for t in second.terms] == [1.0, 5.0]
+    for old, new in zip(program.terms, again.terms, strict=True):
+        assert new.matrix is old.matrix
+        assert new.target is old.target
+    with pytest.raises(InputError, match="no term 'forse', there are laplace, force"):
+        first.with_weights(forse=1.0)
+    with pytest.raises(InputError, match="force weight must be finite and not"):
+        first.with_weights(force=-1.0)
+
+
+def test_a_variants_rows_are_assembled_once() -> None:
+    first = load("screened", SCENE, screening=20.0)
+    first.compile()
+    heavier = first.with_weights(screened=3.0)
+    assert heavier.terms[0].assembled is first.terms[0].assembled
+
+
+def test_combining_reaches_into_a_search() -> None:
+    declared = (
+        load("coulomb_global", SCENE).with_weights(force=7.0) + SparseSourcesTerm(SCENE)
+    ).with_constraints(Sign(SCENE))
+    assert declared.search is not None
+    built = declared.search.build(0.4)
+    assert [t.name for t in built.terms][-1] == "sparse_sources"
+    assert built.terms[1].weight == 7.0
+    assert built.constraints[0].name == "sign"
+
+
+def test_combining_reaches_into_the_search_after_a_search() -> None:
+    fitted = replace(SCENE, parameters={"boundary_scale": 2.0})
+    declared = load("coulomb_global", fitted).with_weights(force=7.0)
+    declared = declared.with_constraints(Sign(fitted))
+    assert declared.search is not None
+    found = declared.search.build(0.4)
+    assert found.search is not None
+    assert found.search.parameter == "boundary_scale"
+    built = found.search.build(1.5)
+    assert built.search is None
+    assert built.parameters({})["boundary_scale"] == 3.0
+    assert built.parameters({})["friction_coefficient"] == 0.4
+    assert built.terms[1].weight == 7.0
+    assert built.constraints[0].name == "sign"
+    # without forces nothing tells the scale, and a given one stays
+    for unknown in (
+        load("coulomb_global", fitted, force_weight=0.0),
+        load("coulomb_global", SCENE),
+    ):
+        assert unknown.search is not None
+        assert unknown.search.build(0.4).search is None
+
+
+@pytest.mark.parametrize("limits", [(0.0, 0.0), (1.0, 0.0), (0.0, float("inf"))])
+def test_a_search_needs_a_range(limits: tuple[float, float]) -> None:
+    with pytest.raises(InputError, match="needs a range low < high"):
+        Search("mu", *limits, lambda value: eq10())
+
+
+def test_what_cannot_be_a_formulation() -> None:
+    with pytest.raises(InputError, match="at least one term"):
+        Formulation([])
+    with pytest.raises(InputError, match="force appears twice"):
+        eq10() + ForceTerm(SCENE)
+    with pytest.raises(InputError, match="sign appears twice"):
+        eq10().with_constraints(Sign(SCENE), Sign(SCENE))
+    other = replace(SCENE)
+    with pytest.raises(InputError, match="the same scene"):
+        eq10() + TorqueTerm(other)
+
+
+def test_members_are_left_out_by_name() -> None:
+    both = eq10().with_constraints(Sign(SCENE))
+    left = both.without("force", "sign")
+    assert [term.name for term in left.terms] == ["laplace"]
+    assert not left.constraints
+    with pytest.raises(InputError, match=r"no term or constraint 'sing'.*mean sign"):
+        both.without("sing")
