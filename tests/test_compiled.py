@@ -15,6 +15,7 @@ import numba
 import pytest
 
 import ttus_opt.compiled as kept
+from tests.conftest import some
 from ttus_opt.compiled import compiled, content_stamp, is_kept
 
 PACKAGE = {
@@ -98,22 +99,40 @@ def hits(dispatcher: Any) -> int:
     return sum(dispatcher.stats.cache_hits.values())
 
 
-@pytest.mark.parametrize(
-    ("edit", "expected"),
-    [
-        pytest.param(("callee", "least(x) *", "least(x) * 2 *"), 6, id="callee"),
-        pytest.param(("innermost", "x +", "x + 4 +"), 10, id="callee's callee"),
-        pytest.param(("callee", "FACTOR = 1", "FACTOR = 3"), 12, id="its constant"),
-        pytest.param(("sizes", "STEP = 1", "STEP = 7"), 14, id="plain file's constant"),
-        pytest.param(("caller", "step(step(x))", "step(x)"), 1, id="itself"),
-        pytest.param(
-            ("callee", "()\ndef step", "(fastmath=True)\ndef step"), 2, id="how"
-        ),
-    ],
-)
-def test_code_is_not_haunted_by_what_it_was_made_of(
-    load: Load, edit: tuple[str, str, str], expected: int
+#: What changes ``twice`` and how, and what ``twice(0)`` is then
+EDITS = {
+    "callee's callee": (("innermost", "x +", "x + 4 +"), 10),
+    "callee": (("callee", "least(x) *", "least(x) * 2 *"), 6),
+    "its constant": (("callee", "FACTOR = 1", "FACTOR = 3"), 12),
+    "plain file's constant": (("sizes", "STEP = 1", "STEP = 7"), 14),
+    "itself": (("caller", "step(step(x))", "step(x)"), 1),
+    "how": (("callee", "()\ndef step", "(fastmath=True)\ndef step"), 2),
+}
+
+#: What leaves it as it is
+ELSEWHERE = [
+    ("callee", "return x\n", "return x + 1\n"),
+    ("callee", "Nothing calls this.", "Still nothing."),
+    ("innermost", "@compiled()\ndef", "# a comment\n@compiled()\ndef"),
+    ("callee", "import compiled\n", "import compiled\nOTHER = 5\n"),
+]
+
+
+@pytest.mark.parametrize("edit", [edit for edit, _ in EDITS.values()], ids=EDITS)
+def test_the_stamp_tells_what_a_function_is_made_of(
+    load: Load, edit: tuple[str, str, str]
 ) -> None:
+    assert content_stamp(load().twice) != content_stamp(load(edit).twice)
+
+
+@pytest.mark.parametrize("edit", ELSEWHERE)
+def test_the_stamp_tells_nothing_else(load: Load, edit: tuple[str, str, str]) -> None:
+    assert content_stamp(load().twice) == content_stamp(load(edit).twice)
+
+
+@pytest.mark.parametrize("name", some(EDITS, 1))
+def test_code_is_not_haunted_by_what_it_was_made_of(load: Load, name: str) -> None:
+    edit, expected = EDITS[name]
     assert load().twice(0) == 2
     after = load(edit)
     assert after.twice(0) == expected
@@ -136,15 +155,7 @@ def test_swapped_fields_of_a_named_tuple_are_seen(load: Load) -> None:
     assert first(swapped) == 1
 
 
-@pytest.mark.parametrize(
-    "edit",
-    [
-        ("callee", "return x\n", "return x + 1\n"),
-        ("callee", "Nothing calls this.", "Still nothing."),
-        ("innermost", "@compiled()\ndef", "# a comment\n@compiled()\ndef"),
-        ("callee", "import compiled\n", "import compiled\nOTHER = 5\n"),
-    ],
-)
+@pytest.mark.parametrize("edit", some(ELSEWHERE, 1))
 def test_an_edit_that_does_not_reach_a_function_keeps_its_code(
     load: Load, edit: tuple[str, str, str]
 ) -> None:

@@ -159,8 +159,8 @@ def test_probe_never_in_contact_is_a_warning(
         away.time, 1.4 * away.position, away.rotation, away.force, away.torque
     ).save(tmp_path / "away.csv")
     words = (
-        f"fit --surface {files / 'surface.nc'} --probe {PROBE} --shape 16,24,12 "
-        f"--trajectory {tmp_path / 'away.csv'} -o {tmp_path / 'f.nc'}"
+        f"fit --surface {files / 'surface.nc'} --probe {PROBE} --points 300 "
+        f"--shape 16,24,12 --trajectory {tmp_path / 'away.csv'} -o {tmp_path / 'f.nc'}"
     )
     answer = run(words)
     assert answer.status == 0
