@@ -44,10 +44,9 @@ def test_nothing_is_said_of_the_right_frame() -> None:
         warnings.simplefilter("error")
         told(OWN, Conventions())
         told(OWN.transformed(inverse(PLACE)), Conventions(frame="scan"))
-        # nor where scan and patient are one frame, nor where no frame is right
+        # nor where scan and patient are one frame
         one = replace(SKIN, axis=Axis.identity())
         warn_of_another_frame(OWN, OWN, SHELL, one, Conventions())
-        told(replace(OWN, position=OWN.position + 3.0), Conventions())
 
 
 def test_the_frame_that_fits_is_named() -> None:
@@ -55,6 +54,15 @@ def test_the_frame_that_fits_is_named() -> None:
         told(OWN.transformed(inverse(PLACE)), Conventions())
     with pytest.warns(TtusWarning, match="read them with --frame patient"):
         told(OWN, Conventions(frame="scan"))
+
+
+def test_recordings_near_no_skin_at_all() -> None:
+    away = replace(OWN, position=OWN.position + 3.0)
+    with pytest.warns(TtusWarning, match="only 0 % .* within 10 cm .*--base-to-scan"):
+        told(away, Conventions())
+    motion = as_rows(np.eye(4))
+    with pytest.warns(TtusWarning, match="is --base-to-scan right"):
+        told(away, Conventions(frame="base", base_to_scan=motion))
 
 
 def test_a_motion_the_wrong_way_round_is_told() -> None:

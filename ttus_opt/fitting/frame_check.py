@@ -61,7 +61,8 @@ def warn_of_another_frame(
         skin: The patient.
         told: How they were read.
     """
-    if share_near_skin(read, shell, skin) >= FEW:
+    own = share_near_skin(read, shell, skin)
+    if own >= FEW:
         return
     place: Array = skin.axis.scan_to_patient
     poses = replace(as_written, force=None, torque=None)
@@ -75,6 +76,15 @@ def warn_of_another_frame(
                 stacklevel=2,
             )
             return
+    remedy = "is --base-to-scan right?"
+    if told.frame != "base":
+        remedy = "give --frame scan, or --base-to-scan for a robot's or tracker's"
+    warnings.warn(
+        f"only {100 * own:.0f} % of the poses are within {100 * NEAR:.0f} cm of the "
+        f"skin in the {told.frame}'s frame: {remedy}",
+        TtusWarning,
+        stacklevel=2,
+    )
 
 
 def _others(told: Conventions) -> Iterator[tuple[Conventions, str, str]]:
