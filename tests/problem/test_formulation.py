@@ -144,4 +144,4 @@ def test_every_formulation_says_what_it_is() -> None:
     for info in shelf.values():
         assert info.summary.endswith("."), info.name
         assert len(info.summary) <= 88
-    assert shelf["eq10"].options["force_weight"] == 1e-4
+    assert shelf["eq10"].options["force_weight"] == 1e-2

@@ -1,0 +1,42 @@
+"""The choice of ``solver="auto"`` against what every solver took, over the shelf."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.scene import Scene
+
+#: Most CPU seconds of a solver that is not yet known to be worse [s]
+LIMIT = 30.0
+
+
+def script() -> ModuleType:
+    """``benchmarks/solver_cost.py``, which is no part of the package."""
+    file = Path(__file__).parents[2] / "benchmarks" / "solver_cost.py"
+    spec = importlib.util.spec_from_file_location("solver_cost", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look for it
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    made: Scene = script().scene_of((12, 36, 15), 60)
+    return made
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("formulation", [f.name for f in shelf.available()])
+def test_the_choice_is_no_worse_than_twice_the_best(
+    formulation: str, scene: Scene
+) -> None:
+    told = script().choice(scene, formulation, LIMIT)
+    assert told.ratio <= 2.0, (told.measured, told.estimated)
