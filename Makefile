@@ -82,6 +82,7 @@ picture: demo
 docs: $(DOCS_STAMP)
 	$(BIN)/python docs/pictures.py
 	$(BIN)/python docs/examples.py
+	$(BIN)/python docs/first_hour.py
 	$(BIN)/python -m mkdocs build --strict
 
 clean:
