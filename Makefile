@@ -84,6 +84,7 @@ picture: demo
 docs: $(DOCS_STAMP)
 	$(BIN)/python docs/pictures.py
 	$(BIN)/python docs/examples.py
+	$(BIN)/python docs/first_hour.py
 	$(BIN)/python -m mkdocs build --strict
 
 # `make slow` runs the notebooks; this is all else that may rot.

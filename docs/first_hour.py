@@ -1,0 +1,189 @@
+"""Writes docs/first-hour.md: a laboratory's first hour, as its terminal shows it.
+
+A laboratory's files are made from the bundled example: a scan as text in millimetres,
+the probe as STL, recordings with ROS's column names whose quaternions are x, y, z, w
+under names that say w, x, y, z, and whose wrenches are those of the probe on the skin.
+Every command after the first follows from what the one before said: the words that mend
+are read from its output. The script ends with an error when a command says something
+else, or when the unseen force error is not below `GOAL`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+import ttus_opt as tt
+from ttus_opt import example
+
+PAGE = Path(__file__).parent / "first-hour.md"
+
+#: Largest mean force error on a recording that was not fitted [N]
+GOAL = 0.3
+
+#: Semi-axes of the example's probe [mm]
+PROBE = (30.0, 12.5, 18.0)
+
+HEAD = """# A laboratory's first hour
+
+Own scan, own probe, own recordings, as the terminal shows them. `make docs` runs these
+commands anew on files made from the bundled example (`docs/first_hour.py`) and ends
+with an error if they say something else. Times are left out.
+
+There are `scan.xyz`, written by a depth camera in millimetres; `probe.stl`, from CAD;
+`press.csv` and `sweep.csv` to fit, `unseen.csv` to judge, exported from ROS and
+registered to the patient frame that the surface file states."""
+
+#: Written by the recorder for time and quaternion; the rest is as ROS exports it
+NAMES = (
+    "time",
+    *(f"pose.position.{axis}" for axis in "xyz"),
+    *("qw", "qx", "qy", "qz"),
+    *(f"wrench.force.{axis}" for axis in "xyz"),
+    *(f"wrench.torque.{axis}" for axis in "xyz"),
+)
+
+
+@dataclass
+class Terminal:
+    """Runs commands and keeps what a terminal would show."""
+
+    lines: list[str] = field(default_factory=list)
+
+    def tell(self, text: str) -> None:
+        """A sentence between commands."""
+        self.lines += ["", text, ""]
+
+    def run(self, command: str, *, statuses: tuple[int, ...] = (0,)) -> str:
+        """Run a command of ttus-opt; what it said.
+
+        Raises:
+            SystemExit: It ended with another status.
+        """
+        words = [sys.executable, "-m", *shlex.split(command.replace("-opt", "_opt", 1))]
+        done = subprocess.run(
+            words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+            check=False, env={**os.environ, "COLUMNS": "80"},
+        )  # fmt: skip
+        said = "\n".join(line for line in done.stdout.split("\n") if not _is_bar(line))
+        if done.returncode not in statuses:
+            raise SystemExit(f"{command}\nended with {done.returncode}:\n{said}")
+        shown = re.sub(r"\b\d+(\.\d+)?(e-\d+)? s\b", "… s", said.strip())
+        self.lines += ["```console", f"$ {command}", *shown.splitlines(), "```"]
+        return said
+
+
+def _is_bar(line: str) -> bool:
+    return "\r" in line or bool(re.search(r"\|[█▏▎▍▌▋▊▉ ]*\| \d+/\d+", line))
+
+
+def write_scan_and_probe() -> None:
+    """The scan as text and the probe as STL, both in millimetres."""
+    cloud = tt.read_cloud(example.path("scan.ply"), unit="m")
+    np.savetxt("scan.xyz", 1e3 * cloud, fmt="%.2f")
+    probe = trimesh.creation.icosphere(subdivisions=4)
+    probe.apply_scale(PROBE)
+    probe.export("probe.stl")
+
+
+def write_recordings(surface: Path) -> None:
+    """The example's recordings in the frame that the surface file states."""
+    old = tt.Surface.load(example.path("surface.nc")).axis
+    new = tt.Surface.load(surface).axis
+    turn = new.rotation.T @ old.rotation
+    shift = new.rotation.T @ (old.origin - new.origin)
+    for source, name in (
+        ("press_fit", "press.csv"),
+        ("sweep_fit", "sweep.csv"),
+        ("press_test", "unseen.csv"),
+    ):
+        told = tt.read_trajectory(example.path(f"{source}.csv"))
+        assert told.force is not None and told.torque is not None
+        moved = replace(
+            told, position=told.position @ turn.T + shift, rotation=turn @ told.rotation
+        )
+        columns = [
+            told.time[:, None],
+            moved.position,
+            moved.quat_wxyz[:, [1, 2, 3, 0]],  # x, y, z, w
+            -told.force @ turn.T,  # of the probe on the skin
+            -told.torque @ turn.T,
+        ]
+        np.savetxt(
+            name, np.hstack(columns), "%.9g", ",", header=",".join(NAMES), comments=""
+        )
+
+
+def mended(said: str, pattern: str) -> str:
+    """The words of a command's output that say what to type.
+
+    Raises:
+        SystemExit: It did not say it.
+    """
+    found = re.search(pattern, " ".join(said.split()))
+    if found is None:
+        raise SystemExit(f"expected {pattern!r} in:\n{said}")
+    return found[1]
+
+
+def first_hour() -> list[str]:
+    """Run it in the present folder; the page's lines.
+
+    Raises:
+        SystemExit: A command did not say what to do, or the goal is missed.
+    """
+    terminal = Terminal()
+    write_scan_and_probe()
+    scan = "ttus-opt surface scan.xyz -o surface.nc"
+    terminal.tell("## The scan")
+    said = terminal.run(scan, statuses=(2,))
+    terminal.tell("The message names the option:")
+    terminal.run(f"{scan} {mended(said, r'(--unit mm)')}")
+    write_recordings(Path("surface.nc"))
+    terminal.tell("## The recordings")
+    fit = (
+        "ttus-opt fit --surface surface.nc --probe probe.stl --trajectory press.csv "
+        "--trajectory sweep.csv --sampling trilinear --force-weight 1e-2 "
+        "--torque-weight 1e-2 --shape 40,96,48 -o field.nc"
+    )
+    # with the inner value fitted, wrenches of the other sign end it
+    said = terminal.run(f"{fit} --picture poses.png", statuses=(0, 2))
+    mends = mended(said, r"read them with ((?:--[a-z-]+(?: (?!--)\S+)? ?)+)").strip()
+    terminal.tell("It says how the recordings were likely written. Read so:")
+    said = terminal.run(f"{fit} --inner fit {mends}")
+    if "read them with" in said:
+        raise SystemExit(f"still in doubt:\n{said}")
+    terminal.tell("## An unseen recording")
+    evaluate = (
+        "ttus-opt evaluate --field field.nc --probe probe.stl --trajectory unseen.csv "
+        f"{mends}"
+    )
+    terminal.run(evaluate)
+    told = Terminal().run(f"{evaluate} --json")
+    error = json.loads(told)["force_magnitude_error_N"]
+    if not error < GOAL:
+        raise SystemExit(f"unseen force error {error:.3f} N, expected below {GOAL} N")
+    terminal.tell(f"{error:.2f} N on a recording that had no part in the fit.")
+    return terminal.lines
+
+
+def main() -> None:
+    """Write the page."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        lines = first_hour()
+    PAGE.write_text("\n".join([HEAD, *lines, ""]), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
