@@ -62,8 +62,9 @@ def solution_path(
         tolerance: Largest relative KKT residual of a solution [–].
         extras: "potential" keeps every point's field; "criteria" adds what the
             measurements say of the weights: evidence, generalised cross-validation, and
-            errors on presses left out in turn. These need one field without limits,
-            and cost about as much as the path itself.
+            errors on presses left out in turn. These need one field without limits;
+            the larger the largest weight, the more response fields they take, on a
+            fine grid ten times the path's.
         progress: Whether to show a progress bar.
         options: The formulation's own.
 
