@@ -11,13 +11,19 @@ from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import DualOptions
-from ttus_opt.solvers.dual.system import DualSystem
-from ttus_opt.solvers.primal.approximate_laplace import ApproximateLaplace
 from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
 from ttus_opt.solvers.primal.matching import matched_root
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
+from ttus_opt.solvers.primal.rough_system import (
+    ApproximateLaplace,
+    FixedBlock,
+    RoughSystem,
+)
 from ttus_opt.solvers.primal.split import Split, WideTerm
+
+#: Relative residual of the solve behind a bound [–]
+ROUGHLY = 1e-2
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,13 @@ class LeastSquares:
             total += term.weight * inner_product(r, r)
         return total
 
+    def gap_bound(self, at: Pair) -> float:
+        """A bound of F(p) - F(p*): rᵀP⁻¹r of the Laplace term alone, about."""
+        system = self.split.few.system
+        r = self.gradient(self.residual(at))
+        u = system.laplace.solve_adjoint(r, rtol=ROUGHLY)
+        return float(np.sum(system.compliance * u**2))
+
     @property
     def _terms(self) -> tuple[WideTerm, ...]:
         return (self.split.prior, *self.split.wide)
@@ -104,12 +117,16 @@ def preconditioner(
     laplace = exact.laplace
     assert isinstance(laplace, LaplaceSystem)
     grid = laplace.operator_grid
-    added = matched_root(
-        split.wide, grid, laplace.free, laplace.radii, exact.compliance
-    )
-    rough = ApproximateLaplace.of(laplace, OneCycle(grid, laplace.free, added))
-    system = DualSystem(
-        rough, exact.compliance, exact.rows, exact.root_weights, exact.n_measured
+    free_voxels, compliance = laplace.free, exact.compliance
+    root = matched_root(split.wide, grid, free_voxels, laplace.radii, compliance)
+    cycle = OneCycle(grid, free_voxels, root.added)
+    system = RoughSystem(
+        ApproximateLaplace.of(laplace, cycle, root.coupling),
+        compliance,
+        exact.rows,
+        exact.root_weights,
+        exact.n_measured,
+        FixedBlock.of(split.wide, free_voxels, compliance),
     )
     return ConstraintPreconditioner(
         system, split.few.columns[:, free], options.inner, dual
