@@ -35,6 +35,7 @@ class OneCycle:
         free: Mask,
         added: Added | None = None,
         ties: Mask | None = None,
+        leads: Mask | None = None,
     ) -> None:
         """Build the levels.
 
@@ -43,7 +44,10 @@ class OneCycle:
             free: Unknown voxels, shape (V,).
             added: What is added to the operator; None for nothing.
             ties: Voxels tied to the next one outwards, shape (V,); None for none.
+            leads: With ties, the voxels at which values stand, as of
+                `AggregatedMultigrid`.
         """
+        self._leads = leads
         self._grid, self._free, self._added, self._ties = grid, free, added, ties
         tied = None if ties is None else grid.unflatten(ties)
         mask = np.ascontiguousarray(grid.unflatten(free))
@@ -81,4 +85,6 @@ class OneCycle:
             work.v_cycle(sweeps=SWEEPS)
             refinement.add(x, work.x, largest, *self._sizes)
             self._idle.append(work)
+        if self._leads is not None:
+            x[~self._leads] = 0.0
         return MultigridResult(x, 1, np.nan)

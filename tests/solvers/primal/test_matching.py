@@ -11,7 +11,7 @@ from tests.conftest import small_scene
 from tests.solvers.own_terms import OWN, AlongZ
 from ttus_opt.arrays import Array
 from ttus_opt.solvers.primal.matching import Root, matched_root
-from ttus_opt.solvers.primal.split import WideTerm
+from ttus_opt.solvers.primal.wide_term import WideTerm
 from ttus_opt.terms.base import Term
 from ttus_opt.terms.tikhonov import TikhonovTerm
 

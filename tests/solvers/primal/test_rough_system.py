@@ -14,7 +14,8 @@ from ttus_opt.solvers.primal.conjugate_gradients import Pair
 from ttus_opt.solvers.primal.least_squares import preconditioner
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.rough_system import FixedBlock
-from ttus_opt.solvers.primal.split import Split, WideTerm
+from ttus_opt.solvers.primal.split import Split
+from ttus_opt.solvers.primal.wide_term import WideTerm
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
 

@@ -7,20 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ttus_opt.arrays import Array, Mask
-from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
-from ttus_opt.solvers.primal.matching import matched_root
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
-from ttus_opt.solvers.primal.rough_system import (
-    ApproximateLaplace,
-    FixedBlock,
-    RoughSystem,
-)
-from ttus_opt.solvers.primal.split import Split, WideTerm
+from ttus_opt.solvers.primal.rough_system import ApproximateLaplace, RoughSystem
+from ttus_opt.solvers.primal.split import Split
+from ttus_opt.solvers.primal.wide_term import WideTerm
 
 #: Relative residual of the solve behind a bound [–]
 ROUGHLY = 1e-2
@@ -113,21 +108,10 @@ def preconditioner(
         options: Of the method.
         dual: Of the dual.
     """
-    exact = split.few.system
-    laplace = exact.laplace
-    assert isinstance(laplace, LaplaceSystem)
-    grid = laplace.operator_grid
-    free_voxels, compliance = laplace.free, exact.compliance
-    root = matched_root(split.wide, grid, free_voxels, laplace.radii, compliance)
-    cycle = OneCycle(grid, free_voxels, root.added)
-    system = RoughSystem(
-        ApproximateLaplace.of(laplace, cycle, root.coupling),
-        compliance,
-        exact.rows,
-        exact.root_weights,
-        exact.n_measured,
-        FixedBlock.of(split.wide, free_voxels, compliance),
-    )
+    laplace, root = split.operator, split.root()
+    cycle = OneCycle(laplace.operator_grid, laplace.free, root.added)
+    rough = ApproximateLaplace.of(laplace, cycle, root.coupling)
+    system = RoughSystem.of(split.few.system, rough, split.wide)
     return ConstraintPreconditioner(
         system, split.few.columns[:, free], options.inner, dual
     )

@@ -25,7 +25,7 @@ from scipy.optimize import nnls
 
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.multigrid.coarsening import Added
-from ttus_opt.solvers.primal.split import WideTerm
+from ttus_opt.solvers.primal.wide_term import WideTerm
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 
 #: Rows of which the stencil of a term is learnt, and the longest row [–]

@@ -19,7 +19,7 @@ from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.square_system import BlockSolves, SquareSystem
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.system import RTOL, DualSystem
-from ttus_opt.solvers.primal.split import WideTerm
+from ttus_opt.solvers.primal.wide_term import WideTerm
 
 #: Rows among fixed voxels that weigh less are left out [–]
 LIGHT = 0.3
@@ -120,6 +120,16 @@ class RoughSystem(DualSystem):
     """
 
     fixed: FixedBlock | None = None
+
+    @classmethod
+    def of(
+        cls, exact: DualSystem, rough: ApproximateLaplace, wide: Sequence[WideTerm]
+    ) -> RoughSystem:
+        """The same rows as of an exact system, with rough solves and wide terms."""
+        compliance = exact.compliance
+        fixed = FixedBlock.of(wide, rough.free, compliance)
+        rows = exact.rows, exact.root_weights, exact.n_measured
+        return cls(rough, compliance, *rows, fixed)
 
     def prior(self, r: Array) -> Array:
         """P⁻¹r, shape (V,)."""
