@@ -13,6 +13,8 @@ from tests.conftest import small_scene
 from tests.solvers.own_terms import OWN, AlongZ, DepthWeighted
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.benchmark.cases import with_new_values
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
@@ -22,6 +24,7 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.normal_equations import NormalEquations
 from ttus_opt.solvers.primal.options import PrimalOptions
+from ttus_opt.solvers.registry import solvers
 from ttus_opt.terms.tikhonov import TikhonovTerm
 
 SCENE = small_scene("trilinear")
@@ -134,6 +137,7 @@ def test_other_values_and_weights_are_taken() -> None:
     np.testing.assert_allclose(loaded.solve().x, direct_answer(second), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_noisy_and_contradictory_measurements() -> None:
     for how in ("noise", "reversed"):
         case = replace(reference_cases("S")[0].small(), name="XS").perturbed(how)
@@ -144,11 +148,37 @@ def test_noisy_and_contradictory_measurements() -> None:
         assert residuals.worst_relative < 1e-6
 
 
+@pytest.mark.parametrize("own", [TikhonovTerm, AlongZ], ids=lambda t: t.name)
+def test_limits_hold_with_a_wide_term(own: type) -> None:
+    """Against interior point: the same objective, the same limits active."""
+    scene = small_scene("trilinear", shape=(7, 12, 8), n_poses=8)
+    limits = (Sign(scene), Monotone(scene, 10.0))
+    both = (declared(scene, 10.0) + own(scene, 1e-2)).with_constraints(*limits)
+    program = both.compile()
+    found = SOLVER.prepare(program, Request(1e-8)).solve()
+    assert found.claim is Claim.DONE
+    residuals = kkt_residuals(program, found.x, found.duals)
+    assert residuals.worst_relative < 1e-8
+    expected = solvers()["clarabel"].prepare(program, Request(1e-8)).solve()
+    apart = np.linalg.norm(found.x - expected.x) / np.linalg.norm(expected.x)
+    assert apart < 1e-5
+    active = sum(int((np.abs(y) > 1e-9).sum()) for y in found.duals.rows.values())
+    assert active > 5
+
+
+def test_limits_that_contradict_each_other() -> None:
+    far = (declared(SCENE) + TikhonovTerm(SCENE)).with_constraints(
+        HardBoundary(SCENE), Monotone(SCENE, 1e6)
+    )
+    found = SOLVER.prepare(far.compile(), Request(1e-6)).solve()
+    assert found.claim is Claim.INFEASIBLE
+
+
 def test_says_what_it_does_not_take() -> None:
-    with_limits = (declared(SCENE) + TikhonovTerm(SCENE)).with_constraints(Sign(SCENE))
     alone = Formulation([TikhonovTerm(SCENE)]).compile()
     assert "Laplace term" in SOLVER.refusal(alone)
-    assert "limits" in SOLVER.refusal(with_limits.compile())
+    drag = shelf.load("viscous_drag", SCENE).compile()
+    assert "unknowns beside the field" in SOLVER.refusal(drag)
     assert "no sum of squares" in SOLVER.refusal(shelf.load("robust", SCENE).compile())
 
 

@@ -42,6 +42,10 @@ from ttus_opt.solvers.dual.linear_parameters import LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField
+from ttus_opt.solvers.primal.split import wide_terms
+
+#: Rows of a term up to which the dual is the better way, unless they are measured
+FEW_ROWS = 1000
 
 #: Most unknowns beside the field: each costs an approximate dual solve
 MOST = 64
@@ -105,7 +109,9 @@ class Structured(Solver):
         return ""
 
     def suits(self, program: Program) -> bool:
-        """Few measured rows: a term over all voxels makes the dual as large as p."""
+        """Few rows beside the prior: the dual has as many unknowns."""
+        if wide_terms(program, FEW_ROWS):
+            return False
         second = second_field(program)
         priors = [laplace_prior(program), second[1] if second else None]
         rows = sum(

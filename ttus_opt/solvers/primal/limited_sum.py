@@ -93,8 +93,9 @@ class LimitedSum:
             laplace.links if tied else None,
             laplace.free,
         )
+        assert left.sums is not None
         more = sp.csr_array(left.sums @ self.root.coupling @ left.expansion)
-        # columns of voxels that are no unknown of their own fixed kind are A's
+        # other columns are within A
         kept = sp.diags_array((system.compliance > 0.0) & ~laplace.free, dtype=float)
         more = sp.csr_array(more @ kept)
         more.eliminate_zeros()

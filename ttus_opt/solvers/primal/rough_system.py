@@ -16,9 +16,9 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.laplace.square_system import BlockSolves, SquareSystem
+from ttus_opt.laplace.square_system import RTOL, BlockSolves, SquareSystem
 from ttus_opt.multigrid.one_cycle import OneCycle
-from ttus_opt.solvers.dual.system import RTOL, DualSystem
+from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.wide_term import WideTerm
 
 #: Rows among fixed voxels that weigh less are left out [–]
