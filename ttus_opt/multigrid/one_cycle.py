@@ -35,6 +35,7 @@ class OneCycle:
         free: Mask,
         added: Added | None = None,
         pooled: Mask | None = None,
+        leads: Mask | None = None,
     ) -> None:
         """Build the levels.
 
@@ -43,7 +44,10 @@ class OneCycle:
             free: Unknown voxels, shape (V,).
             added: What is added to the operator; None for nothing.
             pooled: Voxels pooled with the next one outwards, shape (V,); None for none.
+            leads: With pooled, the voxels at which values stand, as of
+                `AggregatedMultigrid`.
         """
+        self._leads = leads
         self._grid, self._free, self._added, self._pooled = grid, free, added, pooled
         blocks = None if pooled is None else grid.unflatten(pooled)
         mask = np.ascontiguousarray(grid.unflatten(free))
@@ -81,6 +85,8 @@ class OneCycle:
             work.v_cycle(sweeps=SWEEPS)
             refinement.add(x, work.x, largest, *self._sizes)
             self._idle.append(work)
+        if self._leads is not None:
+            x[~self._leads] = 0.0
         return MultigridResult(x, 1, np.nan)
 
     #: Aᵀ = A

@@ -15,15 +15,9 @@ set to working set. What a new solve costs, in solves with L or Lᵀ:
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 
-from ttus_opt.arrays import Array
-from ttus_opt.laplace.system import RTOL
-from ttus_opt.problem.kkt import Duals, kkt_residuals
+from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import (
     Candidate,
@@ -33,7 +27,6 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
 from ttus_opt.solvers.dual.data import (
     DualData,
     duals_without_limits,
@@ -43,14 +36,17 @@ from ttus_opt.solvers.dual.data import (
     row_scale,
 )
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
+from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
-from ttus_opt.solvers.dual.primal_dual_active_set import primal_dual_active_set
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField
-from ttus_opt.solvers.dual.working_set import WorkingSet
+from ttus_opt.solvers.primal.split import wide_terms
 from ttus_opt.solvers.sizes import Sizes
+
+#: Rows of a term up to which the dual is the better way, unless they are measured
+FEW_ROWS = 1000
 
 #: Most unknowns beside the field: each costs an approximate dual solve
 MOST = 64
@@ -118,8 +114,10 @@ class Structured(Solver):
         s = Sizes.of(program)
         if second_field(program) is not None:
             return 0.1 + 4e-5 * s.voxels
-        harder = 1.0 + 5.0 * min(s.measured / s.voxels, 2.0) + (5.0 if s.limits else 0)
-        return 0.03 + 2.5e-6 * harder * s.voxels
+        harder = 1.0 + 5.0 * min(s.measured / s.voxels, 2.0)
+        if wide_terms(program, FEW_ROWS):  # they make the dual as large as the field
+            harder = 11.0
+        return 0.03 + 2.5e-6 * harder * (6.0 if s.limits else 1.0) * s.voxels
 
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Set up the multigrid and the dual system."""
@@ -129,87 +127,7 @@ class Structured(Solver):
         return _Loaded(program, request, self.options)
 
 
-class _Limited(Prepared):
-    """A program, its last working set, and what is asked of the solver."""
-
-    _program: Program
-
-    def __init__(
-        self, program: Program, request: Request, options: DualOptions
-    ) -> None:
-        self._request, self._options = request, options
-        self._last: tuple[Array, WorkingSet] | None = None
-        self.update(program)
-
-    def _contradiction(self, limits: SpokeLimits) -> Candidate | None:
-        """What to answer where limits leave nothing."""
-        worst = limits.contradiction()
-        if worst <= self._request.tolerance * _largest_limit(limits):
-            return None
-        detail = f"limits along a spoke contradict each other by {worst:.2g}"
-        return Candidate(
-            None, self._proof(limits), claim=Claim.INFEASIBLE, detail=detail
-        )
-
-    def _proof(self, limits: SpokeLimits) -> Duals:
-        """Multipliers that prove a contradiction; none where they are not known."""
-        return Duals()
-
-    def _tightened(self, attempt: Callable[[Accuracy], Candidate]) -> Candidate:
-        """Try until the answer holds, each time more exactly; the best answer.
-
-        Args:
-            attempt: Solves to an accuracy of the dual.
-        """
-        limit = self._request.time_limit
-        deadline = None if limit is None else time.perf_counter() + limit
-        rtol = max(self._request.tolerance * self._options.dual_margin, RTOL)
-        steps, best, least = 0, Candidate(None), np.inf
-        for _ in range(self._options.tightenings):
-            candidate = attempt(Accuracy(rtol, deadline=deadline))
-            assert candidate.x is not None
-            steps += candidate.iterations
-            kkt = kkt_residuals(
-                self._program,
-                candidate.x,
-                candidate.duals,
-                tolerance=self._request.tolerance,
-            )
-            gained = kkt.worst_relative < least
-            if gained or best.x is None:
-                best, least = candidate, kkt.worst_relative
-            if least <= self._request.tolerance or not gained:
-                break
-            if candidate.claim is Claim.TIME_LIMIT:
-                break
-            rtol *= self._options.tightening
-        return replace(best, iterations=steps)
-
-    def _within(
-        self, problem: LimitedProblem, limits: SpokeLimits, accuracy: Accuracy
-    ) -> ActiveSetIteration:
-        """The best field within limits, from the last working set on."""
-        answer = primal_dual_active_set(
-            problem, limits, self._last, self._request.tolerance, accuracy
-        )
-        if answer.settled:
-            self._last = answer.p, answer.active
-        return answer
-
-
-def _candidate(answer: ActiveSetIteration, x: Array, duals: Duals) -> Candidate:
-    """An iteration's end as a solver's answer."""
-    claim = Claim.TIME_LIMIT if answer.late else Claim.GAVE_UP
-    return Candidate(
-        x,
-        duals,
-        answer.steps,
-        Claim.DONE if answer.settled else claim,
-        f"{answer.sets} working sets, {answer.active.count} active limits",
-    )
-
-
-class _LoadedPair(_Limited):
+class _LoadedPair(Limited):
     def update(self, program: Program) -> None:
         """Take other data; the multigrid and the last working set are kept."""
         self._program, self._pair = program, FieldPair.of(program, self._options)
@@ -223,10 +141,10 @@ class _LoadedPair(_Limited):
         pair = self._pair
         found = self._within(pair, pair.limits, accuracy)
         x = pair.variables(found.p)
-        return _candidate(found, x, pair.duals(x, found.multipliers))
+        return candidate_of(found, x, pair.duals(x, found.multipliers))
 
 
-class _Loaded(_Limited):
+class _Loaded(Limited):
     _solver: DualSolver | None = None
 
     def update(self, program: Program) -> None:
@@ -264,7 +182,7 @@ class _Loaded(_Limited):
             self._program, limits, self._data, self._solver, self._options
         )
         found = self._within(problem, limits, accuracy)
-        return _candidate(found, found.p, found.multipliers.duals(limits))
+        return candidate_of(found, found.p, found.multipliers.duals(limits))
 
     def _unlimited(self, accuracy: Accuracy) -> Candidate:
         """The field without limits, and the unknowns beside it."""
@@ -273,15 +191,6 @@ class _Loaded(_Limited):
         x = np.concatenate([answer.p, answer.c])
         claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
         return Candidate(x, duals_without_limits(self._program, x), answer.steps, claim)
-
-
-def _largest_limit(limits: SpokeLimits) -> float:
-    """The largest finite limit, 1 where all are zero."""
-    finite = [
-        np.abs(values[np.isfinite(values)]).max(initial=0.0)
-        for values in (limits.lower, limits.upper, limits.least)
-    ]
-    return float(max(finite)) or 1.0
 
 
 SOLVERS = [Structured()]

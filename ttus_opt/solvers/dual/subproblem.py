@@ -82,6 +82,7 @@ class Subproblem:
         t: Weighted targets of measured rows, then of the Laplace rows left over.
         expansion: P, shape (V, V).
         offset: o, shape (V,).
+        sums: The square rows from those of L, shape (V, V); None for L's own.
     """
 
     solver: DualSolver
@@ -89,6 +90,7 @@ class Subproblem:
     t: Array = field(repr=False)
     expansion: sp.csr_array = field(repr=False)
     offset: Array = field(repr=False)
+    sums: sp.csr_array | None = field(default=None, repr=False)
 
     def solve(self, accuracy: Accuracy, last: Array | None = None) -> DualAnswer:
         """The best field of the working set, after that of the last one."""
@@ -253,6 +255,7 @@ def reduced(
         np.concatenate([measured, (rest @ target)[filled]]),
         expansion,
         blocks.offset,
+        sums,
     )
 
 

@@ -15,7 +15,7 @@ rule (flexible conjugate gradients: Notay, SIAM J. Sci. Comput. 22, 2000).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
@@ -84,6 +84,11 @@ class Goal:
     gradient: float
     max_steps: int
     accuracy: Accuracy
+
+    def times(self, factor: float) -> Goal:
+        """The same with less of a gap."""
+        least = self.least_gap * factor
+        return replace(self, gap=self.gap * factor, least_gap=least)
 
     def reached(self, gap: float, value: float, gradient: Array) -> bool:
         """Whether an estimate of the gap and a gradient are small enough."""

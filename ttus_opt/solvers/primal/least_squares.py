@@ -7,17 +7,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ttus_opt.arrays import Array, Mask
-from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import DualOptions
-from ttus_opt.solvers.dual.system import DualSystem
-from ttus_opt.solvers.primal.approximate_laplace import ApproximateLaplace
 from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
-from ttus_opt.solvers.primal.matching import matched_root
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
-from ttus_opt.solvers.primal.split import Split, WideTerm
+from ttus_opt.solvers.primal.rough_system import ApproximateLaplace, RoughSystem
+from ttus_opt.solvers.primal.split import Split
+from ttus_opt.solvers.primal.wide_term import WideTerm
+
+#: Relative residual of the solve behind a bound [–]
+ROUGHLY = 1e-2
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,13 @@ class LeastSquares:
             total += term.weight * inner_product(r, r)
         return total
 
+    def gap_bound(self, at: Pair) -> float:
+        """A bound of F(p) - F(p*): rᵀP⁻¹r of the Laplace term alone, about."""
+        system = self.split.few.system
+        r = self.gradient(self.residual(at))
+        u = system.laplace.solve_adjoint(r, rtol=ROUGHLY)
+        return float(np.sum(system.compliance * u**2))
+
     @property
     def _terms(self) -> tuple[WideTerm, ...]:
         return (self.split.prior, *self.split.wide)
@@ -100,17 +108,10 @@ def preconditioner(
         options: Of the method.
         dual: Of the dual.
     """
-    exact = split.few.system
-    laplace = exact.laplace
-    assert isinstance(laplace, LaplaceSystem)
-    grid = laplace.operator_grid
-    added = matched_root(
-        split.wide, grid, laplace.free, laplace.radii, exact.compliance
-    )
-    rough = ApproximateLaplace.of(laplace, OneCycle(grid, laplace.free, added))
-    system = DualSystem(
-        rough, exact.compliance, exact.rows, exact.root_weights, exact.n_measured
-    )
+    laplace, root = split.operator, split.root()
+    cycle = OneCycle(laplace.operator_grid, laplace.free, root.added)
+    rough = ApproximateLaplace.of(laplace, cycle, root.coupling)
+    system = RoughSystem.of(split.few.system, rough, split.wide)
     return ConstraintPreconditioner(
         system, split.few.columns[:, free], options.inner, dual
     )

@@ -25,7 +25,7 @@ from scipy.optimize import nnls
 
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.multigrid.coarsening import Added
-from ttus_opt.solvers.primal.split import WideTerm
+from ttus_opt.solvers.primal.wide_term import WideTerm
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 
 #: Rows of which the stencil of a term is learnt, and the longest row [–]
@@ -33,7 +33,9 @@ SAMPLE, LONGEST = 4000, 48
 #: Waves per direction, from the longest to the shortest on the grid [–]
 WAVES = 6
 #: Strengths at which a term is fitted, and the least over the largest [–]
-STRENGTHS, LEAST = 9, 1e-8
+STRENGTHS, LEAST = 6, 1e-8
+#: Steps of the fit
+FIT_STEPS = 12
 #: Conductances below this part of L's own are left out [–]
 NEGLIGIBLE = 0.02
 
@@ -120,11 +122,33 @@ class _Waves:
         return cls(waves, bend, bend @ own, own)
 
     def fit(self, b: Array) -> Array:
-        """Fit c and d along r, θ, z to a symbol b of B, shape (4,)."""
+        """Fit c and d along r, θ, z to a symbol b of B, shape (4,).
+
+        The ratio of λ + X̂ to the root of λ² + b matters, too small as too large: the
+        squares of its logarithm are made least, by Gauss and Newton's method.
+        """
         goal = np.sqrt(self.stiffness**2 + b)
-        basis = np.column_stack([np.ones(len(b)), self.bend]) / goal[:, None]
-        found, _ = nnls(basis, 1.0 - self.stiffness / goal)
+        basis = np.column_stack([np.ones(len(b)), self.bend])
+        found = nnls(basis / goal[:, None], 1.0 - self.stiffness / goal)[0]
+        for _ in range(FIT_STEPS):
+            now = self.stiffness + basis @ found
+            slope = basis / now[:, None]
+            full = nnls(slope, slope @ found - np.log(now / goal))[0]
+            found = 0.5 * (found + full)
         return np.asarray(found)
+
+
+@dataclass(frozen=True)
+class Root:
+    """X on the grid, times r as the symmetric block of L is.
+
+    Attributes:
+        added: What it adds to A; None for nothing.
+        coupling: What it adds to L's entries in free rows and fixed columns, (V, V).
+    """
+
+    added: Added | None
+    coupling: sp.csr_array = field(repr=False)
 
 
 def matched_root(
@@ -133,27 +157,64 @@ def matched_root(
     free: Mask,
     radii: Array,
     compliance: Array,
-) -> Added | None:
-    """X of the wide terms, times -r as the symmetric block of L is.
+) -> Root:
+    """X of the wide terms.
 
     Args:
         wide: The wide terms.
-        grid: The grid.
+        grid: The grid of the operator.
         free: Voxels with a Laplace row, shape (V,).
         radii: What turns a row of A into one of L, shape (V,) [m].
         compliance: Ω, shape (V,) [–].
-
-    Returns:
-        What is added to A; None for nothing.
     """
+    V = grid.n_voxels
     roots = (_root(term, grid, free, compliance) for term in wide)
     parts = [part for part in roots if part is not None]
     if not parts:
-        return None
-    total = np.sum(parts, axis=0) * np.where(free, radii, 0.0)
-    screening, *links = (grid.unflatten(values) for values in total)
-    used = tuple(links) if any(link.any() for link in links) else ()
-    return Added(screening, used)
+        return Root(None, sp.csr_array((V, V)))
+    screening, *conductances = np.sum(parts, axis=0)
+    index = grid.unflatten(np.arange(V))
+    links, rows, columns, entries = [], [], [], []
+    for axis, values in enumerate(conductances):
+        here, there = index.reshape(-1), np.roll(index, -1, axis).reshape(-1)
+        if not values.any():
+            links.append(np.zeros(grid.shape))
+            continue
+        link = _links(values, here, there, free, radii)
+        links.append(grid.unflatten(link))
+        for own, other in ((here, there), (there, here)):
+            at = np.flatnonzero(free[own] & ~free[other] & (link > 0.0))
+            rows.append(own[at])
+            columns.append(other[at])
+            entries.append(link[at] / radii[own[at]])
+    used = tuple(links) if rows else ()
+    added = Added(grid.unflatten(np.where(free, screening * radii, 0.0)), used)
+    if not rows:
+        return Root(added, sp.csr_array((V, V)))
+    places = np.concatenate(rows), np.concatenate(columns)
+    coupling = sp.coo_array((np.concatenate(entries), places), shape=(V, V))
+    return Root(added, sp.csr_array(coupling))
+
+
+def _links(
+    values: Array, here: IntArray, there: IntArray, free: Mask, radii: Array
+) -> Array:
+    """Conductances from voxels to the next ones, shape (V,) [m].
+
+    Args:
+        values: d at every voxel, zero where a term is not, shape (V,).
+        here: Voxels.
+        there: The next ones; where the grid ends, the first.
+        free: Voxels with a Laplace row, shape (V,).
+        radii: What turns a row of A into one of L, shape (V,) [m].
+    """
+    a, b = (values * radii)[here], (values * radii)[there]
+    both = np.minimum(a, b) > 0.0
+    # between two free voxels as in series; what is fixed counts by its being there
+    series = 2.0 * a * b / np.where(both, a + b, 1.0)
+    one = np.where(free[here], a, b)
+    link = np.where(free[here] & free[there], series, one)
+    return np.asarray(np.where(both & (free[here] | free[there]), link, 0.0))
 
 
 def _root(
@@ -161,23 +222,24 @@ def _root(
 ) -> Array | None:
     """Of one term c and d at every voxel, shape (4, V); None where it is nowhere."""
     stencil = _Stencil.of(term, grid)
-    strength = np.where(free, compliance * stencil.strength, 0.0)
-    largest = float(strength.max(initial=0.0))
+    soft = np.where(compliance > 0.0, compliance, 1.0)
+    strength = soft * stencil.strength
+    largest = float(strength[free].max(initial=0.0))
     if largest == 0.0:
         return None
-    waves = _Waves.of(grid, strength)
+    strength = np.minimum(strength, largest)
+    waves = _Waves.of(grid, np.where(free, strength, 0.0))
     symbol = stencil.symbol(waves.waves)
-    steps = largest * np.geomspace(LEAST, 1.0, STRENGTHS)
+    at = np.flatnonzero(strength)
+    least = max(float(strength[at].min()), LEAST * largest)
+    steps = np.geomspace(least, largest, STRENGTHS if least < 0.9 * largest else 1)
     fits = np.array([waves.fit(step * symbol) for step in steps])
     fits[:, 1:][fits[:, 1:] < NEGLIGIBLE * waves.own] = 0.0
     found = np.zeros((4, grid.n_voxels))
-    at = np.flatnonzero(strength)
     # √ of the strength is what all of them are about proportional to
     root = np.sqrt(strength[at])
     for values, own in zip(found, fits.T, strict=True):
         if own.any():
-            per_root = np.interp(
-                np.log(strength[at]), np.log(steps), own / np.sqrt(steps)
-            )
-            values[at] = per_root * root
+            by_root = own / np.sqrt(steps)
+            values[at] = np.interp(np.log(strength[at]), np.log(steps), by_root) * root
     return found

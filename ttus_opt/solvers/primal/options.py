@@ -21,17 +21,14 @@ class PrimalOptions:
         tightenings: Most times a solve is repeated more exactly [–].
         tightening: By how much each time, of the gap [–].
         few_rows: Most rows of a term that the dual may take, measured or not [–].
-        keep_matched: Weights may change by this factor before the preconditioner is
-            made anew [–].
     """
 
     gap_margin: float = 1e-3
     dual_margin: float = 0.1
     inner: float = 0.1
-    max_steps: int = 500
+    max_steps: int = 300
     rounds: int = 8
     round_gain: float = 0.5
-    tightenings: int = 4
+    tightenings: int = 3
     tightening: float = 1e-3
-    few_rows: int = 4096
-    keep_matched: float = 3.0
+    few_rows: int = 1000

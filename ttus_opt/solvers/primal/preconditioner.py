@@ -22,8 +22,8 @@ from ttus_opt.solvers.dual.conjugate_gradients import (
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
-from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
+from ttus_opt.solvers.primal.rough_system import RoughSystem
 
 #: Most rounds in which the accuracy of S's system follows the answer's energy
 ROUNDS = 3
@@ -37,7 +37,7 @@ class ConstraintPreconditioner:
     """
 
     def __init__(
-        self, system: DualSystem, columns: Array, inner: float, options: DualOptions
+        self, system: RoughSystem, columns: Array, inner: float, options: DualOptions
     ) -> None:
         """Start without directions.
 
@@ -57,20 +57,15 @@ class ConstraintPreconditioner:
         """What it has learnt, in words."""
         return f"{len(self._subspace)} directions of the dual"
 
-    def prior(self, r: Array) -> Array:
-        """P⁻¹r, shape (V,)."""
-        laplace = self._system.laplace
-        return laplace.solve(self._system.compliance * laplace.solve_adjoint(r))
-
     def apply(self, rest: Pair) -> Pair:
         """A step z, y for what r, s is left."""
         system = self._system
-        z = self.prior(rest.p)
+        z = system.prior(rest.p)
         if not system.adjoint.nnz:
             return Pair(z, rest.y)
         side = self.complement.part(rest.y - system.measure(z))
         y = self._multipliers(side, inner_product(rest.p, z), float(rest.y @ rest.y))
-        return Pair(z + self.prior(system.adjoint @ (system.root_weights * y)), y)
+        return Pair(z + system.response(y), y)
 
     def _multipliers(self, side: Array, of_prior: float, of_rows: float) -> Array:
         """S⁻¹ across E, as exactly as the energy of the answer asks for.

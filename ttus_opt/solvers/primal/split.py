@@ -16,24 +16,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, Mask
+from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
-
-
-@dataclass(frozen=True)
-class WideTerm:
-    """w ‖M p - t‖² with many short rows.
-
-    Attributes:
-        weight: w over the prior's weight [–].
-        matrix: M, shape (m, V).
-        target: t, shape (m,).
-    """
-
-    weight: float
-    matrix: sp.csr_array = field(repr=False)
-    target: Array = field(repr=False)
+from ttus_opt.solvers.primal.matching import Root, matched_root
+from ttus_opt.solvers.primal.wide_term import WideTerm
 
 
 @dataclass(frozen=True)
@@ -69,6 +57,19 @@ class Split:
         moving = program.laplace.free | np.full(len(few.b), not hard)
         own = [_over(t, prior.weight, len(few.b)) for t in (prior, *wide)]
         return cls(own[0], tuple(own[1:]), few, moving)
+
+    @property
+    def operator(self) -> LaplaceSystem:
+        """L, or the variant whose rows the prior has."""
+        laplace = self.few.system.laplace
+        assert isinstance(laplace, LaplaceSystem)
+        return laplace
+
+    def root(self) -> Root:
+        """A root of the wide terms."""
+        laplace, compliance = self.operator, self.few.system.compliance
+        grid = laplace.operator_grid
+        return matched_root(self.wide, grid, laplace.free, laplace.radii, compliance)
 
     @property
     def given(self) -> Array:

@@ -1,0 +1,87 @@
+"""The root of wide terms against dense algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from tests.solvers.own_terms import OWN, AlongZ
+from ttus_opt.arrays import Array
+from ttus_opt.solvers.primal.matching import Root, matched_root
+from ttus_opt.solvers.primal.wide_term import WideTerm
+from ttus_opt.terms.base import Term
+from ttus_opt.terms.tikhonov import TikhonovTerm
+
+SCENE = small_scene("trilinear", shape=(7, 12, 9), n_poses=3)
+LAPLACE = SCENE.laplace
+FREE = np.flatnonzero(LAPLACE.free)
+
+
+def wide(term: Term, weight: float) -> WideTerm:
+    rows = term.rows()
+    return WideTerm(weight, sp.csr_array(rows.blocks["p"]), rows.target)
+
+
+def root_of(term: WideTerm) -> Root:
+    ones = np.ones(SCENE.n_voxels)
+    return matched_root([term], LAPLACE.grid, LAPLACE.free, LAPLACE.radii, ones)
+
+
+def minus_x(root: Root) -> Array:
+    """L - X on free voxels, from links and screening one by one."""
+    grid, total = LAPLACE.grid, LAPLACE.L.toarray()
+    assert root.added is not None
+    index = np.arange(grid.n_voxels).reshape(grid.shape)
+    added = np.diag(root.added.screening.ravel())
+    for axis, link in enumerate(root.added.links):
+        there = np.roll(index, -1, axis)
+        for v, w, g in zip(index.ravel(), there.ravel(), link.ravel(), strict=True):
+            added[v, v] += g
+            added[w, w] += g
+            added[v, w] -= g
+            added[w, v] -= g
+    total -= added / LAPLACE.radii[:, None]
+    return np.asarray(total[np.ix_(FREE, FREE)])
+
+
+@pytest.mark.parametrize("own", [TikhonovTerm, *OWN], ids=lambda term: term.name)
+def test_the_square_of_l_minus_x_is_equivalent_to_h(own: type) -> None:
+    """The band holds over twelve decades: it is what bounds the steps."""
+    L = LAPLACE.L.toarray()[np.ix_(FREE, FREE)]
+    for weight in 10.0 ** np.arange(-6, 7, 3):
+        term = wide(own(SCENE), weight)
+        M = term.matrix.toarray()[:, FREE]
+        H = L.T @ L + weight * (M.T @ M)
+        root = root_of(term)
+        P = minus_x(root)
+        ratios = scipy.linalg.eigh(H, P.T @ P, eigvals_only=True)
+        assert ratios.max() / ratios.min() < (8.0 if own is TikhonovTerm else 120.0)
+
+
+def test_a_light_term_adds_next_to_nothing() -> None:
+    root = root_of(wide(TikhonovTerm(SCENE), 1e-16))
+    assert root.added is not None
+    assert np.abs(root.added.screening).max() < 1e-6
+    assert not root.added.links
+
+
+def test_differences_along_z_are_links_along_z() -> None:
+    root = root_of(wide(AlongZ(SCENE), 1.0))
+    assert root.added is not None
+    r, theta, z = root.added.links
+    assert not r.any()
+    assert not theta.any()
+    assert (z[1:-1, :, 1:-2].reshape(-1) >= 0.0).all()
+    assert z.any()
+
+
+def test_its_coupling_is_what_links_to_fixed_voxels_carry() -> None:
+    root = root_of(wide(AlongZ(SCENE), 1.0))
+    rows, columns = root.coupling.nonzero()
+    assert len(rows)
+    assert LAPLACE.free[rows].all()
+    assert not LAPLACE.free[columns].any()
+    assert (root.coupling.data > 0.0).all()

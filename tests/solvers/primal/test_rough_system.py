@@ -1,0 +1,65 @@
+"""One V-cycle each way: symmetric, positive definite, close to the inverse."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from tests.solvers.own_terms import AlongZ
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.primal.conjugate_gradients import Pair
+from ttus_opt.solvers.primal.least_squares import preconditioner
+from ttus_opt.solvers.primal.options import PrimalOptions
+from ttus_opt.solvers.primal.rough_system import FixedBlock
+from ttus_opt.solvers.primal.split import Split
+from ttus_opt.solvers.primal.wide_term import WideTerm
+
+SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
+
+
+def test_the_preconditioner_is_the_inverse_of_something_near_h() -> None:
+    """Written down column by column: symmetric, and its product with H in a band."""
+    for weight in (1e-2, 1.0):
+        weights = {"force_weight": weight, "torque_weight": weight}
+        program = shelf.load("tikhonov", SCENE, ridge=1e-2, **weights).compile()
+        split = Split.of(program, 50)
+        assert len(split.wide) == 1
+        made = preconditioner(
+            split, np.zeros(0, dtype=bool), PrimalOptions(inner=1e-4), DualOptions()
+        )
+        H = program.normal_equations()[0].toarray()
+        nothing = np.zeros_like(split.few.t)
+        inverse = np.array([made.apply(Pair(e, nothing)).p for e in np.eye(len(H))])
+        assert np.abs(inverse - inverse.T).max() < 1e-2 * np.abs(inverse).max()
+        ratios = scipy.linalg.eigh(
+            (inverse + inverse.T) / 2, np.linalg.inv(H), eigvals_only=True
+        )
+        assert 0.2 < ratios.min() <= ratios.max() < 5.0
+
+
+def test_the_fixed_block_is_a_schur_complement() -> None:
+    free = SCENE.laplace.free
+    rows = AlongZ(SCENE).rows()
+    term = WideTerm(10.0, sp.csr_array(rows.blocks["p"]), rows.target)
+    block = FixedBlock.of([term], free, np.ones(len(free)))
+    assert block is not None
+    M = term.matrix.toarray()
+    M = M[(M[:, ~free] != 0.0).any(axis=1)]
+    others = np.flatnonzero(free & (M != 0.0).any(axis=0))
+    order = np.concatenate([block.at, others])
+    whole = 10.0 * (M.T @ M)[np.ix_(order, order)] + np.eye(len(order))
+    k = len(block.at)
+    A, B, C = whole[:k, :k], whole[:k, k:], whole[k:, k:]
+    schur = A - B @ np.linalg.solve(C, B.T)
+    r = np.random.default_rng(0).normal(size=k)
+    np.testing.assert_allclose(block.solve(r), np.linalg.solve(schur, r), rtol=1e-8)
+
+
+def test_light_rows_leave_the_diagonal() -> None:
+    rows = AlongZ(SCENE).rows()
+    term = WideTerm(1e-3, sp.csr_array(rows.blocks["p"]), rows.target)
+    free = SCENE.laplace.free
+    assert FixedBlock.of([term], free, np.ones(len(free))) is None

@@ -1,0 +1,188 @@
+"""Normal equations against a direct factorisation, and how their steps grow."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+from scipy.sparse.linalg import spsolve
+
+from tests.conftest import small_scene
+from tests.solvers.own_terms import OWN, AlongZ, DepthWeighted
+from ttus_opt.benchmark import reference_cases
+from ttus_opt.benchmark.cases import with_new_values
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.scene import Scene
+from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.normal_equations import NormalEquations
+from ttus_opt.solvers.primal.options import PrimalOptions
+from ttus_opt.solvers.registry import solvers
+from ttus_opt.terms.tikhonov import TikhonovTerm
+
+SCENE = small_scene("trilinear")
+
+#: Every term of more rows than these is wide here, as on full grids
+SOLVER = NormalEquations(PrimalOptions(few_rows=100))
+TERMS = (TikhonovTerm, *OWN)
+
+
+def declared(scene: Scene, weight: float = 1e-2, hard: bool = False) -> Formulation:
+    weights = {"force_weight": weight, "torque_weight": 0.5 * weight}
+    return shelf.load("eq10_hard_boundary" if hard else "eq10", scene, **weights)
+
+
+def solved(program: Program, tolerance: float = 1e-8) -> Candidate:
+    return SOLVER.prepare(program, Request(tolerance)).solve()
+
+
+def direct_answer(program: Program) -> np.ndarray:
+    """The minimiser from the augmented system, no code shared with the solver."""
+    root = [np.sqrt(t.weight) for t in program.terms]
+    rows = [w * t.matrix for w, t in zip(root, program.terms, strict=True)]
+    target = [w * t.target for w, t in zip(root, program.terms, strict=True)]
+    M, t = sp.csc_array(sp.vstack(rows)), np.concatenate(target)
+    free = np.ones(M.shape[1], dtype=bool)
+    x = np.zeros(M.shape[1])
+    if program.dirichlet is not None:
+        free = program.laplace.free
+        x[~free] = program.dirichlet.lower
+    M, t = M[:, free], t - M @ x
+    augmented = sp.block_array([[sp.eye_array(len(t)), M], [M.T, None]])
+    side = np.concatenate([t, np.zeros(M.shape[1])])
+    x[free] = spsolve(sp.csc_array(augmented), side)[len(t) :]
+    return x
+
+
+@pytest.mark.parametrize("hard", [False, True], ids=["soft", "hard"])
+@pytest.mark.parametrize("own", TERMS, ids=lambda term: term.name)
+def test_equals_a_factorisation(own: type, hard: bool) -> None:
+    for weight in (1e-4, 1.0):
+        program = (declared(SCENE, 1e-2, hard) + own(SCENE, weight)).compile()
+        expected = direct_answer(program)
+        found = solved(program, 1e-10)
+        assert found.claim is Claim.DONE
+        apart = np.linalg.norm(found.x - expected) / np.linalg.norm(expected)
+        assert apart < 1e-7
+        residuals = kkt_residuals(program, found.x, found.duals)
+        assert residuals.worst_relative < 1e-9
+
+
+@pytest.mark.parametrize("name", ["anisotropic", "screened", "volume_weighted"])
+def test_takes_another_operator_with_a_wide_term(name: str) -> None:
+    weights = {"force_weight": 0.1, "torque_weight": 0.1}
+    program = (shelf.load(name, SCENE, **weights) + AlongZ(SCENE, 0.01)).compile()
+    found = solved(program, 1e-10)
+    np.testing.assert_allclose(found.x, direct_answer(program), atol=1e-6)
+
+
+@pytest.mark.parametrize("own", [TikhonovTerm, DepthWeighted], ids=lambda t: t.name)
+def test_steps_stay_few_over_twelve_decades(own: type) -> None:
+    """Of the term; of the measured rows, too, up to what single precision holds."""
+    counts = []
+    for weight in 10.0 ** np.arange(-6, 7, 3):
+        counts.append(solved((declared(SCENE) + own(SCENE, weight)).compile(), 1e-6))
+    for weight in (1e-6, 1e-3, 1.0, 1e3, 1e5):
+        counts.append(
+            solved((declared(SCENE, weight) + own(SCENE, 1e-3)).compile(), 1e-6)
+        )
+    assert all(c.claim is Claim.DONE for c in counts)
+    assert max(c.iterations for c in counts) <= 60
+
+
+@pytest.mark.parametrize("own", OWN, ids=lambda term: term.name)
+def test_steps_stay_few_where_own_terms_are_up_to_the_prior(own: type) -> None:
+    for weight in (1e-6, 1e-3, 1.0):
+        found = solved((declared(SCENE) + own(SCENE, weight)).compile(), 1e-6)
+        assert found.iterations <= 50
+
+
+def test_steps_do_not_grow_with_the_grid() -> None:
+    counts = []
+    for shape in ((7, 16, 9), (13, 32, 17), (25, 64, 33)):
+        scene = small_scene("trilinear", shape, n_poses=6)
+        program = (declared(scene) + TikhonovTerm(scene, 1e-3)).compile()
+        counts.append(solved(program, 1e-6).iterations)
+    assert max(counts) <= min(counts) + 8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("own", TERMS, ids=lambda term: term.name)
+def test_steps_from_s_to_m(own: type) -> None:
+    counts = []
+    for case in reference_cases("S,M"):
+        scene = case.build()
+        program = (declared(scene) + own(scene, 1e-3)).compile()
+        found = solved(program, 1e-6)
+        residuals = kkt_residuals(program, found.x, found.duals)
+        assert residuals.worst_relative < 1e-6
+        counts.append(found.iterations)
+    assert counts[1] <= counts[0] + 8
+
+
+def test_other_values_and_weights_are_taken() -> None:
+    first = (declared(SCENE) + TikhonovTerm(SCENE, 1e-3)).compile()
+    loaded = SOLVER.prepare(first, Request(1e-9))
+    loaded.solve()
+    other = with_new_values(SCENE, 3)
+    second = (declared(other, 0.3) + TikhonovTerm(other, 0.1)).compile()
+    loaded.update(second)
+    np.testing.assert_allclose(loaded.solve().x, direct_answer(second), atol=1e-6)
+
+
+@pytest.mark.slow
+def test_noisy_and_contradictory_measurements() -> None:
+    for how in ("noise", "reversed"):
+        case = replace(reference_cases("S")[0].small(), name="XS").perturbed(how)
+        scene = case.build()
+        program = (declared(scene, 1.0) + TikhonovTerm(scene, 1e-3)).compile()
+        found = solved(program, 1e-6)
+        residuals = kkt_residuals(program, found.x, found.duals)
+        assert residuals.worst_relative < 1e-6
+
+
+@pytest.mark.parametrize("own", [TikhonovTerm, AlongZ], ids=lambda t: t.name)
+def test_limits_hold_with_a_wide_term(own: type) -> None:
+    """Against interior point: the same objective, the same limits active."""
+    scene = small_scene("trilinear", shape=(7, 12, 8), n_poses=8)
+    limits = (Sign(scene), Monotone(scene, 10.0))
+    both = (declared(scene, 10.0) + own(scene, 1e-2)).with_constraints(*limits)
+    program = both.compile()
+    found = SOLVER.prepare(program, Request(1e-8)).solve()
+    assert found.claim is Claim.DONE
+    residuals = kkt_residuals(program, found.x, found.duals)
+    assert residuals.worst_relative < 1e-8
+    expected = solvers()["clarabel"].prepare(program, Request(1e-8)).solve()
+    apart = np.linalg.norm(found.x - expected.x) / np.linalg.norm(expected.x)
+    assert apart < 1e-5
+    active = sum(int((np.abs(y) > 1e-9).sum()) for y in found.duals.rows.values())
+    assert active > 5
+
+
+def test_limits_that_contradict_each_other() -> None:
+    far = (declared(SCENE) + TikhonovTerm(SCENE)).with_constraints(
+        HardBoundary(SCENE), Monotone(SCENE, 1e6)
+    )
+    found = SOLVER.prepare(far.compile(), Request(1e-6)).solve()
+    assert found.claim is Claim.INFEASIBLE
+
+
+def test_says_what_it_does_not_take() -> None:
+    alone = Formulation([TikhonovTerm(SCENE)]).compile()
+    assert "Laplace term" in SOLVER.refusal(alone)
+    drag = shelf.load("viscous_drag", SCENE).compile()
+    assert "unknowns beside the field" in SOLVER.refusal(drag)
+    assert "no sum of squares" in SOLVER.refusal(shelf.load("robust", SCENE).compile())
+
+
+def test_out_of_time_it_says_so() -> None:
+    program = (declared(SCENE) + TikhonovTerm(SCENE, 1e-3)).compile()
+    found = SOLVER.prepare(program, Request(1e-6, 1e-9)).solve()
+    assert found.claim is Claim.TIME_LIMIT

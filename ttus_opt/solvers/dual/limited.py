@@ -1,0 +1,110 @@
+"""A solver of working sets with a program loaded: tightening, contradictions."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.laplace.system import RTOL
+from ttus_opt.problem.kkt import Duals, kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
+from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.primal_dual_active_set import primal_dual_active_set
+from ttus_opt.solvers.dual.working_set import WorkingSet
+
+
+class Limited(Prepared):
+    """A program, its last working set, and what is asked of the solver."""
+
+    _program: Program
+
+    def __init__(
+        self, program: Program, request: Request, options: DualOptions
+    ) -> None:
+        """Load a program."""
+        self._request, self._options = request, options
+        self._last: tuple[Array, WorkingSet] | None = None
+        self.update(program)
+
+    def _contradiction(self, limits: SpokeLimits) -> Candidate | None:
+        """What to answer where limits leave nothing."""
+        worst = limits.contradiction()
+        if worst <= self._request.tolerance * _largest_limit(limits):
+            return None
+        detail = f"limits along a spoke contradict each other by {worst:.2g}"
+        return Candidate(
+            None, self._proof(limits), claim=Claim.INFEASIBLE, detail=detail
+        )
+
+    def _proof(self, limits: SpokeLimits) -> Duals:
+        """Multipliers that prove a contradiction; none where they are not known."""
+        return Duals()
+
+    def _tightened(self, attempt: Callable[[Accuracy], Candidate]) -> Candidate:
+        """Try until the answer holds, each time more exactly; the best answer.
+
+        Args:
+            attempt: Solves to an accuracy of the dual.
+        """
+        limit = self._request.time_limit
+        deadline = None if limit is None else time.perf_counter() + limit
+        rtol = max(self._request.tolerance * self._options.dual_margin, RTOL)
+        steps, best, least = 0, Candidate(None), np.inf
+        for _ in range(self._options.tightenings):
+            candidate = attempt(Accuracy(rtol, deadline=deadline))
+            assert candidate.x is not None
+            steps += candidate.iterations
+            kkt = kkt_residuals(
+                self._program,
+                candidate.x,
+                candidate.duals,
+                tolerance=self._request.tolerance,
+            )
+            gained = kkt.worst_relative < least
+            if gained or best.x is None:
+                best, least = candidate, kkt.worst_relative
+            if least <= self._request.tolerance or not gained:
+                break
+            if candidate.claim is Claim.TIME_LIMIT:
+                break
+            rtol *= self._options.tightening
+        return replace(best, iterations=steps)
+
+    def _within(
+        self, problem: LimitedProblem, limits: SpokeLimits, accuracy: Accuracy
+    ) -> ActiveSetIteration:
+        """The best field within limits, from the last working set on."""
+        answer = primal_dual_active_set(
+            problem, limits, self._last, self._request.tolerance, accuracy
+        )
+        if answer.settled:
+            self._last = answer.p, answer.active
+        return answer
+
+
+def candidate_of(answer: ActiveSetIteration, x: Array, duals: Duals) -> Candidate:
+    """An iteration's end as a solver's answer."""
+    claim = Claim.TIME_LIMIT if answer.late else Claim.GAVE_UP
+    return Candidate(
+        x,
+        duals,
+        answer.steps,
+        Claim.DONE if answer.settled else claim,
+        f"{answer.sets} working sets, {answer.active.count} active limits",
+    )
+
+
+def _largest_limit(limits: SpokeLimits) -> float:
+    """The largest finite limit, 1 where all are zero."""
+    finite = [
+        np.abs(values[np.isfinite(values)]).max(initial=0.0)
+        for values in (limits.lower, limits.upper, limits.least)
+    ]
+    return float(max(finite)) or 1.0

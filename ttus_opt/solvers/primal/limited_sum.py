@@ -1,0 +1,170 @@
+"""Limits with wide terms: working sets, each solved on the normal equations.
+
+The working set's subproblem is that of `dual.subproblem`: with p = Π ξ + o the Laplace
+term leaves square rows S and few rows that are none. Wide terms become M Π, and the
+preconditioner is the same as without limits, with the multigrid of the pooled blocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array
+from ttus_opt.multigrid.one_cycle import OneCycle
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.solver import DualAnswer
+from ttus_opt.solvers.dual.subproblem import ReducedLaplace, Subproblem, reduced
+from ttus_opt.solvers.dual.working_set import WorkingSet
+from ttus_opt.solvers.primal.conjugate_gradients import Goal, Pair, minimise
+from ttus_opt.solvers.primal.least_squares import LeastSquares
+from ttus_opt.solvers.primal.matching import Root
+from ttus_opt.solvers.primal.options import PrimalOptions
+from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
+from ttus_opt.solvers.primal.rough_system import ApproximateLaplace, RoughSystem
+from ttus_opt.solvers.primal.split import Split
+from ttus_opt.solvers.primal.wide_term import WideTerm
+
+#: Part of the gap that is left, over a subproblem's residual [–]
+GAP = 1e-2
+
+
+@dataclass(frozen=True)
+class LimitedSum:
+    """A program of the field alone, with limits and wide terms.
+
+    Attributes:
+        program: The problem.
+        limits: Its limits.
+        split: Its objective.
+        root: A root of its wide terms.
+        primal: Options of a subproblem.
+        options: Of the working sets.
+    """
+
+    program: Program
+    limits: SpokeLimits
+    split: Split
+    root: Root
+    primal: PrimalOptions
+    options: DualOptions
+    links_hold_slopes: ClassVar[bool] = True
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Of the grid."""
+        return self.limits.shape
+
+    def objective(self, p: Array) -> float:
+        """The objective."""
+        return self.program.objective(p)
+
+    def gradient(self, p: Array) -> Array:
+        """Gradient of the objective, shape (V,)."""
+        return np.add(*self.program.gradient(p))
+
+    def subproblem(self, active: WorkingSet) -> LimitedSubproblem:
+        """The problem of a working set."""
+        whole = self.split
+        data = replace(whole.few, columns=np.zeros((len(whole.few.t), 0)))
+        left = reduced(whole.operator, self.limits, active, data, self.options)
+        split = _reduced_split(whole, left)
+        preconditioner = self._preconditioner(split, left)
+        function = LeastSquares(split, preconditioner.complement)
+        return LimitedSubproblem(function, preconditioner, left, self.primal)
+
+    def _preconditioner(
+        self, split: Split, left: Subproblem
+    ) -> ConstraintPreconditioner:
+        system = left.solver.system
+        laplace = system.laplace
+        assert isinstance(laplace, ReducedLaplace)
+        tied = bool(laplace.links.any())
+        cycle = OneCycle(
+            laplace.grid,
+            laplace.members,
+            self.root.added,
+            laplace.links if tied else None,
+            laplace.free,
+        )
+        assert left.sums is not None
+        more = sp.csr_array(left.sums @ self.root.coupling @ left.expansion)
+        # other columns are within A
+        kept = sp.diags_array((system.compliance > 0.0) & ~laplace.free, dtype=float)
+        more = sp.csr_array(more @ kept)
+        more.eliminate_zeros()
+        rough = ApproximateLaplace.of(laplace, cycle, more)
+        rough_system = RoughSystem.of(system, rough, split.wide)
+        columns = np.zeros((len(left.t), 0))
+        inner = self.primal.inner
+        return ConstraintPreconditioner(rough_system, columns, inner, self.options)
+
+
+@dataclass(frozen=True)
+class LimitedSubproblem:
+    """The problem of a working set, without limits.
+
+    Attributes:
+        function: F of ξ.
+        preconditioner: Its preconditioner.
+        left: The subproblem as the dual has it.
+        options: Of conjugate gradients.
+    """
+
+    function: LeastSquares
+    preconditioner: ConstraintPreconditioner
+    left: Subproblem = field(repr=False)
+    options: PrimalOptions
+
+    def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
+        """The best field, after that of the last working set."""
+        function, options = self.function, self.options
+        at = function.start()
+        scale = float(np.linalg.norm(function.gradient(function.residual(at))))
+        value = function.value(at.p)
+        if last is not None:
+            p = np.where(function.split.moving, last, at.p)
+            at = Pair(p, function.misfit(p))
+        goal = Goal(
+            GAP * accuracy.rtol,
+            (GAP * accuracy.rtol) ** 2 * value,
+            accuracy.rtol * scale,
+            options.max_steps,
+            accuracy,
+        )
+        rounds = options.rounds, options.round_gain
+        found = minimise(function, self.preconditioner, at, goal, *rounds)
+        p = self.left.expansion @ found.at.p + self.left.offset
+        return DualAnswer(p, np.zeros(0), found.steps, accuracy.late)
+
+
+def _reduced_split(whole: Split, left: Subproblem) -> Split:
+    """What a working set leaves of the terms, over ξ."""
+    system = left.solver.system
+    own = system.laplace.free
+    fixed = ~own & (system.compliance > 0.0)
+    expansion = left.expansion
+    assert left.sums is not None
+    square = sp.csr_array(left.sums @ whole.operator.L @ expansion)
+    rows = np.where(own, 1.0, 0.0)
+    root = np.zeros(len(own))
+    root[own | fixed] = 1.0 / np.sqrt(system.compliance[own | fixed])
+    one = sp.diags_array(np.where(fixed, root, 0.0))
+    matrix = sp.csr_array(sp.diags_array(rows * root) @ square + one)
+    prior = WideTerm(1.0, matrix, root * left.b)
+    wide = tuple(
+        WideTerm(
+            t.weight,
+            sp.csr_array(t.matrix @ expansion),
+            t.target - t.matrix @ left.offset,
+        )
+        for t in whole.wide
+    )
+    few = DualData(system, left.b, left.t, np.zeros((len(left.t), 0)))
+    return Split(prior, wide, few, own | fixed)

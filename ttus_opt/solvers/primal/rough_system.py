@@ -1,0 +1,144 @@
+"""The dual system with rough solves: P⁻¹ = L̃⁻¹ Ω L̃⁻ᵀ, one V-cycle for each L̃⁻¹.
+
+At fixed voxels whose values are soft Ω is not diagonal where wide terms have rows
+there. Of these rows, over fixed voxels and the free ones beside them, the free ones are
+eliminated, and what is left is added to Ω⁻¹. Fixed voxels lie on the rim and on the
+surface, in layers: that is factorised.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.laplace.square_system import RTOL, BlockSolves, SquareSystem
+from ttus_opt.multigrid.one_cycle import OneCycle
+from ttus_opt.solvers.dual.system import DualSystem
+from ttus_opt.solvers.primal.wide_term import WideTerm
+
+#: Rows among fixed voxels that weigh less are left out [–]
+LIGHT = 0.3
+
+
+@dataclass(frozen=True)
+class ApproximateLaplace(BlockSolves):
+    """A square system whose solves are one V-cycle each, linear and adjoint.
+
+    Attributes:
+        free: Voxels with an unknown of their own, shape (V,).
+        radii: What turns a row of A into one of L, shape (V,) [m].
+        coupling: Entries from fixed voxels to free rows, and their adjoint.
+        multigrid: The V-cycle of A, with what is added to it.
+    """
+
+    free: Mask = field(repr=False)
+    radii: Array = field(repr=False)
+    coupling: tuple[sp.csr_array, sp.csr_array] = field(repr=False)
+    multigrid: OneCycle = field(repr=False)
+
+    @classmethod
+    def of(
+        cls, system: SquareSystem, multigrid: OneCycle, more: sp.csr_array
+    ) -> ApproximateLaplace:
+        """The same system with another block A and more coupling."""
+        coupling = system.coupling
+        if more.nnz:
+            inward = sp.csr_array(coupling[0] + more)
+            coupling = inward, sp.csr_array(inward.T)
+        return cls(system.free, system.radii, coupling, multigrid)
+
+
+@dataclass(frozen=True)
+class FixedBlock:
+    """Ω at fixed voxels, where it is not diagonal.
+
+    Attributes:
+        at: The voxels, shape (k,).
+        solve: A vector of theirs with as many zeros as there are free voxels beside
+            them, times the inverse of the block.
+        size: Voxels of the block.
+    """
+
+    at: IntArray = field(repr=False)
+    inverse: Callable[[Array], Array] = field(repr=False)
+    size: int
+
+    def solve(self, r: Array) -> Array:
+        """Ω times a vector of the fixed voxels, shape (k,)."""
+        load = np.zeros(self.size)
+        load[: len(r)] = r
+        return self.inverse(load)[: len(r)]
+
+    @classmethod
+    def of(
+        cls, wide: Sequence[WideTerm], free: Mask, compliance: Array
+    ) -> FixedBlock | None:
+        """Factorise it; None where the diagonal will do.
+
+        Args:
+            wide: The wide terms.
+            free: Voxels with a Laplace row, shape (V,).
+            compliance: Ω of the Laplace term, shape (V,) [–].
+        """
+        soft = ~free & (compliance > 0.0)
+        at = np.flatnonzero(soft)
+        rows = []
+        for term in wide:
+            M = term.matrix
+            touching = sp.csr_array(abs(M)) @ soft.astype(float) > 0.0
+            rows.append(np.sqrt(term.weight) * M[np.flatnonzero(touching)])
+        own = sp.csr_array(sp.vstack([sp.csr_array((0, len(free))), *rows]))
+        heavy = np.bincount(own.indices, own.data**2, len(free)) * compliance
+        if not heavy[at].max(initial=0.0) > LIGHT:
+            return None
+        beside = np.setdiff1d(own.indices, at)
+        both = np.concatenate([at, beside])
+        own = sp.csr_array(own[:, both])
+        stiffness = np.ones(len(both))
+        stiffness[: len(at)] = 1.0 / compliance[at]
+        block = sp.csc_array(own.T @ own + sp.diags_array(stiffness))
+        factor = splu(
+            block,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        return cls(at, factor.solve, len(both))
+
+
+@dataclass(frozen=True)
+class RoughSystem(DualSystem):
+    """A dual system whose L has rough solves.
+
+    Attributes:
+        fixed: Ω at fixed voxels where it is not diagonal; None where it is.
+    """
+
+    fixed: FixedBlock | None = None
+
+    @classmethod
+    def of(
+        cls, exact: DualSystem, rough: ApproximateLaplace, wide: Sequence[WideTerm]
+    ) -> RoughSystem:
+        """The same rows as of an exact system, with rough solves and wide terms."""
+        compliance = exact.compliance
+        fixed = FixedBlock.of(wide, rough.free, compliance)
+        rows = exact.rows, exact.root_weights, exact.n_measured
+        return cls(rough, compliance, *rows, fixed)
+
+    def prior(self, r: Array) -> Array:
+        """P⁻¹r, shape (V,)."""
+        slope = self.laplace.solve_adjoint(r)
+        middle = self.compliance * slope
+        if self.fixed is not None:
+            middle[self.fixed.at] = self.fixed.solve(slope[self.fixed.at])
+        return self.laplace.solve(middle)
+
+    def response(self, y: Array, rtol: float = RTOL) -> Array:
+        """The field P⁻¹Dᵀy, shape (V,)."""
+        return self.prior(self.adjoint @ (self.root_weights * y))
