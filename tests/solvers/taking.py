@@ -46,6 +46,9 @@ HIGHS = frozenset({"highs"})
 #: Laplace's rows and measured ones; the multigrid stands on the plain operator
 STRUCTURED, AMG = frozenset({"structured"}), frozenset({"amg_pcg"})
 
+#: Penalties that are no sum of squares, as they were declared
+BENT = frozenset({"augmented_lagrangian"})
+
 #: Who takes the reduced program of a formulation of the shelf
 FORMULATIONS: Mapping[str, frozenset[str]] = {
     "anisotropic": QP | CLOSED,
@@ -58,11 +61,11 @@ FORMULATIONS: Mapping[str, frozenset[str]] = {
     "eq10_sign_monotone": QP | HIGHS | STRUCTURED,
     "free_surface": QP | HIGHS,
     "laplace_only": QP | CLOSED | STRUCTURED | AMG,
-    "robust": QP | HIGHS,
+    "robust": QP | HIGHS | BENT,
     "screened": QP | CLOSED,
-    "sparse_sources": QP | HIGHS,
+    "sparse_sources": QP | HIGHS | BENT,
     "tikhonov": QP | CLOSED | STRUCTURED,
-    "total_variation": QP | HIGHS,
+    "total_variation": QP | HIGHS | BENT,
     "viscous_drag": QP | HIGHS | STRUCTURED,
     "volume_weighted": QP | STRUCTURED,
 }
@@ -79,10 +82,10 @@ REFERENCES: Mapping[str, frozenset[str]] = {
     "mixed_rows": QP | HIGHS,
     "names": QP | HIGHS,
     "linear_term": QP | HIGHS,
-    "absolute": QP | HIGHS,
-    "absolute_kink": QP | HIGHS,
-    "huber": QP | HIGHS,
-    "groups": CONES,
+    "absolute": QP | HIGHS | BENT,
+    "absolute_kink": QP | HIGHS | BENT,
+    "huber": QP | HIGHS | BENT,
+    "groups": CONES | BENT,
 }
 
 #: Who takes a small program without Laplace rows that has bounds

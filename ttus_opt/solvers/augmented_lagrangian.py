@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.arrays import Array
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
@@ -34,10 +34,10 @@ from ttus_opt.terms.structure import LaplaceRows
 FEW = 0.1
 
 #: Weight of the anchor over σ [–]
-ANCHOR = 1e-4
+ANCHOR = 10.0
 
 #: Multipliers without a kink at the start, over those where absolute values end [–]
-START = 3.0
+START = 1.5
 
 
 class AugmentedLagrangian(Solver):
@@ -68,6 +68,10 @@ class AugmentedLagrangian(Solver):
             return "all penalties are squares: other solvers take them faster"
         return ""
 
+    def suits(self, program: Program) -> bool:
+        """Where there is an L: its multigrid is what the method is fast by."""
+        return program.laplace is not None
+
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Sort the rows."""
         self.require(program)
@@ -97,7 +101,6 @@ class _Loaded(Prepared):
         blocks = [*problem.blocks, *([anchor] if anchor is not None else [])]
         x = self._start(system, blocks, anchor)
         method = MethodOfMultipliers(problem, blocks, anchor, system, self._request)
-        if TRACE: method.trace = TRACE
         found = method.solve(x)
         assert found.x is not None
         self._last = found.x
@@ -127,7 +130,9 @@ class _Loaded(Prepared):
             return LaplaceNewton(laplace, blocks, declared, fixed), anchor
         anchor = None
         if not (_held_by_laplace(problem) and len(program.variables) == 1):
-            anchor = _anchor(sp.csr_array(sp.eye_array(program.n_variables, format="csr")))
+            anchor = _anchor(
+                sp.csr_array(sp.eye_array(program.n_variables, format="csr"))
+            )
             blocks.append(anchor)
         return FieldNewton(program, blocks, problem.fixed), anchor
 
@@ -155,10 +160,13 @@ class _Loaded(Prepared):
         residuals = [b.residual(x) for b in blocks]
         pairs = []
         for b, r in zip(blocks, residuals, strict=True):
-            kept, b.weight = b.weight, b.weight
             pairs.append(b.charged(r))
-        gradient = np.sum([b.adjoint(y) for b, (y, _) in zip(blocks, pairs, strict=True)], axis=0)
-        d, _ = system.step(np.where(problem.fixed, 0.0, gradient), [s for _, s in pairs], 1e-2, None)
+        gradient = np.sum(
+            [b.adjoint(y) for b, (y, _) in zip(blocks, pairs, strict=True)], axis=0
+        )
+        d, _ = system.step(
+            np.where(problem.fixed, 0.0, gradient), [s for _, s in pairs], 1e-2, None
+        )
         for b in bent:
             largest = float(np.abs(b.residual(x + d)).max(initial=0.0))
             if largest > 0.0:
@@ -166,7 +174,9 @@ class _Loaded(Prepared):
         self._set_anchor(anchor, bent)
         return x
 
-    def _set_anchor(self, anchor: PenalisedRows | None, bent: list[PenalisedRows]) -> None:
+    def _set_anchor(
+        self, anchor: PenalisedRows | None, bent: list[PenalisedRows]
+    ) -> None:
         if anchor is not None and bent:
             anchor.weight = 0.5 * ANCHOR * max(b.sigma for b in bent)
             anchor.sigma = 1e15 * anchor.weight
@@ -235,5 +245,4 @@ def _is_laplace_and_few(problem: PenalisedProblem) -> bool:
     return bool(own) and plain and (given or soft) and few <= FEW * len(problem.fixed)
 
 
-TRACE = None
 SOLVERS = [AugmentedLagrangian()]

@@ -29,6 +29,8 @@ ENTRY_POINTS = "ttus_opt.solvers"
 PREFERENCE: tuple[tuple[str, str], ...] = (
     ("structured", "never forms Q: exact to rounding and the fastest at every size, "
      "while the measured rows are fewer than half the voxels"),
+    ("augmented_lagrangian", "penalties that are no squares as they are: Newton steps "
+     "through the same dual, or over the field"),
     ("clarabel", "interior point on the sparse least-squares form: sure and accurate"),
     ("scs", "splitting, one factor for all iterations: two to three times faster than "
      "interior point where that factor is large, and a re-solve costs a tenth"),

@@ -16,15 +16,14 @@ Semismooth Newton Augmented Lagrangian Method for Solving Lasso Problems (2018).
 
 from __future__ import annotations
 
-import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.problem.kkt import Duals, kkt_residuals
+from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.proximal import line_search
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
@@ -45,6 +44,9 @@ class NewtonSystem(Protocol):
         """The step from a gradient and the slopes of all blocks; iterations spent."""
 
 
+TRACE = None
+
+
 @dataclass(frozen=True)
 class Options:
     """Numbers of the method.
@@ -55,14 +57,16 @@ class Options:
         rtol: Relative residual of a Newton system [–].
         share: A round ends when what Newton's method would still gain is below this
             part of what the multipliers move [–].
-        growth: Of σ from round to round [–].
+        growth: Of σ, and of what the anchor lets x move, after a round that got there.
+        retreat: By how much both shrink after one that did not.
     """
 
-    rounds: int = 60
-    newton_steps: int = 60
-    rtol: float = 1e-2
-    share: float = 0.03
-    growth: float = 5.0
+    rounds: int = 150
+    newton_steps: int = 5
+    rtol: float = 1e-4
+    share: float = 0.1
+    growth: float = 2.0
+    retreat: float = 1.5
 
 
 @dataclass
@@ -136,37 +140,43 @@ class MethodOfMultipliers:
         if self._anchor is not None:
             self._anchor.target = np.asarray(self._anchor.matrix @ x)
         state = _State(x, [b.residual(x) for b in self._blocks])
-        best, least, stale = Candidate(None), np.inf, 0
+        best, least, stale = Candidate(x, claim=Claim.TIME_LIMIT), np.inf, 0
         rtol = self._options.rtol
         for _ in range(self._options.rounds):
-            self._minimise(state, rtol)
+            done = self._minimise(state, rtol)
             duals = self._problem.duals(
-                [y for b, y in zip(self._blocks, state.multipliers) if b is not self._anchor],
+                [
+                    y
+                    for b, y in zip(self._blocks, state.multipliers, strict=True)
+                    if b is not self._anchor
+                ],
                 state.gradient,
             )
             kkt = kkt_residuals(
                 self._problem.program, state.x, duals, tolerance=self._request.tolerance
             )
-            if self.trace is not None:
-                self.trace(self, state, kkt)
-            if kkt.worst_relative < least or best.x is None:
+            if TRACE is not None:
+                TRACE(self, state, kkt)
+            if kkt.worst_relative < least:
                 stale = 0 if kkt.worst_relative < 0.9 * least else stale + 1
                 best, least = Candidate(state.x, duals), kkt.worst_relative
             else:
                 stale += 1
-            if least <= self._request.tolerance or stale > 8 or self._late:
+            if least <= self._request.tolerance or stale > 25 or self._late:
                 break
-            self._next_round(state)
-        return best
-
-    trace = None
+            self._next_round(
+                state, self._options.growth if done else 1.0 / self._options.retreat
+            )
+        if least <= self._request.tolerance:
+            return best
+        return replace(best, claim=Claim.TIME_LIMIT if self._late else Claim.GAVE_UP)
 
     @property
     def _late(self) -> bool:
         return self._deadline is not None and time.perf_counter() > self._deadline
 
-    def _minimise(self, state: _State, rtol: float) -> None:
-        """Newton steps until a round is done."""
+    def _minimise(self, state: _State, rtol: float) -> bool:
+        """Newton steps; whether they got as far as a round should."""
         blocks, fixed = self._blocks, self._problem.fixed
         state.evaluate(blocks)
         for _ in range(self._options.newton_steps):
@@ -176,7 +186,7 @@ class MethodOfMultipliers:
             d = np.where(fixed, 0.0, d)
             start = float(gradient @ d)
             if not (np.isfinite(start) and start < 0.0):
-                return
+                return True
             changes = [np.asarray(b.matrix @ d) for b in blocks]
             length, end = line_search.along(
                 lambda a, c=changes: self._slope(state, c, a), start
@@ -186,12 +196,11 @@ class MethodOfMultipliers:
                 r += length * change
             state.evaluate(blocks)
             left = max(abs(end), rtol**2 * -start) if length == 1.0 else np.inf
-            if self.trace is not None:
-                print(f"   newton {spent} len {length:.3f} {start:.1e} {end:.1e} moved {self._moved(state):.1e} grad {np.linalg.norm(np.where(fixed,0,state.gradient)):.1e}")
             if left <= self._options.share**2 * self._moved(state) or self._late:
-                return
+                return True
             if self._small(state):
-                return
+                return True
+        return False
 
     def _small(self, state: _State) -> bool:
         """Whether the gradient is far below its summands."""
@@ -221,16 +230,16 @@ class MethodOfMultipliers:
                 total += float(change @ change) / b.sigma
         return total
 
-    def _next_round(self, state: _State) -> None:
+    def _next_round(self, state: _State, growth: float) -> None:
         """Take new estimates; σ grows."""
         for k, (b, y) in enumerate(zip(self._blocks, state.multipliers, strict=True)):
             if b is self._anchor:
                 b.target = np.asarray(b.matrix @ state.x)
                 state.residuals[k] = np.zeros(len(b.target))
-                b.weight *= self._options.growth
-                b.sigma *= self._options.growth
+                b.weight /= growth
+                b.sigma /= growth
             elif not b.exact:
                 b.adopt(y)
-                b.sigma *= self._options.growth
+                b.sigma *= growth
         # a block's residual follows x exactly, not by sums of steps
         state.residuals = [b.residual(state.x) for b in self._blocks]

@@ -79,9 +79,7 @@ class PenalisedProblem:
             gradient: Of the Lagrangian, which given values absorb, shape (n,).
         """
         program = self.program
-        by_name = {
-            b.name: y for b, y in zip(self.blocks, multipliers, strict=True)
-        }
+        by_name = {b.name: y for b, y in zip(self.blocks, multipliers, strict=True)}
         terms = {
             t.name: by_name[t.name] / t.weight
             for t in program.terms
