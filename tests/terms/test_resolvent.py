@@ -1,4 +1,4 @@
-"""Resolvents of penalties: optimal where they claim to be, their slopes by differences."""
+"""Resolvents of penalties: optimal as they claim, their slopes by differences."""
 
 from __future__ import annotations
 

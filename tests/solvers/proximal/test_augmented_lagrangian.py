@@ -68,7 +68,7 @@ def test_orthogonal_rows_are_thresholded(weight: float) -> None:
 
 
 def test_a_step_keeps_its_edge_under_total_variation() -> None:
-    """‖x − y‖² + w Σ |D x| of a step from 0 (20) to 1 (30): each side by w/2n inwards."""
+    """‖x − y‖² + w Σ |D x|, a step of 20 and 30: each side w/2n inwards."""
     y = np.repeat([0.0, 1.0], [20, 30])
     D = np.diff(np.eye(50), axis=0)
     x = solved(

@@ -204,7 +204,7 @@ def _conjugate_gradients(
     deadline: float | None,
     most: int = MOST_STEPS,
 ) -> _Run:
-    """Flexible conjugate gradients: what preconditions need not be linear (Notay 2000)."""
+    """Flexible conjugate gradients (Notay 2000): preconditioners need not be linear."""
     d, rest = np.zeros_like(side), side.copy()
     first = now = float(np.linalg.norm(side))
     z = precondition(rest)
