@@ -4,6 +4,7 @@ principle."""
 from __future__ import annotations
 
 import itertools
+from typing import Any
 
 import numpy as np
 import pytest
@@ -286,10 +287,28 @@ def test_variants_are_checked(given: dict[str, object]) -> None:
         )
 
 
-@pytest.mark.parametrize("given", [{"screening": 1.0}, {"conductivities": (2, 1, 1)}])
-def test_the_multigrid_refuses_a_variant(given: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"screening": 1.0},
+        {"screening": 300.0},
+        {"conductivities": (2.0, 1.0, 1.0)},
+        {"conductivities": (1.0, 50.0, 0.02), "screening": 20.0},
+    ],
+)
+def test_solves_of_a_variant_equal_a_factorisation(given: dict[str, Any]) -> None:
     voxmap = Voxmap.from_surface(torso(), shape=(9, 12, 7))
-    system = LaplaceSystem.assemble(voxmap, **given)  # type: ignore[arg-type]
+    system = LaplaceSystem.assemble(voxmap, **given)
     assert not system.is_plain
-    with pytest.raises(InputError, match="plain Laplace operator only"):
-        _ = system.multigrid
+    g = np.random.default_rng(1).normal(size=len(system.free))
+    L = sp.csc_array(system.L)
+    np.testing.assert_allclose(system.solve(g), spsolve(L, g), rtol=1e-9, atol=1e-9)
+    expected = spsolve(sp.csc_array(L.T), g)
+    np.testing.assert_allclose(system.solve_adjoint(g), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_a_variant_is_assembled_once() -> None:
+    system = LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=(9, 12, 7)))
+    one = system.variant(conductivities=(1.0, 2.0, 3.0))
+    assert one is system.variant(conductivities=(1.0, 2.0, 3.0))
+    assert one is not system.variant(conductivities=(1.0, 2.0, 3.0), screening=1.0)

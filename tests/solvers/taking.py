@@ -43,31 +43,34 @@ CLOSED = frozenset(
 #: Inequalities, through an active set; no lone equalities
 HIGHS = frozenset({"highs"})
 
-#: Laplace's rows and measured ones; the multigrid stands on the plain operator
+#: Laplace's rows and measured ones; amg_pcg takes those of the plain operator
 STRUCTURED, AMG = frozenset({"structured"}), frozenset({"amg_pcg"})
 
 #: Penalties that are no sum of squares, as they were declared
 BENT = frozenset({"augmented_lagrangian"})
 
+#: Any sum of squares beside Laplace's rows
+NORMAL = frozenset({"normal_equations"})
+
 #: Who takes the reduced program of a formulation of the shelf
 FORMULATIONS: Mapping[str, frozenset[str]] = {
-    "anisotropic": QP | CLOSED,
+    "anisotropic": QP | CLOSED | STRUCTURED | NORMAL,
     "coulomb_drag": QP | HIGHS | STRUCTURED,
-    "coulomb_global": QP | CLOSED | STRUCTURED | AMG,
-    "eq10": QP | CLOSED | STRUCTURED | AMG,
-    "eq10_hard_boundary": QP | STRUCTURED,
+    "coulomb_global": QP | CLOSED | STRUCTURED | NORMAL | AMG,
+    "eq10": QP | CLOSED | STRUCTURED | NORMAL | AMG,
+    "eq10_hard_boundary": QP | STRUCTURED | NORMAL,
     "eq10_monotone": QP | HIGHS | STRUCTURED,
     "eq10_sign": QP | HIGHS | STRUCTURED,
     "eq10_sign_monotone": QP | HIGHS | STRUCTURED,
-    "free_surface": QP | HIGHS,
-    "laplace_only": QP | CLOSED | STRUCTURED | AMG,
+    "free_surface": QP | HIGHS | STRUCTURED,
+    "laplace_only": QP | CLOSED | STRUCTURED | NORMAL | AMG,
     "robust": QP | HIGHS | BENT,
-    "screened": QP | CLOSED,
+    "screened": QP | CLOSED | STRUCTURED | NORMAL,
     "sparse_sources": QP | HIGHS | BENT,
-    "tikhonov": QP | CLOSED | STRUCTURED,
+    "tikhonov": QP | CLOSED | STRUCTURED | NORMAL,
     "total_variation": QP | HIGHS | BENT,
     "viscous_drag": QP | HIGHS | STRUCTURED,
-    "volume_weighted": QP | STRUCTURED,
+    "volume_weighted": QP | STRUCTURED | NORMAL,
 }
 
 #: Who takes a reference problem, bent penalties reduced where that is possible
@@ -97,6 +100,7 @@ REQUIRED = {
     "clarabel",
     "closed_form",
     "cvxpy_clarabel",
+    "normal_equations",
     "osqp",
     "structured",
 }

@@ -102,7 +102,8 @@ def test_a_constraint_called_boundary_is_not_taken_for_the_boundary() -> None:
         (frozenset({LaplaceRows("p")}), 0.999),
         (frozenset({LaplaceRows("q")}), 1.0),
         (frozenset({LaplaceRows("p", beside=("m",))}), 1.0),
-        (frozenset({LaplaceRows("p", np.ones(SCENE.n_voxels))}), 1.0),
+        (frozenset({LaplaceRows("p", np.full(SCENE.n_voxels, 0.9))}), 1.0),
+        (frozenset({LaplaceRows("p", system=SCENE.laplace.variant(screening=9))}), 1),
         (frozenset({Tag.DIRICHLET}), 1.0),
     ],
 )

@@ -114,12 +114,6 @@ def test_conductivities_that_are_none(bad: tuple[float, ...]) -> None:
         ScreenedTerm(SCENE, screening=-1.0).rows()
 
 
-def test_a_variant_has_no_multigrid() -> None:
-    system = LaplaceSystem.assemble(SCENE.voxmap, screening=5.0)
-    with pytest.raises(InputError, match="plain Laplace operator only"):
-        _ = system.multigrid
-
-
 def test_free_surface_drops_the_skin_and_nothing_else() -> None:
     rows = LaplaceFreeSurfaceTerm(SCENE, skin=0.25).rows().blocks["p"]
     skin = free_skin(SCENE.voxmap.on_surface).reshape(-1)

@@ -15,7 +15,7 @@ polar coordinates. With the free rows scaled by -r, their square block A is symm
 positive definite.
 
 Variants: conductivities k_r, k_θ, k_z in front of the three parts, and screening,
-∇²p - κ²p. Only the plain operator has a multigrid.
+∇²p - κ²p.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from ttus_opt.compiled import compiled
 from ttus_opt.errors import InputError
 from ttus_opt.laplace.square_system import RTOL as RTOL
 from ttus_opt.laplace.square_system import BlockSolves
+from ttus_opt.laplace.variant_grid import VariantGrid
 from ttus_opt.multigrid import Multigrid
 from ttus_opt.voxmap.grid import CylindricalGrid, flat_index
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -145,7 +146,7 @@ class LaplaceSystem(BlockSolves):
 
     @property
     def is_plain(self) -> bool:
-        """Whether this is ∇² itself, which the multigrid solves."""
+        """Whether this is ∇² itself."""
         return self.conductivities == (1.0, 1.0, 1.0) and self.screening == 0.0
 
     @property
@@ -168,24 +169,58 @@ class LaplaceSystem(BlockSolves):
         return inner * self.inner_part + outer * self.outer_part
 
     @cached_property
+    def operator_grid(self) -> CylindricalGrid:
+        """The grid on which the unscreened operator is k_r times the plain one."""
+        grid, (k_r, k_theta, k_z) = self.grid, self.conductivities
+        if k_r == k_theta == k_z:
+            return grid
+        limits = grid.r_inner, grid.r_outer, grid.z_min, grid.z_max
+        stretches = np.sqrt(k_r / k_theta), np.sqrt(k_r / k_z)
+        return VariantGrid(*limits, grid.shape, *map(float, stretches))
+
+    @cached_property
     def radii(self) -> Array:
-        """Radius of every voxel, shape (V,) [m]."""
+        """What turns a free row of -L into one of A: r/k_r, shape (V,) [m]."""
         shape = self.grid.shape
-        return np.repeat(self.grid.r, shape[1] * shape[2])
+        return np.repeat(self.grid.r / self.conductivities[0], shape[1] * shape[2])
+
+    @cached_property
+    def screening_of_layers(self) -> Array | None:
+        """What screening adds to the diagonal of A, shape (n_r,) [m]; None without."""
+        if self.screening == 0.0:
+            return None
+        squared = (self.screening * self.grid.r_step) ** 2
+        return np.asarray(self.grid.r / self.conductivities[0] * squared)
 
     @cached_property
     def multigrid(self) -> Multigrid:
-        """Solver of the symmetric block A on the free voxels.
+        """Solver of the symmetric block A on the free voxels."""
+        grid = self.operator_grid
+        free = grid.unflatten(self.free)
+        return Multigrid(grid, free, screening=self.screening_of_layers)
 
-        Raises:
-            InputError: The operator is a variant, for which there is none.
+    def variant(
+        self,
+        *,
+        conductivities: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        screening: float = 0.0,
+    ) -> LaplaceSystem:
+        """Another operator on the same voxmap, assembled once and kept.
+
+        Args:
+            conductivities: As of `assemble`.
+            screening: As of `assemble`.
         """
-        if not self.is_plain:
-            raise InputError(
-                "the multigrid solves the plain Laplace operator only: fit the variant "
-                "with a solver that factorises"
+        key = (*conductivities, screening)
+        if key not in self._variants:
+            self._variants[key] = LaplaceSystem.assemble(
+                self.voxmap, conductivities=conductivities, screening=screening
             )
-        return Multigrid(self.grid, self.grid.unflatten(self.free))
+        return self._variants[key]
+
+    @cached_property
+    def _variants(self) -> dict[tuple[float, ...], LaplaceSystem]:
+        return {}
 
     @cached_property
     def coupling(self) -> tuple[sp.csr_array, sp.csr_array]:

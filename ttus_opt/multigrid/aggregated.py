@@ -9,6 +9,8 @@ sum residuals over blocks.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +31,13 @@ class AggregatedMultigrid(Multigrid):
     """
 
     def __init__(
-        self, grid: CylindricalGrid, free: Mask, ties: Mask, leads: Mask
+        self,
+        grid: CylindricalGrid,
+        free: Mask,
+        ties: Mask,
+        leads: Mask,
+        *,
+        screening: Array | None = None,
     ) -> None:
         """Build the levels.
 
@@ -38,17 +46,24 @@ class AggregatedMultigrid(Multigrid):
             free: Unknown voxels, shape (V,); a block is free as a whole.
             ties: Voxels tied to the next one outwards, shape (V,).
             leads: Free voxels outside blocks, and one of each, shape (V,).
+            screening: As of `Multigrid`.
         """
         self._leads = leads
         self._blocks = PooledBlocks.of(free, ties, leads, grid.strides[0])
-        super().__init__(grid, grid.unflatten(free), ties=grid.unflatten(ties))
+        super().__init__(
+            grid,
+            grid.unflatten(free),
+            ties=grid.unflatten(ties),
+            screening=screening,
+        )
         self.norm_bound *= math.sqrt(self._blocks.longest)
 
-    def __reduce__(self) -> tuple[type[Multigrid], tuple[object, ...]]:
+    def __reduce__(self) -> tuple[Callable[..., Multigrid], tuple[object, ...]]:
         """Pickle as what it was built from."""
         assert self._ties is not None
         ties = self.grid.flatten(self._ties)
-        return AggregatedMultigrid, (self.grid, self.free, ties, self._leads)
+        built = (self.grid, self.free, ties, self._leads)
+        return partial(AggregatedMultigrid, screening=self.screening), built
 
     def rough(self, near: NDArray[np.integer] | None = None) -> VCycle:
         """One V-cycle at a time, as `Multigrid.rough`; it knows all blocks."""
@@ -56,7 +71,8 @@ class AggregatedMultigrid(Multigrid):
         ties = self.grid.flatten(self._ties)
         if near is not None:  # a block that is cut would be held fixed
             near = np.union1d(near, np.flatnonzero(ties))
-        return VCycle.near(near, self._hierarchy, self.grid, self.free, ties)
+        whole = (self._hierarchy, self.grid, self.free, ties, self._added)
+        return VCycle.near(near, *whole)
 
     def apply(self, x: Array) -> Array:
         """PᵀA P z, shape (V,)."""

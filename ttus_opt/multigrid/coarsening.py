@@ -22,8 +22,8 @@ is left out only while its own step is the wide one.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +65,37 @@ class Box(Protocol):
         """Step along the axis [m]."""
 
 
+class Part(Protocol):
+    """A part of a grid."""
+
+    def restrict(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Values of the grid, (n_r, n_theta, n_z), inside the part, a copy."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """What is added to the operator of a grid, on arrays of its shape.
+
+    Attributes:
+        screening: Added to the diagonal of free nodes, not negative [m].
+        links: Per direction what is added to the conductance to the next node, not
+            negative [m]; empty for nothing.
+    """
+
+    screening: Array = field(repr=False)
+    links: tuple[Array, ...] = field(default=(), repr=False)
+
+    @classmethod
+    def in_layers(cls, screening: Array, shape: tuple[int, int, int]) -> Added:
+        """Screening that is the same all over a layer, shape (n_r,)."""
+        return cls(np.broadcast_to(screening[:, None, None], shape))
+
+    def within(self, part: Part) -> Added:
+        """The same on a part of the grid."""
+        links: tuple[Array, ...] = tuple(part.restrict(v) for v in self.links)
+        return Added(part.restrict(self.screening), links)
+
+
 @dataclass(frozen=True)
 class Network:
     """Conductances of a level; zero wherever a node is fixed.
@@ -75,6 +106,8 @@ class Network:
         grounds: Per direction the conductance to fixed neighbours, same shape [m].
         positions: Per direction the nodes' places, in steps of the finest grid [–].
         turn: Length of a full turn in θ, in steps of the finest grid [–].
+        screening: What is added to the diagonal, as a voxel's part of an integral,
+            same shape; None for nothing [m].
     """
 
     free: NDArray[np.bool_]
@@ -82,6 +115,7 @@ class Network:
     grounds: tuple[Single, ...]
     positions: tuple[Array, ...]
     turn: int
+    screening: Single | None = None
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -102,7 +136,24 @@ class Network:
             total += np.roll(self.links[axis], 1, axis)
         for ground in self.grounds:
             total += ground
+        if self.screening is not None:
+            total += self.screening
         return total
+
+    def plus(self, added: Added) -> Network:
+        """The same with more conductances and screening."""
+        links, grounds = list(self.links), list(self.grounds)
+        for axis, wide in enumerate(added.links):
+            after: Single = wide.astype(np.float32)
+            joined = self.free & np.roll(self.free, -1, axis)
+            links[axis] = links[axis] + np.where(joined, after, np.float32(0))
+            ground = (self.free & ~joined) * after
+            ground += (self.free & ~np.roll(joined, 1, axis)) * np.roll(after, 1, axis)
+            grounds[axis] = grounds[axis] + ground
+        screening = np.where(self.free, added.screening, 0.0).astype(np.float32)
+        return replace(
+            self, links=tuple(links), grounds=tuple(grounds), screening=screening
+        )
 
     def tied(self, ties: NDArray[np.bool_]) -> Network:
         """The same with nodes that are tied to the next layer, same shape."""
@@ -224,7 +275,20 @@ def coarsen(network: Network, axis: int) -> Network:
     links[axis] = np.ascontiguousarray(np.moveaxis(new_link, 0, axis))
     grounds[axis] = np.ascontiguousarray(np.moveaxis(new_ground, 0, axis))
     free = np.take(network.free, kept, axis)
-    return replace(coarse, free=free, links=tuple(links), grounds=tuple(grounds))
+    screening = network.screening
+    if screening is not None:  # what is dropped goes to both neighbours
+        fine = np.moveaxis(screening, axis, 0)
+        new = fine[kept]
+        new[left] += 0.5 * fine[mid]
+        new[right] += 0.5 * fine[mid]
+        screening = np.moveaxis(new, 0, axis) * free
+    return replace(
+        coarse,
+        free=free,
+        links=tuple(links),
+        grounds=tuple(grounds),
+        screening=screening,
+    )
 
 
 def plan(grid: Box) -> Iterator[tuple[bool, bool, bool]]:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.multigrid.coarsening import (
     DIRECT_NODES,
+    Added,
     Box,
     Network,
     coarsen,
@@ -125,6 +126,7 @@ class Hierarchy:
         grid: Box,
         free: NDArray[np.bool_],
         ties: NDArray[np.bool_] | None = None,
+        added: Added | None = None,
     ) -> Hierarchy:
         """Coarsen until the rest is small.
 
@@ -132,15 +134,19 @@ class Hierarchy:
             grid: The grid.
             free: Unknown voxels, shape ``grid.shape``.
             ties: Those that move with the next layer, same shape; None for none.
+            added: What is added to the operator; None for nothing.
         """
         network = finest(grid, free)
+        uneven = added is not None and bool(added.links)
+        if added is not None:
+            network = network.plus(added)
         if ties is not None:
             network = network.tied(ties)
         levels: list[Level] = []
         for flags in (*plan(grid), (False, False, False)):
             if network.n_free <= DIRECT_NODES:
                 flags = (False, False, False)
-            if levels:
+            if levels or uneven:
                 levels.append(Level.coarse(network, flags))
             else:
                 level = Level.finest(grid, network, flags)
@@ -152,7 +158,10 @@ class Hierarchy:
         inverse = np.linalg.inv(network.matrix()).astype(np.float32)
         places = levels[-1].layout.places(np.nonzero(network.free))
         along = conductances(grid)[0].astype(np.float32)
-        return cls(tuple(levels), places, inverse, *_packed(levels, along))
+        own = np.zeros_like(along)
+        if added is not None:
+            own = added.screening[:, 0, 0].astype(np.float32)
+        return cls(tuple(levels), places, inverse, *_packed(levels, along, own))
 
     @property
     def memory_bytes(self) -> int:
@@ -203,19 +212,22 @@ class Workspace:
         v_cycle(h.table, h.fields, self.values, h.places, h.inverse, sweeps, has_red)
 
 
-def _packed(levels: list[Level], along: Single) -> tuple[Table, Single, int]:
+def _packed(
+    levels: list[Level], along: Single, own: Single
+) -> tuple[Table, Single, int]:
     """Coefficients of all levels in one array, which levels then refer to.
 
     Args:
         levels: From fine to coarse; their arrays become parts of the one.
         along: Conductances along r on the finest level, without ties.
+        own: What else its diagonal has in every layer, where it is the same all over.
 
     Returns:
         Where each level's arrays begin, that array, and the size of a workspace.
     """
     # what several names refer to, as the finest level's weights, is kept once
     arrays = {id(a): a for level in levels for a in level.arrays}
-    arrays[id(along)] = along
+    arrays[id(along)], arrays[id(own)] = along, own
     starts, end = {}, 0
     for key, array in arrays.items():
         starts[key] = end
@@ -235,7 +247,7 @@ def _packed(levels: list[Level], along: Single) -> tuple[Table, Single, int]:
         size = level.layout.colour_size
         sizes = (*level.shape[1:], *level.layout.shape[1:], level.layout.pitch)
         kinds = (*level.flags, level.R.ndim > 1, level.T.ndim > 1)
-        coefficients = (starts[id(a)] for a in (along, *level.arrays))
+        coefficients = (starts[id(a)] for a in (along, own, *level.arrays))
         vectors = (end, end + 2 * size, end + 4 * size, 0, zeros)
         table.append(LevelIndex._make((*sizes, *kinds, *coefficients, *vectors)))
         end += 5 * size

@@ -44,6 +44,7 @@ class LevelIndex(NamedTuple):
         is_uneven: Whether every link has; else there is one per layer.
         along: In ``fields``: conductances along r, one per layer, without ties; on the
             finest level only [m].
+        own: What else the diagonal has, one number per layer; likewise [m].
         R: Conductances to the next layer [m].
         T: Conductances to the next spoke [m].
         Z: Conductances to the next slice [m].
@@ -73,6 +74,7 @@ class LevelIndex(NamedTuple):
     is_tied: int
     is_uneven: int
     along: int
+    own: int
     R: int
     T: int
     Z: int
@@ -97,7 +99,7 @@ def level_index(row: NDArray[np.int64]) -> LevelIndex:
     return LevelIndex(
         row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9],
         row[10], row[11], row[12], row[13], row[14], row[15], row[16], row[17], row[18],
-        row[19], row[20], row[21], row[22], row[23], row[24], row[25],
+        row[19], row[20], row[21], row[22], row[23], row[24], row[25], row[26],
     )
     # fmt: on
 

@@ -191,11 +191,12 @@ def _row_operate(
     r: tuple[np.float32, np.float32],
     z: np.float32,
     t: np.float32,
+    screening: np.float32,
 ) -> np.float32:
     """One layer of A p, p at ``rows.load``; returns its p · A p (compiled)."""
     (inner, outer), (r_in, r_out) = along, r
     total = np.float32(0)
-    diagonal = r_in + r_out + np.float32(2) * (z + t)
+    diagonal = r_in + r_out + np.float32(2) * (z + t) + screening
     for n in range(rows.size):
         own = work[rows.load + n]
         value = diagonal * own - r_in * work[inner + n] - r_out * work[outer + n]
@@ -239,6 +240,6 @@ def operate(
         rows = rows_of(at, colour, p, out, opposite, own, last - first)
         along = np.uint64(own + p - at.width), np.uint64(own + p + at.width)
         r = fields[at.along + i - 1], fields[at.along + i]
-        z, t = fields[at.Z + i], fields[at.T + i]
-        total += _row_operate(work, fields, rows, along, r, z, t)
+        z, t, screening = fields[at.Z + i], fields[at.T + i], fields[at.own + i]
+        total += _row_operate(work, fields, rows, along, r, z, t, screening)
     return total

@@ -27,6 +27,7 @@ class Operator(NamedTuple):
         r: Conductances to the next layer, shape (n_r,) [m].
         t: Conductances to the next spoke, shape (n_r,) [m].
         z: Conductances to the next slice, shape (n_r,) [m].
+        own: What else the diagonal has, shape (n_r,) [m].
         n_theta: Spokes [–].
         n_z: Slices [–].
         pitch: Of the red-black order [–].
@@ -36,6 +37,7 @@ class Operator(NamedTuple):
     r: Array
     t: Array
     z: Array
+    own: Array
     n_theta: int
     n_z: int
     pitch: int
@@ -58,7 +60,7 @@ def _row_operate(
 ) -> None:
     """A x in a row of voxels of layer i (compiled)."""
     r_in, r_out, t, z = a.r[i - 1], a.r[i], a.t[i], a.z[i]
-    diagonal, one = r_in + r_out + 2.0 * t + 2.0 * z, np.uint64(1)
+    diagonal, one = r_in + r_out + 2.0 * t + 2.0 * z + a.own[i], np.uint64(1)
     for n in range(count):
         value = diagonal * x[at.own + n] - r_in * x[at.inner + n]
         value -= r_out * x[at.outer + n] + t * (x[at.before + n] + x[at.after + n])

@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, NumericalError
 from ttus_opt.multigrid import refinement
-from ttus_opt.multigrid.coarsening import conductances
+from ttus_opt.multigrid.coarsening import Added, conductances
 from ttus_opt.multigrid.hierarchy import Hierarchy
 from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.multigrid.v_cycle import VCycle
@@ -64,6 +66,7 @@ class Multigrid:
         free: NDArray[np.bool_],
         *,
         ties: NDArray[np.bool_] | None = None,
+        screening: Array | None = None,
     ) -> None:
         """Build the levels.
 
@@ -73,6 +76,8 @@ class Multigrid:
                 layer and slice.
             ties: Of those, the ones that move with the next one outwards, same shape:
                 for `AggregatedMultigrid`, which knows what that means for a residual.
+            screening: What is added to the diagonal in every layer, not negative,
+                shape (n_r,) [m]; None for nothing.
 
         Raises:
             InputError: The mask has another shape, or frees a voxel on the rim.
@@ -91,18 +96,24 @@ class Multigrid:
         self.grid = grid
         self.free = grid.flatten(free)
         r, t, z = conductances(grid)
+        self.screening = screening
+        own = np.zeros_like(r) if screening is None else screening
         #: Bound of the operator's norm (Gershgorin) [m].
-        self.norm_bound = float(np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z)))
+        self.norm_bound = float(
+            np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z) + own)
+        )
         self._ties = ties
-        self._hierarchy = Hierarchy.build(grid, free, ties)
+        self._added = None if screening is None else Added.in_layers(own, grid.shape)
+        self._hierarchy = Hierarchy.build(grid, free, ties, self._added)
         #: Spokes, slices and pitch
         self._sizes = (*grid.shape[1:], self._hierarchy.levels[0].layout.pitch)
-        self._operator = refinement.Operator(self.free, r, t, z, *self._sizes)
+        self._operator = refinement.Operator(self.free, r, t, z, own, *self._sizes)
         self._idle: deque[Vectors] = deque()
 
-    def __reduce__(self) -> tuple[type[Multigrid], tuple[object, ...]]:
+    def __reduce__(self) -> tuple[Callable[..., Multigrid], tuple[object, ...]]:
         """Pickle as what it was built from."""
-        return (Multigrid, (self.grid, self.grid.unflatten(self.free)))
+        built = (self.grid, self.grid.unflatten(self.free))
+        return partial(Multigrid, screening=self.screening), built
 
     @property
     def memory_bytes(self) -> int:
@@ -139,7 +150,8 @@ class Multigrid:
             near: Flat indices of the voxels at which it matters, shape (k,): it may
                 know of a box around them only. None for all voxels.
         """
-        return VCycle.near(near, self._hierarchy, self.grid, self.free)
+        whole = (self._hierarchy, self.grid, self.free)
+        return VCycle.near(near, *whole, added=self._added)
 
     def solve(
         self,

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.multigrid.coarsening import Added
 from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
 from ttus_opt.multigrid.red_black import Single
 from ttus_opt.multigrid.subdomain import Subdomain
@@ -62,6 +63,7 @@ class VCycle:
         grid: CylindricalGrid,
         free: NDArray[np.bool_],
         ties: NDArray[np.bool_] | None = None,
+        added: Added | None = None,
     ) -> VCycle:
         """As exact as one V-cycle can be at some voxels, and no larger than needed.
 
@@ -71,12 +73,14 @@ class VCycle:
             grid: The grid.
             free: Its unknown voxels, shape (V,).
             ties: Those that move with the next one outwards, shape (V,); None for none.
+            added: What is added to the operator of the grid; None for nothing.
         """
         part = Subdomain.around(grid, voxels)
         if not part.is_whole:
             inside = part.free(grid.unflatten(free))
             tied = None if ties is None else part.restrict(grid.unflatten(ties))
-            hierarchy = Hierarchy.build(part, inside, tied)
+            more = None if added is None else added.within(part)
+            hierarchy = Hierarchy.build(part, inside, tied, more)
         return cls(hierarchy, part, free, sweeps=1 if voxels is None else 2)
 
     def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:

@@ -131,33 +131,39 @@ def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_
     laplace = program.laplace
     if laplace is None:
         return []
-    V, found = len(laplace.free), []
+    V = len(laplace.free)
+    found = []
     for name, part in program.variables.items():
         if part.stop - part.start != V:
             continue
         holds = [(t, t.laplace_rows) for t in squares]
         own = [
-            (term, rows.scale)
+            (term, rows)
             for term, rows in holds
-            if rows is not None and _holds(rows, name, fixed[part], laplace)
+            if rows is not None and _holds(term, rows, name, fixed[part], laplace)
         ]
         if not own:
             return []
-        term, scale = own[0]
-        compliance = np.ones(V) if scale is None else 1.0 / scale**2
+        term, rows = own[0]
+        compliance = np.ones(V) if rows.scale is None else 1.0 / rows.scale**2
         compliance[fixed[part]] = 0.0
-        found.append(_Field(part, term, laplace, compliance))
+        found.append(_Field(part, term, rows.system or laplace, compliance))
     return found
 
 
 def _holds(
-    rows: LaplaceRows, variable: str, fixed: Mask, laplace: LaplaceSystem
+    term: ProgramTerm,
+    rows: LaplaceRows,
+    variable: str,
+    fixed: Mask,
+    laplace: LaplaceSystem,
 ) -> bool:
     """Whether rows are L's over a variable and determine what is not fixed."""
     if rows.variable != variable:
         return False
-    # scaled rows are the free ones: the others' values must be fixed
-    return rows.scale is None or bool(fixed[~laplace.free].all())
+    # where rows are the free ones only the others' values must be fixed
+    all_rows = rows.scale is None or len(term.target) == len(rows.scale)
+    return all_rows or bool(fixed[~laplace.free].all())
 
 
 def _by_steps(

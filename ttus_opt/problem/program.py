@@ -213,7 +213,8 @@ class Program:
         """The term whose rows are those of the scene's L over p, if there is one."""
         term = self.laplace_term_of("p")
         rows = None if term is None else term.laplace_rows
-        return None if rows is None or rows.scale is not None else term
+        plain = rows is not None and rows.scale is None and rows.system is None
+        return term if plain else None
 
     @property
     def dirichlet(self) -> ProgramConstraint | None:

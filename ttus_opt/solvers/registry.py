@@ -31,6 +31,8 @@ PREFERENCE: tuple[tuple[str, str], ...] = (
      "while the measured rows are fewer than half the voxels"),
     ("augmented_lagrangian", "penalties that are no squares as they are: Newton steps "
      "through the same dual, or over the field"),
+    ("normal_equations", "any sum of squares beside a Laplace term, by multigrid under "
+     "conjugate gradients: as fast, with terms over all voxels"),
     ("clarabel", "interior point on the sparse least-squares form: sure and accurate"),
     ("scs", "splitting, one factor for all iterations: two to three times faster than "
      "interior point where that factor is large, and a re-solve costs a tenth"),

@@ -34,7 +34,14 @@ from ttus_opt.solvers.base import (
     Solver,
 )
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration, LimitedProblem
-from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior, row_scale
+from ttus_opt.solvers.dual.data import (
+    DualData,
+    duals_without_limits,
+    hard_values,
+    has_all_rows,
+    laplace_prior,
+    row_scale,
+)
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
@@ -75,21 +82,23 @@ class Structured(Solver):
         prior = laplace_prior(program)
         if prior is None or prior.weight == 0.0:
             return "it needs a Laplace term"
-        if row_scale(prior) is not None and hard_values(program) is None:
+        if not has_all_rows(prior) and hard_values(program) is None:
             return f"it takes {prior.name} with hard boundary values only"
         bent = [t.name for t in program.terms if not t.is_squares]
         if bent:
             return f"it takes sums of squares only, {bent[0]} is none"
         if second_field(program) is not None:
             return self._refusal_of_pair(program)
-        others = program.n_variables - len(program.laplace.free)
+        free = program.laplace.free
+        others = program.n_variables - len(free)
         if others > MOST:
             return f"it takes {MOST} unknowns beside the field, these are {others}"
         try:
             limits = SpokeLimits.of(program)
         except ValueError as error:
             return f"it takes bounds and growth along spokes: {error}"
-        if limits.binding and row_scale(prior) is not None:
+        scale = row_scale(prior)
+        if limits.binding and scale is not None and (scale[free] != 1.0).any():
             return f"it takes {prior.name} without bounds only"
         if limits.binding and others:
             return "it takes no limits of the field where there are other unknowns"
@@ -225,7 +234,8 @@ class _Loaded(_Limited):
         self._program = program
         self._data = DualData.of(program)
         self._limits = SpokeLimits.of(program)
-        program.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
+        # built here, in the set-up's time
+        self._data.system.laplace.multigrid  # noqa: B018
         system, bounds = (
             self._data.system,
             (b[len(self._data.b) :] for b in program.box),
@@ -262,23 +272,7 @@ class _Loaded(_Limited):
         answer = self._solver.solve(self._data.b, self._data.t, accuracy)
         x = np.concatenate([answer.p, answer.c])
         claim = Claim.TIME_LIMIT if answer.late else Claim.DONE
-        return Candidate(x, self._duals(x), answer.steps, claim)
-
-    def _duals(self, x: Array) -> Duals:
-        """Multipliers of given values and of other unknowns' bounds."""
-        program, V = self._program, len(self._data.b)
-        given = program.dirichlet
-        if given is None and not program.bounds:
-            return Duals()
-        slope = -np.add(*program.gradient(x))
-        rows = {}
-        if given is not None:
-            rows[given.name] = slope[:V][~program.laplace.free]
-        lower, upper = program.box
-        z = np.where(x <= lower, np.minimum(slope, 0.0), 0.0)
-        z += np.where(x >= upper, np.maximum(slope, 0.0), 0.0)
-        z[:V] = 0.0
-        return Duals(rows, z if program.bounds else None)
+        return Candidate(x, duals_without_limits(self._program, x), answer.steps, claim)
 
 
 def _largest_limit(limits: SpokeLimits) -> float:

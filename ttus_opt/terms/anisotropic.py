@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.structure import LaplaceRows
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class AnisotropicTerm(Term):
     def rows(self) -> AffineRows:
         """The anisotropic operator and its b."""
         scene = self.scene
-        system = LaplaceSystem.assemble(
-            scene.voxmap, conductivities=self.conductivities
-        )
-        return AffineRows({"p": system.L}, system.right_side(scene.inner, scene.outer))
+        system = scene.laplace.variant(conductivities=self.conductivities)
+        target = system.right_side(scene.inner, scene.outer)
+        tags = frozenset({LaplaceRows("p", system=system)})
+        return AffineRows({"p": system.L}, target, tags)

@@ -19,6 +19,7 @@ import scipy.sparse as sp
 
 from ttus_opt.errors import InputError
 from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.structure import LaplaceRows
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,8 @@ class LaplaceFreeSurfaceTerm(Term):
         scale[free_skin(scene.voxmap.on_surface).reshape(-1)] = math.sqrt(self.skin)
         rows = sp.csr_array(sp.diags_array(scale) @ scene.L)
         rows.eliminate_zeros()
-        return AffineRows({"p": rows}, scale * scene.b)
+        tags = frozenset({LaplaceRows("p", scale)} if self.skin > 0.0 else ())
+        return AffineRows({"p": rows}, scale * scene.b, tags)
 
 
 def free_skin(on_surface: np.ndarray) -> np.ndarray:

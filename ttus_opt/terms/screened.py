@@ -10,8 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.structure import LaplaceRows
 
 
 @dataclass(frozen=True)
@@ -34,5 +34,7 @@ class ScreenedTerm(Term):
     def rows(self) -> AffineRows:
         """The screened operator and its b, whose end slices are screened too."""
         scene = self.scene
-        system = LaplaceSystem.assemble(scene.voxmap, screening=self.screening)
-        return AffineRows({"p": system.L}, system.right_side(scene.inner, scene.outer))
+        system = scene.laplace.variant(screening=self.screening)
+        target = system.right_side(scene.inner, scene.outer)
+        tags = frozenset({LaplaceRows("p", system=system)})
+        return AffineRows({"p": system.L}, target, tags)

@@ -37,13 +37,16 @@ class LaplaceRows:
     Attributes:
         variable: The field's name.
         scale: None where the rows are those of L as they are; otherwise they are L's
-            free rows in order, each times its voxel's positive number, shape (V,) [–].
+            rows in order, all or the free ones, each times its voxel's positive
+            number, shape (V,) [–].
         beside: Names of parameters, a few numbers each, that have columns there too.
+        system: A variant of L on the scene's voxmap; None for the scene's L.
     """
 
     variable: str = "p"
     scale: Array | None = field(default=None, repr=False)
     beside: tuple[str, ...] = ()
+    system: LaplaceSystem | None = field(default=None, repr=False)
 
 
 Tags = frozenset[Tag | LaplaceRows]
@@ -92,18 +95,24 @@ def _are_laplace(
     beside = [blocks[name].shape[1] for name in declared.beside if name in blocks]
     if {declared.variable, *declared.beside} != set(blocks) or V in beside:
         return False
-    own, L, scale = blocks[declared.variable], laplace.L, declared.scale
+    system = declared.system or laplace
+    if system.voxmap is not laplace.voxmap:
+        return False
+    own, L, scale = blocks[declared.variable], system.L, declared.scale
     if own is L and scale is None:
         return True
     if scale is not None and not (scale.shape == (V,) and (scale > 0.0).all()):
         return False
-    n_rows = V if scale is None else int(laplace.free.sum())
-    if own.shape != (n_rows, V):
+    n_rows = own.shape[0]
+    whole = n_rows == V
+    only_free = scale is not None and n_rows == int(laplace.free.sum())
+    if own.shape[1] != V or not (whole or only_free):
         return False
     probe = np.random.default_rng(0).normal(size=V)
     expected = L @ probe
     if scale is not None:
-        expected = (scale * expected)[laplace.free]
+        expected = scale * expected
+        expected = expected if whole else expected[laplace.free]
     size = float(np.abs(expected).max(initial=0.0))
     return bool(np.abs(own @ probe - expected).max(initial=0.0) <= ROUNDING * size)
 

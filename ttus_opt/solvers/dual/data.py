@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.system import DualSystem
@@ -30,11 +33,20 @@ class DualData:
     columns: Array = field(repr=False)
 
     @classmethod
-    def of(cls, program: Program) -> DualData:
-        """Read a program whose terms are a Laplace term and measured rows."""
+    def of(
+        cls, program: Program, measured: Sequence[ProgramTerm] | None = None
+    ) -> DualData:
+        """Read a program whose terms are a Laplace term and measured rows.
+
+        Args:
+            program: The program.
+            measured: Terms whose rows are taken; None for all beside the Laplace term.
+        """
         prior = laplace_prior(program)
         assert prior is not None
-        return cls(*_dual_system(program, prior))
+        if measured is None:
+            measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
+        return cls(*_dual_system(program, prior, measured))
 
 
 def laplace_prior(program: Program) -> ProgramTerm | None:
@@ -45,9 +57,21 @@ def laplace_prior(program: Program) -> ProgramTerm | None:
 
 
 def row_scale(prior: ProgramTerm) -> Array | None:
-    """What L's free rows are multiplied by, shape (V,); None where they are all L's."""
+    """What L's rows are multiplied by, shape (V,); None where they are as they are."""
     rows = prior.laplace_rows
     return None if rows is None else rows.scale
+
+
+def has_all_rows(prior: ProgramTerm) -> bool:
+    """Whether it has rows for fixed voxels, too, so that their values may be soft."""
+    scale = row_scale(prior)
+    return scale is None or len(prior.target) == len(scale)
+
+
+def operator_of(program: Program, prior: ProgramTerm) -> LaplaceSystem:
+    """The operator whose rows a prior has: the scene's L, or a variant."""
+    rows = prior.laplace_rows
+    return program.laplace if rows is None else rows.system or program.laplace
 
 
 def hard_values(program: Program) -> Array | None:
@@ -61,7 +85,9 @@ def _right_side(program: Program, prior: ProgramTerm) -> Array:
     free, hard, scale = program.laplace.free, hard_values(program), row_scale(prior)
     if scale is None:
         b = prior.target.copy()
-    else:  # such a term has free rows only, its boundary values are hard
+    elif has_all_rows(prior):
+        b = prior.target / scale
+    else:  # its boundary values are hard
         b = np.empty(len(free))
         b[free] = prior.target / scale[free]
     if hard is not None:
@@ -70,10 +96,9 @@ def _right_side(program: Program, prior: ProgramTerm) -> Array:
 
 
 def _dual_system(
-    program: Program, prior: ProgramTerm
+    program: Program, prior: ProgramTerm, measured: Sequence[ProgramTerm]
 ) -> tuple[DualSystem, Array, Array, Array]:
     """The dual system of a program, b, weighted targets and weighted columns."""
-    measured = [t for t in program.terms if t is not prior and t.weight > 0.0]
     V = len(program.laplace.free)
     compliance, scale = np.ones(V), row_scale(prior)
     if scale is not None:
@@ -87,5 +112,27 @@ def _dual_system(
     target = root * np.concatenate([*(t.target for t in measured), np.zeros(0)])
     columns = root[:, None] * rows[:, V:].toarray()
     own = rows if rows.shape[1] == V else sp.csr_array(rows[:, :V])
-    system = DualSystem(program.laplace, compliance, own, root)
+    laplace = operator_of(program, prior)
+    system = DualSystem(laplace, compliance, own, root)
     return system, _right_side(program, prior), target, columns
+
+
+def duals_without_limits(program: Program, x: Array) -> Duals:
+    """Multipliers of given values of p and of the bounds of other unknowns.
+
+    Args:
+        program: Without other limits.
+        x: The answer, shape (n,).
+    """
+    given, V = program.dirichlet, len(program.laplace.free)
+    if given is None and not program.bounds:
+        return Duals()
+    slope = -np.add(*program.gradient(x))
+    rows = {}
+    if given is not None:
+        rows[given.name] = slope[:V][~program.laplace.free]
+    lower, upper = program.box
+    z = np.where(x <= lower, np.minimum(slope, 0.0), 0.0)
+    z += np.where(x >= upper, np.maximum(slope, 0.0), 0.0)
+    z[:V] = 0.0
+    return Duals(rows, z if program.bounds else None)

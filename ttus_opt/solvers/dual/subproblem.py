@@ -43,7 +43,8 @@ class ReducedLaplace(BlockSolves):
     """Square system of a subproblem, as `LaplaceSystem` is the whole problem's.
 
     Attributes:
-        grid: The grid.
+        grid: The grid of the operator.
+        screening: Added to the diagonal of A, shape (n_r,) [m]; None for nothing.
         free: Voxels at which unknowns stand, shape (V,).
         radii: What turns a row of A into one of L: the root of the sum of r² over a
             block, shape (V,) [m].
@@ -53,6 +54,7 @@ class ReducedLaplace(BlockSolves):
     """
 
     grid: CylindricalGrid
+    screening: Array | None = field(repr=False)
     free: Mask = field(repr=False)
     radii: Array = field(repr=False)
     coupling: tuple[sp.csr_array, sp.csr_array] = field(repr=False)
@@ -62,9 +64,12 @@ class ReducedLaplace(BlockSolves):
     @cached_property
     def multigrid(self) -> Multigrid | AggregatedMultigrid:
         """Solver of the symmetric block."""
+        grid, screening = self.grid, self.screening
         if not self.links.any():
-            return Multigrid(self.grid, self.grid.unflatten(self.members))
-        return AggregatedMultigrid(self.grid, self.members, self.links, self.free)
+            members = grid.unflatten(self.members)
+            return Multigrid(grid, members, screening=screening)
+        blocks = (self.members, self.links, self.free)
+        return AggregatedMultigrid(grid, *blocks, screening=screening)
 
 
 @dataclass(frozen=True)
@@ -126,7 +131,8 @@ class LimitedField:
             n = len(data.b)
             one = sp.csr_array(sp.eye_array(n, format="csr"))
             return Subproblem(self.whole, data.b, data.t, one, np.zeros(n))
-        laplace = self.program.laplace
+        laplace = data.system.laplace
+        assert isinstance(laplace, LaplaceSystem)
         return reduced(laplace, self.limits, active, data, self.options)
 
     def objective(self, p: Array) -> float:
@@ -227,7 +233,15 @@ def reduced(
     coupling = inward, sp.csr_array(inward.T)
     links = pooled & active.links
     left = DualSystem(
-        ReducedLaplace(laplace.grid, own, radii, coupling, members, links),
+        ReducedLaplace(
+            laplace.operator_grid,
+            laplace.screening_of_layers,
+            own,
+            radii,
+            coupling,
+            members,
+            links,
+        ),
         np.where(own, 1.0, np.where(fixed, system.compliance, 0.0)),
         sp.csr_array(rows),
         np.concatenate([system.root_weights, np.ones(np.count_nonzero(filled))]),

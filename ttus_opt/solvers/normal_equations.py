@@ -1,0 +1,192 @@
+"""Normal equations: any sum of squares beside a Laplace term, never factorised.
+
+Conjugate gradients on H p = d, H = LᵀΩ⁻¹L + Σ w MᵀM + DᵀD (docs/method.md, section
+10.8), with a preconditioner of what is known: (L - X)ᵀ(L - X) by multigrid, X a root of
+the wide terms (`primal.matching`), and few rows D of any weight by their dual
+(`primal.preconditioner`). What a new solve keeps: the multigrid, the dual's directions,
+and the last answer to start from.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ttus_opt.problem.kkt import STRICTER, kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import (
+    Candidate,
+    Capabilities,
+    Claim,
+    Prepared,
+    Request,
+    Solver,
+)
+from ttus_opt.solvers.dual.data import (
+    duals_without_limits,
+    hard_values,
+    has_all_rows,
+    laplace_prior,
+)
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.primal.conjugate_gradients import Goal, Minimum, Pair, minimise
+from ttus_opt.solvers.primal.least_squares import LeastSquares, preconditioner
+from ttus_opt.solvers.primal.options import PrimalOptions
+from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
+from ttus_opt.solvers.primal.split import Split, wide_terms
+
+#: Most unknowns beside the field
+MOST = 64
+
+
+class NormalEquations(Solver):
+    """Preconditioned conjugate gradients on the normal equations.
+
+    Attributes:
+        options: Of the method.
+    """
+
+    name = "normal_equations"
+    summary = (
+        "any sum of squares: multigrid for L and its kin under conjugate gradients"
+    )
+    capabilities = Capabilities(
+        inequalities=True,
+        equalities=True,
+        keeps="the multigrid, the dual's directions, and the last answer to start from",
+    )
+
+    def __init__(self, options: PrimalOptions | None = None) -> None:
+        self.options = options or PrimalOptions()
+
+    def refusal(self, program: Program) -> str:
+        """Sums of squares, one of them a Laplace term; few unknowns beside p."""
+        base = super().refusal(program)
+        if base:
+            return base
+        prior = laplace_prior(program)
+        if prior is None or prior.weight == 0.0:
+            return "it needs a Laplace term"
+        if not has_all_rows(prior) and hard_values(program) is None:
+            return f"it takes {prior.name} with hard boundary values only"
+        bent = [t.name for t in program.terms if not t.is_squares]
+        if bent:
+            return f"it takes sums of squares only, {bent[0]} is none"
+        V = len(program.laplace.free)
+        others = program.n_variables - V
+        if others > MOST:
+            return f"it takes {MOST} unknowns beside the field, these are {others}"
+        for term in wide_terms(program, self.options.few_rows):
+            if others and term.matrix[:, V:].nnz:
+                return f"{term.name} has many rows over other unknowns than the field"
+        lower, upper = program.box
+        if np.isfinite(lower).any() or np.isfinite(upper).any():
+            return "it takes no limits"
+        beside = [c.name for c in program.constraints if c is not program.dirichlet]
+        if beside:
+            return f"it takes no constraint {beside[0]}"
+        return ""
+
+    def suits(self, program: Program) -> bool:
+        """Terms over all voxels: few rows alone are the dual's."""
+        return bool(wide_terms(program, self.options.few_rows))
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        """Set up the multigrid."""
+        self.require(program)
+        return _Loaded(program, request, self.options)
+
+
+class _Loaded(Prepared):
+    _last: Pair | None = None
+    _preconditioner: ConstraintPreconditioner
+
+    def __init__(
+        self, program: Program, request: Request, options: PrimalOptions
+    ) -> None:
+        self._request, self._options = request, options
+        self.update(program)
+
+    def update(self, program: Program) -> None:
+        """Take other data."""
+        self._program = program
+        split = Split.of(program, self._options.few_rows)
+        free = np.ones(split.few.columns.shape[1], dtype=bool)
+        self._preconditioner = preconditioner(split, free, self._options, DualOptions())
+        self._function = LeastSquares(split, self._preconditioner.complement)
+
+    def solve(self) -> Candidate:
+        """Minimise, check, and go on more exactly where that is needed."""
+        limit = self._request.time_limit
+        deadline = None if limit is None else time.perf_counter() + limit
+        accuracy = Accuracy(0.0, deadline=deadline)
+        function, tolerance = self._function, self._request.tolerance
+        at = function.start() if self._last is None else self._last
+        scale = _Scale.of(function)
+        share, steps, least = 1.0, 0, np.inf
+        best = Candidate(None, claim=Claim.TIME_LIMIT, detail="no time")
+        for _ in range(self._options.tightenings):
+            goal = self._goal(share, scale, accuracy)
+            found = self._minimum(at, goal)
+            steps += found.steps
+            p = found.at.p
+            x = np.concatenate([p, function.coefficients(p)])
+            duals = duals_without_limits(self._program, x)
+            kkt = kkt_residuals(self._program, x, duals, tolerance=tolerance)
+            gained = kkt.worst_relative < least
+            if gained or best.x is None:
+                claim = Claim.TIME_LIMIT if accuracy.late else Claim.DONE
+                best, least = Candidate(x, duals, steps, claim), kkt.worst_relative
+                at = self._last = found.at
+            if least <= tolerance or not gained or accuracy.late:
+                break
+            share *= self._options.tightening
+        return replace(best, iterations=steps, detail=self._preconditioner.told)
+
+    def _goal(self, share: float, scale: _Scale, accuracy: Accuracy) -> Goal:
+        """What to reach: the tolerance, with margins and a share of it [–]."""
+        options, tolerance = self._options, self._request.tolerance
+        gap = share * options.gap_margin
+        return Goal(
+            gap * tolerance,
+            gap * (tolerance / STRICTER) ** 2 * scale.value,
+            share * options.dual_margin * tolerance * scale.gradient,
+            options.max_steps,
+            accuracy,
+        )
+
+    def _minimum(self, at: Pair, goal: Goal) -> Minimum:
+        options = self._options
+        return minimise(
+            self._function,
+            self._preconditioner,
+            at,
+            goal,
+            options.rounds,
+            options.round_gain,
+        )
+
+
+@dataclass(frozen=True)
+class _Scale:
+    """What relative residuals are relative to.
+
+    Attributes:
+        value: F with nothing fitted.
+        gradient: Half the gradient of nothing at all.
+    """
+
+    value: float
+    gradient: float
+
+    @classmethod
+    def of(cls, function: LeastSquares) -> _Scale:
+        start = function.start()
+        nothing = Pair(np.zeros_like(start.p), start.y)
+        slope = function.gradient(function.residual(nothing))
+        return cls(function.value(start.p), float(np.linalg.norm(slope)))
+
+
+SOLVERS = [NormalEquations()]

@@ -1,0 +1,1 @@
+"""Parts of the solver `normal_equations`: any sum of squares beside a Laplace term."""

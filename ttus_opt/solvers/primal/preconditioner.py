@@ -1,0 +1,92 @@
+"""The preconditioner: P for the field, few rows of any weight by their dual.
+
+    P z - Dᵀy = r,    D z + E c + y = s,    Eᵀy = 0,      P⁻¹ = L̃⁻¹ Ω L̃⁻ᵀ,
+
+by S y + E c = s - D P⁻¹r, S = I + D P⁻¹ Dᵀ, and z = P⁻¹(r + Dᵀy). L̃⁻¹ is one V-cycle,
+a fixed linear map, and S is made of the same map: so its system may be solved as
+exactly as the answer needs. With another S (of a coarser grid, or of a part of this
+one) what D measures would come back with the error of S times its weight. Conjugate
+directions of S are kept from call to call (`dual.conjugate_gradients`), and a part of
+the grid preconditions them (`dual.preconditioner`): few are needed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.solvers.dual.conjugate_gradients import (
+    RecycledSubspace,
+    conjugate_gradients,
+)
+from ttus_opt.solvers.dual.linear_parameters import Complement
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
+from ttus_opt.solvers.dual.system import DualSystem
+from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
+
+#: Most rounds in which the accuracy of S's system follows the answer's energy
+ROUNDS = 3
+
+
+class ConstraintPreconditioner:
+    """Solves the equations above; S's directions are kept.
+
+    Attributes:
+        complement: Multipliers with Eᵀy = 0.
+    """
+
+    def __init__(
+        self, system: DualSystem, columns: Array, inner: float, options: DualOptions
+    ) -> None:
+        """Start without directions.
+
+        Args:
+            system: S, with an L whose solves are rough.
+            columns: E of the free unknowns beside the field, shape (m, k).
+            inner: Residual of S's system over the energy norm of the answer [–].
+            options: Of the dual.
+        """
+        self._system, self._inner, self._options = system, inner, options
+        self._subspace = RecycledSubspace(system)
+        schur = schur_preconditioner(system, options) if system.adjoint.nnz else np.copy
+        self.complement = Complement(columns, schur)
+
+    @property
+    def told(self) -> str:
+        """What it has learnt, in words."""
+        return f"{len(self._subspace)} directions of the dual"
+
+    def prior(self, r: Array) -> Array:
+        """P⁻¹r, shape (V,)."""
+        laplace = self._system.laplace
+        return laplace.solve(self._system.compliance * laplace.solve_adjoint(r))
+
+    def apply(self, rest: Pair) -> Pair:
+        """A step z, y for what r, s is left."""
+        system = self._system
+        z = self.prior(rest.p)
+        if not system.adjoint.nnz:
+            return Pair(z, rest.y)
+        side = self.complement.part(rest.y - system.measure(z))
+        y = self._multipliers(side, inner_product(rest.p, z), float(rest.y @ rest.y))
+        return Pair(z + self.prior(system.adjoint @ (system.root_weights * y)), y)
+
+    def _multipliers(self, side: Array, of_prior: float, of_rows: float) -> Array:
+        """S⁻¹ across E, as exactly as the energy of the answer asks for.
+
+        Args:
+            side: Right-hand side, shape (m,).
+            of_prior: rᵀP⁻¹r.
+            of_rows: sᵀs.
+        """
+        y, rest = self._subspace.project(side)
+        for _ in range(ROUNDS):
+            energy = max(of_prior + of_rows - float(side @ y), 0.0)
+            goal = self._inner * np.sqrt(energy)
+            if not np.linalg.norm(self.complement.part(rest)) > goal:
+                break
+            args = (self._subspace, side, goal, self.complement)
+            y, _ = conjugate_gradients(*args, Accuracy(0.0), self._options)
+            rest = self._subspace.project(side)[1]
+        return self.complement.part(y)

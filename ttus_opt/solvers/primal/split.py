@@ -1,0 +1,91 @@
+"""What a program's sums of squares are to the method: prior, wide terms, few rows.
+
+Divided by the weight of the Laplace term the objective is
+
+    (L p - b)ᵀΩ⁻¹(L p - b) + Σ_k w_k ‖M_k p - t_k‖² + ‖D p + E c - t‖²
+
+with the Laplace term first, *wide* terms M_k of many short rows, and few rows D, those
+of measurements among them. c are unknowns beside the field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
+
+
+@dataclass(frozen=True)
+class WideTerm:
+    """w ‖M p - t‖² with many short rows.
+
+    Attributes:
+        weight: w over the prior's weight [–].
+        matrix: M, shape (m, V).
+        target: t, shape (m,).
+    """
+
+    weight: float
+    matrix: sp.csr_array = field(repr=False)
+    target: Array = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Split:
+    """A program's objective over its prior's weight.
+
+    Attributes:
+        prior: The Laplace term, of weight 1.
+        wide: The wide terms.
+        few: The dual of the prior and the few rows.
+        moving: Voxels whose value is not given, shape (V,).
+    """
+
+    prior: WideTerm
+    wide: tuple[WideTerm, ...]
+    few: DualData
+    moving: Mask = field(repr=False)
+
+    @classmethod
+    def of(cls, program: Program, few_rows: int) -> Split:
+        """Read a program whose Laplace term has rows over p alone.
+
+        Args:
+            program: The program.
+            few_rows: Most rows of a term that is not wide.
+        """
+        prior = laplace_prior(program)
+        assert prior is not None
+        wide = [t for t in wide_terms(program, few_rows) if t.weight > 0.0]
+        others = [t for t in program.terms if not any(t is k for k in (prior, *wide))]
+        few = DualData.of(program, [t for t in others if t.weight > 0.0])
+        hard = hard_values(program) is not None
+        moving = program.laplace.free | np.full(len(few.b), not hard)
+        own = [_over(t, prior.weight, len(few.b)) for t in (prior, *wide)]
+        return cls(own[0], tuple(own[1:]), few, moving)
+
+    @property
+    def given(self) -> Array:
+        """Values that are given, zero elsewhere, shape (V,)."""
+        return np.where(self.moving, 0.0, self.few.b)
+
+
+def wide_terms(program: Program, few_rows: int) -> list[ProgramTerm]:
+    """Terms of many rows beside the Laplace term, measurements excepted."""
+    prior = laplace_prior(program)
+    return [
+        t
+        for t in program.terms
+        if t is not prior and not t.is_measured and len(t.target) > few_rows
+    ]
+
+
+def _over(term: ProgramTerm, weight: float, V: int) -> WideTerm:
+    own = term.matrix if term.matrix.shape[1] == V else term.matrix[:, :V]
+    return WideTerm(term.weight / weight, sp.csr_array(own), term.target)
