@@ -91,7 +91,7 @@ class _Loaded(Prepared):
         self._reduced = program
         declared = program.declared or program
         self._problem = PenalisedProblem.of(declared)
-        if declared.laplace is not None and declared.laplace.is_plain:
+        if declared.laplace is not None:
             declared.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
 
     def solve(self) -> Candidate:
@@ -130,11 +130,9 @@ class _Loaded(Prepared):
             return LaplaceNewton(laplace, blocks, declared, fixed), anchor
         anchor = None
         if not (_held_by_laplace(problem) and len(program.variables) == 1):
-            anchor = _anchor(
-                sp.csr_array(sp.eye_array(program.n_variables, format="csr"))
-            )
-            blocks.append(anchor)
-        return FieldNewton(program, blocks, problem.fixed), anchor
+            eye = sp.eye_array(program.n_variables, format="csr")
+            anchor = _anchor(sp.csr_array(eye))
+        return FieldNewton(problem, anchor), anchor
 
     def _start(
         self,
@@ -200,7 +198,7 @@ class _Loaded(Prepared):
             program = problem.program
             laplace = program.laplace
             prior = program.laplace_term_of("p")
-            if laplace is not None and laplace.is_plain:
+            if laplace is not None:
                 b = np.where(problem.fixed, problem.values, 0.0)[program.variables["p"]]
                 if prior is not None and prior.matrix.shape[0] == len(b):
                     b = np.where(problem.fixed[program.variables["p"]], b, prior.target)
@@ -235,8 +233,6 @@ def _is_laplace_and_few(problem: PenalisedProblem) -> bool:
     if set(program.variables) != {"p"} or program.laplace is None:
         return False
     laplace = program.laplace
-    if not laplace.is_plain:
-        return False
     own = [b for b, rows in zip(problem.blocks, problem.declared, strict=True) if rows]
     few = sum(len(b.target) for b in problem.blocks if b not in own)
     given = bool(np.array_equal(problem.fixed, ~laplace.free))

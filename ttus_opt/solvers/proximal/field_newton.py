@@ -1,11 +1,9 @@
-"""Newton steps with any sparse rows: conjugate gradients, and what precondition them.
+"""Newton steps with any sparse rows: preconditioned conjugate gradients.
 
-The matrix is H = Σ MᵀC M over all rows, C their slopes. What approximates it depends on
-the rows: L⁻¹L⁻ᵀ where Laplace's squares dominate, one solve with the block A where
-differences of neighbours do (A is their graph's Laplacian but for the volume of a
-voxel, `ttus_opt.laplace.system`), the diagonal where rows touch single voxels, and for
-small problems a factor of H itself. Which one is found by trying each on the first
-system; it is tried again where steps become many.
+The matrix is H = Σ MᵀC M over all rows, C their slopes. Its diagonal preconditions it
+as long as that suffices; where steps become many the multigrid does, and where they
+stay many few rows of great weight are taken in (`field_preconditioner`). For small
+problems H is factorised.
 """
 
 from __future__ import annotations
@@ -18,10 +16,15 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from ttus_opt.arrays import Array, Mask
-from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.problem.program import Program
-from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
+from ttus_opt.arrays import Array
+from ttus_opt.solvers.primal.split import WideTerm
+from ttus_opt.solvers.proximal.field_preconditioner import (
+    WithFewRows,
+    by_differences,
+    by_laplace,
+)
+from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
+from ttus_opt.solvers.proximal.problem import PenalisedProblem
 from ttus_opt.terms.penalties.base import Slope
 
 _Map = Callable[[Array], Array]
@@ -29,14 +32,18 @@ _Map = Callable[[Array], Array]
 #: Up to how many variables H is formed and factorised
 SMALL = 3000
 
-#: Most steps of conjugate gradients, and those after which preconditioners are compared
-MOST_STEPS, TRIAL_STEPS = 500, 12
+#: Most steps of conjugate gradients, and those after which a better preconditioner is
+#: taken
+MOST_STEPS, MANY = 400, 25
 
-#: Steps after which preconditioners are compared again
-MANY = 60
+#: What preconditions, one after the other
+DIAGONAL, MULTIGRID, WITH_FEW_ROWS = range(3)
 
-#: Relative residual of the solves inside a preconditioner [–]
-ROUGHLY = 1e-2
+#: Parameters may change by this factor before a preconditioner is made again
+KEEP = 2.5
+
+#: Most rows of a block that is not over all voxels
+FEW_ROWS = 4096
 
 
 @dataclass
@@ -51,22 +58,22 @@ class _Run:
 class FieldNewton:
     """Newton steps by preconditioned conjugate gradients over all variables."""
 
-    def __init__(
-        self, program: Program, blocks: Sequence[PenalisedRows], fixed: Mask
-    ) -> None:
+    def __init__(self, problem: PenalisedProblem, anchor: PenalisedRows | None) -> None:
         """Take the rows.
 
         Args:
-            program: Whose variables they are over.
-            blocks: All rows.
-            fixed: Variables whose values are given, shape (n,).
+            problem: The problem.
+            anchor: Rows of the anchor, of single variables; None for none.
         """
-        self._program, self._blocks, self._fixed = program, blocks, fixed
-        self._adjoints = [sp.csr_array(rows.matrix.T) for rows in blocks]
+        self._program, self._fixed = problem.program, problem.fixed
+        self._problem, self._anchor = problem, anchor
+        self._blocks = [*problem.blocks, *([] if anchor is None else [anchor])]
+        self._adjoints = [sp.csr_array(rows.matrix.T) for rows in self._blocks]
         self._squared = [
-            rows.matrix.multiply(rows.matrix).tocsr().T.tocsr() for rows in blocks
+            rows.matrix.multiply(rows.matrix).tocsr().T.tocsr() for rows in self._blocks
         ]
-        self._chosen: str | None = None
+        self._level = 0
+        self._made: tuple[tuple[float, ...], _Map] | None = None
 
     def step(
         self,
@@ -83,35 +90,88 @@ class FieldNewton:
         def product(v: Array) -> Array:
             return self._product(v, slopes)
 
-        run = None
-        if self._chosen is None:
-            self._chosen = self._compare(product, side, slopes)
-        precondition = self._preconditioner(self._chosen, slopes)
+        precondition = self._preconditioner(slopes)
         run = _conjugate_gradients(product, side, precondition, rtol, deadline)
-        if run.steps > MANY:
-            self._chosen = None
+        if run.steps > MANY and self._level < WITH_FEW_ROWS:
+            self._level, self._made = self._level + 1, None
         return run.d, run.steps
 
-    def _compare(self, product: _Map, side: Array, slopes: Sequence[Slope]) -> str:
-        """The preconditioner that reduces a residual most per second."""
-        best, fastest = "diagonal", 0.0
-        for name in self._names():
-            clock = time.process_time()
-            precondition = self._preconditioner(name, slopes)
-            run = _conjugate_gradients(
-                product, side, precondition, 1e-3, None, TRIAL_STEPS
-            )
-            spent = time.process_time() - clock
-            rate = -np.log(max(run.left, 1e-12)) / max(spent, 1e-9)
-            if rate > fastest:
-                best, fastest = name, rate
-        return best
+    def _preconditioner(self, slopes: Sequence[Slope]) -> _Map:
+        """The one in use, made again where parameters have changed much."""
+        key = tuple(b.sigma for b in self._blocks if not b.exact)
+        if self._anchor is not None:
+            key += (self._anchor.weight,)
+        if self._made is not None:
+            old = np.array(self._made[0])
+            ratio = np.array(key) / old
+            if (ratio < KEEP).all() and (ratio > 1.0 / KEEP).all():
+                return self._made[1]
+        self._made = key, self._make(slopes)
+        return self._made[1]
 
-    def _names(self) -> list[str]:
+    def _make(self, slopes: Sequence[Slope]) -> _Map:
+        """A preconditioner of the level reached."""
+        unbent = [
+            slope
+            if b.exact or isinstance(b.law, Between)
+            else Slope(np.full_like(slope.factor, b.sigma))
+            for b, slope in zip(self._blocks, slopes, strict=True)
+        ]
+        diagonal = self.diagonal(unbent)
+        inverse = np.where(self._fixed, 0.0, 1.0 / np.where(diagonal, diagonal, 1.0))
         laplace = self._program.laplace
-        if laplace is None or not laplace.is_plain:
-            return ["diagonal"]
-        return ["diagonal", "differences", "laplace"]
+        if self._level == DIAGONAL or laplace is None:
+            return lambda v: inverse * v
+        fields = [
+            (part, self._of_field(name, part, unbent, diagonal))
+            for name, part in self._program.variables.items()
+            if part.stop - part.start == len(laplace.free)
+        ]
+
+        def prior(v: Array) -> Array:
+            z = inverse * v
+            for part, apply in fields:
+                z[part] = apply(v[part])
+            return np.where(self._fixed, 0.0, z)
+
+        if self._level < WITH_FEW_ROWS:
+            return prior
+        few = [
+            sp.diags_array(np.sqrt(slope.factor)) @ b.matrix
+            for b, slope in zip(self._blocks, slopes, strict=True)
+            if not self._is_wide(b)
+        ]
+        if not few:
+            return prior
+        free = sp.diags_array((~self._fixed).astype(float))
+        return WithFewRows(prior, sp.csr_array(sp.vstack(few) @ free))
+
+    def _of_field(
+        self, name: str, part: slice, unbent: Sequence[Slope], diagonal: Array
+    ) -> _Map:
+        """The part of one field."""
+        laplace, fixed = self._program.laplace, self._fixed[part]
+        term = self._program.laplace_term_of(name)
+        pairs = list(zip(self._blocks, unbent, strict=True))
+        if term is not None and term.weight > 0.0:
+            rows = term.laplace_rows
+            assert rows is not None
+            system = rows.system or laplace
+            scale = np.ones(len(fixed)) if rows.scale is None else rows.scale
+            compliance = np.where(fixed, 0.0, 1.0 / (2.0 * term.weight * scale**2))
+            wide = [
+                WideTerm(1.0, _scaled(b.matrix[:, part], slope), b.target)
+                for b, slope in pairs
+                if self._is_wide(b) and b.name != term.name
+            ]
+            return by_laplace(system, compliance, wide)
+        anchored = 0.0
+        if self._anchor is not None:
+            anchored = 2.0 * self._anchor.weight
+        return by_differences(laplace, diagonal[part] - anchored, anchored, fixed)
+
+    def _is_wide(self, block: PenalisedRows) -> bool:
+        return len(block.target) > FEW_ROWS
 
     def _product(self, v: Array, slopes: Sequence[Slope]) -> Array:
         """H v on the variables that are free."""
@@ -144,56 +204,10 @@ class FieldNewton:
         d[free] = splu(own).solve(side[free])
         return d
 
-    def _preconditioner(self, name: str, slopes: Sequence[Slope]) -> _Map:
-        diagonal = self.diagonal(slopes)
-        inverse = 1.0 / np.where(diagonal > 0.0, diagonal, 1.0)
-        inverse[self._fixed] = 0.0
-        laplace = self._program.laplace
-        if name == "diagonal" or laplace is None:
-            return lambda v: inverse * v
-        V = len(laplace.free)
-        fields = [
-            part
-            for part in self._program.variables.values()
-            if part.stop - part.start == V
-        ]
-        own = _like_differences if name == "differences" else _like_laplace
-        maps = [own(laplace, inverse[part], self._fixed[part]) for part in fields]
 
-        def precondition(v: Array) -> Array:
-            z = inverse * v
-            for part, apply in zip(fields, maps, strict=True):
-                z[part] = apply(v[part])
-            return z
-
-        return precondition
-
-
-def _like_differences(laplace: LaplaceSystem, inverse: Array, fixed: Mask) -> _Map:
-    """A⁻¹ between roots of the radii, at the size of H's diagonal."""
-    free = laplace.free & ~fixed
-    root = np.where(free, np.sqrt(laplace.radii), 0.0)
-    diagonal = -laplace.L.diagonal()
-    size = float(np.median((diagonal * inverse)[free]))
-
-    def apply(v: Array) -> Array:
-        solved = laplace.multigrid.solve(root * v, rtol=ROUGHLY).x
-        return np.where(free, size * root * solved, inverse * v)
-
-    return apply
-
-
-def _like_laplace(laplace: LaplaceSystem, inverse: Array, fixed: Mask) -> _Map:
-    """L⁻¹L⁻ᵀ at the size of H's diagonal."""
-    diagonal = laplace.L.diagonal() ** 2
-    size = float(np.median((diagonal * inverse)[laplace.free & ~fixed]))
-
-    def apply(v: Array) -> Array:
-        u = laplace.solve_adjoint(np.where(fixed, 0.0, v), rtol=ROUGHLY**2)
-        u = np.where(fixed, 0.0, size * u)
-        return laplace.solve(u, rtol=ROUGHLY**2)
-
-    return apply
+def _scaled(matrix: sp.csr_array, slope: Slope) -> sp.csr_array:
+    """Rows times the roots of their slopes."""
+    return sp.csr_array(sp.diags_array(np.sqrt(slope.factor)) @ matrix)
 
 
 def _conjugate_gradients(
@@ -202,7 +216,6 @@ def _conjugate_gradients(
     precondition: _Map,
     rtol: float,
     deadline: float | None,
-    most: int = MOST_STEPS,
 ) -> _Run:
     """Flexible conjugate gradients (Notay 2000): preconditioners need not be linear."""
     d, rest = np.zeros_like(side), side.copy()
@@ -210,7 +223,7 @@ def _conjugate_gradients(
     z = precondition(rest)
     direction, steps = z, 0
     energy = float(rest @ z)
-    while now > rtol * first and steps < most:
+    while now > rtol * first and steps < MOST_STEPS:
         if deadline is not None and time.perf_counter() > deadline:
             break
         image = product(direction)

@@ -95,10 +95,9 @@ class LaplaceNewton:
         for slope, rows in zip(slopes, self._declared, strict=True):
             if rows is None:
                 continue
-            if rows.scale is None:
-                W += slope.factor
-            else:
-                W[self._free] += rows.scale[self._free] ** 2 * slope.factor
+            at = np.arange(len(W)) if len(slope.factor) == len(W) else self._free
+            scale = 1.0 if rows.scale is None else rows.scale[at]
+            W[at] += scale**2 * slope.factor
         return np.where(self._fixed, 0.0, 1.0 / np.where(W > 0.0, W, 1.0))
 
     def _roots(self, slopes: Sequence[Slope]) -> tuple[sp.csr_array, Array]:

@@ -63,7 +63,7 @@ class Options:
 
     rounds: int = 150
     newton_steps: int = 5
-    rtol: float = 1e-4
+    rtol: float = 1e-3
     share: float = 0.1
     growth: float = 2.0
     retreat: float = 1.5
