@@ -8,6 +8,7 @@ problems H is factorised.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array
+from ttus_opt.solvers.primal.conjugate_gradients import inner_product
 from ttus_opt.solvers.primal.split import WideTerm
 from ttus_opt.solvers.proximal.field_preconditioner import (
     WithFewRows,
@@ -56,7 +58,13 @@ class _Run:
 
 
 class FieldNewton:
-    """Newton steps by preconditioned conjugate gradients over all variables."""
+    """Newton steps by preconditioned conjugate gradients over all variables.
+
+    Attributes:
+        rtol: Relative residual to which a step is best solved [–].
+    """
+
+    rtol = 1e-2
 
     def __init__(self, problem: PenalisedProblem, anchor: PenalisedRows | None) -> None:
         """Take the rows.
@@ -219,24 +227,24 @@ def _conjugate_gradients(
 ) -> _Run:
     """Flexible conjugate gradients (Notay 2000): preconditioners need not be linear."""
     d, rest = np.zeros_like(side), side.copy()
-    first = now = float(np.linalg.norm(side))
+    first = now = math.sqrt(inner_product(side, side))
     z = precondition(rest)
     direction, steps = z, 0
-    energy = float(rest @ z)
+    energy = inner_product(rest, z)
     while now > rtol * first and steps < MOST_STEPS:
         if deadline is not None and time.perf_counter() > deadline:
             break
         image = product(direction)
-        curvature = float(direction @ image)
+        curvature = inner_product(direction, image)
         if not curvature > 0.0:
             break
         alpha = energy / curvature
         d += alpha * direction
         before, rest = rest, rest - alpha * image
-        now = float(np.linalg.norm(rest))
+        now = math.sqrt(inner_product(rest, rest))
         z = precondition(rest)
-        beta = float(z @ (rest - before)) / energy
-        energy = float(rest @ z)
+        beta = inner_product(z, rest - before) / energy
+        energy = inner_product(rest, z)
         if not energy > 0.0:
             break
         direction = z + max(beta, 0.0) * direction

@@ -34,7 +34,13 @@ LOOSEST = 1e-4
 
 
 class LaplaceNewton:
-    """Newton steps by the dual of Laplace's rows."""
+    """Newton steps by the dual of Laplace's rows.
+
+    Attributes:
+        rtol: Relative residual to which a step is best solved [–].
+    """
+
+    rtol = 1e-4
 
     def __init__(
         self,

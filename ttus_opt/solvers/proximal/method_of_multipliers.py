@@ -16,6 +16,7 @@ Semismooth Newton Augmented Lagrangian Method for Solving Lasso Problems (2018).
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import dataclass, field, replace
 from typing import Protocol
@@ -25,6 +26,7 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.primal.conjugate_gradients import inner_product
 from ttus_opt.solvers.proximal import line_search
 from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
@@ -32,7 +34,13 @@ from ttus_opt.terms.penalties.base import Slope
 
 
 class NewtonSystem(Protocol):
-    """Solves for Newton steps."""
+    """Solves for Newton steps.
+
+    Attributes:
+        rtol: Relative residual to which a step is best solved [–].
+    """
+
+    rtol: float
 
     def step(
         self,
@@ -54,7 +62,6 @@ class Options:
     Attributes:
         rounds: Most rounds.
         newton_steps: Most Newton steps of a round.
-        rtol: Relative residual of a Newton system [–].
         share: A round ends when what Newton's method would still gain is below this
             part of what the multipliers move [–].
         growth: Of σ, and of what the anchor lets x move, after a round that got there.
@@ -63,7 +70,6 @@ class Options:
 
     rounds: int = 150
     newton_steps: int = 5
-    rtol: float = 1e-3
     share: float = 0.1
     growth: float = 2.0
     retreat: float = 1.5
@@ -141,7 +147,7 @@ class MethodOfMultipliers:
             self._anchor.target = np.asarray(self._anchor.matrix @ x)
         state = _State(x, [b.residual(x) for b in self._blocks])
         best, least, stale = Candidate(x, claim=Claim.TIME_LIMIT), np.inf, 0
-        rtol = self._options.rtol
+        rtol = self._system.rtol
         for _ in range(self._options.rounds):
             done = self._minimise(state, rtol)
             duals = self._problem.duals(
@@ -184,7 +190,7 @@ class MethodOfMultipliers:
             d, spent = self._system.step(gradient, state.slopes, rtol, self._deadline)
             self.steps, self.newton_steps = self.steps + spent, self.newton_steps + 1
             d = np.where(fixed, 0.0, d)
-            start = float(gradient @ d)
+            start = inner_product(gradient, d)
             if not (np.isfinite(start) and start < 0.0):
                 return True
             changes = [np.asarray(b.matrix @ d) for b in blocks]
@@ -205,8 +211,8 @@ class MethodOfMultipliers:
     def _small(self, state: _State) -> bool:
         """Whether the gradient is far below its summands."""
         free = ~self._problem.fixed
-        size = float(np.linalg.norm(state.gradient[free]))
-        largest = max(float(np.linalg.norm(part[free])) for part in state.parts)
+        size = _length(state.gradient[free])
+        largest = max(_length(part[free]) for part in state.parts)
         return size <= 0.1 * self._request.tolerance * largest
 
     def _slope(self, state: _State, changes: list[Array], length: float) -> float:
@@ -214,7 +220,7 @@ class MethodOfMultipliers:
         total = 0.0
         for b, r, change in zip(self._blocks, state.residuals, changes, strict=True):
             y, _ = b.charged(r + length * change)
-            total += float(y @ change)
+            total += inner_product(y, change)
         return total
 
     def _moved(self, state: _State) -> float:
@@ -224,10 +230,10 @@ class MethodOfMultipliers:
             self._blocks, state.residuals, state.multipliers, strict=True
         ):
             if b is self._anchor:
-                total += b.weight * float(r @ r)
+                total += b.weight * inner_product(r, r)
             elif not b.exact:
                 change = y - b.multipliers
-                total += float(change @ change) / b.sigma
+                total += inner_product(change, change) / b.sigma
         return total
 
     def _next_round(self, state: _State, growth: float) -> None:
@@ -243,3 +249,8 @@ class MethodOfMultipliers:
                 b.sigma *= growth
         # a block's residual follows x exactly, not by sums of steps
         state.residuals = [b.residual(state.x) for b in self._blocks]
+
+
+def _length(vector: Array) -> float:
+    """Euclidean norm."""
+    return math.sqrt(inner_product(vector, vector))

@@ -14,6 +14,7 @@ Algorithm in Convex Programming (1976).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -117,6 +118,6 @@ class PenalisedRows:
         """
         if self.exact:
             return 0.0, 0.0
-        change = float(np.linalg.norm(multipliers - self.multipliers))
+        change = math.sqrt(float(np.sum((multipliers - self.multipliers) ** 2)))
         self.multipliers = multipliers
         return change**2 / self.sigma, change / self.sigma
