@@ -9,12 +9,14 @@ See docs/method.md, Penalties that are no squares.
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
+from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
@@ -26,6 +28,8 @@ from ttus_opt.solvers.proximal.method_of_multipliers import (
 )
 from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
+from ttus_opt.solvers.proximal.source_exchange import EXCESS, SourceExchange
+from ttus_opt.terms.penalties.absolute import Absolute
 from ttus_opt.terms.penalties.base import Penalty
 from ttus_opt.terms.penalties.squares import Squares
 from ttus_opt.terms.structure import LaplaceRows
@@ -97,6 +101,10 @@ class _Loaded(Prepared):
     def solve(self) -> Candidate:
         """Solve the declared program, and state the answer for the reduced one."""
         problem = self._problem
+        if _is_sparse_sources(problem):
+            exact = self._exchanged()
+            if exact is not None:
+                return exact
         system, anchor = self._system()
         blocks = [*problem.blocks, *([anchor] if anchor is not None else [])]
         x = self._start(system, blocks, anchor)
@@ -112,6 +120,46 @@ class _Loaded(Prepared):
             iterations=method.newton_steps,
             detail=f"{method.newton_steps} Newton steps, {method.steps} inner steps",
         )
+
+    def _exchanged(self) -> Candidate | None:
+        """Sparse sources by columns; None where they do not get there."""
+        problem, request = self._problem, self._request
+        limit = request.time_limit
+        deadline = None if limit is None else time.perf_counter() + limit
+        program, laplace = problem.program, problem.program.laplace
+        own = next(
+            b for b, r in zip(problem.blocks, problem.declared, strict=True) if r
+        )
+        few = [b for b in problem.blocks if b is not own]
+        free = np.flatnonzero(laplace.free)
+        rows = problem.declared[problem.blocks.index(own)]
+        assert rows is not None
+        scale = np.ones(len(free)) if rows.scale is None else rows.scale[free]
+        side = problem.values.copy()
+        side[free] = own.target / scale
+        charge = np.full(len(side), np.inf)
+        charge[free] = own.weight * scale
+        roots = [np.full(len(b.target), np.sqrt(2.0 * b.weight)) for b in few]
+        root = np.concatenate([*roots, np.zeros(0)])
+        empty = sp.csr_array((0, len(side)))
+        D = sp.csr_array(sp.vstack([empty, *(b.matrix for b in few)]))
+        D = sp.csr_array(sp.diags_array(root) @ D)
+        t = root * np.concatenate([*(b.target for b in few), np.zeros(0)])
+        exchange = SourceExchange(laplace, D, t, charge, laplace.solve(side))
+        x = np.where(problem.fixed, problem.values, exchange.run(EXCESS, deadline))
+        force = D.T @ (D @ x - t)
+        eta = -laplace.solve_adjoint(force)
+        y = {own.name: eta[free] / scale}
+        multipliers = [y.get(b.name, np.zeros(len(b.target))) for b in problem.blocks]
+        gradient = force + own.adjoint(multipliers[problem.blocks.index(own)])
+        duals = problem.duals(multipliers, gradient)
+        kkt = kkt_residuals(program, x, duals, tolerance=request.tolerance)
+        if kkt.worst_relative > request.tolerance:
+            return None
+        self._last = x
+        point = Reduction(program, self._reduced).lift(x, duals)
+        detail = f"{exchange.solves} solves, {exchange.sources} sources"
+        return Candidate(point.x, point.duals, exchange.solves, detail=detail)
 
     def _system(self) -> tuple[NewtonSystem, PenalisedRows | None]:
         """What solves for Newton steps, and the rows of the anchor it needs."""
@@ -225,6 +273,22 @@ def _held_by_laplace(problem: PenalisedProblem) -> bool:
     part = problem.program.variables["p"]
     given = problem.fixed[part][~problem.program.laplace.free].all()
     return not rows.beside and (rows.scale is None or bool(given))
+
+
+def _is_sparse_sources(problem: PenalisedProblem) -> bool:
+    """Whether it is absolute values of Laplace's rows beside few squares."""
+    if not _is_laplace_and_few(problem) or problem.fixed.sum() == 0:
+        return False
+    pairs = list(zip(problem.blocks, problem.declared, strict=True))
+    own = [b for b, rows in pairs if rows is not None]
+    few = [b for b, rows in pairs if rows is None]
+    free = int(problem.program.laplace.free.sum())
+    return (
+        len(own) == 1
+        and isinstance(own[0].law, Absolute)
+        and len(own[0].target) == free
+        and all(isinstance(b.law, Squares) for b in few)
+    )
 
 
 def _is_laplace_and_few(problem: PenalisedProblem) -> bool:

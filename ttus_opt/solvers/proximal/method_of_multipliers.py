@@ -54,6 +54,10 @@ class NewtonSystem(Protocol):
 
 TRACE = None
 
+#: Newton systems are solved so much more exactly after a round that did not get there,
+#: and to this relative residual at most [–]
+EXACTER, MOST_EXACT = 0.1, 1e-9
+
 
 @dataclass(frozen=True)
 class Options:
@@ -65,7 +69,8 @@ class Options:
         share: A round ends when what Newton's method would still gain is below this
             part of what the multipliers move [–].
         growth: Of σ, and of what the anchor lets x move, after a round that got there.
-        retreat: By how much both shrink after one that did not.
+        retreat: By how much both shrink after one that did not,
+        patience: and how many rounds have to get there before they grow again [–].
     """
 
     rounds: int = 150
@@ -73,6 +78,7 @@ class Options:
     share: float = 0.1
     growth: float = 2.0
     retreat: float = 1.5
+    patience: int = 1
 
 
 @dataclass
@@ -147,6 +153,7 @@ class MethodOfMultipliers:
             self._anchor.target = np.asarray(self._anchor.matrix @ x)
         state = _State(x, [b.residual(x) for b in self._blocks])
         best, least, stale = Candidate(x, claim=Claim.TIME_LIMIT), np.inf, 0
+        calm = self._options.patience
         rtol = self._system.rtol
         for _ in range(self._options.rounds):
             done = self._minimise(state, rtol)
@@ -170,12 +177,20 @@ class MethodOfMultipliers:
                 stale += 1
             if least <= self._request.tolerance or stale > 25 or self._late:
                 break
-            self._next_round(
-                state, self._options.growth if done else 1.0 / self._options.retreat
-            )
+            growth, calm = self._growth(done, calm)
+            rtol *= EXACTER if not done else 1.0 / EXACTER
+            rtol = min(max(rtol, MOST_EXACT), self._system.rtol)
+            self._next_round(state, growth)
         if least <= self._request.tolerance:
             return best
         return replace(best, claim=Claim.TIME_LIMIT if self._late else Claim.GAVE_UP)
+
+    def _growth(self, done: bool, calm: int) -> tuple[float, int]:
+        """By how much parameters grow, and rounds since they last had to shrink."""
+        if not done:
+            return 1.0 / self._options.retreat, 0
+        calm += 1
+        return (self._options.growth if calm >= self._options.patience else 1.0), calm
 
     @property
     def _late(self) -> bool:
