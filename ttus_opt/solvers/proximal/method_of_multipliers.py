@@ -52,8 +52,6 @@ class NewtonSystem(Protocol):
         """The step from a gradient and the slopes of all blocks; iterations spent."""
 
 
-TRACE = None
-
 #: Newton systems are solved so much more exactly after a round that did not get there,
 #: and to this relative residual at most [–]
 EXACTER, MOST_EXACT = 0.1, 1e-9
@@ -168,8 +166,6 @@ class MethodOfMultipliers:
             kkt = kkt_residuals(
                 self._problem.program, state.x, duals, tolerance=self._request.tolerance
             )
-            if TRACE is not None:
-                TRACE(self, state, kkt)
             if kkt.worst_relative < least:
                 stale = 0 if kkt.worst_relative < 0.9 * least else stale + 1
                 best, least = Candidate(state.x, duals), kkt.worst_relative

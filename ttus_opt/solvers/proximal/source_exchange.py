@@ -5,8 +5,8 @@ With given boundary values and p = p₀ + L⁻¹u the problem
     min_u  Σ_v c_v |u_v| + ½ ‖A u − s‖²,      A = D L⁻¹,  s = t − D p₀
 
 (D the few rows with the roots of twice their weights) has a solution with few sources.
-Its multiplier is η = A ᵀ(s − A u), |η_v| ≤ c_v, and = c_v sign u_v at a source. Starting
-with no source, voxels where |η| is largest around and above c become columns, the
+Its multiplier is η = Aᵀ(s − A u), |η_v| ≤ c_v, and = c_v sign u_v at a source. Starting
+without, voxels where |η| is largest around and above c become columns, the
 problem of those columns is solved by an active set, η is computed again, and so on: an
 exchange method for semi-infinite programs, as the dual has few unknowns and a
 constraint per voxel. A column is one solve with L, η is one with L and one with Lᵀ.
@@ -30,7 +30,7 @@ from ttus_opt.laplace.system import LaplaceSystem
 EXCHANGES, NEW = 100, 40
 
 #: |η| may exceed c by this part [–]
-EXCESS = 1e-8
+EXCESS = 1e-7
 
 #: Pivots below this part of the largest are left out of the active set's systems [–]
 DEPENDENT = 1e-13
@@ -85,7 +85,10 @@ class SourceExchange:
             late = deadline is not None and time.perf_counter() > deadline
             if not len(wanted) or late:
                 break
+            before = len(self._at)
             self._add(wanted, np.sign(slope[wanted]))
+            if len(self._at) == before:  # rounding: what is wanted is there already
+                break
             self._solve()
         return self.field()
 
