@@ -98,3 +98,23 @@ def test_what_goes_down_comes_back_up() -> None:
     # without the multipliers the certificate is missing and the check says so
     bare = replace(point.duals, terms={})
     assert kkt_residuals(program, point.x, bare).dual_relative > 1e-3
+
+
+def test_lifting_undoes_restoring_and_keeps_optimality() -> None:
+    both = reduce(bent())
+    backend = registry.solvers()["clarabel"]
+    found = backend.prepare(both.program, Request(1e-9)).solve()
+    point = both.restore(found.x, found.duals)
+    lifted = both.lift(point.x, point.duals)
+    again = both.restore(lifted.x, lifted.duals)
+    np.testing.assert_array_equal(again.x, point.x)
+    for name, g in point.duals.terms.items():
+        np.testing.assert_allclose(again.duals.terms[name], g, rtol=1e-12)
+    kkt = kkt_residuals(both.program, lifted.x, lifted.duals)
+    assert kkt.worst_relative < 1e-6
+    assert both.program.declared is both.original
+
+
+def test_other_weights_forget_what_was_declared() -> None:
+    reduced = reduce(bent()).program
+    assert reduced.with_weights(laplace=2.0).declared is None

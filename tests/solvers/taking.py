@@ -49,6 +49,9 @@ STRUCTURED, AMG = frozenset({"structured"}), frozenset({"amg_pcg"})
 #: A prior whose covariance is known
 COVARIANCE = frozenset({"covariance"})
 
+#: Penalties that are no sum of squares, as they were declared
+BENT = frozenset({"augmented_lagrangian"})
+
 #: Any sum of squares beside Laplace's rows
 NORMAL = frozenset({"normal_equations"})
 
@@ -66,11 +69,11 @@ FORMULATIONS: Mapping[str, frozenset[str]] = {
     "eq10_sign_monotone": QP | HIGHS | STRUCTURED | NORMAL,
     "free_surface": QP | HIGHS | STRUCTURED | NORMAL,
     "laplace_only": QP | CLOSED | STRUCTURED | NORMAL | AMG,
-    "robust": QP | HIGHS,
+    "robust": QP | HIGHS | BENT,
     "screened": QP | CLOSED | STRUCTURED | NORMAL,
-    "sparse_sources": QP | HIGHS,
+    "sparse_sources": QP | HIGHS | BENT,
     "tikhonov": QP | CLOSED | STRUCTURED | NORMAL,
-    "total_variation": QP | HIGHS,
+    "total_variation": QP | HIGHS | BENT,
     "viscous_drag": QP | HIGHS | STRUCTURED,
     "volume_weighted": QP | STRUCTURED | NORMAL,
 }
@@ -87,10 +90,10 @@ REFERENCES: Mapping[str, frozenset[str]] = {
     "mixed_rows": QP | HIGHS,
     "names": QP | HIGHS,
     "linear_term": QP | HIGHS,
-    "absolute": QP | HIGHS,
-    "absolute_kink": QP | HIGHS,
-    "huber": QP | HIGHS,
-    "groups": CONES,
+    "absolute": QP | HIGHS | BENT,
+    "absolute_kink": QP | HIGHS | BENT,
+    "huber": QP | HIGHS | BENT,
+    "groups": CONES | BENT,
 }
 
 #: Who takes a small program without Laplace rows that has bounds

@@ -71,6 +71,8 @@ class Program:
         bounds: Bounds that must hold.
         laplace: The scene's L, whose structure solvers use.
         cones: Second-order cones that must hold.
+        declared: What it is the reduced form of (`ttus_opt.problem.reduction`), for
+            solvers that take penalties as they are; None where nothing is reduced.
     """
 
     variables: Mapping[str, slice]
@@ -79,6 +81,7 @@ class Program:
     bounds: tuple[ProgramBounds, ...]
     laplace: LaplaceSystem = field(repr=False)
     cones: tuple[ProgramCones, ...] = ()
+    declared: Program | None = field(default=None, repr=False)
 
     @classmethod
     def build(
@@ -161,7 +164,7 @@ class Program:
                 f"{', '.join(t.name for t in self.terms)}"
             )
         terms = (t.with_weight(weights.get(t.name, t.weight)) for t in self.terms)
-        return replace(self, terms=tuple(terms))
+        return replace(self, terms=tuple(terms), declared=None)
 
     def split(self, x: Array) -> dict[str, Array]:
         """The variables of x by name."""

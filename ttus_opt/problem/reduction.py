@@ -79,6 +79,39 @@ class Reduction:
             bounds = duals.bounds[:n]
         return Point(x[:n], Duals(rows, bounds, terms))
 
+    def lift(self, x: Array, duals: Duals) -> Point:
+        """A point of the original program as one of the reduced: `restore` undoes it.
+
+        Args:
+            x: The original's variables.
+            duals: Its multipliers.
+
+        Returns:
+            The reduced program's variables and multipliers.
+        """
+        if self.program is self.original:
+            return Point(x, duals)
+        n = self.original.n_variables
+        wide = np.concatenate([x, np.zeros(self.program.n_variables - n)])
+        z = np.zeros_like(wide)
+        if duals.bounds is not None:
+            z[:n] = duals.bounds
+        rows = dict(duals.rows)
+        for term in self.original.terms:
+            split = term.penalty.split
+            if split is None:
+                continue
+            r = term.residual(x)
+            g = duals.terms.get(term.name, term.penalty.subgradient(r))
+            rest = 0.5 * g if split.squares_rest else np.zeros_like(r)
+            for side, sign in (("above", 1.0), ("below", -1.0)):
+                part = self.program.variables[f"{term.name}:{side}"]
+                wide[part] = np.maximum(sign * (r - rest), 0.0)
+                z[part] = np.minimum(term.weight * (sign * g - split.slope), 0.0)
+            if not split.squares_rest:
+                rows[_split_name(term.name)] = term.weight * g
+        return Point(wide, Duals(rows, z, duals.terms))
+
 
 def reduce(program: Program) -> Reduction:
     """State penalties that have a `Split` with auxiliary variables.
@@ -134,6 +167,7 @@ def reduce(program: Program) -> Reduction:
         constraints=tuple(rows),
         bounds=tuple(bounds),
         cones=tuple(replace(c, matrix=_widened(c.matrix, n)) for c in program.cones),
+        declared=program,
     )
     return Reduction(program, reduced)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from ttus_opt.terms.base import AffineRows, Term
 from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.terms.structure import LaplaceRows
 
 
 @dataclass(frozen=True)
@@ -31,4 +32,6 @@ class SparseSourcesTerm(Term):
     def rows(self) -> AffineRows:
         """Free rows of L and b."""
         free = np.flatnonzero(self.scene.laplace.free)
-        return AffineRows({"p": self.scene.L[free]}, self.scene.b[free])
+        tag = LaplaceRows(scale=np.ones(self.scene.n_voxels))
+        rows = {"p": self.scene.L[free]}
+        return AffineRows(rows, self.scene.b[free], frozenset({tag}))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.terms.penalties.base import Penalty, Split
+from ttus_opt.terms.penalties.base import Penalty, Slope, Split
 
 
 @dataclass(frozen=True)
@@ -44,3 +44,7 @@ class Absolute(Penalty):
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
         """Σ |r|."""
         return cp.norm1(r)
+
+    def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
+        """The nearest point between −1 and 1."""
+        return np.clip(v, -1.0, 1.0), Slope((np.abs(v) < 1.0).astype(float))

@@ -3,7 +3,8 @@
 Optimality needs a subgradient, the set of all subgradients (onto which a multiplier is
 projected) and the conjugate φ*. For g in that set φ(r) + φ*(g) ≥ gᵀr, with equality
 exactly where g is a subgradient at r (Fenchel; Rockafellar, Convex Analysis, section
-23). Solvers need the penalty in cvxpy's words or, for quadratic programs, as a `Split`.
+23). Solvers need the penalty in cvxpy's words, for quadratic programs as a `Split`, or
+for the method of multipliers its `resolvent`.
 
 A new penalty is a class in a file of its own.
 """
@@ -14,7 +15,40 @@ import abc
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
+import numpy as np
+
 from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+
+
+@dataclass(frozen=True)
+class Slope:
+    """How multipliers g change with what they are made of: ∂g = factor (I − n nᵀ) ∂v.
+
+    Attributes:
+        factor: Per row, alike within a group, shape (m,) [–].
+        along: A unit vector n per group, or zeros, shape (m,); None for zeros [–].
+        size: Rows per group [–].
+    """
+
+    factor: Array
+    along: Array | None = None
+    size: int = 1
+
+    def times(self, v: Array) -> Array:
+        """The change of g that a change v makes, shape (m,)."""
+        return self.factor * self._across(v)
+
+    def root_times(self, v: Array) -> Array:
+        """The same by the symmetric root of the slope, shape (m,)."""
+        return np.sqrt(self.factor) * self._across(v)
+
+    def _across(self, v: Array) -> Array:
+        if self.along is None:
+            return v
+        shape = (-1, self.size)
+        parts = (self.along * v).reshape(shape).sum(axis=1, keepdims=True)
+        return np.asarray(v - (parts * self.along.reshape(shape)).reshape(-1))
 
 
 @dataclass(frozen=True)
@@ -85,3 +119,21 @@ class Penalty(abc.ABC):
         Returns:
             A scalar cvxpy expression.
         """
+
+    def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
+        """The multiplier g that minimises φ*(g) + ‖g − v‖² / (2 step).
+
+        By Moreau's identity this is (v − z) / step with z the proximal point of φ at
+        v / step, of parameter 1 / step; for large steps the gradient of φ at v / step.
+
+        Args:
+            v: Shape (m,).
+            step: Positive [–].
+
+        Returns:
+            g, shape (m,), and its slope, one of them where it has a kink.
+
+        Raises:
+            InputError: The penalty does not state it.
+        """
+        raise InputError(f"{type(self).__name__} does not state its resolvent")

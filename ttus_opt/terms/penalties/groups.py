@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.terms.penalties.base import Penalty
+from ttus_opt.terms.penalties.base import Penalty, Slope
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,14 @@ class Groups(Penalty):
         """Σ ‖r_g‖."""
         groups = cp.reshape(r, (r.size // self.size, self.size), order="C")
         return cp.sum(cp.norm(groups, 2, axis=1))
+
+    def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
+        """The nearest point of the unit balls; outside it turns with v only."""
+        length = np.repeat(self._lengths(v), self.size)
+        outside = length > 1.0
+        longest = np.maximum(length, 1.0)
+        g = v / longest
+        return g, Slope(1.0 / longest, np.where(outside, g, 0.0), self.size)
 
     def _lengths(self, r: Array) -> Array:
         """Euclidean length of every group."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.terms.penalties.base import Penalty, Split
+from ttus_opt.terms.penalties.base import Penalty, Slope, Split
 
 
 @dataclass(frozen=True)
@@ -53,3 +53,9 @@ class Huber(Penalty):
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
         """Σ huber(r; δ)."""
         return cp.sum(cp.huber(r, self.threshold))
+
+    def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
+        """Shrinks by 1 + step/2, then cut at ±2δ."""
+        factor, most = 1.0 / (1.0 + 0.5 * step), 2.0 * self.threshold
+        g = factor * v
+        return np.clip(g, -most, most), Slope(np.where(np.abs(g) < most, factor, 0.0))

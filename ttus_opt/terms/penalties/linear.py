@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.terms.penalties.base import Penalty
+from ttus_opt.terms.penalties.base import Penalty, Slope
 
 
 @dataclass(frozen=True)
@@ -37,3 +37,7 @@ class Linear(Penalty):
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
         """Σ r."""
         return cp.sum(r)
+
+    def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
+        """Ones."""
+        return np.ones_like(v), Slope(np.zeros_like(v))

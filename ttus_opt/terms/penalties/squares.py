@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ttus_opt.arrays import Array
-from ttus_opt.terms.penalties.base import Penalty
+from ttus_opt.terms.penalties.base import Penalty, Slope
 
 
 @dataclass(frozen=True)
@@ -36,3 +38,8 @@ class Squares(Penalty):
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
         """Σ r²."""
         return cp.sum_squares(r)
+
+    def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
+        """Shrinks by 1 + step/2."""
+        factor = 1.0 / (1.0 + 0.5 * step)
+        return factor * v, Slope(np.full_like(v, factor))

@@ -1,0 +1,204 @@
+"""Penalties that are no squares: known answers, and interior points on small scenes."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from tests.solvers.problems import bounds, program, rows, term
+from ttus_opt.arrays import Array
+from ttus_opt.constraints.base import Constraint
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.monotone import Monotone
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import reduce
+from ttus_opt.scene import Scene
+from ttus_opt.solvers import registry
+from ttus_opt.solvers.base import Claim, Request
+from ttus_opt.solvers.proximal import field_newton
+from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.terms.penalties.base import Penalty
+from ttus_opt.terms.penalties.groups import Groups
+from ttus_opt.terms.penalties.huber import Huber
+from ttus_opt.terms.sparse_sources import SparseSourcesTerm
+from ttus_opt.terms.total_variation import TotalVariationTerm
+
+SOLVER = registry.solvers()["augmented_lagrangian"]
+
+
+def solved(what: Program, tolerance: float = 1e-7) -> Array:
+    """The answer, its residuals checked on the declared program."""
+    both = reduce(what)
+    found = SOLVER.prepare(both.program, Request(tolerance, 60.0)).solve()
+    assert found.x is not None
+    point = both.restore(found.x, found.duals)
+    kkt = kkt_residuals(what, point.x, point.duals)
+    assert kkt.worst_relative <= 2.0 * tolerance, (kkt, found.detail)
+    return point.x
+
+
+@pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
+def test_orthogonal_rows_are_thresholded(weight: float) -> None:
+    """‖x − y‖² + w Σ |Qᵀx| is soft thresholding by w/2 along the axes of Q."""
+    rng = np.random.default_rng(0)
+    Q, _ = np.linalg.qr(rng.normal(size=(12, 12)))
+    y = rng.normal(0.0, weight, 12)
+    x = solved(
+        program(
+            [
+                term(np.eye(12), y),
+                term(Q.T, np.zeros(12), weight, Absolute(), name="bent"),
+            ]
+        ),
+        1e-9,
+    )
+    along = Q.T @ y
+    expected = Q @ (np.sign(along) * np.maximum(np.abs(along) - weight / 2.0, 0.0))
+    np.testing.assert_allclose(x, expected, atol=1e-5 * np.abs(y).max())
+
+
+def test_a_step_keeps_its_edge_under_total_variation() -> None:
+    """‖x − y‖² + w Σ |D x|, a step of 20 and 30: each side w/2n inwards."""
+    y = np.repeat([0.0, 1.0], [20, 30])
+    D = np.diff(np.eye(50), axis=0)
+    x = solved(
+        program(
+            [term(np.eye(50), y), term(D, np.zeros(49), 2.0, Absolute(), name="bent")]
+        ),
+        1e-9,
+    )
+    expected = np.repeat([2.0 / 40, 1.0 - 2.0 / 60], [20, 30])
+    np.testing.assert_allclose(x, expected, atol=1e-6)
+
+
+def test_limits_hold_beside_a_penalty() -> None:
+    """‖x − (3, −1, 2)‖² + 2 Σ |x|, x₀ + x₂ ≤ 2, x₁ ≥ −¼, x₂ = ½: by hand."""
+    eye = np.eye(3)
+    x = solved(
+        program(
+            [
+                term(eye, [3.0, -1.0, 2.0]),
+                term(eye, [0.0] * 3, 2.0, Absolute(), name="bent"),
+            ],
+            [
+                rows("sum", [[1.0, 0.0, 1.0]], [-np.inf], [2.0]),
+                rows("given", [[0.0, 0.0, 1.0]], [0.5], [0.5]),
+            ],
+            [bounds("box", [-np.inf, -0.25, -np.inf], [np.inf] * 3)],
+        ),
+        1e-9,
+    )
+    np.testing.assert_allclose(x, [1.5, 0.0, 0.5], atol=1e-6)
+
+
+def test_programs_of_squares_are_refused() -> None:
+    assert "squares" in SOLVER.refusal(program([term(np.eye(1), [1])]))
+
+
+def test_a_penalty_without_a_resolvent_is_refused() -> None:
+    class Mute(Absolute):
+        resolvent = Penalty.resolvent
+
+    what = program([term(np.eye(1), [1], 1.0, Mute())])
+    assert "does not state its resolvent" in SOLVER.refusal(what)
+
+
+class _Departure(Term):
+    """A penalty of p − p₀ over all voxels."""
+
+    name = "departure"
+
+    def rows(self) -> AffineRows:
+        V = self.scene.n_voxels
+        field = self.scene.laplace.solve(self.scene.b)
+        return AffineRows({"p": sp.csr_array(sp.eye_array(V, format="csr"))}, field)
+
+    @property
+    def penalty(self) -> Penalty:
+        return Absolute()
+
+
+class _RobustPoses(ForceTerm):
+    """Lengths of force residuals: an outlier is a pose."""
+
+    @property
+    def penalty(self) -> Penalty:
+        return Groups(3)
+
+
+class _RobustSources(SparseSourcesTerm):
+    @property
+    def penalty(self) -> Penalty:  # type: ignore[override]
+        return Huber(0.01)
+
+
+def _with_prior(term: Callable[[Scene, float], Term]) -> Callable[..., list[Term]]:
+    def build(scene: Scene, weight: float) -> list[Term]:
+        return [LaplaceTerm(scene), ForceTerm(scene, 1e-2), term(scene, weight)]
+
+    return build
+
+
+TERMS: dict[str, Callable[[Scene, float], list[Term]]] = {
+    "poses": lambda s, w: [LaplaceTerm(s), _RobustPoses(s, w)],
+    "sources": lambda s, w: [SparseSourcesTerm(s, w), ForceTerm(s, 1e-2)],
+    "squares and sources": _with_prior(SparseSourcesTerm),
+    "Huber's sources": _with_prior(_RobustSources),
+    "variation": lambda s, w: [TotalVariationTerm(s, w), ForceTerm(s, 1e-2)],
+    "squares and variation": _with_prior(TotalVariationTerm),
+    "squares and lengths": _with_prior(lambda s, w: TotalVariationTerm(s, w, True)),
+    "departure": _with_prior(_Departure),
+}
+LIMITS: dict[str, Callable[[Scene], list[Constraint]]] = {
+    "free": lambda s: [HardBoundary(s)],
+    "sign": lambda s: [HardBoundary(s), Sign(s)],
+    "growth": lambda s: [HardBoundary(s), Sign(s), Monotone(s)],
+}
+
+
+@functools.cache
+def scene() -> Scene:
+    return small_scene("trilinear", shape=(6, 12, 7), n_poses=8, seed=4)
+
+
+def compared(terms: str, weight: float, limits: str) -> None:
+    """The same objective as an interior point's."""
+    members: Sequence[Term] = TERMS[terms](scene(), weight)
+    what = Program.build(scene(), members, LIMITS[limits](scene()))
+    both = reduce(what)
+    peer = "clarabel" if both.program.is_quadratic else "cvxpy_clarabel"
+    reference = registry.solvers()[peer].prepare(both.program, Request(1e-8)).solve()
+    assert reference.claim is Claim.DONE
+    expected = what.objective(both.restore(reference.x, reference.duals).x)
+    size = what.objective(np.zeros(what.n_variables))
+    assert what.objective(solved(what, 1e-6)) == pytest.approx(
+        expected, rel=2e-5, abs=1e-9 * size
+    )
+
+
+@pytest.mark.parametrize("terms", ["poses", "sources", "squares and variation"])
+def test_interior_points_agree(terms: str) -> None:
+    compared(terms, 1e-3, "free")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limits", LIMITS)
+@pytest.mark.parametrize("weight", [1e-5, 1e-3, 1e-1, 1e1])
+@pytest.mark.parametrize("terms", TERMS)
+@pytest.mark.parametrize("how", ["factor", "conjugate gradients"])
+def test_interior_points_agree_over_weights_and_limits(
+    terms: str, weight: float, limits: str, how: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if how != "factor":
+        monkeypatch.setattr(field_newton, "SMALL", 0)
+    compared(terms, weight, limits)

@@ -1,0 +1,311 @@
+"""Penalties that are no squares, as they are: the method of multipliers.
+
+Absolute values, Huber's, groups, total variation on any sparse rows, beside squares and
+limits. Where all rows but a few are Laplace's the Newton steps go through the dual, as
+those of `structured`; otherwise through conjugate gradients over the field.
+
+See docs/method.md, Penalties that are no squares.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import Reduction
+from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
+from ttus_opt.solvers.proximal.field_newton import FieldNewton
+from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
+from ttus_opt.solvers.proximal.method_of_multipliers import (
+    MethodOfMultipliers,
+    NewtonSystem,
+)
+from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
+from ttus_opt.solvers.proximal.problem import PenalisedProblem
+from ttus_opt.solvers.proximal.source_exchange import EXCESS, SourceExchange
+from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.terms.penalties.base import Penalty
+from ttus_opt.terms.penalties.squares import Squares
+from ttus_opt.terms.structure import LaplaceRows
+
+#: Rows beside Laplace's, over the voxels, up to which the dual is small [–]
+FEW = 0.1
+
+#: Weight of the anchor over σ [–]
+ANCHOR = 10.0
+
+#: Multipliers without a kink at the start, over those where absolute values end [–]
+START = 1.5
+
+
+class AugmentedLagrangian(Solver):
+    """Proximal method of multipliers with semismooth Newton steps."""
+
+    name = "augmented_lagrangian"
+    summary = "semismooth Newton in the method of multipliers: no penalty is rewritten"
+    capabilities = Capabilities(
+        inequalities=True,
+        equalities=True,
+        nonquadratic=True,
+        keeps="the multigrid, the last answer to start from",
+    )
+
+    def refusal(self, program: Program) -> str:
+        """Penalties that state their resolvent, one at least no square; no cones."""
+        declared = program.declared or program
+        if declared.cones:
+            return "it takes no cones"
+        mute = [
+            t.name
+            for t in declared.terms
+            if type(t.penalty).resolvent is Penalty.resolvent
+        ]
+        if mute:
+            return f"the penalty of {mute[0]} does not state its resolvent"
+        if declared.is_quadratic:
+            return "all penalties are squares: other solvers take them faster"
+        return ""
+
+    def cost(self, program: Program) -> float:
+        """In proportion to the voxels where there is an L: by its multigrid."""
+        if program.laplace is None:
+            return math.inf
+        return 0.1 + 1e-4 * len(program.laplace.free)
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        """Sort the rows."""
+        self.require(program)
+        return _Loaded(program, request)
+
+
+class _Loaded(Prepared):
+    """A program with its last answer."""
+
+    def __init__(self, program: Program, request: Request) -> None:
+        self._request = request
+        self._last: Array | None = None
+        self.update(program)
+
+    def update(self, program: Program) -> None:
+        """Take other data; the last answer is where the next solve starts."""
+        self._reduced = program
+        declared = program.declared or program
+        self._problem = PenalisedProblem.of(declared)
+        if declared.laplace is not None:
+            declared.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
+
+    def solve(self) -> Candidate:
+        """Solve the declared program, and state the answer for the reduced one."""
+        problem = self._problem
+        if _is_sparse_sources(problem):
+            exact = self._exchanged()
+            if exact is not None:
+                return exact
+        system, anchor = self._system()
+        blocks = [*problem.blocks, *([anchor] if anchor is not None else [])]
+        x = self._start(system, blocks, anchor)
+        method = MethodOfMultipliers(problem, blocks, anchor, system, self._request)
+        found = method.solve(x)
+        assert found.x is not None
+        self._last = found.x
+        point = Reduction(problem.program, self._reduced).lift(found.x, found.duals)
+        return replace(
+            found,
+            x=point.x,
+            duals=point.duals,
+            iterations=method.newton_steps,
+            detail=f"{method.newton_steps} Newton steps, {method.steps} inner steps",
+        )
+
+    def _exchanged(self) -> Candidate | None:
+        """Sparse sources by columns; None where they do not get there."""
+        problem, request = self._problem, self._request
+        limit = request.time_limit
+        deadline = None if limit is None else time.perf_counter() + limit
+        program, laplace = problem.program, problem.program.laplace
+        own = next(
+            b for b, r in zip(problem.blocks, problem.declared, strict=True) if r
+        )
+        few = [b for b in problem.blocks if b is not own]
+        free = np.flatnonzero(laplace.free)
+        rows = problem.declared[problem.blocks.index(own)]
+        assert rows is not None
+        scale = np.ones(len(free)) if rows.scale is None else rows.scale[free]
+        side = problem.values.copy()
+        side[free] = own.target / scale
+        charge = np.full(len(side), np.inf)
+        charge[free] = own.weight * scale
+        roots = [np.full(len(b.target), np.sqrt(2.0 * b.weight)) for b in few]
+        root = np.concatenate([*roots, np.zeros(0)])
+        empty = sp.csr_array((0, len(side)))
+        D = sp.csr_array(sp.vstack([empty, *(b.matrix for b in few)]))
+        D = sp.csr_array(sp.diags_array(root) @ D)
+        t = root * np.concatenate([*(b.target for b in few), np.zeros(0)])
+        exchange = SourceExchange(laplace, D, t, charge, laplace.solve(side))
+        x = np.where(problem.fixed, problem.values, exchange.run(EXCESS, deadline))
+        force = D.T @ (D @ x - t)
+        eta = -laplace.solve_adjoint(force)
+        y = {own.name: eta[free] / scale}
+        multipliers = [y.get(b.name, np.zeros(len(b.target))) for b in problem.blocks]
+        gradient = force + own.adjoint(multipliers[problem.blocks.index(own)])
+        duals = problem.duals(multipliers, gradient)
+        kkt = kkt_residuals(program, x, duals, tolerance=request.tolerance)
+        if kkt.worst_relative > request.tolerance:
+            return None
+        self._last = x
+        point = Reduction(program, self._reduced).lift(x, duals)
+        detail = f"{exchange.solves} solves, {exchange.sources} sources"
+        return Candidate(point.x, point.duals, exchange.solves, detail=detail)
+
+    def _system(self) -> tuple[NewtonSystem, PenalisedRows | None]:
+        """What solves for Newton steps, and the rows of the anchor it needs."""
+        problem = self._problem
+        program, laplace = problem.program, problem.program.laplace
+        blocks, declared = list(problem.blocks), list(problem.declared)
+        if _is_laplace_and_few(problem):
+            fixed = problem.fixed
+            anchor = None
+            if not _held_by_laplace(problem):
+                free = np.flatnonzero(laplace.free)
+                rows = laplace.L[free]
+                anchor = _anchor(rows)
+                blocks.append(anchor)
+                declared.append(LaplaceRows(scale=np.ones(len(fixed))))
+            return LaplaceNewton(laplace, blocks, declared, fixed), anchor
+        anchor = None
+        if not (_held_by_laplace(problem) and len(program.variables) == 1):
+            eye = sp.eye_array(program.n_variables, format="csr")
+            anchor = _anchor(sp.csr_array(eye))
+        return FieldNewton(problem, anchor), anchor
+
+    def _start(
+        self,
+        system: NewtonSystem,
+        blocks: list[PenalisedRows],
+        anchor: PenalisedRows | None,
+    ) -> Array:
+        """Where to start, and every σ: from one step with no kink in it."""
+        problem = self._problem
+        x = self._first_point()
+        if anchor is not None:
+            anchor.target = np.asarray(anchor.matrix @ x)
+        size = float(np.abs(x).max(initial=0.0)) or 1.0
+        bent = [b for b in problem.bent if not isinstance(b.law, Between)]
+        limits = [b for b in problem.bent if isinstance(b.law, Between)]
+        for b in bent:
+            b.multipliers[:] = 0.0
+            b.sigma = b.weight / (size * _longest(b.matrix))
+        self._set_anchor(anchor, bent)
+        for b in limits:
+            b.multipliers[:] = 0.0
+            b.sigma = self._stiffness(blocks, b)
+        residuals = [b.residual(x) for b in blocks]
+        pairs = []
+        for b, r in zip(blocks, residuals, strict=True):
+            pairs.append(b.charged(r))
+        gradient = np.sum(
+            [b.adjoint(y) for b, (y, _) in zip(blocks, pairs, strict=True)], axis=0
+        )
+        d, _ = system.step(
+            np.where(problem.fixed, 0.0, gradient), [s for _, s in pairs], 1e-2, None
+        )
+        for b in bent:
+            largest = float(np.abs(b.residual(x + d)).max(initial=0.0))
+            if largest > 0.0:
+                b.sigma = START * b.weight / largest
+        self._set_anchor(anchor, bent)
+        return x
+
+    def _set_anchor(
+        self, anchor: PenalisedRows | None, bent: list[PenalisedRows]
+    ) -> None:
+        if anchor is not None and bent:
+            anchor.weight = 0.5 * ANCHOR * max(b.sigma for b in bent)
+            anchor.sigma = 1e15 * anchor.weight
+
+    def _stiffness(self, blocks: list[PenalisedRows], own: PenalisedRows) -> float:
+        total = 0.0
+        for b in blocks:
+            if isinstance(b.law, Between):
+                continue
+            curvature = 2.0 * b.weight if b.exact else b.sigma
+            total += curvature * float((b.matrix.data**2).sum()) / b.matrix.shape[1]
+        return total
+
+    def _first_point(self) -> Array:
+        """The last answer, or the Laplace field, with the values that are given."""
+        problem = self._problem
+        if self._last is not None and len(self._last) == len(problem.fixed):
+            x = self._last.copy()
+        else:
+            x = np.zeros(len(problem.fixed))
+            program = problem.program
+            laplace = program.laplace
+            prior = program.laplace_term_of("p")
+            if laplace is not None:
+                b = np.where(problem.fixed, problem.values, 0.0)[program.variables["p"]]
+                if prior is not None and prior.matrix.shape[0] == len(b):
+                    b = np.where(problem.fixed[program.variables["p"]], b, prior.target)
+                x[program.variables["p"]] = laplace.solve(b, rtol=1e-10)
+        return np.where(problem.fixed, problem.values, x)
+
+
+def _anchor(rows: sp.csr_array) -> PenalisedRows:
+    return PenalisedRows("anchor", rows, np.zeros(rows.shape[0]), 1.0, Squares(), True)
+
+
+def _longest(matrix: sp.csr_array) -> float:
+    squares = np.asarray(matrix.multiply(matrix).sum(axis=1)).reshape(-1)
+    return float(np.sqrt(squares.max(initial=0.0))) or 1.0
+
+
+def _held_by_laplace(problem: PenalisedProblem) -> bool:
+    """Whether squares of Laplace's rows determine the field."""
+    prior = problem.program.laplace_term_of("p")
+    if prior is None or prior.weight == 0.0:
+        return False
+    rows = prior.laplace_rows
+    assert rows is not None
+    part = problem.program.variables["p"]
+    given = problem.fixed[part][~problem.program.laplace.free].all()
+    return not rows.beside and (rows.scale is None or bool(given))
+
+
+def _is_sparse_sources(problem: PenalisedProblem) -> bool:
+    """Whether it is absolute values of Laplace's rows beside few squares."""
+    if not _is_laplace_and_few(problem) or problem.fixed.sum() == 0:
+        return False
+    pairs = list(zip(problem.blocks, problem.declared, strict=True))
+    own = [b for b, rows in pairs if rows is not None]
+    few = [b for b, rows in pairs if rows is None]
+    free = int(problem.program.laplace.free.sum())
+    return (
+        len(own) == 1
+        and isinstance(own[0].law, Absolute)
+        and len(own[0].target) == free
+        and all(isinstance(b.law, Squares) for b in few)
+    )
+
+
+def _is_laplace_and_few(problem: PenalisedProblem) -> bool:
+    """Whether all rows but a few are Laplace's, and over p alone."""
+    program = problem.program
+    if set(program.variables) != {"p"} or program.laplace is None:
+        return False
+    laplace = program.laplace
+    own = [b for b, rows in zip(problem.blocks, problem.declared, strict=True) if rows]
+    few = sum(len(b.target) for b in problem.blocks if b not in own)
+    given = bool(np.array_equal(problem.fixed, ~laplace.free))
+    soft = _held_by_laplace(problem) and not problem.fixed.any()
+    plain = all(getattr(b.law, "rows_per_group", 1) == 1 for b in own)
+    return bool(own) and plain and (given or soft) and few <= FEW * len(problem.fixed)
+
+
+SOLVERS = [AugmentedLagrangian()]

@@ -1,0 +1,269 @@
+"""Newton steps with any sparse rows: preconditioned conjugate gradients.
+
+The matrix is H = Σ MᵀC M over all rows, C their slopes. Its diagonal preconditions it
+as long as that suffices; where steps become many the multigrid does, and where they
+stay many few rows of great weight are taken in (`field_preconditioner`). For small
+problems H is factorised.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from ttus_opt.arrays import Array
+from ttus_opt.solvers.primal.conjugate_gradients import inner_product
+from ttus_opt.solvers.primal.split import WideTerm
+from ttus_opt.solvers.proximal.field_preconditioner import (
+    WithFewRows,
+    by_differences,
+    by_laplace,
+)
+from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
+from ttus_opt.solvers.proximal.problem import PenalisedProblem
+from ttus_opt.terms.penalties.base import Slope
+
+_Map = Callable[[Array], Array]
+
+#: Up to how many variables H is formed and factorised
+SMALL = 3000
+
+#: Most steps of conjugate gradients, and those after which a better preconditioner is
+#: taken
+MOST_STEPS, MANY = 400, 25
+
+#: What preconditions, one after the other
+DIAGONAL, MULTIGRID, WITH_FEW_ROWS = range(3)
+
+#: Parameters may change by this factor before a preconditioner is made again
+KEEP = 2.5
+
+#: Most rows of a block that is not over all voxels
+FEW_ROWS = 4096
+
+
+@dataclass
+class _Run:
+    """Conjugate gradients under way."""
+
+    d: Array
+    left: float
+    steps: int
+
+
+class FieldNewton:
+    """Newton steps by preconditioned conjugate gradients over all variables.
+
+    Attributes:
+        rtol: Relative residual to which a step is best solved [–].
+    """
+
+    rtol = 1e-2
+
+    def __init__(self, problem: PenalisedProblem, anchor: PenalisedRows | None) -> None:
+        """Take the rows.
+
+        Args:
+            problem: The problem.
+            anchor: Rows of the anchor, of single variables; None for none.
+        """
+        self._program, self._fixed = problem.program, problem.fixed
+        self._problem, self._anchor = problem, anchor
+        self._blocks = [*problem.blocks, *([] if anchor is None else [anchor])]
+        self._adjoints = [sp.csr_array(rows.matrix.T) for rows in self._blocks]
+        self._squared = [
+            rows.matrix.multiply(rows.matrix).tocsr().T.tocsr() for rows in self._blocks
+        ]
+        self._level = 0
+        self._made: tuple[tuple[float, ...], _Map] | None = None
+
+    def step(
+        self,
+        gradient: Array,
+        slopes: Sequence[Slope],
+        rtol: float,
+        deadline: float | None,
+    ) -> tuple[Array, int]:
+        """As `LaplaceNewton.step`."""
+        side = np.where(self._fixed, 0.0, -gradient)
+        if len(side) <= SMALL:
+            return self._factorised(side, slopes), 1
+
+        def product(v: Array) -> Array:
+            return self._product(v, slopes)
+
+        precondition = self._preconditioner(slopes)
+        run = _conjugate_gradients(product, side, precondition, rtol, deadline)
+        if run.steps > MANY and self._level < WITH_FEW_ROWS:
+            self._level, self._made = self._level + 1, None
+        return run.d, run.steps
+
+    def _preconditioner(self, slopes: Sequence[Slope]) -> _Map:
+        """The one in use, made again where parameters have changed much."""
+        key = tuple(b.sigma for b in self._blocks if not b.exact)
+        if self._anchor is not None:
+            key += (self._anchor.weight,)
+        if self._made is not None:
+            old = np.array(self._made[0])
+            ratio = np.array(key) / old
+            if (ratio < KEEP).all() and (ratio > 1.0 / KEEP).all():
+                return self._made[1]
+        self._made = key, self._make(slopes)
+        return self._made[1]
+
+    def _make(self, slopes: Sequence[Slope]) -> _Map:
+        """A preconditioner of the level reached."""
+        unbent = [
+            slope
+            if b.exact or isinstance(b.law, Between)
+            else Slope(np.full_like(slope.factor, b.sigma))
+            for b, slope in zip(self._blocks, slopes, strict=True)
+        ]
+        diagonal = self.diagonal(unbent)
+        inverse = np.where(self._fixed, 0.0, 1.0 / np.where(diagonal, diagonal, 1.0))
+        laplace = self._program.laplace
+        if self._level == DIAGONAL or laplace is None:
+            return lambda v: inverse * v
+        fields = [
+            (part, self._of_field(name, part, unbent, diagonal))
+            for name, part in self._program.variables.items()
+            if part.stop - part.start == len(laplace.free)
+        ]
+
+        def prior(v: Array) -> Array:
+            z = inverse * v
+            for part, apply in fields:
+                z[part] = apply(v[part])
+            return np.where(self._fixed, 0.0, z)
+
+        if self._level < WITH_FEW_ROWS:
+            return prior
+        few = [
+            sp.diags_array(np.sqrt(slope.factor)) @ b.matrix
+            for b, slope in zip(self._blocks, slopes, strict=True)
+            if not self._is_wide(b)
+        ]
+        if not few:
+            return prior
+        free = sp.diags_array((~self._fixed).astype(float))
+        return WithFewRows(prior, sp.csr_array(sp.vstack(few) @ free))
+
+    def _of_field(
+        self, name: str, part: slice, unbent: Sequence[Slope], diagonal: Array
+    ) -> _Map:
+        """The part of one field."""
+        laplace, fixed = self._program.laplace, self._fixed[part]
+        term = self._program.laplace_term_of(name)
+        pairs = list(zip(self._blocks, unbent, strict=True))
+        if term is not None and term.weight > 0.0:
+            rows = term.laplace_rows
+            assert rows is not None
+            system = rows.system or laplace
+            scale = np.ones(len(fixed)) if rows.scale is None else rows.scale
+            compliance = np.where(fixed, 0.0, 1.0 / (2.0 * term.weight * scale**2))
+            wide = [
+                WideTerm(1.0, _scaled(b.matrix[:, part], slope), b.target)
+                for b, slope in pairs
+                if self._is_wide(b) and b.name != term.name
+            ]
+            return by_laplace(system, compliance, wide)
+        anchored = 0.0
+        if self._anchor is not None:
+            anchored = 2.0 * self._anchor.weight
+        return by_differences(laplace, diagonal[part] - anchored, anchored, fixed)
+
+    def _is_wide(self, block: PenalisedRows) -> bool:
+        return len(block.target) > FEW_ROWS
+
+    def _product(self, v: Array, slopes: Sequence[Slope]) -> Array:
+        """H v on the variables that are free."""
+        out = np.zeros_like(v)
+        for rows, adjoint, slope in zip(
+            self._blocks, self._adjoints, slopes, strict=True
+        ):
+            out += adjoint @ slope.times(rows.matrix @ v)
+        return np.where(self._fixed, 0.0, out)
+
+    def diagonal(self, slopes: Sequence[Slope]) -> Array:
+        """The diagonal of H, without what slopes take off along groups, shape (n,)."""
+        out = np.zeros(len(self._fixed))
+        for square, slope in zip(self._squared, slopes, strict=True):
+            out += square @ slope.factor
+        return out
+
+    def _factorised(self, side: Array, slopes: Sequence[Slope]) -> Array:
+        """The step of a small problem."""
+        free = np.flatnonzero(~self._fixed)
+        H = sp.csr_array((len(side),) * 2)
+        for rows, adjoint, slope in zip(
+            self._blocks, self._adjoints, slopes, strict=True
+        ):
+            H = H + adjoint @ _matrix(slope) @ rows.matrix
+        own = sp.csc_array(H[free][:, free])
+        tiny = np.finfo(float).eps * float(abs(own.diagonal()).max(initial=0.0))
+        own = own + sp.csc_array(sp.eye_array(len(free)) * tiny)
+        d = np.zeros_like(side)
+        d[free] = splu(own).solve(side[free])
+        return d
+
+
+def _scaled(matrix: sp.csr_array, slope: Slope) -> sp.csr_array:
+    """Rows times the roots of their slopes."""
+    return sp.csr_array(sp.diags_array(np.sqrt(slope.factor)) @ matrix)
+
+
+def _conjugate_gradients(
+    product: _Map,
+    side: Array,
+    precondition: _Map,
+    rtol: float,
+    deadline: float | None,
+) -> _Run:
+    """Flexible conjugate gradients (Notay 2000): preconditioners need not be linear."""
+    d, rest = np.zeros_like(side), side.copy()
+    first = now = math.sqrt(inner_product(side, side))
+    z = precondition(rest)
+    direction, steps = z, 0
+    energy = inner_product(rest, z)
+    while now > rtol * first and steps < MOST_STEPS:
+        if deadline is not None and time.perf_counter() > deadline:
+            break
+        image = product(direction)
+        curvature = inner_product(direction, image)
+        if not curvature > 0.0:
+            break
+        alpha = energy / curvature
+        d += alpha * direction
+        before, rest = rest, rest - alpha * image
+        now = math.sqrt(inner_product(rest, rest))
+        z = precondition(rest)
+        beta = inner_product(z, rest - before) / energy
+        energy = inner_product(rest, z)
+        if not energy > 0.0:
+            break
+        direction = z + max(beta, 0.0) * direction
+        steps += 1
+    return _Run(d, now / first if first else 0.0, steps)
+
+
+def _matrix(slope: Slope) -> sp.csr_array:
+    """A slope as a matrix, shape (m, m)."""
+    factor = sp.csr_array(sp.diags_array(slope.factor))
+    if slope.along is None:
+        return factor
+    groups = len(slope.along) // slope.size
+    unit = sp.csr_array(
+        (
+            np.sqrt(slope.factor) * slope.along,
+            np.repeat(np.arange(groups), slope.size),
+            np.arange(len(slope.along) + 1),
+        ),
+        shape=(len(slope.along), groups),
+    )
+    return sp.csr_array(factor - unit @ unit.T)

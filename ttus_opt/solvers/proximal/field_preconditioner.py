@@ -1,0 +1,128 @@
+"""What preconditions Newton's matrix where rows lie over all voxels.
+
+H = Σ MᵀC M is approximated on every field by what the multigrid can solve, with slopes
+as if no row had bent (rows with a kink are few):
+
+- where squares of Laplace's rows determine the field by (L − X)ᵀΩ⁻¹(L − X), X matched
+  to the other rows (`ttus_opt.solvers.primal.matching`);
+- otherwise by R^½ (A + R ε)⁻¹ R^½ over the strength of differences of neighbours, whose
+  graph has A's conductances but for the volume of a voxel R; ε is the anchor.
+
+Few rows of any weight come on top by their Schur complement S = I + D P⁻¹Dᵀ, whose
+conjugate directions are kept while P and weights stay.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.multigrid.coarsening import Added
+from ttus_opt.multigrid.one_cycle import OneCycle
+from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
+from ttus_opt.solvers.primal.approximate_laplace import ApproximateLaplace
+from ttus_opt.solvers.primal.matching import matched_root
+from ttus_opt.solvers.primal.split import WideTerm
+
+_Map = Callable[[Array], Array]
+
+#: Part of the residual of S's system that may be left [–], and most directions
+LEFT, MOST = 0.1, 400
+
+
+def by_differences(
+    laplace: LaplaceSystem, diagonal: Array, anchor: float, fixed: Mask
+) -> _Map:
+    """P⁻¹ where differences of neighbours hold the field.
+
+    Args:
+        laplace: Whose graph it is.
+        diagonal: Of H without the anchor, rows unbent, shape (V,).
+        anchor: ε, what the anchor adds to H's diagonal.
+        fixed: Voxels whose values are given, shape (V,).
+    """
+    free = laplace.free & ~fixed
+    own = -laplace.L.diagonal()
+    ratio = (diagonal / own)[free]
+    strength = float(np.median(ratio[ratio > 0.0])) if (ratio > 0.0).any() else 1.0
+    grid = laplace.operator_grid
+    layers = laplace.radii.reshape(grid.shape)[:, 0, 0] * (anchor / strength)
+    cycle = OneCycle(grid, laplace.free, Added.in_layers(layers, grid.shape))
+    root = np.where(free, np.sqrt(laplace.radii), 0.0)
+    alone = np.where(diagonal + anchor > 0.0, diagonal + anchor, 1.0)
+
+    def apply(v: Array) -> Array:
+        return np.where(free, root * cycle.solve(root * v).x / strength, v / alone)
+
+    return apply
+
+
+def by_laplace(
+    laplace: LaplaceSystem, compliance: Array, wide: Sequence[WideTerm]
+) -> _Map:
+    """P⁻¹ where squares of Laplace's rows hold the field.
+
+    Args:
+        laplace: L.
+        compliance: Ω, shape (V,).
+        wide: The other rows over the voxels, unbent.
+    """
+    grid, free = laplace.operator_grid, laplace.free
+    added = matched_root(wide, grid, free, laplace.radii, compliance)
+    rough = ApproximateLaplace.of(laplace, OneCycle(grid, free, added))
+
+    def apply(v: Array) -> Array:
+        return rough.solve(compliance * rough.solve_adjoint(v))
+
+    return apply
+
+
+@dataclass(frozen=True)
+class _Schur:
+    """S = I + D P⁻¹Dᵀ, as `RecycledSubspace` takes it."""
+
+    rows: sp.csr_array
+    adjoint: sp.csr_array
+    prior: _Map
+
+    @property
+    def root_weights(self) -> Array:
+        return np.ones(self.rows.shape[0])
+
+    def apply(self, y: Array, rtol: float) -> Array:
+        return np.asarray(y + self.rows @ self.prior(self.adjoint @ y))
+
+
+class WithFewRows:
+    """(P + DᵀD)⁻¹ from P⁻¹, roughly: Woodbury's formula."""
+
+    def __init__(self, prior: _Map, rows: sp.csr_array) -> None:
+        """Start without directions.
+
+        Args:
+            prior: P⁻¹, linear.
+            rows: D with the roots of its slopes, shape (m, n).
+        """
+        self._prior, self._rows = prior, rows
+        self._adjoint = sp.csr_array(rows.T)
+        self._subspace = RecycledSubspace(_Schur(rows, self._adjoint, prior))
+
+    def __call__(self, v: Array) -> Array:
+        """(P + DᵀD)⁻¹ v."""
+        z = self._prior(v)
+        y, rest = self._subspace.project(self._rows @ z)
+        goal = LEFT * float(np.linalg.norm(y)) if len(self._subspace) else 0.0
+        while (
+            float(np.linalg.norm(rest)) > goal
+            and len(self._subspace) < MOST
+            and self._subspace.extend(rest, 0.0)
+        ):
+            step, rest = self._subspace.project(rest)
+            y = y + step
+            goal = LEFT * float(np.linalg.norm(y))
+        return z - self._prior(self._adjoint @ y)

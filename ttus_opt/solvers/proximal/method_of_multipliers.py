@@ -1,0 +1,267 @@
+"""The method of multipliers, proximal, with semismooth Newton steps inside.
+
+Each round minimises the augmented Lagrangian
+
+    Σ_k e_k(x) + ½ ‖E (x − x̄)‖²
+
+to an accuracy that the round's own progress asks for, by Newton steps on its gradient,
+which is piecewise linear or nearly so, and an exact line search. Then multipliers, x̄
+and σ change: y ← y⁺, x̄ ← x, σ grows. The second summand (the anchor) is there where
+squares do not determine x.
+
+Source: R. T. Rockafellar, Augmented Lagrangians and Applications of the Proximal Point
+Algorithm in Convex Programming (1976); X. Li, D. Sun, K.-C. Toh, A Highly Efficient
+Semismooth Newton Augmented Lagrangian Method for Solving Lasso Problems (2018).
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.primal.conjugate_gradients import inner_product
+from ttus_opt.solvers.proximal import line_search
+from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
+from ttus_opt.solvers.proximal.problem import PenalisedProblem
+from ttus_opt.terms.penalties.base import Slope
+
+
+class NewtonSystem(Protocol):
+    """Solves for Newton steps.
+
+    Attributes:
+        rtol: Relative residual to which a step is best solved [–].
+    """
+
+    rtol: float
+
+    def step(
+        self,
+        gradient: Array,
+        slopes: list[Slope],
+        rtol: float,
+        deadline: float | None,
+    ) -> tuple[Array, int]:
+        """The step from a gradient and the slopes of all blocks; iterations spent."""
+
+
+#: Newton systems are solved so much more exactly after a round that did not get there,
+#: and to this relative residual at most [–]
+EXACTER, MOST_EXACT = 0.1, 1e-9
+
+
+@dataclass(frozen=True)
+class Options:
+    """Numbers of the method.
+
+    Attributes:
+        rounds: Most rounds.
+        newton_steps: Most Newton steps of a round.
+        share: A round ends when what Newton's method would still gain is below this
+            part of what the multipliers move [–].
+        growth: Of σ, and of what the anchor lets x move, after a round that got there.
+        retreat: By how much both shrink after one that did not,
+        patience: and how many rounds have to get there before they grow again [–].
+    """
+
+    rounds: int = 150
+    newton_steps: int = 5
+    share: float = 0.1
+    growth: float = 2.0
+    retreat: float = 1.5
+    patience: int = 1
+
+
+@dataclass
+class _State:
+    """Where the iteration stands.
+
+    Attributes:
+        x: Shape (n,).
+        residuals: Of every block.
+        multipliers: y⁺ of every block.
+        slopes: Of every block.
+        parts: Mᵀy⁺ of every block.
+    """
+
+    x: Array
+    residuals: list[Array]
+    multipliers: list[Array] = field(default_factory=list)
+    slopes: list[Slope] = field(default_factory=list)
+    parts: list[Array] = field(default_factory=list)
+
+    def evaluate(self, blocks: list[PenalisedRows]) -> None:
+        """Multipliers and slopes at x."""
+        pairs = [b.charged(r) for b, r in zip(blocks, self.residuals, strict=True)]
+        self.multipliers = [y for y, _ in pairs]
+        self.slopes = [slope for _, slope in pairs]
+        self.parts = [
+            b.adjoint(y) for b, y in zip(blocks, self.multipliers, strict=True)
+        ]
+
+    @property
+    def gradient(self) -> Array:
+        """Of the augmented Lagrangian, shape (n,)."""
+        return np.sum(self.parts, axis=0)
+
+
+class MethodOfMultipliers:
+    """One problem under way."""
+
+    def __init__(
+        self,
+        problem: PenalisedProblem,
+        blocks: list[PenalisedRows],
+        anchor: PenalisedRows | None,
+        system: NewtonSystem,
+        request: Request,
+        options: Options | None = None,
+    ) -> None:
+        """Take a problem.
+
+        Args:
+            problem: The problem.
+            blocks: Its rows, and the anchor's at the end.
+            anchor: Rows E of the anchor; None for none.
+            system: Solves for the steps.
+            request: Tolerance and time limit.
+            options: Numbers of the method.
+        """
+        self._problem, self._blocks, self._anchor = problem, blocks, anchor
+        self._system, self._request = system, request
+        self._options = options or Options()
+        self.steps = self.newton_steps = 0
+
+    def solve(self, x: Array) -> Candidate:
+        """Solve from a point on.
+
+        Args:
+            x: Shape (n,), with the values that are given.
+        """
+        limit = self._request.time_limit
+        self._deadline = None if limit is None else time.perf_counter() + limit
+        if self._anchor is not None:
+            self._anchor.target = np.asarray(self._anchor.matrix @ x)
+        state = _State(x, [b.residual(x) for b in self._blocks])
+        best, least, stale = Candidate(x, claim=Claim.TIME_LIMIT), np.inf, 0
+        calm = self._options.patience
+        rtol = self._system.rtol
+        for _ in range(self._options.rounds):
+            done = self._minimise(state, rtol)
+            duals = self._problem.duals(
+                [
+                    y
+                    for b, y in zip(self._blocks, state.multipliers, strict=True)
+                    if b is not self._anchor
+                ],
+                state.gradient,
+            )
+            kkt = kkt_residuals(
+                self._problem.program, state.x, duals, tolerance=self._request.tolerance
+            )
+            if kkt.worst_relative < least:
+                stale = 0 if kkt.worst_relative < 0.9 * least else stale + 1
+                best, least = Candidate(state.x, duals), kkt.worst_relative
+            else:
+                stale += 1
+            if least <= self._request.tolerance or stale > 25 or self._late:
+                break
+            growth, calm = self._growth(done, calm)
+            rtol *= EXACTER if not done else 1.0 / EXACTER
+            rtol = min(max(rtol, MOST_EXACT), self._system.rtol)
+            self._next_round(state, growth)
+        if least <= self._request.tolerance:
+            return best
+        return replace(best, claim=Claim.TIME_LIMIT if self._late else Claim.GAVE_UP)
+
+    def _growth(self, done: bool, calm: int) -> tuple[float, int]:
+        """By how much parameters grow, and rounds since they last had to shrink."""
+        if not done:
+            return 1.0 / self._options.retreat, 0
+        calm += 1
+        return (self._options.growth if calm >= self._options.patience else 1.0), calm
+
+    @property
+    def _late(self) -> bool:
+        return self._deadline is not None and time.perf_counter() > self._deadline
+
+    def _minimise(self, state: _State, rtol: float) -> bool:
+        """Newton steps; whether they got as far as a round should."""
+        blocks, fixed = self._blocks, self._problem.fixed
+        state.evaluate(blocks)
+        for _ in range(self._options.newton_steps):
+            gradient = np.where(fixed, 0.0, state.gradient)
+            d, spent = self._system.step(gradient, state.slopes, rtol, self._deadline)
+            self.steps, self.newton_steps = self.steps + spent, self.newton_steps + 1
+            d = np.where(fixed, 0.0, d)
+            start = inner_product(gradient, d)
+            if not (np.isfinite(start) and start < 0.0):
+                return True
+            changes = [np.asarray(b.matrix @ d) for b in blocks]
+            length, end = line_search.along(
+                lambda a, c=changes: self._slope(state, c, a), start
+            )
+            state.x = state.x + length * d
+            for r, change in zip(state.residuals, changes, strict=True):
+                r += length * change
+            state.evaluate(blocks)
+            left = max(abs(end), rtol**2 * -start) if length == 1.0 else np.inf
+            if left <= self._options.share**2 * self._moved(state) or self._late:
+                return True
+            if self._small(state):
+                return True
+        return False
+
+    def _small(self, state: _State) -> bool:
+        """Whether the gradient is far below its summands."""
+        free = ~self._problem.fixed
+        size = _length(state.gradient[free])
+        largest = max(_length(part[free]) for part in state.parts)
+        return size <= 0.1 * self._request.tolerance * largest
+
+    def _slope(self, state: _State, changes: list[Array], length: float) -> float:
+        """Slope of the augmented Lagrangian along a step."""
+        total = 0.0
+        for b, r, change in zip(self._blocks, state.residuals, changes, strict=True):
+            y, _ = b.charged(r + length * change)
+            total += inner_product(y, change)
+        return total
+
+    def _moved(self, state: _State) -> float:
+        """How far estimates and anchor would move, in the Lagrangian's unit."""
+        total = 0.0
+        for b, r, y in zip(
+            self._blocks, state.residuals, state.multipliers, strict=True
+        ):
+            if b is self._anchor:
+                total += b.weight * inner_product(r, r)
+            elif not b.exact:
+                change = y - b.multipliers
+                total += inner_product(change, change) / b.sigma
+        return total
+
+    def _next_round(self, state: _State, growth: float) -> None:
+        """Take new estimates; σ grows."""
+        for k, (b, y) in enumerate(zip(self._blocks, state.multipliers, strict=True)):
+            if b is self._anchor:
+                b.target = np.asarray(b.matrix @ state.x)
+                state.residuals[k] = np.zeros(len(b.target))
+                b.weight /= growth
+                b.sigma /= growth
+            elif not b.exact:
+                b.adopt(y)
+                b.sigma *= growth
+        # a block's residual follows x exactly, not by sums of steps
+        state.residuals = [b.residual(state.x) for b in self._blocks]
+
+
+def _length(vector: Array) -> float:
+    """Euclidean norm."""
+    return math.sqrt(inner_product(vector, vector))

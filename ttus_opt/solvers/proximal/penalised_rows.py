@@ -1,0 +1,123 @@
+"""Rows under a penalty or between limits, as the augmented Lagrangian charges them.
+
+With r = M x − t, weight w, multiplier estimate y and a parameter σ a row block adds
+
+    e(x) = min_z w φ(z) + σ/2 ‖r − z + y/σ‖²,      ∇e = Mᵀ y⁺,
+
+where y⁺ = w g and g is the `resolvent` of φ at (y + σ r)/w, of step σ/w. Penalties
+whose gradient vanishes with the residual (squares, Huber's) are taken as they are,
+which is σ → ∞ and needs no estimate.
+
+Source: R. T. Rockafellar, Augmented Lagrangians and Applications of the Proximal Point
+Algorithm in Convex Programming (1976).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.terms.penalties.base import Slope
+
+#: σ over the weight where a penalty is taken as it is: what it adds is below rounding
+EXACT = 1e15
+
+
+class Law(Protocol):
+    """A penalty, or the indicator of limits, by its resolvent."""
+
+    def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
+        """As `ttus_opt.terms.penalties.base.Penalty.resolvent`."""
+
+
+@dataclass(frozen=True)
+class Between:
+    """The indicator of lower ≤ r ≤ upper.
+
+    Attributes:
+        lower: Shape (m,).
+        upper: Shape (m,).
+    """
+
+    lower: Array
+    upper: Array
+
+    def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
+        """How far v lies outside step · [lower, upper]."""
+        outside = (v < step * self.lower) | (v > step * self.upper)
+        g = np.where(outside, v - np.clip(v, step * self.lower, step * self.upper), 0.0)
+        return g, Slope(outside.astype(float))
+
+
+class PenalisedRows:
+    """Rows, their law, and the estimate of their multipliers.
+
+    Attributes:
+        name: Of the term or constraint.
+        matrix: M, shape (m, n).
+        target: t, shape (m,).
+        weight: w [–].
+        law: Penalty or limits.
+        exact: Whether the penalty is taken as it is.
+        sigma: σ.
+        multipliers: y, shape (m,).
+    """
+
+    def __init__(
+        self,
+        name: str,
+        matrix: sp.csr_array,
+        target: Array,
+        weight: float,
+        law: Law,
+        exact: bool = False,
+    ) -> None:
+        self.name, self.matrix, self.target = name, matrix, target
+        self.weight, self.law, self.exact = weight, law, exact
+        self.sigma = EXACT * weight
+        self.multipliers = np.zeros(len(target))
+
+    @classmethod
+    def of(cls, term: ProgramTerm) -> PenalisedRows:
+        """The rows of a term."""
+        smooth = term.penalty.smooth
+        return cls(
+            term.name, term.matrix, term.target, term.weight, term.penalty, smooth
+        )
+
+    def residual(self, x: Array) -> Array:
+        """M x − t, shape (m,)."""
+        return np.asarray(self.matrix @ x - self.target)
+
+    def charged(self, r: Array) -> tuple[Array, Slope]:
+        """Multipliers y⁺ at a residual, shape (m,), and their slope by r."""
+        v = (self.multipliers + self.sigma * r) / self.weight
+        g, slope = self.law.resolvent(v, self.sigma / self.weight)
+        steeper = Slope(self.sigma * slope.factor, slope.along, slope.size)
+        return self.weight * g, steeper
+
+    def adjoint(self, y: Array) -> Array:
+        """Mᵀ y, shape (n,)."""
+        return np.asarray(self.matrix.T @ y)
+
+    def adopt(self, multipliers: Array) -> tuple[float, float]:
+        """Take new estimates.
+
+        Args:
+            multipliers: y⁺, shape (m,).
+
+        Returns:
+            ‖y⁺ − y‖²/σ, how far the estimates moved, and ‖y⁺ − y‖/σ, how far r is
+            from the z of the module's docstring; zeros where none are needed.
+        """
+        if self.exact:
+            return 0.0, 0.0
+        change = math.sqrt(float(np.sum((multipliers - self.multipliers) ** 2)))
+        self.multipliers = multipliers
+        return change**2 / self.sigma, change / self.sigma

@@ -1,0 +1,121 @@
+"""A program as rows under penalties and between limits, with some values given."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.problem.distance import held_by_equalities
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.members import ProgramConstraint
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
+from ttus_opt.terms.structure import LaplaceRows
+
+#: Name of the rows that stand for the box; no constraint is called so
+BOX = "box of all bounds"
+
+
+@dataclass(frozen=True)
+class PenalisedProblem:
+    """A program, sorted.
+
+    Attributes:
+        program: As it was declared.
+        blocks: Terms with a weight, limits that hold, and the box.
+        declared: Which of the blocks are Laplace's rows.
+        fixed: Variables whose values are given, shape (n,).
+        values: Those values, zero elsewhere, shape (n,).
+        given: By constraint, which of its rows give values.
+    """
+
+    program: Program
+    blocks: tuple[PenalisedRows, ...] = field(repr=False)
+    declared: tuple[LaplaceRows | None, ...] = field(repr=False)
+    fixed: Mask = field(repr=False)
+    values: Array = field(repr=False)
+    given: Mapping[str, Mask] = field(repr=False)
+
+    @classmethod
+    def of(cls, program: Program) -> PenalisedProblem:
+        """Sort a program without cones."""
+        fixed = held_by_equalities(program)
+        values = np.zeros(program.n_variables)
+        blocks = [PenalisedRows.of(t) for t in program.terms if t.weight > 0.0]
+        declared = [t.laplace_rows for t in program.terms if t.weight > 0.0]
+        given = {}
+        for constraint in program.constraints:
+            own = given[constraint.name] = _single_equalities(constraint)
+            rows = constraint.matrix[own]
+            values[rows.indices] = constraint.lower[own] / rows.data
+            if not own.all():
+                left = constraint.matrix[~own]
+                law = Between(constraint.lower[~own], constraint.upper[~own])
+                blocks.append(_limits(constraint.name, left, law))
+        if program.bounds:
+            lower, upper = program.box
+            held = (np.isfinite(lower) | np.isfinite(upper)) & ~fixed
+            at = np.flatnonzero(held)
+            if len(at):
+                law = Between(lower[at], upper[at])
+                blocks.append(_limits(BOX, _unit_rows(at, len(fixed)), law))
+        declared += [None] * (len(blocks) - len(declared))
+        return cls(program, tuple(blocks), tuple(declared), fixed, values, given)
+
+    @property
+    def bent(self) -> list[PenalisedRows]:
+        """Blocks whose multipliers are estimated."""
+        return [rows for rows in self.blocks if not rows.exact]
+
+    def duals(self, multipliers: list[Array], gradient: Array) -> Duals:
+        """Multipliers by name.
+
+        Args:
+            multipliers: Of every block.
+            gradient: Of the Lagrangian, which given values absorb, shape (n,).
+        """
+        program = self.program
+        by_name = {b.name: y for b, y in zip(self.blocks, multipliers, strict=True)}
+        terms = {
+            t.name: by_name[t.name] / t.weight
+            for t in program.terms
+            if t.weight > 0.0 and not t.penalty.quadratic
+        }
+        rows, left = {}, np.where(self.fixed, -gradient, 0.0)
+        for constraint in program.constraints:
+            own = self.given[constraint.name]
+            y = np.zeros(len(own))
+            if own.any():
+                matrix = constraint.matrix[own]
+                y[own] = left[matrix.indices] / matrix.data
+                left[matrix.indices] = 0.0
+            if not own.all():
+                y[~own] = by_name[constraint.name]
+            rows[constraint.name] = y
+        bounds = None
+        if program.bounds:
+            bounds = np.zeros(program.n_variables)
+            if BOX in by_name:
+                box = next(b for b in self.blocks if b.name == BOX)
+                bounds[box.matrix.indices] = by_name[BOX]
+        return Duals(rows, bounds, terms)
+
+
+def _single_equalities(constraint: ProgramConstraint) -> Mask:
+    """Rows of one entry that give a variable its value, shape (m,)."""
+    single = np.diff(constraint.matrix.indptr) == 1
+    return np.asarray(single & (constraint.lower == constraint.upper))
+
+
+def _limits(name: str, matrix: sp.csr_array, law: Between) -> PenalisedRows:
+    return PenalisedRows(name, matrix, np.zeros(matrix.shape[0]), 1.0, law)
+
+
+def _unit_rows(at: Array, n: int) -> sp.csr_array:
+    """Rows that pick some variables."""
+    m = len(at)
+    return sp.csr_array((np.ones(m), at, np.arange(m + 1)), shape=(m, n))

@@ -1,0 +1,186 @@
+"""Sparse sources exactly: few columns of L⁻¹, exchanged until no other is wanted.
+
+With given boundary values and p = p₀ + L⁻¹u the problem
+
+    min_u  Σ_v c_v |u_v| + ½ ‖A u − s‖²,      A = D L⁻¹,  s = t − D p₀
+
+(D the few rows with the roots of twice their weights) has a solution with few sources.
+Its multiplier is η = Aᵀ(s − A u), |η_v| ≤ c_v, and = c_v sign u_v at a source. Starting
+without, voxels where |η| is largest around and above c become columns, the
+problem of those columns is solved by an active set, η is computed again, and so on: an
+exchange method for semi-infinite programs, as the dual has few unknowns and a
+constraint per voxel. A column is one solve with L, η is one with L and one with Lᵀ.
+
+Source: R. Hettich, K. O. Kortanek, Semi-Infinite Programming (1993); C. L. Lawson,
+R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
+"""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.ndimage import maximum_filter
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.laplace.system import LaplaceSystem
+
+#: Most exchanges, and most new columns of one
+EXCHANGES, NEW = 100, 40
+
+#: |η| may exceed c by this part [–]
+EXCESS = 1e-7
+
+#: Pivots below this part of the largest are left out of the active set's systems [–]
+DEPENDENT = 1e-13
+
+
+class SourceExchange:
+    """Sources of one problem, growing."""
+
+    def __init__(
+        self,
+        laplace: LaplaceSystem,
+        rows: sp.csr_array,
+        target: Array,
+        charge: Array,
+        base: Array,
+    ) -> None:
+        """Start without a source.
+
+        Args:
+            laplace: L.
+            rows: D, shape (m, V).
+            target: t, shape (m,).
+            charge: c of every voxel, infinite where its value is given, shape (V,).
+            base: p₀, shape (V,).
+        """
+        self._laplace, self._rows, self._charge = laplace, rows, charge
+        self._base, self._left = base, target - rows @ base
+        self._at: IntArray = np.zeros(0, dtype=np.int64)
+        self._signs = np.zeros(0)
+        self._columns = np.zeros((len(target), 0))
+        self._sizes = np.zeros(0)
+        self.solves = 0
+
+    @property
+    def sources(self) -> int:
+        """How many there are."""
+        return int((self._sizes > 0.0).sum())
+
+    def run(self, excess: float, deadline: float | None) -> Array:
+        """Exchange until |η| ≤ c (1 + excess).
+
+        Args:
+            excess: See there [–].
+            deadline: `time.perf_counter` at which to stop; None for never [s].
+
+        Returns:
+            The field, shape (V,).
+        """
+        for _ in range(EXCHANGES):
+            slope = self._slope()
+            wanted = self._wanted(slope, excess)
+            late = deadline is not None and time.perf_counter() > deadline
+            if not len(wanted) or late:
+                break
+            before = len(self._at)
+            self._add(wanted, np.sign(slope[wanted]))
+            if len(self._at) == before:  # rounding: what is wanted is there already
+                break
+            self._solve()
+        return self.field()
+
+    def field(self) -> Array:
+        """P₀ + L⁻¹u, shape (V,)."""
+        u = np.zeros(len(self._charge))
+        np.add.at(u, self._at, self._signs * self._sizes)
+        self.solves += 1
+        return np.asarray(self._base + self._laplace.solve(u))
+
+    def _slope(self) -> Array:
+        """Multiplier η of every Laplace row, shape (V,)."""
+        rest = self._left - self._columns @ self._sizes
+        self.solves += 1
+        return self._laplace.solve_adjoint(self._rows.T @ rest)
+
+    def _wanted(self, slope: Array, excess: float) -> IntArray:
+        """Voxels above their charge that are largest around, the largest first."""
+        over = np.abs(slope) / self._charge
+        grid = self._laplace.grid
+        around = maximum_filter(
+            grid.unflatten(over), 3, mode=("nearest", "wrap", "nearest")
+        )
+        peak = (over >= grid.flatten(around)) & (over > 1.0 + excess)
+        peak[self._at[self._sizes > 0.0]] = False
+        found = np.flatnonzero(peak)
+        if not len(found):  # beside a source that is there already
+            over[self._at] = 0.0
+            found = np.flatnonzero(over > 1.0 + excess)
+        order = np.argsort(over[found])[::-1]
+        return found[order[:NEW]]
+
+    def _add(self, voxels: IntArray, signs: Array) -> None:
+        """New columns s D L⁻¹ e; known ones of the same sign stay as they are."""
+        known = set(zip(self._at.tolist(), self._signs.tolist(), strict=True))
+        for v, sign in zip(voxels.tolist(), signs.tolist(), strict=True):
+            if (v, sign) in known:
+                continue
+            unit = np.zeros(len(self._charge))
+            unit[v] = sign
+            self.solves += 1
+            column = self._rows @ self._laplace.solve(unit)
+            self._columns = np.column_stack([self._columns, column])
+            self._at = np.append(self._at, v)
+            self._signs = np.append(self._signs, sign)
+            self._sizes = np.append(self._sizes, 0.0)
+
+    def _solve(self) -> None:
+        """Sizes ≥ 0 of the columns by an active set."""
+        gram = self._columns.T @ self._columns
+        side = self._columns.T @ self._left - self._charge[self._at]
+        self._sizes = nonnegative_minimum(gram, side, self._sizes)
+
+
+def nonnegative_minimum(gram: Array, side: Array, start: Array) -> Array:
+    """The x ≥ 0 that minimises ½ xᵀG x − gᵀx (Lawson and Hanson's active set).
+
+    Args:
+        gram: G, symmetric positive semidefinite, shape (k, k).
+        side: g, shape (k,).
+        start: x to begin with, not negative, shape (k,).
+    """
+    x, scale = start.copy(), 1.0 / np.sqrt(np.maximum(np.diagonal(gram), 1e-300))
+    G, g = gram * np.outer(scale, scale), side * scale
+    x = x / scale
+    passive = x > 0.0
+    floor = 1e-13 * float(np.abs(g).max(initial=0.0))
+    for _ in range(20 * len(x) + 20):
+        while passive.any():
+            z = np.zeros_like(x)
+            z[passive] = np.linalg.lstsq(
+                G[np.ix_(passive, passive)], g[passive], rcond=DEPENDENT
+            )[0]
+            below = passive & (z <= 0.0)
+            if not below.any():
+                x = z
+                break
+            steps = x[below] / np.maximum(x[below] - z[below], 1e-300)
+            x = x + float(steps.min()) * (z - x)
+            passive &= x > 1e-15 * float(np.abs(x).max(initial=0.0))
+            x[~passive] = 0.0
+        slope = g - G @ x
+        slope[passive] = -np.inf
+        best = int(np.argmax(slope))
+        if not slope[best] > floor:
+            break
+        passive[best] = True
+        trial = np.zeros_like(x)
+        trial[passive] = np.linalg.lstsq(
+            G[np.ix_(passive, passive)], g[passive], rcond=DEPENDENT
+        )[0]
+        if trial[best] <= 0.0:  # rounding: the column brings nothing
+            passive[best] = False
+            break
+    return np.asarray(x * scale)
