@@ -49,7 +49,7 @@ def test_sources_are_exact_over_six_decades(weight: float) -> None:
     what = Program.build(SCENE, terms, [HardBoundary(SCENE)])
     both = reduce(what)
     solver = registry.solvers()["augmented_lagrangian"]
-    found = solver.prepare(both.program, Request(1e-7)).solve()
+    found = solver.prepare(both.program, Request(1e-6)).solve()
     point = both.restore(found.x, found.duals)
-    assert kkt_residuals(what, point.x, point.duals).worst_relative <= 1e-7
+    assert kkt_residuals(what, point.x, point.duals).worst_relative <= 1e-6
     assert "sources" in found.detail
