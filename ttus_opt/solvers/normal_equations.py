@@ -1,8 +1,8 @@
 """Normal equations: any sum of squares beside a Laplace term, never factorised.
 
 Conjugate gradients on H p = d, H = LᵀΩ⁻¹L + Σ w MᵀM + DᵀD (docs/method.md, section
-10.8), with a preconditioner of what is known: (L - X)ᵀ(L - X) by multigrid, X a root of
-the wide terms (`primal.matching`), and few rows D of any weight by their dual
+10.10), with a preconditioner of what is known: (L - X)ᵀ(L - X) by multigrid, X a root
+of the wide terms (`primal.matching`), and few rows D of any weight by their dual
 (`primal.preconditioner`). What a new solve keeps: the multigrid, the dual's directions,
 and the last answer to start from.
 """

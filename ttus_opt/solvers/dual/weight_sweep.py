@@ -10,7 +10,7 @@ the matrix of their measurements, Kⱼ = C zⱼ, the best combination for any we
 a system as small as the basis (Rayleigh-Ritz). What remains of the gradient is -2 Dᵀρ
 with ρ = W²(d - Kᵀc) - Zᵀc, and the objective is at most ρᵀC ρ from its minimum. Where
 that is too much, ρ, preconditioned for these weights, is a new direction: two solves.
-KᵀK is the Nyström approximation of C (docs/method.md, section 10.8).
+KᵀK is the Nyström approximation of C (docs/method.md, section 10.9).
 """
 
 from __future__ import annotations

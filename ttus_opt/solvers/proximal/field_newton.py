@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array
 from ttus_opt.solvers.primal.conjugate_gradients import inner_product
-from ttus_opt.solvers.primal.split import WideTerm
+from ttus_opt.solvers.primal.wide_term import WideTerm
 from ttus_opt.solvers.proximal.field_preconditioner import (
     WithFewRows,
     by_differences,

@@ -25,9 +25,9 @@ from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid.coarsening import Added
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
-from ttus_opt.solvers.primal.approximate_laplace import ApproximateLaplace
 from ttus_opt.solvers.primal.matching import matched_root
-from ttus_opt.solvers.primal.split import WideTerm
+from ttus_opt.solvers.primal.rough_system import ApproximateLaplace
+from ttus_opt.solvers.primal.wide_term import WideTerm
 
 _Map = Callable[[Array], Array]
 
@@ -73,8 +73,9 @@ def by_laplace(
         wide: The other rows over the voxels, unbent.
     """
     grid, free = laplace.operator_grid, laplace.free
-    added = matched_root(wide, grid, free, laplace.radii, compliance)
-    rough = ApproximateLaplace.of(laplace, OneCycle(grid, free, added))
+    root = matched_root(wide, grid, free, laplace.radii, compliance)
+    cycle = OneCycle(grid, free, root.added)
+    rough = ApproximateLaplace.of(laplace, cycle, root.coupling)
 
     def apply(v: Array) -> Array:
         return rough.solve(compliance * rough.solve_adjoint(v))
