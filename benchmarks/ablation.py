@@ -1,4 +1,4 @@
-"""What each number of the structured solver buys, on problems with contested limits.
+"""What each number of the structured solver buys, on problems with many active limits.
 
     python benchmarks/ablation.py
     python benchmarks/ablation.py --only patience,share --problems growth,noise

@@ -1,11 +1,11 @@
 """Red-black ordering: where the nodes of a level are stored.
 
-Nodes are coloured like the fields of a chessboard over (θ, z). The four neighbours of a
-radial line then have the other colour, and all lines of one colour can be solved at
-once. An array in red-black order has shape (2, n_r, width), red before black. In the
-plane, node (j, k) has the number m = (j + 1)·pitch + k with an odd pitch: its colour is
-m % 2, its place in that colour's row m // 2, and its neighbours lie at constant
-distances, so that loops run over whole rows.
+Nodes are coloured red and black over (θ, z) so that the four neighbours of a radial
+line have the other colour: all lines of one colour can be solved at once. An array in
+red-black order has shape (2, n_r, width), red before black. In the plane, node (j, k)
+has the number m = (j + 1)·pitch + k with an odd pitch: its colour is m % 2, its place
+in that colour's row m // 2, and its neighbours lie at constant distances, so that loops
+run over whole rows.
 
 Rows j = -1 and j = n_theta hold copies that close the circle. For even n_z the last
 slice (always Dirichlet) shares its place with slice 0 of the next row. With an odd

@@ -1,7 +1,7 @@
 """The numbers of the method in one place: meaning, range, and what each buys.
 
-`benchmarks/ablation.py` solves contested problems with each option at the values
-given here as its trials, and prints V-cycles, working sets and KKT residuals.
+`benchmarks/ablation.py` solves problems with many active limits, each option at the
+values given here as its trials, and prints V-cycles, working sets and KKT residuals.
 """
 
 from __future__ import annotations
