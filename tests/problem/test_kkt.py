@@ -7,12 +7,14 @@ import pytest
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
-from ttus_opt.problem.kkt import KKT, Duals, bound_duals, kkt_residuals
+from ttus_opt.problem.gradient_blocks import _least_gradient
+from ttus_opt.problem.kkt import KKT, Duals, _held, bound_duals, kkt_residuals
 from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.penalties.absolute import Absolute
 from ttus_opt.terms.penalties.groups import Groups
 from ttus_opt.terms.penalties.huber import Huber
+from ttus_opt.terms.penalties.linear import Linear
 
 LAPLACE = small_scene(shape=(5, 6, 4), n_poses=2).laplace
 
@@ -226,6 +228,7 @@ def test_an_objective_that_vanishes_is_judged_by_the_distance() -> None:
         kkt = kkt_residuals(problem, np.array([4.0 + off]), Duals())
         assert kkt.gap_relative == pytest.approx(100.0 * off / 4.0, rel=0.1)
         assert kkt.distance == pytest.approx(off, rel=0.1)
+        assert kkt.primal == kkt.primal_relative == 0.0  # without any limit
 
 
 def test_a_member_of_zeros_is_not_judged_by_its_rounding() -> None:
@@ -238,3 +241,20 @@ def test_a_member_of_zeros_is_not_judged_by_its_rounding() -> None:
     assert kkt.primal_relative < 1e-9
     off = kkt_residuals(problem, np.array([3.0, -1e-3]), Duals())
     assert off.primal_relative == pytest.approx(1.0)
+
+
+def test_what_equalities_hold_counts_by_how_far_it_is_off() -> None:
+    """2 x₁ = 3 at x₁ = 2 is off by half in x₁; the sum of both fixes neither."""
+    held, both = rows("held", [[2.0, 0.0]], 3.0, 3.0), rows("both", [[1, 1]], 0.0, 0.0)
+    x, r = np.array([2.0, 7.0]), np.array([-6.0, 5.0])
+    fixed = np.array([True, False])
+    assert _held(held, x, r, fixed) == 3.0
+    assert _held(both, x, r, fixed) == 0.0
+
+
+def test_a_linear_term_hides_no_other_from_the_least_gradient() -> None:
+    eye = sp.csr_array(sp.eye_array(2))
+    linear = ProgramTerm("linear", 5.0, eye, np.zeros(2), Linear())
+    absolute = ProgramTerm("absolute", 3.0, eye, np.zeros(2), Absolute())
+    for terms in ([linear, absolute], [absolute, linear]):
+        assert _least_gradient(program(2, terms), slice(0, 2), 1.0) == 3.0
