@@ -145,6 +145,26 @@ def test_pulling_forces_are_refused_by_inner_fit() -> None:
         Scene.assemble(VOXMAP, SHELL, pulled, inner="fit")
 
 
+def test_pulling_forces_are_a_warning_where_no_fit_was_asked_for() -> None:
+    """So that the sanity report can tell what is wrong with them."""
+    assert TRAJECTORY.force is not None
+    pulled = replace(TRAJECTORY, force=-TRAJECTORY.force)
+    with pytest.warns(TtusWarning, match="push into the patient"):
+        scene = Scene.assemble(VOXMAP, SHELL, pulled)
+    assert scene.inner == 1.0
+    assert "push into" in scene.not_identified["boundary_scale"]
+
+
+def test_the_defaults_and_the_papers_choices() -> None:
+    scene = Scene.assemble(VOXMAP, SHELL, TRAJECTORY)
+    assert scene.sampling == "trilinear"
+    assert scene.inner == scene.parameters["boundary_scale"] != 1.0
+    paper = Scene.assemble(VOXMAP, SHELL, TRAJECTORY, **tt.paper.SCENE)
+    assert (paper.sampling, paper.inner, paper.outer) == ("voxel-mean", 1.0, 1.0)
+    weights = {t.name: t.weight for t in tt.load_formulation("eq10", scene).terms}
+    assert weights == {"laplace": 1.0, "force": 1e-2, "torque": 1e-2}
+
+
 @pytest.mark.parametrize("inner", ["auto", float("nan")])
 def test_bad_inner(inner: object) -> None:
     with pytest.raises(InputError):

@@ -107,8 +107,8 @@ def test_a_users_file_that_cannot_be_used(tmp_path: Path, text: str, told: str) 
         ("total_variation", "isotropic", 3, "takes true or false, got 3"),
         ("viscous_drag", "sectors", 1.5, "takes a whole number such as 1, got 1.5"),
         ("tikhonov", "reference", 2, "takes a word such as laplace, got 2"),
-        ("eq10", "force_weight", [1.0], r"takes a number such as 0.0001, got \[1.0\]"),
-        ("eq10", "force_weight", True, "takes a number such as 0.0001, got True"),
+        ("eq10", "force_weight", [1.0], r"takes a number such as 0.01, got \[1.0\]"),
+        ("eq10", "force_weight", True, "takes a number such as 0.01, got True"),
     ],
 )
 def test_options_are_checked_by_their_kind(
