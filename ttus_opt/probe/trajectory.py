@@ -172,8 +172,9 @@ class Trajectory:
             InputError: Forms or shapes that do not fit, as of `Trajectory`.
 
         Examples:
-            >>> Trajectory.from_arrays([[0.1, 0, 0]], [[0, 0, 0, 1]], order="xyzw")
-            Trajectory(1 frames, without wrenches)
+            >>> t = Trajectory.from_arrays([[0, 0, 1]], [[0, 0, 0, 1]], order="xyzw")
+            >>> len(t), t.has_wrench
+            (1, False)
         """
         rotation, position = poses_of(positions, orientations, order)
         every = np.arange(float(len(position))) if times is None else times
