@@ -248,7 +248,7 @@ def test_forces_alone_are_written_read_and_joined(tmp_path: Path) -> None:
     own = Trajectory.from_arrays(
         np.zeros((3, 3)), np.tile(np.eye(3), (3, 1, 1)), np.ones((3, 3))
     )
-    assert repr(own) == "Trajectory(3 frames, with forces)"
+    assert repr(own).endswith("with forces)")
     own.save(tmp_path / "force.csv")
     again = read_trajectory(tmp_path / "force.csv")
     np.testing.assert_array_equal(again.force, own.force)

@@ -76,6 +76,8 @@ def warn_of_another_frame(
                 stacklevel=2,
             )
             return
+    if not as_written.has_wrench:  # poses alone may be anywhere
+        return
     remedy = "is --base-to-scan right?"
     if told.frame != "base":
         remedy = "give --frame scan, or --base-to-scan for a robot's or tracker's"
