@@ -153,6 +153,7 @@ class MethodOfMultipliers:
         state = _State(x, [b.residual(x) for b in self._blocks])
         best, least, stale = Candidate(x, claim=Claim.TIME_LIMIT), np.inf, 0
         calm = self._options.patience
+        most = 25 if self._problem.bent else 3  # without estimates a round is the last
         rtol = self._system.rtol
         for _ in range(self._options.rounds):
             done = self._minimise(state, rtol)
@@ -172,7 +173,7 @@ class MethodOfMultipliers:
                 best, least = Candidate(state.x, duals), kkt.worst_relative
             else:
                 stale += 1
-            if least <= self._request.tolerance or stale > 25 or self._late:
+            if least <= self._request.tolerance or stale > most or self._late:
                 break
             growth, calm = self._growth(done, calm)
             rtol *= EXACTER if not done else 1.0 / EXACTER
