@@ -155,29 +155,29 @@ class Trajectory:
     ) -> Trajectory:
         """A trajectory from arrays, in the forms that others hold them in.
 
-                Args:
-                    positions: Of the probe frame, shape (T, 3) [m]; None with whole poses.
-                    orientations: Probe to patient: matrices (T, 3, 3), SciPy `Rotation`,
-                        quaternions (T, 4); or whole poses as matrices (T, 4, 4) or SciPy
-                        `RigidTransform`.
-                    forces: On the probe, patient axes, shape (T, 3) [N].
-                    torques: About the shell's reference, patient axes, shape (T, 3) [N·m].
-                    times: Shape (T,) [s]; one frame a second when not given: give them where
-                        friction counts.
-                    order: Of quaternions, which is never guessed: ``wxyz``, or ``xyzw`` as in
-                        ROS and SciPy.
+        Args:
+            positions: Of the probe frame, shape (T, 3) [m]; None with whole poses.
+            orientations: Probe to patient: matrices (T, 3, 3), SciPy `Rotation`,
+                quaternions (T, 4); or whole poses as matrices (T, 4, 4) or SciPy
+                `RigidTransform`.
+            forces: On the probe, patient axes, shape (T, 3) [N].
+            torques: About the shell's reference, patient axes, shape (T, 3) [N·m].
+            times: Shape (T,) [s]; one frame a second when not given: give them where
+                friction counts.
+            order: Of quaternions, which is never guessed: ``wxyz``, or ``xyzw`` as in
+                ROS and SciPy.
 
-                Returns:
-                    The trajectory, one recording.
+        Returns:
+            The trajectory, one recording.
 
-                Raises:
-                    InputError: Forms or shapes that do not fit, as of `Trajectory`.
+        Raises:
+            InputError: Forms or shapes that do not fit, as of `Trajectory`.
 
-                Examples:
-                            >>> t = Trajectory.from_arrays([[0, 0, 1]], [[0, 0, 0, 1]], order="xyzw")
-                    >>> len(t), t.has_wrench
-                    (1, False)
-                """
+        Examples:
+            >>> t = Trajectory.from_arrays([[0, 0, 1]], [[0, 0, 0, 1]], order="xyzw")
+            >>> len(t), t.has_wrench
+            (1, False)
+        """
         rotation, position = poses_of(positions, orientations, order)
         every = np.arange(float(len(position))) if times is None else times
         force, torque = (
