@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -109,7 +110,7 @@ class _State:
     @property
     def gradient(self) -> Array:
         """Of the augmented Lagrangian, shape (n,)."""
-        return np.sum(self.parts, axis=0)
+        return np.asarray(np.sum(self.parts, axis=0))
 
 
 class MethodOfMultipliers:
@@ -206,9 +207,7 @@ class MethodOfMultipliers:
             if not (np.isfinite(start) and start < 0.0):
                 return True
             changes = [np.asarray(b.matrix @ d) for b in blocks]
-            length, end = line_search.along(
-                lambda a, c=changes: self._slope(state, c, a), start
-            )
+            length, end = line_search.along(partial(self._slope, state, changes), start)
             state.x = state.x + length * d
             for r, change in zip(state.residuals, changes, strict=True):
                 r += length * change

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.problem.distance import held_by_equalities
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.members import ProgramConstraint
@@ -115,7 +115,7 @@ def _limits(name: str, matrix: sp.csr_array, law: Between) -> PenalisedRows:
     return PenalisedRows(name, matrix, np.zeros(matrix.shape[0]), 1.0, law)
 
 
-def _unit_rows(at: Array, n: int) -> sp.csr_array:
+def _unit_rows(at: IntArray, n: int) -> sp.csr_array:
     """Rows that pick some variables."""
     m = len(at)
     return sp.csr_array((np.ones(m), at, np.arange(m + 1)), shape=(m, n))
