@@ -93,7 +93,7 @@ def test_everything_public_is_one_short_line() -> None:
         line = repr(each)
         assert "\n" not in line and len(line) < 250, line
         assert " object at 0x" not in line and "array(" not in line, line
-    assert "1 laplace + 0.0001 force + 0.0001 torque subject to sign" in repr(shown[5])
+    assert "1 laplace + 0.01 force + 0.01 torque subject to sign" in repr(shown[5])
 
 
 @pytest.mark.parametrize(

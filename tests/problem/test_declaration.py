@@ -24,7 +24,7 @@ def eq10(weight: float = 0.1) -> Formulation:
 
 
 def test_repr_is_the_mathematics_with_sizes_and_weights() -> None:
-    text = repr(eq10().with_constraints(Sign(SCENE), HardBoundary(SCENE)))
+    text = str(eq10().with_constraints(Sign(SCENE), HardBoundary(SCENE)))
     fixed = int(SCENE.voxmap.dirichlet.sum())
     assert text.splitlines() == [
         "mine: minimise over p in R^360",
@@ -38,9 +38,9 @@ def test_repr_is_the_mathematics_with_sizes_and_weights() -> None:
 
 
 def test_repr_of_a_search_and_of_more_variables() -> None:
-    text = repr(load("coulomb_global", SCENE))
+    text = str(load("coulomb_global", SCENE))
     assert "searching friction_coefficient in [0, 1]" in text
-    assert "p in R^360, q in R^360" in repr(load("coulomb_drag", SCENE))
+    assert "p in R^360, q in R^360" in str(load("coulomb_drag", SCENE))
 
 
 def test_plus_adds_a_term_and_leaves_the_first_alone() -> None:

@@ -153,7 +153,7 @@ def test_all_nan_is_refused_even_when_dropping(tmp_path: Path) -> None:
         (1000, None, r"extent is 59\d\.?\d?: are these millimetres\? pass unit='mm'"),
         (100, None, r"are these centimetres\? pass unit='cm'"),
         (1, "mm", r"read with unit='mm': are these metres\? pass unit='m'"),
-        (1e6, None, "crop the scan"),
+        (1e6, None, "crop a room to the patient by box="),
         (1e-9, "m", "check its unit"),
     ],
 )

@@ -76,11 +76,16 @@ def test_estimates_grow_with_the_grid_and_with_limits() -> None:
         shelf.load("eq10", small_scene("trilinear", shape=shape)).compile()
         for shape in ((9, 20, 10), (18, 40, 20))
     )
-    limited = shelf.load("eq10_sign", small_scene("trilinear", shape=(9, 20, 10)))
-    for name in registry.estimating():
-        solver = registry.solvers()[name]
+    one = small_scene("trilinear", shape=(9, 20, 10))
+    limited = shelf.load("eq10_sign", one).compile()
+    asked = [registry.solvers()[name] for name in registry.estimating()]
+    able = [solver for solver in asked if not solver.refusal(small)]
+    assert {"structured", "normal_equations", "clarabel", "scs"} <= {
+        solver.name for solver in able
+    }
+    for solver in able:
         assert solver.cost(small) < solver.cost(large)
-        assert solver.cost(small) < solver.cost(limited.compile())
+        assert solver.cost(small) < solver.cost(limited)
 
 
 def test_auto_takes_the_structured_solver_on_eq10() -> None:

@@ -30,6 +30,7 @@ from ttus_opt.solvers.proximal.method_of_multipliers import (
 from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 from ttus_opt.solvers.proximal.source_exchange import EXCESS, SourceExchange
+from ttus_opt.solvers.sizes import Sizes
 from ttus_opt.terms.penalties.absolute import Absolute
 from ttus_opt.terms.penalties.base import Penalty
 from ttus_opt.terms.penalties.squares import Squares
@@ -77,7 +78,8 @@ class AugmentedLagrangian(Solver):
         """In proportion to the voxels where there is an L: by its multigrid."""
         if program.laplace is None:
             return math.inf
-        return 0.1 + 1e-4 * len(program.laplace.free)
+        s = Sizes.of(program)
+        return 0.1 + 1e-4 * (2.0 if s.limits else 1.0) * s.voxels
 
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Sort the rows."""

@@ -40,7 +40,7 @@ def test_multipliers_give_the_minimiser(name: str) -> None:
 
 
 def test_priors_that_are_none() -> None:
-    assert laplace_prior(compiled("free_surface")) is None
+    assert laplace_prior(compiled("total_variation")) is None
     plain, weighted = compiled("eq10"), compiled("volume_weighted")
     prior, scaled = laplace_prior(plain), laplace_prior(weighted)
     assert prior is not None and scaled is not None

@@ -153,7 +153,8 @@ def shaped(
     shell = ellipsoid()
     trajectory = presses(surface, 8, np.random.default_rng(2), depth=0.015)
     return louder(
-        Scene.assemble(voxmap, shell, trajectory, sampling="trilinear"), seed=2
+        Scene.assemble(voxmap, shell, trajectory, inner=1.0, sampling="trilinear"),
+        seed=2,
     )
 
 
