@@ -121,13 +121,13 @@ def test_perturbed_cases_by_either_name(
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--case", "XL"], "unknown case 'XL'"),
+        (["--case", "XXL"], "unknown case 'XXL'"),
         (["--solvers", "clarabell"], "did you mean clarabel"),
         (["--formulations", "eq_10"], "unknown formulation 'eq_10', did you mean"),
         (["--closed-form", "osqp"], "reference must be a closed form"),
         (["--time-limit", "-3"], "time_limit must be positive"),
         (["--probe", "sphere:0.02"], "--surface, --probe and --trajectory together"),
-        (["--case", "S,XL"], "unknown case 'XL'"),
+        (["--case", "S,XXL"], "unknown case 'XXL'"),
         (["--perturb", "loud"], "unknown perturbation 'loud': choose noise or"),
         (["--contest", "loud"], "unknown perturbation 'loud': choose noise or"),
         (["--parts", "riple"], "unknown part 'riple': choose from solvers, assembly"),

@@ -194,7 +194,7 @@ def test_auto_goes_on_where_the_first_answer_does_not_hold(
     monkeypatch.setattr(structured._Loaded, "solve", gives_up)
     solution = fit(SCENE, eq10())
     assert solution.status is Status.SOLVED
-    assert solution.solver == "clarabel"
+    assert solution.solver == "normal_equations"
     assert [a.solver for a in solution.attempts] == ["structured"]
     assert "after structured inaccurate at" in solution.advice
     np.testing.assert_allclose(

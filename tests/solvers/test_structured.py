@@ -176,7 +176,7 @@ def test_geometry_that_breaks_careless_solvers(
         assert relative(x, direct_answer(scene, 1e-1, hard)) < 1e-8
 
 
-@pytest.mark.parametrize("name", ["free_surface", "robust"])
+@pytest.mark.parametrize("name", ["total_variation", "robust"])
 def test_refuses_what_it_cannot_take(scene: Scene, name: str) -> None:
     declared = formulation.load(name, scene).compile()
     with pytest.raises(tt.TtusError, match="structured cannot take this problem"):

@@ -79,7 +79,8 @@ class AugmentedLagrangian(Solver):
         if program.laplace is None:
             return math.inf
         s = Sizes.of(program)
-        return 0.1 + 1e-4 * (2.0 if s.limits else 1.0) * s.voxels
+        limited = s.limits > s.kinks  # a kink's own bounds are not the program's
+        return 1.0 + 1e-4 * (2.0 if limited else 1.0) * s.voxels
 
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Sort the rows."""
