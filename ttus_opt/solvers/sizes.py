@@ -90,4 +90,5 @@ def splitting_seconds(program: Program) -> float:
     harder = 1.0 + min(s.limits / s.voxels, 2.0)
     if s.kinks > s.voxels:  # absolute values all over: of differences, or of L's rows
         harder = 3.5 if s.width <= NARROW else 10.0
-    return 0.08 + 1.5e-6 * harder * float(s.voxels**1.45)
+    # kinks: many iterations, however small the grid
+    return (1.0 if s.kinks else 0.08) + 1.5e-6 * harder * float(s.voxels**1.45)
