@@ -25,12 +25,13 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
 	sys.version_info >= (3, 11) and print("ok")' 2>/dev/null),$(name))))
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test slow notebooks lab oldest newest mutants check picture docs \
+.PHONY: help demo test slow long notebooks lab oldest newest mutants check picture docs \
 	docs-check clean
 
 help:
 	@echo "make demo     the whole method on the bundled example, into demo/"
 	@echo "make test     the tests; make slow for those over ten seconds, notebooks too"
+	@echo "make long     those that make slow leaves out: many mutations, every solver"
 	@echo "make notebooks  runs the notebooks"
 	@echo "make lab      opens the notebooks"
 	@echo "make oldest   the tests with the oldest versions pyproject.toml allows"
@@ -49,7 +50,10 @@ test: $(STAMP)
 	$(PYTEST) -m "not slow" $(PARALLEL) $(TESTFLAGS)
 
 slow: $(STAMP) notebooks
-	$(PYTEST) -m slow $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)
+	$(PYTEST) -m "slow and not long" $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)
+
+long: $(STAMP)
+	$(PYTEST) -m long $(PARALLEL) --maxprocesses 2 $(TESTFLAGS)
 
 notebooks: $(STAMP)
 	$(BIN)/python -m pytest --nbmake --nbmake-timeout=300 notebooks

@@ -34,6 +34,7 @@ def scene() -> Scene:
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("formulation", [f.name for f in shelf.available()])
 def test_the_choice_is_no_worse_than_twice_the_best(
     formulation: str, scene: Scene
