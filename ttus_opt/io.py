@@ -225,6 +225,32 @@ def read_dataset(
     return dataset
 
 
+def kind_of(path: str | os.PathLike[str], what: str) -> str | None:
+    """What a netCDF file of ours holds.
+
+    Args:
+        path: The file.
+        what: What it should be, for the message ("surface or field").
+
+    Returns:
+        Its kind ("surface", "field"); None for a file from elsewhere.
+
+    Raises:
+        FileError: Missing, or not netCDF.
+    """
+    import netCDF4
+
+    file = existing_file(path, what)
+    try:
+        with netCDF4.Dataset(file) as opened:
+            kind = getattr(opened, "ttus_opt_kind", None)
+    except (OSError, RuntimeError) as error:
+        raise FileError(
+            f"{file} is not a readable netCDF file: truncated, or no {what}?"
+        ) from error
+    return None if kind is None else str(kind)
+
+
 def array_of(
     dataset: xr.Dataset, name: str, dims: tuple[str, ...], units: str
 ) -> NDArray[Any]:

@@ -1,0 +1,77 @@
+"""``ttus-opt encode`` and ``decode``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.conftest import Run, empty, refused
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
+
+pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
+
+
+@pytest.fixture
+def message(run: Run, files: Path, output: Path) -> Path:
+    path = output / "surface.msg"
+    assert run(f"encode {files / 'surface.nc'} -o {path}").status == 0
+    return path
+
+
+def test_a_surface_and_its_field(
+    run: Run, files: Path, field: Path, output: Path, message: Path
+) -> None:
+    answer = run(
+        f"encode {field} --base {message} --max-error 0.01 -o {output / 'f.msg'} --json"
+    )
+    told = json.loads(answer.out)
+    assert told["holds"] == "field"
+    assert told["bytes"] == (output / "f.msg").stat().st_size
+    assert 0 < told["largest_error"] <= 0.01
+    assert run(f"decode {message} -o {output / 's.nc'}").status == 0
+    received = Surface.load(output / "s.nc")
+    given = Surface.load(files / "surface.nc")
+    assert np.abs(received.radius - given.radius).max() <= 0.25e-3
+    answer = run(f"decode {output / 'f.msg'} --base {message} -o {output / 'f.nc'}")
+    assert "field from" in answer.out
+    before, after = PotentialField.load(field), PotentialField.load(output / "f.nc")
+    assert np.abs(before.values - after.values).max() <= 0.01 * (1 + 1e-6)
+
+
+def test_what_changed(run: Run, files: Path, output: Path, message: Path) -> None:
+    change = output / "change.msg"
+    words = f"encode {files / 'surface.nc'} --base {message} -o {change}"
+    assert "surface in" in run(words).out
+    assert change.stat().st_size < message.stat().st_size
+    answer = run(f"decode {change} --base {message} -o {output / 's.nc'} --json")
+    assert json.loads(answer.out)["holds"] == "surface"
+
+
+def test_what_is_refused(
+    run: Run, files: Path, field: Path, tmp_path: Path, output: Path
+) -> None:
+    surface, to = files / "surface.nc", f"-o {output / 'x'}"
+    refused(run(f"encode {field} {to}"), "base", "surface's message")
+    refused(run(f"encode {surface} --max-error 0 {to}"), "max_error")
+    refused(run(f"encode {files / 'press.csv'} {to}"), "netCDF", "press.csv")
+    refused(run(f"encode {tmp_path / 'no.nc'} {to}"), "not found")
+    refused(run(f"encode {surface} -o {surface}"), "--force")
+    refused(run(f"decode {surface} {to}"), "no message of ttus_opt")
+    (tmp_path / "empty.msg").touch()
+    refused(run(f"decode {tmp_path / 'empty.msg'} {to}"), "empty")
+    refused(run(f"decode {tmp_path} {to}"), "folder")
+    assert empty(output)
+
+
+def test_a_damaged_message_leaves_nothing(
+    run: Run, output: Path, message: Path
+) -> None:
+    content = bytearray(message.read_bytes())
+    content[40] ^= 1
+    message.write_bytes(content)
+    refused(run(f"decode {message} -o {output / 's.nc'}"), "checksum")
+    assert [path.name for path in output.iterdir()] == ["surface.msg"]

@@ -1,0 +1,18 @@
+"""Messages with a sound envelope around whatever body."""
+
+from __future__ import annotations
+
+import zlib
+
+from ttus_opt.message.envelope import CHECKSUM, HEAD, MARK, VERSION
+
+
+def body(message: bytes) -> bytes:
+    return message[HEAD.size : -CHECKSUM.size]
+
+
+def sealed(content: bytes, kind: int, version: int = VERSION) -> bytes:
+    """A message whose length and checksum are right."""
+    length = HEAD.size + len(content) + CHECKSUM.size
+    head = HEAD.pack(MARK, version, kind, length) + content
+    return head + CHECKSUM.pack(zlib.crc32(head))

@@ -1,0 +1,208 @@
+"""Fields as messages: the bound holds, both sides solve the same equation."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import ellipsoid, small_scene
+from tests.message.sealing import body, sealed
+from ttus_opt import example
+from ttus_opt.errors import InputError, TtusError
+from ttus_opt.message import decode, encode
+from ttus_opt.message.envelope import FIELD, LONGEST
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE
+
+pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
+
+
+@functools.cache
+def fitted(sampling: str = "trilinear") -> PotentialField:
+    field = tt.fit(small_scene(sampling), "eq10").field
+    return replace(field, parameters={"boundary_scale": 2.0})
+
+
+@functools.cache
+def sent(sampling: str = "trilinear") -> tuple[bytes, bytes]:
+    """The surface's message and the field's."""
+    surface = encode(fitted(sampling).voxmap.surface)
+    return surface, encode(fitted(sampling), base=surface)
+
+
+@pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean"])
+def test_there_and_back(sampling: str) -> None:
+    field = fitted(sampling)
+    surface, message = sent(sampling)
+    received = decode(message, base=surface)
+    assert isinstance(received, PotentialField)
+    assert np.abs(received.values - field.values).max() <= 0.005 * (1 + 1e-6)
+    np.testing.assert_array_equal(received.voxmap.region, field.voxmap.region)
+    assert received.voxmap.grid == field.voxmap.grid
+    assert received.sampling == sampling
+    assert received.parameters == {"boundary_scale": 2.0}
+
+
+def test_regions_that_rounding_the_surface_moved_are_sent() -> None:
+    field = fitted()
+    coarse = encode(field.voxmap.surface, max_error=4e-3)
+    received = decode(encode(field, base=coarse), base=coarse)
+    assert isinstance(received, PotentialField)
+    laid = tt.Voxmap.from_surface(
+        received.voxmap.surface,
+        shape=field.voxmap.grid.shape,
+        r_inner=0.03,
+        r_outer=field.voxmap.grid.r_outer,
+    )
+    assert (laid.region != field.voxmap.region).any()  # or nothing is tested
+    np.testing.assert_array_equal(received.voxmap.region, field.voxmap.region)
+    assert np.abs(received.values - field.values).max() <= 0.005 * (1 + 1e-6)
+
+
+def test_a_bound_of_ones_own() -> None:
+    surface, message = sent()
+    fine = encode(fitted(), base=surface, max_error=1e-5)
+    received = decode(fine, base=surface)
+    assert isinstance(received, PotentialField)
+    assert np.abs(received.values - fitted().values).max() <= 1e-5 * (1 + 1e-3)
+    assert len(fine) > len(message)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("weight", [1e-2, 1e-1])
+@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+def test_size_and_force_of_case_M(weight: float) -> None:
+    """A field of 345,600 voxels takes 3 kB, and 0.02 N at 0.25 mm and 0.005 N/cm²."""
+    cloud = tt.read_cloud(example.path("scan.ply"), unit="m")
+    surface = tt.extract_surface(cloud, axis=tt.Axis.from_cloud(cloud))
+    shell = tt.PointShell.ellipsoid((0.030, 0.0125, 0.018))
+    recordings = [
+        tt.read_trajectory(example.path(f"{name}_fit.csv"))
+        for name in ("press", "sweep")
+    ]
+    scene = tt.Scene.assemble(
+        tt.Voxmap.from_surface(surface, shape=(48, 120, 60), r_inner=0.03),
+        shell,
+        tt.Trajectory.concatenate(recordings),
+        inner="fit",
+        sampling="trilinear",
+    )
+    field = tt.fit(scene, "eq10", force_weight=weight, torque_weight=weight).field
+    base = encode(surface)
+    message = encode(field, base=base)
+    assert len(message) <= 3000
+    received = decode(message, base=base)
+    assert isinstance(received, PotentialField)
+    assert np.abs(received.values - field.values).max() <= 0.005 * (1 + 1e-6)
+    before, after = tt.Renderer(field, shell), tt.Renderer(received, shell)
+    test = tt.read_trajectory(example.path("press_test.csv"))
+    wrenches = [
+        (before.render(*pose), after.render(*pose))
+        for pose in zip(test.rotation, test.position, strict=True)
+    ]
+    effect = [
+        np.linalg.norm(b.force - a.force) for b, a in wrenches if b.contact_points
+    ]
+    assert np.mean(effect) < 0.036  # a tenth of what a person feels
+
+
+def test_messages_in_the_wrong_places() -> None:
+    surface, message = sent()
+    with pytest.raises(InputError, match="its surface"):
+        encode(fitted())
+    with pytest.raises(InputError, match="give that as base"):
+        decode(message)
+    other = encode(fitted().voxmap.surface, max_error=1e-3)
+    with pytest.raises(InputError, match="builds on message"):
+        decode(message, base=other)
+    with pytest.raises(InputError, match="surface's message first"):
+        decode(message, base=message)
+    with pytest.raises(InputError, match="in their order"):
+        decode(message, base=[surface, message])
+
+
+def test_a_surface_of_other_heights_is_told() -> None:
+    surface = fitted().voxmap.surface
+    longer = encode(replace(surface, z=surface.z * 1.1))
+    with pytest.raises(InputError, match="encode the surface that the field"):
+        encode(fitted(), base=longer)
+
+
+@pytest.mark.parametrize("bound", [0.0, -1.0, np.nan, np.inf])
+def test_bounds_that_make_no_sense(bound: float) -> None:
+    with pytest.raises(InputError, match="max_error"):
+        encode(fitted(), base=sent()[0], max_error=bound)
+
+
+def test_large_fields_are_refused_unless_asked_for() -> None:
+    surface, message = sent()
+    with pytest.raises(InputError, match=r"1,800 voxels, at most 1,000"):
+        decode(message, base=surface, max_voxels=1000)
+
+
+def bent(at: int, value: bytes) -> bytes:
+    content = body(sent()[1])
+    return sealed(content[:at] + value + content[at + len(value) :], FIELD)
+
+
+@pytest.mark.parametrize(
+    ("at", "value", "words"),
+    [
+        (4, b"\xff\xff\xff\xff\xff\xff", "281,462,092,005,375 voxels"),
+        (4, b"\x00\x00\x00\x00\x00\x00", "damaged|at least"),
+        (10, np.float64(np.nan).tobytes(), "not finite"),
+        (10, np.float64(0.2).tobytes(), "r_outer|surface"),
+        (18, np.float64(1e300).tobytes(), "half a radial step"),
+        (26, b"\x09", "unknown sampling"),
+        (27, np.float64(np.nan).tobytes(), "boundary values"),
+        (35, np.float64(1e300).tobytes(), "boundary values"),
+        (43, np.float64(np.nan).tobytes(), "max_error"),
+    ],
+)
+def test_hostile_headers(at: int, value: bytes, words: str) -> None:
+    with pytest.raises(TtusError, match=words) as told:
+        decode(bent(at, value), base=sent()[0])
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "text", [b"", b"[", b"[" * 60_000, b"[1, 2]", b'[{"a": "b"}, {}]', b"[{}]"]
+)
+def test_hostile_parameters(text: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("json.dumps", lambda _: text.decode())
+    message = encode(fitted(), base=sent()[0])
+    with pytest.raises(InputError, match="parameters"):
+        decode(message, base=sent()[0])
+
+
+def test_a_surface_layer_that_is_not_closed_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    field = fitted()
+    region = field.voxmap.region.copy()
+    i, j, k = (int(v[0]) for v in np.nonzero(region[:, 5:6, 5:6] == 0))
+    assert region[i - 1, j + 5, k + 5] == INSIDE
+    region[i, j + 5, k + 5] = OUTSIDE
+    open_ = replace(field, voxmap=replace(field.voxmap, region=region))
+    with pytest.raises(TtusError, match="not closed"):
+        decode(encode(open_, base=sent()[0]), base=sent()[0])
+
+
+def test_the_longest_message_holds_any_surface() -> None:
+    # 32 bits a node at most, and the mask
+    assert LONGEST > 2**20 * 4.2
+
+
+def test_what_is_rendered_hardly_differs() -> None:
+    received = decode(sent()[1], base=sent()[0])
+    assert isinstance(received, PotentialField)
+    poses = small_scene("trilinear").trajectory
+    before = tt.Renderer(fitted(), ellipsoid())
+    after = tt.Renderer(received, ellipsoid())
+    for pose in zip(poses.rotation, poses.position, strict=True):
+        b, a = before.render(*pose), after.render(*pose)
+        np.testing.assert_allclose(a.force, b.force, atol=0.05)

@@ -1,0 +1,75 @@
+"""Prediction: the bound holds, cubics cost nothing, both sides agree to the bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ttus_opt.message.interpolation import (
+    WEIGHT,
+    Scheme,
+    _lagrange,
+    differences,
+    restored,
+)
+
+SCHEMES = [
+    Scheme((7,), (False,), (0,)),
+    Scheme((8,), (True,), (0,)),
+    Scheme((2, 5), (True, False), (1, 0)),
+    Scheme((12, 9), (True, False), (1, 0), (1, 2)),
+    Scheme((5, 6, 3), (False, True, False), (2, 0, 1), (1, 1, 2, 8)),
+]
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("bound", [1e-6, 1e-3, 0.5, 10.0])
+@pytest.mark.parametrize("kind", ["noise", "extremes", "smooth"])
+def test_what_is_decoded_is_within_the_bound(
+    scheme: Scheme, bound: float, kind: str
+) -> None:
+    rng = np.random.default_rng(scheme.size)
+    values = {
+        "noise": rng.normal(0.0, 3.0, scheme.shape),
+        "extremes": rng.choice([-9.0, 0.0, 9.0], scheme.shape),
+        "smooth": np.sin(np.indices(scheme.shape).sum(0) / 3.0),
+    }[kind]
+    sent, decoded = differences(values, bound, scheme)
+    assert sum(len(part) for part in sent) == scheme.size
+    assert np.abs(decoded - values).max() <= bound * (1 + 1e-9)
+    back = restored(np.concatenate(sent), bound, scheme)
+    np.testing.assert_array_equal(back, decoded)
+
+
+def test_the_weights_are_those_of_the_textbook() -> None:
+    sixteenths = [WEIGHT // 16 * part for part in (-1, 9, 9, -1)]
+    assert _lagrange((-3, -1, 1, 3)) == sixteenths
+    assert _lagrange((-1, 1)) == [WEIGHT // 2, WEIGHT // 2]
+
+
+def test_a_cubic_is_predicted_without_differences() -> None:
+    x = np.linspace(-1.0, 1.0, 33)
+    scheme = Scheme((33,), (False,), (0,))
+    sent, _ = differences(x**3 - x, 1e-3, scheme)
+    fine = np.concatenate(sent[-3:])  # predicted from four nodes or more
+    assert len(fine) == 28
+    assert np.count_nonzero(fine) == 0
+
+
+def test_a_closed_axis_is_predicted_across_its_seam() -> None:
+    theta = np.arange(64) * 2 * np.pi / 64
+    values = np.cos(theta - 0.1)
+    closed, open_ = (
+        differences(values, 1e-3, Scheme((64,), (periodic,), (0,)))[0]
+        for periodic in (True, False)
+    )
+    assert np.abs(closed[-1]).sum() == 0
+    assert np.abs(np.concatenate(closed)).sum() < np.abs(np.concatenate(open_)).sum()
+
+
+def test_a_bound_too_small_for_32_bits_is_told() -> None:
+    scheme = Scheme((4, 4), (True, False), (1, 0))
+    with pytest.raises(OverflowError):
+        differences(np.full((4, 4), 1.0), 1e-10, scheme)
+    with pytest.raises(OverflowError):
+        differences(np.full((4, 4), np.nan), 1e-3, scheme)

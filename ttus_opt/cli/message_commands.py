@@ -1,0 +1,173 @@
+"""``ttus-opt encode`` and ``ttus-opt decode``: messages for a thin link."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.options import Force, Json, check_outputs
+
+if TYPE_CHECKING:
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.voxmap.field import PotentialField
+
+ENCODE = "ttus-opt encode field.nc --base surface.msg -o field.msg"
+DECODE = "ttus-opt decode field.msg --base surface.msg -o field.nc"
+
+Bases = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--base",
+        help="Message it builds on; may be repeated: a surface and its changes in "
+        "their order.",
+    ),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    app.command("encode", epilog=f"Example: {ENCODE}")(encode)
+    app.command("decode", epilog=f"Example: {DECODE}")(decode)
+
+
+def encode(
+    file: Annotated[Path, typer.Argument(help="Surface or field file (.nc).")],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Message file.")],
+    base: Bases = None,
+    max_error: Annotated[
+        float | None,
+        typer.Option(
+            help="Largest error of a radius [m], by default 0.00025, or of the "
+            "potential [its unit], by default 0.005."
+        ),
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a surface or a field as a short message.
+
+    A field is sent as what it adds to the Laplace field of its surface: give the
+    surface's message as --base. A surface with --base is sent as what changed. Needs
+    the extra `sensors`.
+    """
+    from ttus_opt.message.codec import decode as decoded
+    from ttus_opt.message.codec import encode as encoded
+
+    bases = base or []
+    check_outputs([output], [file, *bases], force=force)
+    with Stages(3) as begin:
+        begin("reading")
+        what = _read(file)
+        before = [_bytes(path) for path in bases] or None
+        begin("encoding")
+        message = encoded(what, max_error=max_error, base=before)
+        begin("checking what will be decoded")
+        size = max(_size(what), 1)
+        error = _error(what, decoded(message, base=before, max_voxels=size))
+        _write(output, message)
+    told = {
+        "output": str(output),
+        "holds": _name(what),
+        "bytes": len(message),
+        "largest_error": error,
+    }
+    if json:
+        print_json(told)
+        return
+    unit = "mm" if _size(what) == 0 else "of the potential"
+    factor = 1e3 if _size(what) == 0 else 1.0
+    typer.echo(
+        f"{output}: {_name(what)} in {len(message):,} bytes, largest error "
+        f"{factor * error:.3g} {unit}"
+    )
+
+
+def decode(
+    file: Annotated[Path, typer.Argument(help="Message file.")],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Surface or field file (.nc).")
+    ],
+    base: Bases = None,
+    max_voxels: Annotated[
+        int, typer.Option(help="Fields of more voxels are refused.")
+    ] = 2_500_000,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write what a message holds as a surface or field file.
+
+    Damaged and hostile messages are refused before anything is allocated. Needs the
+    extra `sensors`.
+    """
+    from ttus_opt.message.codec import decode as decoded
+
+    bases = base or []
+    check_outputs([output], [file, *bases], force=force)
+    with Stages(2) as begin:
+        begin("decoding")
+        message = _bytes(file)
+        before = [_bytes(path) for path in bases] or None
+        what = decoded(message, base=before, max_voxels=max_voxels)
+        begin("writing")
+        what.save(output)
+    told = {"output": str(output), "holds": _name(what), "bytes": len(message)}
+    if json:
+        print_json(told)
+        return
+    typer.echo(f"{output}: {_name(what)} from {len(message):,} bytes")
+
+
+def _read(file: Path) -> Surface | PotentialField:
+    """A surface or a field file, whichever it is."""
+    from ttus_opt import io
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.voxmap.field import PotentialField
+
+    if io.kind_of(file, "surface or field") == "field":
+        return PotentialField.load(file)
+    return Surface.load(file)
+
+
+def _bytes(file: Path) -> bytes:
+    """A message's bytes, of which no more than a message may have.
+
+    Raises:
+        FileError: The file is missing, empty or cannot be read.
+    """
+    from ttus_opt import io
+    from ttus_opt.errors import FileError
+    from ttus_opt.message.envelope import LONGEST
+
+    path = io.existing_file(file, "message")
+    try:
+        with path.open("rb") as stream:
+            return stream.read(LONGEST + 1)
+    except OSError as error:
+        raise FileError(f"cannot read {path}: {error.strerror or error}") from error
+
+
+def _write(output: Path, message: bytes) -> None:
+    from ttus_opt import io
+
+    with io.signals_deferred(), io.replacing(output) as temporary:
+        temporary.write_bytes(message)
+
+
+def _size(what: Any) -> int:
+    """Voxels of a field, 0 of a surface."""
+    return 0 if _name(what) == "surface" else int(what.values.size)
+
+
+def _name(what: Surface | PotentialField) -> str:
+    return "surface" if hasattr(what, "radius") else "field"
+
+
+def _error(sent: Any, received: Any) -> float:
+    """Largest difference of radii [m], or of potentials."""
+    import numpy as np
+
+    name = "values" if _size(sent) else "radius"
+    return float(np.abs(getattr(sent, name) - getattr(received, name)).max())

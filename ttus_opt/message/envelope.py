@@ -1,0 +1,150 @@
+"""What is around every message: mark, version, kind, length, checksum.
+
+    mark "TTUM" | version u8 | kind u8 | length u32 | body | CRC-32 u32
+
+Numbers are little-endian; the length counts all bytes. The checksum, of all that stands
+before it, is also the message's name: a message that builds on another one holds it.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from typing import Any, Final
+
+from ttus_opt.errors import InputError
+
+MARK: Final = b"TTUM"
+VERSION: Final = 1
+
+SURFACE, SURFACE_DELTA, FIELD = 1, 2, 3
+
+#: What kinds are called in errors
+NAMES = {SURFACE: "surface", SURFACE_DELTA: "change of a surface", FIELD: "field"}
+
+HEAD = struct.Struct("<4sBBI")
+CHECKSUM = struct.Struct("<I")
+
+#: Longest message that is looked at [bytes]; a surface of the most nodes fits
+LONGEST = 2**24
+
+
+class Writer:
+    """The body of a message, item by item."""
+
+    def __init__(self) -> None:
+        self._parts: list[bytes] = []
+
+    def number(self, layout: str, *values: float) -> None:
+        """Append numbers in a `struct` layout."""
+        self._parts.append(struct.pack(f"<{layout}", *values))
+
+    def block(self, content: bytes) -> None:
+        """Append bytes with their count before them."""
+        self.number("I", len(content))
+        self._parts.append(content)
+
+    def packed(self, content: bytes) -> None:
+        """Append bytes by zlib."""
+        self.block(zlib.compress(content, 9))
+
+    def message(self, kind: int) -> bytes:
+        """All of it in its envelope."""
+        body = b"".join(self._parts)
+        length = HEAD.size + len(body) + CHECKSUM.size
+        if length > LONGEST:
+            raise InputError(
+                f"the message would take {length:,} bytes of at most {LONGEST:,}: "
+                "choose a larger max_error or a coarser grid"
+            )
+        sealed = HEAD.pack(MARK, VERSION, kind, length) + body
+        return sealed + CHECKSUM.pack(zlib.crc32(sealed))
+
+
+class Reader:
+    """A message that arrived, its envelope checked before anything is read.
+
+    Args:
+        message: The bytes.
+
+    Raises:
+        InputError: No message of ours, another version, cut off, too long, or damaged.
+    """
+
+    def __init__(self, message: bytes) -> None:
+        if not isinstance(message, bytes | bytearray | memoryview):
+            raise InputError(f"a message is bytes, got {type(message).__name__}")
+        size = len(message)
+        if size < HEAD.size + CHECKSUM.size or bytes(message[:4]) != MARK:
+            raise InputError(
+                f"these {size} bytes are no message of ttus_opt, which begins with "
+                f"{MARK.decode()}: wrong file?"
+            )
+        _, version, self.kind, length = HEAD.unpack_from(message)
+        if version != VERSION:
+            newer = version > VERSION
+            raise InputError(
+                f"the message has version {version}, this ttus_opt reads version "
+                f"{VERSION}: {'update ttus_opt' if newer else 'encode it again'}"
+            )
+        if length != size or size > LONGEST:
+            raise InputError(
+                f"the message has {size:,} bytes, its header says {length:,} and at "
+                f"most {LONGEST:,} are read: ask for it again"
+            )
+        self._content = bytes(message)
+        (self.name,) = CHECKSUM.unpack_from(self._content, size - CHECKSUM.size)
+        if zlib.crc32(self._content[: -CHECKSUM.size]) != self.name:
+            raise InputError(
+                "the message is damaged: its checksum is wrong: ask for it again"
+            )
+        self._at, self._end = HEAD.size, size - CHECKSUM.size
+        if self.kind not in NAMES:
+            raise InputError(
+                f"the message has the unknown kind {self.kind}: update ttus_opt"
+            )
+
+    def _take(self, count: int) -> bytes:
+        if count > self._end - self._at:
+            raise InputError("the message is damaged: it ends early: ask for it again")
+        self._at += count
+        return self._content[self._at - count : self._at]
+
+    def numbers(self, layout: str) -> tuple[Any, ...]:
+        """The next numbers, in a `struct` layout."""
+        form = struct.Struct(f"<{layout}")
+        return form.unpack(self._take(form.size))
+
+    def number(self, layout: str) -> Any:
+        """The next number."""
+        return self.numbers(layout)[0]
+
+    def block(self) -> bytes:
+        """The next bytes, whose count stands before them."""
+        return self._take(self.number("I"))
+
+    def unpacked(self, most: int) -> bytes:
+        """The next bytes, out of zlib.
+
+        Args:
+            most: Their number at most; more is damage.
+        """
+        expand = zlib.decompressobj()
+        try:
+            content = expand.decompress(self.block(), most)
+        except zlib.error as error:
+            raise InputError(f"the message is damaged: {error}") from error
+        if not expand.eof or expand.unused_data:
+            raise InputError("the message is damaged: a part has another length")
+        return content
+
+    def end(self) -> None:
+        """Everything has been read.
+
+        Raises:
+            InputError: There is more.
+        """
+        if self._at != self._end:
+            raise InputError(
+                f"the message is damaged: {self._end - self._at} bytes too many"
+            )

@@ -1,0 +1,232 @@
+"""A field as what it adds to the Laplace field of a surface the receiver has.
+
+The receiver decodes the surface, lays the grid over it, solves Laplace's equation for
+both boundary values (docs/method.md, 17.3) and adds the difference, sent within an
+error bound. Where rounding the surface moved voxels from one region to another, they are
+named, so that both sides solve the same equation.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.message.envelope import FIELD, Reader, Writer
+from ttus_opt.message.integer_stream import read_integers, write_integers
+from ttus_opt.message.interpolation import Scheme, differences, restored
+from ttus_opt.message.surface_message import check_base, check_bound
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import FIELD_UNIT, PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
+
+#: Default bound of the potential [N, or N/cm² when trilinear]
+MAX_ERROR = 0.005
+
+#: Bounds that make sense [as the potential]
+LEAST_BOUND, GREATEST_BOUND = 1e-9, 1e6
+
+#: Most voxels of a field that is decoded, unless told otherwise: case L twice
+MOST_VOXELS = 2_500_000
+
+#: Boundary values beyond this are none [as the potential]
+LARGEST_BOUNDARY = 1e9
+
+#: Bytes of parameters at most, and characters of a name
+PARAMETER_BYTES = 2**16
+
+SAMPLINGS = tuple(FIELD_UNIT)
+
+
+class Grid(NamedTuple):
+    """Where the voxels are: all but the heights, which are the surface's."""
+
+    n_r: int
+    n_theta: int
+    n_z: int
+    r_inner: float
+    r_outer: float
+
+
+def _scheme(grid: Grid) -> Scheme:
+    """Heights first, angles last; from the third level on finer, as that pays."""
+    shape = (grid.n_r, grid.n_theta, grid.n_z)
+    return Scheme(shape, (False, True, False), (2, 0, 1), (1, 1, 2, 8))
+
+
+def encode_field(
+    field: PotentialField, surface: Surface, name: int, max_error: float = MAX_ERROR
+) -> bytes:
+    """A field as a message that builds on its surface's.
+
+    Args:
+        field: The field.
+        surface: Its surface as the receiver has it.
+        name: Of the message that gave the surface.
+        max_error: Largest error of the potential [as the potential].
+
+    Raises:
+        InputError: A bound that makes no sense, or a grid that does not begin and end
+            with the surface.
+        GeometryError: The surface does not fit the grid: it is another patient's.
+    """
+    bound = check_bound(max_error, LEAST_BOUND, GREATEST_BOUND, field.unit)
+    of = field.voxmap.grid
+    if (of.z_min, of.z_max) != (float(surface.z[0]), float(surface.z[-1])):
+        raise InputError(
+            f"the field's grid reaches from z {of.z_min:.6g} to {of.z_max:.6g} m, the "
+            f"surface of the message from {surface.z[0]:.6g} to {surface.z[-1]:.6g}: "
+            "encode the surface that the field was fitted to"
+        )
+    grid = Grid(*of.shape, of.r_inner, of.r_outer)
+    if of.n_voxels > MOST_VOXELS:
+        raise InputError(
+            f"a field that is sent has at most {MOST_VOXELS:,} voxels, got "
+            f"{of.n_voxels:,}: fit it on a coarser grid"
+        )
+    laid = _laid_over(surface, grid)
+    moved = (field.voxmap.region - laid.region).astype(np.int64)
+    laplace = _laplace_fields(Voxmap(laid.grid, surface, field.voxmap.region))
+    values = of.flatten(field.values)
+    # least squares for any field, whatever its formulation said of the boundary
+    scales = np.linalg.lstsq(np.stack(laplace, axis=1), values, rcond=None)[0]
+    rest = values - scales[0] * laplace[0] - scales[1] * laplace[1]
+    try:
+        passes, _ = differences(of.unflatten(rest), bound, _scheme(grid))
+    except OverflowError as error:
+        raise InputError(
+            f"max_error {bound:g} is too small for this field: choose a larger one"
+        ) from error
+    told = json.dumps([dict(field.parameters), dict(field.standard_errors)])
+    if len(told) > PARAMETER_BYTES:
+        raise InputError("the field has more parameters than a message takes")
+    writer = Writer()
+    writer.number("I", name)
+    writer.number("3H2d", *grid)
+    writer.number("B3d", SAMPLINGS.index(field.sampling), *scales, bound)
+    writer.packed(told.encode())
+    # along r last: the voxels of a step of the layer are then together
+    write_integers(writer, moved.transpose(1, 2, 0).reshape(-1))
+    write_integers(writer, np.concatenate(passes))
+    return writer.message(FIELD)
+
+
+def decode_field(
+    reader: Reader, surface: Surface, name: int, most_voxels: int = MOST_VOXELS
+) -> PotentialField:
+    """The field of a message.
+
+    Args:
+        reader: The message.
+        surface: The surface it builds on.
+        name: Of the message that gave the surface.
+        most_voxels: Larger fields are refused before anything is allocated.
+
+    Raises:
+        InputError: It builds on another surface, is too large, damaged or hostile.
+        GeometryError: The surface does not fit the grid.
+        NumericalError: Laplace's equation cannot be solved on this grid.
+    """
+    check_base(reader.number("I"), name)
+    grid = Grid(*reader.numbers("3H2d"))
+    size = grid.n_r * grid.n_theta * grid.n_z
+    if size > most_voxels:
+        raise InputError(
+            f"the message has a field of {size:,} voxels, at most {most_voxels:,} are "
+            "decoded: raise max_voxels if you trust the sender"
+        )
+    kind, inner, outer, bound = reader.numbers("B3d")
+    check_bound(bound, LEAST_BOUND, GREATEST_BOUND, "of the potential")
+    if kind >= len(SAMPLINGS):
+        raise InputError("the message has an unknown sampling: update ttus_opt")
+    if not all(abs(value) <= LARGEST_BOUNDARY for value in (inner, outer)):
+        raise InputError("the message's boundary values are none: ask for it again")
+    parameters, errors = _parameters(reader.unpacked(PARAMETER_BYTES))
+    moved = read_integers(reader, size)
+    sent = read_integers(reader, size)
+    reader.end()
+    laid = _laid_over(surface, grid)
+    voxmap = Voxmap(laid.grid, surface, _region(laid, moved))
+    laplace = _laplace_fields(voxmap)
+    rest = restored(sent, bound, _scheme(grid))
+    values = inner * laplace[0] + outer * laplace[1] + laid.grid.flatten(rest)
+    return PotentialField(
+        voxmap,
+        laid.grid.unflatten(values),
+        SAMPLINGS[kind],
+        parameters,
+        {"message": f"decoded within {bound:g}"},
+        errors,
+    )
+
+
+def _laid_over(surface: Surface, grid: Grid) -> Voxmap:
+    shape = (grid.n_r, grid.n_theta, grid.n_z)
+    if not all(map(math.isfinite, (grid.r_inner, grid.r_outer))):
+        raise InputError("the message's grid is not finite: ask for it again")
+    return Voxmap.from_surface(
+        surface, shape=shape, r_inner=grid.r_inner, r_outer=grid.r_outer
+    )
+
+
+def _laplace_fields(voxmap: Voxmap) -> tuple[Array, Array]:
+    """Laplace fields of unit inner and of unit outer boundary value, (V,) each."""
+    system = LaplaceSystem.assemble(voxmap)
+    return (
+        system.solve(system.right_side(1.0, 0.0)),
+        system.solve(system.right_side(0.0, 1.0)),
+    )
+
+
+def _region(laid: Voxmap, moved: NDArray[np.int64]) -> NDArray[np.int8]:
+    """Regions as the sender had them.
+
+    Raises:
+        InputError: A voxel in no region.
+        GeometryError: Inside and outside would touch.
+    """
+    n_r, n_theta, n_z = laid.grid.shape
+    region = moved.reshape(n_theta, n_z, n_r).transpose(2, 0, 1) + laid.region
+    if np.abs(region).max() > 1:
+        raise InputError("the message is damaged: a voxel is in no region")
+    turned = np.roll(region, -1, axis=1)
+    if any(
+        (a * b == -1).any()
+        for a, b in (
+            (region, turned),
+            (region[1:], region[:-1]),
+            (region[..., 1:], region[..., :-1]),
+        )
+    ):
+        raise GeometryError(
+            "the message's surface layer is not closed: encode the field again"
+        )
+    return np.asarray(region.astype(np.int8))
+
+
+def _parameters(content: bytes) -> tuple[dict[str, float], dict[str, float]]:
+    """Parameters and their standard errors, by name.
+
+    Raises:
+        InputError: They are not two tables of numbers.
+    """
+    try:
+        found = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise InputError("the message is damaged: its parameters") from error
+    if not isinstance(found, list) or len(found) != 2 or not all(map(_numbers, found)):
+        raise InputError("the message is damaged: its parameters are no numbers")
+    return found[0], found[1]
+
+
+def _numbers(table: object) -> bool:
+    """Whether it is a table of finite numbers by name."""
+    return isinstance(table, dict) and all(
+        type(value) in (int, float) and abs(value) < 1e300 for value in table.values()
+    )
