@@ -195,3 +195,13 @@ def test_missing_file_and_folder(tmp_path: Path) -> None:
         io.existing_file(tmp_path / "no.nc", "field")
     with pytest.raises(FileError, match="folder"):
         io.existing_file(tmp_path, "field")
+
+
+def test_the_kind_of_a_file(tmp_path: Path) -> None:
+    io.write_dataset(dataset(), tmp_path / "own.nc", kind="surface", version=1)
+    dataset().to_netcdf(tmp_path / "foreign.nc")
+    assert io.kind_of(tmp_path / "own.nc", "surface") == "surface"
+    assert io.kind_of(tmp_path / "foreign.nc", "surface") is None
+    (tmp_path / "text.nc").write_text("no netCDF")
+    with pytest.raises(FileError, match=r"text\.nc is not a readable netCDF file"):
+        io.kind_of(tmp_path / "text.nc", "surface")

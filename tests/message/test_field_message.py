@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, small_scene
+from tests.message.patients import fitted, sent
 from tests.message.sealing import body, sealed
 from ttus_opt import example
 from ttus_opt.errors import InputError, TtusError
@@ -19,19 +19,6 @@ from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE
 
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
-
-
-@functools.cache
-def fitted(sampling: str = "trilinear") -> PotentialField:
-    field = tt.fit(small_scene(sampling), "eq10").field
-    return replace(field, parameters={"boundary_scale": 2.0})
-
-
-@functools.cache
-def sent(sampling: str = "trilinear") -> tuple[bytes, bytes]:
-    """The surface's message and the field's."""
-    surface = encode(fitted(sampling).voxmap.surface)
-    return surface, encode(fitted(sampling), base=surface)
 
 
 @pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean"])

@@ -10,9 +10,8 @@ import pytest
 
 from tests.conftest import torso
 from tests.hostile import SEED, mutated
+from tests.message.patients import dented, sent, uneven
 from tests.message.sealing import body, sealed
-from tests.message.test_field_message import sent
-from tests.message.test_surface_message import dented, uneven
 from ttus_opt.errors import TtusError
 from ttus_opt.message import decode, encode
 from ttus_opt.message.envelope import NAMES

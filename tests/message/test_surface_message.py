@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
 from tests.conftest import torso
+from tests.message.patients import dented, uneven
 from tests.message.sealing import body, sealed
 from ttus_opt import example
 from ttus_opt.errors import InputError, TtusError
@@ -21,22 +21,6 @@ from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
 
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
-
-
-def uneven(n_theta: int = 40, n_z: int = 15) -> Surface:
-    """A small torso with bumps, part of it unseen, in a turned frame."""
-    plain = torso(n_theta, n_z)
-    theta, z = plain.theta[:, None], plain.z[None]
-    bumps = 0.002 * np.sin(5 * theta + 40 * z)
-    observed = np.broadcast_to(np.sin(theta) > -0.3 + z, bumps.shape)
-    return Surface(
-        plain.theta,
-        plain.z,
-        plain.radius + bumps,
-        np.where(observed, 0.001, 0.02 + z),
-        observed.copy(),
-        Axis(np.array([0.1, -0.2, 1.5]), Rotation.from_rotvec([1, 2, 3]).as_matrix()),
-    )
 
 
 def check(sent: Surface, received: object, bound: float) -> None:
@@ -93,15 +77,6 @@ def test_sizes_of_real_surfaces(
     message = encode(surface, max_error=0.25e-3)
     assert len(message) <= most
     check(surface, decode(message), 0.25e-3)
-
-
-def dented(surface: Surface, depth: float = 0.004) -> Surface:
-    """Changed over the seam of the angle."""
-    radius, observed = surface.radius.copy(), surface.observed.copy()
-    radius[-3:, 4:7] -= depth
-    radius[:2, 4:7] -= depth
-    observed[0, 5] ^= True
-    return replace(surface, radius=radius, observed=observed)
 
 
 def test_a_change_is_short_and_exact() -> None:

@@ -2,8 +2,8 @@
 
 The receiver decodes the surface, lays the grid over it, solves Laplace's equation for
 both boundary values (docs/method.md, 17.3) and adds the difference, sent within an
-error bound. Where rounding the surface moved voxels from one region to another, they are
-named, so that both sides solve the same equation.
+error bound. Where rounding the surface moved voxels from one region to another, they
+are named, so that both sides solve the same equation.
 """
 
 from __future__ import annotations

@@ -1,0 +1,54 @@
+"""Patients that messages are made of: an uneven torso, a dent in it, a fitted field."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+import ttus_opt as tt
+from tests.conftest import small_scene, torso
+from ttus_opt.message import encode
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
+
+
+def uneven(n_theta: int = 40, n_z: int = 15) -> Surface:
+    """A small torso with bumps, part of it unseen, in a turned frame."""
+    plain = torso(n_theta, n_z)
+    theta, z = plain.theta[:, None], plain.z[None]
+    bumps = 0.002 * np.sin(5 * theta + 40 * z)
+    observed = np.broadcast_to(np.sin(theta) > -0.3 + z, bumps.shape)
+    return Surface(
+        plain.theta,
+        plain.z,
+        plain.radius + bumps,
+        np.where(observed, 0.001, 0.02 + z),
+        observed.copy(),
+        Axis(np.array([0.1, -0.2, 1.5]), Rotation.from_rotvec([1, 2, 3]).as_matrix()),
+    )
+
+
+def dented(surface: Surface, depth: float = 0.004) -> Surface:
+    """Changed over the seam of the angle."""
+    radius, observed = surface.radius.copy(), surface.observed.copy()
+    radius[-3:, 4:7] -= depth
+    radius[:2, 4:7] -= depth
+    observed[0, 5] ^= True
+    return replace(surface, radius=radius, observed=observed)
+
+
+@functools.cache
+def fitted(sampling: str = "trilinear") -> PotentialField:
+    field = tt.fit(small_scene(sampling), "eq10").field
+    return replace(field, parameters={"boundary_scale": 2.0})
+
+
+@functools.cache
+def sent(sampling: str = "trilinear") -> tuple[bytes, bytes]:
+    """The surface's message and the field's."""
+    surface = encode(fitted(sampling).voxmap.surface)
+    return surface, encode(fitted(sampling), base=surface)
