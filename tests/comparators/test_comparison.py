@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.comparators.recordings import fitted, recordings
+from tests.conftest import ellipsoid, torso
+from ttus_opt.arrays import Array
+from ttus_opt.comparators import compare, markdown
+from ttus_opt.comparators.comparison import SLIDE, judged, ripple, slow_slide
+from ttus_opt.errors import InputError
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.metrics import angles
+
+
+class Known:
+    """Renders what it is told to, along z."""
+
+    name = "known"
+
+    def __init__(self, force: Array) -> None:
+        self.force = force
+
+    def wrenches(self, trajectory: Trajectory) -> Array:
+        out = np.zeros((len(trajectory), 6))
+        out[:, 2] = np.resize(self.force, len(trajectory))
+        return out
+
+
+def test_a_table_has_a_row_per_comparator_and_recording() -> None:
+    press, slide = recordings()
+    began: list[str] = []
+    rows = compare(
+        ["signed_distance", "ellipsoid_torso"],
+        torso(),
+        ellipsoid(),
+        press,
+        {"a": press, "b": slide},
+        progress=began.append,
+    )
+    assert began == ["signed_distance", "ellipsoid_torso"]
+    assert [(r.comparator, r.recording) for r in rows] == [
+        (name, label) for name in began for label in "ab"
+    ]
+    for row in rows:
+        figures = [v for v in row.as_dict().values() if isinstance(v, float)]
+        assert np.isfinite(figures).all()
+        assert row.ms_per_frame > 0.0
+    table = markdown(rows).splitlines()
+    assert len(table) == 6
+    assert {line.count("|") for line in table} == {9}
+    fast = min(rows, key=lambda row: row.ms_per_frame)
+    assert f"frame / {fast.comparator}" in table[0]
+    assert f"frame / {rows[0].comparator}" in markdown(rows, rows[0].comparator)
+
+
+def test_errors_are_those_of_the_rendered_wrenches() -> None:
+    _, slide = recordings()
+    row = judged(fitted("signed_distance"), "slide", slide)
+    wrench = fitted("signed_distance").wrenches(slide)
+    assert slide.force is not None
+    assert slide.torque is not None
+    size = np.linalg.norm(slide.force, axis=1)
+    off = np.linalg.norm(wrench[:, :3], axis=1) - size
+    assert row.force_magnitude_error_N == pytest.approx(np.abs(off).mean())
+    turned = angles(slide.force, wrench[:, :3])[size > 0.5]
+    assert row.force_angle_error_deg == pytest.approx(turned.mean())
+
+
+def test_one_that_cannot_be_fitted_says_why_in_its_rows() -> None:
+    press, _ = recordings()
+    bare = Trajectory(press.time, press.position, press.rotation)
+    (row,) = compare(["signed_distance"], torso(), ellipsoid(), bare, {"a": press})
+    assert "columns fx, fy, fz" in row.failure
+    assert math.isnan(row.force_magnitude_error_N)
+    assert row.failure in markdown([row])
+
+
+def test_ripple_is_what_short_waves_are_and_long_ones_are_not() -> None:
+    press, _ = recordings()
+    share = np.linspace(0.0, 1.0, 301)
+    for waves, expected in ((1.0, 0.0), (30.0, 0.05 / math.sqrt(2.0))):
+        force = 1.0 + 0.05 * np.sin(2.0 * np.pi * waves * share)
+        assert ripple(Known(force), press) == pytest.approx(expected, abs=2e-3)
+
+
+def test_the_slide_goes_through_the_firmest_pose_along_z() -> None:
+    press, _ = recordings()
+    assert press.force is not None
+    firm = np.linalg.norm(press.force, axis=1).argmax()
+    slide = slow_slide(press)
+    np.testing.assert_allclose(slide.position.mean(axis=0), press.position[firm])
+    np.testing.assert_allclose(np.ptp(slide.position, axis=0), [0.0, 0.0, SLIDE])
+
+
+def test_nothing_to_judge_by_is_told() -> None:
+    press, _ = recordings()
+    with pytest.raises(InputError, match="at least one unseen recording"):
+        compare(None, torso(), ellipsoid(), press, {})
+    with pytest.raises(InputError, match="unknown comparator"):
+        compare(["laplase"], torso(), ellipsoid(), press, {"a": press})

@@ -1,0 +1,269 @@
+"""What every comparator is: fitted to recordings, then a wrench for every pose.
+
+A comparator is another way from measurements to forces, on the same data and by the
+same interface as the potential field. One is added by adding a file to this folder
+with a class over `Comparator`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar, Protocol, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ttus_opt.arrays import Array
+from ttus_opt.cylindrical import cylindrical
+from ttus_opt.errors import InputError
+from ttus_opt.haptic.renderer import Wrench
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.pose import PoseLike, pose_of, rotations
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.surface import Surface
+
+#: A frame whose measured force is smaller tells a fit nothing [N]
+LEAST_FORCE = 0.1
+
+
+class RendersWrenches(Protocol):
+    """What a comparison asks of a comparator; a user's own class may have it too.
+
+    Attributes:
+        name: As it is printed.
+    """
+
+    name: str
+
+    def fit(self, trajectories: Trajectory | Sequence[Trajectory]) -> Self:
+        """Find the parameters from recordings with forces; returns itself."""
+
+    def render(
+        self, rotation: PoseLike, position: ArrayLike, twist: Array | None = None
+    ) -> Wrench:
+        """The wrench on the probe in one pose and motion."""
+
+    def wrenches(self, trajectory: Trajectory) -> Array:
+        """The wrench of every frame, shape (n, 6) [N, N·m]."""
+
+
+class Comparator(ABC):
+    """A way to render forces, checked at its door: subclasses see sound input only.
+
+    Attributes:
+        name: By which `ttus_opt.comparators.create` finds it.
+        summary: One line: what it is and whose.
+        needs_fit: Whether `render` needs a `fit` before.
+        continuous: Whether the force is continuous in the pose.
+        turns: Whether turning the scene about z turns the wrench, to rounding.
+        on_surface: Whether it touches where the surface is; else a shape of its own.
+        surface: The patient.
+        shell: The probe.
+        cloud: Points of the surface, patient frame, shape (n, 3) [m].
+    """
+
+    name: ClassVar[str] = ""
+    summary: ClassVar[str] = ""
+    needs_fit: ClassVar[bool] = True
+    continuous: ClassVar[bool] = True
+    turns: ClassVar[bool] = True
+    on_surface: ClassVar[bool] = True
+
+    def __init__(
+        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
+    ) -> None:
+        self.surface, self.shell = surface, shell
+        self.cloud = _checked_cloud(surface, cloud)
+        self.fitted = False
+
+    def __repr__(self) -> str:
+        state = "fitted" if self.fitted or not self.needs_fit else "not fitted"
+        return f"<{self.name}: {state}>"
+
+    def fit(self, trajectories: Trajectory | Sequence[Trajectory]) -> Self:
+        """Find the parameters from recordings.
+
+        Args:
+            trajectories: One or several, with forces in contact.
+
+        Returns:
+            Itself.
+
+        Raises:
+            InputError: No recording, no forces, no contact, or forces that pull.
+        """
+        if isinstance(trajectories, Trajectory):
+            trajectories = [trajectories]
+        recording = Trajectory.concatenate(list(trajectories))
+        if recording.force is None:
+            raise InputError(
+                f"{self.name} is fitted to forces, the recordings have none: add "
+                "columns fx, fy, fz"
+            )
+        if not (np.linalg.norm(recording.force, axis=1) > LEAST_FORCE).any():
+            raise InputError(
+                f"{self.name} is fitted to contact, no force is above {LEAST_FORCE} N: "
+                "give recordings that touch the patient"
+            )
+        self._require_contact(recording, recording.force)
+        self._fit(recording, recording.force)
+        self.fitted = True
+        return self
+
+    def render(
+        self, rotation: PoseLike, position: ArrayLike, twist: Array | None = None
+    ) -> Wrench:
+        """The wrench on the probe in one pose and motion.
+
+        Args:
+            rotation: Probe to patient, a matrix (3, 3) or a SciPy `Rotation`.
+            position: Of the probe frame's origin, patient frame, shape (3,) [m].
+            twist: Velocity of that origin and angular velocity, patient axes, shape
+                (6,) [m/s, rad/s]; at rest when not given.
+
+        Returns:
+            Force [N] and torque about the shell's reference [N·m], patient axes.
+
+        Raises:
+            InputError: Not fitted yet, or a pose or twist that cannot be used.
+        """
+        self._require_fit()
+        R, at = pose_of(rotation, position)
+        R = rotations(np.asarray(R))
+        motion = np.zeros(6) if twist is None else np.asarray(twist, dtype=float)
+        if motion.shape != (6,) or not np.isfinite(motion).all():
+            raise InputError(
+                f"a twist must be 6 finite numbers [m/s, rad/s], got {motion}"
+            )
+        if not np.isfinite(at).all():
+            raise InputError(f"a position must be finite [m], got {at}")
+        wrench, touching = self._wrench(R, np.asarray(at, dtype=float), motion)
+        return Wrench(wrench[:3], wrench[3:], touching, in_grid=True)
+
+    def wrenches(self, trajectory: Trajectory) -> Array:
+        """The wrench of every frame, by its pose and twist.
+
+        Args:
+            trajectory: Poses over time.
+
+        Returns:
+            Force, then torque, as of `render`, shape (n, 6) [N, N·m].
+
+        Raises:
+            InputError: Not fitted yet.
+        """
+        self._require_fit()
+        frames = zip(
+            trajectory.rotation, trajectory.position, trajectory.twist(), strict=True
+        )
+        return np.array([self._wrench(*frame)[0] for frame in frames])
+
+    def parameters(self) -> dict[str, float]:
+        """What was fitted, by name with its unit; empty where it is a whole field."""
+        return {}
+
+    def _require_contact(self, recording: Trajectory, force: Array) -> None:
+        """Refuse recordings that are somewhere else than the patient.
+
+        Raises:
+            InputError: No frame has a shell point below the surface.
+        """
+        local = self.shell.points
+        for t in np.argsort(-np.linalg.norm(force, axis=1)):
+            r, theta, z = cylindrical(
+                local @ recording.rotation[t].T + recording.position[t]
+            )
+            if (r < self.surface.radius_at(theta, z)).any():
+                return
+        raise InputError(
+            f"{self.name}: the probe touches the surface in no frame: check the "
+            "recordings' frame and unit"
+        )
+
+    def _require_fit(self) -> None:
+        if self.needs_fit and not self.fitted:
+            raise InputError(
+                f"{self.name} is not fitted yet: call fit(trajectories) first"
+            )
+
+    @abstractmethod
+    def _fit(self, recording: Trajectory, force: Array) -> None:
+        """Fit to one recording, of several segments, and its forces (T, 3) [N]."""
+
+    @abstractmethod
+    def _wrench(self, R: Array, at: Array, twist: Array) -> tuple[Array, int]:
+        """Force and torque of a sound pose, shape (6,), and points in contact."""
+
+
+class OneStiffness(Comparator):
+    """A comparator whose wrench is one stiffness times a shape known from the pose.
+
+    Attributes:
+        stiffness: Fitted by least squares to the measured forces.
+        stiffness_unit: Of it.
+    """
+
+    stiffness_unit: ClassVar[str] = "N/m³"
+
+    def __init__(
+        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
+    ) -> None:
+        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        self.stiffness = 1.0
+
+    def parameters(self) -> dict[str, float]:
+        """The stiffness."""
+        return {f"stiffness [{self.stiffness_unit}]": self.stiffness}
+
+    def _fit(self, recording: Trajectory, force: Array) -> None:
+        frames = zip(recording.rotation, recording.position, strict=True)
+        shape = np.array([self._unit_wrench(*frame)[0][:3] for frame in frames])
+        self.stiffness = positive_scale(shape, force, self.name)
+
+    def _wrench(self, R: Array, at: Array, twist: Array) -> tuple[Array, int]:
+        unit, touching = self._unit_wrench(R, at)
+        return self.stiffness * unit, touching
+
+    @abstractmethod
+    def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
+        """Wrench for a stiffness of 1, shape (6,), and points in contact."""
+
+
+def positive_scale(shape: Array, force: Array, name: str) -> float:
+    """The scale s that minimises ‖s shape − force‖².
+
+    Args:
+        shape: Predicted forces for a scale of 1, shape (T, 3).
+        force: Measured, shape (T, 3) [N].
+        name: Of the comparator, for the message.
+
+    Raises:
+        InputError: Nothing is in contact, or the best scale is not positive.
+    """
+    square = float((shape**2).sum())
+    if square == 0.0:
+        raise InputError(
+            f"{name}: the probe touches the surface in no frame: check the "
+            "recordings' frame and unit"
+        )
+    scale = float((shape * force).sum()) / square
+    if scale <= 0.0:
+        raise InputError(
+            f"{name}: the measured forces pull the probe in: give the force ON the "
+            "probe in patient axes"
+        )
+    return scale
+
+
+def _checked_cloud(surface: Surface, cloud: Array | None) -> Array:
+    if cloud is None:
+        return surface.points().reshape(-1, 3)
+    points = np.asarray(cloud, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 10:
+        raise InputError(
+            f"cloud must be at least 10 points (n, 3) [m], got shape {points.shape}"
+        )
+    if not np.isfinite(points).all():
+        raise InputError("cloud holds NaN or infinite points: drop them")
+    return points

@@ -1,0 +1,223 @@
+"""Several comparators, fitted to the same recordings, judged on others.
+
+Errors are those of `ttus_opt.report.metrics`. *Ripple* is what the rendered force
+has of short waves while the probe slides slowly along a straight line, where nothing
+changes as fast: root mean square of the force less its smooth part (a cubic over
+10 mm), over its mean. Milliseconds hold for one machine and run: compare them within
+a table only.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.base import Comparator, RendersWrenches
+from ttus_opt.comparators.registry import available, create
+from ttus_opt.errors import InputError, TtusError
+from ttus_opt.haptic.field_wrench import FieldWrenches
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report import metrics
+from ttus_opt.scan.surface import Surface
+
+#: Length and speed of the slide, and the window its smooth part is taken over
+SLIDE, SPEED, WINDOW = 0.03, 0.01, 0.01  # [m], [m/s], [m]
+
+#: Poses of the slide [–]
+N_POSES = 301
+
+
+@dataclass(frozen=True)
+class Row:
+    """One comparator on one recording that it has not seen.
+
+    Attributes:
+        comparator: Its name.
+        recording: The recording's.
+        force_magnitude_error_N: Mean |‖f‖ − ‖f̂‖|.
+        force_angle_error_deg: Mean angle over frames in contact.
+        torque_magnitude_error_Nm: Mean |‖τ‖ − ‖τ̂‖|.
+        torque_angle_error_deg: Mean angle over frames with a torque.
+        ms_per_frame: Processor time of a frame [ms].
+        ripple: Short waves of the force on a slow straight slide, over its mean [–].
+        seconds_fit: Processor time of the fit [s].
+        failure: Why there are no figures; empty where there are.
+    """
+
+    comparator: str
+    recording: str
+    force_magnitude_error_N: float = math.nan
+    force_angle_error_deg: float = math.nan
+    torque_magnitude_error_Nm: float = math.nan
+    torque_angle_error_deg: float = math.nan
+    ms_per_frame: float = math.nan
+    ripple: float = math.nan
+    seconds_fit: float = math.nan
+    failure: str = ""
+
+    def as_dict(self) -> dict[str, float | str]:
+        """All of it by name, for JSON."""
+        return asdict(self)
+
+
+def compare(
+    names: Sequence[str] | None,
+    surface: Surface,
+    shell: PointShell,
+    fitted: Trajectory | Sequence[Trajectory],
+    unseen: Mapping[str, Trajectory],
+    *,
+    cloud: Array | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> tuple[Row, ...]:
+    """Fit each comparator and judge it on recordings it has not seen.
+
+    Args:
+        names: Of `available`; all of them when None.
+        surface: The patient.
+        shell: The probe.
+        fitted: Recordings to fit to.
+        unseen: Recordings to judge by, by the name a table shows.
+        cloud: Points of the surface for those that work on a cloud, (n, 3) [m].
+        progress: Called with each name as it begins.
+
+    Returns:
+        A row per comparator and recording. One that cannot be fitted to these
+        recordings has rows that say why.
+
+    Raises:
+        InputError: An unknown name, or no recording to judge by.
+    """
+    chosen = list(available()) if names is None else list(names)
+    if not unseen:
+        raise InputError("compare needs at least one unseen recording, got none")
+    rows: list[Row] = []
+    for name in chosen:
+        if progress is not None:
+            progress(name)
+        comparator = create(name, surface=surface, shell=shell, cloud=cloud)
+        begin = time.process_time()
+        try:
+            comparator.fit(fitted)
+        except TtusError as error:
+            rows += [Row(name, label, failure=str(error)) for label in unseen]
+            continue
+        spent = time.process_time() - begin
+        rows += [
+            judged(comparator, label, recording, spent)
+            for label, recording in unseen.items()
+        ]
+    return tuple(rows)
+
+
+def judged(
+    comparator: RendersWrenches | Comparator,
+    label: str,
+    recording: Trajectory,
+    seconds_fit: float = math.nan,
+) -> Row:
+    """One fitted comparator on one recording.
+
+    Args:
+        comparator: Fitted.
+        label: The recording's name.
+        recording: With forces.
+        seconds_fit: What the fit took, as it is told in the row [s].
+
+    Raises:
+        InputError: The recording has no forces.
+    """
+    comparator.wrenches(recording.select(slice(0, 1)))  # compiled before it is timed
+    begin = time.process_time()
+    wrench = comparator.wrenches(recording)
+    frame = (time.process_time() - begin) / len(recording)
+    within = np.ones(len(recording), dtype=bool)
+    rendered = FieldWrenches(
+        wrench[:, :3], wrench[:, 3:], within, np.zeros(len(recording), dtype=np.int64)
+    )
+    errors = metrics.compare(recording, rendered).errors
+    return Row(
+        comparator.name,
+        label,
+        errors.force_magnitude_error_N,
+        errors.force_angle_error_deg,
+        errors.torque_magnitude_error_Nm,
+        errors.torque_angle_error_deg,
+        1e3 * frame,
+        ripple(comparator, recording),
+        seconds_fit,
+    )
+
+
+def ripple(comparator: RendersWrenches | Comparator, recording: Trajectory) -> float:
+    """Short waves of the force on a slow straight slide through a firm touch.
+
+    Args:
+        comparator: Fitted.
+        recording: The slide goes along z through the pose of its largest force.
+
+    Returns:
+        Root mean square of the short waves over the mean force [–]; NaN where the
+        comparator gives no force there.
+    """
+    force = np.linalg.norm(comparator.wrenches(slow_slide(recording))[:, :3], axis=1)
+    mean = float(force.mean())
+    if mean == 0.0:
+        return math.nan
+    window = 2 * round(WINDOW / SLIDE * N_POSES / 2) + 1
+    waves = force - savgol_filter(force, window, 3)
+    return float(np.sqrt((waves**2).mean())) / mean
+
+
+def slow_slide(recording: Trajectory) -> Trajectory:
+    """Poses along z through the pose of a recording's largest force, at `SPEED`.
+
+    Raises:
+        InputError: The recording has no forces.
+    """
+    if recording.force is None:
+        raise InputError("a slide is laid through the largest force: there are none")
+    firm = int(np.linalg.norm(recording.force, axis=1).argmax())
+    along = np.linspace(-SLIDE / 2, SLIDE / 2, N_POSES)
+    position = recording.position[firm] + along[:, None] * [0.0, 0.0, 1.0]
+    rotation = np.repeat(recording.rotation[firm][None], N_POSES, axis=0)
+    return Trajectory((along + SLIDE / 2) / SPEED, position, rotation)
+
+
+def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
+    """The rows as a Markdown table, times as ratios.
+
+    Args:
+        rows: Of `compare`.
+        reference: The comparator whose mean time of a frame is 1; the fastest where it
+            is not among the rows.
+    """
+    timed = [row for row in rows if not row.failure]
+    if reference not in {row.comparator for row in timed} and timed:
+        reference = min(timed, key=lambda row: row.ms_per_frame).comparator
+    own = [row.ms_per_frame for row in timed if row.comparator == reference]
+    unit = float(np.mean(own)) if own else math.nan
+    lines = [
+        "| comparator | recording | force [N] | angle [°] | torque [mN·m] | angle [°] "
+        f"| ripple [%] | frame / {reference} |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        if row.failure:
+            lines.append(f"| {row.comparator} | {row.recording} | {row.failure} ||||||")
+            continue
+        lines.append(
+            f"| {row.comparator} | {row.recording} | {row.force_magnitude_error_N:.3f} "
+            f"| {row.force_angle_error_deg:.1f} "
+            f"| {1e3 * row.torque_magnitude_error_Nm:.1f} "
+            f"| {row.torque_angle_error_deg:.1f} | {100 * row.ripple:.2g} "
+            f"| {row.ms_per_frame / unit:.2g} |"
+        )
+    return "\n".join(lines)

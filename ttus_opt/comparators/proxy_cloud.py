@@ -1,0 +1,143 @@
+"""Proxy on a point cloud, 3 degrees of freedom.
+
+One point of the probe, its tip, is the haptic interface point h. A proxy P stays on the
+cloud: in each step it moves in the tangent plane of the points around it to where it
+is nearest to h,
+
+    P ← h + n (n·(c − h)),
+
+with c and n the weighted mean and normal (smallest principal axis, outwards) of the
+points near P. The force is a spring's, f = k (P − h), where h lies below the plane.
+
+Source: F. Rydén, H. J. Chizeck, A proxy method for real-time 3-DOF haptic rendering of
+streaming point cloud data, IEEE Trans. Haptics 6 (2013) 257–267. There points count
+within radii r₁ < r₂ < r₃ of the proxy; here they fade out smoothly within one radius
+(compact weights, A. Adamson, M. Alexa, Ray tracing point set surfaces, SMI 2003), so
+that the force has no steps. The tip is where the recordings touch, when not given.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.base import OneStiffness
+from ttus_opt.comparators.contact_geometry import ContactGeometry
+from ttus_opt.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.surface import Surface
+
+#: Steps of the proxy: it moves by less than 0.01 mm in the last
+STEPS = 8
+
+#: Fewer points than this make no plane: the proxy moves freely beside the cloud [–]
+FEWEST = 6
+
+#: The radius within which points count, in mean distances of the cloud's points [–]
+RADIUS_IN_SPACINGS = 3.0
+
+
+class ProxyCloud(OneStiffness):
+    """A proxy sphere of no size on a cloud, one stiffness.
+
+    Attributes:
+        tip: The point that touches, probe frame, shape (3,) [m]; None before a fit.
+        radius: Within which the cloud's points count [m].
+    """
+
+    name = "proxy_cloud"
+    summary = "3-DOF proxy on a point cloud (Rydén, Chizeck 2013)"
+    stiffness_unit = "N/m"
+
+    def __init__(
+        self,
+        *,
+        surface: Surface,
+        shell: PointShell,
+        cloud: Array | None = None,
+        tip: Sequence[float] | None = None,
+        radius: float | None = None,
+    ) -> None:
+        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        self.tip = None if tip is None else np.asarray(tip, dtype=float)
+        if self.tip is not None and self.tip.shape != (3,):
+            raise InputError(f"tip must be a point (3,) [m], got {self.tip.shape}")
+        self._tree = cKDTree(self.cloud)
+        self.radius = _radius(self._tree) if radius is None else float(radius)
+        if not (math.isfinite(self.radius) and self.radius > 0.0):
+            raise InputError(f"radius must be positive [m], got {radius}")
+
+    def _fit(self, recording: Trajectory, force: Array) -> None:
+        if self.tip is None:
+            self.tip = mean_tip(ContactGeometry(self.surface, self.shell), recording)
+        super()._fit(recording, force)
+
+    def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
+        assert self.tip is not None
+        interface = R @ self.tip + at
+        pushed = self._proxy(interface) - interface
+        if not pushed.any():
+            return np.zeros(6), 0
+        arm = R @ (self.tip - self.shell.reference)
+        return np.concatenate([pushed, np.cross(arm, pushed)]), 1
+
+    def _proxy(self, interface: Array) -> Array:
+        """Where the proxy comes to rest; the interface point itself in the air."""
+        place = self.cloud[self._tree.query(interface)[1]]
+        height = 0.0
+        for _ in range(STEPS):
+            plane = self._plane(place)
+            if plane is None:
+                return interface
+            middle, normal = plane
+            height = float(normal @ (middle - interface))
+            place = interface + height * normal
+        return place if height > 0.0 else interface
+
+    def _plane(self, place: Array) -> tuple[Array, Array] | None:
+        """Mean and outward normal of the points around a place; None beside them."""
+        near = self.cloud[self._tree.query_ball_point(place, self.radius)]
+        if len(near) < FEWEST:
+            return None
+        square = ((near - place) ** 2).sum(axis=1) / self.radius**2
+        weights = (1.0 - square) ** 2
+        weights /= weights.sum()
+        middle = weights @ near
+        spread = near - middle
+        _, axes = np.linalg.eigh((weights[:, None] * spread).T @ spread)
+        normal = axes[:, 0]
+        outward = float(normal[:2] @ middle[:2])  # the axis z is inside
+        return middle, normal if outward > 0.0 else -normal
+
+
+def mean_tip(geometry: ContactGeometry, recording: Trajectory) -> Array:
+    """The mean contact point over a recording, by depth, on the probe's skin, (3,) [m].
+
+    Raises:
+        InputError: The probe touches in no frame.
+    """
+    shell, total, weight = geometry.shell, np.zeros(3), 0.0
+    for R, at in zip(recording.rotation, recording.position, strict=True):
+        touch = geometry.touch(R, at)
+        if len(touch):
+            share = touch.areas * touch.depth
+            total += share @ shell.points[touch.index]
+            weight += float(share.sum())
+    if weight == 0.0:
+        raise InputError(
+            "the probe touches the surface in no frame: check the recordings' frame "
+            "and unit, or give the tip"
+        )
+    return np.array(shell.points[cKDTree(shell.points).query(total / weight)[1]])
+
+
+def _radius(tree: cKDTree) -> float:
+    """`RADIUS_IN_SPACINGS` mean distances of neighbouring points [m]."""
+    points = tree.data[:: max(1, tree.n // 2000)]
+    nearest = np.asarray(tree.query(points, 5)[0])[:, -1]
+    return RADIUS_IN_SPACINGS * float(np.quantile(nearest, 0.95))

@@ -1,0 +1,76 @@
+"""The comparators there are, found by looking into this folder."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import sys
+from typing import Any
+
+from ttus_opt import shelf
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.base import Comparator
+from ttus_opt.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+
+
+@functools.cache
+def _kinds() -> dict[str, type[Comparator]]:
+    """Classes by the name they are made by."""
+    found = shelf.members(sys.modules["ttus_opt.comparators"]).values()
+    kinds = [kind for kind in found if issubclass(kind, Comparator) and kind.name]
+    return {kind.name: kind for kind in sorted(kinds, key=lambda kind: kind.name)}
+
+
+def available() -> dict[str, str]:
+    """Names of the comparators, each with one line on what it is."""
+    return {name: kind.summary for name, kind in _kinds().items()}
+
+
+def kind(name: str) -> type[Comparator]:
+    """The class of a comparator.
+
+    Raises:
+        InputError: Unknown name.
+    """
+    kinds = _kinds()
+    if name not in kinds:
+        raise InputError(f"unknown comparator {name!r}: choose from {', '.join(kinds)}")
+    return kinds[name]
+
+
+def create(
+    name: str,
+    *,
+    surface: Surface,
+    shell: PointShell,
+    cloud: Array | None = None,
+    **options: Any,
+) -> Comparator:
+    """A comparator, not yet fitted.
+
+    Args:
+        name: One of `available`.
+        surface: The patient.
+        shell: The probe.
+        cloud: Points of the surface, patient frame, for those that work on a cloud,
+            shape (n, 3) [m]; the surface's nodes when not given.
+        options: The comparator's own, see its class.
+
+    Returns:
+        The comparator.
+
+    Raises:
+        InputError: Unknown name or option, or a cloud that cannot be used.
+    """
+    made = kind(name)
+    common = {"self", "surface", "shell", "cloud"}
+    own = set(inspect.signature(made.__init__).parameters) - common
+    unknown = sorted(options.keys() - own)
+    if unknown:
+        raise InputError(
+            f"{name} has no option {', '.join(unknown)}: it has "
+            f"{', '.join(sorted(own)) or 'none'}"
+        )
+    return made(surface=surface, shell=shell, cloud=cloud, **options)

@@ -1,0 +1,119 @@
+"""Voxmap PointShell: two bits per voxel and a plane through the voxel's centre.
+
+Voxels are free, surface or interior. A point of the probe in a surface voxel meets a
+plane through the voxel's centre, square to the point's own normal n̂ (into the probe);
+below that plane it pushes by Hooke's law (the tangent-plane force):
+
+    d = n̂·(c − x),   f = k Σ_m max(d_m, 0) n̂_m.
+
+Source: W. A. McNeely, K. D. Puterbaugh, J. J. Troy, Six degree-of-freedom haptic
+rendering using voxel sampling, SIGGRAPH 1999, 401–408, section 4. There a virtual
+coupling keeps the points within the surface layer. Measured poses on soft tissue are
+deeper, so a point in an interior voxel here takes the plane of the surface voxel that
+is nearest to its own. Points are weighted by their areas. The force jumps where a
+point crosses a voxel's face, by up to k times the voxel's edge, as in the source.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.base import OneStiffness
+from ttus_opt.comparators.contact_geometry import wrench_of
+from ttus_opt.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+
+#: Edge of a voxel [m]
+EDGE = 0.003
+
+#: The two bits of a voxel
+FREE, INTERIOR, SURFACE = 0, 1, 2
+
+#: Most voxels that are laid out [–]
+MOST_VOXELS = 20_000_000
+
+
+class VoxmapPointShell(OneStiffness):
+    """Tangent-plane forces of cubic voxels, one stiffness.
+
+    Attributes:
+        edge: Of the voxels [m].
+        voxels: `FREE`, `INTERIOR` or `SURFACE`, shape (n_x, n_y, n_z).
+        corner: Centre of the first voxel, patient frame, shape (3,) [m].
+    """
+
+    name = "voxmap_point_shell"
+    summary = "2-bit voxels, tangent-plane force (McNeely, Puterbaugh, Troy 1999)"
+    continuous = False
+    turns = False  # voxels lie along the patient's axes
+
+    def __init__(
+        self,
+        *,
+        surface: Surface,
+        shell: PointShell,
+        cloud: Array | None = None,
+        edge: float = EDGE,
+    ) -> None:
+        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        if not (math.isfinite(edge) and edge > 0.0):
+            raise InputError(f"the edge of a voxel must be positive [m], got {edge}")
+        self.edge = edge
+        self.corner, self.voxels = _voxelised(surface, edge)
+        self._plane = _nearest_surface_voxel(self.voxels)
+
+    def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
+        reference = R @ self.shell.reference + at
+        arm = (self.shell.points - self.shell.reference) @ R.T
+        place = (reference + arm - self.corner) / self.edge
+        # beyond the ends the patient goes on as its last slice
+        place[:, 2] = np.clip(place[:, 2], 0.0, self.voxels.shape[2] - 1.0)
+        voxel = np.rint(place).astype(np.int64)
+        within = ((voxel >= 0) & (voxel < self.voxels.shape)).all(axis=1)
+        own = np.flatnonzero(within)
+        own = own[self.voxels[tuple(voxel[own].T)] != FREE]
+        at_voxel = voxel[own]
+        centre = np.stack([axis[tuple(at_voxel.T)] for axis in self._plane], axis=1)
+        inward = self.shell.normals[own] @ R.T
+        above = self.edge * (centre - place[own])
+        depth = np.maximum(np.einsum("ki,ki->k", inward, above), 0.0)
+        forces = (depth * self.shell.areas[own])[:, None] * inward
+        return wrench_of(forces, arm[own]), int(np.count_nonzero(depth))
+
+
+def _voxelised(surface: Surface, edge: float) -> tuple[Array, NDArray[np.uint8]]:
+    """Corner and voxels: interior by their centre, surface where free is beside."""
+    from scipy.ndimage import binary_erosion
+
+    reach = float(surface.radius.max()) + 2.0 * edge
+    half = math.ceil(reach / edge)
+    n_z = math.ceil((surface.z[-1] - surface.z[0]) / edge) + 1
+    if (2 * half + 1) ** 2 * n_z > MOST_VOXELS:
+        raise InputError(
+            f"voxels of {1e3 * edge:.3g} mm would be more than {MOST_VOXELS}: choose a "
+            "larger edge"
+        )
+    across = edge * np.arange(-half, half + 1)
+    x, y = np.meshgrid(across, across, indexing="ij")
+    z = surface.z[0] + edge * np.arange(n_z)
+    r, theta = np.hypot(x, y)[..., None], np.arctan2(y, x)[..., None]
+    inside = r < surface.radius_at(theta, z)
+    layers = np.pad(inside, ((0, 0), (0, 0), (1, 1)), mode="edge")
+    deep = binary_erosion(layers)[:, :, 1:-1]
+    voxels = np.where(inside, np.where(deep, INTERIOR, SURFACE), FREE).astype(np.uint8)
+    return np.array([-half * edge, -half * edge, surface.z[0]]), voxels
+
+
+def _nearest_surface_voxel(voxels: NDArray[np.uint8]) -> NDArray[np.int16]:
+    """Indices of the nearest surface voxel of every voxel, (3, n_x, n_y, n_z)."""
+    from scipy.ndimage import distance_transform_edt
+
+    found = distance_transform_edt(
+        voxels != SURFACE, return_distances=False, return_indices=True
+    )
+    return np.asarray(found, dtype=np.int16)
