@@ -10,7 +10,7 @@ convex in (p, q, m). m is the mean friction coefficient: where it holds, q = m p
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """
 
-from ttus_opt.constraints.drag_limit import DragLimit
+from ttus_opt.constraints.drag_limit import DragLimit, check_coefficient
 from ttus_opt.constraints.drag_sign import DragSign
 from ttus_opt.constraints.mean_friction import MeanFriction
 from ttus_opt.contact.friction import DEADBAND
@@ -35,6 +35,7 @@ def build(
     deadband: float = DEADBAND,
 ) -> Formulation:
     """Weights λ_f, λ_τ, α, μ_max [–], ℓ [m], where drag acts, deadband v₀ [m/s]."""
+    check_coefficient(largest_friction)
     where = estimate_drag(scene, acts_at, deadband).acts_at
     drag = CoulombField(scene, where, deadband, largest_friction)
     return Formulation(

@@ -18,6 +18,7 @@ drag or not; with ℓ the ratio of the sensor's torque noise to its force noise
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """
 
+from ttus_opt.constraints.drag_limit import check_coefficient
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
@@ -38,6 +39,7 @@ def build(
     deadband: float = DEADBAND,
 ) -> Formulation:
     """Weights λ_f, λ_τ [–], ℓ [m], range of μ, where drag acts, deadband v₀ [m/s]."""
+    check_coefficient(largest_friction)
     guess = estimate_drag(scene, acts_at, deadband)
     drag = GlobalCoulomb(scene, guess.acts_at, deadband)
     prior = LaplaceTerm(scene)

@@ -17,6 +17,7 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 from ttus_opt.terms.depth_map import DepthMapTerm
 from ttus_opt.terms.depth_map_estimate import estimate_depth_map
+from ttus_opt.terms.depth_map_limits import check_depth_map
 from ttus_opt.terms.force import ForceTerm
 from ttus_opt.terms.torque import TorqueTerm
 
@@ -31,13 +32,14 @@ def build(
     depth_length: float = 0.015,
 ) -> Formulation:
     """Weights λ_f [1/N²], λ_τ [1/N²], ℓ [m], σ [–], Matérn lengths [m]."""
+    torque = TorqueTerm(scene, torque_weight, torque_length)
+    check_depth_map(
+        scene.voxmap.grid,
+        deviation=deviation,
+        surface_length=surface_length,
+        depth_length=depth_length,
+    )
     found = estimate_depth_map(scene, depth_length=depth_length)
     weight = found.noise**-2 if force_weight is None else force_weight
     prior = DepthMapTerm.of(scene, found, deviation, surface_length)
-    return Formulation(
-        terms=[
-            prior,
-            ForceTerm(scene, weight),
-            TorqueTerm(scene, torque_weight, torque_length),
-        ]
-    )
+    return Formulation(terms=[prior, ForceTerm(scene, weight), torque])

@@ -8,11 +8,13 @@ evidence at a first estimate of μ. See `depth_map` and `coulomb_global`.
 Source: as `depth_map`, with Coulomb's law.
 """
 
+from ttus_opt.constraints.drag_limit import check_coefficient
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.scene import Scene
 from ttus_opt.terms.depth_map import DepthMapTerm
 from ttus_opt.terms.depth_map_estimate import estimate_depth_map
+from ttus_opt.terms.depth_map_limits import check_depth_map
 from ttus_opt.terms.drag import GlobalCoulomb
 from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.drag_force import DragForceTerm
@@ -30,6 +32,8 @@ def build(
     deadband: float = DEADBAND,
 ) -> Formulation:
     """Weights λ_f, λ_τ [1/N²], lengths [m], range of μ, where drag acts, deadband."""
+    check_coefficient(largest_friction)
+    check_depth_map(scene.voxmap.grid, depth_length=depth_length)
     guess = estimate_drag(scene, acts_at, deadband)
     drag = GlobalCoulomb(scene, guess.acts_at, deadband)
     first = drag.with_coefficient(min(guess.friction_coefficient, largest_friction))

@@ -136,7 +136,7 @@ def test_drag_limit_is_a_share_of_the_field() -> None:
 def test_numbers_that_are_none() -> None:
     with pytest.raises(InputError, match="least_slope must not be negative"):
         Monotone(SCENE, -1.0)
-    with pytest.raises(InputError, match="largest friction must be positive"):
+    with pytest.raises(InputError, match="largest friction must lie between"):
         DragLimit(SCENE, 0.0)
-    with pytest.raises(InputError, match="largest friction must be positive"):
+    with pytest.raises(InputError, match="largest friction must lie between"):
         MeanFriction(SCENE, -1.0)

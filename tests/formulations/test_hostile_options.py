@@ -1,15 +1,18 @@
-"""Every numeric option of every formulation refuses what is no number, in one line."""
+"""Every numeric option of every formulation: refused in a line, or fitted in truth."""
 
 from __future__ import annotations
 
 import importlib
 import inspect
 
+import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.conftest import small_scene
 from ttus_opt.errors import InputError
 from ttus_opt.problem.formulation import available, load
+from ttus_opt.problem.kkt import kkt_residuals
 
 SCENE = small_scene("trilinear", shape=(6, 10, 6), n_poses=6)
 
@@ -74,3 +77,43 @@ def test_an_option_that_is_no_number_is_refused(
         load(formulation, SCENE, **{option: value}).compile()
     assert "\n" not in str(refused.value)
     assert str(value) in str(refused.value)
+
+
+#: Numbers that no laboratory would give, and which are numbers all the same
+EXTREMES = (0, -1.0, 1e-300, 1e-12, 1e9, 1e15)
+
+
+def solved_or_told(formulation: str, option: str, value: float) -> None:
+    """A fit ends in an InputError of one line, or in a status that is true."""
+    try:
+        found = tt.fit(SCENE, formulation, time_limit=2.0, **{option: value})
+    except InputError as refused:
+        assert "\n" not in str(refused)
+        return
+    if found.status is not tt.Status.SOLVED:
+        assert found.verified_field is None
+        return
+    assert found.candidate is not None and np.isfinite(found.candidate).all()
+    again = kkt_residuals(found.program, found.candidate, found.duals)
+    assert again.worst_relative <= 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")  # inside solvers, as they fail
+@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+@pytest.mark.parametrize("formulation", [info.name for info in available()])
+def test_extreme_numbers(formulation: str) -> None:
+    for option in numeric_options(formulation):
+        for value in EXTREMES:
+            solved_or_told(formulation, option, value)
+
+
+@pytest.mark.parametrize("formulation", ["depth_map", "depth_map_coulomb"])
+@pytest.mark.parametrize("value", EXTREMES)
+def test_a_depth_map_of_no_sensible_size_is_refused(
+    formulation: str, value: float
+) -> None:
+    told = {"deviation", "surface_length", "depth_length"}
+    for option in told.intersection(numeric_options(formulation)):
+        with pytest.raises(InputError, match=option):
+            load(formulation, SCENE, **{option: value})

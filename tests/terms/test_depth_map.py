@@ -45,9 +45,11 @@ def test_a_field_with_twice_the_deviation_costs_four_times_as_much() -> None:
 
 
 @pytest.mark.parametrize("name", ["deviation", "surface_length", "depth_length"])
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize(
+    "value", [0.0, -1.0, float("nan"), float("inf"), 1e-300, 1e-9, 1e9]
+)
 def test_bad_options_are_refused(name: str, value: float) -> None:
-    with pytest.raises(InputError, match=f"{name} must be positive"):
+    with pytest.raises(InputError, match=f"{name} must lie between .*, got {value}"):
         term(**{name: value})
 
 

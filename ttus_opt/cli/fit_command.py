@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import json as json_module
 import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.option_groups import grouped
-from ttus_opt.cli.options import Force, Json, check_outputs, whole_numbers
+from ttus_opt.cli.options import Force, Json, check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.cli.sources import sources
 from ttus_opt.errors import InputError, TtusWarning
 
@@ -51,43 +51,8 @@ def fit(
     probe: ProbeOptions,
     recordings: RecordingOptions,
     output: Annotated[Path, typer.Option("-o", "--output", help="Field file (.nc).")],
-    formulation: Annotated[
-        str, typer.Option(help="A formulation's name, or the path of your own file.")
-    ] = "eq10",
-    solver: Annotated[
-        str,
-        typer.Option(
-            help="A solver's name, the path of your own file, or auto; see "
-            "ttus-opt solvers."
-        ),
-    ] = "auto",
-    shape: Annotated[
-        str, typer.Option(help="Voxels in r, θ, z: n_r,n_theta,n_z.")
-    ] = "48,120,60",
-    r_inner: Annotated[
-        float, typer.Option(help="Radius of the innermost layer [m].")
-    ] = 0.03,
-    r_outer: Annotated[
-        float | None,
-        typer.Option(help="Radius of the outermost layer [m]; by default 2 cm beyond."),
-    ] = None,
-    inner: Annotated[
-        str | None,
-        typer.Option(
-            help="Value on the inner layer, or fit: scaled to the forces, which is the "
-            "default where there are any."
-        ),
-    ] = None,
-    outer: Annotated[
-        float,
-        typer.Option(help="Minus the outer layer's value; a ratio where that is fit."),
-    ] = 1.0,
-    sampling: Annotated[
-        str | None,
-        typer.Option(
-            help="How contact samples p: trilinear, the default, or voxel-mean."
-        ),
-    ] = None,
+    problem: ProblemOptions,
+    grid: SceneOptions,
     force_weight: Annotated[
         float | None,
         typer.Option(help="λ_f; the formulation's own by default, 0.01."),
@@ -115,13 +80,6 @@ def fit(
         float | None,
         typer.Option(help="ℓ that makes torque a force [m]; by default the probe's."),
     ] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option(metavar="KEY=VALUE", help="A further option; may be repeated."),
-    ] = None,
-    tolerance: Annotated[
-        float, typer.Option(help="Largest relative residual of a solution.")
-    ] = 1e-6,
     time_limit: Annotated[
         float | None, typer.Option(help="Most seconds the solver may take.")
     ] = None,
@@ -137,7 +95,6 @@ def fit(
     from ttus_opt.fitting.sanity import check_recordings
     from ttus_opt.probe.thinning import thinned
     from ttus_opt.scan.surface import Surface
-    from ttus_opt.scene import ScenePlan
 
     given = {
         "force_weight": force_weight,
@@ -145,16 +102,13 @@ def fit(
         "torque_length": torque_length,
     }
     options = {name: value for name, value in given.items() if value is not None}
-    options |= further_options(option or ())
+    options |= problem.further
     if paper:
-        inner, sampling, options = _as_in_the_paper(
-            formulation, inner, sampling, options
-        )
-    conventions = recordings.conventions
-    counts, boundary = whole_numbers(shape, 3, "--shape"), boundary_value(inner)
-    sampling = sampling or ScenePlan.sampling
+        grid = grid.as_in_the_paper()
+        options = _weights_of_the_paper(problem.formulation) | options
+    conventions, plan = recordings.conventions, grid.plan
     # a grid beyond any memory is refused for that, in words of its own
-    size = min(BYTES_PER_VOXEL * math.prod(counts), LARGEST_FILE)
+    size = min(BYTES_PER_VOXEL * math.prod(plan.shape), LARGEST_FILE)
     inputs: list[Path | str] = [surface, probe.probe, *recordings.files]
     check_outputs([output, picture], inputs, force=force, size=size)
     _check_picture(picture)
@@ -170,14 +124,13 @@ def fit(
                 patient, shell, recorded, _names(recordings.trajectory), picture
             )
         begin("assembling (first run compiles)")
-        plan = ScenePlan(counts, r_inner, r_outer, boundary, outer, sampling)
         scene = _built(plan, (patient, shell, recorded), (as_written, conventions))
         begin("solving")
         solution = fit_scene(
             scene,
-            formulation,
-            solver=solver,
-            tolerance=tolerance,
+            problem.formulation,
+            solver=problem.solver,
+            tolerance=problem.tolerance,
             time_limit=time_limit,
             **options,
         )
@@ -280,59 +233,13 @@ def _draw_poses(
     plots.save_picture(plots.pose_picture(patient, shell, recorded, own), picture)
 
 
-def _as_in_the_paper(
-    formulation: str,
-    inner: str | None,
-    sampling: str | None,
-    options: dict[str, Any],
-) -> tuple[str, str, dict[str, Any]]:
-    """The paper's boundary value, sampling and weights where none are given."""
-    from ttus_opt.paper import SCENE, WEIGHTS
+def _weights_of_the_paper(formulation: str) -> dict[str, Any]:
+    """The paper's weights, of those that a formulation has."""
+    from ttus_opt.paper import WEIGHTS
     from ttus_opt.problem.formulation import option_names
 
     known = option_names(formulation)
-    weights = {
-        name: weight
-        for name, weight in WEIGHTS.items()
-        if known is None or name in known
-    }
-    return (
-        str(SCENE["inner"]) if inner is None else inner,
-        SCENE["sampling"] if sampling is None else sampling,
-        weights | options,
-    )
-
-
-def boundary_value(text: str | None) -> float | Literal["fit"] | None:
-    """Value of ``--inner``.
-
-    Raises:
-        InputError: Neither a number nor fit.
-    """
-    if text is None or text == "fit":
-        return text  # type: ignore[return-value]  # one word alone
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"--inner takes a number or fit, got {text!r}") from None
-
-
-def further_options(pairs: Sequence[str]) -> dict[str, Any]:
-    """Options written key=value; a value is JSON where it can be read as that.
-
-    Raises:
-        InputError: A pair that is none.
-    """
-    options: dict[str, Any] = {}
-    for pair in pairs:
-        key, equals, value = pair.partition("=")
-        if not (equals and key.isidentifier()):
-            raise InputError(f"--option takes key=value, got {pair!r}")
-        try:
-            options[key] = json_module.loads(value)
-        except json_module.JSONDecodeError:
-            options[key] = value
-    return options
+    return {n: w for n, w in WEIGHTS.items() if known is None or n in known}
 
 
 def _summary(solution: Solution, output: Path) -> dict[str, Any]:

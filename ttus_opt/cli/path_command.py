@@ -14,10 +14,10 @@ import typer
 
 from ttus_opt.arrays import Array
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.fit_command import boundary_value, further_options
 from ttus_opt.cli.option_groups import grouped
-from ttus_opt.cli.options import Force, Json, check_outputs, whole_numbers
+from ttus_opt.cli.options import Force, Json, check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ def path(
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Path file (.nc).")],
+    problem: ProblemOptions,
+    grid: SceneOptions,
     held_out: Annotated[
         list[Path] | None,
         typer.Option(
@@ -62,47 +64,6 @@ def path(
             help="Trajectory CSV on which every point is judged; may be repeated.",
         ),
     ] = None,
-    formulation: Annotated[
-        str, typer.Option(help="A formulation's name, or the path of your own file.")
-    ] = "eq10",
-    solver: Annotated[
-        str, typer.Option(help="A solver's name, the path of your own file, or auto.")
-    ] = "auto",
-    shape: Annotated[
-        str, typer.Option(help="Voxels in r, θ, z: n_r,n_theta,n_z.")
-    ] = "48,120,60",
-    r_inner: Annotated[
-        float, typer.Option(help="Radius of the innermost layer [m].")
-    ] = 0.03,
-    r_outer: Annotated[
-        float | None,
-        typer.Option(help="Radius of the outermost layer [m]; by default 2 cm beyond."),
-    ] = None,
-    inner: Annotated[
-        str | None,
-        typer.Option(
-            help="Value on the inner layer, or fit: scaled to the forces, which is the "
-            "default where there are any."
-        ),
-    ] = None,
-    outer: Annotated[
-        float,
-        typer.Option(help="Minus the outer layer's value; a ratio where that is fit."),
-    ] = 1.0,
-    sampling: Annotated[
-        str, typer.Option(help="How contact samples p: trilinear or voxel-mean.")
-    ] = "trilinear",
-    option: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE",
-            help="An option of the formulation, such as torque_weight=1e-2; may be "
-            "repeated.",
-        ),
-    ] = None,
-    tolerance: Annotated[
-        float, typer.Option(help="Largest relative residual of a solution.")
-    ] = 1e-6,
     fields: Annotated[
         bool, typer.Option("--fields", help="Keep the potential of every point.")
     ] = False,
@@ -123,11 +84,8 @@ def path(
     from ttus_opt.fitting.path_dataset import best_weights, write_solution_path
     from ttus_opt.fitting.solution_path import solution_path
     from ttus_opt.scan.surface import Surface
-    from ttus_opt.scene import ScenePlan
 
-    weights = read_weights(weight)
-    options = further_options(option or ())
-    counts, boundary = whole_numbers(shape, 3, "--shape"), boundary_value(inner)
+    weights, options, plan = read_weights(weight), problem.further, grid.plan
     others = held_out or []
     extras = {"potential": fields, "criteria": criteria}
     if picture is not None:
@@ -135,7 +93,7 @@ def path(
 
         plots.require_picture_suffix(picture)
     size = math.prod(len(values) for values in weights.values())
-    bytes_needed = 8 * size * math.prod(counts) if fields else 0
+    bytes_needed = 8 * size * math.prod(plan.shape) if fields else 0
     inputs: list[Path | str] = [
         surface,
         probe.probe,
@@ -156,15 +114,14 @@ def path(
         if len(unseen) < len(others):
             raise InputError("--held-out names two files of one name: rename one")
         begin("assembling (first run compiles)")
-        plan = ScenePlan(counts, r_inner, r_outer, boundary, outer, sampling)
         scene = plan.build(patient, shell, recorded)
     found = solution_path(
-        formulation,
+        problem.formulation,
         scene,
         weights=weights,
         held_out=unseen,
-        solver=solver,
-        tolerance=tolerance,
+        solver=problem.solver,
+        tolerance=problem.tolerance,
         extras=[name for name, asked in extras.items() if asked],
         progress=True,
         **options,
@@ -205,8 +162,8 @@ def read_weights(given: Sequence[str]) -> dict[str | tuple[str, ...], Array]:
         numbers = _range(values) if ":" in values else _list(values)
         if not (equals and all(terms)) or numbers is None:
             raise InputError(
-                "--weight takes TERM=LOW:HIGH:COUNT or TERM=VALUE,VALUE with positive "
-                f"numbers, got {text!r}"
+                "--weight takes TERM=LOW:HIGH:COUNT with 0 < LOW < HIGH, or "
+                f"TERM=VALUE,VALUE with positive numbers, got {text!r}"
             )
         if terms in found:
             raise InputError(
@@ -229,11 +186,12 @@ def _range(text: str) -> Array | None:
 
 
 def _list(text: str) -> Array | None:
-    """Numbers with commas between them; None where they are not that."""
+    """Positive numbers with commas between them; None where they are not that."""
     try:
-        return np.array([float(value) for value in text.split(",")])
+        values = [float(value) for value in text.split(",")]
     except ValueError:
         return None
+    return np.array(values) if all(0.0 < v < math.inf for v in values) else None
 
 
 def _summary(found: xr.Dataset, best: dict[str, float], output: Path) -> dict[str, Any]:

@@ -5,7 +5,6 @@ See docs/method.md, Friction.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,15 +13,21 @@ import scipy.sparse as sp
 from ttus_opt.constraints.base import Constraint, LinearRows
 from ttus_opt.errors import InputError
 
+#: Least and largest μ_max: gel has some 0.05, rubber on skin 2 [–]
+COEFFICIENTS = (1e-3, 100.0)
+
 
 def check_coefficient(largest: float) -> None:
     """Validate a largest friction coefficient.
 
     Raises:
-        InputError: It is not positive.
+        InputError: It is none that friction may have.
     """
-    if not (math.isfinite(largest) and largest > 0.0):
-        raise InputError(f"largest friction must be positive, got {largest}")
+    low, high = COEFFICIENTS
+    if not low <= largest <= high:
+        raise InputError(
+            f"largest friction must lie between {low:g} and {high:g}, got {largest}"
+        )
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class DragLimit(Constraint):
         """Validate the coefficient.
 
         Raises:
-            InputError: μ_max is not positive.
+            InputError: μ_max is none that friction may have.
         """
         check_coefficient(self.largest)
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from ttus_opt.compiled import Stopwatch
 from ttus_opt.errors import InputError
+from ttus_opt.fitting.breakdown import Guarded
 from ttus_opt.fitting.identification import fitted_estimates, with_estimates
 from ttus_opt.fitting.parameter_search import Found, searched
 from ttus_opt.fitting.verdict import check_candidate
@@ -21,7 +22,6 @@ from ttus_opt.problem.solution import Attempt, Solution, Status, Timings
 from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Prepared, Request, Solver
-from ttus_opt.user_code import told_by_line
 
 #: KKT tolerance of the fits along a search; the last one has the tolerance asked for
 SEARCH_TOLERANCE = 1e-4
@@ -207,8 +207,7 @@ class Fitter:
         watch = Stopwatch()
         self._declared = declared
         self._reduction = self._reduced()
-        with told_by_line(f"solver {self._backend.name}"):
-            self._prepared.update(self._reduction.program)
+        self._prepared.update(self._reduction.program)
         self._taken_in = watch.seconds
         self._compile += watch.compile
 
@@ -240,8 +239,7 @@ class Fitter:
 
     def _loaded(self) -> Prepared:
         """The solver in charge with the program."""
-        with told_by_line(f"solver {self._backend.name}"):
-            return self._backend.prepare(self._reduction.program, self._request)
+        return Guarded(self._backend, self._reduction.program, self._request)
 
     def _take_next(self) -> None:
         watch = Stopwatch()
@@ -254,8 +252,7 @@ class Fitter:
     def _solved(self) -> Solution:
         """What the solver in charge answers, verified."""
         watch = Stopwatch()
-        with told_by_line(f"solver {self._backend.name}"):
-            candidate = self._prepared.solve()
+        candidate = self._prepared.solve()
         check_candidate(candidate, self._reduction.program, self._backend.name)
         spent = watch.seconds
         self._compile += watch.compile

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.batch import Fitter, fit
+from ttus_opt.fitting.batch import Again, fit
 from ttus_opt.fitting.verdict import judged
 from ttus_opt.fitting.weight_criteria import Criteria, criteria_of
 from ttus_opt.problem.formulation import Formulation
@@ -98,19 +98,8 @@ def point_solver(
     return _InTurn(solver, request)
 
 
-class _InTurn(_WithoutCriteria):
+class _InTurn(Again, _WithoutCriteria):
     """Any solver, with what it keeps from point to point."""
-
-    def __init__(self, solver: str | Path | Solver, request: Request) -> None:
-        self._solver, self._request = solver, request
-        self._fitter: Fitter | None = None
-
-    def __call__(self, declared: Formulation) -> Solution:
-        if self._fitter is None:
-            self._fitter = Fitter(declared, solver=self._solver, request=self._request)
-        else:
-            self._fitter.update(declared)
-        return self._fitter.solve()
 
 
 class _Searching(_WithoutCriteria):

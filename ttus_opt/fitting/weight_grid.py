@@ -67,8 +67,8 @@ class WeightGrid:
                 f"{weights!r}"
             )
         axes = [
-            WeightAxis(_terms(key), _values(key, given))
-            for key, given in weights.items()
+            WeightAxis(terms, _values(terms, given))
+            for terms, given in ((_terms(key), v) for key, v in weights.items())
         ]
         named = [name for axis in axes for name in axis.terms]
         for name in named:
@@ -128,21 +128,34 @@ def _terms(key: str | tuple[str, ...]) -> tuple[str, ...]:
     return names
 
 
-def _values(key: object, given: ArrayLike) -> Array:
+def _values(terms: tuple[str, ...], given: ArrayLike) -> Array:
+    whose = f"the weights of {' and '.join(terms)}"
     try:
         values = np.atleast_1d(np.asarray(given, dtype=np.float64))
     except (TypeError, ValueError):
-        raise InputError(f"weights of {key} must be numbers, got {given!r}") from None
-    usable = values.ndim == 1 and len(values) > 0
-    if not (usable and np.isfinite(values).all() and (values > 0.0).all()):
+        raise InputError(f"{whose} must be numbers, got {given!r}") from None
+    if values.ndim != 1 or not len(values):
         raise InputError(
-            f"weights of {key} must be positive and finite, got {given!r}: a path is "
-            "over their logarithm"
+            f"{whose} must be one or more positive numbers in a row, got an array of "
+            f"shape {values.shape}"
         )
-    ascending = np.unique(values)
+    wrong = values[~(np.isfinite(values) & (values > 0.0))]
+    if len(wrong):
+        raise InputError(
+            f"{whose} must be positive numbers, got {_listed(wrong)}: a path is over "
+            "their logarithm"
+        )
+    ascending, counts = np.unique(values, return_counts=True)
     if len(ascending) < len(values):
-        raise InputError(f"weights of {key} must differ, got {given!r}")
+        twice = _listed(ascending[counts > 1])
+        raise InputError(f"{whose} must differ from each other, got {twice} repeatedly")
     return ascending
+
+
+def _listed(values: Array, most: int = 5) -> str:
+    """The first few, as people write them."""
+    more = ", …" if len(values) > most else ""
+    return ", ".join(f"{value:g}" for value in values[:most]) + more
 
 
 def _halving(n: int) -> Iterator[int]:

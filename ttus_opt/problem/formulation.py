@@ -32,8 +32,8 @@ from ttus_opt.user_code import told_by_line
 ENTRY_POINTS = "ttus_opt.formulations"
 
 
-#: Options are numbers up to this: their squares, and those times a million rows, are
-#: far from what a double can hold
+#: Options are numbers up to this, and zero or at least one part of it: their squares,
+#: and those times a million rows, are far from what a double can hold
 LARGEST = 1e15
 
 
@@ -140,6 +140,9 @@ def _check_option(what: str, parameter: inspect.Parameter, value: Any) -> None:
         raise InputError(f"{what} takes {kind}, got {value!r}")
     if _is_number(value) and LARGEST < abs(value) < math.inf:
         raise InputError(f"{what} takes {kind}, up to {LARGEST:g}, got {value!r}")
+    if _is_number(value) and 0.0 < abs(value) < 1.0 / LARGEST:
+        least = f"0 or at least {1.0 / LARGEST:g}"
+        raise InputError(f"{what} takes {kind}, {least}, got {value!r}")
 
 
 def _is_number(value: Any) -> bool:

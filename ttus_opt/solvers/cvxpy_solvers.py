@@ -2,73 +2,26 @@
 
 from __future__ import annotations
 
-import math
-import warnings
+from collections.abc import Mapping
+from typing import Any
 
 from ttus_opt.problem.cvxpy_form import CvxpyProgram
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import (
-    Candidate,
-    Capabilities,
-    Claim,
-    Prepared,
-    Request,
-    Solver,
-)
-from ttus_opt.solvers.package import Package
+from ttus_opt.solvers.base import Candidate, Capabilities, Claim
+from ttus_opt.solvers.package import Package, PackageLoaded, PackageSolver
 from ttus_opt.solvers.sizes import interior_point_seconds
-from ttus_opt.solvers.verified import Verified
 
 
-class CvxpySolver(Solver):
-    """One of cvxpy's cone solvers, called there as its package in capitals."""
-
-    capabilities = Capabilities(inequalities=True, equalities=True, nonquadratic=True)
-
-    def __init__(self, package: Package) -> None:
-        self.package = package
-        self.name, self.summary = package.name, package.summary
-        self.module, self.pip_name = package.module, f"cvxpy {package.module}"
-
-    @property
-    def estimates(self) -> bool:
-        """Whether its row has an estimate."""
-        return self.package.cost is not None
-
-    def cost(self, program: Program) -> float:
-        """The estimate of its row."""
-        return self.package.cost(program) if self.package.cost else math.inf
-
-    def prepare(self, program: Program, request: Request) -> Prepared:
-        """State the program in cvxpy."""
-        self.require(program)
-        return _Loaded(self.package, program, request)
-
-
-class _Loaded(Verified):
-    """A program in cvxpy's terms; nothing is kept between solves."""
-
-    def __init__(self, package: Package, program: Program, request: Request) -> None:
-        self._package, self.margin = package, package.margin
-        super().__init__(program, request)
+class _Loaded(PackageLoaded):
+    """A program in cvxpy's terms."""
 
     def _load(self, program: Program) -> None:
         self._form = CvxpyProgram.of(program)
 
-    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
-        import cvxpy as cp
+    def _solved(self, options: Mapping[str, Any]) -> None:
+        self._form.problem.solve(solver=self._package.module.upper(), **options)
 
-        with warnings.catch_warnings():
-            # "solution may be inaccurate": checked here in any case
-            warnings.simplefilter("ignore")
-            try:
-                self._form.problem.solve(
-                    solver=self._package.module.upper(),
-                    **self._package.options(eps, seconds),
-                )
-            except cp.error.SolverError as error:
-                said = f"{type(error).__name__}: {error}"
-                return Candidate(None, claim=Claim.GAVE_UP, detail=said)
+    def _read(self, answer: None) -> Candidate:
         words = str(self._form.problem.status)
         claim = _CLAIMS.get(words, Claim.GAVE_UP)
         x = self._form.point()
@@ -77,6 +30,22 @@ class _Loaded(Verified):
         stats = self._form.problem.solver_stats
         iterations = int(stats.num_iters or 0) if stats is not None else 0
         return Candidate(x, self._form.duals(), iterations, claim, words)
+
+    def _errors(self) -> tuple[type[Exception], ...]:
+        import cvxpy as cp
+
+        return (cp.error.SolverError,)
+
+
+class CvxpySolver(PackageSolver):
+    """One of cvxpy's cone solvers, called there as its package in capitals."""
+
+    capabilities = Capabilities(inequalities=True, equalities=True, nonquadratic=True)
+    loaded = _Loaded
+
+    def __init__(self, package: Package) -> None:
+        super().__init__(package)
+        self.pip_name = f"cvxpy {package.module}"
 
 
 _CLAIMS = {

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ttus_opt.problem.kkt import CLOSE_ENOUGH, STRICTER, Duals, kkt_residuals
-from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import (
     Candidate,
@@ -27,14 +26,15 @@ from ttus_opt.solvers.base import (
 )
 from ttus_opt.solvers.dual.data import (
     duals_without_limits,
-    hard_values,
-    has_all_rows,
-    laplace_prior,
-    row_scale,
 )
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.refusals import (
+    refusal_of_limits,
+    refusal_of_terms,
+    refusal_of_unknowns,
+)
 from ttus_opt.solvers.primal.conjugate_gradients import Goal, Minimum, Pair, minimise
 from ttus_opt.solvers.primal.least_squares import LeastSquares, preconditioner
 from ttus_opt.solvers.primal.limited_sum import LimitedSum
@@ -75,41 +75,19 @@ class NormalEquations(Solver):
         base = super().refusal(program)
         if base:
             return base
-        prior = laplace_prior(program)
-        if prior is None or prior.weight == 0.0:
-            return "it needs a Laplace term"
-        if not has_all_rows(prior) and hard_values(program) is None:
-            return f"it takes {prior.name} with hard boundary values only"
-        bent = [t.name for t in program.terms if not t.is_squares]
-        if bent:
-            return f"it takes sums of squares only, {bent[0]} is none"
+        told = refusal_of_terms(program) or refusal_of_unknowns(program, MOST)
+        if told:
+            return told
         V = len(program.laplace.free)
-        others = program.n_variables - V
-        if others > MOST:
-            return f"it takes {MOST} unknowns beside the field, these are {others}"
-        for term in wide_terms(program, self.options.few_rows):
-            if others and term.matrix[:, V:].nnz:
-                return f"{term.name} has many rows over other unknowns than the field"
-        return self._refusal_of_limits(program, prior)
-
-    def _refusal_of_limits(self, program: Program, prior: ProgramTerm) -> str:
-        """Bounds and growth along spokes, of the field alone."""
-        free = program.laplace.free
-        try:
-            limits = SpokeLimits.of(program)
-        except ValueError as error:
-            return f"it takes bounds and growth along spokes: {error}"
-        beside = [limit[len(free) :] for limit in program.box]
-        if any(np.isfinite(limit).any() for limit in beside):
-            return "it takes no bounds of unknowns beside the field"
-        if not limits.binding:
-            return ""
-        if program.n_variables > len(free):
-            return "it takes no limits of the field where there are other unknowns"
-        scale = row_scale(prior)
-        if scale is not None and (scale[free] != 1.0).any():
-            return f"it takes {prior.name} without bounds only"
-        return ""
+        if program.n_variables > V:
+            for term in wide_terms(program, self.options.few_rows):
+                if term.matrix[:, V:].nnz:
+                    return (
+                        f"{term.name} has many rows over other unknowns than the field"
+                    )
+            if any(np.isfinite(limit[V:]).any() for limit in program.box):
+                return "it takes no bounds of unknowns beside the field"
+        return refusal_of_limits(program)
 
     def cost(self, program: Program) -> float:
         """In proportion to the voxels; few rows alone are cheaper in the dual."""

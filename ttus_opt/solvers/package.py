@@ -1,12 +1,20 @@
-"""A solver of another package: what it is called, and its options in its own words."""
+"""A solver of another package: what it is called, and its options in its own words.
+
+Several packages are reached through one front end, which is a `PackageSolver`.
+"""
 
 from __future__ import annotations
 
+import abc
+import math
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
+from ttus_opt.solvers.verified import Verified
 
 
 @dataclass(frozen=True)
@@ -56,3 +64,65 @@ class Package:
         if self.time_limit and seconds is not None:
             own[self.time_limit] = float(seconds)
         return {self.within: own} if self.within else own
+
+
+class PackageSolver(Solver):
+    """A solver that is a row of a front end's table; its name is ours.
+
+    Args:
+        package: The row.
+    """
+
+    #: Its program, loaded
+    loaded: Callable[[Package, Program, Request], Prepared]
+
+    def __init__(self, package: Package) -> None:
+        self.package = package
+        self.name, self.summary = package.name, package.summary
+        self.module = package.module
+
+    @property
+    def estimates(self) -> bool:
+        """Whether its row has an estimate."""
+        return self.package.cost is not None
+
+    def cost(self, program: Program) -> float:
+        """The estimate of its row."""
+        return self.package.cost(program) if self.package.cost else math.inf
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        """Bring the program into the front end's form."""
+        self.require(program)
+        return type(self).loaded(self.package, program, request)
+
+
+class PackageLoaded(Verified):
+    """A program in a front end's terms; nothing is kept between solves."""
+
+    def __init__(self, package: Package, program: Program, request: Request) -> None:
+        self._package, self.margin = package, package.margin
+        super().__init__(program, request)
+
+    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+        """The package's answer; none where it raises."""
+        with warnings.catch_warnings():
+            # about the package's own defaults and status; the answer is checked here
+            warnings.simplefilter("ignore")
+            try:
+                answer = self._solved(self._package.options(eps, seconds))
+            except self._errors() as error:
+                said = f"{type(error).__name__}: {error}"
+                return Candidate(None, claim=Claim.GAVE_UP, detail=said)
+        return self._read(answer)
+
+    @abc.abstractmethod
+    def _solved(self, options: Mapping[str, Any]) -> Any:
+        """Solve once with the package's own options; what the front end returns."""
+
+    @abc.abstractmethod
+    def _read(self, answer: Any) -> Candidate:
+        """The front end's answer in our words."""
+
+    @abc.abstractmethod
+    def _errors(self) -> tuple[type[Exception], ...]:
+        """What the front end raises where a package fails."""

@@ -11,80 +11,26 @@ GPL; MOSEK is reached through cvxpy.
 
 from __future__ import annotations
 
-import math
-import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import (
-    Candidate,
-    Capabilities,
-    Claim,
-    Prepared,
-    Request,
-    Solver,
-)
-from ttus_opt.solvers.package import Package
+from ttus_opt.solvers.base import Candidate, Capabilities, Claim
+from ttus_opt.solvers.package import Package, PackageLoaded, PackageSolver
 from ttus_opt.solvers.quadratic import OneSided, read_back
 from ttus_opt.solvers.sizes import interior_point_seconds
-from ttus_opt.solvers.verified import Verified
 
 
-class QpPackage(Solver):
-    """One of qpsolvers' packages; its name is ours."""
-
-    def __init__(self, package: Package) -> None:
-        self.package = package
-        self.name, self.summary = package.name, package.summary
-        self.module = package.module
-        self.pip_name = package.pip_name or package.module
-        self.capabilities = Capabilities(
-            inequalities=True, equalities=True, time_limit=bool(package.time_limit)
-        )
-
-    @property
-    def estimates(self) -> bool:
-        """Whether its row has an estimate."""
-        return self.package.cost is not None
-
-    def cost(self, program: Program) -> float:
-        """The estimate of its row."""
-        return self.package.cost(program) if self.package.cost else math.inf
-
-    def prepare(self, program: Program, request: Request) -> Prepared:
-        """Bring the program into the package's form."""
-        self.require(program)
-        return _Loaded(self.package, program, request)
-
-
-class Highs(QpPackage):
-    """HiGHS' QP solver; for small problems."""
-
-    def refusal(self, program: Program) -> str:
-        """Nothing without an inequality: it then says "optimal" with infinite x."""
-        base = super().refusal(program)
-        if base:
-            return base
-        bounded = any(np.isfinite(limit).any() for limit in program.box)
-        if bounded or any((c.lower < c.upper).any() for c in program.constraints):
-            return ""
-        return "HiGHS goes wrong without an inequality"
-
-
-class _Loaded(Verified):
-    """A program in qpsolvers' terms; nothing is kept between solves."""
-
-    def __init__(self, package: Package, program: Program, request: Request) -> None:
-        self._package, self.margin = package, package.margin
-        super().__init__(program, request)
+class _Loaded(PackageLoaded):
+    """A program in qpsolvers' terms."""
 
     def _load(self, program: Program) -> None:
         self._form = program.least_squares_qp()
         self._split = OneSided.of(self._form)
 
-    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+    def _solved(self, options: Mapping[str, Any]) -> Any:
         import qpsolvers
 
         s = self._split
@@ -99,18 +45,10 @@ class _Loaded(Verified):
             s.lb if s.boxed else None,
             s.ub if s.boxed else None,
         )
-        with warnings.catch_warnings():
-            # about the package's own defaults and status; the answer is checked here
-            warnings.simplefilter("ignore")
-            try:
-                answer = qpsolvers.solve_problem(
-                    problem,
-                    solver=self._package.name,
-                    **self._package.options(eps, seconds),
-                )
-            except (qpsolvers.SolverError, ValueError, RuntimeError) as error:
-                said = f"{type(error).__name__}: {error}"
-                return Candidate(None, claim=Claim.GAVE_UP, detail=said)
+        return qpsolvers.solve_problem(problem, solver=self._package.name, **options)
+
+    def _read(self, answer: Any) -> Candidate:
+        s = self._split
         words, iterations = _own_words(answer.extras or {})
         return read_back(
             self._program,
@@ -122,6 +60,38 @@ class _Loaded(Verified):
             claim=claim_from(words, bool(answer.found)),
             detail=words,
         )
+
+    def _errors(self) -> tuple[type[Exception], ...]:
+        import qpsolvers
+
+        return (qpsolvers.SolverError, ValueError, RuntimeError)
+
+
+class QpPackage(PackageSolver):
+    """One of qpsolvers' packages."""
+
+    loaded = _Loaded
+
+    def __init__(self, package: Package) -> None:
+        super().__init__(package)
+        self.pip_name = package.pip_name or package.module
+        self.capabilities = Capabilities(
+            inequalities=True, equalities=True, time_limit=bool(package.time_limit)
+        )
+
+
+class Highs(QpPackage):
+    """HiGHS' QP solver; for small problems."""
+
+    def refusal(self, program: Program) -> str:
+        """Nothing without an inequality: it then says "optimal" with infinite x."""
+        base = super().refusal(program)
+        if base:
+            return base
+        bounded = any(np.isfinite(limit).any() for limit in program.box)
+        if bounded or any((c.lower < c.upper).any() for c in program.constraints):
+            return ""
+        return "HiGHS goes wrong without an inequality"
 
 
 def _own_words(extras: dict[str, Any]) -> tuple[str, int]:

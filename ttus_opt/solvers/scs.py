@@ -79,18 +79,25 @@ class _Loaded(Verified):
         )
         self._rows, self._split = rows, OneSided.of(rows.form)
         self._b = np.concatenate([self._split.b, self._split.h])
-        if same:
+        if same and self._solver is not None:
             self._solver.update(self._b, rows.q)
         else:
             self._last = None
             self._solver = self._set_up(self._eps, self._request.time_limit)
 
     def _set_up(self, eps: float, seconds: float | None) -> Any:
+        """A solver with its factor, None where SCS refuses the numbers."""
+        self._set_with = (eps, seconds)
+        try:
+            return self._with_factor(eps, seconds)
+        except ValueError:  # "ScsWork allocation error!"
+            return None
+
+    def _with_factor(self, eps: float, seconds: float | None) -> Any:
         import scs  # type: ignore[import-untyped,unused-ignore]
 
         split = self._split
         cone = {"z": len(split.b), "l": len(split.h)}
-        self._set_with = (eps, seconds)
         return scs.SCS(
             {
                 "P": sp.csc_matrix(sp.triu(split.P)),
@@ -111,6 +118,8 @@ class _Loaded(Verified):
         if self._set_with is None or self._set_with[0] != eps:
             # its tolerance is fixed at set-up: a tighter one costs a new factor
             self._solver = self._set_up(eps, seconds)
+        if self._solver is None:
+            return Candidate(None, claim=Claim.GAVE_UP, detail="SCS refuses the data")
         if self._last is None:
             answer = self._solver.solve(warm_start=False)
         else:

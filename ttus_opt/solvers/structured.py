@@ -30,16 +30,17 @@ from ttus_opt.solvers.base import (
 from ttus_opt.solvers.dual.data import (
     DualData,
     duals_without_limits,
-    hard_values,
-    has_all_rows,
-    laplace_prior,
-    row_scale,
 )
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.linear_parameters import LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.refusals import (
+    refusal_of_limits,
+    refusal_of_terms,
+    refusal_of_unknowns,
+)
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.primal.split import wide_terms
@@ -76,30 +77,12 @@ class Structured(Solver):
         base = super().refusal(program)
         if base:
             return base
-        prior = laplace_prior(program)
-        if prior is None or prior.weight == 0.0:
-            return "it needs a Laplace term"
-        if not has_all_rows(prior) and hard_values(program) is None:
-            return f"it takes {prior.name} with hard boundary values only"
-        bent = [t.name for t in program.terms if not t.is_squares]
-        if bent:
-            return f"it takes sums of squares only, {bent[0]} is none"
+        terms = refusal_of_terms(program)
+        if terms:
+            return terms
         if second_field(program) is not None:
             return self._refusal_of_pair(program)
-        free = program.laplace.free
-        others = program.n_variables - len(free)
-        if others > MOST:
-            return f"it takes {MOST} unknowns beside the field, these are {others}"
-        try:
-            limits = SpokeLimits.of(program)
-        except ValueError as error:
-            return f"it takes bounds and growth along spokes: {error}"
-        scale = row_scale(prior)
-        if limits.binding and scale is not None and (scale[free] != 1.0).any():
-            return f"it takes {prior.name} without bounds only"
-        if limits.binding and others:
-            return "it takes no limits of the field where there are other unknowns"
-        return ""
+        return refusal_of_unknowns(program, MOST) or refusal_of_limits(program)
 
     def _refusal_of_pair(self, program: Program) -> str:
         """Two fields with a Laplace term each, bounds, one at most a share."""

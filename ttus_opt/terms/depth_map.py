@@ -9,7 +9,6 @@ See docs/method.md, Depth map.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Self
@@ -17,10 +16,10 @@ from typing import Self
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import AffineRows, Term
 from ttus_opt.terms.depth_map_estimate import DepthMapEstimate
+from ttus_opt.terms.depth_map_limits import check_depth_map
 from ttus_opt.terms.depth_profile import DepthProfile, voxel_depths
 from ttus_opt.terms.matern import SeparableCovariance
 from ttus_opt.terms.structure import KnownCovariance
@@ -82,14 +81,12 @@ class DepthMapTerm(Term):
             InputError: One of them is not usable.
         """
         super().__post_init__()
-        for name, unit in (
-            ("deviation", ""),
-            ("surface_length", " [m]"),
-            ("depth_length", " [m]"),
-        ):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0.0):
-                raise InputError(f"{name} must be positive{unit}, got {value}")
+        check_depth_map(
+            self.scene.voxmap.grid,
+            deviation=self.deviation,
+            surface_length=self.surface_length,
+            depth_length=self.depth_length,
+        )
 
     @cached_property
     def mean(self) -> Array:

@@ -8,7 +8,6 @@ See docs/method.md, Eq. 10.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -17,6 +16,10 @@ import scipy.sparse as sp
 
 from ttus_opt.errors import InputError
 from ttus_opt.terms.base import AffineRows, Term
+
+#: Least and largest ℓ: below, torque is all that counts, beyond it counts for nothing,
+#: whatever the probe [m]
+LENGTHS = (1e-6, 1e6)
 
 
 @dataclass(frozen=True)
@@ -43,10 +46,12 @@ class TorqueTerm(Term):
             InputError: The weight or the length is not usable.
         """
         super().__post_init__()
-        if self.length is not None and not (
-            math.isfinite(self.length) and self.length > 0.0
-        ):
-            raise InputError(f"torque_length must be positive [m], got {self.length}")
+        low, high = LENGTHS
+        if self.length is not None and not low <= self.length <= high:
+            raise InputError(
+                f"torque_length must lie between {low:g} and {high:g} m, got "
+                f"{self.length}"
+            )
 
     def rows(self) -> AffineRows:
         """W/ℓ and τ/ℓ of the scene."""

@@ -100,3 +100,20 @@ def test_a_step_is_the_projection_onto_the_last(kept_as: type) -> None:
     r = rng.normal(size=M)
     for found, expected in zip(subspace.step(r), subspace.project(r), strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+def test_the_last_of_no_directions_leaves_all() -> None:
+    subspace = RecycledSubspace(Dense(np.ones(M)))
+    t = np.random.default_rng(4).normal(size=M)
+    y, rest = subspace.step(t)
+    assert not y.any()
+    np.testing.assert_array_equal(rest, t)
+
+
+def test_an_image_beyond_single_precision_is_kept_conjugate() -> None:
+    system = Dense(np.full(M, 1e20))
+    subspace = RecycledSubspace(system, np.float32)
+    assert subspace.extend(np.ones(M), 1e-10)  # S d is of the order of 1e40 and more
+    d, images = subspace._kept
+    assert np.isfinite(images).all()
+    assert float(d[0].astype(float) @ images[0]) == pytest.approx(1.0, rel=1e-5)

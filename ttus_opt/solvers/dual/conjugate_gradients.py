@@ -129,7 +129,9 @@ class RecycledSubspace:
         return _combination(parts, d), right_side - _combination(parts, images)
 
     def step(self, right_side: Array) -> tuple[Array, Array]:
-        """`project` onto the last direction alone."""
+        """`project` onto the last direction alone, if there is one."""
+        if not self._count:
+            return np.zeros_like(right_side), right_side
         d, image = (rows[-1].astype(float) for rows in self._kept)
         part = float(d @ right_side)
         return part * d, right_side - part * image
@@ -157,8 +159,8 @@ class RecycledSubspace:
             return False
         if self._count == self._store.shape[1]:
             self._store = np.concatenate([self._store, self._store], axis=1)
-        self._store[:, self._count] = direction, image
-        self._store[:, self._count] /= np.sqrt(square)
+        root = np.sqrt(square)  # before they are rounded: an image may be huge
+        self._store[:, self._count] = direction / root, image / root
         self._count += 1
         return True
 

@@ -1,0 +1,112 @@
+"""Solvers whose arithmetic breaks down."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import small_scene
+from ttus_opt.errors import InputError, NumericalError
+from ttus_opt.fitting.breakdown import Guarded
+from ttus_opt.problem.formulation import load
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers import registry
+from ttus_opt.solvers.base import (
+    Candidate,
+    Capabilities,
+    Claim,
+    Prepared,
+    Request,
+    Solver,
+)
+
+SCENE = small_scene("trilinear", shape=(6, 10, 6), n_poses=6)
+PROGRAM = load("eq10", SCENE).compile()
+
+
+@pytest.fixture
+def ours(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`Brittle` counts as the package's own, not as a user's."""
+    monkeypatch.setattr("ttus_opt.user_code._is_users", lambda _: False)
+
+
+class Brittle(Solver, Prepared):
+    """Breaks where it is told to, and counts how often it was set up."""
+
+    name, summary = "brittle", "breaks"
+    capabilities = Capabilities(inequalities=True, equalities=True)
+
+    def __init__(self, at: str, error: Exception) -> None:
+        self.at, self.error, self.prepared = at, error, 0
+
+    def _do(self, what: str) -> None:
+        if what == self.at:
+            raise self.error
+
+    def cost(self, program: Program) -> float:
+        return 0.0
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        self.prepared += 1
+        self._do("prepare")
+        return self
+
+    def update(self, program: Program) -> None:
+        self._do("update")
+
+    def solve(self) -> Candidate:
+        self._do("solve")
+        return Candidate(np.zeros(PROGRAM.n_variables))
+
+
+@pytest.mark.parametrize("at", ["prepare", "solve"])
+@pytest.mark.parametrize(
+    "error",
+    [
+        NumericalError("no convergence"),
+        np.linalg.LinAlgError("not positive definite"),
+        FloatingPointError("overflow"),
+    ],
+)
+@pytest.mark.usefixtures("ours")
+def test_a_breakdown_is_an_answer_without_a_point(at: str, error: Exception) -> None:
+    answer = Guarded(Brittle(at, error), PROGRAM, Request()).solve()
+    assert answer.x is None and answer.claim is Claim.GAVE_UP
+    assert answer.detail == f"{type(error).__name__}: {error}"
+
+
+@pytest.mark.usefixtures("ours")
+def test_what_broke_down_is_set_up_anew() -> None:
+    solver = Brittle("update", ZeroDivisionError("by nothing"))
+    guarded = Guarded(solver, PROGRAM, Request())
+    guarded.update(PROGRAM)
+    assert guarded.solve().claim is Claim.GAVE_UP
+    solver.at = ""
+    guarded.update(PROGRAM)
+    assert guarded.solve().x is not None
+    assert solver.prepared == 2
+
+
+def test_auto_goes_on_to_the_next(monkeypatch: pytest.MonkeyPatch) -> None:
+    others = registry.candidates("auto", PROGRAM)
+    brittle = Brittle("prepare", NumericalError("no convergence"))
+    monkeypatch.setattr(registry, "candidates", lambda *_: [brittle, *others])
+    solution = tt.fit(SCENE, "eq10")
+    assert solution.status is tt.Status.SOLVED
+    (attempt,) = solution.attempts
+    assert attempt.solver == "brittle" and "no convergence" in attempt.detail
+
+
+def test_a_users_own_breakdown_is_told_with_its_line() -> None:
+    brittle = Brittle("solve", ZeroDivisionError("by nothing"))
+    with pytest.raises(InputError, match=r"by nothing \(.*test_breakdown.py, line"):
+        Guarded(brittle, PROGRAM, Request()).solve()
+
+
+@pytest.mark.usefixtures("ours")
+@pytest.mark.parametrize("error", [InputError("no such"), TypeError("a mistake")])
+def test_mistakes_are_no_breakdowns(error: Exception) -> None:
+    guarded = Guarded(Brittle("solve", error), PROGRAM, Request())
+    with pytest.raises(type(error), match=str(error)):
+        guarded.solve()

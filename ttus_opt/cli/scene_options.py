@@ -1,0 +1,145 @@
+"""Options about grid, boundary and formulation, one list for fit and path."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+import typer
+
+from ttus_opt.cli.options import whole_numbers
+from ttus_opt.errors import InputError
+
+if TYPE_CHECKING:
+    from ttus_opt.scene import ScenePlan
+
+
+@dataclass(frozen=True)
+class ProblemOptions:
+    """What is solved and by what, as typed."""
+
+    formulation: Annotated[
+        str, typer.Option(help="A formulation's name, or the path of your own file.")
+    ] = "eq10"
+    solver: Annotated[
+        str,
+        typer.Option(
+            help="A solver's name, the path of your own file, or auto; see "
+            "ttus-opt solvers."
+        ),
+    ] = "auto"
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="A further option of the formulation; may be repeated.",
+        ),
+    ] = None
+    tolerance: Annotated[
+        float, typer.Option(help="Largest relative residual of a solution.")
+    ] = 1e-6
+
+    @cached_property
+    def further(self) -> dict[str, Any]:
+        """Options of the formulation by name.
+
+        Raises:
+            InputError: A pair that is none.
+        """
+        return further_options(self.option or ())
+
+
+@dataclass(frozen=True)
+class SceneOptions:
+    """Grid, boundary values and sampling, as typed."""
+
+    shape: Annotated[str, typer.Option(help="Voxels in r, θ, z: n_r,n_theta,n_z.")] = (
+        "48,120,60"
+    )
+    r_inner: Annotated[
+        float, typer.Option(help="Radius of the innermost layer [m].")
+    ] = 0.03
+    r_outer: Annotated[
+        float | None,
+        typer.Option(help="Radius of the outermost layer [m]; by default 2 cm beyond."),
+    ] = None
+    inner: Annotated[
+        str | None,
+        typer.Option(
+            help="Value on the inner layer, or fit: scaled to the forces, which is the "
+            "default where there are any."
+        ),
+    ] = None
+    outer: Annotated[
+        float,
+        typer.Option(help="Minus the outer layer's value; a ratio where that is fit."),
+    ] = 1.0
+    sampling: Annotated[
+        str | None,
+        typer.Option(
+            help="How contact samples p: trilinear, the default, or voxel-mean."
+        ),
+    ] = None
+
+    def as_in_the_paper(self) -> Self:
+        """With the paper's boundary value and sampling where none are given."""
+        from ttus_opt.paper import SCENE
+
+        return replace(
+            self,
+            inner=str(SCENE["inner"]) if self.inner is None else self.inner,
+            sampling=self.sampling or SCENE["sampling"],
+        )
+
+    @cached_property
+    def plan(self) -> ScenePlan:
+        """How the scene is built.
+
+        Raises:
+            InputError: Counts that are none, or an inner value that is no number.
+        """
+        from ttus_opt.scene import ScenePlan
+
+        return ScenePlan(
+            whole_numbers(self.shape, 3, "--shape"),
+            self.r_inner,
+            self.r_outer,
+            boundary_value(self.inner),
+            self.outer,
+            self.sampling or ScenePlan.sampling,
+        )
+
+
+def boundary_value(text: str | None) -> float | Literal["fit"] | None:
+    """Value of ``--inner``.
+
+    Raises:
+        InputError: Neither a number nor fit.
+    """
+    if text is None or text == "fit":
+        return text  # type: ignore[return-value]  # one word alone
+    try:
+        return float(text)
+    except ValueError:
+        raise InputError(f"--inner takes a number or fit, got {text!r}") from None
+
+
+def further_options(pairs: Sequence[str]) -> dict[str, Any]:
+    """Options written key=value; a value is JSON where it can be read as that.
+
+    Raises:
+        InputError: A pair that is none.
+    """
+    options: dict[str, Any] = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not (equals and key.isidentifier()):
+            raise InputError(f"--option takes key=value, got {pair!r}")
+        try:
+            options[key] = json.loads(value)
+        except json.JSONDecodeError:
+            options[key] = value
+    return options

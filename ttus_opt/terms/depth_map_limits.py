@@ -1,0 +1,69 @@
+"""Which deviations and lengths of a depth map mean something on a grid.
+
+A Matérn field on a grid loses its meaning at both ends: far below the grid's spacing
+neighbouring voxels are independent whatever the length, and beyond the patient's size
+a field is one constant, which the profile is already.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ttus_opt.errors import InputError
+from ttus_opt.voxmap.grid import CylindricalGrid
+
+#: Least and largest relative standard deviation: a tenth of a percent is far below what
+#: forces tell, beyond a hundredfold the profile says nothing [–]
+DEVIATIONS = (1e-3, 100.0)
+
+#: Least length over the grid's spacing: neighbours are correlated by less than 1 % [–]
+LEAST_SPACINGS = 0.25
+
+
+def check_depth_map(
+    grid: CylindricalGrid,
+    *,
+    deviation: float | None = None,
+    surface_length: float | None = None,
+    depth_length: float | None = None,
+) -> None:
+    """Validate what is given of a depth map's prior.
+
+    Args:
+        grid: The voxels.
+        deviation: σ [–].
+        surface_length: Matérn length along the surface [m].
+        depth_length: Matérn length along the depth [m].
+
+    Raises:
+        InputError: One of them lies outside the range in which it means something.
+    """
+    if deviation is not None:
+        _check("deviation", deviation, DEVIATIONS)
+    if surface_length is not None:
+        _check("surface_length", surface_length, surface_lengths(grid))
+    if depth_length is not None:
+        _check("depth_length", depth_length, depth_lengths(grid))
+
+
+def surface_lengths(grid: CylindricalGrid) -> tuple[float, float]:
+    """A quarter of the innermost layer's spacing, to the outermost's extent [m]."""
+    around = 2.0 * np.pi / grid.shape[1]
+    least = LEAST_SPACINGS * min(around * grid.r_inner, grid.z_step)
+    return least, max(2.0 * np.pi * grid.r_outer, grid.z_max - grid.z_min)
+
+
+def depth_lengths(grid: CylindricalGrid) -> tuple[float, float]:
+    """A quarter of a layer, to all of them [m]."""
+    return LEAST_SPACINGS * grid.r_step, grid.r_outer - grid.r_inner
+
+
+def _check(name: str, value: float, limits: tuple[float, float]) -> None:
+    low, high = limits
+    if not (math.isfinite(value) and low <= value <= high):
+        where = "" if name == "deviation" else " m on this grid"
+        raise InputError(
+            f"{name} must lie between {low:.3g} and {high:.3g}{where}, got {value}"
+        )
