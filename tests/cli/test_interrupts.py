@@ -28,6 +28,7 @@ class Deaf(Solver):
     def prepare(self, program, request):
         open("at_work", "w").close()
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # as libraries have been seen to
+        signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
         ctypes.PyDLL(None).sleep(100)
 
 SOLVERS = [Deaf()]
@@ -79,6 +80,30 @@ def test_a_solver_that_never_listens(
     assert empty(output)
     with pytest.raises(ProcessLookupError):  # nothing of it goes on
         os.killpg(process.pid, 0)
+
+
+@pytest.mark.slow
+def test_a_second_interrupt_ends_a_path_at_once(files: Path, tmp_path: Path) -> None:
+    """The first leaves it time to write the points it has."""
+    (tmp_path / "deaf.py").write_text(DEAF)
+    output = tmp_path / "output"
+    output.mkdir()
+    words = (
+        f"path --surface {files / 'surface.nc'} --probe {PROBE} --points 60 "
+        f"--trajectory {files / 'press.csv'} --shape 6,12,6 --solver deaf.py "
+        f"--weight force=1e-2,1 -o {output / 'p.nc'}"
+    ).split()
+    process = started(words, tmp_path)
+    while not (tmp_path / "at_work").exists():
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.5)
+    assert process.poll() is None
+    interrupted(process, terminal=False)
+    assert process.returncode == 130
+    assert process.communicate()[1].strip().endswith("nothing further was written")
+    assert empty(output)
 
 
 #: Those that once did not listen

@@ -76,8 +76,9 @@ def test_bad_input_is_one_line(
     assert empty(output)
 
 
+@pytest.mark.parametrize("done", [2, 0])
 def test_an_interrupt_writes_what_is_done(
-    run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: int
 ) -> None:
     from ttus_opt.fitting import solution_path as module
 
@@ -87,7 +88,7 @@ def test_an_interrupt_writes_what_is_done(
     def add(*given: object) -> None:
         nonlocal count
         count += 1
-        if count == 3:
+        if count == done + 1:
             raise KeyboardInterrupt
         plain(*given)  # type: ignore[arg-type]
 
@@ -95,5 +96,8 @@ def test_an_interrupt_writes_what_is_done(
     output = tmp_path / "path.nc"
     answer = run(words(files, output, "--weight force=1e-2:1:4"))
     assert answer.status == 130
+    if not done:
+        assert not output.exists()
+        return
     assert "interrupted after 2 of 4 points" in answer.err
     assert int((tt.read_solution_path(output)["status"] == 0).sum()) == 2

@@ -17,10 +17,13 @@ from types import FrameType
 from ttus_opt.interrupts import INTERRUPT
 
 #: Commands that compute; the others are over at once, or watch children of their own
-COMMANDS = ("demo", "evaluate", "fit", "render", "surface")
+COMMANDS = ("demo", "evaluate", "fit", "path", "render", "surface")
 
 #: What a child that was asked to stop is given to clean up [s]
 GRACE = 1.0
+
+#: A path writes the points it has, when its solver listens [s]
+LONGER = {"path": 10.0}
 
 INTERRUPTED, TERMINATED = 130, 143
 
@@ -37,7 +40,7 @@ def run_supervised(command: str) -> None:
         return
     child = os.fork()
     if child:
-        os._exit(_watch(child))
+        os._exit(_watch(child, LONGER.get(command, GRACE)))
     _end_with_parent()
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         # a terminal interrupts parent and child alike: only the parent's word counts,
@@ -50,11 +53,12 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _watch(child: int) -> int:
+def _watch(child: int, grace: float) -> int:
     """Wait for a child and pass signals on; the exit status it leaves.
 
     Args:
         child: Its process number.
+        grace: What it is given to clean up; a second interrupt ends it at once [s].
     """
     stopped: list[int] = []
 
@@ -64,7 +68,7 @@ def _watch(child: int) -> int:
             return
         stopped.append(INTERRUPTED if number == signal.SIGINT else TERMINATED)
         os.kill(child, INTERRUPT if number == signal.SIGINT else signal.SIGTERM)
-        signal.setitimer(signal.ITIMER_REAL, GRACE)
+        signal.setitimer(signal.ITIMER_REAL, grace)
 
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         signal.signal(signal.SIGINT, stop)

@@ -106,6 +106,8 @@ def solution_path(
             record.add(index, solve(weighted), solve.criteria(weighted))
             done += 1
     except KeyboardInterrupt:
+        if not done:
+            raise
         warnings.warn(
             f"interrupted after {done} of {grid.size} points of the path: the others "
             "are missing",

@@ -14,6 +14,7 @@ from typing import Any
 
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
+from ttus_opt.solvers.interruptible import interruptible
 from ttus_opt.solvers.verified import Verified
 
 
@@ -109,7 +110,8 @@ class PackageLoaded(Verified):
             # about the package's own defaults and status; the answer is checked here
             warnings.simplefilter("ignore")
             try:
-                answer = self._solved(self._package.options(eps, seconds))
+                options = self._package.options(eps, seconds)
+                answer = interruptible(lambda: self._solved(options))
             except self._errors() as error:
                 said = f"{type(error).__name__}: {error}"
                 return Candidate(None, claim=Claim.GAVE_UP, detail=said)
