@@ -25,6 +25,7 @@ def signed_program() -> Program:
     return declared.with_constraints(Sign(scene)).compile()
 
 
+@pytest.mark.filterwarnings("ignore:.*`spmatrix`:DeprecationWarning")  # SciPy 1.18
 def test_exported_problem_is_the_same_problem(tmp_path: Path) -> None:
     program = signed_program()
     solver = next(

@@ -281,7 +281,7 @@ def _matrix(
     )
     V = grid.n_voxels
     nnz = 7 * V - 6 * int(np.count_nonzero(fixed))
-    kind = np.int32 if nnz <= np.iinfo(np.int32).max else np.int64
+    kind = np.dtype(np.int32 if nnz <= np.iinfo(np.int32).max else np.int64)
     indptr, indices = np.zeros(V + 1, kind), np.empty(nnz, kind)
     data = np.empty(nnz)
     _fill_rows(fixed, offsets, weights, indptr, indices, data)
