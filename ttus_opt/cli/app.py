@@ -22,6 +22,7 @@ from ttus_opt.cli import (
     list_commands,
     message_commands,
     path_command,
+    register_command,
     render_command,
     surface_command,
     warm_up_command,
@@ -41,6 +42,7 @@ app = typer.Typer(
 )
 for module in (
     demo_command,
+    register_command,
     surface_command,
     fit_command,
     path_command,

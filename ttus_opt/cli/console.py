@@ -29,6 +29,7 @@ OPTIONS = {
     "box": "--box",
     "head": "--head",
     "prone": "--prone",
+    "camera": "--camera",
 }
 
 #: A stage bar is shown on a terminal when the work has taken this long [s].

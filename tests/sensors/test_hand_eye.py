@@ -1,0 +1,184 @@
+"""Hand-eye calibration: known answers, real pairs, and what OpenCV would not say."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.hostile import only_our_errors
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, GeometryError, InputError, TtusWarning
+from ttus_opt.probe.rigid_motion import inverse
+from ttus_opt.sensors.hand_eye import HAND_EYE, ROBOT_WORLD, hand_eye, read_pose_pairs
+
+
+def motion(turn: Array | list[float], shift: Array | list[float]) -> Array:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+    return out
+
+
+X = motion([0.3, -1.0, 2.0], [0.1, -0.4, 0.9])
+Z = motion([1.0, 0.2, -0.5], [0.02, 0.05, -0.08])
+
+
+def pairs(
+    camera: Literal["fixed", "moving"],
+    n: int = 12,
+    noise: float = 0.0,
+    turns: Array | None = None,
+) -> tuple[Array, Array]:
+    """Marker in camera and hand in base for a known X and Z [rad, m]."""
+    rng = np.random.default_rng(3)
+    turns = rng.normal(0, 0.5, (n, 3)) if turns is None else turns
+    B = np.array([motion(turn, rng.normal(0, 0.2, 3)) for turn in turns])
+    G = np.array([inverse(b) for b in B]) if camera == "fixed" else B
+    A = np.array([inverse(X) @ inverse(g) @ Z for g in G])
+    for pose in A:
+        pose[:3, 3] += rng.normal(0, noise, 3)
+        pose[:3, :3] = motion(rng.normal(0, noise, 3), [0, 0, 0])[:3, :3] @ pose[:3, :3]
+    return A, B
+
+
+@pytest.mark.parametrize("camera", ["fixed", "moving"])
+def test_every_solver_finds_a_known_answer(
+    camera: Literal["fixed", "moving"],
+) -> None:
+    found = hand_eye(*pairs(camera), camera)
+    assert {*found.candidates} == {name.lower() for name in HAND_EYE + ROBOT_WORLD}
+    for candidate in found.candidates.values():
+        assert candidate.camera is not None
+        np.testing.assert_allclose(candidate.camera, X, atol=1e-6)
+        np.testing.assert_allclose(candidate.marker, Z, atol=1e-6)
+    assert found.loop.gap < 1e-6
+    assert found.spread < 1e-6
+
+
+def test_noise_shows_in_the_loop() -> None:
+    found = hand_eye(*pairs("fixed", 40, noise=0.002), "fixed")
+    np.testing.assert_allclose(found.camera, X, atol=0.005)
+    assert 0.001 < found.loop.gap < 0.008
+    assert found.loop.gap == min(one.loop.gap for one in found.candidates.values())
+    assert found.loop.worst > found.loop.gap
+
+
+def test_the_real_pairs(shared: Path) -> None:
+    A, B = read_pose_pairs(shared / "markers" / "handeye" / "pose_samples.json")
+    found = hand_eye(A, B, "fixed")
+    assert found.pairs == 50
+    assert found.spread < 1e-3
+    for candidate in found.candidates.values():
+        assert candidate.loop.gap == pytest.approx(4.3e-3, abs=0.1e-3)
+        assert np.rad2deg(candidate.loop.twist) == pytest.approx(0.084, abs=0.005)
+    with pytest.raises(InputError, match=r"4\.3 mm with camera='fixed'"):
+        hand_eye(A, B, "moving")
+
+
+@pytest.mark.parametrize("which", ["marker", "hand"])
+def test_inverted_poses_are_noticed(which: str) -> None:
+    A, B = pairs("moving")
+    if which == "marker":
+        A = np.array([inverse(pose) for pose in A])
+    else:
+        B = np.array([inverse(pose) for pose in B])
+    with pytest.raises(InputError, match="expected are marker-to-camera") as told:
+        hand_eye(A, B, "moving")
+    assert "hand's poses inverted" in str(told.value)
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    "turns",
+    [
+        np.zeros((10, 3)),
+        np.outer(np.linspace(-1, 1, 10), [0, 0, 1.0]),
+        np.outer(np.linspace(-1, 1, 10), [1.0, 2.0, 0.5]),
+        np.outer(np.linspace(-1, 1, 10), [0, 0, 1.0])
+        + np.random.default_rng(0).normal(0, 0.01, (10, 3)),
+    ],
+)
+def test_motions_that_do_not_determine_the_camera(turns: Array) -> None:
+    with pytest.raises(GeometryError, match="tilted about two axes"):
+        hand_eye(*pairs("fixed", turns=turns), "fixed")
+
+
+def test_pairs_that_do_not_belong_together() -> None:
+    A, B = pairs("fixed")
+    with pytest.raises(InputError, match="same instants"):
+        hand_eye(A, B[::-1], "fixed")
+
+
+def test_loops_that_hardly_close() -> None:
+    A, B = pairs("fixed", 20)
+    A[:, :3, 3] *= 1.3  # a marker larger than was said
+    with pytest.raises(InputError, match="do not close"):
+        hand_eye(A, B, "fixed")
+    with pytest.warns(TtusWarning, match="solvers' cameras differ"):
+        hand_eye(*pairs("fixed", 5, noise=0.004), "fixed", largest_twist=1.0)
+
+
+@pytest.mark.parametrize(
+    ("A", "B", "words"),
+    [
+        (np.eye(4)[None], np.eye(4)[None], "at least 3 pairs"),
+        (np.zeros((4, 3, 3)), np.zeros((4, 4, 4)), r"\(n, 4, 4\)"),
+        (np.zeros((4, 4, 4)), np.zeros((4, 4, 4)), "pose 1"),
+        (np.full((4, 4, 4), np.nan), np.zeros((4, 4, 4)), "NaN"),
+        (pairs("fixed", 4)[0], pairs("fixed", 5)[1], "4 and 5"),
+    ],
+)
+def test_poses_that_are_none(A: Array, B: Array, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        hand_eye(A, B, "fixed")
+
+
+def test_millimetres_are_noticed() -> None:
+    A, B = pairs("fixed")
+    A[:, :3, 3] *= 1000
+    with pytest.raises(InputError, match="millimetres"):
+        hand_eye(A, B, "fixed")
+
+
+def test_another_kind_of_camera() -> None:
+    with pytest.raises(InputError, match="fixed or moving"):
+        hand_eye(*pairs("fixed"), "flying")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("suffix", ["json", "npy"])
+def test_files_of_pairs(tmp_path: Path, suffix: str) -> None:
+    A, B = pairs("fixed")
+    both = np.stack([A, B], axis=1)
+    file = tmp_path / f"pairs.{suffix}"
+    if suffix == "json":
+        file.write_text(json.dumps(both.tolist()))
+    else:
+        np.save(file, both)
+    a, b = read_pose_pairs(file)
+    np.testing.assert_array_equal(a, A)
+    np.testing.assert_array_equal(b, B)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1, 2]", "[[[1]]]", "no", "[" * 50_000])
+def test_files_that_hold_none(tmp_path: Path, text: str) -> None:
+    (tmp_path / "pairs.json").write_text(text)
+    with pytest.raises(FileError) as told:
+        read_pose_pairs(tmp_path / "pairs.json")
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+def test_mutations(tmp_path: Path, n: int) -> None:
+    both = np.stack(pairs("fixed", 4), axis=1)
+    (tmp_path / "pairs.json").write_text(json.dumps(both.round(6).tolist()))
+    np.save(tmp_path / "pairs.npy", both)
+    only_our_errors(
+        [tmp_path / "pairs.json", tmp_path / "pairs.npy"],
+        lambda file: hand_eye(*read_pose_pairs(file), "fixed"),
+        n,
+    )

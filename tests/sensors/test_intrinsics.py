@@ -1,0 +1,127 @@
+"""Intrinsics as OpenCV and ROS write them, and what is no intrinsics."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.hostile import only_our_errors
+from ttus_opt.errors import FileError, InputError, MissingPackageError
+from ttus_opt.sensors.intrinsics import Intrinsics, read_intrinsics
+
+K = [[618.6, 0.0, 321.984], [0.0, 619.11, 241.146], [0.0, 0.0, 1.0]]
+FLAT = [value for row in K for value in row]
+
+OPENCV = """%YAML:1.0
+---
+image_width: 640
+image_height: 480
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [618.6, 0., 321.984, 0., 619.11, 241.146, 0., 0., 1.]
+distortion_coefficients: !!opencv-matrix
+   rows: 1
+   cols: 5
+   dt: d
+   data: [0.1, -0.2, 0., 0., 0.05]
+"""
+
+ROS = """image_width: 640
+image_height: 480
+camera_name: head
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [618.6, 0, 321.984, 0, 619.11, 241.146, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [0.1, -0.2, 0, 0, 0.05]
+"""
+
+MESSAGE = """header: {frame_id: head}
+height: 480
+width: 640
+distortion_model: plumb_bob
+d: [0.1, -0.2, 0.0, 0.0, 0.05]
+k: [618.6, 0.0, 321.984, 0.0, 619.11, 241.146, 0.0, 0.0, 1.0]
+"""
+
+
+@pytest.mark.parametrize("text", [OPENCV, ROS, MESSAGE])
+def test_yaml_of_opencv_and_ros(tmp_path: Path, text: str) -> None:
+    pytest.importorskip("yaml", reason="needs ttus-opt[sensors]")
+    (tmp_path / "camera.yaml").write_text(text)
+    found = read_intrinsics(tmp_path / "camera.yaml")
+    np.testing.assert_array_equal(found.matrix, K)
+    np.testing.assert_array_equal(found.distortion, [0.1, -0.2, 0.0, 0.0, 0.05])
+    assert found.size == (640, 480)
+
+
+@pytest.mark.parametrize("matrix", [K, FLAT])
+def test_json(tmp_path: Path, matrix: object) -> None:
+    (tmp_path / "camera.json").write_text(json.dumps({"camera_matrix": matrix}))
+    found = read_intrinsics(tmp_path / "camera.json")
+    np.testing.assert_array_equal(found.matrix, K)
+    assert found.distortion.shape == (0,)
+    assert found.size is None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "JSON or YAML"),
+        ("[" * 50_000, "JSON or YAML"),
+        ("[1, 2]", "no camera_matrix"),
+        ("{}", "nine numbers"),
+        ('{"K": [1, 2, 3]}', "nine numbers"),
+        ('{"K": "many"}', "no numbers"),
+        (json.dumps({"K": [1, 0, 0, 0, 1, 0, 0, 0, 1]}), "normalised"),
+        (json.dumps({"K": np.transpose(K).tolist()}), "transposed"),
+        (json.dumps({"K": [float("nan")] * 9}), "focal lengths"),
+        (json.dumps({"K": FLAT, "D": [1, 2]}), "distortion has"),
+        (json.dumps({"K": FLAT, "D": [1e300] * 5}), "finite"),
+        (json.dumps({"K": FLAT, "width": 0, "height": 3}), "0 x 3 pixels"),
+        (json.dumps({"K": FLAT, "width": "a", "height": 3}), "no numbers"),
+        (json.dumps({"K": FLAT, "distortion_model": "equidistant"}), "undistort"),
+    ],
+)
+def test_what_is_no_intrinsics(tmp_path: Path, text: str, words: str) -> None:
+    (tmp_path / "camera.json").write_text(text)
+    with pytest.raises(FileError, match=words) as told:
+        read_intrinsics(tmp_path / "camera.json")
+    assert "\n" not in str(told.value)
+
+
+def test_an_image_of_another_size() -> None:
+    camera = Intrinsics(np.array(K), np.zeros(0), (640, 480))
+    camera.check_image(np.zeros((480, 640), np.uint8))
+    with pytest.raises(InputError, match="480 x 640 pixels"):
+        camera.check_image(np.zeros((640, 480), np.uint8))
+
+
+def test_without_yaml_the_extra_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "camera.yaml").write_text(ROS)
+    monkeypatch.setitem(__import__("sys").modules, "yaml", None)
+    with pytest.raises(MissingPackageError, match=r"ttus-opt\[sensors\]"):
+        read_intrinsics(tmp_path / "camera.yaml")
+
+
+@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
+def test_mutations(tmp_path: Path, n: int) -> None:
+    pytest.importorskip("yaml", reason="needs ttus-opt[sensors]")
+    sources = []
+    for i, text in enumerate((OPENCV, ROS, MESSAGE)):
+        sources.append(tmp_path / f"camera{i}.yaml")
+        sources[-1].write_text(text)
+    sources.append(tmp_path / "camera.json")
+    sources[-1].write_text(json.dumps({"K": FLAT, "D": [0.1] * 5, "width": 640}))
+    only_our_errors(sources, read_intrinsics, n)

@@ -1,0 +1,227 @@
+"""``ttus-opt register``: markers in a photo, and where a camera is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.options import Force, Json, check_outputs
+
+if TYPE_CHECKING:
+    from ttus_opt.arrays import Array
+    from ttus_opt.sensors.marker_pose import MarkerPose
+
+BOARD = (
+    "ttus-opt register board photo.png --intrinsics camera.yaml --dictionary 4X4_250 "
+    "--columns 3 --rows 4 --marker 0.0256 --gap 0.0066 -o board_to_camera.json"
+)
+MARKERS = (
+    "ttus-opt register markers photo.png --intrinsics camera.yaml --dictionary "
+    "APRILTAG_36H11 --marker 0.065"
+)
+HAND_EYE = "ttus-opt register hand-eye pairs.json --camera fixed -o camera_to_base.json"
+
+Image = Annotated[Path, typer.Argument(help="Photo, PNG or JPEG.")]
+Camera = Annotated[
+    Path,
+    typer.Option(
+        "--intrinsics", help="Camera matrix and distortion, JSON or YAML (OpenCV, ROS)."
+    ),
+]
+Dictionary = Annotated[
+    str, typer.Option(help="OpenCV's name: 4X4_250, APRILTAG_36H11, …")
+]
+Side = Annotated[float, typer.Option(help="Side of a marker [m].")]
+Output = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", help="Write the motion here, a matrix as JSON."),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands."""
+    group = typer.Typer(
+        help="Find markers in a photo; find where a camera is from pairs of poses.",
+        epilog=f"Example: {HAND_EYE}",
+        rich_markup_mode=None,
+    )
+    group.command("board", epilog=f"Example: {BOARD}")(board)
+    group.command("markers", epilog=f"Example: {MARKERS}")(markers)
+    group.command("hand-eye", epilog=f"Example: {HAND_EYE}")(hand_eye)
+    app.add_typer(group, name="register")
+
+
+def board(
+    image: Image,
+    intrinsics: Camera,
+    dictionary: Dictionary,
+    columns: Annotated[int, typer.Option(help="Markers in a row.")],
+    rows: Annotated[int, typer.Option(help="Rows of markers.")],
+    marker: Side,
+    gap: Annotated[float, typer.Option(help="Between two markers [m].")],
+    output: Output = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Where a board of ArUco or AprilTag markers lies in front of the camera."""
+    from ttus_opt.sensors.intrinsics import read_intrinsics
+    from ttus_opt.sensors.marker_pose import Board, board_pose, read_image
+
+    check_outputs([output], [image, intrinsics], force=force)
+    grid = Board(columns, rows, marker, gap, dictionary)
+    camera = read_intrinsics(intrinsics)
+    found = board_pose(read_image(image), grid, camera)
+    _write(output, found.pose)
+    if json:
+        print_json({"output": _name(output), "board_to_camera": _facts(found)})
+        return
+    typer.echo(f"board to camera: {_sentence(found)}")
+
+
+def markers(
+    image: Image,
+    intrinsics: Camera,
+    dictionary: Dictionary,
+    marker: Side,
+    json: Json = False,
+) -> None:
+    """Where single ArUco or AprilTag markers lie in front of the camera."""
+    from ttus_opt.sensors.intrinsics import read_intrinsics
+    from ttus_opt.sensors.marker_pose import marker_poses, read_image
+
+    camera = read_intrinsics(intrinsics)
+    found = marker_poses(read_image(image), marker, dictionary, camera)
+    if json:
+        print_json({"markers_to_camera": [_facts(pose) for pose in found]})
+        return
+    for pose in found:
+        typer.echo(f"marker {pose.markers[0]} to camera: {_sentence(pose)}")
+
+
+def hand_eye(
+    pairs: Annotated[
+        Path,
+        typer.Argument(
+            help="Pairs of poses, JSON or NPY (n, 2, 4, 4): marker to camera, hand to "
+            "base [m]."
+        ),
+    ],
+    camera: Annotated[
+        str,
+        typer.Option(
+            help="fixed: it stands still and the hand holds the marker; moving: the "
+            "hand holds it."
+        ),
+    ],
+    output: Output = None,
+    largest_gap: Annotated[
+        float, typer.Option(help="Loops that close worse are refused [m].")
+    ] = 0.010,
+    largest_twist: Annotated[
+        float, typer.Option(help="The same of angles [degrees].")
+    ] = 1.0,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Where a camera is, from pairs of poses: seven solvers compared, loops checked.
+
+    The motion found is camera to base (fixed) or camera to hand (moving). A tracker is
+    a camera here, and whatever carries its target a hand.
+    """
+    import numpy as np
+
+    from ttus_opt.sensors import hand_eye as calibration
+
+    check_outputs([output], [pairs], force=force)
+    in_camera, in_base = calibration.read_pose_pairs(pairs)
+    with Stages(1) as begin:
+        begin("comparing solvers")
+        found = calibration.hand_eye(
+            in_camera,
+            in_base,
+            camera,  # type: ignore[arg-type]  # checked there
+            largest_gap=largest_gap,
+            largest_twist=float(np.deg2rad(largest_twist)),
+        )
+    _write(output, found.camera)
+    name = "camera_to_base" if camera == "fixed" else "camera_to_hand"
+    solvers: dict[str, Any] = {
+        solver: {
+            "position": None if one.camera is None else one.camera[:3, 3],
+            "loop_m": one.loop.gap,
+            "loop_degrees": np.rad2deg(one.loop.twist),
+        }
+        for solver, one in found.candidates.items()
+    }
+    if json:
+        print_json(
+            {
+                "output": _name(output),
+                name: found.camera,
+                "pairs": found.pairs,
+                "solver": found.solver,
+                "loop_m": found.loop.gap,
+                "loop_worst_m": found.loop.worst,
+                "loop_degrees": np.rad2deg(found.loop.twist),
+                "spread_m": found.spread,
+                "solvers": solvers,
+            }
+        )
+        return
+    for solver, one in found.candidates.items():
+        place = "no answer" if one.camera is None else _place(one.camera)
+        typer.echo(
+            f"{solver:<11} {place}, loop {1e3 * one.loop.gap:.2f} mm "
+            f"{np.rad2deg(one.loop.twist):.3f}°"
+        )
+    typer.echo(
+        f"{name.replace('_', ' ')} by {found.solver}: {found.pairs} pairs, loops close "
+        f"to {1e3 * found.loop.gap:.2f} mm and {np.rad2deg(found.loop.twist):.3f}° on "
+        f"average, solvers differ by {1e3 * found.spread:.2f} mm; read as marker to "
+        "camera and hand to base"
+    )
+
+
+def _place(pose: Array) -> str:
+    return "({:.4f}, {:.4f}, {:.4f}) m".format(*pose[:3, 3])
+
+
+def _sentence(found: MarkerPose) -> str:
+    import numpy as np
+
+    shift = " ".join(f"{1e3 * v:.2f}" for v in found.shift_std)
+    turn = " ".join(f"{np.rad2deg(v):.2f}" for v in found.turn_std)
+    return (
+        f"{_place(found.pose)} ± ({shift}) mm, ± ({turn})°, {len(found.markers)} "
+        f"marker{'s' * (len(found.markers) != 1)}, corners within "
+        f"{found.residual:.2f} pixels"
+    )
+
+
+def _facts(found: MarkerPose) -> dict[str, Any]:
+    return {
+        "markers": list(found.markers),
+        "pose": found.pose,
+        "covariance": found.covariance,
+        "residual_pixels": found.residual,
+        "other_residual_pixels": found.other_residual,
+    }
+
+
+def _name(output: Path | None) -> str | None:
+    return None if output is None else str(output)
+
+
+def _write(output: Path | None, motion: Array) -> None:
+    """Write a motion as other commands read it (`--base-to-scan`)."""
+    import json
+
+    from ttus_opt import io
+
+    if output is None:
+        return
+    with io.signals_deferred(), io.replacing(output) as temporary:
+        temporary.write_text(json.dumps(motion.tolist()) + "\n", encoding="utf-8")

@@ -1,0 +1,1 @@
+"""From the sensors: cameras, markers and trackers, brought into one frame."""

@@ -1,0 +1,364 @@
+"""Hand-eye calibration: where a camera is, from pairs of poses (docs/method.md, 18.2).
+
+Every pair holds a marker's pose in the camera, A, and the hand's pose in the base, B.
+With the *camera on the hand* and the marker standing still, or the *camera standing
+still* and the marker on the hand, a loop closes for every pair,
+
+    G X A = Z,   G = B (camera on the hand)   or   G = B⁻¹ (camera standing still),
+
+with X from the camera to the hand, or to the base, and Z from the marker to the base,
+or to the hand. OpenCV's five solvers of motions and its two of both unknowns are
+compared. OpenCV says nothing of motions that do not determine X, nor of poses handed
+over the wrong way round: both are tested here.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ttus_opt import io
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, GeometryError, InputError, TtusWarning
+from ttus_opt.probe.rigid_motion import inverse, rigid_motion
+
+Camera = Literal["fixed", "moving"]
+
+HAND_EYE = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
+ROBOT_WORLD = ("SHAH", "LI")
+
+#: Fewest pairs: two motions
+LEAST_PAIRS = 3
+
+#: Turns about a second axis, root mean square, that determine X [rad]
+LEAST_TURN = np.deg2rad(5.0)
+
+#: A pair's two motions turn by the same angle, up to this, in the median [rad]
+LARGEST_MISMATCH = np.deg2rad(2.0)
+
+#: Loops that close worse are refused [m, rad]
+LARGEST_GAP, LARGEST_TWIST = 0.010, np.deg2rad(1.0)
+
+#: Solvers that differ by more are told [m]
+LARGEST_SPREAD = 0.002
+
+#: Entries of a pose beyond this are none, in whatever unit
+LARGEST_NUMBER = 1e6
+
+#: Largest file [byte]
+LARGEST_FILE = 10_000_000
+
+
+class Loop(NamedTuple):
+    """How well the loops of all pairs close.
+
+    Attributes:
+        gap: Mean distance from the mean Z [m].
+        twist: Mean angle from it [rad].
+        worst: Largest distance [m].
+    """
+
+    gap: float
+    twist: float
+    worst: float
+
+
+class Candidate(NamedTuple):
+    """What one solver found.
+
+    Attributes:
+        camera: X, shape (4, 4); None where it is not finite or no motion.
+        marker: Z, the mean over the pairs, shape (4, 4).
+        loop: How well it closes.
+    """
+
+    camera: Array | None
+    marker: Array
+    loop: Loop
+
+
+@dataclass(frozen=True)
+class HandEye:
+    """A camera's place, as the best of all solvers has it.
+
+    Attributes:
+        camera: Camera to base, or to hand where it moves, shape (4, 4) [–, m].
+        marker: Marker to hand, or to base where the camera moves, shape (4, 4).
+        loop: How well the loops close.
+        solver: Whose answer it is.
+        candidates: All answers, by solver.
+        pairs: How many.
+    """
+
+    camera: Array
+    marker: Array = field(repr=False)
+    loop: Loop
+    solver: str
+    candidates: dict[str, Candidate] = field(repr=False)
+    pairs: int
+
+    @property
+    def spread(self) -> float:
+        """Largest distance of two solvers' cameras, of those that pass the gate [m]."""
+        places = [
+            found.camera[:3, 3]
+            for found in self.candidates.values()
+            if found.camera is not None and _closes(found.loop)
+        ]
+        return max(
+            (float(np.linalg.norm(a - b)) for a in places for b in places), default=0.0
+        )
+
+
+def read_pose_pairs(path: str | os.PathLike[str]) -> tuple[Array, Array]:
+    """Pairs of poses from JSON or NPY, shape (n, 2, 4, 4) [–, m].
+
+    Args:
+        path: First of every pair the marker's pose in the camera, then the hand's in
+            the base, as matrices.
+
+    Returns:
+        Both, shape (n, 4, 4) each.
+
+    Raises:
+        FileError: Missing, damaged, or of another shape.
+    """
+    file = io.existing_file(path, "pose pairs")
+    if file.stat().st_size > LARGEST_FILE:
+        raise FileError(f"{file} is too large for pairs of poses: wrong file?")
+    try:
+        if file.suffix.lower() == ".npy":
+            pairs = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
+        else:
+            content = json.loads(file.read_text(encoding="utf-8-sig"))
+            pairs = np.array(content, dtype=np.float64)
+    except Exception as error:  # numpy raises nearly every class on damaged headers
+        raise FileError(
+            f"{file} does not read as pairs of poses ({type(error).__name__}): write "
+            "JSON or NPY of shape (n, 2, 4, 4)"
+        ) from error
+    if pairs.ndim != 4 or pairs.shape[1:] != (2, 4, 4):
+        raise FileError(
+            f"{file} has shape {pairs.shape}, expected (n, 2, 4, 4): marker in camera, "
+            "then hand in base, as matrices"
+        )
+    return pairs[:, 0], pairs[:, 1]
+
+
+def hand_eye(
+    marker_in_camera: Sequence[Array] | Array,
+    hand_in_base: Sequence[Array] | Array,
+    camera: Camera,
+    *,
+    largest_gap: float = LARGEST_GAP,
+    largest_twist: float = LARGEST_TWIST,
+) -> HandEye:
+    """Where the camera is, from pairs of poses.
+
+    Args:
+        marker_in_camera: A: marker to camera, shape (n, 4, 4) [–, m].
+        hand_in_base: B: hand to base, shape (n, 4, 4) [–, m].
+        camera: ``fixed``: it stands still and the hand holds the marker. ``moving``:
+            the hand holds it and the marker stands still.
+        largest_gap: Loops that close worse on average are refused [m].
+        largest_twist: The same of angles [rad].
+
+    Returns:
+        The answer of the solver whose loops close best, and all others.
+
+    Raises:
+        InputError: Too few pairs, poses that are none, pairs that do not belong
+            together, or loops that do not close; where they would with poses the other
+            way round, that is said.
+        GeometryError: The motions turn about one axis only.
+    """
+    if camera not in get_args(Camera):
+        raise InputError(f"camera must be fixed or moving, got {camera!r}")
+    A, B = (
+        _checked("marker_in_camera", marker_in_camera),
+        _checked("hand_in_base", hand_in_base),
+    )
+    if len(A) != len(B) or len(A) < LEAST_PAIRS:
+        raise InputError(
+            f"hand-eye calibration takes at least {LEAST_PAIRS} pairs of poses, got "
+            f"{len(A)} and {len(B)}"
+        )
+    _check_motions(A, B)
+    G = _inverses(B) if camera == "fixed" else B
+    candidates = _solved(G, A)
+    best = _best(candidates)
+    if best is None or not (
+        candidates[best].loop.gap <= largest_gap
+        and candidates[best].loop.twist <= largest_twist
+    ):
+        told = "no solver has an answer" if best is None else _told(candidates[best])
+        raise InputError(
+            f"the loops do not close: {told}, expected at most "
+            f"{1e3 * largest_gap:g} mm and {np.rad2deg(largest_twist):g}°: "
+            f"{_remedy(A, B, camera)}"
+        )
+    found = candidates[best]
+    assert found.camera is not None
+    answer = HandEye(found.camera, found.marker, found.loop, best, candidates, len(A))
+    if answer.spread > LARGEST_SPREAD:
+        warnings.warn(
+            f"the solvers' cameras differ by {1e3 * answer.spread:.2g} mm: record "
+            "larger turns about more axes",
+            TtusWarning,
+            stacklevel=2,
+        )
+    return answer
+
+
+def _checked(name: str, poses: Sequence[Array] | Array) -> Array:
+    """Poses (n, 4, 4), each a rigid motion.
+
+    Raises:
+        InputError: One is none; its number is told.
+    """
+    given = np.asarray(poses, dtype=np.float64)
+    if given.ndim != 3 or given.shape[1:] != (4, 4):
+        raise InputError(f"{name} must be (n, 4, 4), got {given.shape}")
+    if not np.abs(given).max(initial=0.0) < LARGEST_NUMBER:
+        raise InputError(f"{name} contains NaN or numbers that no pose has [m]")
+    out = np.empty_like(given)
+    for i, pose in enumerate(given):
+        try:
+            out[i] = rigid_motion(pose)
+        except InputError as error:
+            raise InputError(f"{name}, pose {i + 1}: {error}") from error
+    return out
+
+
+def _inverses(poses: Array) -> Array:
+    return np.array([inverse(pose) for pose in poses])
+
+
+def _turns(poses: Array) -> Array:
+    """Rotation vectors from every pose to those after it, shape (k, 3) [rad]."""
+    of = Rotation.from_matrix(poses[:, :3, :3])
+    first, second = np.triu_indices(min(len(poses), 200), 1)
+    return np.asarray((of[second] * of[first].inv()).as_rotvec())
+
+
+def _check_motions(A: Array, B: Array) -> None:
+    """Validate, before any solver, that the motions determine the camera.
+
+    Raises:
+        GeometryError: They turn too little, or about one axis only.
+        InputError: Both turn by other angles: the pairs do not belong together.
+    """
+    of_marker, of_hand = _turns(A), _turns(B)
+    for name, turns in (("marker", of_marker), ("hand", of_hand)):
+        squares = np.linalg.eigvalsh(turns.T @ turns / len(turns))[::-1]
+        spread = np.sqrt(np.maximum(squares, 0.0))
+        if spread[1] < LEAST_TURN:
+            first, second, least = np.rad2deg([*spread[:2], LEAST_TURN])
+            raise GeometryError(
+                f"the {name} turns by {first:.2g}° about one axis and {second:.2g}° "
+                f"about others, at least {least:g}° are needed: record poses tilted "
+                "about two axes"
+            )
+    angles = [np.linalg.norm(turns, axis=1) for turns in (of_marker, of_hand)]
+    apart = float(np.median(np.abs(angles[0] - angles[1])))
+    if apart > LARGEST_MISMATCH:
+        raise InputError(
+            f"marker and hand turn by angles that differ by {np.rad2deg(apart):.3g}° "
+            "in the median: are the pairs of the same instants, in the same order?"
+        )
+
+
+def _solved(G: Array, A: Array) -> dict[str, Candidate]:
+    """What every solver says of G X A = Z."""
+    import cv2
+
+    def by_motions(name: str) -> Array:
+        method = getattr(cv2, f"CALIB_HAND_EYE_{name}")
+        return _motion(*cv2.calibrateHandEye(*_parts(G), *_parts(A), method=method))
+
+    def by_both(name: str) -> Array:
+        method = getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{name}")
+        # A Z⁻¹ = X⁻¹ G⁻¹: the last two returned are X⁻¹
+        of_both = cv2.calibrateRobotWorldHandEye(
+            *_parts(A), *_parts(_inverses(G)), method=method
+        )
+        return inverse(_motion(*of_both[2:]))
+
+    found = {}
+    for solve, names in ((by_motions, HAND_EYE), (by_both, ROBOT_WORLD)):
+        for name in names:
+            found[name.lower()] = _candidate(G, A, functools.partial(solve, name))
+    return found
+
+
+def _parts(poses: Array) -> tuple[list[Array], list[Array]]:
+    """Rotations (3, 3) and positions (3,) of n poses."""
+    return [*poses[:, :3, :3]], [*poses[:, :3, 3]]
+
+
+def _motion(R: Any, t: Any) -> Array:
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = R, t.reshape(3)
+    return rigid_motion(out)
+
+
+def _candidate(G: Array, A: Array, solve: Callable[[], Array]) -> Candidate:
+    """An answer and its loops; none where OpenCV fails or returns no motion."""
+    import cv2
+
+    try:
+        X = solve()
+    except (cv2.error, InputError, np.linalg.LinAlgError):
+        return Candidate(None, np.eye(4), Loop(np.inf, np.inf, np.inf))
+    Z = G @ X @ A
+    mean = np.eye(4)
+    turns = Rotation.from_matrix(Z[:, :3, :3])
+    mean[:3, :3] = turns.mean().as_matrix()
+    mean[:3, 3] = Z[:, :3, 3].mean(axis=0)
+    gaps = np.linalg.norm(Z[:, :3, 3] - mean[:3, 3], axis=1)
+    twists = (turns * turns.mean().inv()).magnitude()
+    loop = Loop(float(gaps.mean()), float(twists.mean()), float(gaps.max()))
+    return Candidate(X, mean, loop)
+
+
+def _closes(loop: Loop) -> bool:
+    return loop.gap <= LARGEST_GAP and loop.twist <= LARGEST_TWIST
+
+
+def _best(candidates: dict[str, Candidate]) -> str | None:
+    """The solver whose loops close best; None where none has an answer."""
+    able = [name for name, found in candidates.items() if found.camera is not None]
+    return min(able, key=lambda name: candidates[name].loop.gap, default=None)
+
+
+def _told(found: Candidate) -> str:
+    return (
+        f"{1e3 * found.loop.gap:.3g} mm and {np.rad2deg(found.loop.twist):.2g}° on "
+        "average"
+    )
+
+
+def _remedy(A: Array, B: Array, camera: Camera) -> str:
+    """What to do about loops that do not close: the other reading, where it would."""
+    kinds = {"fixed": "the camera standing still", "moving": "the camera on the hand"}
+    expected = (
+        f"expected are marker-to-camera and hand-to-base with {kinds[camera]}, check "
+        "which way round the poses are"
+    )
+    other = "moving" if camera == "fixed" else "fixed"
+    tried = _solved(_inverses(B) if other == "fixed" else B, A)
+    solver = _best(tried)
+    if solver is None or not _closes(tried[solver].loop):
+        return expected
+    return (
+        f"{expected}: they close to {1e3 * tried[solver].loop.gap:.2g} mm with "
+        f"camera='{other}', and so with the hand's poses inverted"
+    )

@@ -1,0 +1,207 @@
+"""A camera's intrinsics, as OpenCV and ROS write them.
+
+JSON or YAML with the matrix as ``camera_matrix`` or ``K``/``k`` (nine numbers, three
+rows, or a mapping with ``data``), the distortion as ``distortion_coefficients`` or
+``D``/``d`` (OpenCV's order k1, k2, p1, p2, k3, …; none where absent), and the size as
+``image_width``/``width`` and ``image_height``/``height``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt import io
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.optional import load
+
+#: Largest file [byte]
+LARGEST_FILE = 100_000
+
+#: Counts of coefficients that OpenCV knows
+DISTORTIONS = (0, 4, 5, 8, 12, 14)
+
+#: Focal lengths and sizes beyond this are none [pixel]
+LARGEST = 1e5
+
+MATRIX = ("camera_matrix", "K", "k", "matrix")
+DISTORTION = ("distortion_coefficients", "D", "d", "dist_coeffs", "distortion")
+WIDTH, HEIGHT = ("image_width", "width"), ("image_height", "height")
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera with OpenCV's distortion.
+
+    Attributes:
+        matrix: K, shape (3, 3) [pixel].
+        distortion: k1, k2, p1, p2, k3, …, shape (0 to 14,) [–].
+        size: Width and height of its images [pixel]; None where not told.
+    """
+
+    matrix: Array
+    distortion: Array
+    size: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        """Validate the intrinsics.
+
+        Raises:
+            InputError: No camera matrix, or coefficients OpenCV does not know.
+        """
+        K = self.matrix
+        if K.shape != (3, 3):
+            raise InputError(f"a camera matrix is (3, 3), got {K.shape}")
+        plausible = np.isfinite(K).all() and np.abs(K).max() < LARGEST
+        if not (plausible and K[0, 0] > 1 and K[1, 1] > 1):
+            raise InputError(
+                "a camera matrix has focal lengths above 1 pixel on its diagonal, got "
+                f"{K[0, 0]:g} and {K[1, 1]:g}: is it normalised? Multiply by the width"
+            )
+        if K[1, 0] != 0 or K[2, 0] != 0 or K[2, 1] != 0 or K[2, 2] != 1:
+            raise InputError(
+                "a camera matrix has rows (fx, s, cx), (0, fy, cy), (0, 0, 1): "
+                "transposed, or in another order?"
+            )
+        if self.distortion.shape not in [(n,) for n in DISTORTIONS]:
+            raise InputError(
+                f"distortion has {', '.join(map(str, DISTORTIONS))} coefficients, got "
+                f"shape {self.distortion.shape}"
+            )
+        if not (
+            np.isfinite(self.distortion).all()
+            and np.abs(self.distortion).max(initial=0.0) < LARGEST
+        ):
+            raise InputError("distortion coefficients must be finite")
+
+    def check_image(self, image: NDArray[np.uint8]) -> None:
+        """Validate that an image is of this camera.
+
+        Raises:
+            InputError: It has another size.
+        """
+        found = (image.shape[1], image.shape[0])
+        if self.size is not None and found != self.size:
+            raise InputError(
+                f"the image has {found[0]} x {found[1]} pixels, the intrinsics are for "
+                f"{self.size[0]} x {self.size[1]}: scale one of them"
+            )
+
+
+def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
+    """Intrinsics from JSON or YAML, as OpenCV or ROS writes them.
+
+    Args:
+        path: The file; YAML needs the extra ``sensors``.
+
+    Raises:
+        FileError: It is missing, damaged, or holds no intrinsics.
+        MissingPackageError: PyYAML is not installed.
+    """
+    file = io.existing_file(path, "intrinsics")
+    if file.stat().st_size > LARGEST_FILE:
+        raise FileError(f"{file} is too large for a camera's intrinsics: wrong file?")
+    found = _mapping(file)
+    try:
+        return _from_mapping(found)
+    except InputError as error:
+        raise FileError(f"{file}: {error}") from error
+    except (TypeError, ValueError, OverflowError) as error:
+        raise FileError(
+            f"{file}: the camera matrix, its distortion or size are no numbers: export "
+            "the calibration again"
+        ) from error
+
+
+def _mapping(file: Path) -> Mapping[str, Any]:
+    """What a file holds by name.
+
+    Raises:
+        FileError: It is neither JSON nor YAML, or no mapping.
+    """
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+        if file.suffix.lower() == ".json" or text.lstrip().startswith("{"):
+            found = json.loads(text)
+        else:
+            found = _yaml(text)
+    except (ValueError, RecursionError) as error:
+        raise FileError(
+            f"{file} does not read as JSON or YAML: export the calibration again"
+        ) from error
+    if not isinstance(found, Mapping):
+        raise FileError(
+            f"{file} has no camera_matrix or K: a camera's intrinsics are expected"
+        )
+    return found
+
+
+def _yaml(text: str) -> Any:
+    """A YAML text; OpenCV's first line and tag are understood.
+
+    Raises:
+        ValueError: It is none.
+    """
+    yaml: Any = load("yaml", "sensors")
+
+    class Loader(yaml.SafeLoader):
+        """Plain values only, and OpenCV's matrices as mappings."""
+
+    Loader.add_constructor(
+        "tag:yaml.org,2002:opencv-matrix",
+        lambda loader, node: loader.construct_mapping(node, deep=True),
+    )
+    lines = text.splitlines()
+    plain = lines[1:] if lines and lines[0].startswith("%YAML:") else lines
+    try:
+        return yaml.load("\n".join(plain), Loader=Loader)
+    except (yaml.YAMLError, AttributeError, TypeError, KeyError, IndexError) as error:
+        raise ValueError("no YAML") from error
+
+
+def _from_mapping(found: Mapping[str, Any]) -> Intrinsics:
+    matrix = _numbers(found, MATRIX)
+    if matrix is None or matrix.size != 9:
+        raise InputError(
+            f"a camera matrix of nine numbers ({' or '.join(MATRIX[:2])}) is expected: "
+            "name the calibration's file"
+        )
+    distortion = _numbers(found, DISTORTION)
+    sides = [_first(found, names) for names in (WIDTH, HEIGHT)]
+    size = None
+    if None not in sides:
+        size = (int(sides[0]), int(sides[1]))
+        if not all(0 < side < LARGEST for side in size):
+            raise InputError(f"an image of {size[0]} x {size[1]} pixels is none")
+    model = str(found.get("distortion_model", "plumb_bob"))
+    if model not in ("plumb_bob", "rational_polynomial", ""):
+        raise InputError(
+            f"distortion model {model} is not known: undistort the images, or "
+            "calibrate with plumb_bob or rational_polynomial"
+        )
+    return Intrinsics(
+        matrix.reshape(3, 3), np.zeros(0) if distortion is None else distortion, size
+    )
+
+
+def _first(found: Mapping[str, Any], names: tuple[str, ...]) -> Any:
+    """The value of the first name that is there; None without."""
+    return next((found[name] for name in names if name in found), None)
+
+
+def _numbers(found: Mapping[str, Any], names: tuple[str, ...]) -> Array | None:
+    """A list, rows or OpenCV's mapping as flat numbers; None where absent."""
+    value = _first(found, names)
+    if value is None:
+        return None
+    if isinstance(value, Mapping):
+        value = value.get("data", [])
+    return np.asarray(value, dtype=np.float64).reshape(-1)

@@ -1,0 +1,367 @@
+"""Poses of square markers and boards of them in a photo, with covariance.
+
+OpenCV finds the markers; corners are refined on AprilTag's lines. The pose is least
+squares over the corners' pixels, its covariance that of the linearised problem: with
+the Jacobian J of the projections by a turn and a shift, σ² (JᵀJ)⁻¹ (docs/method.md,
+18.1).
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt import io
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError, TtusWarning
+from ttus_opt.sensors.intrinsics import Intrinsics
+
+#: Root-mean-square distance of corners from where the pose puts them: above the first a
+#: warning, above the second a refusal [pixel]
+DOUBTFUL, REFUSED = 2.0, 5.0
+
+#: Corners are not known better than this, whatever few of them say [pixel]
+LEAST_PIXEL_STD = 0.1
+
+#: Of two poses that fit a single marker, the worse has at least this many times the
+#: error, or a warning says that both fit
+UNAMBIGUOUS = 2.0
+
+#: Largest image [byte, pixel]
+LARGEST_FILE, LARGEST_IMAGE = 2**27, 2**26
+
+
+@dataclass(frozen=True)
+class MarkerPose:
+    """Where a marker or a board lies in front of a camera.
+
+    Attributes:
+        markers: Numbers of the markers seen, ascending.
+        pose: Marker or board to camera, shape (4, 4) [–, m]; OpenCV's camera axes: x
+            right, y down, z forward.
+        covariance: Of a small turn in camera axes [rad] and of the shift [m], in this
+            order, shape (6, 6).
+        residual: Root-mean-square distance of the corners [pixel].
+        other_residual: The same for the other pose that a single marker has; None for
+            boards.
+    """
+
+    markers: tuple[int, ...]
+    pose: Array
+    covariance: Array = field(repr=False)
+    residual: float
+    other_residual: float | None = None
+
+    @property
+    def turn_std(self) -> Array:
+        """Standard deviations of the turn, camera axes, shape (3,) [rad]."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[:3]))
+
+    @property
+    def shift_std(self) -> Array:
+        """Standard deviations of the shift, camera axes, shape (3,) [m]."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[3:]))
+
+
+@dataclass(frozen=True)
+class Board:
+    """A grid of markers, numbered row by row.
+
+    Attributes:
+        columns: Markers in a row.
+        rows: Rows.
+        marker: Side of a marker [m].
+        gap: Between two markers [m].
+        dictionary: OpenCV's name, such as ``4X4_250`` or ``APRILTAG_36H11``.
+    """
+
+    columns: int
+    rows: int
+    marker: float
+    gap: float
+    dictionary: str
+
+    def __post_init__(self) -> None:
+        """Validate the board.
+
+        Raises:
+            InputError: Counts or lengths that no board has.
+        """
+        if not (1 <= self.columns <= 100 and 1 <= self.rows <= 100):
+            raise InputError(
+                f"a board has 1 to 100 columns and rows, got {self.columns} x "
+                f"{self.rows}"
+            )
+        _check_length("marker", self.marker)
+        _check_length("gap", self.gap)
+
+
+def read_image(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
+    """A photo as grey values, shape (height, width).
+
+    Raises:
+        FileError: Missing, too large, or no image.
+    """
+    import cv2
+
+    file = io.existing_file(path, "image")
+    if file.stat().st_size > LARGEST_FILE:
+        raise FileError(f"{file} is too large for a photo: wrong file?")
+    content = np.fromfile(file, np.uint8)
+    try:
+        image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
+    except cv2.error as error:
+        raise FileError(f"{file} is no image that OpenCV reads: {error.err}") from error
+    if image is None or image.size > LARGEST_IMAGE:
+        raise FileError(
+            f"{file} is no image that OpenCV reads, or too large: save it as PNG"
+        )
+    return np.asarray(image, np.uint8)
+
+
+def board_pose(
+    image: NDArray[np.uint8], board: Board, camera: Intrinsics
+) -> MarkerPose:
+    """Where a board lies, from all of its markers that are seen.
+
+    Args:
+        image: Grey values, shape (height, width).
+        board: The board.
+        camera: The camera that took the image.
+
+    Raises:
+        InputError: No marker of the board is seen, or the corners are not where any
+            pose of such a board would put them.
+    """
+    camera.check_image(image)
+    dictionary = _dictionary(board.dictionary)
+    corners, numbers = _detected(image, dictionary)
+    if len(numbers) == 0:
+        raise InputError(
+            f"no marker of {board.dictionary} is seen: another dictionary, or a "
+            "blurred or dark photo?"
+        )
+    found = _fitted(board, corners, numbers, camera)
+    if found is None:
+        raise InputError(
+            f"none of the markers seen, {_listed(numbers)}, is on a board of "
+            f"{board.columns} x {board.rows}: give its columns, rows and dictionary"
+        )
+    if found.residual > REFUSED:
+        turned = replace(board, columns=board.rows, rows=board.columns)
+        other = _fitted(turned, corners, numbers, camera)
+        hint = "check columns, rows, marker, gap and intrinsics"
+        if other is not None and other.residual < DOUBTFUL:
+            hint = (
+                f"with {turned.columns} columns and {turned.rows} rows it is "
+                f"{other.residual:.2g}"
+            )
+        raise InputError(
+            f"the corners lie {found.residual:.3g} pixels from where a board of "
+            f"{board.columns} columns and {board.rows} rows would have them: {hint}"
+        )
+    _doubt(found)
+    return found
+
+
+def marker_poses(
+    image: NDArray[np.uint8], side: float, dictionary: str, camera: Intrinsics
+) -> list[MarkerPose]:
+    """Where single markers lie, each by itself.
+
+    The marker's frame has its origin in the middle, x to the right, y up and z towards
+    the viewer.
+
+    Args:
+        image: Grey values, shape (height, width).
+        side: Of every marker [m].
+        dictionary: OpenCV's name.
+        camera: The camera that took the image.
+
+    Returns:
+        One pose for every marker seen, by number.
+
+    Raises:
+        InputError: No marker is seen, or a side that is none.
+    """
+    import cv2
+
+    camera.check_image(image)
+    _check_length("marker", side)
+    corners, numbers = _detected(image, _dictionary(dictionary))
+    if len(numbers) == 0:
+        raise InputError(
+            f"no marker of {dictionary} is seen: another dictionary, or a blurred or "
+            "dark photo?"
+        )
+    half = side / 2.0
+    points = half * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    found = []
+    for number, quad in sorted(
+        zip(numbers.tolist(), corners, strict=True), key=lambda seen: int(seen[0])
+    ):
+        pixels = np.asarray(quad, np.float64).reshape(4, 2)
+        _, turns, shifts, errors = cv2.solvePnPGeneric(
+            points,
+            pixels,
+            camera.matrix,
+            camera.distortion,
+            flags=cv2.SOLVEPNP_IPPE_SQUARE,
+        )
+        other = float(errors[1, 0]) if len(errors) > 1 else None
+        pose = _refined((int(number),), points, pixels, camera, (turns[0], shifts[0]))
+        pose = replace(pose, other_residual=other)
+        _doubt(pose)
+        found.append(pose)
+    return found
+
+
+def _check_length(name: str, length: float) -> None:
+    """Validate a length of a board.
+
+    Raises:
+        InputError: It is none, or in millimetres.
+    """
+    if not 0.0 < length < 2.0:
+        raise InputError(
+            f"{name} must be a length in m between 0 and 2, got {length}: is it in "
+            "millimetres? Divide by 1000"
+        )
+
+
+def _listed(numbers: NDArray[np.integer]) -> str:
+    return ", ".join(map(str, np.sort(numbers)[:8].tolist()))
+
+
+def _dictionary(name: str) -> Any:
+    """OpenCV's dictionary of a name.
+
+    Raises:
+        InputError: There is none.
+    """
+    import cv2
+
+    known = [word[5:] for word in dir(cv2.aruco) if word.startswith("DICT_")]
+    wanted = name.upper().removeprefix("DICT_")
+    match = next((word for word in known if word.upper() == wanted), None)
+    if match is None:
+        raise InputError(
+            f"dictionary {name!r} is not known: one of "
+            f"{', '.join(sorted({word.upper() for word in known}))}"
+        )
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{match}"))
+
+
+def _detected(
+    image: NDArray[np.uint8], dictionary: Any
+) -> tuple[list[Any], NDArray[np.int64]]:
+    """Corners of the markers seen, and their numbers."""
+    import cv2
+
+    settings = cv2.aruco.DetectorParameters()
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
+    detector = cv2.aruco.ArucoDetector(dictionary, settings)
+    corners, numbers, _ = detector.detectMarkers(image)
+    seen = np.zeros(0) if numbers is None else np.asarray(numbers).reshape(-1)
+    return list(corners), seen.astype(np.int64)
+
+
+def _fitted(
+    board: Board,
+    corners: list[Any],
+    numbers: NDArray[np.int64],
+    camera: Intrinsics,
+) -> MarkerPose | None:
+    """The pose of a board; None where none of its markers is seen."""
+    import cv2
+
+    grid = cv2.aruco.GridBoard(
+        (board.columns, board.rows),
+        board.marker,
+        board.gap,
+        _dictionary(board.dictionary),
+    )
+    points, pixels = grid.matchImagePoints(corners, numbers.astype(np.int32))
+    if points is None or len(points) < 4:
+        return None
+    of_board = set(np.asarray(grid.getIds()).reshape(-1).tolist())
+    own = tuple(sorted(of_board & set(numbers.tolist())))
+    # every planar set of corners has two poses; the better one is refined
+    _, turns, shifts, _ = cv2.solvePnPGeneric(
+        points, pixels, camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE
+    )
+    return _refined(
+        own,
+        np.asarray(points, np.float64).reshape(-1, 3),
+        np.asarray(pixels, np.float64).reshape(-1, 2),
+        camera,
+        (turns[0], shifts[0]),
+    )
+
+
+def _refined(
+    markers: tuple[int, ...],
+    points: Array,
+    pixels: Array,
+    camera: Intrinsics,
+    start: tuple[Any, Any],
+) -> MarkerPose:
+    """Least squares over the corners, and its covariance."""
+    import cv2
+
+    K, distortion = camera.matrix, camera.distortion
+    turn, shift = cv2.solvePnPRefineLM(points, pixels, K, distortion, *start)
+    projected, jacobian = cv2.projectPoints(points, turn, shift, K, distortion)
+    rest = (projected.reshape(-1, 2) - pixels).reshape(-1)
+    square = float(rest @ rest)
+    if not np.isfinite(square):
+        raise InputError("no pose puts the corners where they are: check intrinsics")
+    J = np.asarray(jacobian)[:, :6] @ _from_turns(
+        np.asarray(turn, np.float64).reshape(3)
+    )
+    variance = max(square / (len(rest) - 6), LEAST_PIXEL_STD**2)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift.reshape(3)
+    covariance = np.asarray(variance * np.linalg.pinv(J.T @ J), np.float64)
+    return MarkerPose(markers, pose, covariance, float(np.sqrt(square / len(pixels))))
+
+
+def _from_turns(rotvec: Array) -> Array:
+    """How a rotation vector answers to a small turn after it, and shifts to themselves.
+
+    The inverse of the left Jacobian of SO(3) (Chirikjian, Stochastic Models,
+    Information Theory, and Lie Groups 2, 2012, 10.86), shape (6, 6).
+    """
+    angle = float(np.linalg.norm(rotvec))
+    cross = np.cross(np.eye(3), rotvec)
+    factor = 1.0 / 12.0
+    if angle > 1e-4:
+        factor = 1.0 / angle**2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle))
+    out = np.eye(6)
+    out[:3, :3] = np.eye(3) - 0.5 * cross + factor * cross @ cross
+    return out
+
+
+def _doubt(found: MarkerPose) -> None:
+    """Warn of a pose that fits badly, or not alone."""
+    what = f"marker{'s' * (len(found.markers) > 1)} {_listed(np.array(found.markers))}"
+    if found.residual > DOUBTFUL:
+        warnings.warn(
+            f"{what}: corners lie {found.residual:.2g} pixels off: "
+            "check the lengths and intrinsics, or take a sharper photo",
+            TtusWarning,
+            stacklevel=3,
+        )
+    other = found.other_residual
+    if other is not None and other < UNAMBIGUOUS * found.residual:
+        warnings.warn(
+            f"{what}: a second pose fits nearly as well ({found.residual:.2g} and "
+            f"{other:.2g} pixels): use a board, or come closer",
+            TtusWarning,
+            stacklevel=3,
+        )
