@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import (
@@ -43,6 +43,10 @@ class LimitedProblem(Protocol):
     @property
     def links_hold_slopes(self) -> bool:
         """Whether links are between neighbours of a field, not between two fields."""
+
+    @property
+    def alone(self) -> Mask | bool:
+        """Unknowns that a row of their own draws to a value, not their neighbours."""
 
     def subproblem(self, active: WorkingSet) -> SolvableSubproblem:
         """The problem of a working set."""

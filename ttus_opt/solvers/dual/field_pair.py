@@ -55,6 +55,7 @@ class FieldPair:
     links: dict[str, tuple[IntArray, Array]] = field(repr=False)
     options: DualOptions
     links_hold_slopes: ClassVar[bool] = False
+    alone: ClassVar[bool] = False
 
     @classmethod
     def of(cls, program: Program, options: DualOptions | None = None) -> FieldPair:

@@ -9,6 +9,9 @@ Optim. 37, 1999). Which of the violated limits join it depends on what they hold
   whole region away from its bound. Only the peaks of the violation join, as in Remez'
   algorithm. With all of a region the active regions shrink by one voxel at a time, in
   50 working sets and more; with peaks it takes 10 to 20;
+- a value of a voxel that a row of its own draws to another (a soft boundary value): all
+  that are violated join, as what is held there holds no region. With peaks of a free
+  surface it takes three times as many working sets;
 - a slope along spokes: active order constraints fill volumes in the end. All that is
   violated by a share of the worst around it joins, and the less violation is left the
   smaller a share will do: by peaks alone a volume grows by one layer a working set.
@@ -146,7 +149,7 @@ def _chosen(
     else:
         joining = _peak(links)
     return found.among(
-        (active.bounds != 0) | _peak(bounds).reshape(-1),
+        (active.bounds != 0) | problem.alone | _peak(bounds).reshape(-1),
         active.links | joining.reshape(-1),
     )
 

@@ -126,6 +126,11 @@ class LimitedField:
         """Of the grid."""
         return self.limits.shape
 
+    @property
+    def alone(self) -> Mask:
+        """Voxels of soft values, shape (V,)."""
+        return ~self.data.system.laplace.free
+
     def subproblem(self, active: WorkingSet) -> Subproblem:
         """The problem of a working set."""
         data = self.data
@@ -135,6 +140,8 @@ class LimitedField:
             return Subproblem(self.whole, data.b, data.t, one, np.zeros(n))
         laplace = data.system.laplace
         assert isinstance(laplace, LaplaceSystem)
+        if not (active.links.any() or active.bounds[laplace.free].any()):
+            return _given_instead(self.limits, active, data, self.options)
         return reduced(laplace, self.limits, active, data, self.options)
 
     def objective(self, p: Array) -> float:
@@ -144,6 +151,19 @@ class LimitedField:
     def gradient(self, p: Array) -> Array:
         """Gradient of the objective, shape (V,)."""
         return np.add(*self.program.gradient(p))
+
+
+def _given_instead(
+    limits: SpokeLimits, active: WorkingSet, data: DualData, options: DualOptions
+) -> Subproblem:
+    """Where soft values alone are held: they are given, and the rest stays."""
+    held, n = active.bounds != 0, len(data.b)
+    value = np.where(active.bounds > 0, limits.upper, limits.lower)
+    compliance = np.where(held, 0.0, data.system.compliance)
+    solver = DualSolver(replace(data.system, compliance=compliance), options=options)
+    b = np.where(held & ~limits.given, value, data.b)
+    one = sp.csr_array(sp.eye_array(n, format="csr"))
+    return Subproblem(solver, b, data.t, one, np.zeros(n))
 
 
 @dataclass(frozen=True)

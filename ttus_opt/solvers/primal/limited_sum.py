@@ -13,7 +13,7 @@ from typing import ClassVar
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData
@@ -60,6 +60,11 @@ class LimitedSum:
     def shape(self) -> tuple[int, int, int]:
         """Of the grid."""
         return self.limits.shape
+
+    @property
+    def alone(self) -> Mask:
+        """Voxels of soft values, shape (V,)."""
+        return ~self.split.operator.free
 
     def objective(self, p: Array) -> float:
         """The objective."""
