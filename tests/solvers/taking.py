@@ -55,13 +55,16 @@ BENT = frozenset({"augmented_lagrangian"})
 #: Any sum of squares beside Laplace's rows
 NORMAL = frozenset({"normal_equations"})
 
+#: Any sum of squares without Laplace's rows
+ALGEBRAIC = frozenset({"algebraic"})
+
 #: Who takes the reduced program of a formulation of the shelf
 FORMULATIONS: Mapping[str, frozenset[str]] = {
     "anisotropic": QP | CLOSED | STRUCTURED | NORMAL,
     "coulomb_drag": QP | HIGHS | STRUCTURED,
     "coulomb_global": QP | CLOSED | STRUCTURED | NORMAL | AMG,
-    "depth_map": QP | CLOSED | COVARIANCE,
-    "depth_map_coulomb": QP | CLOSED | COVARIANCE,
+    "depth_map": QP | CLOSED | COVARIANCE | ALGEBRAIC,
+    "depth_map_coulomb": QP | CLOSED | COVARIANCE | ALGEBRAIC,
     "eq10": QP | CLOSED | STRUCTURED | NORMAL | AMG,
     "eq10_hard_boundary": QP | STRUCTURED | NORMAL,
     "eq10_monotone": QP | HIGHS | STRUCTURED | NORMAL,
@@ -80,8 +83,8 @@ FORMULATIONS: Mapping[str, frozenset[str]] = {
 
 #: Who takes a reference problem, bent penalties reduced where that is possible
 REFERENCES: Mapping[str, frozenset[str]] = {
-    "least_squares": QP | CLOSED,
-    "two_weights": QP | CLOSED,
+    "least_squares": QP | CLOSED | ALGEBRAIC,
+    "two_weights": QP | CLOSED | ALGEBRAIC,
     "box": QP | HIGHS,
     "weakly_active": QP | HIGHS,
     "equality": QP,
@@ -101,6 +104,7 @@ BOUNDED = QP | HIGHS
 
 #: What a plain installation has; a solver beyond may be absent, and is named then
 REQUIRED = {
+    "algebraic",
     "amg_pcg",
     "clarabel",
     "closed_form",

@@ -48,8 +48,8 @@ class Added:
 
     Attributes:
         screening: Added to the diagonal of free nodes, not negative [m].
-        links: Per direction what is added to the conductance to the next node, not
-            negative [m]; empty for nothing.
+        links: Per direction what is added to the conductance to the next node, their
+            sum not negative [m]; empty for nothing.
     """
 
     screening: Array = field(repr=False)

@@ -1,60 +1,48 @@
 """Newton steps with any sparse rows: preconditioned conjugate gradients.
 
 The matrix is H = Σ MᵀC M over all rows, C their slopes. Its diagonal preconditions it
-as long as that suffices; where steps become many the multigrid does, and where they
-stay many few rows of great weight are taken in (`field_preconditioner`). For small
-problems H is factorised.
+as long as that suffices; where steps become many the multigrid does, with few rows of
+great weight taken in (`field_preconditioner`). For small problems H is factorised.
 """
 
 from __future__ import annotations
 
-import math
-import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array
-from ttus_opt.solvers.primal.conjugate_gradients import inner_product
+from ttus_opt.solvers.primal.flexible import Map, flexible_conjugate_gradients
 from ttus_opt.solvers.primal.wide_term import WideTerm
 from ttus_opt.solvers.proximal.field_preconditioner import (
+    NeighbourRows,
     WithFewRows,
     by_differences,
     by_laplace,
+    by_network,
 )
-from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
+from ttus_opt.solvers.proximal.penalised_rows import (
+    Between,
+    PenalisedRows,
+    group_columns,
+)
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 from ttus_opt.terms.penalties.base import Slope
-
-_Map = Callable[[Array], Array]
 
 #: Up to how many variables H is formed and factorised
 SMALL = 3000
 
 #: Most steps of conjugate gradients, and those after which a better preconditioner is
 #: taken
-MOST_STEPS, MANY = 400, 25
-
-#: What preconditions, one after the other
-DIAGONAL, MULTIGRID, WITH_FEW_ROWS = range(3)
+MOST_STEPS, MANY = 400, 16
 
 #: Parameters may change by this factor before a preconditioner is made again
-KEEP = 2.5
+KEEP = 1.5
 
 #: Most rows of a block that is not over all voxels
 FEW_ROWS = 4096
-
-
-@dataclass
-class _Run:
-    """Conjugate gradients under way."""
-
-    d: Array
-    left: float
-    steps: int
 
 
 class FieldNewton:
@@ -80,8 +68,9 @@ class FieldNewton:
         self._squared = [
             rows.matrix.multiply(rows.matrix).tocsr().T.tocsr() for rows in self._blocks
         ]
-        self._level = 0
-        self._made: tuple[tuple[float, ...], _Map] | None = None
+        self._by_multigrid = False
+        self._neighbours: dict[str, list[NeighbourRows]] = {}
+        self._made: tuple[tuple[float, ...], Map] | None = None
 
     def step(
         self,
@@ -99,12 +88,14 @@ class FieldNewton:
             return self._product(v, slopes)
 
         precondition = self._preconditioner(slopes)
-        run = _conjugate_gradients(product, side, precondition, rtol, deadline)
-        if run.steps > MANY and self._level < WITH_FEW_ROWS:
-            self._level, self._made = self._level + 1, None
+        run = flexible_conjugate_gradients(
+            product, side, precondition, rtol, MOST_STEPS, deadline
+        )
+        if run.steps > MANY:  # a better one, or rows have bent since it was made
+            self._by_multigrid, self._made = True, None
         return run.d, run.steps
 
-    def _preconditioner(self, slopes: Sequence[Slope]) -> _Map:
+    def _preconditioner(self, slopes: Sequence[Slope]) -> Map:
         """The one in use, made again where parameters have changed much."""
         key = tuple(b.sigma for b in self._blocks if not b.exact)
         if self._anchor is not None:
@@ -117,8 +108,8 @@ class FieldNewton:
         self._made = key, self._make(slopes)
         return self._made[1]
 
-    def _make(self, slopes: Sequence[Slope]) -> _Map:
-        """A preconditioner of the level reached."""
+    def _make(self, slopes: Sequence[Slope]) -> Map:
+        """The diagonal, or what the multigrid knows of H."""
         unbent = [
             slope
             if b.exact or isinstance(b.law, Between)
@@ -128,10 +119,10 @@ class FieldNewton:
         diagonal = self.diagonal(unbent)
         inverse = np.where(self._fixed, 0.0, 1.0 / np.where(diagonal, diagonal, 1.0))
         laplace = self._program.laplace
-        if self._level == DIAGONAL or laplace is None:
+        if not self._by_multigrid or laplace is None:
             return lambda v: inverse * v
         fields = [
-            (part, self._of_field(name, part, unbent, diagonal))
+            (part, self._of_field(name, part, slopes, unbent, diagonal))
             for name, part in self._program.variables.items()
             if part.stop - part.start == len(laplace.free)
         ]
@@ -142,8 +133,6 @@ class FieldNewton:
                 z[part] = apply(v[part])
             return np.where(self._fixed, 0.0, z)
 
-        if self._level < WITH_FEW_ROWS:
-            return prior
         few = [
             sp.diags_array(np.sqrt(slope.factor)) @ b.matrix
             for b, slope in zip(self._blocks, slopes, strict=True)
@@ -155,8 +144,13 @@ class FieldNewton:
         return WithFewRows(prior, sp.csr_array(sp.vstack(few) @ free))
 
     def _of_field(
-        self, name: str, part: slice, unbent: Sequence[Slope], diagonal: Array
-    ) -> _Map:
+        self,
+        name: str,
+        part: slice,
+        slopes: Sequence[Slope],
+        unbent: Sequence[Slope],
+        diagonal: Array,
+    ) -> Map:
         """The part of one field."""
         laplace, fixed = self._program.laplace, self._fixed[part]
         term = self._program.laplace_term_of(name)
@@ -173,10 +167,29 @@ class FieldNewton:
                 if self._is_wide(b) and b.name != term.name
             ]
             return by_laplace(system, compliance, wide)
+        network = by_network(laplace, *self._network(name, part, slopes), fixed)
+        if network is not None:
+            return network
         anchored = 0.0
         if self._anchor is not None:
             anchored = 2.0 * self._anchor.weight
         return by_differences(laplace, diagonal[part] - anchored, anchored, fixed)
+
+    def _network(
+        self, name: str, part: slice, slopes: Sequence[Slope]
+    ) -> tuple[Array, Array]:
+        """Conductances of a field's wide rows, (3, V), and their diagonal, (V,)."""
+        grid = self._program.laplace.grid
+        wide = [k for k, b in enumerate(self._blocks) if self._is_wide(b)]
+        if name not in self._neighbours:
+            self._neighbours[name] = [
+                NeighbourRows.of(self._blocks[k].matrix[:, part], grid) for k in wide
+            ]
+        links, diagonal = np.zeros((3, grid.n_voxels)), np.zeros(grid.n_voxels)
+        for k, rows in zip(wide, self._neighbours[name], strict=True):
+            links += rows.links(slopes[k].factor, grid.n_voxels)
+            diagonal += (self._squared[k] @ slopes[k].factor)[part]
+        return links, diagonal
 
     def _is_wide(self, block: PenalisedRows) -> bool:
         return len(block.target) > FEW_ROWS
@@ -218,52 +231,10 @@ def _scaled(matrix: sp.csr_array, slope: Slope) -> sp.csr_array:
     return sp.csr_array(sp.diags_array(np.sqrt(slope.factor)) @ matrix)
 
 
-def _conjugate_gradients(
-    product: _Map,
-    side: Array,
-    precondition: _Map,
-    rtol: float,
-    deadline: float | None,
-) -> _Run:
-    """Flexible conjugate gradients (Notay 2000): preconditioners need not be linear."""
-    d, rest = np.zeros_like(side), side.copy()
-    first = now = math.sqrt(inner_product(side, side))
-    z = precondition(rest)
-    direction, steps = z, 0
-    energy = inner_product(rest, z)
-    while now > rtol * first and steps < MOST_STEPS:
-        if deadline is not None and time.perf_counter() > deadline:
-            break
-        image = product(direction)
-        curvature = inner_product(direction, image)
-        if not curvature > 0.0:
-            break
-        alpha = energy / curvature
-        d += alpha * direction
-        before, rest = rest, rest - alpha * image
-        now = math.sqrt(inner_product(rest, rest))
-        z = precondition(rest)
-        beta = inner_product(z, rest - before) / energy
-        energy = inner_product(rest, z)
-        if not energy > 0.0:
-            break
-        direction = z + max(beta, 0.0) * direction
-        steps += 1
-    return _Run(d, now / first if first else 0.0, steps)
-
-
 def _matrix(slope: Slope) -> sp.csr_array:
     """A slope as a matrix, shape (m, m)."""
     factor = sp.csr_array(sp.diags_array(slope.factor))
     if slope.along is None:
         return factor
-    groups = len(slope.along) // slope.size
-    unit = sp.csr_array(
-        (
-            np.sqrt(slope.factor) * slope.along,
-            np.repeat(np.arange(groups), slope.size),
-            np.arange(len(slope.along) + 1),
-        ),
-        shape=(len(slope.along), groups),
-    )
+    unit = group_columns(np.sqrt(slope.factor) * slope.along, slope.size)
     return sp.csr_array(factor - unit @ unit.T)

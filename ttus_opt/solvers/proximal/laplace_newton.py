@@ -22,7 +22,7 @@ from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
-from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
+from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows, group_columns
 from ttus_opt.terms.penalties.base import Slope
 from ttus_opt.terms.structure import LaplaceRows
 
@@ -124,10 +124,5 @@ class LaplaceNewton:
 def _across(matrix: sp.csr_array, slope: Slope) -> sp.csr_array:
     """(I − n nᵀ) M with the unit vectors n of a slope's groups."""
     assert slope.along is not None
-    n = slope.along
-    groups = len(n) // slope.size
-    starts = np.arange(len(n) + 1)
-    unit = sp.csr_array(
-        (n, np.repeat(np.arange(groups), slope.size), starts), shape=(len(n), groups)
-    )
+    unit = group_columns(slope.along, slope.size)
     return sp.csr_array(matrix - unit @ (sp.csr_array(unit.T) @ matrix))

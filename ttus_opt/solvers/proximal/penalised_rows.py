@@ -121,3 +121,15 @@ class PenalisedRows:
         change = math.sqrt(float(np.sum((multipliers - self.multipliers) ** 2)))
         self.multipliers = multipliers
         return change**2 / self.sigma, change / self.sigma
+
+
+def group_columns(values: Array, size: int) -> sp.csr_array:
+    """Values as columns, one for each group of rows, shape (m, m / size).
+
+    Args:
+        values: Entry of every row, shape (m,).
+        size: Rows of a group.
+    """
+    m = len(values)
+    group, starts = np.repeat(np.arange(m // size), size), np.arange(m + 1)
+    return sp.csr_array((values, group, starts), shape=(m, m // size))

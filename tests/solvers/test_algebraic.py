@@ -1,0 +1,169 @@
+"""Sums of squares without a Laplace term against a direct factorisation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+import ttus_opt as tt
+from tests.conftest import small_scene
+from tests.solvers.own_terms import SkinGraph
+from tests.solvers.test_normal_equations import direct_answer
+from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.sign import Sign
+from ttus_opt.errors import MissingPackageError
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.problem.solution import Status
+from ttus_opt.scene import Scene
+from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.primal import sparse_inverse
+from ttus_opt.solvers.primal.sparse_inverse import Estimate, SparseInverse
+from ttus_opt.solvers.registry import solvers
+from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.force import ForceTerm
+from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.torque import TorqueTerm
+from ttus_opt.terms.total_variation import difference_rows
+
+SCENE, SOLVER = small_scene("trilinear"), solvers()["algebraic"]
+
+
+@dataclass(frozen=True)
+class Differences(Term):
+    """Squares of differences between neighbours."""
+
+    name = "differences"
+
+    def rows(self) -> AffineRows:
+        rows = difference_rows(self.scene.voxmap.grid)
+        return AffineRows({"p": rows}, np.zeros(rows.shape[0]))
+
+
+@dataclass(frozen=True)
+class Ridge(Term):
+    """Squares of the departure from the Laplace field."""
+
+    name = "ridge"
+
+    def rows(self) -> AffineRows:
+        one = sp.eye_array(self.scene.n_voxels, format="csr")
+        return AffineRows({"p": one}, self.scene.laplace.solve(self.scene.b))
+
+
+@dataclass(frozen=True)
+class GraphLaplacian(Term):
+    """Squares of the grid's graph Laplacian."""
+
+    name = "graph_laplacian"
+
+    def rows(self) -> AffineRows:
+        D = difference_rows(self.scene.voxmap.grid)
+        return AffineRows({"p": sp.csr_array(D.T @ D)}, np.zeros(D.shape[1]))
+
+
+def declared(scene: Scene, case: str, weight: float = 1e-2) -> Formulation:
+    measured = [ForceTerm(scene, weight), TorqueTerm(scene, 0.5 * weight)]
+    held = [HardBoundary(scene)]
+    prior: dict[str, tuple[list[Term], list[HardBoundary]]] = {
+        "differences": ([Differences(scene)], held),
+        "ridge": ([Ridge(scene)], []),
+        "graph": ([GraphLaplacian(scene)], held),
+        "sum": ([Ridge(scene, 0.1), SkinGraph(scene, 3.0)], []),
+    }
+    terms, constraints = prior[case]
+    return Formulation([*terms, *measured], constraints)
+
+
+def solved(program: Program, tolerance: float = 1e-9) -> Candidate:
+    return SOLVER.prepare(program, Request(tolerance)).solve()
+
+
+@pytest.fixture(params=["a factor", "algebraic multigrid"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Either way, whatever the estimate says."""
+    chosen = request.param == "a factor"
+    monkeypatch.setattr(Estimate, "by_factor", property(lambda self: chosen))
+    return str(request.param)
+
+
+@pytest.mark.parametrize("case", ["differences", "ridge", "graph", "sum"])
+def test_equals_a_factorisation(case: str, way: str) -> None:
+    for weight in (1e-4, 1e2):
+        program = declared(SCENE, case, weight).compile()
+        found = solved(program)
+        assert found.x is not None and found.detail.startswith(way)
+        expected = direct_answer(program)
+        apart = np.linalg.norm(found.x - expected) / np.linalg.norm(expected)
+        assert apart < 1e-6
+        residuals = kkt_residuals(program, found.x, found.duals)
+        assert residuals.worst_relative < 1e-8
+
+
+def test_auto_takes_it_and_its_answer_is_verified() -> None:
+    solution = tt.fit(SCENE, declared(SCENE, "differences"))
+    assert solution.status is Status.SOLVED
+    large = replace(Formulation([Ridge(SCENE)]).compile())
+    assert SOLVER.cost(large) < np.inf
+
+
+def test_new_targets_keep_what_was_set_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    program = declared(SCENE, "ridge").compile()
+    prepared = SOLVER.prepare(program, Request(1e-9))
+    prepared.solve()
+    monkeypatch.setattr(SparseInverse, "of", None)  # would be called to set up anew
+    terms = tuple(replace(t, target=2.0 * t.target) for t in program.terms)
+    other = replace(program, terms=terms)
+    prepared.update(other)
+    again = prepared.solve()
+    expected = direct_answer(other)
+    apart = np.linalg.norm(again.x - expected) / np.linalg.norm(expected)
+    assert apart < 1e-6
+
+
+def test_what_no_square_determines_stays_where_it_is() -> None:
+    """Voxels that nothing touches do not move, and nothing fails for them."""
+    program = Formulation([ForceTerm(SCENE, 1.0)]).compile()
+    found = solved(program, 1e-6)
+    assert found.x is not None
+    untouched = np.diff(sp.csc_array(program.terms[0].matrix).indptr) == 0
+    assert untouched.any() and (found.x[untouched] == 0.0).all()
+
+
+def test_a_missing_package_is_told_and_another_solver_goes_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def missing(module: str, extra: str) -> None:
+        raise MissingPackageError(f'{module}: pip install "ttus-opt[{extra}]"')
+
+    monkeypatch.setattr(Estimate, "by_factor", property(lambda self: False))
+    monkeypatch.setattr(sparse_inverse, "load", missing)
+    program = declared(SCENE, "ridge").compile()
+    found = solved(program)
+    assert found.x is None and found.claim is Claim.GAVE_UP
+    assert found.detail == 'pyamg: pip install "ttus-opt[reference]"'
+
+
+def test_refuses_what_others_know_more_of() -> None:
+    laplace = Formulation([LaplaceTerm(SCENE), Ridge(SCENE)]).compile()
+    assert "normal_equations" in SOLVER.refusal(laplace)
+    limited = Formulation([Ridge(SCENE)], [Sign(SCENE)]).compile()
+    assert SOLVER.refusal(limited)
+
+
+def test_a_chain_is_factorised_and_a_volume_is_not() -> None:
+    n = 30
+    chain = sp.diags_array([-np.ones(n**3 - 1)], offsets=[1], shape=(n**3,) * 2)
+    one, line = sp.eye_array(n), sp.diags_array([-np.ones(n - 1)], offsets=[1])
+    line = sp.csr_array((-np.ones(n - 1), (np.arange(n - 1), np.arange(1, n))), (n, n))
+    volume = sum(
+        sp.kron(sp.kron(*pair), last)
+        for *pair, last in ((line, one, one), (one, line, one), (one, one, line))
+    )
+    for upper, by_factor in ((chain, True), (volume, False)):
+        Q = sp.csr_array(upper + upper.T + 7.0 * sp.eye_array(n**3))
+        assert Estimate.of(Q).by_factor is by_factor

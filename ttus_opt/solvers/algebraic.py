@@ -1,0 +1,202 @@
+"""Any sum of squares without a Laplace term: a factor or algebraic multigrid.
+
+Conjugate gradients on the normal equations of what is not given, with the matrix of all
+short rows inverted about (`primal.sparse_inverse`) and few long ones, those of
+measurements, by their Schur complement. The geometric multigrid knows nothing of such a
+prior; with a Laplace term `normal_equations` is the better way.
+
+See docs/method.md, section 10.10.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
+from ttus_opt.solvers.dual.data import laplace_prior
+from ttus_opt.solvers.primal.flexible import Map, flexible_conjugate_gradients
+from ttus_opt.solvers.primal.sparse_inverse import SparseInverse, needs_missing
+from ttus_opt.solvers.proximal.field_preconditioner import WithFewRows
+from ttus_opt.solvers.proximal.problem import PenalisedProblem
+from ttus_opt.solvers.sizes import Sizes
+from ttus_opt.solvers.verified import Verified
+
+#: Entries of a long row, on average: its square would fill the matrix [–]
+LONG = 64
+
+#: Most steps of conjugate gradients of a round, most rounds of a solve, each from a
+#: residual computed anew, and the part of a residual that a round leaves at best [–]
+STEPS, ROUNDS, ROUND = 500, 6, 1e-6
+
+
+class Algebraic(Solver):
+    """Conjugate gradients over a factor or pyamg, chosen by an estimate."""
+
+    name = "algebraic"
+    summary = (
+        "any sum of squares without a Laplace term: a factor, or pyamg under "
+        "conjugate gradients"
+    )
+    capabilities = Capabilities(
+        inequalities=False,
+        equalities=True,
+        keeps="the factor or multigrid while weights stay, the last answer",
+    )
+
+    def refusal(self, program: Program) -> str:
+        """Sums of squares without a Laplace term; equalities that give values."""
+        base = super().refusal(program)
+        if base:
+            return base
+        bent = [t.name for t in program.terms if not t.is_squares]
+        if bent:
+            return f"it takes sums of squares only, {bent[0]} is none"
+        prior = laplace_prior(program)
+        if prior is not None and prior.weight > 0.0:
+            return f"of {prior.name} normal_equations knows more"
+        for constraint in program.constraints:
+            if (np.diff(constraint.matrix.indptr) != 1).any():
+                return f"it takes given values, and {constraint.name} is more than that"
+        return ""
+
+    def cost(self, program: Program) -> float:
+        """In proportion to the voxels."""
+        s = Sizes.of(program)
+        return 0.1 + 4e-5 * s.voxels
+
+    def prepare(self, program: Program, request: Request) -> Verified:
+        """Factorise, or set up the multigrid."""
+        self.require(program)
+        return _Loaded(program, request)
+
+
+class _Loaded(Verified):
+    margin, floor = 1e-2, 1e-15
+    _last: Array | None = None
+    _made: tuple[tuple[ProgramTerm, ...], Map, str] | None = None
+
+    def _load(self, program: Program) -> None:
+        """Take other data; the preconditioner is kept while the matrices stay."""
+        self._problem = problem = PenalisedProblem.of(program)
+        self._missing = ""
+        self._blocks = problem.blocks
+        self._adjoints = [sp.csr_array(b.matrix.T) for b in self._blocks]
+        terms = tuple(t for t in program.terms if t.weight > 0.0)
+        if self._made is None or not _same(self._made[0], terms):
+            self._made = None
+            self._set_up(terms)
+        at = problem.values if self._last is None else self._last
+        self._x = np.where(problem.fixed, problem.values, at)
+
+    def _set_up(self, terms: tuple[ProgramTerm, ...]) -> None:
+        """What preconditions."""
+        moving = np.flatnonzero(~self._problem.fixed)
+        short = [t for t in terms if not _is_long(t)] or list(terms)
+        long = [t for t in terms if not any(t is k for k in short)]
+        Q = _gram([_scaled(t)[:, moving] for t in short], len(moving))
+        rows = [_scaled(t)[:, moving] for t in long]
+        empty = sp.csr_array((0, len(moving)))
+        few = sp.csr_array(sp.vstack([empty, *rows]))
+        # what no short row touches has the long ones' diagonal, or is left alone
+        alone = Q.diagonal() == 0.0
+        own = np.bincount(few.indices, few.data**2, len(moving))
+        Q = sp.csr_array(
+            Q + sp.diags_array(np.where(alone, np.where(own > 0.0, own, 1.0), 0.0))
+        )
+        self._missing = needs_missing(Q)
+        if self._missing:
+            return
+        inverse = SparseInverse.of(Q)
+        apply: Map = WithFewRows(inverse.apply, few) if few.nnz else inverse.apply
+
+        def precondition(v: Array) -> Array:
+            z = np.zeros_like(v)
+            z[moving] = apply(v[moving])
+            return z
+
+        self._made = terms, precondition, inverse.told
+
+    def _attempt(self, eps: float, seconds: float | None) -> Candidate:
+        """Rounds of conjugate gradients from the last answer."""
+        if self._made is None:
+            return Candidate(None, claim=Claim.GAVE_UP, detail=self._missing)
+        deadline = None if seconds is None else time.perf_counter() + seconds
+        x, steps, before = self._x, 0, math.inf
+        for _ in range(ROUNDS):
+            parts = self._parts(x)
+            largest = max((float(np.linalg.norm(g)) for g in parts), default=0.0)
+            side = np.where(self._problem.fixed, 0.0, -np.sum(parts, axis=0))
+            size = float(np.linalg.norm(side))
+            late = deadline is not None and time.perf_counter() > deadline
+            if size <= eps * largest or size > 0.5 * before or late:
+                break
+            before = size
+            rtol = max(0.5 * eps * largest / size, ROUND)
+            product = partial(self._product, self._problem.fixed)
+            found = flexible_conjugate_gradients(
+                product, side, self._made[1], rtol, STEPS, deadline
+            )
+            x, steps = x + found.d, steps + found.steps
+        self._x = self._last = x
+        parts = self._parts(x)
+        duals = self._problem.duals(
+            [self._charge(k, x) for k in range(len(self._blocks))],
+            np.sum(parts, axis=0),
+        )
+        told = f"{self._made[2]}, {steps} steps"
+        return Candidate(x, duals, steps, detail=told)
+
+    def _charge(self, k: int, x: Array) -> Array:
+        block = self._blocks[k]
+        return 2.0 * block.weight * block.residual(x)
+
+    def _parts(self, x: Array) -> list[Array]:
+        """Gradients of the terms, shape (n,) each."""
+        return [A @ self._charge(k, x) for k, A in enumerate(self._adjoints)] or [
+            np.zeros_like(x)
+        ]
+
+    def _product(self, fixed: Array, v: Array) -> Array:
+        """The objective's curvature times a vector, shape (n,)."""
+        out = np.zeros_like(v)
+        for block, adjoint in zip(self._blocks, self._adjoints, strict=True):
+            out += 2.0 * block.weight * (adjoint @ (block.matrix @ v))
+        return np.where(fixed, 0.0, out)
+
+
+def _is_long(term: ProgramTerm) -> bool:
+    """Whether its rows are measurements, or as long as such."""
+    rows = max(term.matrix.shape[0], 1)
+    return term.is_measured or term.matrix.nnz > LONG * rows
+
+
+def _scaled(term: ProgramTerm) -> sp.csr_array:
+    """Rows whose square is the term's curvature."""
+    return sp.csr_array(np.sqrt(2.0 * term.weight) * term.matrix)
+
+
+def _gram(matrices: list[sp.csr_array], n: int) -> sp.csr_array:
+    total = sp.csr_array((n, n))
+    for own in matrices:
+        total = sp.csr_array(total + own.T @ own)
+    total.sum_duplicates()
+    return total
+
+
+def _same(one: tuple[ProgramTerm, ...], other: tuple[ProgramTerm, ...]) -> bool:
+    """Whether matrices and weights are the same."""
+    return len(one) == len(other) and all(
+        a.matrix is b.matrix and a.weight == b.weight
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+SOLVERS = [Algebraic()]

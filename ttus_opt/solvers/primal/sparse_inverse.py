@@ -1,0 +1,122 @@
+"""About the inverse of a sparse positive definite matrix nobody knows anything of.
+
+Either a factor or algebraic multigrid. Which of them an estimate decides: ordered by
+Cuthill and McKee's rule in reverse, the matrix has an envelope of widths βᵢ, within
+which a factor needs Σ β numbers and Σ β² operations (A. George, J. Liu, Computer
+Solution of Large Sparse Positive Definite Systems, 1981). Rows that tie voxels along
+lines or over a surface have a narrow one, rows over a volume do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+from scipy.sparse.linalg import splu
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import MissingPackageError
+from ttus_opt.optional import load
+
+#: Most bytes of a factor, and bytes of one of its numbers with its index
+MOST_BYTES, BYTES = 1 << 30, 12
+#: Seconds of an operation in the factor, and of a number in it
+OPERATION, NUMBER = 5e-10, 1e-7
+#: Seconds of multigrid per entry of the matrix: its set-up and some forty V-cycles
+ENTRY = 1e-5
+#: Part of the diagonal that keeps a singular matrix invertible [–]
+SHIFT = 1e-10
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What a factor would take, and what multigrid.
+
+    Attributes:
+        bytes: Of the factor.
+        factor: Of the factor [s].
+        multigrid: Of multigrid [s].
+    """
+
+    bytes: float
+    factor: float
+    multigrid: float
+
+    @classmethod
+    def of(cls, Q: sp.csr_array) -> Estimate:
+        """Look at the pattern of a symmetric matrix."""
+        order = reverse_cuthill_mckee(sp.csr_matrix(Q), symmetric_mode=True)
+        place = np.empty(len(order), dtype=np.int64)
+        place[order] = np.arange(len(order))
+        rows = np.repeat(np.arange(Q.shape[0]), np.diff(Q.indptr))
+        first = place.copy()
+        np.minimum.at(first, rows, place[Q.indices])
+        width = (place - first).astype(float)
+        return cls(
+            BYTES * float(width.sum()),
+            OPERATION * float(width @ width) + NUMBER * float(width.sum()),
+            ENTRY * Q.nnz,
+        )
+
+    @property
+    def by_factor(self) -> bool:
+        """Whether the factor is the better way."""
+        return self.bytes <= MOST_BYTES and self.factor <= self.multigrid
+
+
+@dataclass(frozen=True)
+class SparseInverse:
+    """About Q⁻¹, symmetric and positive definite.
+
+    Attributes:
+        apply: Q⁻¹ times a vector, shape (n,) each.
+        told: How, in words.
+    """
+
+    apply: Callable[[Array], Array] = field(repr=False)
+    told: str
+
+    @classmethod
+    def of(cls, Q: sp.csr_array) -> SparseInverse:
+        """Factorise it, or set up a multigrid.
+
+        Args:
+            Q: Symmetric positive semidefinite, shape (n, n), diagonal not zero.
+
+        Raises:
+            MissingPackageError: It takes a multigrid, and pyamg is not installed.
+        """
+        shifted = sp.csr_array(Q + sp.diags_array(SHIFT * Q.diagonal()))
+        if Estimate.of(Q).by_factor:
+            factor = splu(
+                sp.csc_array(shifted),
+                permc_spec="MMD_AT_PLUS_A",
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+            return cls(factor.solve, "a factor")
+        return cls(_cycle(shifted), "algebraic multigrid")
+
+
+def needs_missing(Q: sp.csr_array) -> str:
+    """What to install before Q can be inverted, in words; empty for nothing."""
+    if not Estimate.of(Q).by_factor:
+        try:
+            load("pyamg", "reference")
+        except MissingPackageError as error:
+            return str(error)
+    return ""
+
+
+def _cycle(Q: sp.csr_array) -> Callable[[Array], Array]:
+    """One V-cycle of smoothed aggregation (Vaněk, Mandel and Brezina 1996)."""
+    pyamg = load("pyamg", "reference")
+    sweep = ("gauss_seidel", {"sweep": "symmetric"})
+    levels = pyamg.smoothed_aggregation_solver(
+        sp.csr_matrix(Q), presmoother=sweep, postsmoother=sweep, max_coarse=500
+    )
+    operator = levels.aspreconditioner(cycle="V")
+    return lambda v: np.asarray(operator.matvec(v))
