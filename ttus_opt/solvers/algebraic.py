@@ -17,7 +17,7 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
@@ -164,7 +164,7 @@ class _Loaded(Verified):
             np.zeros_like(x)
         ]
 
-    def _product(self, fixed: Array, v: Array) -> Array:
+    def _product(self, fixed: Mask, v: Array) -> Array:
         """The objective's curvature times a vector, shape (n,)."""
         out = np.zeros_like(v)
         for block, adjoint in zip(self._blocks, self._adjoints, strict=True):
