@@ -9,16 +9,19 @@ import pytest
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
+from tests.solvers.own_terms import AlongZ
 from tests.solvers.problems import bounds, program, rows, term
-from tests.solvers.taking import BENT
+from tests.solvers.taking import ALGEBRAIC, BENT
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.errors import InputError, SolverUnavailableError
 from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Capabilities, Claim, Prepared, Request, Solver
+from ttus_opt.terms.force import ForceTerm
 from ttus_opt.terms.penalties.groups import Groups
 
 ALL = list(registry.solvers().values())
@@ -163,6 +166,8 @@ def test_time_limit_strikes(solver: Solver) -> None:
         problem = declared.with_constraints(Sign(scene)).compile()
     if solver.name in BENT:
         problem = reduce(shelf.load("sparse_sources", scene).compile()).program
+    if solver.name in ALGEBRAIC:
+        problem = Formulation([AlongZ(scene), ForceTerm(scene, 1.0)]).compile()
     candidate = solver.prepare(problem, Request(1e-12, 1e-4)).solve()
     assert candidate.claim is Claim.TIME_LIMIT
 
