@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -42,6 +43,7 @@ def evaluate(
 ) -> None:
     """Compare rendered with measured force and torque."""
     from ttus_opt.report import metrics
+    from ttus_opt.report.hysteresis import hysteresis_share
     from ttus_opt.voxmap.field import PotentialField
 
     if picture is not None:
@@ -66,8 +68,9 @@ def evaluate(
             begin("drawing")
             plots.save_picture(plots.force_over_time({"rendered": found}), picture)
     errors = found.errors
+    lost = hysteresis_share(recorded, shell, errors.force_threshold_N)
     if json:
-        print_json({**errors.as_dict(), "recordings": told})
+        print_json({**errors.as_dict(), "hysteresis_share": lost, "recordings": told})
         return
     for recording in told:
         if recording["seen"]:
@@ -78,6 +81,15 @@ def evaluate(
         f"{errors.force_angle_error_deg:.1f}° over {errors.frames_in_contact} of "
         f"{errors.frames} frames in contact"
     )
+    if not math.isnan(errors.share_told_apart):
+        typer.echo(
+            f"felt    {100 * errors.share_told_apart:.1f} % of the frames in contact "
+            "could be told from the measured ones (by more than 7 % and 0.36 N, or 18°)"
+        )
+    if not math.isnan(lost):
+        typer.echo(
+            f"presses {100 * lost:.0f} % of their work was not given back (hysteresis)"
+        )
     if not recorded.has_torque:
         typer.echo("torque  not measured")
         return

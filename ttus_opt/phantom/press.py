@@ -11,6 +11,10 @@ n_i at that place, with the component f_i along d_i, so the probe feels
 This is minus the gradient of the stored energy E = ½ f·C f with respect to the pose:
 without drag the contact gives back what was put in. Coulomb drag adds −μ N_i t_i at
 every node, t_i the direction in which the probe slides there; it leaves N_i as it is.
+
+Tissue that is pressed in faster resists more (Hunt and Crossley, J. Appl. Mech. 42,
+1975): with v_i the speed at which the probe moves into the body at node i, N_i becomes
+N_i max(0, 1 + b v_i). The work of the added force is never given back.
 """
 
 from __future__ import annotations
@@ -78,7 +82,7 @@ class Contact:
         force: On the probe, patient frame, shape (3,) [N].
         torque: About the probe's centre, patient axes, shape (3,) [N m].
         energy: Stored in the body [J].
-        normal_forces: N_i of the touching nodes, all positive, shape (k,) [N].
+        normal_forces: N_i of the touching nodes, none negative, shape (k,) [N].
         nodes: Their numbers in the patch, shape (k,).
         points: Where they touch the probe, patient frame, shape (k, 3) [m].
         probe_normals: The probe's outward normals there, shape (k, 3) [–].
@@ -108,6 +112,7 @@ def press(
     *,
     motion: Motion | None = None,
     drag: CoulombDrag | None = None,
+    damping: float = 0.0,
 ) -> Contact:
     """Press a probe into the skin.
 
@@ -116,8 +121,9 @@ def press(
         probe: The rigid probe.
         rotation: Probe to patient, shape (3, 3) [–].
         position: The probe's centre, shape (3,) [m].
-        motion: How it moves; at rest when not given. Only drag asks for it.
+        motion: How it moves; at rest when not given. Drag and damping ask for it.
         drag: Coulomb drag; none when not given.
+        damping: Hunt–Crossley coefficient b, not negative [s/m].
 
     Returns:
         The wrench on the probe and where it comes from.
@@ -125,7 +131,10 @@ def press(
     Raises:
         GeometryError: The probe is not above the patch, its centre is below the
             undeformed skin, or it touches the patch's border.
+        InputError: Negative damping.
     """
+    if damping < 0.0:
+        raise InputError(f"damping must not be negative, got {damping} s/m")
     _check_above(patch, position)
     reach = probe.reach(patch.points, -patch.normals, rotation, position)
     under = np.flatnonzero(np.isfinite(reach.depth))
@@ -144,6 +153,9 @@ def press(
     inward, outward = -patch.normals[nodes], reach.normals[nodes]
     normal_forces = forces[touch] / np.einsum("ij,ij->i", outward, inward)
     points = patch.points[nodes] + reach.depth[nodes, None] * inward
+    if damping > 0.0 and motion is not None:
+        speed = np.einsum("ij,ij->i", _velocities(points - position, motion), outward)
+        normal_forces = normal_forces * np.maximum(0.0, 1.0 + damping * speed)
     on_probe = -normal_forces[:, None] * outward
     if drag is not None and motion is not None and drag.coefficient > 0.0:
         slide = _sliding_directions(points - position, outward, motion, drag.deadband)
@@ -176,11 +188,16 @@ def _check_above(patch: SkinPatch, position: Array) -> None:
         )
 
 
+def _velocities(levers: Array, motion: Motion) -> Array:
+    """Velocities of the probe's points at levers (k, 3) [m] from its centre [m/s]."""
+    return np.asarray(motion.velocity + np.cross(motion.angular_velocity, levers))
+
+
 def _sliding_directions(
     levers: Array, normals: Array, motion: Motion, deadband: float
 ) -> Array:
     """Unit directions in which the probe slides, zero at rest, shape (k, 3) [–]."""
-    velocity = motion.velocity + np.cross(motion.angular_velocity, levers)
+    velocity = _velocities(levers, motion)
     along = np.einsum("ij,ij->i", velocity, normals)
     tangential = velocity - along[:, None] * normals
     speed = np.linalg.norm(tangential, axis=1)

@@ -1,4 +1,4 @@
-"""A whole trajectory pressed into the skin, with a sensor's noise on request."""
+"""A whole trajectory pressed into the skin, with noise of sensor and tracker."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy.signal import lfilter
+from scipy.spatial.transform import Rotation
 
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.phantom.elasticity import SkinPatch
 from ttus_opt.phantom.press import CoulombDrag, Motion, press
@@ -16,6 +19,12 @@ from ttus_opt.probe.trajectory import Trajectory
 #: Noise of the force and torque sensor, standard deviation per axis [N], [N m].
 FORCE_NOISE, TORQUE_NOISE = 0.08, 0.003
 
+#: Error of a tracked pose, standard deviation per axis [m], [rad]
+POSITION_NOISE, ROTATION_NOISE = 0.5e-3, np.radians(0.5)
+
+#: A tracker's errors are alike over about this time [s]
+POSE_CORRELATION = 1.0
+
 
 def record(
     patch: SkinPatch,
@@ -23,6 +32,8 @@ def record(
     poses: Trajectory,
     *,
     drag: CoulombDrag | None = None,
+    damping: float = 0.0,
+    moving: Trajectory | None = None,
     progress: Callable[[], None] | None = None,
 ) -> Trajectory:
     """Press the probe along a trajectory and write down the wrench, free of noise.
@@ -32,6 +43,8 @@ def record(
         probe: The rigid probe.
         poses: Its poses; a wrench in it is replaced.
         drag: Coulomb drag along the sliding that follows from the poses.
+        damping: Hunt–Crossley coefficient of the tissue, see `press` [s/m].
+        moving: Whose velocities count, frame by frame; by default those of ``poses``.
         progress: Called after every pose.
 
     Returns:
@@ -40,7 +53,8 @@ def record(
     Raises:
         GeometryError: A pose the patch does not know, see `press`.
     """
-    velocity, turning = poses.velocity(), poses.angular_velocity()
+    moved = poses if moving is None else moving
+    velocity, turning = moved.velocity(), moved.angular_velocity()
     force, torque = np.zeros((len(poses), 3)), np.zeros((len(poses), 3))
     for m in range(len(poses)):
         contact = press(
@@ -50,6 +64,7 @@ def record(
             poses.position[m],
             motion=Motion(velocity[m], turning[m]),
             drag=drag,
+            damping=damping,
         )
         force[m], torque[m] = contact.force, contact.torque
         if progress is not None:
@@ -87,3 +102,52 @@ def add_noise(
         force=trajectory.force + force_std * noise[:, :3],
         torque=trajectory.torque + torque_std * noise[:, 3:],
     )
+
+
+def add_pose_noise(
+    trajectory: Trajectory,
+    rng: np.random.Generator,
+    *,
+    position_std: float = POSITION_NOISE,
+    rotation_std: float = ROTATION_NOISE,
+    correlation: float = POSE_CORRELATION,
+) -> Trajectory:
+    """Displace and turn every pose by a stationary Gauss–Markov error.
+
+    Args:
+        trajectory: One recording at even steps; its wrench stays that of the true
+            poses.
+        rng: Source of the noise.
+        position_std: Standard deviation along each axis [m].
+        rotation_std: About each axis [rad].
+        correlation: Time over which errors are alike; 0 for frames of their own [s].
+
+    Returns:
+        The trajectory as a tracker reports it.
+
+    Raises:
+        InputError: A negative deviation or time.
+    """
+    if min(position_std, rotation_std, correlation) < 0.0:
+        raise InputError(
+            "pose noise takes deviations and a time that are not negative, got "
+            f"{position_std} m, {rotation_std} rad and {correlation} s"
+        )
+    white = rng.standard_normal((len(trajectory), 6))
+    unit = _correlated(white, trajectory.time, correlation)
+    turn = Rotation.from_rotvec(rotation_std * unit[:, 3:]).as_matrix()
+    return replace(
+        trajectory,
+        position=trajectory.position + position_std * unit[:, :3],
+        rotation=turn @ trajectory.rotation,
+    )
+
+
+def _correlated(white: Array, time: Array, correlation: float) -> Array:
+    """A stationary first-order Gauss–Markov process of unit variance, (T, k)."""
+    if correlation == 0.0 or len(white) < 2:
+        return white
+    kept = np.exp(-(time[1] - time[0]) / correlation)
+    driven = np.sqrt(1.0 - kept**2) * white
+    driven[0] = white[0]
+    return np.asarray(lfilter([1.0], [1.0, -kept], driven, axis=0))

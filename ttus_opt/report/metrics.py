@@ -16,6 +16,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.haptic.field_wrench import FieldWrenches, wrenches_along
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.perception import noticeable
 from ttus_opt.voxmap.field import PotentialField
 
 #: A frame is in contact above this measured force [N]
@@ -43,6 +44,9 @@ class Errors:
         frames_with_torque: Of those, frames with ‖τ‖ above ``torque_threshold_Nm``.
         force_threshold_N: The threshold used.
         torque_threshold_Nm: The threshold used.
+        share_told_apart: Share of the frames with a measured or rendered force above
+            ``force_threshold_N`` that a hand could tell from the measured ones
+            (`ttus_opt.report.perception`); NaN without any.
     """
 
     force_magnitude_error_N: float
@@ -57,6 +61,7 @@ class Errors:
     frames_with_torque: int
     force_threshold_N: float
     torque_threshold_Nm: float
+    share_told_apart: float
 
     def as_dict(self) -> dict[str, float]:
         """All figures by name, for JSON."""
@@ -210,11 +215,14 @@ def _errors(
     d_torque = np.linalg.norm(torque_hat, axis=1) - size_torque
     touching = size > force_threshold
     turning = touching & (size_torque > torque_threshold)
+    turned = angles(force, force_hat)
+    present = touching | (np.linalg.norm(force_hat, axis=1) > force_threshold)
+    felt = noticeable(force, force_hat, np.where(touching, turned, 0.0))
     return Errors(
         float(np.abs(d_force).mean()),
         float(np.sqrt((d_force**2).mean())),
         float(np.sqrt(((force - force_hat) ** 2).sum(axis=1).mean())),
-        _mean(angles(force, force_hat)[touching]),
+        _mean(turned[touching]),
         float(np.abs(d_torque).mean()),
         float(np.sqrt((d_torque**2).mean())),
         _mean(angles(torque, torque_hat)[turning]),
@@ -223,6 +231,7 @@ def _errors(
         int(turning.sum()),
         force_threshold,
         torque_threshold,
+        _mean(felt[present]),
     )
 
 

@@ -1,0 +1,12 @@
+"""The paper's experiment as one command: three phantom patients, every error told.
+
+    from ttus_opt import experiment
+    result = experiment.run("results", experiment.Plan(shape=(24, 72, 30)))
+
+Needs scikit-fem (extra ``phantom``) to simulate recordings that are not there yet.
+"""
+
+from ttus_opt.experiment.run import ExperimentResult, Plan, n_stages, run
+from ttus_opt.experiment.scores import Row, Score
+
+__all__ = ["ExperimentResult", "Plan", "Row", "Score", "n_stages", "run"]

@@ -1,0 +1,95 @@
+"""How much the boundary value matters, before and after measured forces.
+
+The paper picks the value of the inner layer by hand. Here it runs over a decade around
+the one that suits the Laplace field best; what is told is by how much the error on
+unseen motion moves with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ttus_opt.experiment.fits import PatientFits, read_kept, write_kept
+from ttus_opt.experiment.settings import LAPLACE
+from ttus_opt.fitting.batch import fit
+from ttus_opt.problem.solution import Status
+from ttus_opt.voxmap.field import PotentialField
+
+#: Factors of the boundary value: half a decade to either side [–]
+FACTORS = tuple(float(f) for f in 10.0 ** np.linspace(-0.5, 0.5, 5))
+
+#: The recordings of new motion
+UNSEEN = ("press_test", "sweep_test")
+
+
+@dataclass(frozen=True)
+class BoundaryError:
+    """Error of one patient at one boundary value.
+
+    Attributes:
+        patient: Name.
+        factor: Of the boundary value that suits the Laplace field best [–].
+        inner: The value on the inner layer [N/cm²].
+        before_N: Mean magnitude error of the Laplace field on unseen motion.
+        after_N: The same of eq. 10.
+    """
+
+    patient: str
+    factor: float
+    inner: float
+    before_N: float
+    after_N: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+
+def boundary_errors(
+    fits: PatientFits, weight: float, file: Path, digest: str
+) -> tuple[BoundaryError, ...]:
+    """Errors over a decade of boundary values, or those an earlier call kept.
+
+    Args:
+        fits: Of the patient.
+        weight: λ_f = λ_τ of eq. 10.
+        file: Where they are kept.
+        digest: A word that changes when they would.
+    """
+    told = {"digest": digest, "weight": weight, "factors": list(FACTORS)}
+    kept = read_kept(file, told)
+    if kept is not None:
+        return tuple(BoundaryError(**row) for row in kept["rows"])
+    rows = [_at(fits, weight, factor) for factor in FACTORS]
+    write_kept(file, {**told, "rows": [row.as_dict() for row in rows]})
+    return tuple(rows)
+
+
+def spread(values: Sequence[float]) -> float:
+    """Largest less smallest."""
+    return max(values) - min(values)
+
+
+def _at(fits: PatientFits, weight: float, factor: float) -> BoundaryError:
+    scene = fits.scene(LAPLACE)
+    scene = scene.with_boundary(factor * scene.inner, factor * scene.outer)
+    values = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
+    before = PotentialField(scene.voxmap, values, scene.sampling)
+    weights = {"force_weight": weight, "torque_weight": weight}
+    solution = fit(scene, "eq10", **weights)
+    after = float("nan")
+    if solution.status is Status.SOLVED:
+        after = _error(fits, solution.field)
+    patient = fits.examination.patient.name
+    return BoundaryError(patient, factor, scene.inner, _error(fits, before), after)
+
+
+def _error(fits: PatientFits, field: PotentialField) -> float:
+    """Mean magnitude error over the unseen recordings [N]."""
+    found = [fits.evaluation(field, name, "measured") for name in UNSEEN]
+    return float(np.mean([e.errors.force_magnitude_error_N for e in found]))

@@ -1,0 +1,108 @@
+"""Figures of the report: trajectories and slices without and with measured forces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from ttus_opt import io
+from ttus_opt.experiment.boundary import UNSEEN
+from ttus_opt.experiment.document import Picture
+from ttus_opt.experiment.fits import PatientFits
+from ttus_opt.experiment.run import ExperimentResult, PatientResult
+from ttus_opt.experiment.settings import LAPLACE, PAPER_WITHOUT
+from ttus_opt.report import plots
+from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
+
+#: Folder of the figures beside the report
+FOLDER = "figures"
+
+#: In a picture's palette: no difference is seen, and it fits into a page
+COLOURS = 96
+
+
+def draw(folder: Path, result: ExperimentResult, best: str) -> list[Picture]:
+    """Draw everything and write it.
+
+    Args:
+        folder: Of the report.
+        result: Of the experiment.
+        best: The setting that stands for "with measured forces".
+
+    Returns:
+        The pictures, in the order they are shown.
+    """
+    pictures = []
+    for each in result.patients:
+        pictures += _of_patient(folder, each, best)
+    path = f"{FOLDER}/boundary.png"
+    _save(boundary_picture(result), folder / path)
+    caption = (
+        "Error on new trajectories over a decade of boundary values, without "
+        "(dashed) and with measured forces"
+    )
+    return [*pictures, Picture(path, caption)]
+
+
+def boundary_picture(result: ExperimentResult) -> Figure:
+    """Error over the boundary value, before and after, a panel per patient."""
+    names = [each.patient.name for each in result.patients]
+    with look():
+        figure = new_figure(7.2, 2.6)
+        axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+        for panel, name in zip(axes, names, strict=True):
+            own = [row for row in result.boundary if row.patient == name]
+            factors = [row.factor for row in own]
+            before, after = [r.before_N for r in own], [r.after_N for r in own]
+            panel.plot(factors, before, color=BEFORE, linestyle="--", marker="o")
+            panel.plot(factors, after, color=AFTER, marker="o")
+            panel.set_xscale("log")
+            panel.set_xlabel("p_in over its fitted value")
+            panel.set_title(name)
+            panel.set_ylim(bottom=0.0)
+        axes[0].set_ylabel("magnitude error [N]")
+    return figure
+
+
+def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
+    name = each.patient.name
+    without, prior, fitted = (
+        each.fits[setting].field for setting in (PAPER_WITHOUT.name, LAPLACE.name, best)
+    )
+    if without is None or prior is None or fitted is None:
+        return []
+    judge = PatientFits(each.examination, folder, (0, 0, 0), "")
+    pictures = []
+    for recording in UNSEEN:
+        pair = {
+            "without": judge.evaluation(without, recording, "measured"),
+            "with measured forces": judge.evaluation(fitted, recording, "measured"),
+        }
+        kind = recording.split("_")[0]
+        path = f"{FOLDER}/{name}-{kind}.png"
+        figure = plots.force_over_time(pair, f"{name}: {kind}, new trajectory")
+        _save(figure, folder / path)
+        caption = (
+            f"{name}, {kind}, a trajectory that was not fitted: measured force, and "
+            f"rendered without (Laplace alone, p_in = 1) and with measured forces"
+        )
+        pictures.append(Picture(path, caption))
+    path = f"{FOLDER}/{name}-slice.png"
+    _save(plots.potential_slices(prior, fitted), folder / path)
+    caption = (
+        f"{name}: potential in a slice, Laplace alone with its boundary value fitted, "
+        "with measured forces, and the difference"
+    )
+    return [*pictures, Picture(path, caption)]
+
+
+def _save(figure: Figure, path: Path) -> None:
+    """Write a figure with a palette of colours: a third of the size."""
+    from PIL import Image  # comes with Matplotlib
+
+    plots.save_picture(figure, path)
+    with Image.open(path) as picture:
+        small = picture.convert("RGB").quantize(COLOURS)
+    with io.replacing(path) as temporary:
+        small.save(temporary, format="PNG", optimize=True)

@@ -1,0 +1,116 @@
+"""Recordings of a phantom patient, simulated once and kept in a folder.
+
+Every recording is kept three times: as measured (reported poses, noisy wrench), true
+(true poses, true wrench), and as the phantom itself would render it (true wrench at the
+reported poses). The last has no error of a model: what is left of it beside the
+measured wrench is what noise alone makes, and no model is better.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ttus_opt import io
+from ttus_opt.experiment.patients import PROBE, RECORDINGS, Patient
+from ttus_opt.phantom.elasticity import SkinPatch, skin_compliance
+from ttus_opt.phantom.press import CoulombDrag
+from ttus_opt.phantom.recording import add_noise, add_pose_noise, record
+from ttus_opt.phantom.torso import torso_body
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.scan.surface import Surface
+
+#: Digits of the files' numbers: below a nanometre and a micronewton
+DIGITS = 8
+
+
+@dataclass(frozen=True)
+class Examination:
+    """A patient's surface and recordings.
+
+    Attributes:
+        patient: Who.
+        surface: The true skin.
+        measured: Reported poses with noisy wrenches, by name.
+        true: True poses with true wrenches.
+        itself: Reported poses with the wrenches the phantom has there.
+    """
+
+    patient: Patient
+    surface: Surface = field(repr=False)
+    measured: Mapping[str, Trajectory] = field(repr=False)
+    true: Mapping[str, Trajectory] = field(repr=False)
+    itself: Mapping[str, Trajectory] = field(repr=False)
+
+
+def examine(
+    patient: Patient,
+    folder: Path,
+    resolution: float,
+    progress: Callable[[str], None] | None = None,
+) -> Examination:
+    """Simulate a patient's recordings, or read those of an earlier call.
+
+    Args:
+        patient: Who.
+        folder: Where they are kept; made when missing.
+        resolution: Of the finite elements, see `phantom.torso.TorsoMesh`.
+        progress: Called with what begins, when it is not there already.
+
+    Raises:
+        MissingPackageError: scikit-fem is not installed, and nothing is kept.
+        GeometryError: A path that leaves the meshed skin.
+    """
+    begin = progress or (lambda stage: None)
+    stamp, digest = folder / "digest.txt", patient.digest(resolution)
+    kept = stamp.read_text(encoding="utf-8") if stamp.exists() else ""
+    if kept != digest:
+        begin(f"{patient.name}: finite elements")
+        patch = _skin(patient, folder, resolution)
+        begin(f"{patient.name}: recordings")
+        patient.surface().save(folder / "surface.nc")
+        for name in RECORDINGS:
+            _record(patient, name, patch, folder)
+        with io.replacing(stamp) as temporary:
+            temporary.write_text(digest, encoding="utf-8")
+    kinds = (
+        {name: read_trajectory(folder / f"{name}{kind}.csv") for name in RECORDINGS}
+        for kind in ("", "_true", "_itself")
+    )
+    return Examination(patient, Surface.load(folder / "surface.nc"), *kinds)
+
+
+def skin_file(patient: Patient, folder: Path, resolution: float) -> Path:
+    """Where the skin's compliance is kept; it does not depend on the paths."""
+    skin = patient.surface().radius.round(7).tobytes()
+    told = repr((patient.torso, patient.mesh(resolution))).encode()
+    return folder / f"skin-{hashlib.sha256(told + skin).hexdigest()[:12]}.npz"
+
+
+def _skin(patient: Patient, folder: Path, resolution: float) -> SkinPatch:
+    file = skin_file(patient, folder, resolution)
+    if file.exists():
+        return SkinPatch.load(file)
+    patch = skin_compliance(torso_body(patient.torso, patient.mesh(resolution)))
+    patch.save(file)
+    return patch
+
+
+def _record(patient: Patient, name: str, patch: SkinPatch, folder: Path) -> None:
+    """Simulate one recording and write its three files."""
+    rng = np.random.default_rng(patient.seed + RECORDINGS[name] + 1)
+    drag = CoulombDrag(patient.drag)
+    true = record(patch, PROBE, patient.poses(name), drag=drag, damping=patient.damping)
+    reported = add_pose_noise(true, rng)
+    # the phantom at the reported poses, with the motion of the true ones: a tracker's
+    # noise moves no probe
+    itself = record(
+        patch, PROBE, reported, drag=drag, damping=patient.damping, moving=true
+    )
+    recordings = {"": add_noise(reported, rng), "_true": true, "_itself": itself}
+    for kind, recording in recordings.items():
+        recording.save(folder / f"{name}{kind}.csv", digits=DIGITS)

@@ -1,0 +1,281 @@
+"""The paper's experiment on three phantom patients, from recordings to a report."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ttus_opt import io
+from ttus_opt.errors import InputError
+from ttus_opt.experiment import rivals
+from ttus_opt.experiment.boundary import BoundaryError, boundary_errors
+from ttus_opt.experiment.fits import Fitted, PatientFits, as_rendered, write_kept
+from ttus_opt.experiment.patients import Patient, patients
+from ttus_opt.experiment.recordings import Examination, examine
+from ttus_opt.experiment.rivals import Rival
+from ttus_opt.experiment.scores import Row
+from ttus_opt.experiment.settings import (
+    FORMULATIONS,
+    LAPLACE,
+    PAPER_WITH,
+    PAPER_WITHOUT,
+    WEIGHT,
+    Setting,
+    compared,
+    without_torque,
+)
+from ttus_opt.report.metrics import compare
+from ttus_opt.scan.surface import Surface
+
+#: The phantom's own wrench at the reported poses, as a setting
+ITSELF = "phantom_itself"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is done.
+
+    Attributes:
+        shape: Voxels in r, θ and z [–].
+        formulations: Compared, names or paths.
+        weight: λ_f = λ_τ of formulations that do not choose their own.
+        resolution: Of the finite elements: multiplies every node spacing; 1 is fine.
+        torso: A scan whose skin the third patient has; None for a made-up one.
+        torso_unit: Of that file.
+        patients: Names of those examined; all when empty.
+        comparators: Names of comparators, or ``("all",)``; none when empty.
+    """
+
+    shape: tuple[int, int, int] = (48, 120, 60)
+    formulations: Sequence[str] = FORMULATIONS
+    weight: float = WEIGHT
+    resolution: float = 1.4
+    torso: str | os.PathLike[str] | None = None
+    torso_unit: str = "mm"
+    patients: Sequence[str] = ()
+    comparators: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        """Validate the numbers.
+
+        Raises:
+            InputError: A weight or resolution that is not positive.
+        """
+        if not (self.weight > 0.0 and 0.3 <= self.resolution <= 10.0):
+            raise InputError(
+                "the experiment needs a weight above 0 and a resolution from 0.3 to "
+                f"10, got {self.weight:g} and {self.resolution:g}"
+            )
+
+    @property
+    def settings(self) -> tuple[Setting, ...]:
+        """Everything that is fitted, the tables' own first.
+
+        Raises:
+            InputError: An unknown formulation.
+        """
+        others = compared(self.formulations, self.weight)
+        eq10 = compared(("eq10",), self.weight)
+        own = (PAPER_WITHOUT, PAPER_WITH, LAPLACE, without_torque(self.weight), *eq10)
+        taken = {each.name for each in own}
+        return (*own, *(each for each in others if each.name not in taken))
+
+    @property
+    def rivals(self) -> tuple[str, ...]:
+        """Names of the comparators asked for."""
+        return rivals.names() if "all" in self.comparators else tuple(self.comparators)
+
+
+@dataclass(frozen=True)
+class PatientResult:
+    """What was found on one patient.
+
+    Attributes:
+        examination: The recordings.
+        fits: A fit per setting, by name.
+        boundary: Errors over a decade of boundary values.
+        rivals: The comparators.
+        itself: Rows of the phantom's own wrench at the reported poses.
+    """
+
+    examination: Examination
+    fits: dict[str, Fitted] = field(repr=False)
+    boundary: tuple[BoundaryError, ...] = field(repr=False)
+    rivals: tuple[Rival, ...] = field(repr=False)
+    itself: tuple[Row, ...] = field(repr=False)
+
+    @property
+    def patient(self) -> Patient:
+        """Who."""
+        return self.examination.patient
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """All rows."""
+        fitted = [row for fit in self.fits.values() for row in fit.rows]
+        others = [row for rival in self.rivals for row in rival.rows]
+        return (*fitted, *others, *self.itself)
+
+
+@dataclass(frozen=True)
+class ExperimentResult:
+    """What the experiment found.
+
+    Attributes:
+        plan: What was done.
+        patients: What was found, a patient each.
+    """
+
+    plan: Plan
+    patients: tuple[PatientResult, ...]
+
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """A row per patient, recording, setting and truth."""
+        return tuple(row for patient in self.patients for row in patient.rows)
+
+    @property
+    def boundary(self) -> tuple[BoundaryError, ...]:
+        """Errors over a decade of boundary values, of all patients."""
+        return tuple(row for patient in self.patients for row in patient.boundary)
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures, for JSON."""
+        return {
+            "patients": {
+                each.patient.name: {
+                    "build": each.patient.build,
+                    "seed": each.patient.seed,
+                    "fits": {k: dict(v.facts) for k, v in each.fits.items()},
+                    "comparators": {r.name: dict(r.facts) for r in each.rivals},
+                }
+                for each in self.patients
+            },
+            "shape": list(self.plan.shape),
+            "weight": self.plan.weight,
+            "resolution": self.plan.resolution,
+            "rows": [row.as_dict() for row in self.rows],
+            "boundary": [row.as_dict() for row in self.boundary],
+        }
+
+
+def run(
+    folder: str | os.PathLike[str],
+    plan: Plan | None = None,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> ExperimentResult:
+    """Do the experiment; a second call in the same folder goes on where one stopped.
+
+    Args:
+        folder: For recordings, fields, errors, figures, ``report.md``,
+            ``report.html`` and ``results.json``; made when missing.
+        plan: What is done; the defaults when not given.
+        progress: Called with what begins, `n_stages` times at most.
+
+    Returns:
+        All errors.
+
+    Raises:
+        InputError: An unknown formulation, patient or comparator.
+        MissingPackageError: scikit-fem is not installed (extra ``phantom``) and the
+            recordings are not there yet.
+        FileError: The folder cannot be written to.
+    """
+    from ttus_opt.experiment.report import write_reports
+
+    todo, out = plan or Plan(), Path(folder)
+    begin = progress or (lambda stage: None)
+    settings, others = todo.settings, todo.rivals
+    chosen = _chosen(todo, out, begin)
+    results = tuple(
+        _on_patient(each, todo, out / each.name, (settings, others), begin)
+        for each in chosen
+    )
+    result = ExperimentResult(todo, results)
+    begin("figures and reports")
+    write_kept(out / "results.json", result.as_dict())
+    write_reports(out, result)
+    return result
+
+
+def n_stages(plan: Plan) -> int:
+    """How often `run` reports progress, at most."""
+    each = 3 + len(plan.settings) + len(plan.rivals)
+    return 2 + each * len(plan.patients or patients())
+
+
+def _chosen(
+    plan: Plan, folder: Path, begin: Callable[[str], None]
+) -> tuple[Patient, ...]:
+    scan = None
+    if plan.torso is not None:
+        begin("surface of the scanned torso")
+        scan = _scanned(plan, folder)
+    everyone = {each.name: each for each in patients(scan)}
+    for name in plan.patients:
+        if name not in everyone:
+            raise InputError(
+                f"unknown patient {name!r}: choose from {', '.join(everyone)}"
+            )
+    return tuple(everyone[name] for name in plan.patients or everyone)
+
+
+def _scanned(plan: Plan, folder: Path) -> Surface:
+    """The surface of the scan, extracted once."""
+    from ttus_opt.scan.cloud import read_cloud
+    from ttus_opt.scan.extraction import extract_surface
+    from ttus_opt.scan.frame import Axis
+
+    assert plan.torso is not None
+    path = io.existing_file(plan.torso, "torso")
+    file = folder / f"scan-{io.sha256(path)[:12]}.nc"
+    if not file.exists():
+        cloud = read_cloud(path, unit=plan.torso_unit)
+        axis = Axis.from_cloud(cloud)
+        extract_surface(cloud, axis=axis, n_theta=120, n_z=40).save(file)
+    return Surface.load(file)
+
+
+def _on_patient(
+    patient: Patient,
+    plan: Plan,
+    folder: Path,
+    todo: tuple[Sequence[Setting], Sequence[str]],
+    begin: Callable[[str], None],
+) -> PatientResult:
+    settings, others = todo
+    digest = patient.digest(plan.resolution)
+    examination = examine(patient, folder, plan.resolution, begin)
+    fits = PatientFits(examination, folder, plan.shape, digest)
+    found = {}
+    for setting in settings:
+        begin(f"{patient.name}: {setting.name}")
+        found[setting.name] = fits.fitted(setting)
+    begin(f"{patient.name}: boundary values")
+    stamp = f"{digest} {plan.shape}"
+    boundary = boundary_errors(fits, plan.weight, folder / "boundary.json", stamp)
+    compared_with = []
+    for name in others:
+        begin(f"{patient.name}: {name}")
+        compared_with.append(rivals.rival(fits, name, folder, digest))
+    return PatientResult(
+        examination, found, boundary, tuple(compared_with), _itself(fits)
+    )
+
+
+def _itself(fits: PatientFits) -> tuple[Row, ...]:
+    """Errors of the phantom at the reported poses against measured wrenches."""
+    rows = []
+    for recording, own in fits.examination.itself.items():
+        assert own.force is not None
+        assert own.torque is not None
+        rendered = as_rendered(np.hstack([own.force, own.torque]))
+        errors = compare(fits.examination.measured[recording], rendered)
+        rows.append(fits.row(ITSELF, recording, "measured", errors))
+    return tuple(rows)

@@ -1,0 +1,103 @@
+"""What is compared: a way to build the scene, a formulation and its options."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+from ttus_opt import paper
+from ttus_opt.errors import InputError
+from ttus_opt.problem.formulation import available, option_names
+
+#: Compared by default, after those of the tables
+FORMULATIONS = ("eq10", "coulomb_global", "depth_map", "depth_map_coulomb")
+
+#: λ_f = λ_τ of formulations that do not choose their own
+WEIGHT = 1.0
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to fit a field to a patient's recordings.
+
+    Attributes:
+        name: Of files and table rows.
+        formulation: Its name, or the path of a user's own file.
+        options: The formulation's.
+        inner: p_in, or "fit".
+        outer: p_out; where p_in is fitted the ratio p_out / p_in.
+        sampling: ``trilinear`` or ``voxel-mean``.
+    """
+
+    name: str
+    formulation: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+    inner: float | Literal["fit"] = "fit"
+    outer: float = 1.0
+    sampling: str = "trilinear"
+
+    @property
+    def scene_key(self) -> tuple[object, ...]:
+        """Settings with the same key share a scene."""
+        return (self.inner, self.outer, self.sampling)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, and for knowing whether a kept result is of this setting."""
+        return {
+            "name": self.name,
+            "formulation": self.formulation,
+            "options": dict(self.options),
+            "inner": self.inner,
+            "outer": self.outer,
+            "sampling": self.sampling,
+        }
+
+
+#: The paper's: without and with measured forces, at its boundary values and weights
+PAPER_WITHOUT = Setting("paper_without", "laplace_only", **paper.SCENE)
+PAPER_WITH = Setting("paper_with", "eq10", paper.WEIGHTS, **paper.SCENE)
+
+#: The Laplace field alone, its boundary values scaled to the measured forces
+LAPLACE = Setting("laplace_scaled", "laplace_only")
+
+
+def without_torque(weight: float) -> Setting:
+    """Eq. 10 without its torque term."""
+    options = {"force_weight": weight, "torque_weight": 0.0}
+    return Setting("eq10_force_only", "eq10", MappingProxyType(options))
+
+
+def compared(formulations: Sequence[str], weight: float) -> tuple[Setting, ...]:
+    """A setting for every formulation.
+
+    Args:
+        formulations: Names or paths of users' own files.
+        weight: λ_f = λ_τ of those whose weights are numbers by default.
+
+    Raises:
+        InputError: An unknown formulation, or one named twice.
+    """
+    settings = tuple(
+        Setting(Path(name).stem, name, _weights(name, weight)) for name in formulations
+    )
+    names = [each.name for each in settings]
+    if len(set(names)) < len(names):
+        raise InputError(f"formulations are named twice: {', '.join(names)}")
+    return settings
+
+
+def _weights(name: str, weight: float) -> Mapping[str, float]:
+    """Options for a formulation's weights; none where the data choose them.
+
+    Raises:
+        InputError: There is no such formulation.
+    """
+    known = option_names(name) or ()
+    defaults = {info.name: info.options for info in available()}.get(name, {})
+    if "force_weight" not in known or defaults.get("force_weight", weight) is None:
+        return MappingProxyType({})
+    chosen = {"force_weight", "torque_weight"} & set(known)
+    return MappingProxyType(dict.fromkeys(sorted(chosen), weight))

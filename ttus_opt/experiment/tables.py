@@ -1,0 +1,230 @@
+"""The report's tables: the paper's counterparts, torque, boundary, formulations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+
+from ttus_opt.experiment import paper_averages as paper
+from ttus_opt.experiment.boundary import spread
+from ttus_opt.experiment.document import Table
+from ttus_opt.experiment.run import ITSELF, ExperimentResult
+from ttus_opt.experiment.scores import Row, Score
+from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
+
+Reading = Callable[[Score], float]
+
+#: Names of settings as tables print them
+TITLES = {
+    PAPER_WITHOUT.name: "Laplace, p_in = 1",
+    PAPER_WITH.name: "eq. 10, the paper's weights",
+    LAPLACE.name: "Laplace, p_in fitted",
+    "eq10": "eq. 10",
+    "eq10_force_only": "eq. 10, forces only",
+    ITSELF: "(the phantom itself)",
+}
+
+_FORCE: Reading = lambda s: s.force_magnitude_error_N  # noqa: E731
+_ANGLE: Reading = lambda s: s.force_angle_error_deg  # noqa: E731
+
+
+def title(setting: str) -> str:
+    """A setting's name as a table prints it."""
+    return TITLES.get(setting, setting)
+
+
+def select(rows: Iterable[Row], **wanted: object) -> list[Row]:
+    """Rows whose attributes are as wanted."""
+    return [r for r in rows if all(getattr(r, k) == v for k, v in wanted.items())]
+
+
+def mean(rows: Sequence[Row], reading: Reading) -> float:
+    """Mean over rows; NaN without any."""
+    values = [reading(row.score) for row in rows]
+    return float(np.mean(values)) if values else math.nan
+
+
+def number(value: float, form: str = ".2f") -> str:
+    """A number, or a dash."""
+    return "–" if math.isnan(value) else format(value, form)
+
+
+def paper_tables(result: ExperimentResult, best: str) -> dict[str, Table]:
+    """Counterparts of tables I to IV, by what they show.
+
+    Args:
+        result: Of the experiment.
+        best: Setting of the last column.
+    """
+    columns = list(
+        dict.fromkeys((PAPER_WITHOUT.name, PAPER_WITH.name, LAPLACE.name, "eq10", best))
+    )
+    tables = {}
+    for seen, motion in ((True, "same trajectory"), (False, "new trajectory")):
+        for name, reading, form in (
+            ("Magnitude error [N]", _FORCE, ".2f"),
+            ("Angle [°]", _ANGLE, ".1f"),
+        ):
+            tables[f"{name}, {motion}"] = _errors(
+                result, columns, seen, reading, form, _paper_row(name, seen)
+            )
+    return tables
+
+
+def _errors(
+    result: ExperimentResult,
+    columns: Sequence[str],
+    seen: bool,
+    reading: Reading,
+    form: str,
+    paper_row: Sequence[str],
+) -> Table:
+    """A row per patient and recording, the mean, and what the paper has."""
+    rows = select(result.rows, seen=seen, against="measured")
+    places = dict.fromkeys((r.patient, r.recording) for r in rows)
+    lines = []
+    for patient, recording in places:
+        own = select(rows, patient=patient, recording=recording)
+        cells = [
+            number(mean(select(own, setting=name), reading), form) for name in columns
+        ]
+        lines.append([f"{patient}, {recording.split('_')[0]}", *cells])
+    means = [mean(select(rows, setting=name), reading) for name in columns]
+    lines.append(["**mean**", *(f"**{number(value, form)}**" for value in means)])
+    lines.append([*paper_row, *[""] * (len(columns) - 2)])
+    return Table(["", *map(title, columns)], lines)
+
+
+def _paper_row(name: str, seen: bool) -> list[str]:
+    """The paper's averages over three people, where they are known."""
+    if not seen:
+        without, with_ = paper.NEW_FORCE if name.startswith("M") else paper.NEW_ANGLE
+        return ["the paper, three people", f"{without:g}", f"{with_:g}"]
+    if name.startswith("M"):
+        gain = f"−{100 * paper.GAIN_FORCE:.0f} %, −{paper.GAIN_FORCE_N:g} N"
+    else:
+        gain = f"−{100 * paper.GAIN_ANGLE:.0f} %, −{paper.GAIN_ANGLE_DEG:g}°"
+    return ["the paper, three people", "", gain]
+
+
+def torque_table(result: ExperimentResult) -> Table:
+    """Torque and force errors without and with the torque term."""
+    pair = ("eq10_force_only", "eq10")
+    columns: tuple[tuple[str, Reading, str], ...] = (
+        ("torque [mN·m]", lambda s: 1e3 * s.torque_magnitude_error_Nm, ".1f"),
+        ("torque [%]", lambda s: 100 * s.torque_share, ".0f"),
+        ("torque angle [°]", lambda s: s.torque_angle_error_deg, ".1f"),
+        ("force [N]", _FORCE, ".2f"),
+    )
+    lines = []
+    for seen, motion in ((True, "same"), (False, "new")):
+        rows = select(result.rows, seen=seen, against="measured")
+        for patient in dict.fromkeys(r.patient for r in rows):
+            own = select(rows, patient=patient)
+            cells = [
+                " → ".join(
+                    number(mean(select(own, setting=name), reading), form)
+                    for name in pair
+                )
+                for _, reading, form in columns
+            ]
+            lines.append([f"{patient}, {motion}", *cells])
+    return Table(["", *(name for name, _, _ in columns)], lines)
+
+
+def boundary_table(result: ExperimentResult) -> Table:
+    """Error over a decade of boundary values, and its spread, per patient."""
+    factors = list(dict.fromkeys(row.factor for row in result.boundary))
+    lines = []
+    for patient in dict.fromkeys(row.patient for row in result.boundary):
+        own = [row for row in result.boundary if row.patient == patient]
+        for name, values in (
+            ("before", [row.before_N for row in own]),
+            ("after", [row.after_N for row in own]),
+        ):
+            cells = [number(value) for value in values]
+            lines.append([f"{patient}, {name}", *cells, f"**{spread(values):.2f}**"])
+    header = ["p_in / fitted p_in", *(f"{f:.2f}" for f in factors), "spread"]
+    return Table(header, lines)
+
+
+def comparison_table(result: ExperimentResult, against: str) -> Table:
+    """Every setting over all new trajectories, and how many aims it meets."""
+    columns: tuple[tuple[str, Reading, str], ...] = (
+        ("median [N]", lambda s: s.force_median_N, ".2f"),
+        ("median [%]", lambda s: 100 * s.force_median_share, ".1f"),
+        ("worst 5 % [N]", lambda s: s.force_worst_N, ".2f"),
+        ("angle [°]", _ANGLE, ".1f"),
+        ("worst 5 % [°]", lambda s: s.angle_worst_deg, ".0f"),
+        ("torque [%]", lambda s: 100 * s.torque_share, ".0f"),
+        ("torque angle [°]", lambda s: s.torque_angle_error_deg, ".0f"),
+        ("told apart [%]", lambda s: 100 * s.share_told_apart, ".0f"),
+    )
+    rows = select(result.rows, seen=False, against=against)
+    lines = []
+    for name in dict.fromkeys(r.setting for r in rows):
+        own = select(rows, setting=name)
+        cells = [number(mean(own, reading), form) for _, reading, form in columns]
+        met = [all(row.score.meets().values()) for row in own]
+        parts = _parts_met(own)
+        lines.append([title(name), *cells, parts, f"{sum(met)}/{len(met)}"])
+    header = [name for name, _, _ in columns]
+    return Table(["", *header, "each aim met", "all met"], lines)
+
+
+def _parts_met(rows: Sequence[Row]) -> str:
+    """How often each aim is met: force, angle, torque, torque angle."""
+    met = [row.score.meets() for row in rows]
+    return ", ".join(str(sum(each[name] for each in met)) for name in met[0])
+
+
+def winners_table(result: ExperimentResult, reading: Reading, form: str) -> Table:
+    """Errors of every setting per unseen recording, the least in bold."""
+    rows = select(result.rows, seen=False, against="true")
+    names = list(dict.fromkeys(r.setting for r in rows))
+    lines = []
+    for patient, recording in dict.fromkeys((r.patient, r.recording) for r in rows):
+        own = select(rows, patient=patient, recording=recording)
+        values = [mean(select(own, setting=name), reading) for name in names]
+        least = np.nanmin(values)
+        cells = [
+            f"**{number(v, form)}**" if v == least else number(v, form) for v in values
+        ]
+        lines.append([f"{patient}, {recording.split('_')[0]}", *cells])
+    return Table(["", *map(title, names)], lines)
+
+
+def rivals_table(result: ExperimentResult) -> Table | None:
+    """Comparators beside eq. 10: errors, time of a frame and ripple; None without."""
+    names = list(dict.fromkeys(r.name for p in result.patients for r in p.rivals))
+    if not names:
+        return None
+    lines = []
+    rows = select(result.rows, seen=False, against="true")
+    for name in names:
+        own = select(rows, setting=name)
+        facts = [r.facts for p in result.patients for r in p.rivals if r.name == name]
+        failures = [f["failure"] for f in facts if "failure" in f]
+        if failures and not own:
+            lines.append([name, f"not fitted: {failures[0]}", *[""] * 6])
+            continue
+        frame, ripple = (
+            float(np.median([f[key] for f in facts if key in f]))
+            for key in ("ms_per_frame", "ripple")
+        )
+        lines.append(
+            [
+                name,
+                number(mean(own, _FORCE)),
+                number(mean(own, _ANGLE), ".1f"),
+                number(100 * mean(own, lambda s: s.torque_share), ".0f"),
+                number(mean(own, lambda s: s.torque_angle_error_deg), ".0f"),
+                number(100 * mean(own, lambda s: s.share_told_apart), ".0f"),
+                number(frame, ".2g"),
+                number(100 * ripple, ".2g"),
+            ]
+        )
+    header = ["", "force [N]", "angle [°]", "torque [%]", "torque angle [°]"]
+    return Table([*header, "told apart [%]", "ms per frame", "ripple [%]"], lines)
