@@ -2,10 +2,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.sparse.linalg import spsolve
 
 from tests.phantom.block import box_mesh
 from ttus_opt.errors import FileError, InputError
-from ttus_opt.phantom import ElasticBody, SkinPatch, skin_compliance
+from ttus_opt.phantom import ElasticBody, SkinPatch, elasticity, skin_compliance
 
 
 def column(poisson, young=2e4):
@@ -101,3 +102,26 @@ def test_progress_counts_every_load(monkeypatch):
     assert len(calls) == 4
     assert calls[-1] == (len(body.patch),) * 2
     assert [c[0] for c in calls] == sorted(c[0] for c in calls)
+
+
+def test_every_load_is_in_equilibrium_with_what_holds_the_body():
+    """Forces and moments of load and reactions cancel; no rigid motion is resisted."""
+    body = column(0.45)
+    basis, stiffness = elasticity._assemble(body)
+    at, dofs = body.mesh.p.T, np.asarray(basis.nodal_dofs).T  # (n, 3) both
+    rng = np.random.default_rng(5)
+    load = np.zeros(stiffness.shape[0])
+    load[dofs[body.patch]] = rng.standard_normal((len(body.patch), 3))
+    held = np.zeros(len(load), dtype=bool)
+    held[dofs[body.fixed]] = True
+    moved = np.zeros_like(load)
+    moved[~held] = spsolve(stiffness[~held][:, ~held].tocsc(), load[~held])
+    forces = (stiffness @ moved)[dofs]  # load where free, reaction where held
+    assert forces[~body.fixed] == pytest.approx(load[dofs][~body.fixed], abs=1e-9)
+    size = np.abs(forces).sum()
+    assert np.abs(forces.sum(axis=0)).max() < 1e-11 * size
+    assert np.abs(np.cross(at, forces).sum(axis=0)).max() < 1e-10 * size
+    for turn in np.eye(3):
+        rigid = np.zeros_like(load)
+        rigid[dofs] = np.cross(turn, at) + turn
+        assert np.abs(stiffness @ rigid).max() < 1e-10 * np.abs(stiffness).max()

@@ -132,3 +132,28 @@ def test_refuses_negative_drag():
         CoulombDrag(-0.1)
     with pytest.raises(InputError, match="must not be negative"):
         dataclasses.replace(CoulombDrag(0.1), deadband=-1.0)
+
+
+def test_damping_adds_to_every_normal_force_by_its_speed(coarse_patch, pose):
+    motion = Motion(np.array([0.002, -0.02, 0.01]), np.array([0.2, 0.1, -0.3]))
+    slow = press(coarse_patch, PROBE, *pose)
+    fast = press(coarse_patch, PROBE, *pose, motion=motion, damping=3.0)
+    lever = slow.points - pose[1]
+    velocity = motion.velocity + np.cross(motion.angular_velocity, lever)
+    speed = np.einsum("ij,ij->i", velocity, slow.probe_normals)
+    factor = 1.0 + 3.0 * speed
+    assert factor.max() > 1.02
+    assert fast.normal_forces == pytest.approx(factor * slow.normal_forces, rel=1e-12)
+    added = (fast.force - slow.force) @ motion.velocity
+    added += (fast.torque - slow.torque) @ motion.angular_velocity
+    assert added < 0.0  # it takes energy from the hand
+
+
+def test_damping_never_pulls_and_rest_has_none(coarse_patch, pose):
+    away = Motion(np.array([0.0, 1.0, 0.0]), np.zeros(3))
+    contact = press(coarse_patch, PROBE, *pose, motion=away, damping=10.0)
+    assert not contact.force.any()
+    slow = press(coarse_patch, PROBE, *pose, motion=Motion.rest(), damping=10.0)
+    assert np.array_equal(slow.force, press(coarse_patch, PROBE, *pose).force)
+    with pytest.raises(InputError, match="damping"):
+        press(coarse_patch, PROBE, *pose, damping=-1.0)

@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ttus_opt.errors import InputError
 from ttus_opt.phantom import CoulombDrag, add_noise, record
 from ttus_opt.phantom.example_data import PROBE, poses
+from ttus_opt.phantom.recording import add_pose_noise
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 
 
@@ -64,3 +66,31 @@ def test_refuses_trajectories_without_a_wrench():
     path = poses("press_fit")
     with pytest.raises(InputError, match="no wrench"):
         add_noise(path, np.random.default_rng(0))
+
+
+def still_path(n, step=0.05):
+    time = step * np.arange(n)
+    return Trajectory(time, np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)))
+
+
+@pytest.mark.parametrize("correlation", [0.0, 1.0])
+def test_pose_noise_has_the_deviations_and_the_correlation_asked_for(correlation):
+    path = still_path(40_000)
+    noisy = add_pose_noise(path, np.random.default_rng(3), correlation=correlation)
+    turn = Rotation.from_matrix(noisy.rotation).as_rotvec()
+    for values, std in ((noisy.position, 0.5e-3), (turn, np.radians(0.5))):
+        assert values.std(axis=0) == pytest.approx(np.full(3, std), rel=0.1)
+        unit = values / std
+        alike = (unit[1:] * unit[:-1]).mean()
+        expected = np.exp(-0.05) if correlation else 0.0
+        assert alike == pytest.approx(expected, abs=0.08)
+    assert noisy.position[:20] == pytest.approx(
+        add_pose_noise(
+            still_path(20), np.random.default_rng(3), correlation=correlation
+        ).position
+    )
+
+
+def test_refuses_negative_pose_noise():
+    with pytest.raises(InputError, match="not negative"):
+        add_pose_noise(still_path(3), np.random.default_rng(0), position_std=-1.0)

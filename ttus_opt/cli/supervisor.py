@@ -17,7 +17,7 @@ from types import FrameType
 from ttus_opt.interrupts import INTERRUPT
 
 #: Commands that compute; the others are over at once, or watch children of their own
-COMMANDS = ("demo", "evaluate", "fit", "path", "render", "surface")
+COMMANDS = ("demo", "evaluate", "experiment", "fit", "path", "render", "surface")
 
 #: What a child that was asked to stop is given to clean up [s]
 GRACE = 1.0

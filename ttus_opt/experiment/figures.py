@@ -67,11 +67,11 @@ def boundary_picture(result: ExperimentResult) -> Figure:
 
 def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
     name = each.patient.name
-    without, prior, fitted = (
-        each.fits[setting].field for setting in (PAPER_WITHOUT.name, LAPLACE.name, best)
-    )
-    if without is None or prior is None or fitted is None:
-        return []
+    names = (PAPER_WITHOUT.name, best, LAPLACE.name, "eq10")
+    fields = [each.fits[setting].field for setting in names]
+    if any(own is None for own in fields):
+        return []  # a fit that failed is told by the tables
+    without, fitted, prior, eq10 = fields
     judge = PatientFits(each.examination, folder, (0, 0, 0), "")
     pictures = []
     for recording in UNSEEN:
@@ -89,10 +89,10 @@ def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
         )
         pictures.append(Picture(path, caption))
     path = f"{FOLDER}/{name}-slice.png"
-    _save(plots.potential_slices(prior, fitted), folder / path)
+    _save(plots.potential_slices(prior, eq10), folder / path)
     caption = (
         f"{name}: potential in a slice, Laplace alone with its boundary value fitted, "
-        "with measured forces, and the difference"
+        "with measured wrenches (eq. 10), and the difference"
     )
     return [*pictures, Picture(path, caption)]
 

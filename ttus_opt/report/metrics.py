@@ -6,6 +6,7 @@ angles over the frames in contact, where a direction exists.
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
@@ -61,7 +62,7 @@ class Errors:
     frames_with_torque: int
     force_threshold_N: float
     torque_threshold_Nm: float
-    share_told_apart: float
+    share_told_apart: float = math.nan
 
     def as_dict(self) -> dict[str, float]:
         """All figures by name, for JSON."""

@@ -1,0 +1,116 @@
+"""The whole experiment, coarse and small: what it writes, and that it goes on."""
+
+import json
+import math
+import sys
+
+import numpy as np
+import pytest
+
+from ttus_opt import experiment
+from ttus_opt.errors import InputError, MissingPackageError
+from ttus_opt.experiment import recordings
+from ttus_opt.experiment.boundary import FACTORS
+from ttus_opt.experiment.patients import patients
+from ttus_opt.experiment.run import ITSELF
+from ttus_opt.experiment.settings import compared
+
+PLAN = experiment.Plan(
+    shape=(16, 48, 24),
+    formulations=("eq10", "eq10_sign"),
+    resolution=3.5,
+    patients=("lean",),
+)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    folder, stages = tmp_path_factory.mktemp("experiment"), []
+    return folder, experiment.run(folder, PLAN, progress=stages.append), stages
+
+
+@pytest.mark.slow
+def test_rows_are_there_for_every_setting_and_recording(done):
+    _, result, stages = done
+    told = {(r.setting, r.recording, r.against) for r in result.rows}
+    settings = {s.name for s in PLAN.settings}
+    assert len(told) == len(result.rows) == 4 * (2 * len(settings) + 1)
+    assert {name for name, _, _ in told} == settings | {ITSELF}
+    assert len(stages) <= experiment.n_stages(PLAN)
+    assert [row.factor for row in result.boundary] == list(FACTORS)
+
+
+@pytest.mark.slow
+def test_measured_forces_help_and_matter_more_than_the_boundary_value(done):
+    _, result, _ = done
+
+    def error(setting, seen):
+        rows = [r for r in result.rows if r.setting == setting and r.seen is seen]
+        return np.mean([r.score.force_magnitude_error_N for r in rows])
+
+    for seen in (True, False):
+        assert error("paper_with", seen) < error("paper_without", seen)
+        assert error("eq10", seen) < 0.5 * error("paper_without", seen)
+    before = [row.before_N for row in result.boundary]
+    after = [row.after_N for row in result.boundary]
+    assert np.ptp(after) < 0.2 * np.ptp(before)
+
+
+@pytest.mark.slow
+def test_files_hold_what_was_found_and_the_page_its_figures(done):
+    folder, result, _ = done
+    told = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    assert len(told["rows"]) == len(result.rows)
+    text = (folder / "report.md").read_text(encoding="utf-8")
+    for name in ("lean-press", "lean-sweep", "lean-slice", "boundary"):
+        assert f"figures/{name}.png" in text
+        assert (folder / "figures" / f"{name}.png").stat().st_size < 150_000
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.count("data:image/png;base64,") == 4
+    assert 'src="figures' not in page
+    score = next(r.score for r in result.rows if r.setting == "eq10" and not r.seen)
+    assert f"{score.force_magnitude_error_N:.2f}" in text
+
+
+@pytest.mark.slow
+def test_a_second_call_computes_nothing_again(done, monkeypatch):
+    folder, result, _ = done
+
+    def forbidden(*_, **__):
+        raise AssertionError("computed again")
+
+    monkeypatch.setattr("ttus_opt.experiment.recordings.skin_compliance", forbidden)
+    monkeypatch.setattr("ttus_opt.experiment.fits.fit", forbidden)
+    monkeypatch.setattr("ttus_opt.experiment.boundary.fit", forbidden)
+    again = experiment.run(folder, PLAN)
+    assert repr(again.rows) == repr(result.rows)
+    other = experiment.Plan(PLAN.shape, ("eq10",), 2.0, 3.5, patients=("lean",))
+    with pytest.raises(AssertionError, match="computed again"):
+        experiment.run(folder, other)
+
+
+def test_missing_finite_elements_are_told_by_name(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "skfem", None)
+    with pytest.raises(MissingPackageError, match=r"skfem.*ttus-opt\[phantom\]"):
+        recordings.examine(patients()[0], tmp_path, 4.0)
+    assert not (tmp_path / "digest.txt").exists()
+
+
+def test_weights_are_for_formulations_that_do_not_choose_their_own():
+    eq10, depth, drag = compared(("eq10", "depth_map", "coulomb_global"), 0.3)
+    assert dict(eq10.options) == {"force_weight": 0.3, "torque_weight": 0.3}
+    assert dict(drag.options) == dict(eq10.options)
+    assert dict(depth.options) == {}
+    with pytest.raises(InputError, match="twice"):
+        compared(("eq10", "eq10"), 1.0)
+    with pytest.raises(InputError, match="eq99"):
+        compared(("eq99",), 1.0)
+
+
+def test_refuses_plans_that_cannot_be_done(tmp_path):
+    for wrong in ({"weight": 0.0}, {"weight": math.nan}, {"resolution": 0.0}):
+        with pytest.raises(InputError, match="needs a weight above 0"):
+            experiment.Plan(**wrong)
+    with pytest.raises(InputError, match="choose from lean, stout, average"):
+        experiment.run(tmp_path, experiment.Plan(patients=("fat",)))
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,90 @@
+"""Tables of hand-made rows."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from ttus_opt.experiment import tables
+from ttus_opt.experiment.boundary import BoundaryError
+from ttus_opt.experiment.report import best_setting
+from ttus_opt.experiment.scores import Row, Score
+
+
+def row(patient, recording, setting, error, told=0.5, against="true"):
+    seen = recording.endswith("fit")
+    score = Score(
+        error, 10 * error, error / 100, 20.0, error, error / 5, 2 * error, 9.0, 0.2,
+        told, 5.0, 100,
+    )  # fmt: skip
+    return Row(patient, recording, seen, setting, against, score)
+
+
+def result(rows, boundary=()):
+    patients = [SimpleNamespace(rivals=())]
+    return SimpleNamespace(rows=rows, boundary=boundary, patients=patients)
+
+
+def test_paper_tables_have_means_and_the_papers_averages_beside_them():
+    rows = [
+        row(patient, recording, setting, error, against="measured")
+        for patient in ("lean", "stout")
+        for recording in ("press_fit", "press_test")
+        for setting, error in (
+            ("paper_without", 4.0 if patient == "lean" else 2.0),
+            ("paper_with", 1.0),
+            ("laplace_scaled", 0.5),
+            ("eq10", 0.2),
+        )
+    ]
+    found = tables.paper_tables(result(rows), "eq10")
+    assert len(found) == 4
+    table = found["Magnitude error [N], new trajectory"]
+    assert [cells[0] for cells in table.rows[:2]] == ["lean, press", "stout, press"]
+    assert table.rows[2][1:] == ["**3.00**", "**1.00**", "**0.50**", "**0.20**"]
+    assert table.rows[3][1:3] == ["9.45", "4.04"]
+    assert found["Angle [°], same trajectory"].rows[3][2] == "−38 %, −9.37°"
+    assert all(len(cells) == len(table.header) for cells in table.rows)
+
+
+def test_winner_is_bold_per_recording_and_best_is_the_least_told_apart():
+    rows = [
+        row("lean", "press_test", "eq10", 0.3, told=0.4),
+        row("lean", "press_test", "depth_map", 0.2, told=0.6),
+        row("lean", "sweep_test", "eq10", 0.1, told=0.1),
+        row("lean", "sweep_test", "depth_map", 0.4, told=0.2),
+        row("lean", "sweep_test", "laplace_scaled", 0.4, told=0.0),
+        row("lean", "sweep_fit", "depth_map", 0.0, told=0.0),
+    ]
+    found = tables.winners_table(
+        result(rows), lambda s: s.force_magnitude_error_N, ".2f"
+    )
+    assert found.rows[0][1:] == ["0.30", "**0.20**", "–"]
+    assert found.rows[1][1:] == ["**0.10**", "0.40", "0.40"]
+    assert best_setting(result(rows)) == "eq10"
+
+
+def test_boundary_table_tells_the_spread():
+    rows = [
+        BoundaryError("lean", factor, 10 * factor, before, after)
+        for factor, before, after in (
+            (0.5, 3.0, 0.3),
+            (1.0, 1.0, 0.2),
+            (2.0, 4.0, 0.25),
+        )
+    ]
+    before, after = tables.boundary_table(result((), rows)).rows
+    assert before[-1] == "**3.00**" and after[-1] == "**0.10**"
+
+
+def test_aims_met_are_counted_recording_by_recording():
+    rows = [
+        row("lean", "press_test", "eq10", 0.3),
+        row("lean", "sweep_test", "eq10", 3.0),
+    ]
+    table = tables.comparison_table(result(rows), "true")
+    assert table.rows[0][-2:] == ["1, 1, 0, 0", "0/2"]
+    assert float(table.rows[0][1]) == pytest.approx(1.65)
+
+
+def test_rivals_have_no_table_where_none_was_asked_for():
+    assert tables.rivals_table(result([])) is None
