@@ -187,7 +187,21 @@ def test_evaluate_writes_null_for_what_is_not_defined(
         f"--trajectory {tmp_path / 'still.csv'}"
     )
     assert answer.status == 0, answer.err
-    assert json.loads(answer.out)["force_angle_error_deg"] is None
+    told = json.loads(answer.out)
+    assert told["force_angle_error_deg"] is None
+    assert told["hysteresis_share"] is None
+
+
+def test_evaluate_says_what_a_hand_could_tell_apart(
+    run: Run, files: Path, field: Path
+) -> None:
+    words = f"evaluate --field {field} --probe {PROBE} --points 300"
+    words += f" --trajectory {files / 'press.csv'}"
+    share = json.loads(run(f"{words} --json").out)["share_told_apart"]
+    assert 0.0 < share <= 1.0
+    assert (
+        f"{100 * share:.1f} % of the frames in contact could be told" in run(words).out
+    )
 
 
 def test_render_gives_what_evaluate_compares(
@@ -230,7 +244,16 @@ def test_lists(run: Run, command: str) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    ["surface", "fit", "evaluate", "render", "demo", "solvers", "formulations"],
+    [
+        "surface",
+        "fit",
+        "evaluate",
+        "experiment",
+        "render",
+        "demo",
+        "solvers",
+        "formulations",
+    ],
 )
 def test_help_shows_an_example(run: Run, command: str) -> None:
     answer = run(f"{command} --help")

@@ -176,10 +176,11 @@ def _built(
     Raises:
         InputError: As of `ScenePlan.build`.
     """
+    from ttus_opt.fitting.contact_spread import warn_of_one_spot
     from ttus_opt.fitting.sanity import likely_mistake
 
     try:
-        return plan.build(*parts)
+        built = plan.build(*parts)
     except InputError as error:
         try:
             with warnings.catch_warnings():
@@ -192,6 +193,8 @@ def _built(
         if mistake is None:
             raise
         raise InputError(f"{error}; {mistake}") from error
+    warn_of_one_spot(built)
+    return built
 
 
 def _how_read(recorded: Trajectory, conventions: Conventions) -> list[str]:

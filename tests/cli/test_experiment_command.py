@@ -1,0 +1,53 @@
+"""What ``ttus-opt experiment`` refuses and says; the work is tested below it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Run, empty, refused
+from ttus_opt import experiment
+from ttus_opt.experiment.run import ExperimentResult
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--shape 10,20", "--shape takes 3 numbers"),
+        ("--formulations eq99", "eq99"),
+        ("--formulations eq10,eq10", "named twice"),
+        ("--weight 0", "weight above 0"),
+        ("--patients nobody", "choose from lean, stout, average"),
+        ("--torso none.ply", "none.ply"),
+        ("--resolution coarse", "resolution"),
+    ],
+)
+def test_refuses_in_one_line(run: Run, output: Path, words: str, said: str) -> None:
+    refused(run(f"experiment {words} -o {output}"), said)
+    assert empty(output)
+
+
+def test_options_reach_the_plan(
+    run: Run, output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = []
+
+    def planned(folder, plan, progress):
+        seen.append((folder, plan))
+        return ExperimentResult(plan, ())
+
+    monkeypatch.setattr(experiment, "run", planned)
+    answer = run(
+        f"experiment --shape 24,72,30 --formulations eq10,depth_map --weight 0.5 "
+        f"--torso t.ply --torso-unit m --patients lean,stout --resolution 2 "
+        f"--json -o {output}"
+    )
+    assert answer.status == 0, answer.err
+    (folder, plan), told = seen[0], json.loads(answer.out)
+    assert (folder, plan.torso, plan.torso_unit) == (output, Path("t.ply"), "m")
+    assert plan.shape == (24, 72, 30) and plan.formulations == ("eq10", "depth_map")
+    assert (plan.weight, plan.resolution) == (0.5, 2.0)
+    assert plan.patients == ("lean", "stout") and plan.comparators == ()
+    assert told["rows"] == [] and told["shape"] == [24, 72, 30]

@@ -1,0 +1,47 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import ellipsoid, presses, torso
+from ttus_opt.errors import TtusWarning
+from ttus_opt.fitting.contact_spread import contact_spread, warn_of_one_spot
+from ttus_opt.scene import Scene
+from ttus_opt.voxmap.voxmap import Voxmap
+
+SURFACE = torso()
+VOXMAP = Voxmap.from_surface(SURFACE, shape=(9, 20, 10), r_inner=0.03)
+
+
+def scene_of(angle, z, depth):
+    """Presses at places of the skin; a seam at θ = 0 must not matter."""
+    path = presses(SURFACE, len(angle), np.random.default_rng(0))
+    r = SURFACE.radius_at(angle, z) + 0.012 - depth
+    position = np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+    return Scene.assemble(
+        VOXMAP, ellipsoid(), replace(path, position=position), inner=1.0
+    )
+
+
+@pytest.mark.parametrize("middle", [1.5, 0.0, 3.1])
+def test_deep_presses_in_one_spot_are_told(middle):
+    rng = np.random.default_rng(1)
+    angle = middle + rng.uniform(-0.01, 0.01, 30)
+    scene = scene_of(angle, np.full(30, 0.1), rng.uniform(0.004, 0.012, 30))
+    reach = (np.hypot(*scene.trajectory.position[:, :2].T)).max()
+    assert contact_spread(scene) < 0.02 * reach + 1e-3
+    with pytest.warns(TtusWarning, match=r"within \d\.\d mm of one spot"):
+        warn_of_one_spot(scene)
+
+
+def test_other_places_and_short_tries_are_not():
+    rng = np.random.default_rng(1)
+    depth = np.full(30, 0.006)
+    for angle, z in (
+        (1.5 + rng.uniform(-0.2, 0.2, 30), np.full(30, 0.1)),
+        (np.full(30, 1.5), 0.1 + rng.uniform(-0.02, 0.02, 30)),
+    ):
+        warn_of_one_spot(scene_of(angle, z, depth))  # warnings are errors here
+    short = scene_of(np.full(10, 1.5), np.full(10, 0.1), depth[:10])
+    assert np.isnan(contact_spread(short))
+    warn_of_one_spot(short)
