@@ -22,6 +22,7 @@ from ttus_opt.experiment.run import ExperimentResult
         ("--patients nobody", "choose from lean, stout, average"),
         ("--torso none.ply", "none.ply"),
         ("--resolution coarse", "resolution"),
+        ("--comparators nobody", "choose from"),
     ],
 )
 def test_refuses_in_one_line(run: Run, output: Path, words: str, said: str) -> None:

@@ -20,6 +20,7 @@ from ttus_opt.experiment.document import (
     write_markdown,
 )
 from ttus_opt.experiment.figures import draw
+from ttus_opt.experiment.rivals import PREFIX
 from ttus_opt.experiment.run import ExperimentResult
 from ttus_opt.experiment.scores import AIM_ANGLE, AIM_TORQUE, AIM_TORQUE_ANGLE, Score
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
@@ -57,9 +58,12 @@ def best_setting(result: ExperimentResult) -> str:
     choice is made after the fact and is told as such.
     """
     rows = tables.select(result.rows, seen=False, against="true")
-    rivals = {r.name for p in result.patients for r in p.rivals}
-    apart = {PAPER_WITHOUT.name, PAPER_WITH.name, LAPLACE.name, *rivals}
-    names = [n for n in dict.fromkeys(r.setting for r in rows) if n not in apart]
+    apart = {PAPER_WITHOUT.name, PAPER_WITH.name, LAPLACE.name}
+    names = [
+        name
+        for name in dict.fromkeys(row.setting for row in rows)
+        if name not in apart and not name.startswith(PREFIX)
+    ]
 
     def told_apart(name: str) -> float:
         own = tables.select(rows, setting=name)

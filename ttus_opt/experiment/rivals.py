@@ -1,20 +1,20 @@
 """Other ways from measurements to forces, on the same recordings.
 
-Needs the room `ttus_opt.comparators`, which is imported here only, when asked for.
+`ttus_opt.comparators` is imported when asked for. Rows of a comparator have its name
+after `PREFIX`, for some of them are formulations as well.
 """
 
 from __future__ import annotations
 
-import importlib
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ttus_opt.errors import TtusError
+from ttus_opt.errors import InputError, TtusError
 from ttus_opt.experiment.fits import (
     AGAINST,
     FITTED,
@@ -25,6 +25,9 @@ from ttus_opt.experiment.fits import (
 )
 from ttus_opt.experiment.scores import Row
 from ttus_opt.report.metrics import compare
+
+#: Of the settings of comparators' rows
+PREFIX = "comparator "
 
 
 @dataclass(frozen=True)
@@ -43,9 +46,23 @@ class Rival:
     facts: Mapping[str, Any]
 
 
-def names() -> tuple[str, ...]:
-    """The comparators there are."""
-    return tuple(_room().available())
+def chosen(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of comparators; ``all`` stands for those there are.
+
+    Raises:
+        InputError: An unknown name.
+    """
+    if not names:
+        return ()
+    from ttus_opt.comparators import available
+
+    known = tuple(available())
+    for name in names:
+        if name not in (*known, "all"):
+            raise InputError(
+                f"unknown comparator {name!r}: choose from {', '.join(known)}, or all"
+            )
+    return known if "all" in names else tuple(dict.fromkeys(names))
 
 
 def rival(fits: PatientFits, name: str, folder: Path, digest: str) -> Rival:
@@ -62,10 +79,13 @@ def rival(fits: PatientFits, name: str, folder: Path, digest: str) -> Rival:
 
 
 def _judged(fits: PatientFits, name: str) -> Rival:
+    from ttus_opt.comparators import create
+    from ttus_opt.comparators.comparison import ripple
+
     examined = fits.examination
     begin = time.process_time()
     try:
-        model = _room().create(
+        model = create(
             name,
             surface=examined.surface,
             shell=fits.shell,
@@ -80,19 +100,14 @@ def _judged(fits: PatientFits, name: str) -> Rival:
     for against in AGAINST:
         for recording, own in getattr(examined, against).items():
             begin = time.process_time()
-            wrench = np.asarray(model.wrenches(own))
+            wrench = model.wrenches(own)
             per_frame.append((time.process_time() - begin) / len(own))
             errors = compare(own, as_rendered(wrench))
-            rows.append(fits.row(name, recording, against, errors))
-    ripple = importlib.import_module("ttus_opt.comparators.comparison").ripple
+            rows.append(fits.row(PREFIX + name, recording, against, errors))
     facts = {
         # the median: the first call may compile
         "ms_per_frame": 1e3 * float(np.median(per_frame)),
-        "ripple": float(ripple(model, examined.true["sweep_test"])),
+        "ripple": ripple(model, examined.true["sweep_test"]),
         "processor_seconds": round(spent, 2),
     }
     return Rival(name, tuple(rows), facts)
-
-
-def _room() -> Any:
-    return importlib.import_module("ttus_opt.comparators")

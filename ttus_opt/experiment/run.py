@@ -87,8 +87,12 @@ class Plan:
 
     @property
     def rivals(self) -> tuple[str, ...]:
-        """Names of the comparators asked for."""
-        return rivals.names() if "all" in self.comparators else tuple(self.comparators)
+        """Names of the comparators asked for.
+
+        Raises:
+            InputError: An unknown name.
+        """
+        return rivals.chosen(self.comparators)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import numpy as np
 from ttus_opt.experiment import paper_averages as paper
 from ttus_opt.experiment.boundary import spread
 from ttus_opt.experiment.document import Table
+from ttus_opt.experiment.rivals import PREFIX
 from ttus_opt.experiment.run import ITSELF, ExperimentResult
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
@@ -162,7 +163,7 @@ def comparison_table(result: ExperimentResult, against: str) -> Table:
         ("torque angle [°]", lambda s: s.torque_angle_error_deg, ".0f"),
         ("told apart [%]", lambda s: 100 * s.share_told_apart, ".0f"),
     )
-    rows = select(result.rows, seen=False, against=against)
+    rows = _unseen(result, against)
     lines = []
     for name in dict.fromkeys(r.setting for r in rows):
         own = select(rows, setting=name)
@@ -174,6 +175,12 @@ def comparison_table(result: ExperimentResult, against: str) -> Table:
     return Table(["", *header, "each aim met", "all met"], lines)
 
 
+def _unseen(result: ExperimentResult, against: str) -> list[Row]:
+    """Rows of new motion, those of comparators left out."""
+    rows = select(result.rows, seen=False, against=against)
+    return [row for row in rows if not row.setting.startswith(PREFIX)]
+
+
 def _parts_met(rows: Sequence[Row]) -> str:
     """How often each aim is met: force, angle, torque, torque angle."""
     met = [row.score.meets() for row in rows]
@@ -182,7 +189,7 @@ def _parts_met(rows: Sequence[Row]) -> str:
 
 def winners_table(result: ExperimentResult, reading: Reading, form: str) -> Table:
     """Errors of every setting per unseen recording, the least in bold."""
-    rows = select(result.rows, seen=False, against="true")
+    rows = _unseen(result, "true")
     names = list(dict.fromkeys(r.setting for r in rows))
     lines = []
     for patient, recording in dict.fromkeys((r.patient, r.recording) for r in rows):
@@ -204,7 +211,7 @@ def rivals_table(result: ExperimentResult) -> Table | None:
     lines = []
     rows = select(result.rows, seen=False, against="true")
     for name in names:
-        own = select(rows, setting=name)
+        own = select(rows, setting=PREFIX + name)
         facts = [r.facts for p in result.patients for r in p.rivals if r.name == name]
         failures = [f["failure"] for f in facts if "failure" in f]
         if failures and not own:
