@@ -60,3 +60,11 @@ def test_third_patient_has_the_skin_of_a_scan():
     lump = np.asarray(scanned.torso.lump_centre)
     assert PROBE.semi_axes == (0.030, 0.0125, 0.018)
     assert 0.09 < np.hypot(*lump[:2]) < front  # below this skin, not the made-up one's
+
+
+@pytest.mark.parametrize("patient", EVERYONE, ids=lambda p: p.name)
+def test_surface_is_the_torsos_skin_between_its_nodes_too(patient):
+    rng = np.random.default_rng(2)
+    theta, z = rng.uniform(0.0, 6.28, 500), rng.uniform(0.0, patient.torso.length, 500)
+    off = patient.surface().radius_at(theta, z) - patient.torso.radius(theta, z)
+    assert np.abs(off).max() < 1e-4

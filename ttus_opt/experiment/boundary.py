@@ -80,8 +80,7 @@ def _at(fits: PatientFits, weight: float, factor: float) -> BoundaryError:
     scene = scene.with_boundary(factor * scene.inner, factor * scene.outer)
     values = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
     before = PotentialField(scene.voxmap, values, scene.sampling)
-    weights = {"force_weight": weight, "torque_weight": weight}
-    solution = fit(scene, "eq10", **weights)
+    solution = fit(scene, "eq10", force_weight=weight, torque_weight=weight)
     after = float("nan")
     if solution.status is Status.SOLVED:
         after = _error(fits, solution.field)

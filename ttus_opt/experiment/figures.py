@@ -58,6 +58,8 @@ def boundary_picture(result: ExperimentResult) -> Figure:
             panel.plot(factors, before, color=BEFORE, linestyle="--", marker="o")
             panel.plot(factors, after, color=AFTER, marker="o")
             panel.set_xscale("log")
+            panel.set_xticks(factors[::2], [f"{f:.2g}" for f in factors[::2]])
+            panel.minorticks_off()
             panel.set_xlabel("p_in over its fitted value")
             panel.set_title(name)
             panel.set_ylim(bottom=0.0)
@@ -69,9 +71,10 @@ def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
     name = each.patient.name
     names = (PAPER_WITHOUT.name, best, LAPLACE.name, "eq10")
     fields = [each.fits[setting].field for setting in names]
-    if any(own is None for own in fields):
+    there = [own for own in fields if own is not None]
+    if len(there) < len(fields):
         return []  # a fit that failed is told by the tables
-    without, fitted, prior, eq10 = fields
+    without, fitted, prior, eq10 = there
     judge = PatientFits(each.examination, folder, (0, 0, 0), "")
     pictures = []
     for recording in UNSEEN:

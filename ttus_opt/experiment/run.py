@@ -240,7 +240,7 @@ def _scanned(plan: Plan, folder: Path) -> Surface:
     path = io.existing_file(plan.torso, "torso")
     file = folder / f"scan-{io.sha256(path)[:12]}.nc"
     if not file.exists():
-        cloud = read_cloud(path, unit=plan.torso_unit)
+        cloud = read_cloud(path, unit=plan.torso_unit)  # type: ignore[arg-type]  # checked there
         axis = Axis.from_cloud(cloud)
         extract_surface(cloud, axis=axis, n_theta=120, n_z=40).save(file)
     return Surface.load(file)

@@ -121,8 +121,10 @@ class Row:
     @classmethod
     def from_dict(cls, told: dict[str, Any]) -> Row:
         """What `as_dict` gave."""
-        rest = {k: float("nan") if v is None else v for k, v in told.items()}
-        own = {k: rest.pop(k) for k in _KEYS}
+        rest: dict[str, Any] = {
+            k: float("nan") if v is None else v for k, v in told.items()
+        }
+        own: dict[str, Any] = {k: rest.pop(k) for k in _KEYS}
         return cls(**own, score=Score(**rest))
 
 

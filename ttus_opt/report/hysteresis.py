@@ -9,14 +9,15 @@ share.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 
-#: A press is shorter than nothing else: at least so many frames [–]
+#: A press has at least so many frames [–]
 SHORTEST = 5
 
 
@@ -50,7 +51,7 @@ def hysteresis_share(
     return kept / spent if spent > 0.0 else float("nan")
 
 
-def _work(trajectory: Trajectory, shell: PointShell, own: Array) -> Array:
+def _work(trajectory: Trajectory, shell: PointShell, own: IntArray) -> Array:
     """Work done on the patient between frames, shape (T - 1,) [J]."""
     assert trajectory.force is not None
     rotation = trajectory.rotation[own]
@@ -65,7 +66,7 @@ def _work(trajectory: Trajectory, shell: PointShell, own: Array) -> Array:
     return np.asarray(work)
 
 
-def _presses(touching: Array) -> list[tuple[int, int]]:
+def _presses(touching: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """First frame before and first after every press that begins and ends."""
     change = np.diff(touching.astype(int))
     starts, stops = np.flatnonzero(change == 1), np.flatnonzero(change == -1) + 1
