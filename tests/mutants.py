@@ -22,7 +22,9 @@ import multiprocessing
 import os
 import queue
 import random
+import resource
 import shutil
+import signal
 import sys
 import tempfile
 import time
@@ -54,8 +56,13 @@ PRELOADED = (
     "xarray",
 )
 
-#: A test run that takes so many times as long as without a mutant hangs.
-PATIENCE = 5.0
+#: A test run that computes so many times as long as without a mutant hangs, with some
+#: seconds more: a mutant may compile anew.
+PATIENCE, ROOM = 5.0, 120
+
+#: One that waits for what never comes takes so much longer by the clock, which other
+#: work on the machine stretches.
+WAITS = 6.0
 
 
 @dataclass(frozen=True)
@@ -290,24 +297,37 @@ class Copy:
         self._cache = os.environ.get("NUMBA_CACHE_DIR") or folder.parent / "cache"
 
     def told(self, target: Target, limit: float | None = None) -> bool:
-        """Whether the tests fail, or hang."""
+        """Whether the tests fail, or hang.
+
+        Args:
+            target: Which.
+            limit: CPU time after which they hang; none for the first run, which is
+                then timed (``seconds``) [s].
+        """
         environment = {
             "NUMBA_CACHE_DIR": str(self._cache),
             "NUMBA_DISABLE_JIT": str(int(not target.is_compiled)),
         }
         output = self.root.parent / "output.txt"
-        arguments = (self.root, target.tests, environment, output)
+        arguments = (self.root, target.tests, environment, output, limit)
         child = FORKS.Process(target=run_tests, args=arguments)
         child.start()
-        child.join(limit)
+        child.join(None if limit is None else WAITS * limit)
         if child.exitcode is None:
             child.kill()
             child.join()
+            return True
+        if child.exitcode in (-signal.SIGXCPU, -signal.SIGKILL):
             return True
         if child.exitcode not in (0, 1, 2):  # not passed, failed nor not imported
             text = output.read_text(encoding="utf-8", errors="replace")
             raise RuntimeError(f"pytest could not run:\n{text[-2000:]}")
         return child.exitcode != 0
+
+    @property
+    def seconds(self) -> float:
+        """CPU time of the last run that ended by itself [s]."""
+        return float((self.root / SECONDS).read_text())
 
     def tells(self, target: Target, mutant: Mutant, limit: float) -> bool:
         """Whether the tests fail with this change."""
@@ -330,8 +350,16 @@ class Copy:
 FORKS = multiprocessing.get_context("forkserver")
 
 
+#: Where a run leaves its CPU time, in its checkout
+SECONDS = "seconds.txt"
+
+
 def run_tests(
-    root: Path, tests: tuple[str, ...], environment: dict[str, str], output: Path
+    root: Path,
+    tests: tuple[str, ...],
+    environment: dict[str, str],
+    output: Path,
+    limit: float | None,
 ) -> None:
     """Run tests in this process, which ends with pytest's exit code.
 
@@ -340,7 +368,10 @@ def run_tests(
         tests: Files below ``tests``.
         environment: What numba is told.
         output: Where to write what is printed.
+        limit: CPU time after which the system ends it [s].
     """
+    if limit is not None:
+        resource.setrlimit(resource.RLIMIT_CPU, (int(limit), int(limit) + 5))
     with output.open("w", encoding="utf-8") as file:
         os.dup2(file.fileno(), 1)
         os.dup2(file.fileno(), 2)
@@ -353,7 +384,9 @@ def run_tests(
     numba.config.reload_config()
     files = [f"tests/{name}" for name in tests]
     options = ["-x", "-q", "-m", "not slow", "-p", "no:cacheprovider"]
-    sys.exit(pytest.main([*options, *files]))
+    code = pytest.main([*options, *files])
+    Path(SECONDS).write_text(str(time.process_time()), encoding="utf-8")
+    sys.exit(code)
 
 
 def run(targets: list[Target], sample: int, seed: int, workers: int) -> float:
@@ -375,13 +408,10 @@ def run(targets: list[Target], sample: int, seed: int, workers: int) -> float:
 
         for target in targets:
             copy = idle.get()
-            start = time.perf_counter()
             if copy.told(target):
                 raise SystemExit(f"error: {target.tests} fail without a mutant")
-            seconds = time.perf_counter() - start
+            limit = PATIENCE * copy.seconds + ROOM
             idle.put(copy)
-            # a mutant may compile anew and shares the machine with others
-            limit = PATIENCE * workers * seconds + 120.0
             tried = mutants(target.module, sample, seed)
             with ThreadPoolExecutor(workers) as pool:
                 told = list(pool.map(tells, repeat(target), tried, repeat(limit)))
