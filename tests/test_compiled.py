@@ -6,6 +6,7 @@ import io
 import os
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ import pytest
 
 import ttus_opt.compiled as kept
 from tests.conftest import some
+from ttus_opt.claims import Claims
 from ttus_opt.compiled import compiled, content_stamp, is_kept
 
 PACKAGE = {
@@ -195,6 +197,35 @@ def test_code_nobody_asks_for_is_removed(load: Load, tmp_path: Path) -> None:
     load(("caller", "step(step(x))", "step(x) + 40")).twice(0)
     left = [path.name.partition("-")[0] for path in folder.iterdir()]
     assert sorted(left) == ["haunted.callee.step"] + ["haunted.caller.twice"] * 2
+
+
+def test_what_another_process_compiles_is_waited_for(
+    load: Load, tmp_path: Path
+) -> None:
+    load().twice(0)
+    (code,) = (tmp_path / "cache" / "ttus_opt").glob("haunted.caller.twice-*")
+    content, other = code.read_bytes(), Claims()
+    other.take(code)  # as if it was at work in another process
+    code.unlink()
+    caller, answers = load(), list[int]()
+    late = threading.Thread(target=lambda: answers.append(caller.twice(1)))
+    late.start()
+    late.join(0.2)
+    assert late.is_alive()
+    code.write_bytes(content)
+    other.release()
+    late.join(60.0)
+    assert answers == [3]
+    assert not caller.twice.stats.cache_misses
+    assert not list(code.parent.glob("*.lock"))
+
+
+def test_a_claim_ends_with_a_compilation_that_fails(load: Load) -> None:
+    caller = load()
+    with pytest.raises(numba.TypingError):
+        caller.twice("no number")
+    assert not caller.twice._cache.claims._held
+    assert not caller.step._cache.claims._held
 
 
 def test_a_stopwatch_tells_compiling_apart(load: Load) -> None:

@@ -33,6 +33,8 @@ import numpy as np
 from numba.core import caching, compiler, event, sigutils
 from numba.core.serialize import dumps
 
+from ttus_opt.claims import Claims
+
 # Machine code that nobody has asked for during so long is removed.
 KEEP_SECONDS = 30 * 86400.0
 
@@ -114,7 +116,11 @@ class _Compiling(event.Listener):
         self._depth += 1
 
     def on_end(self, event: Any) -> None:
-        """It is compiled, or has failed."""
+        """It is compiled, or has failed and others need not wait for it."""
+        if sys.exc_info()[0] is not None:  # `event.is_failed` says the contrary
+            kept = event.data["dispatcher"]._cache
+            if isinstance(kept, _Kept):
+                kept.claims.release()
         self._depth -= 1
         if self._depth == 0:
             self.seconds += time.perf_counter() - self._since
@@ -284,6 +290,10 @@ def _surroundings() -> str:
 class _Kept(caching._Cache):
     """Machine code of one function, a file for each list of argument types.
 
+    Processes that need the same code at once wait for the one that compiles it. None
+    waits for another that waits for it: who compiles holds claims on a function and its
+    callers, and waits for what it calls.
+
     A file is named after all it depends on and written in one step, so processes that
     compile the same side by side cannot take one for another. (numba's own index can:
     two processes that add a signature each may give both the same file.)
@@ -292,6 +302,7 @@ class _Kept(caching._Cache):
     def __init__(self, dispatcher: Any) -> None:
         self._dispatcher = dispatcher
         self._enabled = True
+        self.claims = Claims()
 
     @property
     def cache_path(self) -> str | None:
@@ -334,18 +345,25 @@ class _Kept(caching._Cache):
         path = self._path(sig, target_context.codegen())
         if path is None:
             return None
-        try:
-            content = path.read_bytes()
-            if time.time() - path.stat().st_mtime > KEEP_SECONDS / 30:
-                os.utime(path)  # asked for today
-        except OSError:
+        content = _content_of(path)
+        if content is None:
             _announce()
-            return None
+            self.claims.take(path)
+            content = _content_of(path)  # by whoever held the claim
+            if content is None:
+                return None
+            self.claims.release()
         payload = pickle.loads(content)
         return compiler.CompileResult._rebuild(target_context, *payload)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep the machine code compiled for these types."""
+        try:
+            self._save(sig, data)
+        finally:
+            self.claims.release()
+
+    def _save(self, sig: Any, data: Any) -> None:
         path = self._path(sig, data.codegen)
         if path is None or data.lifted or data.library.has_dynamic_globals:
             return
@@ -358,8 +376,19 @@ class _Kept(caching._Cache):
             new.unlink(missing_ok=True)
             self.disable()
             warnings.warn(
-                f"compiled code is not kept: {error}", RuntimeWarning, stacklevel=2
+                f"compiled code is not kept: {error}", RuntimeWarning, stacklevel=3
             )
+
+
+def _content_of(path: Path) -> bytes | None:
+    """Kept code, which stays for another month; None when there is none."""
+    try:
+        content = path.read_bytes()
+        if time.time() - path.stat().st_mtime > KEEP_SECONDS / 30:
+            os.utime(path)  # asked for today
+    except OSError:
+        return None
+    return content
 
 
 @functools.cache

@@ -130,7 +130,7 @@ def run(
     start = time.perf_counter()
     begin = progress or (lambda stage: None)
     out = Path(folder)
-    with compiling_ahead() as compiled:
+    with compiling_ahead():
         begin("reading the example")
         truth = Surface.load(example.path("surface.nc"))
         cloud = read_cloud(example.path("scan.ply"), unit="m")
@@ -141,13 +141,12 @@ def run(
         shell = PointShell.from_spec(example.PROBE)
         begin("scan to surface")
         surface = extract_surface(cloud, axis=truth.axis)
+        surface.save(out / "surface.nc")
+        _draw_surface(out, surface, cloud)  # while the multigrid is compiled
         begin("assembling (first run compiles)")
         plan = ScenePlan(shape=shape, inner="fit", sampling="trilinear")
         scene = plan.build(surface, shell, [recordings[name] for name in FITTED])
-        surface.save(out / "surface.nc")
-        _draw_surface(out, scene, cloud)  # while the multigrid is compiled
         begin("Laplace prior alone")
-        compiled()
         before = fit(scene, "laplace_only")
     begin("with forces and torques")
     after = fit(scene, "eq10", force_weight=WEIGHT, torque_weight=WEIGHT)
@@ -187,10 +186,10 @@ def surface_error(surface: Surface, truth: Surface) -> SurfaceError:
     )
 
 
-def _draw_surface(out: Path, scene: Scene, cloud: Array) -> None:
+def _draw_surface(out: Path, surface: Surface, cloud: Array) -> None:
     from ttus_opt.report import plots
 
-    figure = plots.surface_picture(scene.voxmap.surface, cloud)
+    figure = plots.surface_picture(surface, cloud)
     plots.save_picture(figure, out / "surface.png")
 
 

@@ -45,13 +45,3 @@ def test_a_process_is_started_only_when_there_is_something_to_do(
     with pytest.raises(KeyError), ahead.compiling_ahead():
         raise KeyError("a mistake meanwhile")
     assert done == ([] if is_kept else ["started", "ended", "waited for"])
-
-
-@pytest.mark.parametrize("is_kept", [True, False])
-def test_a_solve_can_wait_for_it(
-    is_kept: bool, monkeypatch: pytest.MonkeyPatch, done: list[str]
-) -> None:
-    monkeypatch.setattr(ahead, "is_kept", lambda _: is_kept)
-    with ahead.compiling_ahead() as compiled:
-        compiled()
-        assert done == ([] if is_kept else ["started", "waited for"])

@@ -1,8 +1,8 @@
 """The multigrid compiled by a process of its own, while another reads its data.
 
 Compiling it takes most of a first run and holds the interpreter's lock; what the other
-process has finished is found in the cache of compiled code. Before the first solve one
-waits for the rest: compiling the same beside it would end no sooner.
+process has finished is found in the cache of compiled code, and what it is at is waited
+for (`ttus_opt.compiled`).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -21,12 +21,8 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 
 
 @contextlib.contextmanager
-def compiling_ahead() -> Iterator[Callable[[], object]]:
-    """Let another process compile the multigrid meanwhile, unless it was before.
-
-    Yields:
-        What waits for it to end.
-    """
+def compiling_ahead() -> Iterator[None]:
+    """Let another process compile the multigrid meanwhile, unless it was before."""
     helper = None
     if not is_kept(add):  # the last function that a solve compiles
         helper = subprocess.Popen(
@@ -36,7 +32,7 @@ def compiling_ahead() -> Iterator[Callable[[], object]]:
             stderr=subprocess.DEVNULL,
         )
     try:
-        yield (lambda: None) if helper is None else helper.wait
+        yield
     finally:
         if helper is not None:
             helper.terminate()
