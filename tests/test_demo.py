@@ -64,6 +64,9 @@ def test_every_file_is_there_and_readable(
     np.testing.assert_array_equal(surface.radius, field.voxmap.surface.radius)
     report = (folder / "report.md").read_text(encoding="utf-8")
     assert all(f"({name})" in report for name in demo.PICTURES)
+    for name in demo.PICTURES:
+        picture = (folder / name).read_bytes()
+        assert picture.startswith(b"\x89PNG") and 2_000 < len(picture) < 200_000
 
 
 def test_progress_is_told_as_often_as_announced(

@@ -57,7 +57,11 @@ def interrupted(process: subprocess.Popen[str], *, terminal: bool) -> float:
     return time.perf_counter() - start
 
 
-@pytest.mark.parametrize("terminal", [False, True], ids=["kill", "terminal"])
+@pytest.mark.parametrize(
+    "terminal",
+    [True, pytest.param(False, marks=pytest.mark.slow)],
+    ids=["terminal", "kill"],
+)
 def test_a_solver_that_never_listens(
     files: Path, tmp_path: Path, terminal: bool
 ) -> None:

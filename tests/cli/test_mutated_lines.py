@@ -21,7 +21,7 @@ SEED = 20261122
 
 #: How many lines: a few each time, 1,000 with the slow tests, 10,000 with the long ones
 LINES = [
-    pytest.param(0, 25),
+    pytest.param(0, 10),
     pytest.param(0, 1000, marks=pytest.mark.slow),
     *(
         pytest.param(i, 1000, marks=[pytest.mark.slow, pytest.mark.long])

@@ -41,8 +41,8 @@ def test_paths_of_fit_and_test_differ():
 
 def test_recording_is_the_record_with_noise_and_drag_where_named(coarse_patch):
     for name in ("sweep_fit", "sweep_drag_fit"):
-        noisy = recording(name, coarse_patch, n_frames=60)
-        clean = record(coarse_patch, PROBE, poses(name).select(slice(60)))
+        noisy = recording(name, coarse_patch, n_frames=30)
+        clean = record(coarse_patch, PROBE, poses(name).select(slice(30)))
         rest = noisy.force - clean.force
         if "drag" in name:
             assert np.abs(rest).max() > 0.5

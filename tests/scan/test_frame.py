@@ -27,11 +27,9 @@ def rotation(rng: np.random.Generator) -> Array:
     return q if np.linalg.det(q) > 0 else q[:, [1, 0, 2]]
 
 
-def body(rng: np.random.Generator, *, upper: bool) -> Array:
+def body(rng: np.random.Generator, *, upper: bool, n: int = 30_000) -> Array:
     """A torso lying along z on y = 0: flat back, wider and deeper towards the head."""
-    theta = (
-        rng.uniform(0, np.pi, 30_000) if upper else rng.uniform(0, 2 * np.pi, 30_000)
-    )
+    theta = rng.uniform(0, np.pi if upper else 2 * np.pi, n)
     z = rng.uniform(-0.25, 0.25, theta.size)
     width, half_depth = 0.17 + 0.05 * z, 0.11 + 0.03 * z
     s = np.sin(theta)
@@ -41,8 +39,8 @@ def body(rng: np.random.Generator, *, upper: bool) -> Array:
     return np.stack([x, y, z], axis=1) + noise
 
 
-def bed(rng: np.random.Generator) -> Array:
-    x = rng.uniform(0.16, 0.4, 20_000) * rng.choice([-1, 1], 20_000)
+def bed(rng: np.random.Generator, n: int = 20_000) -> Array:
+    x = rng.uniform(0.16, 0.4, n) * rng.choice([-1, 1], n)
     flat = 0.003 * rng.standard_normal(x.size)
     return np.stack([x, flat, rng.uniform(-0.3, 0.3, x.size)], axis=1)
 
@@ -187,7 +185,7 @@ def test_found_without_a_bed(seed: int) -> None:
 
 def test_one_sided_without_a_bed_looks_to_the_seen_side() -> None:
     rng = np.random.default_rng(0)
-    axis = Axis.from_cloud(body(rng, upper=True))
+    axis = Axis.from_cloud(body(rng, upper=True, n=8000))
     assert axis.rotation[1, 1] > 0.95
     assert abs(axis.origin[0]) < 0.02
     assert -0.15 < axis.origin[1] < 0.18  # below the ridge at 0.22
@@ -217,7 +215,7 @@ def test_refusals() -> None:
 def test_the_supporting_plane_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """It stays in the frame: extraction looks for none, and leaves the bed out."""
     rng = np.random.default_rng(0)
-    cloud = np.concatenate([body(rng, upper=False), bed(rng)])
+    cloud = np.concatenate([body(rng, upper=False, n=8000), bed(rng, 6000)])
     axis, given = Axis.from_cloud(cloud), Axis.identity()
     plane = axis.support
     assert isinstance(plane, SupportingPlane)
@@ -236,4 +234,4 @@ def test_the_supporting_plane_is_found_once(monkeypatch: pytest.MonkeyPatch) -> 
     assert given.support == "unknown"
     assert given.supporting_plane(cloud) is plane  # a frame that was given looks
     assert len(looks) == 1
-    assert Axis.from_cloud(body(rng, upper=False)).support is None
+    assert Axis.from_cloud(body(rng, upper=False, n=8000)).support is None

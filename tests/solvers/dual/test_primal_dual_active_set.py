@@ -117,7 +117,7 @@ def test_a_volume_of_growth_limits_does_not_grow_by_layers(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """With the peaks alone, as for bounds, the same takes far more working sets."""
-    scene = contested(0, (18, 36, 20), n_poses=60, scale=-3.0)
+    scene = contested(0, (14, 28, 16), n_poses=60, scale=-3.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
     found = solved(program)
     with monkeypatch.context() as peaks:
@@ -262,7 +262,11 @@ SURFACES = {
 # given values of the inner layer leave no room for a slope
 @pytest.mark.parametrize(
     ("hard", "kind"),
-    [(False, "sign, monotone"), (False, "sign, some slope"), (True, "sign, monotone")],
+    [
+        (False, "sign, some slope"),
+        (True, "sign, monotone"),
+        pytest.param(False, "sign, monotone", marks=pytest.mark.slow),
+    ],
 )
 @pytest.mark.parametrize("name", SURFACES)
 def test_geometry_that_breaks_careless_solvers(
@@ -386,7 +390,7 @@ def test_a_given_value_against_its_bound_is_named() -> None:
 
 def test_stops_when_the_time_is_up() -> None:
     """Cut short it has taken fewer steps, and says so."""
-    scene = contested(0, (16, 48, 20), n_poses=60, scale=-3.0)
+    scene = contested(0, (14, 36, 16), n_poses=60, scale=-3.0)
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene, 5.0)).compile()
     whole = solved(program)
     assert whole.claim is Claim.DONE
@@ -515,10 +519,11 @@ def test_an_update_with_another_grid() -> None:
     updated(limited(contested()), limited(contested(shape=(6, 10, 6))))
 
 
-def test_random_limits_of_all_kinds_are_settled() -> None:
+@pytest.mark.parametrize("seeds", some([range(6), range(6, 60)], 1))
+def test_random_limits_of_all_kinds_are_settled(seeds: range) -> None:
     """Bounds, links, given values, weights and slopes drawn at random; KKT hold."""
     unsettled = []
-    for seed in range(20):
+    for seed in seeds:
         rng = np.random.default_rng(seed)
         shape = [(6, 9, 5), (7, 8, 6), (5, 4, 3)][seed % 3]
         scale, hard = rng.choice([1.0, -3.0, 5.0]), bool(rng.random() < 0.5)

@@ -161,9 +161,9 @@ def shaped(
 @pytest.mark.parametrize(
     ("surface", "shape", "r_outer"),
     [
-        (torso(), (9, 20, 8), float(torso().radius.max())),
-        (rough_surface(0), (10, 24, 10), None),
-        (rough_surface(1), (9, 23, 12), float(rough_surface(1).radius.max())),
+        (torso(), (8, 16, 7), float(torso().radius.max())),
+        (rough_surface(0), (9, 16, 8), None),
+        (rough_surface(1), (8, 15, 9), float(rough_surface(1).radius.max())),
         (torso(), (9, 21, 3), None),
         (torso(), (4, 4, 3), None),
     ],
