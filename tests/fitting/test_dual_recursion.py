@@ -218,6 +218,9 @@ def test_memory_holds_no_dense_columns() -> None:
     assert system.memory_bytes < 0.3 * 8 * scene.n_voxels * 20 * HEIGHT
     arrays = [v for v in vars(system).values() if isinstance(v, np.ndarray)]
     assert max(a.size for a in arrays) <= scene.n_voxels
+    growing = sum(a.nbytes for a in arrays if a.size != scene.n_voxels)
+    parts = system._kernel.memory_bytes + system._D.memory_bytes
+    assert system.memory_bytes == growing + parts
 
 
 def test_weights_beyond_rounding_are_refused(coarse: Scene) -> None:
