@@ -16,6 +16,7 @@ import typer
 
 from ttus_opt.cli import (
     benchmark_command,
+    compensate_command,
     demo_command,
     evaluate_command,
     experiment_command,
@@ -44,6 +45,7 @@ app = typer.Typer(
 for module in (
     demo_command,
     register_command,
+    compensate_command,
     surface_command,
     fit_command,
     path_command,

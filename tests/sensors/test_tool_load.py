@@ -1,0 +1,165 @@
+"""Bias, weight and centre of mass from free poses; false statements are noticed."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.hostile import only_our_errors
+from tests.sensors.readings import (
+    CENTRE,
+    DOWN,
+    FORCE_BIAS,
+    MASS,
+    SENSOR,
+    TORQUE_BIAS,
+    readings,
+    tilts,
+)
+from ttus_opt.errors import GeometryError, InputError, TtusWarning
+from ttus_opt.probe.trajectory import read_trajectory
+from ttus_opt.sensors.force_sensor import ForceSensor
+from ttus_opt.sensors.tool_load import identify_load
+from ttus_opt.sensors.wrench_compensation import compensated
+
+
+@pytest.mark.parametrize("sign", ["on-probe", "by-probe"])
+def test_a_known_load_is_found(sign: str) -> None:
+    sensor = replace(SENSOR, sign=sign)
+    load = identify_load(readings(tilts(), sensor=sensor), sensor, DOWN)
+    assert load.mass == pytest.approx(MASS, abs=1e-9)
+    np.testing.assert_allclose(load.centre, CENTRE, atol=1e-9)
+    np.testing.assert_allclose(load.force_bias, FORCE_BIAS, atol=1e-9)
+    np.testing.assert_allclose(load.torque_bias, TORQUE_BIAS, atol=1e-9)
+    assert load.handedness_told
+
+
+def test_standard_errors_are_those_of_noise() -> None:
+    loads = []
+    for seed in range(60):
+        free = readings(tilts())
+        rng = np.random.default_rng(seed)
+        assert free.force is not None
+        assert free.torque is not None
+        free = replace(
+            free,
+            force=free.force + rng.normal(0, 0.1, free.force.shape),
+            torque=free.torque + rng.normal(0, 0.005, free.torque.shape),
+        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", TtusWarning)  # drift by chance
+            loads.append(identify_load(free, SENSOR, DOWN))
+    sampled = np.std([load.mass for load in loads])
+    assert np.mean([load.mass_std for load in loads]) == pytest.approx(sampled, rel=0.3)
+    assert np.mean([load.mass for load in loads]) == pytest.approx(MASS, abs=0.005)
+    sampled_centre = np.std([load.centre for load in loads], axis=0)
+    told_centre = np.mean([load.centre_std for load in loads], axis=0)
+    np.testing.assert_allclose(told_centre, sampled_centre, rtol=0.35)
+    assert loads[0].force_residual == pytest.approx(0.1, rel=0.2)
+    assert loads[0].torque_residual == pytest.approx(0.005, rel=0.2)
+
+
+@pytest.mark.parametrize("sign", ["on-probe", "by-probe"])
+def test_the_other_sign_is_noticed(sign: str) -> None:
+    free = readings(tilts(), sensor=replace(SENSOR, sign=sign), noise=0.05)
+    other = {"on-probe": "by-probe", "by-probe": "on-probe"}[sign]
+    with pytest.raises(InputError, match=f"give sign {sign}"):
+        identify_load(free, replace(SENSOR, sign=other), DOWN)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_left_handed_sensor_is_noticed(axis: int) -> None:
+    free = readings(tilts(), noise=0.05)
+    for values in (free.force, free.torque):
+        assert values is not None
+        values[:, axis] *= -1
+    with pytest.raises(InputError, match=f"left-handed.*the {'xyz'[axis]} axis"):
+        identify_load(free, SENSOR, DOWN)
+
+
+def test_axes_that_are_turned_are_noticed_and_mended() -> None:
+    free = readings(tilts(), noise=0.02)
+    with pytest.raises(InputError, match="from the stated axes: give axes") as told:
+        identify_load(free, replace(SENSOR, axes=np.eye(3)), DOWN)
+    quaternion = str(told.value).split("give axes ")[1].split(" ")[0].split(",")
+    axes = Rotation.from_quat([float(v) for v in quaternion]).as_matrix()
+    np.testing.assert_allclose(axes, SENSOR.axes, atol=0.02)
+    load = identify_load(free, replace(SENSOR, axes=axes), DOWN)
+    assert load.mass == pytest.approx(MASS, abs=0.01)
+
+
+def about(*axes: list[float], n: int = 12) -> np.ndarray:
+    """Turns about a few axes, one after the other."""
+    angles = np.linspace(-1.2, 1.2, n)
+    turns = [np.outer(angles, axis) for axis in axes]
+    return Rotation.from_rotvec(np.concatenate(turns)).as_matrix()
+
+
+def test_poses_that_hardly_tilt_are_refused() -> None:
+    for rotation in (about([0, 0, 1.0]), tilts(20, 0.02)):
+        with pytest.raises(GeometryError, match="tilted by 30°"):
+            identify_load(readings(rotation), SENSOR, DOWN)
+
+
+def test_tilts_in_a_plane_find_the_load_but_no_handedness() -> None:
+    plane = about([1.0, 0, 0], n=30)  # gravity stays in the plane of y and z
+    plain = ForceSensor()
+    load = identify_load(readings(plane, sensor=plain, noise=0.005), plain, DOWN)
+    assert load.mass == pytest.approx(MASS, abs=0.01)
+    assert not load.handedness_told
+    with pytest.raises(InputError, match="give sign on-probe, or give axes"):
+        identify_load(
+            readings(plane, sensor=plain), replace(plain, sign="by-probe"), DOWN
+        )
+
+
+def test_drift_is_told() -> None:
+    free = readings(tilts(200), noise=0.01)
+    assert free.force is not None
+    free.force[:, 1] += 0.01 * free.time
+    with pytest.warns(TtusWarning, match=r"drifts by 0\.6\d* N a minute"):
+        load = identify_load(free, SENSOR, DOWN)
+    np.testing.assert_allclose(load.drift, [0, 0.01, 0], atol=5e-4)
+    assert load.facts()["drift_N_per_s"] == load.drift.tolist()
+
+
+def test_readings_without_weight_are_told() -> None:
+    free = readings(tilts(), mass=0.0, noise=0.05)
+    with pytest.warns(TtusWarning, match="compensated already"):
+        load = identify_load(free, SENSOR, DOWN)
+    assert load.mass == 0.0
+    assert not load.handedness_told
+    np.testing.assert_allclose(load.force_bias, FORCE_BIAS, atol=0.05)
+
+
+@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
+def test_mutations(tmp_path: Path, n: int) -> None:
+    file = tmp_path / "free.csv"
+    readings(tilts(12), noise=0.01).save(file, digits=6)
+
+    def read(path: Path) -> None:
+        free = read_trajectory(path)
+        load = identify_load(free, SENSOR, DOWN)
+        compensated(free, SENSOR, load, DOWN, np.zeros(3), inertia=True)
+
+    only_our_errors([file], read, n)
+
+
+def test_what_is_refused() -> None:
+    free = readings(tilts())
+    with pytest.raises(InputError, match="at least 8 free poses"):
+        identify_load(free.select(slice(0, 7)), SENSOR, DOWN)
+    with pytest.raises(InputError, match="forces and torques"):
+        identify_load(replace(free, torque=None), SENSOR, DOWN)
+    assert free.force is not None
+    with pytest.raises(InputError, match="counts"):
+        identify_load(replace(free, force=1e5 * free.force), SENSOR, DOWN)
+    for down in ([0, 0, 0], [1, 2], [np.nan, 0, 1], [np.inf, 0, 0]):
+        with pytest.raises(InputError, match="down must be a direction"):
+            identify_load(free, SENSOR, down)

@@ -1,0 +1,122 @@
+"""``ttus-opt compensate``: contact wrenches from raw readings of a force sensor."""
+
+from __future__ import annotations
+
+import json as json_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ttus_opt.cli.console import print_json
+from ttus_opt.cli.option_groups import grouped
+from ttus_opt.cli.options import Force, Json, check_outputs, numbers
+from ttus_opt.cli.recording_options import ProbeOptions
+
+if TYPE_CHECKING:
+    from ttus_opt.sensors.force_sensor import ForceSensor
+
+EXAMPLE = (
+    "ttus-opt compensate press_raw.csv --free free.csv --down 0,0,-1 --axes 0,0,0,1 "
+    "--point 0,0,0.08 --sign on-probe --probe ellipsoid:0.030,0.0125,0.018 -o press.csv"
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("compensate", epilog=f"Example: {EXAMPLE}")(grouped(compensate))
+
+
+def compensate(
+    recording: Annotated[
+        Path,
+        typer.Argument(help="Trajectory CSV with raw readings, axes of the sensor."),
+    ],
+    free: Annotated[
+        Path, typer.Option(help="The same of the probe tilted in free air.")
+    ],
+    down: Annotated[
+        str, typer.Option(help="Direction of gravity in the frame of the poses, x,y,z.")
+    ],
+    axes: Annotated[
+        str, typer.Option(help="Sensor's axes in the probe's, quaternion x,y,z,w.")
+    ],
+    point: Annotated[
+        str,
+        typer.Option(help="What torques are measured about, probe frame, x,y,z [m]."),
+    ],
+    sign: Annotated[
+        str,
+        typer.Option(help="on-probe: force on the probe; by-probe: what it exerts."),
+    ],
+    probe: ProbeOptions,
+    output: Annotated[
+        Path, typer.Option("-o", "--output", help="Trajectory CSV, contact wrenches.")
+    ],
+    model: Annotated[
+        Path | None,
+        typer.Option(help="Write statements, bias, mass and centre here (JSON)."),
+    ] = None,
+    inertia: Annotated[
+        bool, typer.Option("--inertia", help="Take off the load's inertia too.")
+    ] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Take bias, weight and inertia off the readings of a force sensor.
+
+    Axes, reference point and sign of the sensor are three statements; what the free
+    poses say of them is checked. The output has the force on the probe and the torque
+    about the point shell's reference point, axes of the frame of the poses.
+    """
+    from ttus_opt import io
+    from ttus_opt.probe.trajectory import read_trajectory
+    from ttus_opt.sensors.tool_load import identify_load
+    from ttus_opt.sensors.wrench_compensation import compensated
+
+    inputs: list[Path | str] = [recording, free, probe.probe]
+    check_outputs([output, model], inputs, force=force)
+    sensor = _sensor(axes, point, sign)
+    direction = numbers(down, 3, "--down")
+    raw, still = read_trajectory(recording), read_trajectory(free)
+    reference = probe.read().reference
+    load = identify_load(still, sensor, direction)
+    clean = compensated(raw, sensor, load, direction, reference, inertia=inertia)
+    told = {
+        "output": str(output),
+        "frames": len(clean),
+        "sensor": sensor.statements(),
+        "down": list(direction),
+        "inertia": inertia,
+        "torque_about": reference.tolist(),
+        **load.facts(),
+    }
+    clean.save(output)
+    if model is not None:
+        with io.replacing(model) as temporary:
+            temporary.write_text(json_module.dumps(told, indent=2) + "\n")
+    if json:
+        print_json(told)
+        return
+    centre = ", ".join(f"{1e3 * v:.1f}" for v in load.centre)
+    typer.echo(
+        f"{output}: {len(clean)} frames; load {load.mass:.4g} ± {load.mass_std:.2g} "
+        f"kg, centre of mass ({centre}) mm from the point, sensor axes; free air "
+        f"leaves {load.force_residual:.2g} N and {1e3 * load.torque_residual:.2g} mN m"
+    )
+    if not load.handedness_told:
+        typer.echo("the free poses do not tell a left-handed sensor")
+
+
+def _sensor(axes: str, point: str, sign: str) -> ForceSensor:
+    import numpy as np
+
+    from ttus_opt.probe.pose import from_quaternions
+    from ttus_opt.sensors.force_sensor import ForceSensor
+
+    quaternion = np.array([numbers(axes, 4, "--axes")])
+    return ForceSensor(
+        from_quaternions(quaternion, "xyzw")[0],
+        np.array(numbers(point, 3, "--point")),
+        sign,  # type: ignore[arg-type]  # checked there
+    )

@@ -1,0 +1,103 @@
+"""How a force sensor is mounted: three statements, each of its own.
+
+*Axes*: where the sensor's axes lie in the probe's. *Reference point*: what it measures
+torques about. *Sign*: whether it tells the force on the probe or the force the probe
+exerts. A recording's poses are probe to some frame; its wrench columns hold the raw
+readings, sensor axes, about the reference point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.probe.pose import rotations
+from ttus_opt.probe.trajectory import Trajectory
+
+Sign = Literal["on-probe", "by-probe"]
+
+#: Readings beyond this are counts, or in another unit [N, N·m]
+LARGEST_READING = 1e4
+
+#: Reference points further away are in another unit [m]
+FARTHEST = 2.0
+
+
+@dataclass(frozen=True)
+class ForceSensor:
+    """A six-axis force sensor between the hand and the probe.
+
+    Attributes:
+        axes: Sensor to probe, shape (3, 3) [–].
+        point: What torques are measured about, probe frame, shape (3,) [m].
+        sign: ``on-probe``: a patient who pushes the probe along the sensor's x gives a
+            positive x. ``by-probe``: a negative one.
+    """
+
+    axes: Array = field(default_factory=lambda: np.eye(3))
+    point: Array = field(default_factory=lambda: np.zeros(3))
+    sign: Sign = "on-probe"
+
+    def __post_init__(self) -> None:
+        """Validate the statements.
+
+        Raises:
+            InputError: Axes that are no rotation, a point that is none, another sign.
+        """
+        axes, point = np.asarray(self.axes, float), np.asarray(self.point, float)
+        if axes.shape != (3, 3):
+            raise InputError(f"axes must be a rotation (3, 3), got {axes.shape}")
+        try:
+            object.__setattr__(self, "axes", rotations(axes))
+        except InputError as error:
+            raise InputError(f"axes of the sensor: {error}") from error
+        if point.shape != (3,) or not np.abs(point).max() < FARTHEST:
+            raise InputError(
+                f"point must be x,y,z within {FARTHEST:g} m of the probe's origin, got "
+                f"{point.tolist()}: is it in millimetres?"
+            )
+        object.__setattr__(self, "point", point)
+        if self.sign not in get_args(Sign):
+            raise InputError(
+                f"sign must be {' or '.join(get_args(Sign))}, got {self.sign!r}"
+            )
+
+    def readings(self, raw: Trajectory, what: str) -> tuple[Array, Array]:
+        """Raw force and torque with the sign of those on the probe, sensor axes.
+
+        Args:
+            raw: The recording.
+            what: What it is, for the message.
+
+        Returns:
+            Shape (T, 3) [N] and (T, 3) [N·m].
+
+        Raises:
+            InputError: There are none, or in another unit.
+        """
+        if raw.force is None or raw.torque is None:
+            raise InputError(
+                f"the {what} needs forces and torques: columns fx,fy,fz,tx,ty,tz"
+            )
+        most = max(float(np.abs(raw.force).max()), float(np.abs(raw.torque).max()))
+        if not most < LARGEST_READING:
+            raise InputError(
+                f"the {what} reads up to {most:.3g}, at most {LARGEST_READING:g} N or "
+                "N m is read: are these counts? Convert them"
+            )
+        return self.factor * raw.force, self.factor * raw.torque
+
+    @property
+    def factor(self) -> float:
+        """What turns readings into forces on the probe: 1 or −1."""
+        return 1.0 if self.sign == "on-probe" else -1.0
+
+    def statements(self) -> dict[str, Any]:
+        """The three statements, as they stand in a model's file."""
+        return {
+            name: np.asarray(value).tolist() for name, value in asdict(self).items()
+        }

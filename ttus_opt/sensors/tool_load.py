@@ -1,0 +1,272 @@
+"""Bias, weight and centre of mass of what hangs below a force sensor.
+
+With the gravity u = R_sᵀ g in sensor axes, free in the air, a sensor reads
+
+    s f = b_f + m u,        s τ = b_τ + (m c) × u
+
+(docs/method.md, 19.1), linear in b_f, m, b_τ and m c: least squares over poses that
+tilt the sensor. Before that the readings themselves are asked how the sensor's axes
+lie: the best orthogonal map from u to f is the identity where the three statements are
+true, minus the identity where the sign is the other, and another reflection where the
+axes are left-handed.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import GeometryError, InputError, TtusWarning
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.force_sensor import ForceSensor
+
+#: Standard gravity [m/s²]
+GRAVITY = 9.80665
+
+#: Fewest free poses
+LEAST_POSES = 8
+
+#: Gravity must vary by so much, in parts of itself, along two and along three sensor
+#: axes, root mean square; without the third, handedness cannot be told
+LEAST_TILT = 0.1
+
+#: Axes that the readings turn by more than this are refused [rad]
+LARGEST_TURN = np.deg2rad(15.0)
+
+#: A load lighter than this many standard errors says nothing of axes and sign
+TELLING = 5.0
+
+#: Drifts above so many standard errors, and above so many newtons a minute, are told
+CERTAIN, NOTABLE = 4.0, 0.05
+
+
+@dataclass(frozen=True)
+class ToolLoad:
+    """What a sensor reads without contact.
+
+    Attributes:
+        force_bias: b_f, sensor axes, sign of forces on the probe, shape (3,) [N].
+        torque_bias: b_τ, the same, about the reference point, shape (3,) [N·m].
+        mass: m [kg].
+        centre: Centre of mass from the reference point, sensor axes, shape (3,) [m].
+        mass_std: Standard error of the mass [kg].
+        centre_std: Of the centre, shape (3,) [m].
+        force_residual: Root-mean-square force left, per axis [N].
+        torque_residual: Root-mean-square torque left, per axis [N·m].
+        drift: Of the force over the free recording, sensor axes, shape (3,) [N/s].
+        handedness_told: Whether the tilts could tell a left-handed sensor.
+    """
+
+    force_bias: Array
+    torque_bias: Array
+    mass: float
+    centre: Array
+    mass_std: float
+    centre_std: Array = field(repr=False)
+    force_residual: float
+    torque_residual: float
+    drift: Array = field(repr=False)
+    handedness_told: bool = field(repr=False)
+
+    def facts(self) -> dict[str, Any]:
+        """All of it by name with units, as a model's file has it."""
+        return {
+            "force_bias_N": self.force_bias.tolist(),
+            "torque_bias_Nm": self.torque_bias.tolist(),
+            "mass_kg": self.mass,
+            "mass_std_kg": self.mass_std,
+            "centre_m": self.centre.tolist(),
+            "centre_std_m": self.centre_std.tolist(),
+            "force_residual_N": self.force_residual,
+            "torque_residual_Nm": self.torque_residual,
+            "drift_N_per_s": self.drift.tolist(),
+            "handedness_told": self.handedness_told,
+        }
+
+
+def checked_down(down: ArrayLike) -> Array:
+    """The direction of gravity, normalised, shape (3,) [–].
+
+    Raises:
+        InputError: It is none.
+    """
+    direction = np.array(down, dtype=np.float64)
+    length = float(np.linalg.norm(direction)) if direction.shape == (3,) else 0.0
+    if not 1e-6 < length < 1e6:
+        raise InputError(
+            "down must be a direction x,y,z in the frame of the poses, got "
+            f"{direction.tolist()}: 0,0,-1 where z points up"
+        )
+    return direction / length
+
+
+def gravity_in_sensor(free: Trajectory, sensor: ForceSensor, down: ArrayLike) -> Array:
+    """U = R_sᵀ g for every frame, sensor axes, shape (T, 3) [m/s²]."""
+    world = free.rotation @ sensor.axes
+    return np.asarray(GRAVITY * np.einsum("tji,j->ti", world, checked_down(down)))
+
+
+def identify_load(free: Trajectory, sensor: ForceSensor, down: ArrayLike) -> ToolLoad:
+    """Bias, weight and centre of mass from poses free in the air.
+
+    Args:
+        free: Raw readings at rest or in slow motion, touching nothing.
+        sensor: How the sensor is mounted.
+        down: Direction of gravity in the frame of the poses, shape (3,).
+
+    Returns:
+        The load, with standard errors. A `TtusWarning` tells drift, and a load too
+        light to check the sensor's axes by.
+
+    Raises:
+        InputError: No readings, too few poses, or readings that contradict the sensor's
+            axes or sign.
+        GeometryError: The poses hardly tilt the sensor.
+    """
+    force, torque = sensor.readings(free, "free recording")
+    if len(free) < LEAST_POSES:
+        raise InputError(
+            f"at least {LEAST_POSES} free poses are needed, got {len(free)}: record "
+            "more"
+        )
+    u = gravity_in_sensor(free, sensor, down)
+    spread = np.linalg.svd((u - u.mean(axis=0)) / GRAVITY, compute_uv=False)
+    spread /= np.sqrt(len(u))
+    if spread[1] < LEAST_TILT:
+        raise GeometryError(
+            f"gravity varies by {spread[0]:.2g} and {spread[1]:.2g} of itself in the "
+            f"sensor's axes, {LEAST_TILT:g} is needed along two: hold the probe in "
+            "free air tilted by 30° and more about two axes"
+        )
+    ones = np.broadcast_to(np.eye(3), (len(u), 3, 3))
+    by_force = np.concatenate([ones, u[:, :, None]], axis=2).reshape(-1, 4)
+    of_force = _least_squares(by_force, force.reshape(-1))
+    told = bool(spread[2] >= LEAST_TILT)
+    _check_axes(force, u, told, sensor)
+    crossing = -_cross_matrices(u)  # h × u = −u × h
+    by_torque = np.concatenate([ones, crossing], axis=2).reshape(-1, 6)
+    of_torque = _least_squares(by_torque, torque.reshape(-1))
+    mass, mass_std = float(of_force.values[3]), float(of_force.std[3])
+    moment, heavy = of_torque.values[3:], mass > TELLING * mass_std
+    centre = moment / mass if heavy else np.zeros(3)
+    centre_std = np.hypot(of_torque.std[3:], centre * mass_std) / mass
+    load = ToolLoad(
+        of_force.values[:3] if heavy else force.mean(axis=0),
+        of_torque.values[:3] if heavy else torque.mean(axis=0),
+        mass if heavy else 0.0,
+        centre,
+        mass_std,
+        centre_std if heavy else np.zeros(3),
+        of_force.residual,
+        of_torque.residual,
+        _drift(free, of_force.rest.reshape(-1, 3)),
+        told and heavy,
+    )
+    if not heavy:
+        warnings.warn(
+            f"the free poses tell no weight ({mass:.2g} ± {mass_std:.2g} kg): the "
+            "readings may be compensated already; axes and sign are not checked",
+            TtusWarning,
+            stacklevel=2,
+        )
+    return load
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A least-squares answer, standard errors, what is left and its deviation."""
+
+    values: Array
+    std: Array
+    rest: Array
+    residual: float
+
+
+def _least_squares(matrix: Array, target: Array) -> _Fitted:
+    values, *_ = np.linalg.lstsq(matrix, target, rcond=None)
+    rest = target - matrix @ values
+    residual = float(np.sqrt(rest @ rest / (len(target) - matrix.shape[1])))
+    std = residual * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
+    return _Fitted(np.asarray(values), np.asarray(std), np.asarray(rest), residual)
+
+
+def _cross_matrices(vectors: Array) -> Array:
+    """Matrices of v ×, shape (T, 3, 3)."""
+    return np.asarray(np.cross(np.eye(3)[None], vectors[:, None, :]))
+
+
+def _check_axes(force: Array, u: Array, told: bool, sensor: ForceSensor) -> None:
+    """Ask the readings how the sensor's axes lie (docs/method.md, 19.3).
+
+    Args:
+        force: Readings with their stated sign, shape (T, 3) [N].
+        u: Gravity in the stated axes, shape (T, 3) [m/s²].
+        told: Whether the tilts span all three axes.
+        sensor: The statements.
+
+    Raises:
+        InputError: They contradict the statements.
+    """
+    centred, by = force - force.mean(axis=0), u - u.mean(axis=0)
+    # f ≈ m M u with M orthogonal: the Procrustes problem
+    left, values, right = np.linalg.svd(centred.T @ by)
+    mass = float(values.sum() / (by * by).sum())
+    map_ = left @ right
+    rest = centred - mass * by @ map_.T
+    noise = float(np.sqrt((rest * rest).mean()))
+    if mass * np.sqrt((by * by).sum()) < TELLING * noise * np.sqrt(3.0):
+        return  # no weight: nothing to ask
+    if not told and np.linalg.det(map_) < 0:
+        # planar tilts: a reflection across the plane fits as well as none
+        map_ = left @ np.diag([1.0, 1.0, -1.0]) @ right
+    other = "by-probe" if sensor.sign == "on-probe" else "on-probe"
+    if np.linalg.det(map_) > 0:
+        turn = float(np.rad2deg(Rotation.from_matrix(map_).magnitude()))
+        if turn < np.rad2deg(LARGEST_TURN):
+            return
+        # tilts in a plane: gravity the wrong way round looks like half a turn
+        first = f"give sign {other}, or " if not told and turn > 150.0 else ""
+        fits = Rotation.from_matrix(sensor.axes @ map_.T).as_quat().round(3) + 0.0
+        raise InputError(
+            f"the readings lie {turn:.0f}° from the stated axes: {first}give axes "
+            f"{','.join(f'{v:g}' for v in fits)} (quaternion x,y,z,w), or check down"
+        )
+    flipped = Rotation.from_matrix(-map_).magnitude()
+    if flipped < LARGEST_TURN:
+        raise InputError(
+            "gravity pulls the wrong way in all three axes: the sensor tells the other "
+            f"force: give sign {other}, or check down"
+        )
+    nearest = int(np.argmin(np.diag(map_)))
+    raise InputError(
+        "the sensor's axes are left-handed: no rotation fits its readings, "
+        f"the {'xyz'[nearest]} axis reads reversed: negate its column of forces and of "
+        "torques"
+    )
+
+
+def _drift(free: Trajectory, rest: Array) -> Array:
+    """Slope of what is left of the force over time, shape (3,) [N/s]."""
+    time = free.time - free.time.mean()
+    square = float(time @ time)
+    if square == 0.0:
+        return np.zeros(3)
+    slope = np.asarray(time @ rest / square)
+    left = rest - np.outer(time, slope)
+    std = np.sqrt((left * left).sum(axis=0) / (len(time) - 2) / square)
+    certain = (np.abs(slope) > CERTAIN * std) & (60.0 * np.abs(slope) > NOTABLE)
+    if certain.any():
+        worst = float(np.abs(slope[certain]).max())
+        warnings.warn(
+            f"the sensor drifts by {60.0 * worst:.2g} N a minute: let it warm up, or "
+            "record free poses right before and after",
+            TtusWarning,
+            stacklevel=3,
+        )
+    return slope

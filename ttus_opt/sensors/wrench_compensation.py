@@ -1,0 +1,92 @@
+"""Contact wrenches from raw readings of a force sensor (docs/method.md, 19.2).
+
+Bias, weight and, where asked for, the load's inertia are taken off; what is left is
+turned into the frame of the poses and moved to the point shell's reference point.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.force_sensor import ForceSensor
+from ttus_opt.sensors.tool_load import ToolLoad, gravity_in_sensor
+
+#: Frames of the parabola that gives an acceleration, and the least a segment may have
+WINDOW = 7
+
+
+def compensated(
+    raw: Trajectory,
+    sensor: ForceSensor,
+    load: ToolLoad,
+    down: ArrayLike,
+    reference: Array,
+    *,
+    inertia: bool = False,
+) -> Trajectory:
+    """A recording with the wrench of contact alone.
+
+    Args:
+        raw: Raw readings, sensor axes, about the sensor's reference point.
+        sensor: How it is mounted.
+        load: What it reads without contact.
+        down: Direction of gravity in the frame of the poses, shape (3,).
+        reference: The point shell's reference point, probe frame, shape (3,) [m].
+        inertia: Take off the force that accelerates the load, a point mass at its
+            centre; its rotary inertia is left in.
+
+    Returns:
+        The same poses; force on the probe and torque about ``reference``, axes of the
+        frame of the poses.
+
+    Raises:
+        InputError: No readings, or too few frames to accelerate.
+    """
+    force, torque = sensor.readings(raw, "recording")
+    pull = gravity_in_sensor(raw, sensor, down)
+    world = raw.rotation @ sensor.axes  # sensor to the frame of the poses
+    if inertia:
+        centre = sensor.point + sensor.axes @ load.centre
+        pull -= np.einsum("tji,tj->ti", world, _acceleration(raw, centre))
+    weight = load.mass * pull
+    force = force - load.force_bias - weight
+    torque = torque - load.torque_bias - np.cross(load.centre, weight)
+    force, torque = (np.einsum("tij,tj->ti", world, v) for v in (force, torque))
+    arm = raw.rotation @ (np.asarray(reference, np.float64) - sensor.point)
+    return replace(raw, force=force, torque=torque - np.cross(arm, force))
+
+
+def _acceleration(raw: Trajectory, centre: Array) -> Array:
+    """Of a point of the probe, frame of the poses, shape (T, 3) [m/s²].
+
+    Twice the leading coefficient of the parabola that fits `WINDOW` frames best
+    (Savitzky and Golay 1964), for uneven steps too.
+
+    Raises:
+        InputError: A segment has fewer frames.
+    """
+    place = raw.position + raw.rotation @ centre
+    out = np.empty_like(place)
+    for number in np.unique(raw.segment):
+        frames = np.flatnonzero(raw.segment == number)
+        if len(frames) < WINDOW:
+            raise InputError(
+                f"inertia needs {WINDOW} frames in a recording, got {len(frames)}: "
+                "leave it out"
+            )
+        for i, frame in enumerate(frames):
+            first = int(np.clip(i - WINDOW // 2, 0, len(frames) - WINDOW))
+            near = frames[first : first + WINDOW]
+            time = raw.time[near] - raw.time[frame]
+            # scaled to the span, so that the fit is well conditioned
+            span = float(np.ptp(time))
+            powers = np.vander(time / span, 3)
+            fitted = np.linalg.lstsq(powers, place[near], rcond=None)[0]
+            out[frame] = 2.0 * fitted[0] / span**2
+    return out
