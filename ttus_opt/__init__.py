@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from ttus_opt.fitting.path_dataset import write_solution_path as write_solution_path
     from ttus_opt.fitting.recursive import RecursiveFit as RecursiveFit
     from ttus_opt.fitting.solution_path import solution_path as solution_path
+    from ttus_opt.fitting.tuning import tune as tune
     from ttus_opt.haptic.blend import BlendLaw as BlendLaw
     from ttus_opt.haptic.renderer import Renderer as Renderer
     from ttus_opt.probe.point_shell import PointShell as PointShell
@@ -74,6 +75,7 @@ _HOME = {
     "read_solution_path": "fitting.path_dataset",
     "read_trajectory": "probe.trajectory",
     "solution_path": "fitting.solution_path",
+    "tune": "fitting.tuning",
     "write_solution_path": "fitting.path_dataset",
 }
 

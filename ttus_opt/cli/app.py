@@ -27,6 +27,7 @@ from ttus_opt.cli import (
     register_command,
     render_command,
     surface_command,
+    tune_command,
     warm_up_command,
 )
 from ttus_opt.cli.console import as_options, one_line, warnings_in_one_line
@@ -48,6 +49,7 @@ for module in (
     compensate_command,
     surface_command,
     fit_command,
+    tune_command,
     path_command,
     evaluate_command,
     experiment_command,

@@ -30,6 +30,7 @@ OPTIONS = {
     "head": "--head",
     "prone": "--prone",
     "camera": "--camera",
+    "weights": "--weights",
 }
 
 #: A stage bar is shown on a terminal when the work has taken this long [s].

@@ -61,6 +61,13 @@ def fit(
         float | None,
         typer.Option(help="λ_τ; the formulation's own by default, 0.01."),
     ] = None,
+    weights: Annotated[
+        str | None,
+        typer.Option(
+            help="auto: weights and boundary scale by marginal likelihood, as "
+            "ttus-opt tune finds them.",
+        ),
+    ] = None,
     paper: Annotated[
         bool,
         typer.Option(
@@ -132,6 +139,7 @@ def fit(
             solver=problem.solver,
             tolerance=problem.tolerance,
             time_limit=time_limit,
+            weights=weights,  # type: ignore[arg-type]  # checked there
             **options,
         )
         begin("writing the field")
@@ -155,6 +163,9 @@ def fit(
     if not json:
         assert report is not None
         _tell(solution, output)
+        if weights is not None:
+            chosen = (f"{name} {w:.4g}" for name, w in solution.weights.items())
+            typer.echo(f"weights chosen: {', '.join(chosen)}")
         for line in [*report.lines, *_how_read(recorded, conventions)]:
             typer.echo(line)
     if report is not None and report.mistake is not None:
@@ -259,6 +270,7 @@ def _summary(solution: Solution, output: Path) -> dict[str, Any]:
         "voxels": _n_voxels(solution),
         "objective": solution.objective,
         "costs": solution.costs,
+        "weights": solution.weights,
         "kkt": None if solution.kkt is None else solution.kkt.as_dict(),
         "iterations": solution.iterations,
         "parameters": solution.parameters,

@@ -17,7 +17,16 @@ from types import FrameType
 from ttus_opt.interrupts import INTERRUPT
 
 #: Commands that compute; the others are over at once, or watch children of their own
-COMMANDS = ("demo", "evaluate", "experiment", "fit", "path", "render", "surface")
+COMMANDS = (
+    "demo",
+    "evaluate",
+    "experiment",
+    "fit",
+    "path",
+    "render",
+    "surface",
+    "tune",
+)
 
 #: What a child that was asked to stop is given to clean up [s]
 GRACE = 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ttus_opt.compiled import Stopwatch
 from ttus_opt.errors import InputError
@@ -23,6 +23,9 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Prepared, Request, Solver
 
+if TYPE_CHECKING:
+    from ttus_opt.fitting.tuning import Tuning
+
 #: KKT tolerance of the fits along a search; the last one has the tolerance asked for
 SEARCH_TOLERANCE = 1e-4
 
@@ -37,6 +40,7 @@ def fit(
     solver: str | Path | Solver = "auto",
     tolerance: float = 1e-6,
     time_limit: float | None = None,
+    weights: Literal["auto"] | None = None,
     **options: Any,
 ) -> Solution:
     """Fit a field to a scene.
@@ -48,6 +52,8 @@ def fit(
             object of a class over `ttus_opt.solvers.base.Solver`.
         tolerance: Largest relative KKT residual of a solution [–].
         time_limit: Most seconds the solver may take, each time it is called [s].
+        weights: "auto" chooses weights and boundary scale by their marginal likelihood
+            (`ttus_opt.tune`); None takes those of the formulation.
         options: The formulation's own (``force_weight``, ``torque_weight``, …).
 
     Returns: The solution; its ``field`` is there only when its residuals, computed
@@ -60,6 +66,17 @@ def fit(
             take the problem.
         SolverUnavailableError: The solver's package is not installed.
     """
+    if weights is not None:
+        tuned = _tuned(scene, formulation, weights, options)
+        found = fit(
+            tuned.scene,
+            tuned.formulation,
+            solver=solver,
+            tolerance=tolerance,
+            time_limit=time_limit,
+        )
+        spent = (found.timings.search or 0.0) + tuned.seconds
+        return replace(found, timings=replace(found.timings, search=spent))
     watch = Stopwatch()
     declared = shelf.load(formulation, scene, **options)
     if declared.scene is not scene:
@@ -70,11 +87,32 @@ def fit(
     if declared.search is None:
         return _told(Found(declared, {}), doubts, solver, request, watch)
     loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
-    found = searched(
+    sought = searched(
         declared.search, Again(solver, loose), Again(solver, request), doubts
     )
-    found = replace(found, formulation=found.formulation.named(declared.name))
-    return _told(found, doubts, solver, request, None, watch)
+    sought = replace(sought, formulation=sought.formulation.named(declared.name))
+    return _told(sought, doubts, solver, request, None, watch)
+
+
+def _tuned(
+    scene: Scene,
+    formulation: str | Path | Formulation,
+    weights: str,
+    options: Mapping[str, Any],
+) -> Tuning:
+    """What is fitted where weights are to be chosen.
+
+    Raises:
+        InputError: Another word than "auto", or weights beside it.
+    """
+    from ttus_opt.fitting.tuning import tune
+
+    if weights != "auto":
+        raise InputError(f'weights takes "auto" or None, got {weights!r}')
+    given = [name for name in options if name.endswith("_weight")]
+    if given:
+        raise InputError(f'weights="auto" chooses {given[0]}: give one or the other')
+    return tune(scene, formulation, compare=False, **options)
 
 
 def _told(

@@ -44,8 +44,8 @@ class Timings:
         solve: The first solve after it [s].
         again: The latest solve with other data, taking them in included; None when
             there was none [s].
-        search: All fits beside the one that is handed out: along a search, and those
-            that tell standard errors; None without any [s].
+        search: All beside the one fit that is handed out: choosing weights, fits along
+            a search, and those that tell standard errors; None without any [s].
         compile: Compiling, which a machine does once [s].
     """
 
@@ -198,6 +198,11 @@ class Solution:
             told = f"{name} {value:.{digits}f} ± {error:.{digits}f}"
         remark = self.remarks.get(name)
         return f"{told} ({remark})" if remark else told
+
+    @property
+    def weights(self) -> Mapping[str, float]:
+        """Weight of every term, by name."""
+        return {term.name: term.weight for term in self.program.terms}
 
     @property
     def variables(self) -> Mapping[str, Array]:

@@ -104,13 +104,20 @@ class SweepAnswer:
 class WeightSweep:
     """A reduced basis of one problem, growing as weights ask for it."""
 
-    def __init__(self, data: DualData, options: DualOptions | None = None) -> None:
+    def __init__(
+        self,
+        data: DualData,
+        options: DualOptions | None = None,
+        field_rtol: float = FIELD_RTOL,
+    ) -> None:
         """Solve for p₀; the basis is empty.
 
         Args:
             data: A problem without limits and without unknowns beside the field.
             options: Of the preconditioner; None for the defaults.
+            field_rtol: Relative residual of the solves behind a response field [–].
         """
+        self._field_rtol = field_rtol
         assert not data.columns.shape[1]
         system = data.system
         # rows without an entry say nothing of the field
@@ -248,7 +255,7 @@ class WeightSweep:
     def _response(self, multipliers: Array) -> Array:
         """L⁻¹ω L⁻ᵀDᵀz, shape (V,)."""
         return self._system.response(
-            multipliers / self._system.root_weights, FIELD_RTOL
+            multipliers / self._system.root_weights, self._field_rtol
         )
 
     def _combined(self, c: Array) -> Array:

@@ -1,0 +1,65 @@
+"""``ttus-opt tune`` and ``fit --weights auto``: what they tell and refuse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import ttus_opt as tt
+from tests.cli.conftest import PROBE, Run, refused
+
+
+def words(files: Path, command: str, more: str = "") -> str:
+    return (
+        f"{command} --surface {files / 'surface.nc'} --probe {PROBE} "
+        f"--trajectory {files / 'press.csv'} --shape 10,16,8 --points 200 {more}"
+    )
+
+
+def test_it_tells_weights_and_how_fit_takes_them(
+    run: Run, files: Path, tmp_path: Path
+) -> None:
+    answer = run(words(files, "tune", "--formulation eq10 --json"))
+    assert answer.status == 0, answer.err
+    told = json.loads(answer.out)
+    assert told["formulation"] == "eq10" and told["log_marginal"].keys() == {"eq10"}
+    assert set(told["weights"]) == {"force", "torque"}
+    plain = run(words(files, "tune", "--formulation eq10"))
+    assert plain.out.splitlines()[-1] == f"ttus-opt fit {told['fit_options']}"
+    for name in told["not_determined"]:
+        assert f"{name}: not determined" in plain.out
+    by_hand, by_itself = tmp_path / "hand.nc", tmp_path / "auto.nc"
+    assert run(words(files, "fit", f"{told['fit_options']} -o {by_hand}")).status == 0
+    answer = run(words(files, "fit", f"--weights auto -o {by_itself} --json"))
+    fitted = json.loads(answer.out)
+    for name, weight in told["weights"].items():
+        assert fitted["weights"][name] == pytest.approx(weight, rel=1e-6)
+    one, other = (tt.PotentialField.load(p).values for p in (by_hand, by_itself))
+    assert abs(one - other).max() < 1e-3 * abs(other).max()
+
+
+@pytest.mark.parametrize(
+    ("command", "more", "told"),
+    [
+        ("tune", "--formulation none", "unknown formulation"),
+        ("tune", "--formulation depth_map", "cannot be tuned"),
+        ("tune", "--option force", "--option takes"),
+        ("fit", "--weights grid -o x.nc", "auto"),
+        ("fit", "--weights auto --force-weight 1 -o x.nc", "one or the other"),
+        ("fit", "--weights auto --paper -o x.nc", "one or the other"),
+    ],
+)
+def test_bad_input_is_one_line(
+    run: Run,
+    files: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    command: str,
+    more: str,
+    told: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    refused(run(words(files, command, more)), told)
+    assert not list(tmp_path.glob("*.nc"))

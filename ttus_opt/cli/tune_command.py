@@ -1,0 +1,142 @@
+"""``ttus-opt tune``: weights, boundary scale and friction by marginal likelihood."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.option_groups import grouped
+from ttus_opt.cli.options import Json
+from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.scene_options import SceneOptions, further_options
+
+if TYPE_CHECKING:
+    from ttus_opt.fitting.hyperparameters import Hyperparameter
+    from ttus_opt.fitting.tuning import Tuning
+
+EXAMPLE = (
+    "ttus-opt tune --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
+    "--trajectory press_fit.csv --trajectory sweep_fit.csv"
+)
+
+#: What is compared unless something is asked for: eq. 10 without drag and with it
+CANDIDATES = ("eq10", "coulomb_global")
+
+#: What comparisons are called
+CRITERIA = {
+    "left_out_force_error": "presses left out",
+    "gcv": "generalised cross-validation",
+}
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("tune", epilog=f"Example: {EXAMPLE}")(grouped(tune))
+
+
+def tune(
+    surface: Annotated[Path, typer.Option(help="Surface file (.nc).")],
+    probe: ProbeOptions,
+    recordings: RecordingOptions,
+    grid: SceneOptions,
+    formulation: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A formulation's name, or the path of your own file; of several the "
+            "likeliest is taken. By default eq10 and coulomb_global.",
+        ),
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="KEY=VALUE",
+            help="An option of the formulations, which then stays; may be repeated.",
+        ),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Choose weights, boundary scale and friction from the recordings alone."""
+    from ttus_opt.fitting.tuning import tune as tune_scene
+    from ttus_opt.scan.surface import Surface
+
+    options, plan = further_options(option or ()), grid.plan
+    candidates = list(formulation or CANDIDATES)
+    with Stages(2 + len(candidates)) as begin:
+        begin("reading surface and recordings")
+        patient, shell = Surface.load(surface), probe.read()
+        recorded = recordings.read(recordings.as_written(), shell, patient)
+        begin("assembling (first run compiles)")
+        scene = plan.build(patient, shell, recorded)
+        found = tune_scene(scene, candidates, progress=begin, **options)
+    if json:
+        print_json(_summary(found))
+    else:
+        _tell(found)
+
+
+def _summary(found: Tuning) -> dict[str, Any]:
+    return {
+        "formulation": found.formulation.name,
+        "weights": found.weights,
+        "inner": found.scene.inner,
+        "outer": found.scene.outer,
+        "hyperparameters": {h.name: asdict(h) for h in found.hyperparameters},
+        "not_determined": found.not_determined,
+        "noise_N": found.noise,
+        "log_marginal": found.candidates,
+        "left_out_force_error_N": found.left_out_force_error,
+        "comparisons": [asdict(one) for one in found.comparisons],
+        "tuned_on": found.shape,
+        "seconds": found.seconds,
+        "fit_options": _fit_options(found),
+    }
+
+
+def _fit_options(found: Tuning) -> str:
+    """What ``ttus-opt fit`` takes to use it."""
+    words = [f"--formulation {found.formulation.name}"]
+    words += [f"--inner {found.scene.inner:.6g} --outer {found.scene.outer:.6g}"]
+    words += [f"--{name}-weight {w:.4g}" for name, w in found.weights.items()]
+    for h in found.hyperparameters:
+        if h.name.startswith("option_"):
+            words.append(f"--option {h.name.removeprefix('option_')}={h.value:.4g}")
+    return " ".join(words)
+
+
+def _tell(found: Tuning) -> None:
+    shape = " x ".join(map(str, found.shape))
+    typer.echo(
+        f"{found.formulation.name}: {_weights(found.weights)}, tuned on {shape} voxels "
+        f"in {found.seconds:.1f} s"
+    )
+    for name, log_marginal in found.candidates.items():
+        less = found.log_marginal - log_marginal
+        if less > 0.0:
+            typer.echo(f"{name}: less likely by a factor of e^{less:.1f}")
+    for one in found.hyperparameters:
+        typer.echo(_line(one))
+    typer.echo(f"error of a force component: {found.noise:.3f} N")
+    typer.echo(f"forces of presses left out: {found.left_out_force_error:.3f} N")
+    for other in found.comparisons:
+        typer.echo(
+            f"by {CRITERIA[other.criterion]}: {_weights(other.weights)}, which leaves "
+            f"{other.left_out_force_error:.3f} N"
+        )
+    typer.echo(f"ttus-opt fit {_fit_options(found)}")
+
+
+def _weights(weights: Any) -> str:
+    return ", ".join(f"{name} weight {w:.3g}" for name, w in weights.items())
+
+
+def _line(one: Hyperparameter) -> str:
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    if not one.determined:
+        return (
+            f"{one.name}: not determined by the recordings, {one.value:.3g}{unit} kept"
+        )
+    return f"{one.name}: {one.value:.3g}{unit}"

@@ -1,0 +1,214 @@
+"""The measured series of a formulation, on a grid coarse enough to tune on.
+
+What the evidence needs of a field is its covariance at the contacts. On a grid of half
+the resolution that has nearly the same shape for an eighth of the cost; by how much
+its size differs, a few random probes of both tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.fitting.marginal_likelihood import MeasuredSeries
+from ttus_opt.fitting.weight_criteria import presses
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.scene import BOUNDARY_SCALE, Scene, ScenePlan
+from ttus_opt.solvers.dual.data import DualData, laplace_prior
+from ttus_opt.solvers.dual.system import DualSystem
+from ttus_opt.solvers.dual.weight_sweep import WeightSweep
+
+#: Most voxels of a grid that is tuned on; larger ones are halved, or divided by more
+MOST_VOXELS = 60_000
+
+#: Random probes of the rows' variance, and the relative residual of their solves
+PROBES, PROBE_RTOL = 8, 1e-4
+
+#: Relative residual of the solves behind the basis [–]
+FIELD_RTOL = 1e-6
+
+#: Trace of the covariance, in units of the noise, that the basis may miss: twice what
+#: the log evidence is then wrong by at most [–]
+MISSING = 2.0
+
+#: A search's rows are affine in its parameter up to this relative difference [–]
+AFFINE = 1e-8
+
+
+@dataclass(frozen=True)
+class TuningRows:
+    """The dual of a formulation whose rows may be affine in one coefficient.
+
+    Attributes:
+        declared: The formulation, all measured terms with weight 1.
+        terms: Names of the measured terms, three rows per frame each.
+        coefficient: Name of the coefficient; empty without one.
+        highest: Its largest value.
+        system: Rows of weight 1; below them those that the coefficient multiplies.
+        b: Right side of L p = b, shape (V,).
+        target: Of the rows, shape (rows,) [N].
+    """
+
+    declared: Formulation
+    terms: tuple[str, ...]
+    coefficient: str
+    highest: float
+    system: DualSystem = field(repr=False)
+    b: Array = field(repr=False)
+    target: Array = field(repr=False)
+
+    @classmethod
+    def of(cls, declared: Formulation) -> TuningRows:
+        """Read a formulation.
+
+        Raises:
+            InputError: Its prior is not Laplace's, or its rows are of another kind.
+        """
+        search, coefficient, highest = declared.search, "", 0.0
+        if search is not None and search.parameter != BOUNDARY_SCALE:
+            coefficient, highest = search.parameter, search.high
+            declared = search.build(search.low).named(declared.name)
+        program, measured = _compiled(declared)
+        data = DualData.of(program, measured)
+        system, target = data.system, data.t
+        if coefficient:
+            assert search is not None
+            slope = _slope(search.build, search.low, search.high, system.rows)
+            system = replace(
+                system,
+                rows=sp.csr_array(sp.vstack([system.rows, slope], format="csr")),
+                root_weights=np.ones(2 * len(target)),
+            )
+            target = np.concatenate([target, np.zeros(len(target))])
+        names = tuple(term.name for term in measured)
+        return cls(declared, names, coefficient, highest, system, data.b, target)
+
+    @property
+    def n_rows(self) -> int:
+        """Rows of one term [–]."""
+        return 3 * len(self.declared.scene.trajectory)
+
+    def variance(self) -> float:
+        """Mean prior variance of the first term's rows in contact, with σ² = 1."""
+        rng, n = np.random.default_rng(0), self.n_rows
+        touching = np.repeat(self.declared.scene.rows.contact_points > 0, 3)
+        adjoint, total = self.system.rows[:n].T, 0.0
+        for _ in range(PROBES):
+            load = adjoint @ (touching * rng.choice([-1.0, 1.0], n))
+            slope = self.system.laplace.solve_adjoint(load, rtol=PROBE_RTOL)
+            total += float(self.system.compliance @ slope**2)
+        return total / PROBES / int(touching.sum())
+
+    def series(self, weight: float) -> MeasuredSeries:
+        """The rows in contact by a basis that holds for weights up to these.
+
+        Args:
+            weight: Largest λ of a term [–].
+        """
+        zero = np.zeros((len(self.target), 0))
+        data = DualData(self.system, self.b, self.target, zero)
+        sweep = WeightSweep(data, field_rtol=FIELD_RTOL)
+        sweep.complete(np.full(len(self.target), np.sqrt(weight)), MISSING)
+        parts = 2 if self.coefficient else 1
+        images = np.zeros((len(sweep), len(self.target)))
+        images[:, sweep.told] = sweep.images
+        base = np.zeros(len(self.target))
+        base[sweep.told] = self.target[sweep.told] - sweep.misfit
+        scene = self.declared.scene
+        touching = scene.rows.contact_points > 0
+        shape = (parts, len(self.terms), len(touching), 3)
+
+        def parted(values: Array) -> Array:
+            return values.reshape(*values.shape[:-1], *shape)[..., touching, :]
+
+        K, u, t = parted(images), parted(base), parted(self.target)
+        return MeasuredSeries(
+            self.terms,
+            K[:, 0],
+            u[0],
+            t[0],
+            scene.trajectory.time[touching],
+            presses(scene)[touching],
+            (K[:, 1], u[1]) if parts == 2 else None,
+        )
+
+
+def coarser(scene: Scene) -> Scene:
+    """The scene on at most `MOST_VOXELS`; itself where it has no more.
+
+    A boundary scale that was fitted is fitted again: a coarse surface is elsewhere.
+    """
+    shape, divisor = scene.voxmap.grid.shape, 1
+    while np.prod(shape) > MOST_VOXELS * divisor**3:
+        divisor += 1
+    if divisor == 1:
+        return scene
+    fitted = BOUNDARY_SCALE in scene.parameters
+    ratio = scene.outer / scene.inner if fitted else scene.outer
+    plan = ScenePlan(
+        [2 * max(round(n / divisor / 2), 4) for n in shape],
+        scene.voxmap.grid.r_inner,
+        scene.voxmap.grid.r_outer,
+        "fit" if fitted else scene.inner,
+        ratio,
+        scene.sampling,
+    )
+    return plan.build(scene.voxmap.surface, scene.shell, scene.trajectory)
+
+
+def _compiled(declared: Formulation) -> tuple[Program, list[ProgramTerm]]:
+    """The program with weights 1, and its measured terms.
+
+    Raises:
+        InputError: It is of another kind.
+    """
+    names = [t.name for t in declared.terms if t.measures and len(t.assembled.target)]
+    program = declared.with_weights(**dict.fromkeys(names, 1.0)).compile()
+    frames = len(declared.scene.trajectory)
+    measured = [term for term in program.terms if term.name in names]
+    usual = (
+        names
+        and program.is_quadratic
+        and laplace_prior(program) is not None
+        and program.n_variables == len(program.laplace.free)
+        and all(len(term.target) == 3 * frames for term in measured)
+        and len(program.terms) == len(names) + 1
+    )
+    if not usual:
+        raise InputError(
+            f"{declared.name} cannot be tuned: it needs a Laplace term, squares of "
+            "measured rows, three per frame, and no other unknowns; choose its weights "
+            "by ttus-opt path with recordings held out"
+        )
+    return program, measured
+
+
+def _slope(
+    build: Callable[[float], Formulation], low: float, high: float, rows: sp.csr_array
+) -> sp.csr_array:
+    """What a search's parameter multiplies in the measured rows.
+
+    Raises:
+        InputError: The rows are not affine in it.
+    """
+
+    def at(value: float) -> sp.csr_array:
+        _, measured = _compiled(build(value))
+        return sp.csr_array(sp.vstack([t.matrix for t in measured], format="csr"))
+
+    slope = (at(high) - rows) / (high - low)
+    middle = 0.5 * (low + high)
+    expected = rows + (middle - low) * slope
+    if abs(at(middle) - expected).max() > AFFINE * abs(expected).max():
+        raise InputError(
+            "a formulation that searches for a number is tuned where its measured "
+            "rows are affine in it: choose its weights by ttus-opt path"
+        )
+    return sp.csr_array(slope)
