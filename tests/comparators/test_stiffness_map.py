@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from tests.conftest import ellipsoid, torso
+from ttus_opt.comparators.contact_geometry import Patch
+from ttus_opt.comparators.patch_model import Contact, Sample
+from ttus_opt.comparators.stiffness_map import (
+    Palpation,
+    PowerLaw,
+    StiffnessMap,
+    chosen_law,
+    matern,
+)
+
+NO_PATCH = Patch(0.0, 0.0, np.zeros(6), np.zeros(3), np.zeros(3))
+
+
+def palpation(n: int, noise: float, seed: int = 0) -> Palpation:
+    """Depths of 2 to 12 mm on a patch of 8 cm, stiffness from the process itself."""
+    rng = np.random.default_rng(seed)
+    place = np.column_stack([np.full(n, 0.1), rng.uniform(-0.04, 0.04, (n, 2))])
+    cov = 0.35**2 * matern(place, place, 0.03) + 1e-10 * np.eye(n)
+    stiffness = 5.0 * (1.0 + np.linalg.cholesky(cov) @ rng.normal(size=n))
+    depth = rng.uniform(0.2, 1.2, n)
+    force = stiffness * depth**1.4 + noise * rng.normal(size=n)
+    return Palpation(depth, place, force)
+
+
+def made(data: Palpation) -> StiffnessMap:
+    found = StiffnessMap(surface=torso(), shell=ellipsoid())
+    found._fit_law(
+        [
+            Sample(Contact(h, 0.0, s, np.zeros(3), NO_PATCH), f, np.zeros(3))
+            for h, s, f in zip(data.depth, data.place, data.force, strict=True)
+        ]
+    )
+    return found
+
+
+def test_evidence_is_the_density_of_the_forces() -> None:
+    data, law = palpation(30, 0.1), PowerLaw(1.2, 0.02, 0.5, 0.2)
+    _, stiffness = data.base(1.2)
+    density = multivariate_normal(stiffness * data.depth**1.2, data.covariance(law))
+    constant = -0.5 * 30 * np.log(2.0 * np.pi)
+    assert data.log_evidence(law) + constant == pytest.approx(
+        density.logpdf(data.force)
+    )
+
+
+def test_kriging_is_regression_on_a_dense_field() -> None:
+    """The same K(s) from a Gaussian field on many places, conditioned as a whole."""
+    data = palpation(25, 0.1)
+    found = made(data)
+    law, mean = found.law, found.mean_stiffness
+    assert law is not None
+    asked = np.column_stack([np.full(7, 0.1), np.linspace(-0.05, 0.05, 7), np.zeros(7)])
+    every = np.vstack([data.place, asked])
+    prior = (mean * law.deviation) ** 2 * matern(every, every, law.length)
+    rows = np.hstack([np.diag(data.depth**law.exponent), np.zeros((25, 7))])
+    # information form: no formula of the module is used
+    precision = np.linalg.inv(prior + 1e-9 * np.eye(32)) + rows.T @ rows / law.noise**2
+    rest = data.force - mean * data.depth**law.exponent
+    field = np.linalg.solve(precision, rows.T @ rest / law.noise**2)
+    np.testing.assert_allclose(
+        [found.stiffness_at(s) for s in asked], mean + field[25:], rtol=1e-5
+    )
+
+
+def test_evidence_finds_what_the_data_were_made_with() -> None:
+    law = chosen_law(palpation(200, 0.1))
+    assert law.exponent == pytest.approx(1.4, abs=0.1)
+    assert law.noise == pytest.approx(0.1, rel=0.3)
+    assert 0.015 < law.length < 0.06
+    assert 0.2 < law.deviation < 0.6
+
+
+def test_unseen_places_are_predicted_better_than_by_one_stiffness() -> None:
+    data = palpation(200, 0.05)
+    seen = Palpation(data.depth[::2], data.place[::2], data.force[::2])
+    found = made(seen)
+    own, single = [], []
+    for h, s, f in zip(
+        data.depth[1::2], data.place[1::2], data.force[1::2], strict=True
+    ):
+        own.append(found._normal_force(Contact(h, 0.0, s, np.zeros(3), NO_PATCH)) - f)
+        assert found.law is not None
+        single.append(found.mean_stiffness * h**found.law.exponent - f)
+    assert np.abs(own).mean() < 0.4 * np.abs(single).mean()

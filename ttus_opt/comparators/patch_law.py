@@ -1,0 +1,90 @@
+"""A law with a few parameters per contact patch, estimated by recursions.
+
+First one recursion over all samples; it is what every patch begins with. Then each
+patch goes on with the samples it has a share of. Rendering blends the parameters of
+the patches around the place.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import Protocol, Self
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.patch_grid import PatchGrid
+from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
+from ttus_opt.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+
+#: Forgetting factor: a recording of 400 frames keeps two thirds of its first one [–]
+FORGETTING = 0.999
+
+
+class Estimator(Protocol):
+    """A recursion that estimates a law's parameters."""
+
+    def take(self, sample: Sample, weight: float) -> None:
+        """One sample of a weight."""
+
+    def as_prior(self) -> Self:
+        """Where a patch begins."""
+
+    @property
+    def parameters(self) -> Array:
+        """The law's parameters as they are now."""
+
+
+class PatchLaw(PatchModel):
+    """Recursive estimates per contact patch.
+
+    Attributes:
+        forgetting: Factor of the recursions [–].
+        patches: Grid of the patches.
+        per_patch: Parameters, shape (patches, parameters).
+    """
+
+    def __init__(
+        self,
+        *,
+        surface: Surface,
+        shell: PointShell,
+        cloud: Array | None = None,
+        forgetting: float = FORGETTING,
+    ) -> None:
+        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        if not (math.isfinite(forgetting) and 0.0 < forgetting <= 1.0):
+            raise InputError(f"forgetting must be in (0, 1], got {forgetting}")
+        self.forgetting = forgetting
+        self.patches = PatchGrid(surface)
+        self.per_patch = np.zeros((self.patches.n_patches, 0))
+
+    def _fit_law(self, samples: list[Sample]) -> None:
+        whole = self._estimator()
+        for sample in samples:
+            whole.take(sample, 1.0)
+        own: dict[int, Estimator] = {}
+        for sample in samples:
+            for patch, share in self.patches.shares(sample.contact.place):
+                own.setdefault(patch, whole.as_prior()).take(sample, share)
+        self.per_patch = np.tile(whole.parameters, (self.patches.n_patches, 1))
+        for patch, estimator in own.items():
+            self.per_patch[patch] = estimator.parameters
+
+    def _normal_force(self, contact: Contact) -> float:
+        blend = sum(
+            share * self.per_patch[patch]
+            for patch, share in self.patches.shares(contact.place)
+        )
+        return self._law(np.asarray(blend), contact)
+
+    @abstractmethod
+    def _estimator(self) -> Estimator:
+        """A recursion before its first sample."""
+
+    @abstractmethod
+    def _law(self, parameters: Array, contact: Contact) -> float:
+        """The normal force [N]."""

@@ -1,0 +1,145 @@
+"""Comparators that see a contact as a depth, a rate and a place.
+
+The normal force acts along the patch's unit wrench (`contact_geometry.Patch`); a
+subclass says how large it is for a depth h, a rate of approach ḣ and a place on the
+surface. It never pulls.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.base import LEAST_FORCE, Comparator
+from ttus_opt.comparators.contact_geometry import ContactGeometry, Patch, Touch
+from ttus_opt.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.surface import Surface
+
+#: Depths are in units of this: K h^n is then a force at 10 mm, whatever n [m]
+DEPTH_UNIT = 0.01
+
+#: Frames less deep than this tell a law of the depth nothing [m]
+LEAST_DEPTH = 0.0005
+
+#: Fewest frames in contact that a law is fitted to [–]
+FEWEST_FRAMES = 5
+
+
+@dataclass(frozen=True)
+class Contact:
+    """One contact.
+
+    Attributes:
+        depth: Of the deepest point, h [10 mm].
+        rate: Of approach, ḣ [10 mm/s].
+        place: Foot of the patch's centre on the surface, patient frame, (3,) [m].
+        sliding: Velocity along the surface, shape (3,) [m/s].
+        patch: All of it.
+    """
+
+    depth: float
+    rate: float
+    place: Array
+    sliding: Array
+    patch: Patch = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A contact with its measured force.
+
+    Attributes:
+        contact: The contact.
+        normal_force: Along the patch's normal force [N].
+        tangential_force: The rest of the force, shape (3,) [N].
+    """
+
+    contact: Contact
+    normal_force: float
+    tangential_force: Array = field(repr=False)
+
+
+class PatchModel(Comparator):
+    """A law of depth, rate and place.
+
+    Attributes:
+        geometry: Probe and surface.
+    """
+
+    def __init__(
+        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
+    ) -> None:
+        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        self.geometry = ContactGeometry(surface, shell)
+
+    def contact(self, touch: Touch, at: Array, twist: Array) -> Contact:
+        """Depth, rate and place of a touch of at least one point."""
+        patch = touch.patch
+        velocity = patch.velocity(twist, touch.reference, at)
+        approach = -float(velocity @ patch.direction)
+        return Contact(
+            patch.depth / DEPTH_UNIT,
+            approach / DEPTH_UNIT,
+            self._foot(patch.centre),
+            velocity + approach * patch.direction,
+            patch,
+        )
+
+    def samples(self, recording: Trajectory, force: Array) -> list[Sample]:
+        """Frames that touch and whose force pushes, in their order.
+
+        Raises:
+            InputError: Fewer than `FEWEST_FRAMES` of them.
+        """
+        found, touching, twist = [], 0, recording.twist()
+        for t, at in enumerate(recording.position):
+            touch = self.geometry.touch(recording.rotation[t], at)
+            if not len(touch) or touch.patch.depth < LEAST_DEPTH:
+                continue
+            touching += 1
+            contact = self.contact(touch, at, twist[t])
+            direction = contact.patch.direction
+            normal = float(force[t] @ direction)
+            if normal > LEAST_FORCE:
+                rest = force[t] - normal * direction
+                found.append(Sample(contact, normal, rest))
+        if len(found) < FEWEST_FRAMES:
+            raise InputError(
+                f"{self.name} needs {FEWEST_FRAMES} frames that touch and push, got "
+                f"{len(found)} of {touching} that touch: record more contact, and give "
+                "the force ON the probe in patient axes"
+            )
+        return found
+
+    def _foot(self, centre: Array) -> Array:
+        theta = np.arctan2(centre[1], centre[0])
+        radius = float(self.surface.radius_at(theta, centre[2]))
+        return np.array([radius * np.cos(theta), radius * np.sin(theta), centre[2]])
+
+    def _fit(self, recording: Trajectory, force: Array) -> None:
+        self._fit_law(self.samples(recording, force))
+
+    def _wrench(self, R: Array, at: Array, twist: Array) -> tuple[Array, int]:
+        touch = self.geometry.touch(R, at)
+        if not len(touch):
+            return np.zeros(6), 0
+        contact = self.contact(touch, at, twist)
+        size = max(self._normal_force(contact), 0.0)
+        return size * contact.patch.unit + self._drag(contact, size), len(touch)
+
+    def _drag(self, contact: Contact, normal_force: float) -> Array:
+        """Wrench of friction, none by default, shape (6,) [N, N·m]."""
+        return np.zeros(6)
+
+    @abstractmethod
+    def _fit_law(self, samples: list[Sample]) -> None:
+        """Find the law's parameters."""
+
+    @abstractmethod
+    def _normal_force(self, contact: Contact) -> float:
+        """Size of the normal force [N]; below zero counts as zero."""

@@ -1,0 +1,170 @@
+"""Point-cloud model with stiffness and friction sent when a hand could tell.
+
+The remote side estimates a stiffness K and a friction coefficient μ of the contact as
+it goes, with a short memory:
+
+    f_n = K h,   |f_t| = μ f_n while sliding.
+
+An estimate is sent, with the place it holds at, when it differs from what the model on
+the operator's side has there by more than a just noticeable difference (Weber's law).
+That model renders f_n = K(s) h and Coulomb drag; between places it weighs what was sent
+by inverse squared distance (Shepard), so that the force has no steps.
+
+Source: X. Xu, B. Cizmeci, A. Al-Nuaimi, E. Steinbach, Point cloud-based model-mediated
+teleoperation with dynamic and perception-based model updating, IEEE Trans. Instrum.
+Meas. 63 (2014) 2558–2569. Its point cloud gives the surface; here that is the patient's
+surface, the same for all. Thresholds: 10 % for stiffness, 20 % or 0.05 for friction.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.contact_geometry import wrench_of
+from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
+from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
+from ttus_opt.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+
+#: Just noticeable differences, as parts of the value, and least one of friction [–]
+STIFFNESS_JND, FRICTION_JND, LEAST_FRICTION_JND = 0.10, 0.20, 0.05
+
+#: Memory of the estimates: about ten frames [–]
+FORGETTING = 0.9
+
+#: Speed above which the probe slides, and over which drag rises when rendered [m/s]
+SLIDING = 0.003
+
+#: Two places nearer than this are one [m]
+NEAR = 0.003
+
+#: Estimates before this many samples of a contact are not sent [–]
+SETTLED = 3.0
+
+
+class Update(NamedTuple):
+    """What is sent.
+
+    Attributes:
+        place: Where it was estimated, patient frame, shape (3,) [m].
+        stiffness: K [N per 10 mm].
+        friction: μ [–].
+    """
+
+    place: Array
+    stiffness: float
+    friction: float
+
+
+class PerceptualUpdates(PatchModel):
+    """Stiffness and friction by place, sent when perceptibly different.
+
+    Attributes:
+        stiffness_jnd: Just noticeable difference of the stiffness [–].
+        updates: What was sent.
+        samples_seen: Frames that could have been sent [–].
+    """
+
+    name = "perceptual_updates"
+    summary = "stiffness and friction sent when a hand could tell (Xu and others 2014)"
+
+    def __init__(
+        self,
+        *,
+        surface: Surface,
+        shell: PointShell,
+        cloud: Array | None = None,
+        stiffness_jnd: float = STIFFNESS_JND,
+    ) -> None:
+        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        if not (math.isfinite(stiffness_jnd) and stiffness_jnd >= 0.0):
+            raise InputError(f"stiffness_jnd must not be negative, got {stiffness_jnd}")
+        self.stiffness_jnd = stiffness_jnd
+        self.updates: list[Update] = []
+        self.samples_seen = 0
+
+    def parameters(self) -> dict[str, float]:
+        """How many updates were sent, and their share of the frames in contact."""
+        sent = float(len(self.updates))
+        return {"updates sent": sent, "share": sent / max(self.samples_seen, 1)}
+
+    def model_at(self, place: Array) -> tuple[float, float]:
+        """K and μ of the operator's model.
+
+        Args:
+            place: On the surface, shape (3,) [m].
+        """
+        square = ((self._places - place) ** 2).sum(axis=1)
+        weights = 1.0 / (square + NEAR**2) ** 2
+        stiffness, friction = weights @ self._values / weights.sum()
+        return float(stiffness), float(friction)
+
+    def _fit_law(self, samples: list[Sample]) -> None:
+        self.updates, self.samples_seen = [], len(samples)
+        stiffness, friction = _estimate(5.0, 50.0), _estimate(0.0, 1.0)
+        before: Contact | None = None
+        for sample in samples:
+            contact = sample.contact
+            if before is None or _far(before, contact):
+                # a new contact: what was learnt elsewhere is a first guess only
+                stiffness.covariance[:] = 50.0**2
+                stiffness.samples = 0.0
+            before = contact
+            stiffness.update(np.array([contact.depth]), sample.normal_force)
+            self._take_friction(friction, sample)
+            if stiffness.samples >= SETTLED:
+                self._send(contact.place, stiffness, friction)
+        if not self.updates:  # contacts of one or two frames only
+            self._send(samples[-1].contact.place, stiffness, friction)
+
+    @staticmethod
+    def _take_friction(friction: RecursiveLeastSquares, sample: Sample) -> None:
+        """Coulomb's law along the motion, while sliding."""
+        speed = float(np.linalg.norm(sample.contact.sliding))
+        if speed > SLIDING:
+            drag = -float(sample.tangential_force @ sample.contact.sliding) / speed
+            friction.update(np.array([sample.normal_force]), drag)
+
+    def _send(
+        self,
+        place: Array,
+        stiffness: RecursiveLeastSquares,
+        friction: RecursiveLeastSquares,
+    ) -> None:
+        """Send the estimates when the model has noticeably others there."""
+        found = max(float(stiffness.estimate[0]), 0.0)
+        mu = max(float(friction.estimate[0]), 0.0)
+        if self.updates:
+            known, known_mu = self.model_at(place)
+            same = abs(found - known) <= self.stiffness_jnd * known
+            least = max(FRICTION_JND * known_mu, LEAST_FRICTION_JND)
+            if same and abs(mu - known_mu) <= least:
+                return
+        self.updates.append(Update(np.array(place), found, mu))
+        self._places = np.array([update.place for update in self.updates])
+        self._values = np.array([update[1:] for update in self.updates])
+
+    def _normal_force(self, contact: Contact) -> float:
+        return self.model_at(contact.place)[0] * contact.depth
+
+    def _drag(self, contact: Contact, normal_force: float) -> Array:
+        speed = math.hypot(float(np.linalg.norm(contact.sliding)), SLIDING)
+        friction = self.model_at(contact.place)[1]
+        drag = -friction * normal_force / speed * contact.sliding
+        return wrench_of(drag[None], contact.patch.arm[None])
+
+
+def _estimate(first: float, spread: float) -> RecursiveLeastSquares:
+    return RecursiveLeastSquares.start(
+        np.array([first]), np.array([spread]), FORGETTING
+    )
+
+
+def _far(before: Contact, after: Contact) -> bool:
+    """Whether the probe was lifted and set down elsewhere."""
+    return float(np.linalg.norm(after.place - before.place)) > 0.01

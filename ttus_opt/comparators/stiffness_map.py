@@ -1,0 +1,195 @@
+"""Stiffness map: a power law of the depth whose stiffness is kriged over the surface.
+
+    f = K(s) hᵃ,   K(s) = K₀ (1 + g(s)),
+
+with g a Gaussian process of deviation σ and Matérn 3/2 covariance of length ℓ over the
+places s of contact. The measured normal forces are Gaussian with the covariance
+
+    C = K₀² σ² hᵢᵃ hⱼᵃ k(sᵢ, sⱼ) + σ_n² δᵢⱼ ,
+
+so that a, ℓ, σ and σ_n are chosen by their evidence, with weak log-normal priors, and
+K(s) is the mean of g given the forces (kriging).
+
+Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
+(2006), §§2.2, 5.4.1; stiffness maps from palpation by Gaussian processes: P. Chalasani,
+L. Wang, R. Roy, N. Simaan, R. H. Taylor, M. Kobilarov, Concurrent nonparametric
+estimation of organ geometry and tissue stiffness using continuous adaptive palpation,
+ICRA 2016, 4164–4171.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.linalg
+import scipy.optimize
+from scipy.spatial.distance import cdist
+
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+
+#: Median and logarithmic deviation of the priors of a, ℓ [m], σ and σ_n [N]
+MEDIANS = np.log([1.3, 0.03, 0.4, 0.15])
+WIDTHS = np.array([0.25, 0.3, 0.5, 1.0])
+
+#: Most samples that are used, evenly thinned: evidence costs their number cubed [–]
+MOST_SAMPLES = 300
+
+#: Forces are not taken for more exact than this part of their size [–]
+LEAST_NOISE = 1e-4
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """What the evidence chooses.
+
+    Attributes:
+        exponent: a [–].
+        length: ℓ [m].
+        deviation: σ [–].
+        noise: σ_n [N].
+    """
+
+    exponent: float
+    length: float
+    deviation: float
+    noise: float
+
+
+@dataclass(frozen=True)
+class Palpation:
+    """Depths, places and normal forces of n contacts.
+
+    Attributes:
+        depth: h, shape (n,) [10 mm].
+        place: s, shape (n, 3) [m].
+        force: Shape (n,) [N].
+    """
+
+    depth: Array = field(repr=False)
+    place: Array = field(repr=False)
+    force: Array = field(repr=False)
+
+    def base(self, exponent: float) -> tuple[Array, float]:
+        """The powers of the depths, and K₀ by least squares."""
+        power = self.depth**exponent
+        return power, float(power @ self.force) / float(power @ power)
+
+    def covariance(self, law: PowerLaw) -> Array:
+        """C, shape (n, n) [N²]."""
+        power, stiffness = self.base(law.exponent)
+        scaled = stiffness * law.deviation * power
+        cov = scaled[:, None] * scaled * matern(self.place, self.place, law.length)
+        cov[np.diag_indices_from(cov)] += law.noise**2
+        return np.asarray(cov)
+
+    def log_evidence(self, law: PowerLaw) -> float:
+        """Logarithm of the density of the forces, up to a constant."""
+        power, stiffness = self.base(law.exponent)
+        factor = scipy.linalg.cholesky(self.covariance(law), lower=True)
+        rest = self.force - stiffness * power
+        white = scipy.linalg.solve_triangular(factor, rest, lower=True)
+        return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
+
+
+class StiffnessMap(PatchModel):
+    """A power law with kriged stiffness.
+
+    Attributes:
+        law: What the evidence chose; None before a fit.
+        mean_stiffness: K₀, the mean force at a depth of 10 mm [N].
+    """
+
+    name = "stiffness_map"
+    summary = "power law, stiffness kriged over the surface, by evidence"
+
+    def __init__(
+        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
+    ) -> None:
+        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        self.law: PowerLaw | None = None
+        self.mean_stiffness = 0.0
+        self._places, self._weights = np.zeros((0, 3)), np.zeros(0)
+
+    def parameters(self) -> dict[str, float]:
+        """Mean stiffness, exponent, length, deviation and noise."""
+        if self.law is None:
+            return {}
+        return {
+            "mean stiffness [N at 10 mm]": self.mean_stiffness,
+            "exponent [–]": self.law.exponent,
+            "length [m]": self.law.length,
+            "deviation [–]": self.law.deviation,
+            "noise [N]": self.law.noise,
+        }
+
+    def stiffness_at(self, place: Array) -> float:
+        """K(s) [N at 10 mm].
+
+        Args:
+            place: On the surface, shape (3,) [m].
+        """
+        assert self.law is not None
+        near = matern(place[None], self._places, self.law.length)[0]
+        return self.mean_stiffness + float(near @ self._weights)
+
+    def _fit_law(self, samples: list[Sample]) -> None:
+        kept = samples[:: -(-len(samples) // MOST_SAMPLES)]
+        data = Palpation(
+            np.array([sample.contact.depth for sample in kept]),
+            np.array([sample.contact.place for sample in kept]),
+            np.array([sample.normal_force for sample in kept]),
+        )
+        law = chosen_law(data)
+        power, stiffness = data.base(law.exponent)
+        rest = data.force - stiffness * power
+        solved = scipy.linalg.solve(data.covariance(law), rest, assume_a="pos")
+        self.law, self.mean_stiffness, self._places = law, stiffness, data.place
+        self._weights = (stiffness * law.deviation) ** 2 * power * solved
+
+    def _normal_force(self, contact: Contact) -> float:
+        assert self.law is not None
+        stiffness = self.stiffness_at(contact.place)
+        return float(stiffness * contact.depth**self.law.exponent)
+
+
+def chosen_law(data: Palpation) -> PowerLaw:
+    """The law with the largest evidence times prior."""
+    least = LEAST_NOISE * float(np.sqrt(np.mean(data.force**2)))
+
+    def law(steps: Array) -> PowerLaw:
+        exponent, length, deviation, noise = np.exp(MEDIANS + WIDTHS * steps)
+        return PowerLaw(
+            float(exponent), float(length), float(deviation), max(float(noise), least)
+        )
+
+    def cost(steps: Array) -> float:
+        return float(0.5 * steps @ steps) - data.log_evidence(law(steps))
+
+    found = scipy.optimize.minimize(
+        cost,
+        np.zeros(4),
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": np.vstack([np.zeros(4), np.eye(4)]),
+            "xatol": 0.05,
+            "fatol": 0.1,
+            "maxfev": 200,
+        },
+    )
+    return law(np.asarray(found.x))
+
+
+def matern(places: Array, others: Array, length: float) -> Array:
+    """Matérn 3/2, (1 + √3 d/ℓ) exp(−√3 d/ℓ), shape (n, m).
+
+    Args:
+        places: Shape (n, 3) [m].
+        others: Shape (m, 3) [m].
+        length: ℓ [m].
+    """
+    scaled = np.sqrt(3.0) / length * cdist(places, others)
+    return np.asarray((1.0 + scaled) * np.exp(-scaled))
