@@ -27,7 +27,14 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "ttus_opt"
 
 #: Pages that are a section of their own
-ALONE = ("index.md", "method.md", "api.md", "modules.md", "benchmark.md")
+ALONE = (
+    "index.md",
+    "method.md",
+    "api.md",
+    "modules.md",
+    "benchmark.md",
+    "comparators.md",
+)
 
 FIRST_NOTEBOOK = "notebooks/01_scan_to_field_to_force.ipynb"
 

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from tests.comparators.recordings import facing, fitted
 from tests.comparators.walls import BLOCK, block, pressed, wall
 from tests.conftest import ellipsoid, torso
+from ttus_opt.comparators.base import OneStiffness
 from ttus_opt.comparators.ellipsoid_torso import EllipsoidTorso, fitted_ellipsoid
 from ttus_opt.comparators.pressure_field import PressureField, integrated
 from ttus_opt.comparators.proxy_cloud import ProxyCloud
@@ -47,6 +48,19 @@ def test_pressure_field_gives_a_rigid_block_area_times_depth() -> None:
         unit[:3], [AREA * DEPTH, 0.0, 0.0], atol=0.005 * AREA * DEPTH
     )
     np.testing.assert_allclose(unit[3:], 0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("kind", [SignedDistance, PressureField])
+def test_a_pressed_ball_displaces_its_cap(kind: type[OneStiffness]) -> None:
+    """Pressure k d on a rigid body is k times the volume below the surface (Gauss)."""
+    radius = 0.02
+    made = kind(surface=wall(), shell=PointShell.sphere(radius, n_points=1200))
+    for depth in (0.003, 0.008):
+        unit, _ = made._unit_wrench(*pressed(depth, half=radius))
+        cap = np.pi * depth**2 * (radius - depth / 3.0)
+        assert unit[0] == pytest.approx(cap, rel=0.03)
+        np.testing.assert_allclose(unit[1:3], 0.0, atol=0.02 * cap)
+        np.testing.assert_allclose(unit[3:], 0.0, atol=0.02 * cap * radius)
 
 
 def test_pressures_are_equal_on_the_contact_surface_like_springs_in_series() -> None:

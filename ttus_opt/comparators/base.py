@@ -27,14 +27,21 @@ from ttus_opt.scan.surface import Surface
 LEAST_FORCE = 0.1
 
 
-class RendersWrenches(Protocol):
-    """What a comparison asks of a comparator; a user's own class may have it too.
+class WrenchSource(Protocol):
+    """What judging asks for: wrenches along a recording.
 
     Attributes:
         name: As it is printed.
     """
 
     name: str
+
+    def wrenches(self, trajectory: Trajectory) -> Array:
+        """The wrench of every frame, shape (n, 6) [N, N·m]."""
+
+
+class RendersWrenches(WrenchSource, Protocol):
+    """What every comparator has."""
 
     def fit(self, trajectories: Trajectory | Sequence[Trajectory]) -> Self:
         """Find the parameters from recordings with forces; returns itself."""
@@ -43,9 +50,6 @@ class RendersWrenches(Protocol):
         self, rotation: PoseLike, position: ArrayLike, twist: Array | None = None
     ) -> Wrench:
         """The wrench on the probe in one pose and motion."""
-
-    def wrenches(self, trajectory: Trajectory) -> Array:
-        """The wrench of every frame, shape (n, 6) [N, N·m]."""
 
 
 class Comparator(ABC):

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from ttus_opt.arrays import Array
-from ttus_opt.comparators.base import Comparator, RendersWrenches
+from ttus_opt.comparators.base import Comparator, WrenchSource
 from ttus_opt.comparators.registry import available, create
 from ttus_opt.errors import InputError, TtusError
 from ttus_opt.haptic.field_wrench import FieldWrenches
@@ -118,7 +118,7 @@ def compare(
 
 
 def judged(
-    comparator: RendersWrenches | Comparator,
+    comparator: WrenchSource | Comparator,
     label: str,
     recording: Trajectory,
     seconds_fit: float = math.nan,
@@ -156,7 +156,7 @@ def judged(
     )
 
 
-def ripple(comparator: RendersWrenches | Comparator, recording: Trajectory) -> float:
+def ripple(comparator: WrenchSource | Comparator, recording: Trajectory) -> float:
     """Short waves of the force on a slow straight slide through a firm touch.
 
     Args:
