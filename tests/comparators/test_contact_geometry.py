@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from tests.comparators.recordings import facing
 from tests.comparators.walls import BLOCK, block, pressed, wall
@@ -78,6 +79,22 @@ def test_patch_of_a_block_is_its_face_and_the_rim_of_its_sides() -> None:
     assert patch.depth == pytest.approx(0.002, rel=0.01)
     assert patch.area == pytest.approx(area, rel=0.05)
     np.testing.assert_allclose(patch.direction, [1.0, 0.0, 0.0], atol=0.03)
+
+
+def test_a_pressure_pushes_and_turns_as_the_sum_over_points() -> None:
+    shell = ellipsoid()
+    R, at = facing(torso(), 1.0, 0.1, 0.006)
+    R = R @ Rotation.from_rotvec([0.4, 0.3, 0.0]).as_matrix()
+    touch = ContactGeometry(torso(), shell).touch(R, at)
+    expected = np.zeros(6)
+    for m, depth in zip(touch.index, touch.depth, strict=True):
+        force = depth * shell.areas[m] * (R @ shell.normals[m])
+        arm = R @ (shell.points[m] - shell.reference)
+        expected += [*force, *np.cross(arm, force)]
+    assert np.linalg.norm(expected[3:]) > 0.05 * 0.02 * np.linalg.norm(expected[:3])
+    np.testing.assert_allclose(touch.pushed(touch.depth), expected, rtol=1e-9)
+    size = np.linalg.norm(expected[:3])
+    np.testing.assert_allclose(touch.patch.unit, expected / size, rtol=1e-9)
 
 
 def test_velocity_at_the_patch_is_that_of_a_turning_body() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from collections.abc import Set as AbstractSet
 from dataclasses import replace
 
 import numpy as np
@@ -22,11 +23,21 @@ NAMES = list(available())
 LONG = {"depth_map", "depth_map_coulomb", "eq10", "proxy_six_dof"}
 
 
-def those(names: Iterable[str]) -> pytest.MarkDecorator:
-    """Parametrised over comparators, slow where they are."""
+#: Two that stand for the others where a law needs fits of its own
+QUICK = {"kelvin_voigt", "signed_distance"}
+
+
+def those(
+    names: Iterable[str], quick: AbstractSet[str] | None = None
+) -> pytest.MarkDecorator:
+    """Parametrised over comparators, slow where they are or are not quick."""
+
+    def slow(name: str) -> bool:
+        return name in LONG if quick is None else name not in quick
+
     return pytest.mark.parametrize(
         "name",
-        [pytest.param(n, marks=pytest.mark.slow if n in LONG else ()) for n in names],
+        [pytest.param(n, marks=pytest.mark.slow if slow(n) else ()) for n in names],
     )
 
 
@@ -98,7 +109,7 @@ def test_deep_poses_give_finite_wrenches(name: str) -> None:
         assert np.isfinite(wrench(name, R, there)).all()
 
 
-@those(name for name in NAMES if kind(name).turns)
+@those((name for name in NAMES if kind(name).turns), QUICK)
 def test_turning_the_scene_turns_the_wrench(name: str) -> None:
     surface, quarter = torso(), Rotation.from_rotvec([0.0, 0.0, np.pi / 2])
     n = len(surface.theta)
@@ -130,7 +141,7 @@ def test_along_a_recording_each_frame_is_rendered(name: str) -> None:
     np.testing.assert_allclose(fitted(name).wrenches(slide), one_by_one, rtol=1e-12)
 
 
-@every
+@those(NAMES, QUICK)
 def test_a_second_fit_forgets_the_first(name: str) -> None:
     press, slide = recordings()
     made = create(name, surface=torso(), shell=ellipsoid(), **options(name))

@@ -106,6 +106,7 @@ def test_voxels_hold_two_bits_and_interior_never_meets_free() -> None:
 def test_tangent_planes_are_those_of_a_plain_loop() -> None:
     made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.004)
     R, at = facing(torso(), 1.1, 0.1, 0.007)
+    R = R @ Rotation.from_rotvec([0.5, 0.4, 0.0]).as_matrix()
     surface = np.argwhere(made.voxels == SURFACE)
     low, high = np.zeros(6), np.zeros(6)
     for point, normal, area in zip(

@@ -192,7 +192,7 @@ def slow_slide(recording: Trajectory) -> Trajectory:
 
 
 def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
-    """The rows as a Markdown table, times as ratios.
+    """The rows as a Markdown table, a line per comparator, times as ratios.
 
     Args:
         rows: Of `compare`.
@@ -204,20 +204,29 @@ def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
         reference = min(timed, key=lambda row: row.ms_per_frame).comparator
     own = [row.ms_per_frame for row in timed if row.comparator == reference]
     unit = float(np.mean(own)) if own else math.nan
+    recordings = list(dict.fromkeys(row.recording for row in rows))
     lines = [
-        "| comparator | recording | force [N] | angle [°] | torque [mN·m] | angle [°] "
-        f"| ripple [%] | frame / {reference} |",
-        "|---|---|---|---|---|---|---|---|",
+        f"| {' / '.join(recordings)} | force [N] | angle [°] | torque [mN·m] "
+        f"| angle [°] | ripple [%] | frame / {reference} |",
+        "|---|---|---|---|---|---|---|",
     ]
-    for row in rows:
-        if row.failure:
-            lines.append(f"| {row.comparator} | {row.recording} | {row.failure} ||||||")
+    for name in dict.fromkeys(row.comparator for row in rows):
+        shown = [row for row in rows if row.comparator == name]
+        failures = {row.failure for row in shown if row.failure}
+        if failures:
+            lines.append(f"| `{name}` | {'; '.join(sorted(failures))} ||||||")
             continue
-        lines.append(
-            f"| {row.comparator} | {row.recording} | {row.force_magnitude_error_N:.3f} "
-            f"| {row.force_angle_error_deg:.1f} "
-            f"| {1e3 * row.torque_magnitude_error_Nm:.1f} "
-            f"| {row.torque_angle_error_deg:.1f} | {100 * row.ripple:.2g} "
-            f"| {row.ms_per_frame / unit:.2g} |"
-        )
+        cells = zip(*(_cells(row, unit) for row in shown), strict=True)
+        lines.append(f"| `{name}` | {' | '.join(' / '.join(c) for c in cells)} |")
     return "\n".join(lines)
+
+
+def _cells(row: Row, unit: float) -> tuple[str, ...]:
+    return (
+        f"{row.force_magnitude_error_N:.2f}",
+        f"{row.force_angle_error_deg:.1f}",
+        f"{1e3 * row.torque_magnitude_error_Nm:.1f}",
+        f"{row.torque_angle_error_deg:.0f}",
+        f"{100 * row.ripple:.1g}",
+        f"{row.ms_per_frame / unit:.2g}",
+    )
