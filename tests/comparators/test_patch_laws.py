@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.comparators.recordings import fitted, recordings
+from tests.comparators.recordings import facing, fitted, recordings
 from tests.conftest import ellipsoid, torso
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import Comparator
@@ -118,9 +118,8 @@ def test_the_logarithm_finds_the_same_where_damping_is_small() -> None:
     law._fit_law(samples(found, forces))
     expected = [math.log(6.0), 1.7, 0.1]
     np.testing.assert_allclose(law.per_patch.mean(axis=0), expected, rtol=0.02)
-    contact = found[0]
-    exact = 6.0 * contact.depth**1.7 * (1.0 + 0.1 * contact.rate)
-    assert law._normal_force(contact) == pytest.approx(exact, rel=0.02)
+    fast = Contact(0.8, 3.0, found[0].place, STILL, NO_PATCH)
+    assert law._normal_force(fast) == pytest.approx(6.0 * 0.8**1.7 * 1.3, rel=0.03)
 
 
 def test_each_patch_learns_its_own_stiffness() -> None:
@@ -173,6 +172,41 @@ def test_an_update_is_sent_exactly_when_the_difference_is_noticeable() -> None:
             still(np.array([friction]), np.ones(1), 1.0),
         )
         assert len(law.updates) == sent
+
+
+@pytest.mark.parametrize("kind", [KelvinVoigt, HuntCrossleyLog, HuntCrossleyTwoStage])
+def test_a_probe_that_leaves_fast_is_not_pulled(kind: type[PatchLaw]) -> None:
+    rng = np.random.default_rng(6)
+    found = contacts(60, rng, rate=0.5)
+    forces = np.array([6.0 * c.depth * (1.0 + 0.3 * c.rate) for c in found])
+    law = made(kind)
+    law._fit_law(samples(found, forces))
+    law.fitted = True
+    R, at = facing(torso(), 1.3, 0.1, 0.004)
+    outward = np.array([at[0], at[1], 0.0]) / np.hypot(at[0], at[1])
+    rest, slow, fast = (
+        law.render(R, at, np.concatenate([v * outward, np.zeros(3)])).force @ outward
+        for v in (0.0, 0.01, 1.0)
+    )
+    assert rest > slow > 0.0
+    assert fast == 0.0
+
+
+def test_rendered_drag_is_against_the_motion_and_in_proportion() -> None:
+    law = fitted("perceptual_updates")
+    assert isinstance(law, PerceptualUpdates)
+    R, at = facing(torso(), 1.3, 0.1, 0.005)
+    along = np.array([0.0, 0.0, 0.05, 0.0, 0.0, 0.0])
+    rest, there, back = (law.render(R, at, v) for v in (None, along, -along))
+    drag = there.force - rest.force
+    np.testing.assert_allclose(drag, -(back.force - rest.force), atol=1e-3)
+    share = -drag[2] / np.linalg.norm(rest.force)
+    assert share == pytest.approx(0.2, abs=0.05)
+    # it acts at the contact, on the probe's surface
+    turned = there.torque - rest.torque
+    arm = law.geometry.touch(R, at).patch.arm
+    assert np.linalg.norm(arm) == pytest.approx(0.0135, abs=0.001)
+    np.testing.assert_allclose(turned, np.cross(arm, drag), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["kelvin_voigt", "hunt_crossley_log"])

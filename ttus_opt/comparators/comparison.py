@@ -192,7 +192,7 @@ def slow_slide(recording: Trajectory) -> Trajectory:
 
 
 def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
-    """The rows as a Markdown table, a line per comparator, times as ratios.
+    """The rows as a Markdown table, the smallest force error first, times as ratios.
 
     Args:
         rows: Of `compare`.
@@ -210,8 +210,10 @@ def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
         f"| angle [°] | ripple [%] | frame / {reference} |",
         "|---|---|---|---|---|---|---|",
     ]
-    for name in dict.fromkeys(row.comparator for row in rows):
-        shown = [row for row in rows if row.comparator == name]
+    shares: dict[str, list[Row]] = {}
+    for row in rows:
+        shares.setdefault(row.comparator, []).append(row)
+    for name, shown in sorted(shares.items(), key=lambda share: _error(share[1])):
         failures = {row.failure for row in shown if row.failure}
         if failures:
             lines.append(f"| `{name}` | {'; '.join(sorted(failures))} ||||||")
@@ -221,12 +223,19 @@ def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
     return "\n".join(lines)
 
 
+def _error(rows: Sequence[Row]) -> float:
+    """Mean error of the force's magnitude; infinite where there is none [N]."""
+    mean = float(np.mean([row.force_magnitude_error_N for row in rows]))
+    return math.inf if math.isnan(mean) else mean
+
+
 def _cells(row: Row, unit: float) -> tuple[str, ...]:
+    times = row.ms_per_frame / unit
     return (
         f"{row.force_magnitude_error_N:.2f}",
         f"{row.force_angle_error_deg:.1f}",
         f"{1e3 * row.torque_magnitude_error_Nm:.1f}",
         f"{row.torque_angle_error_deg:.0f}",
         f"{100 * row.ripple:.1g}",
-        f"{row.ms_per_frame / unit:.2g}",
+        f"{times:.0f}" if times >= 10.0 else f"{times:.2g}",
     )
