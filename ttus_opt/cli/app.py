@@ -27,6 +27,7 @@ from ttus_opt.cli import (
     register_command,
     render_command,
     surface_command,
+    synchronise_command,
     tune_command,
     warm_up_command,
 )
@@ -46,6 +47,7 @@ app = typer.Typer(
 for module in (
     demo_command,
     register_command,
+    synchronise_command,
     compensate_command,
     surface_command,
     fit_command,

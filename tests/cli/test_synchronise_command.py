@@ -1,0 +1,73 @@
+"""``ttus-opt synchronise``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.cli.conftest import Run, empty, refused
+from tests.conftest import torso
+from tests.sensors.test_clock import wander
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+
+
+@pytest.fixture
+def given(tmp_path: Path) -> Path:
+    """A tracker's poses, and a robot's with forces on a clock 0.6 s behind."""
+    folder = tmp_path / "given"
+    folder.mkdir()
+    surface = torso()
+    surface.save(folder / "surface.nc")
+
+    def moved(time: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        depth = 0.006 * wander(time)
+        angle = np.full_like(time, 1.2)
+        r = surface.radius_at(angle, np.full_like(time, 0.1)) - depth
+        place = np.stack([r * np.cos(1.2), r * np.sin(1.2), np.full_like(r, 0.1)], 1)
+        turns = Rotation.from_rotvec(np.outer(0.2 * wander(time), [0, 1.0, 0]))
+        return place, turns.as_matrix(), np.maximum(depth, 0.0)
+
+    time = np.arange(0, 20, 0.04)
+    place, turns, _ = moved(time)
+    Trajectory(time, place, turns).save(folder / "tracker.csv")
+    own = np.arange(0, 19, 0.02)
+    place, turns, depth = moved(own + 0.6)
+    force = np.outer(900 * depth, [0, 0, 1.0])
+    Trajectory(own, place, turns, force, 0 * force).save(folder / "robot.csv")
+    return folder
+
+
+@pytest.mark.parametrize("by", ["contact", "angular-speed"])
+def test_the_offset_is_found(run: Run, given: Path, output: Path, by: str) -> None:
+    words = (
+        f"synchronise {given / 'tracker.csv'} --wrenches {given / 'robot.csv'} --by "
+        f"{by} --surface {given / 'surface.nc'} -o {output / 'both.csv'}"
+    )
+    told = json.loads(run(f"{words} --json").out)
+    assert told["offset_s"] == pytest.approx(0.6, abs=0.04)
+    assert told["left_out"] > 0
+    joined = read_trajectory(output / "both.csv")
+    assert joined.force is not None
+    x, y, _ = joined.position.T
+    depth = torso().radius_at(np.full(len(x), 1.2), np.full(len(x), 0.1))
+    depth = np.maximum(depth - np.hypot(x, y), 0.0)
+    assert np.corrcoef(depth, joined.force[:, 2])[0, 1] > 0.99
+    assert "frames in 1 segments" in run(words).out
+
+
+def test_what_is_refused(run: Run, given: Path, output: Path) -> None:
+    words = (
+        f"synchronise {given / 'tracker.csv'} --wrenches {given / 'robot.csv'} "
+        f"-o {output / 'both.csv'}"
+    )
+    refused(run(words), "--by contact", "--offset")
+    refused(run(f"{words} --by contact"), "--surface")
+    refused(run(f"{words} --by eye"), "contact or angular-speed")
+    refused(run(f"{words} --offset 500"), "check the offset")
+    refused(run(f"{words} --by angular-speed --largest-offset 0.1"), "correlate by")
+    refused(run(f"{words} --offset 0 --largest-gap 0"), "gap")
+    assert empty(output)

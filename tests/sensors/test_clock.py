@@ -1,0 +1,135 @@
+"""Offsets of two clocks: known ones are found, unclear ones refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.errors import InputError
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.scan.surface import Surface
+from ttus_opt.sensors.clock import (
+    Signal,
+    angular_speed,
+    clock_offset,
+    contact_of_force,
+    contact_of_poses,
+)
+from ttus_opt.sensors.streams import poses_at
+
+
+def wander(time: np.ndarray) -> np.ndarray:
+    """An irregular motion, the same whenever it is asked."""
+    return sum(
+        np.sin(2 * np.pi * f * time + p)
+        for f, p in ((0.31, 0.2), (0.73, 1.1), (1.27, 2.5), (0.113, 4.0))
+    )
+
+
+@pytest.mark.parametrize("offset", [-1.2345, 0.0, 0.00731, 2.1])
+@pytest.mark.parametrize("rates", [(100.0, 40.0), (30.0, 150.0)])
+def test_a_known_offset_is_found(offset: float, rates: tuple[float, float]) -> None:
+    rng = np.random.default_rng(0)
+    first = np.arange(3.0, 23.0, 1 / rates[0])
+    second = np.arange(2.0, 21.0, 1 / rates[1])
+    found = clock_offset(
+        Signal(first, wander(first) + rng.normal(0, 0.05, len(first))),
+        Signal(second, 3 * wander(second + offset) + 7),
+        largest=3.0,
+    )
+    assert found.seconds == pytest.approx(offset, abs=0.1 / min(rates))
+    assert found.correlation > 0.95
+    assert found.rival < 0.9
+
+
+def test_gaps_do_not_count() -> None:
+    time = np.arange(0, 20, 0.01)
+    keep = (time < 5) | (time > 11)
+    found = clock_offset(
+        Signal(time, wander(time)), Signal(time[keep], wander(time[keep] + 0.4))
+    )
+    assert found.seconds == pytest.approx(0.4, abs=1e-3)
+    assert found.correlation > 0.999
+
+
+def test_clocks_that_count_from_elsewhere() -> None:
+    time = np.arange(0, 20, 0.02)
+    first = Signal(time, wander(time))
+    second = Signal(time + 1.7e9, wander(time + 0.5))
+    with pytest.raises(InputError, match=r"begin 1\.7e"):
+        clock_offset(first, second)
+    found = clock_offset(first, second, around=-1.7e9)
+    assert found.seconds == pytest.approx(0.5 - 1.7e9, abs=1e-2)
+
+
+def test_angular_speed_is_that_of_any_frame() -> None:
+    time = np.arange(0, 20, 0.02)
+    turns = Rotation.from_rotvec(np.outer(0.3 * wander(time), [0.2, 0.9, 0.3]))
+    poses = Trajectory(time, np.zeros((len(time), 3)), turns.as_matrix())
+    base = Rotation.from_rotvec([1.0, 2.0, -0.4]).as_matrix()
+    tool = Rotation.from_rotvec([-0.3, 0.1, 1.4]).as_matrix()
+    later = np.arange(2.0, 17.0, 0.05)
+    moved = poses_at(poses, later, largest_gap=1.0)
+    second = Trajectory(later - 0.8, moved.position, base @ moved.rotation @ tool)
+    found = clock_offset(angular_speed(poses), angular_speed(second))
+    assert found.seconds == pytest.approx(0.8, abs=0.02)
+
+
+def test_contact_of_presses(shared: Path) -> None:
+    """Forces of the finite-element phantom, moved on their clock."""
+    surface = Surface.load(shared / "phantom" / "surface.nc")
+    press = read_trajectory(shared / "phantom" / "press_fit.csv")
+    assert press.force is not None
+    second = contact_of_force(press.time - 0.37, press.force)
+    first = contact_of_poses(press, surface, float(second.values.mean()))
+    # the presses come every five seconds: an offset of a press is as good
+    with pytest.raises(InputError, match="repeats itself"):
+        clock_offset(first, second)
+    found = clock_offset(first, second, largest=0.8)
+    assert found.seconds == pytest.approx(0.37, abs=0.05)  # a frame
+
+
+@pytest.mark.parametrize(
+    ("second", "words"),
+    [
+        (lambda t: np.random.default_rng(0).normal(size=t.shape), "correlate by 0"),
+        (lambda t: np.full(t.shape, 2.0), "constant"),
+        (lambda t: np.full(t.shape, np.nan), "NaN"),
+        (lambda t: wander(t + 5.0), "or beyond|correlate by"),
+    ],
+)
+def test_signals_that_tell_nothing(second: object, words: str) -> None:
+    time = np.arange(0, 20, 0.02)
+    with pytest.raises(InputError, match=words):
+        clock_offset(
+            Signal(time, wander(time)), Signal(time, second(time)), largest=2.0
+        )  # type: ignore[operator]
+
+
+def test_what_repeats_itself_is_refused() -> None:
+    time = np.arange(0, 60, 0.02)
+    wave = Signal(time, np.sin(2 * np.pi * time))
+    with pytest.raises(InputError, match="repeats itself"):
+        clock_offset(wave, wave, largest=3.0)
+    assert clock_offset(wave, wave, largest=0.4).seconds == pytest.approx(0, abs=1e-6)
+
+
+def test_what_is_refused() -> None:
+    time = np.arange(0, 20, 0.02)
+    sound = Signal(time, wander(time))
+    with pytest.raises(InputError, match="at least 10"):
+        clock_offset(sound, Signal(time[:9], time[:9]))
+    with pytest.raises(InputError, match="finite"):
+        clock_offset(sound, sound, largest=0.0)
+    with pytest.raises(InputError, match="too many offsets"):
+        clock_offset(sound, sound, largest=1e5)
+    with pytest.raises(InputError, match="too many"):
+        clock_offset(sound, Signal(np.r_[time, 1e9], np.r_[time, 1.0]))
+    with pytest.raises(InputError, match="must increase"):
+        clock_offset(sound, Signal(np.zeros(20), np.arange(20.0)))
+    poses = Trajectory(time, np.ones((1000, 3)), np.tile(np.eye(3), (1000, 1, 1)))
+    with pytest.raises(InputError, match="into contact and off"):
+        contact_of_poses(poses, None, 1.0)  # type: ignore[arg-type]

@@ -1,0 +1,127 @@
+"""Streams put together: exact where it can be, nothing across gaps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.hostile import only_our_errors
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.streams import (
+    WrenchStream,
+    poses_at,
+    read_wrench_stream,
+    with_wrenches,
+)
+
+
+def turning(time: np.ndarray) -> Trajectory:
+    """Steady motion and a steady turn, which interpolation follows exactly."""
+    turns = Rotation.from_rotvec(np.outer(time, [0.2, -0.5, 0.3])).as_matrix()
+    return Trajectory(time, np.outer(time, [0.1, 0.0, -0.02]), turns)
+
+
+def stream(time: np.ndarray) -> WrenchStream:
+    return WrenchStream(time, np.outer(time, [1.0, 2, 3]), np.outer(time, [4.0, 5, 6]))
+
+
+def test_poses_at_other_times_follow_a_steady_turn() -> None:
+    at = np.array([0.03, 0.5, 1.77])
+    found = poses_at(turning(np.arange(0, 2.01, 0.25)), at, largest_gap=0.3)
+    truth = turning(at)
+    np.testing.assert_allclose(found.rotation, truth.rotation, atol=1e-12)
+    np.testing.assert_allclose(found.position, truth.position, atol=1e-15)
+    assert set(found.segment) == {0}
+
+
+def test_a_gap_of_poses_is_not_bridged() -> None:
+    time = np.array([0.0, 0.1, 0.2, 0.9, 1.0, 1.1])
+    at = np.array([-0.1, 0.05, 0.15, 0.5, 0.95, 1.05, 1.2])
+    found = poses_at(turning(time), at, largest_gap=0.3)
+    np.testing.assert_array_equal(found.time, [0.05, 0.15, 0.95, 1.05])
+    assert found.segment.tolist() == [0, 0, 1, 1]
+    # no time falls into the gap: still another segment
+    found = poses_at(turning(time), at[[1, 2, 4, 5]], largest_gap=0.3)
+    assert found.segment.tolist() == [0, 0, 1, 1]
+
+
+def test_wrenches_at_the_instants_of_poses() -> None:
+    poses = turning(np.arange(1.0, 2.0, 0.05))
+    found = with_wrenches(poses, stream(np.arange(0, 3, 0.007)), 0.4, largest_gap=0.1)
+    assert found.force is not None
+    assert found.torque is not None
+    np.testing.assert_allclose(found.force, np.outer(poses.time - 0.4, [1, 2, 3]))
+    np.testing.assert_allclose(found.torque, np.outer(poses.time - 0.4, [4, 5, 6]))
+    np.testing.assert_array_equal(found.time, poses.time)
+
+
+def test_a_gap_of_wrenches_is_not_bridged() -> None:
+    time = np.arange(0, 3, 0.01)
+    holed = stream(time[(time < 1.0) | (time > 1.6)])
+    poses = turning(np.arange(0.0, 2.5, 0.05))
+    found = with_wrenches(poses, holed, 0.0, largest_gap=0.1)
+    inside = (found.time > 1.0) & (found.time < 1.6)
+    assert not inside.any()
+    assert set(found.segment) == {0, 1}
+    assert (found.segment == (found.time > 1.3)).all()
+
+
+def test_what_is_refused() -> None:
+    poses, readings = turning(np.arange(0, 1, 0.1)), stream(np.arange(0, 1, 0.1))
+    with pytest.raises(InputError, match="check the offset"):
+        with_wrenches(poses, readings, 50.0, largest_gap=0.2)
+    with pytest.raises(InputError, match="gap"):
+        with_wrenches(poses, readings, 0.0, largest_gap=0.0)
+    with pytest.raises(InputError, match="check the offset"):
+        poses_at(poses, np.array([5.0]), largest_gap=0.2)
+    with pytest.raises(InputError, match="gap"):
+        poses_at(poses, np.array([0.5]), largest_gap=np.nan)
+    with pytest.raises(InputError, match="2 or more"):
+        poses_at(poses.select(slice(0, 1)), np.array([0.0]), largest_gap=0.2)
+    with pytest.raises(InputError, match="increase"):
+        stream(np.array([0.0, 0.0]))
+    with pytest.raises(InputError, match="at least 2"):
+        stream(np.array([0.0]))
+    with pytest.raises(InputError, match="counts"):
+        WrenchStream(np.arange(2.0), np.full((2, 3), 1e6))
+    with pytest.raises(InputError, match="finite"):
+        WrenchStream(np.arange(2.0), np.full((2, 3), np.nan))
+
+
+def table(file: Path) -> Path:
+    time = np.arange(1000.0, 1010.0, 0.5)
+    rows = np.column_stack([time, np.outer(time, np.ones(6)) / 1000])
+    lines = ["time;force.x;force.y;force.z;torque.x;torque.y;torque.z"]
+    lines += [";".join(f"{v:.4f}" for v in row) for row in rows]
+    file.write_text("\n".join(lines))
+    return file
+
+
+def test_a_table_of_wrenches(tmp_path: Path) -> None:
+    found = read_wrench_stream(table(tmp_path / "w.csv"))
+    assert found.torque is not None
+    np.testing.assert_allclose(found.time, np.arange(1000.0, 1010.0, 0.5))
+    np.testing.assert_allclose(found.force[2], [1.001] * 3)
+    (tmp_path / "f.csv").write_text("stamp,fx,fy,fz\n0,1,2,3\n1,4,5,6\n")
+    found = read_wrench_stream(tmp_path / "f.csv", {"t": "stamp"})
+    assert found.torque is None
+    assert found.force.tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+@pytest.mark.parametrize(
+    "text", ["t,fx,fy\n0,1,2\n", "t,fx,fy,fz\n0,1,2,3\n0,1,2,3\n", "t,fx,fy,fz\n"]
+)
+def test_tables_that_are_none(tmp_path: Path, text: str) -> None:
+    (tmp_path / "w.csv").write_text(text)
+    with pytest.raises(FileError) as told:
+        read_wrench_stream(tmp_path / "w.csv")
+    assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
+def test_mutations(tmp_path: Path, n: int) -> None:
+    only_our_errors([table(tmp_path / "w.csv")], read_wrench_stream, n)

@@ -1,0 +1,144 @@
+"""``ttus-opt synchronise``: poses and wrenches of two clocks as one trajectory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ttus_opt.cli.console import print_json
+from ttus_opt.cli.options import Force, Json, check_outputs
+from ttus_opt.errors import InputError
+
+if TYPE_CHECKING:
+    from ttus_opt.probe.trajectory import Trajectory
+    from ttus_opt.sensors.clock import Offset
+    from ttus_opt.sensors.streams import WrenchStream
+
+EXAMPLE = (
+    "ttus-opt synchronise tracker.mha --wrenches sensor.csv --by contact --surface "
+    "surface.nc -o recording.csv"
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("synchronise", epilog=f"Example: {EXAMPLE}")(synchronise)
+
+
+def synchronise(
+    poses: Annotated[
+        Path, typer.Argument(help="Trajectory CSV, or a PLUS sequence (.mha).")
+    ],
+    wrenches: Annotated[
+        Path, typer.Option(help="Table t,fx,fy,fz[,tx,ty,tz] on its own clock.")
+    ],
+    output: Annotated[Path, typer.Option("-o", "--output", help="Trajectory CSV.")],
+    by: Annotated[
+        str | None,
+        typer.Option(
+            help="contact: onset in the forces and in the poses (needs --surface); "
+            "angular-speed: of the poses that the wrenches' file has too."
+        ),
+    ] = None,
+    offset: Annotated[
+        float | None,
+        typer.Option(help="Known offset, added to the wrenches' times [s]."),
+    ] = None,
+    surface: Annotated[
+        Path | None, typer.Option(help="Surface file (.nc), in the poses' frame.")
+    ] = None,
+    transform: Annotated[
+        str | None, typer.Option(help="Of a .mha with several, as ProbeToTracker.")
+    ] = None,
+    together: Annotated[
+        bool,
+        typer.Option(
+            "--together", help="Both recordings began at about the same time."
+        ),
+    ] = False,
+    largest_offset: Annotated[
+        float, typer.Option(help="How far offsets are looked for [s].")
+    ] = 5.0,
+    largest_gap: Annotated[
+        float, typer.Option(help="Longer gaps are not bridged [s].")
+    ] = 0.1,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Put wrenches on the instants of poses, the offset of both clocks found.
+
+    Frames without wrenches are left out; a new segment begins after them.
+    """
+    from ttus_opt.sensors.streams import read_wrench_stream, with_wrenches
+
+    inputs = [poses, wrenches, *([surface] if surface else [])]
+    check_outputs([output], inputs, force=force)
+    if (by is None) == (offset is None):
+        raise InputError("give either --by contact or angular-speed, or --offset")
+    track, stream = _poses(poses, transform), read_wrench_stream(wrenches)
+    found = None
+    if by is not None:
+        around = float(track.time[0] - stream.time[0]) if together else 0.0
+        search = (around, largest_offset)
+        found = _found(track, stream, by, wrenches, surface, search)
+        offset = found.seconds
+    assert offset is not None
+    joined = with_wrenches(track, stream, offset, largest_gap=largest_gap)
+    joined.save(output)
+    segments = len(set(joined.segment.tolist()))
+    told = {
+        "output": str(output),
+        "frames": len(joined),
+        "left_out": len(track) - len(joined),
+        "segments": segments,
+        "offset_s": offset,
+        "correlation": None if found is None else found.correlation,
+        "rival": None if found is None else found.rival,
+    }
+    if json:
+        print_json(told)
+        return
+    how = "" if found is None else f", correlation {found.correlation:.3f}"
+    typer.echo(
+        f"{output}: {len(joined)} of {len(track)} frames in {segments} segments, "
+        f"wrenches moved by {offset:.4f} s{how}"
+    )
+
+
+def _poses(file: Path, transform: str | None) -> Trajectory:
+    from ttus_opt.probe.trajectory import read_trajectory
+    from ttus_opt.sensors.plus_sequence import read_plus_sequence
+
+    if file.suffix.lower() == ".mha":
+        return read_plus_sequence(file, transform)
+    return read_trajectory(file)
+
+
+def _found(
+    track: Trajectory,
+    stream: WrenchStream,
+    by: str,
+    wrenches: Path,
+    surface: Path | None,
+    search: tuple[float, float],
+) -> Offset:
+    """The offset by what the user names."""
+    from ttus_opt.probe.trajectory import read_trajectory
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.sensors import clock
+
+    if by == "angular-speed":
+        first = clock.angular_speed(track)
+        second = clock.angular_speed(read_trajectory(wrenches))
+    elif by == "contact":
+        if surface is None:
+            raise InputError("--by contact needs --surface, in the frame of the poses")
+        second = clock.contact_of_force(stream.time, stream.force)
+        share = float(second.values.mean())
+        first = clock.contact_of_poses(track, Surface.load(surface), share)
+    else:
+        raise InputError(f"--by takes contact or angular-speed, got {by!r}")
+    around, largest = search
+    return clock.clock_offset(first, second, around=around, largest=largest)

@@ -1,0 +1,189 @@
+"""Pose and wrench streams of different rates, put together on the poses' instants.
+
+Rotations are interpolated along the shortest turn (slerp), all else linearly, and
+nothing across a gap: frames in it are left out, and a new segment begins after it.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation, Slerp
+
+from ttus_opt import io
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.probe.text_table import NANOSECONDS, read_text_table
+from ttus_opt.probe.trajectory import Trajectory
+
+FORCE, TORQUE = ("fx", "fy", "fz"), ("tx", "ty", "tz")
+
+#: Readings beyond this are none [N, N·m]
+LARGEST = 1e5
+
+
+@dataclass(frozen=True)
+class WrenchStream:
+    """Readings of a force sensor on its own clock.
+
+    Attributes:
+        time: Increasing, shape (T,) [s].
+        force: Shape (T, 3) [N].
+        torque: Shape (T, 3) [N·m]; None where not measured.
+    """
+
+    time: Array
+    force: Array = field(repr=False)
+    torque: Array | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        """Validate the readings.
+
+        Raises:
+            InputError: No readings, not finite, or times that do not increase.
+        """
+        n = len(self.time)
+        if n < 2:
+            raise InputError(f"a stream of wrenches has at least 2 readings, got {n}")
+        for name in ("time", "force", "torque"):
+            values = getattr(self, name)
+            if values is None:
+                continue
+            shape = (n,) if name == "time" else (n, 3)
+            if values.shape != shape or not np.isfinite(values).all():
+                raise InputError(f"{name} of a stream must be finite, shape {shape}")
+            if name != "time" and np.abs(values).max() > LARGEST:
+                raise InputError(f"{name} of a stream exceeds {LARGEST:g}: counts?")
+        if not (np.diff(self.time) > 0).all():
+            raise InputError(
+                "times of a stream must increase [s]: sort them, drop doubles"
+            )
+
+
+def read_wrench_stream(
+    path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
+) -> WrenchStream:
+    """Wrenches without poses, from a table ``t,fx,fy,fz[,tx,ty,tz]``.
+
+    Args:
+        path: The file; separators, comments and names as of a trajectory.
+        columns: The file's own names, by these.
+
+    Raises:
+        FileError: Missing, damaged, or without such columns.
+    """
+    file = io.existing_file(path, "wrench")
+    table = read_text_table(file, ("t", *FORCE), columns)
+    with_torque = all(name in table.names for name in TORQUE)
+    values = table.numbers(["t", *FORCE, *(TORQUE if with_torque else ())])
+    time = values[:, 0]
+    if len(time) and time.min() > NANOSECONDS:
+        time = 1e-9 * (time - time[0])
+    try:
+        return WrenchStream(
+            time, values[:, 1:4], values[:, 4:7] if with_torque else None
+        )
+    except InputError as error:
+        raise FileError(f"{file}: {error}") from error
+
+
+def with_wrenches(
+    poses: Trajectory, wrenches: WrenchStream, offset: float, *, largest_gap: float
+) -> Trajectory:
+    """Poses with the wrenches of their instants.
+
+    Args:
+        poses: On the first clock; their wrenches, if any, are replaced.
+        wrenches: On the second clock.
+        offset: To be added to the second clock [s], see `clock_offset`.
+        largest_gap: Nothing is interpolated over a longer time between two readings;
+            poses further apart than this begin a new segment [s].
+
+    Returns:
+        The frames that have a wrench.
+
+    Raises:
+        InputError: The streams do not overlap, or a gap that is none.
+    """
+    if not (np.isfinite(offset) and 0.0 < largest_gap < np.inf):
+        raise InputError(
+            "offset and largest gap must be finite [s], the gap positive, got "
+            f"{offset} and {largest_gap}"
+        )
+    time = wrenches.time + offset
+    keep = _within(poses.time, time, largest_gap)
+    if not keep.any():
+        raise InputError(
+            f"poses from {poses.time[0]:.6g} to {poses.time[-1]:.6g} s have no "
+            f"wrenches, which are from {time[0]:.6g} to {time[-1]:.6g} s: check the "
+            "offset"
+        )
+    out = poses.select(keep)
+    at = np.flatnonzero(keep)
+    cut = np.diff(at) > 1
+    cut |= (np.diff(out.time) > largest_gap) | (np.diff(out.segment) != 0)
+    segment = np.concatenate([[0], np.cumsum(cut)]).astype(np.int64)
+
+    def then(values: Array) -> Array:
+        columns = [np.interp(out.time, time, column) for column in values.T]
+        return np.stack(columns, axis=1)
+
+    return replace(
+        out,
+        force=then(wrenches.force),
+        torque=None if wrenches.torque is None else then(wrenches.torque),
+        segment=segment,
+    )
+
+
+def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajectory:
+    """Poses at other times: positions linear, rotations along the shortest turn.
+
+    Args:
+        poses: One recording, without wrenches in the result.
+        time: Increasing, shape (n,) [s].
+        largest_gap: Nothing is interpolated over a longer time between two poses [s].
+
+    Returns:
+        Frames at those times that lie between two poses of a segment; after every time
+        left out a new segment begins.
+
+    Raises:
+        InputError: No time does, or a gap that is none.
+    """
+    if not 0.0 < largest_gap < np.inf:
+        raise InputError(f"the largest gap must be positive [s], got {largest_gap}")
+    if len(poses) < 2 or len(np.unique(poses.segment)) > 1:
+        raise InputError("poses of one segment are interpolated, 2 or more: split it")
+    keep = _within(time, poses.time, largest_gap)
+    if not keep.any():
+        raise InputError(
+            f"no time from {time[0]:.6g} to {time[-1]:.6g} s lies between poses from "
+            f"{poses.time[0]:.6g} to {poses.time[-1]:.6g} s: check the offset"
+        )
+    at = time[keep]
+    turns = Slerp(poses.time, Rotation.from_matrix(poses.rotation))(at)
+    position = [np.interp(at, poses.time, column) for column in poses.position.T]
+    # two kept times with a gap between them belong to other segments
+    holes = np.flatnonzero(np.diff(poses.time) > largest_gap)
+    edges = poses.time[holes]
+    segment = np.searchsorted(edges, at).astype(np.int64)
+    left_out = np.diff(np.flatnonzero(keep)) > 1
+    new = (np.diff(segment) != 0) | left_out
+    return Trajectory(
+        at,
+        np.stack(position, axis=1),
+        turns.as_matrix(),
+        segment=np.concatenate([[0], np.cumsum(new)]).astype(np.int64),
+    )
+
+
+def _within(time: Array, known: Array, largest_gap: float) -> NDArray[np.bool_]:
+    """Which times lie between two known ones that are near enough."""
+    after = np.clip(np.searchsorted(known, time), 1, len(known) - 1)
+    near = known[after] - known[after - 1] <= largest_gap
+    return np.asarray((time >= known[0]) & (time <= known[-1]) & near)
