@@ -113,7 +113,7 @@ def test_the_user_says_how_the_patient_lies() -> None:
 
 
 def test_what_the_scan_hardly_tells_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame_estimate, "find_supporting_plane", lambda *_, **__: None)
+    no_bed(monkeypatch)
     rng = np.random.default_rng(4)
     theta, z = rng.uniform(0, 2 * np.pi, 20_000), rng.uniform(-0.25, 0.25, 20_000)
     tube = np.stack([0.17 * np.cos(theta), 0.11 * np.sin(theta), z], axis=1)
@@ -183,7 +183,15 @@ def test_found_without_a_bed(seed: int) -> None:
     np.testing.assert_allclose(origin, [0, 0.11, 0], atol=0.03)
 
 
-def test_one_sided_without_a_bed_looks_to_the_seen_side() -> None:
+def no_bed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No search for one: that none is found has tests of its own, and takes long."""
+    monkeypatch.setattr(frame_estimate, "find_supporting_plane", lambda *_, **__: None)
+
+
+def test_one_sided_without_a_bed_looks_to_the_seen_side(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    no_bed(monkeypatch)
     rng = np.random.default_rng(0)
     axis = Axis.from_cloud(body(rng, upper=True, n=8000))
     assert axis.rotation[1, 1] > 0.95
@@ -234,4 +242,5 @@ def test_the_supporting_plane_is_found_once(monkeypatch: pytest.MonkeyPatch) -> 
     assert given.support == "unknown"
     assert given.supporting_plane(cloud) is plane  # a frame that was given looks
     assert len(looks) == 1
+    no_bed(monkeypatch)
     assert Axis.from_cloud(body(rng, upper=False, n=8000)).support is None

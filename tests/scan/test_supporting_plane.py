@@ -7,8 +7,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from tests.conftest import some
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
+from ttus_opt.scan import supporting_plane
 from ttus_opt.scan.supporting_plane import find_supporting_plane
 
 
@@ -54,8 +56,10 @@ def test_no_bed_none_found(seed: int) -> None:
     assert find_supporting_plane(torso(rng, upper=True)) is None
 
 
-def test_cut_ends_are_not_a_bed() -> None:
+@pytest.mark.parametrize("trials", some([150, 600], 1))
+def test_cut_ends_are_not_a_bed(trials: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The flat end of a closed torso has the body on one side, but no rim."""
+    monkeypatch.setattr(supporting_plane, "_N_TRIALS", trials)
     rng = np.random.default_rng(0)
     r, theta = np.sqrt(rng.random(3000)), rng.uniform(0, 2 * np.pi, 3000)
     end = np.stack([0.17 * r * np.cos(theta), 0.12 + 0.12 * r * np.sin(theta)], axis=1)
