@@ -25,8 +25,12 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.optimality import Violations
 from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.primal_dual_active_set import _Safeguard, _strong
 from ttus_opt.solvers.dual.subproblem import LimitedField
+from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.registry import solvers
 from ttus_opt.solvers.structured import Structured
 
@@ -542,3 +546,37 @@ def test_random_limits_of_all_kinds_are_settled(seeds: range) -> None:
         if candidate.claim is not Claim.DONE or kkt.worst_relative > TOLERANCE:
             unsettled.append((seed, candidate.detail, kkt.worst_relative))
     assert not unsettled
+
+
+def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back() -> None:
+    """From the last working set after which it rose; a single change cannot fail."""
+    V = 6
+    limits = SpokeLimits(
+        (V, 1, 1), np.zeros(V), np.full(V, INF), np.zeros(V, bool), np.full(V, -INF), {}
+    )
+    sizes = np.array([0.5, 0.4, 0.3, 0.2, -INF, -INF])
+    none = np.full(V, -INF)
+    found = Violations(sizes, np.full(V, -1, dtype=np.int8), none)
+    start, safeguard = WorkingSet.empty(V), _Safeguard()
+    following = safeguard.following(limits, start, found, 1.0)
+    assert following.bounds.tolist() == [-1, -1, -1, -1, 0, 0]
+    for active in ([-1, -1, 0, 0, 0, 0], [-1, 0, 0, 0, 0, 0]):  # it falls, and falls
+        last = replace(found, bounds=np.where(np.arange(V) == V - 1, 0.9, none))
+        following = safeguard.following(limits, following, last, 0.5)
+        assert following.bounds.tolist() == active
+    second = replace(found, bounds=np.where(np.arange(V) == 1, 0.1, none))
+    risen = safeguard.following(limits, following, second, 2.0)
+    assert risen.bounds.tolist() == [-1, -1, 0, 0, 0, 0]
+
+
+def test_what_joins_is_a_share_of_the_worst_around() -> None:
+    """The smaller the worst of all, the more joins."""
+    options = DualOptions(share=0.5, neighbourhood=1)
+    profile = np.array([1.0, 0.6, 0.2, 0.08, 0.0, 0.3]).reshape(1, 6, 1, 1)
+    joins = {
+        1.0: [True, True, False, False, False, True],
+        0.05: [True, True, True, True, False, True],  # a quarter instead of a half
+        0.08: [True, True, False, False, False, True],  # 0.4 instead of 0.5
+    }
+    for size, expected in joins.items():
+        assert _strong(size * profile, options).reshape(-1).tolist() == expected
