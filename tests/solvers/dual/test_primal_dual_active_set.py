@@ -572,7 +572,7 @@ def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back() ->
 def test_what_joins_is_a_share_of_the_worst_around() -> None:
     """The smaller the worst of all, the more joins."""
     options = DualOptions(share=0.5, neighbourhood=1)
-    profile = np.array([1.0, 0.6, 0.2, 0.08, 0.0, 0.3]).reshape(1, 6, 1, 1)
+    profile = np.array([1.0, 0.6, 0.2, 0.07, 0.0, 0.3]).reshape(1, 6, 1, 1)
     joins = {
         1.0: [True, True, False, False, False, True],
         0.05: [True, True, True, True, False, True],  # a quarter instead of a half
