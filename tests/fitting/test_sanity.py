@@ -151,3 +151,10 @@ def test_poses_alone_cannot_be_checked() -> None:
     scene = tt.Scene.assemble(voxmap, shell, poses)
     with pytest.raises(InputError, match="no wrenches"):
         check_recordings(scene, tt.fit(scene, "laplace_only").field)
+
+
+def test_the_probe_is_told_in_millimetres() -> None:
+    found = SanityReport((), (0.06, 0.025, 0.036), (0.0123, -0.004, 0.0), 0.1, None)
+    assert found.lines == [
+        "probe: 60 × 25 × 36 mm, centroid at (12.3, -4.0, 0.0) mm of its frame"
+    ]
