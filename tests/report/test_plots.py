@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 
 from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import plots
 from ttus_opt.report.metrics import Evaluation, evaluate
@@ -191,22 +190,3 @@ def test_residuals_are_counted_in_full(evaluations: dict[str, Evaluation]) -> No
     rms = np.sqrt(((after.rendered_force - after.measured_force) ** 2).mean())
     texts = [text.get_text() for text in left.get_legend().get_texts()]
     assert texts[1] == f"fitted: rms {rms:.2f} N"
-
-
-def test_a_picture_may_be_a_small_pdf(
-    tmp_path: Path, evaluations: dict[str, Evaluation]
-) -> None:
-    """Those of the demo, as PNG, are in its own test."""
-    file = tmp_path / "force.pdf"
-    plots.save_picture(plots.force_over_time(evaluations), file)
-    assert 2_000 < file.stat().st_size < 200_000
-    assert file.read_bytes().startswith(b"%PDF")
-
-
-def test_a_picture_needs_a_known_suffix_and_a_folder(tmp_path: Path) -> None:
-    figure = plots.surface_picture(torso())
-    with pytest.raises(InputError, match=r"picture.jpg: the name must end in .png"):
-        plots.save_picture(figure, tmp_path / "picture.jpg")
-    (tmp_path / "file").touch()
-    with pytest.raises(FileError, match="cannot write"):
-        plots.save_picture(figure, tmp_path / "file" / "picture.png")

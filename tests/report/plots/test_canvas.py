@@ -1,0 +1,66 @@
+"""What all pictures share: their files, and that nothing global is touched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib
+import pytest
+from matplotlib.figure import Figure
+
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.report.plots.canvas import (
+    SUFFIXES,
+    look,
+    new_figure,
+    require_picture_suffix,
+    save_picture,
+)
+
+#: How files of each kind begin
+BEGIN = {".png": b"\x89PNG", ".pdf": b"%PDF", ".svg": b"<?xml"}
+
+
+def drawn() -> Figure:
+    with look():
+        figure = new_figure(3.0, 2.0)
+        axes = figure.add_subplot()
+        axes.plot([0.0, 1.0], [0.0, 2.0])
+        axes.set_xlabel("time [s]")
+    return figure
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_picture_is_a_small_file_of_its_kind(suffix: str, tmp_path: Path) -> None:
+    file = tmp_path / f"picture{suffix}"
+    save_picture(drawn(), file)
+    content = file.read_bytes()
+    assert content.startswith(BEGIN[suffix])
+    assert 1_000 < len(content) < 200_000
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_labels_lie_within_the_picture(tmp_path: Path) -> None:
+    figure = drawn()
+    save_picture(figure, tmp_path / "picture.png")
+    (axes,) = figure.axes
+    label = axes.xaxis.label.get_window_extent()
+    width, height = figure.get_size_inches() * figure.dpi
+    assert label.x0 >= 0 and label.y0 >= 0
+    assert label.x1 <= width and label.y1 <= height
+
+
+def test_the_look_is_of_these_pictures_alone() -> None:
+    before = dict(matplotlib.rcParams)
+    figure = drawn()
+    assert dict(matplotlib.rcParams) == before
+    assert not figure.axes[0].spines["top"].get_visible()
+
+
+def test_a_picture_needs_a_known_suffix_and_a_folder(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"picture.jpg: the name must end in .png"):
+        save_picture(drawn(), tmp_path / "picture.jpg")
+    require_picture_suffix("PICTURE.PNG")
+    (tmp_path / "file").touch()
+    with pytest.raises(FileError, match="cannot write"):
+        save_picture(drawn(), tmp_path / "file" / "picture.png")
