@@ -11,8 +11,9 @@ voxel in layer r
 
 Dirichlet voxels have identity rows: +p_in on the inner layer, -p_out on the outer
 layer, 0 on the surface layer, and at both ends the solution of the same problem in
-polar coordinates. With the free rows scaled by -r, their square block A is symmetric
-positive definite.
+polar coordinates. Links to the surface layer have the conductance of their part up to
+the surface (`ttus_opt.voxmap.cut_links`), unless the voxmap is a staircase. With the
+free rows scaled by -r, their square block A is symmetric positive definite.
 
 Variants: conductivities k_r, k_θ, k_z in front of the three parts, and screening,
 ∇²p - κ²p.
@@ -35,8 +36,9 @@ from ttus_opt.errors import InputError
 from ttus_opt.laplace.square_system import RTOL as RTOL
 from ttus_opt.laplace.square_system import BlockSolves
 from ttus_opt.laplace.variant_grid import VariantGrid
-from ttus_opt.multigrid import Multigrid
-from ttus_opt.voxmap.grid import CylindricalGrid, flat_index
+from ttus_opt.multigrid import Grounds, Multigrid
+from ttus_opt.voxmap.cut_links import CutLinks
+from ttus_opt.voxmap.grid import CylindricalGrid, flat_index, nodes_of
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
@@ -56,6 +58,14 @@ class _Stencil(NamedTuple):
     theta: Array
     z: float
     own: float
+
+    def of_links(self, links: CutLinks, shape: tuple[int, int, int]) -> Array:
+        """The weight of each link without a cut, shape (k,) [–]."""
+        i = nodes_of(links.voxels, shape)[0]
+        along = np.where(
+            links.neighbours > links.voxels, self.outer[i], self.inner[i]
+        )
+        return np.choose(links.axes, [along, self.theta[i], self.z])
 
     @classmethod
     def of(
@@ -124,13 +134,18 @@ class LaplaceSystem(BlockSolves):
         fixed = voxmap.dirichlet
         stencil = _Stencil.of(grid, conductivities, screening)
         L = _matrix(grid, fixed, stencil)
+        links = voxmap.cut_links
+        change = (links.factors - 1.0) * stencil.of_links(links, grid.shape)
+        _cut(links.voxels, links.neighbours, change, L.indptr, L.indices, L.data)
         inner = np.zeros(grid.shape)
         outer = np.zeros(grid.shape)
         inner[0] = 1.0
         outer[-1] = -1.0
+        own = np.where(links.axes == 2, 0.0, change)
+        own = grid.unflatten(np.bincount(links.voxels, own, grid.n_voxels).astype(float))
         for k in (0, -1):
             inner[:, :, k], outer[:, :, k] = _polar_ends(
-                grid, voxmap.region[:, :, k], stencil
+                grid, voxmap.region[:, :, k], stencil, own[:, :, k]
             )
         for part in (inner, outer):
             part[voxmap.on_surface] = 0.0
@@ -197,7 +212,24 @@ class LaplaceSystem(BlockSolves):
         """Solver of the symmetric block A on the free voxels."""
         grid = self.operator_grid
         free = grid.unflatten(self.free)
-        return Multigrid(grid, free, screening=self.screening_of_layers)
+        return Multigrid(
+            grid, free, screening=self.screening_of_layers, grounds=self.grounds
+        )
+
+    @cached_property
+    def grounds(self) -> Grounds | None:
+        """What cut links change in A; None where none is cut."""
+        grid, links = self.grid, self.voxmap.cut_links
+        if not len(links.voxels):
+            return None
+        stencil = _Stencil.of(grid, self.conductivities, self.screening)
+        change = (links.factors - 1.0) * stencil.of_links(links, grid.shape)
+        change *= self.radii[links.voxels]
+        voxels, which = np.unique(links.voxels, return_inverse=True)
+        changes = np.zeros((len(voxels), 3))
+        np.add.at(changes, (which, links.axes), change)
+        free = self.free[voxels]
+        return Grounds(voxels[free], changes[free])
 
     def variant(
         self,
@@ -291,6 +323,36 @@ def _matrix(
 
 
 @compiled()
+def _cut(
+    voxels: IntArray,
+    neighbours: IntArray,
+    change: Array,
+    indptr: NDArray[np.int32] | NDArray[np.int64],
+    indices: NDArray[np.int32] | NDArray[np.int64],
+    data: Array,
+) -> None:
+    """Change the weights of links in the rows of L (compiled).
+
+    Args:
+        voxels: Whose rows, shape (k,); identity rows stay as they are.
+        neighbours: The columns, shape (k,).
+        change: What is added to a link's weight and taken off the diagonal, shape (k,).
+        indptr: Of L in CSR, shape (V + 1,).
+        indices: Shape (nnz,).
+        data: Changed, shape (nnz,).
+    """
+    for n in range(voxels.size):
+        start, end = indptr[voxels[n]], indptr[voxels[n] + 1]
+        if end - start == 1:
+            continue
+        for at in range(start, end):
+            if indices[at] == neighbours[n]:
+                data[at] += change[n]
+            elif indices[at] == voxels[n]:
+                data[at] -= change[n]
+
+
+@compiled()
 def _fill_rows(
     fixed: NDArray[np.bool_],
     offsets: IntArray,
@@ -330,7 +392,7 @@ def _fill_rows(
 
 
 def _polar_ends(
-    grid: CylindricalGrid, region: NDArray[np.int8], stencil: _Stencil
+    grid: CylindricalGrid, region: NDArray[np.int8], stencil: _Stencil, change: Array
 ) -> tuple[Array, Array]:
     """Polar solutions on one end slice for p_in = 1 and for p_out = 1.
 
@@ -338,6 +400,7 @@ def _polar_ends(
         grid: The grid.
         region: Regions of the slice, shape (n_r, n_theta).
         stencil: Weights; the one of z has no part in it.
+        change: What cut links take off the diagonal, shape (n_r, n_theta) [–].
 
     Returns:
         Both solutions, shape (n_r, n_theta) each [–].
@@ -357,6 +420,8 @@ def _polar_ends(
         shape=(n_theta, n_theta),
     )
     full = sp.kron(radial, sp.eye_array(n_theta)) + sp.kron(sp.diags_array(theta), ring)
+    # what is linked is 0: only the diagonal counts
+    full = full - sp.diags_array(change.reshape(-1))
     at = fixed.reshape(-1)
     M = sp.diags_array((~at).astype(float)) @ full + sp.diags_array(at.astype(float))
     sides = np.zeros((n_r, n_theta, 2))

@@ -7,7 +7,8 @@ compiled `line_smoother`, `transfer` and `kernels` on vectors in `red_black` ord
 """
 
 from ttus_opt.multigrid.aggregated import AggregatedMultigrid
+from ttus_opt.multigrid.coarsening import Grounds
 from ttus_opt.multigrid.solver import Multigrid, MultigridResult
 from ttus_opt.multigrid.v_cycle import VCycle
 
-__all__ = ["AggregatedMultigrid", "Multigrid", "MultigridResult", "VCycle"]
+__all__ = ["AggregatedMultigrid", "Grounds", "Multigrid", "MultigridResult", "VCycle"]

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, Mask
+from ttus_opt.multigrid.coarsening import Grounds
 from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.multigrid.pooled_blocks import PooledBlocks
 from ttus_opt.multigrid.solver import Multigrid, MultigridResult
@@ -38,6 +39,7 @@ class AggregatedMultigrid(Multigrid):
         leads: Mask,
         *,
         screening: Array | None = None,
+        grounds: Grounds | None = None,
     ) -> None:
         """Build the levels.
 
@@ -47,6 +49,7 @@ class AggregatedMultigrid(Multigrid):
             pooled: Voxels pooled with the next one outwards, shape (V,).
             leads: Free voxels outside blocks, and one of each, shape (V,).
             screening: As of `Multigrid`.
+            grounds: Likewise.
         """
         self._leads = leads
         self._blocks = PooledBlocks.of(free, pooled, leads, grid.strides[0])
@@ -55,6 +58,7 @@ class AggregatedMultigrid(Multigrid):
             grid.unflatten(free),
             pooled=grid.unflatten(pooled),
             screening=screening,
+            grounds=grounds,
         )
         self.norm_bound *= math.sqrt(self._blocks.longest)
 
@@ -63,7 +67,8 @@ class AggregatedMultigrid(Multigrid):
         assert self._pooled is not None
         pooled = self.grid.flatten(self._pooled)
         built = (self.grid, self.free, pooled, self._leads)
-        return partial(AggregatedMultigrid, screening=self.screening), built
+        options = {"screening": self.screening, "grounds": self.grounds}
+        return partial(AggregatedMultigrid, **options), built
 
     def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
         """One V-cycle at a time, as `Multigrid.preconditioner`; it knows all blocks."""

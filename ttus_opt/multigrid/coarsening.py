@@ -27,7 +27,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.multigrid.red_black import Single
 from ttus_opt.multigrid.subdomain import Box, Subdomain
 
@@ -43,27 +43,81 @@ R, THETA, Z = 0, 1, 2
 
 
 @dataclass(frozen=True)
+class Grounds:
+    """What links to fixed neighbours conduct more or less than on an even grid.
+
+    A boundary that lies between two nodes cuts their link: see
+    `ttus_opt.voxmap.cut_links`. Who is fixed on its own keeps the plain conductance.
+
+    Attributes:
+        voxels: Flat indices, ascending, each once, shape (k,).
+        changes: Along r, θ and z, shape (k, 3) [m].
+    """
+
+    voxels: IntArray = field(repr=False)
+    changes: Array = field(repr=False)
+
+    def within(self, part: Subdomain) -> Grounds:
+        """The same on a part of the grid."""
+        nodes = np.stack(part.nodes(self.voxels))
+        there = ((nodes >= 0) & (nodes < np.array(part.shape)[:, None])).all(axis=0)
+        voxels = np.ravel_multi_index(tuple(nodes[:, there]), part.shape)
+        order = np.argsort(voxels)
+        return Grounds(voxels[order], self.changes[there][order])
+
+    def where(self, free: NDArray[np.bool_]) -> Grounds:
+        """Those of free voxels, shape (V,)."""
+        kept = free[self.voxels]
+        return Grounds(self.voxels[kept], self.changes[kept])
+
+
+@dataclass(frozen=True)
 class Added:
     """What is added to the operator of a grid, on arrays of its shape.
 
     Attributes:
-        screening: Added to the diagonal of free nodes, not negative [m].
+        screening: Added to the diagonal of free nodes, not negative [m]; None for
+            nothing.
         links: Per direction what is added to the conductance to the next node, their
             sum not negative [m]; empty for nothing.
+        grounds: What is added to the conductance to fixed nodes; None for nothing.
     """
 
-    screening: Array = field(repr=False)
+    screening: Array | None = field(default=None, repr=False)
     links: tuple[Array, ...] = field(default=(), repr=False)
+    grounds: Grounds | None = field(default=None, repr=False)
 
     @classmethod
-    def in_layers(cls, screening: Array, shape: tuple[int, int, int]) -> Added:
-        """Screening that is the same all over a layer, shape (n_r,)."""
-        return cls(np.broadcast_to(screening[:, None, None], shape))
+    def in_layers(
+        cls,
+        screening: Array | None,
+        shape: tuple[int, int, int],
+        grounds: Grounds | None = None,
+    ) -> Added | None:
+        """Screening that is the same all over a layer, shape (n_r,).
+
+        Args:
+            screening: One number per layer [m]; None for nothing.
+            shape: Of the grid.
+            grounds: See the class.
+
+        Returns:
+            None where nothing is added at all.
+        """
+        if screening is None:
+            return None if grounds is None else cls(grounds=grounds)
+        full = np.broadcast_to(screening[:, None, None], shape)
+        return cls(full, grounds=grounds)
 
     def within(self, part: Subdomain) -> Added:
         """The same on a part of the grid."""
         links: tuple[Array, ...] = tuple(part.restrict(v) for v in self.links)
-        return Added(part.restrict(self.screening), links)
+        screening, grounds = self.screening, self.grounds
+        return Added(
+            None if screening is None else part.restrict(screening),
+            links,
+            None if grounds is None else grounds.within(part),
+        )
 
 
 @dataclass(frozen=True)
@@ -120,7 +174,15 @@ class Network:
             ground = (self.free & ~joined) * after
             ground += (self.free & ~np.roll(joined, 1, axis)) * np.roll(after, 1, axis)
             grounds[axis] = grounds[axis] + ground
-        screening = np.where(self.free, added.screening, 0.0).astype(np.float32)
+        if added.grounds is not None:
+            own = added.grounds.where(self.free.reshape(-1))
+            nodes = np.unravel_index(own.voxels, self.shape)
+            for axis in (R, THETA, Z):
+                grounds[axis] = grounds[axis].copy()
+                grounds[axis][nodes] += own.changes[:, axis].astype(np.float32)
+        screening = self.screening
+        if added.screening is not None:
+            screening = np.where(self.free, added.screening, 0.0).astype(np.float32)
         return replace(
             self, links=tuple(links), grounds=tuple(grounds), screening=screening
         )

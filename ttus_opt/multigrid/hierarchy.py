@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ttus_opt.multigrid.coarsening import (
     DIRECT_NODES,
     Added,
+    Grounds,
     Network,
     coarsen,
     conductances,
@@ -112,6 +113,9 @@ class Hierarchy:
         table: A `LevelIndex` per level, for compiled code.
         fields: Coefficients of all levels.
         work_size: Numbers that the vectors of all levels take.
+        cut: Places of the finest level's nodes with other grounds than an even grid's,
+            ascending, shape (k,).
+        cut_grounds: What their diagonal has more for it, shape (k,) [m].
     """
 
     levels: tuple[Level, ...]
@@ -120,6 +124,8 @@ class Hierarchy:
     table: Table = field(repr=False)
     fields: Single = field(repr=False)
     work_size: int
+    cut: NDArray[np.int64] = field(repr=False)
+    cut_grounds: Single = field(repr=False)
 
     @classmethod
     def build(
@@ -159,10 +165,11 @@ class Hierarchy:
         places = levels[-1].layout.places(np.nonzero(network.free))
         along = conductances(grid)[0].astype(np.float32)
         own = np.zeros_like(along)
-        if added is not None:
+        if added is not None and added.screening is not None:
             own = added.screening[:, 0, 0].astype(np.float32)
         packed = _packed(levels, along, own)  # levels then refer to it
-        return cls(tuple(levels), places, inverse, *packed)
+        cuts = _cuts(levels[0].layout, free, None if added is None else added.grounds)
+        return cls(tuple(levels), places, inverse, *packed, *cuts)
 
     @property
     def memory_bytes(self) -> int:
@@ -211,6 +218,19 @@ class Workspace:
         """Set ``x`` to one V-cycle's answer for ``b``; see `cycle.v_cycle`."""
         h = self._hierarchy
         v_cycle(h.table, h.fields, self.values, h.places, h.inverse, sweeps, has_red)
+
+
+def _cuts(
+    layout: Layout, free: NDArray[np.bool_], grounds: Grounds | None
+) -> tuple[NDArray[np.int64], Single]:
+    """Places whose grounds are not those of an even grid, and what is added there."""
+    if grounds is None:
+        return np.zeros(0, np.int64), np.zeros(0, np.float32)
+    own = grounds.where(free.reshape(-1))
+    places = layout.places(np.unravel_index(own.voxels, free.shape))
+    order = np.argsort(places)
+    sums = own.changes.sum(axis=1).astype(np.float32)
+    return places[order], sums[order]
 
 
 def _packed(

@@ -9,13 +9,14 @@ the other, are then spectrally equivalent to A⁻².
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.multigrid import refinement
-from ttus_opt.multigrid.coarsening import Added, conductances
+from ttus_opt.multigrid.coarsening import Added, Grounds, conductances
 from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
 from ttus_opt.multigrid.solver import MultigridResult
 from ttus_opt.multigrid.v_cycle import VCycle
@@ -36,6 +37,7 @@ class OneCycle:
         added: Added | None = None,
         pooled: Mask | None = None,
         leads: Mask | None = None,
+        grounds: Grounds | None = None,
     ) -> None:
         """Build the levels.
 
@@ -46,7 +48,10 @@ class OneCycle:
             pooled: Voxels pooled with the next one outwards, shape (V,); None for none.
             leads: With pooled, the voxels at which values stand, as of
                 `AggregatedMultigrid`.
+            grounds: What cut links change in the operator; None for nothing.
         """
+        if grounds is not None:
+            added = replace(added or Added(), grounds=grounds)
         self._leads = leads
         self._grid, self._free, self._added, self._pooled = grid, free, added, pooled
         blocks = None if pooled is None else grid.unflatten(pooled)
@@ -56,7 +61,7 @@ class OneCycle:
         self._sizes = (*grid.shape[1:], pitch)
         # of the plain operator, of which only the way to red-black order is used
         steps = conductances(grid)
-        self._order = refinement.Operator(free, *steps, steps[0], *self._sizes)
+        self._order = refinement.Operator.of(free, steps, self._sizes)
         self._idle: deque[Workspace] = deque()
 
     def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:

@@ -60,6 +60,11 @@ class Vectors(Workspace):
         self._direction = self._vector(self._p[RED], layout.stored_shape)
         self._is_odd = hierarchy.levels[0].is_odd
         self._colours = (RED, BLACK) if self._is_odd else (BLACK,)
+        edge = np.searchsorted(hierarchy.cut, size)
+        self._cuts = tuple(
+            (hierarchy.cut[part] - c * size, hierarchy.cut_grounds[part])
+            for c, part in ((RED, slice(edge)), (BLACK, slice(edge, None)))
+        )
         self._blocks = None
         if blocks is not None:
             followers, leaders = blocks.places(layout, self.index.b)
@@ -113,10 +118,15 @@ class Vectors(Workspace):
         else:  # red values that follow from black ones
             others = self._x
             self._relax_red(self._x, self._p[BLACK], self.index.zeros)
-        return math.fsum(
+        total = [
             operate(*self._arrays, c, self._q[c], self._p[c], others[1 - c])
             for c in self._colours
-        )
+        ]
+        total += [
+            add_grounds(self.values, *self._cuts[c], self._q[c], self._p[c])
+            for c in self._colours
+        ]
+        return math.fsum(total)
 
     def _step(self, alpha: float) -> float:
         """Set e += α p and b -= α q; returns b · b."""
@@ -242,4 +252,25 @@ def operate(
         r = fields[at.along + i - 1], fields[at.along + i]
         z, t, screening = fields[at.Z + i], fields[at.T + i], fields[at.own + i]
         total += _row_operate(work, fields, rows, along, r, z, t, screening)
+    return total
+
+
+@compiled(nogil=True)
+def add_grounds(
+    work: Single, places: NDArray[np.int64], grounds: Single, out: int, own: int
+) -> float:
+    """Add to A p what some nodes have on their diagonal; returns its p · A p (compiled).
+
+    Args:
+        work: Vectors.
+        places: Nodes of one colour, shape (k,).
+        grounds: What is added to their diagonal, shape (k,) [m].
+        out: Where A p begins.
+        own: Where p begins.
+    """
+    total = 0.0
+    for n in range(places.size):
+        value = work[own + places[n]]
+        work[out + places[n]] += grounds[n] * value
+        total += float(grounds[n] * value * value)
     return total

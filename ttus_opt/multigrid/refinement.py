@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.compiled import compiled
+from ttus_opt.multigrid.coarsening import Grounds
 from ttus_opt.multigrid.kernels import FAST
 from ttus_opt.multigrid.red_black import Single
 from ttus_opt.voxmap.grid import flat_index
@@ -28,6 +29,9 @@ class Operator(NamedTuple):
         t: Conductances to the next spoke, shape (n_r,) [m].
         z: Conductances to the next slice, shape (n_r,) [m].
         own: What else the diagonal has, shape (n_r,) [m].
+        cut: Voxels with other grounds than an even grid's, ascending, shape (k,).
+        cut_grounds: What their diagonal has more for it, shape (k,) [m].
+        cut_layers: Where each layer's begin among them, shape (n_r + 1,).
         n_theta: Spokes [–].
         n_z: Slices [–].
         pitch: Of the red-black order [–].
@@ -38,9 +42,46 @@ class Operator(NamedTuple):
     t: Array
     z: Array
     own: Array
+    cut: IntArray
+    cut_grounds: Array
+    cut_layers: IntArray
     n_theta: int
     n_z: int
     pitch: int
+
+    @classmethod
+    def of(
+        cls,
+        free: NDArray[np.bool_],
+        conductances: tuple[Array, Array, Array],
+        sizes: tuple[int, int, int],
+        own: Array | None = None,
+        grounds: Grounds | None = None,
+    ) -> Operator:
+        """A on a grid.
+
+        Args:
+            free: Unknown voxels, shape (V,).
+            conductances: Along r, θ and z, shape (n_r,) each [m].
+            sizes: Spokes, slices and pitch [–].
+            own: What else the diagonal has, shape (n_r,) [m]; None for nothing.
+            grounds: What cut links change; None for nothing.
+        """
+        n_r = len(conductances[0])
+        own = np.zeros(n_r) if own is None else own
+        if grounds is None:
+            grounds = Grounds(np.zeros(0, np.int64), np.zeros((0, 3)))
+        cut = grounds.where(free)
+        starts = np.arange(n_r + 1) * (sizes[0] * sizes[1])
+        return cls(
+            free,
+            *conductances,
+            own,
+            cut.voxels,
+            cut.changes.sum(axis=1),
+            np.searchsorted(cut.voxels, starts),
+            *sizes,
+        )
 
 
 class _Starts(NamedTuple):
@@ -92,6 +133,8 @@ def _layer(out: Array, start: int, x: Array, i: int, a: Operator) -> None:
             np.uint64(own + n_z if high < ring else layer),
         )
         _row_operate(out, x, at, i, a, np.uint64(high - low))
+    for n in range(a.cut_layers[i], a.cut_layers[i + 1]):
+        out[start + a.cut[n] - layer] += a.cut_grounds[n] * x[a.cut[n]]
 
 
 @compiled(nogil=True)

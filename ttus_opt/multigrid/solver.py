@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, NumericalError
 from ttus_opt.multigrid import refinement
-from ttus_opt.multigrid.coarsening import Added, conductances
+from ttus_opt.multigrid.coarsening import Added, Grounds, conductances
 from ttus_opt.multigrid.hierarchy import Hierarchy
 from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.multigrid.v_cycle import VCycle
@@ -73,6 +73,7 @@ class Multigrid:
         *,
         pooled: NDArray[np.bool_] | None = None,
         screening: Array | None = None,
+        grounds: Grounds | None = None,
     ) -> None:
         """Build the levels.
 
@@ -85,6 +86,8 @@ class Multigrid:
                 residual.
             screening: What is added to the diagonal in every layer, not negative,
                 shape (n_r,) [m]; None for nothing.
+            grounds: What links to fixed voxels conduct more or less than on an even
+                grid; None for nothing.
 
         Raises:
             InputError: The mask has another shape, or frees a voxel on the rim.
@@ -103,23 +106,28 @@ class Multigrid:
         self.grid = grid
         self.free = grid.flatten(free)
         r, t, z = conductances(grid)
-        self.screening = screening
+        self.screening, self.grounds = screening, grounds
         own = np.zeros_like(r) if screening is None else screening
         self.norm_bound = float(
             np.max(2.0 * (r + np.roll(r, 1) + 2.0 * t + 2.0 * z) + own)
         )
+        if grounds is not None:
+            self.norm_bound += float(grounds.changes.sum(axis=1).max(initial=0.0))
         self._pooled = pooled
-        self._added = None if screening is None else Added.in_layers(own, grid.shape)
+        self._added = Added.in_layers(screening, grid.shape, grounds)
         self.hierarchy = Hierarchy.build(grid, free, pooled, self._added)
         #: Spokes, slices and pitch
         self._sizes = (*grid.shape[1:], self.hierarchy.levels[0].layout.pitch)
-        self._operator = refinement.Operator(self.free, r, t, z, own, *self._sizes)
+        self._operator = refinement.Operator.of(
+            self.free, (r, t, z), self._sizes, own, grounds
+        )
         self._idle: deque[Vectors] = deque()
 
     def __reduce__(self) -> tuple[Callable[..., Multigrid], tuple[object, ...]]:
         """Pickle as what it was built from."""
         built = (self.grid, self.grid.unflatten(self.free))
-        return partial(Multigrid, screening=self.screening), built
+        options = {"screening": self.screening, "grounds": self.grounds}
+        return partial(Multigrid, **options), built
 
     @property
     def memory_bytes(self) -> int:

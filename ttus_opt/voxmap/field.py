@@ -157,6 +157,7 @@ class PotentialField:
             },
             attrs={
                 "sampling": self.sampling,
+                "boundary": self.voxmap.boundary,
                 "grid_limits": json.dumps(
                     [grid.r_inner, grid.r_outer, grid.z_min, grid.z_max]
                 ),
@@ -208,8 +209,11 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         io.array_of(data, "observed", ON_SURFACE, "1").astype(bool),
         Axis.from_attributes(data.attrs),
     )
+    region = io.array_of(data, "region", DIMS, "1")
+    # files from before there was a choice
+    boundary = data.attrs.get("boundary", "staircase")
     return PotentialField(
-        Voxmap(grid, surface, io.array_of(data, "region", DIMS, "1")),
+        Voxmap(grid, surface, region, boundary),
         values,
         sampling,
         *(

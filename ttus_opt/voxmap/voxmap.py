@@ -1,10 +1,15 @@
 """The voxmap: which voxels lie inside the patient, on its surface, and outside.
 
-The voxels nearest to the surface R(θ, z) along their spoke form the surface layer.
-Where the layer steps between neighbouring spokes, inside and outside would touch: of
-each such pair the voxel nearer to the surface joins the layer. So the layer is closed
-and inside and outside never couple (docs/method.md, Voxmap). Where the surface is a
-grid layer, the surface layer is exactly that layer.
+The voxels nearest to the surface R(θ, z) along their spoke form the surface layer,
+which is closed where it steps between neighbouring spokes: inside and outside never
+couple (docs/method.md, Voxmap). Where the surface is a grid layer, the surface layer is
+exactly that layer. There are two ways to close it, and two meanings of its value:
+
+- ``subvoxel``: every voxel below the layer stays inside; those outside that would touch
+  one join the layer. Its value is that of the field at the true radius, where the
+  surface cuts the links to it (`ttus_opt.voxmap.cut_links`).
+- ``staircase`` (the paper): of each pair that would touch, the voxel nearer to the
+  surface joins the layer. Its value is that of the field at the voxels' centres.
 """
 
 from __future__ import annotations
@@ -12,6 +17,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,12 +26,16 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
 from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.cut_links import CutLinks
 from ttus_opt.voxmap.grid import BYTES_PER_VOXEL, CylindricalGrid
 
 #: How far the grid reaches beyond the largest surface radius by default [m]
 OUTER_MARGIN = 0.02
 
 INSIDE, SURFACE, OUTSIDE = 1, 0, -1
+
+#: Where the surface layer's value stands: at the true radius, or at the voxels' centres
+Boundary = Literal["subvoxel", "staircase"]
 
 
 @dataclass(frozen=True)
@@ -35,18 +46,21 @@ class Voxmap:
         grid: Voxel centres.
         surface: The patient's surface; a point is inside when r < R(θ, z).
         region: `INSIDE`, `SURFACE` or `OUTSIDE` per voxel, shape ``grid.shape``.
+        boundary: ``subvoxel`` or ``staircase``.
     """
 
     grid: CylindricalGrid
     surface: Surface = field(repr=False)
     region: NDArray[np.int8] = field(repr=False)
+    boundary: str = "staircase"
 
     def __post_init__(self) -> None:
-        """Validate the regions.
+        """Validate boundary and regions.
 
         Raises:
-            InputError: Another shape, or a value that names no region.
+            InputError: Another shape, a value that names no region, or no boundary.
         """
+        checked_boundary(self.boundary)
         if self.region.shape != self.grid.shape:
             raise InputError(
                 f"region must have the grid's shape {self.grid.shape}, got "
@@ -70,6 +84,7 @@ class Voxmap:
         r_inner: float = 0.03,
         r_outer: float | None = None,
         memory_limit: float | None = None,
+        boundary: str = "subvoxel",
     ) -> Voxmap:
         """Lay a grid over a surface and classify its voxels.
 
@@ -81,16 +96,18 @@ class Voxmap:
                 radius and 20 mm more [m].
             memory_limit: Most memory a fit on this grid may take; by default what
                 the machine has free [bytes].
+            boundary: ``subvoxel``, or ``staircase`` as in the paper.
 
         Returns:
             The voxmap.
 
         Raises:
-            InputError: A count is too small or no whole number, or the grid would
-                not fit in memory (the estimate is told before anything is
-                allocated).
+            InputError: A count is too small or no whole number, an unknown boundary,
+                or the grid would not fit in memory (the estimate is told before
+                anything is allocated).
             GeometryError: The surface does not lie between the two layers.
         """
+        checked_boundary(boundary)
         counts = tuple(shape)
         if len(counts) != 3 or any(int(n) != n for n in counts):
             raise InputError(f"shape must be three whole numbers, got {tuple(shape)}")
@@ -106,7 +123,8 @@ class Voxmap:
         theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
         radius = surface.radius_at(theta, z)
         _check_radius(radius, grid)
-        return cls(grid, surface, _classify(grid, radius))
+        classify = _thickened if boundary == "staircase" else _enclosed
+        return cls(grid, surface, classify(grid, radius), boundary)
 
     @property
     def inside(self) -> NDArray[np.bool_]:
@@ -125,6 +143,33 @@ class Voxmap:
         fixed[[0, -1]] = True
         fixed[:, :, [0, -1]] = True
         return fixed
+
+    @cached_property
+    def surface_place(self) -> Array:
+        """(R − r_inner)/Δr on every spoke of the grid, shape (n_theta, n_z) [layers]."""
+        grid = self.grid
+        radius = self.surface.radius_at(grid.theta[:, None], grid.z)
+        return np.asarray((radius - grid.r_inner) / grid.r_step)
+
+    @cached_property
+    def cut_links(self) -> CutLinks:
+        """Links to the surface layer that the surface cuts; none in a staircase."""
+        if self.boundary == "staircase":
+            return CutLinks.none()
+        return CutLinks.of(self.region, self.surface_place)
+
+
+def checked_boundary(boundary: str) -> str:
+    """The boundary's name, or a sentence.
+
+    Raises:
+        InputError: There is no such boundary.
+    """
+    if boundary not in get_args(Boundary):
+        raise InputError(
+            f"boundary must be one of {', '.join(get_args(Boundary))}, got {boundary!r}"
+        )
+    return boundary
 
 
 def _check_memory(grid: CylindricalGrid, limit: float | None) -> None:
@@ -169,12 +214,29 @@ def surface_layer(grid: CylindricalGrid, radius: Array) -> NDArray[np.int64]:
     return np.asarray(layer.astype(np.int64))
 
 
-def _classify(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:
-    """Region of every voxel from the surface radius at (θ_j, z_k) [m]."""
-    depth = (radius[None] - grid.r[:, None, None]) / grid.r_step  # [voxels]
-    layer = surface_layer(grid, radius)
+def _layers(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:
+    """Region of every voxel by its own spoke alone; radii at (θ_j, z_k) [m]."""
     index = np.arange(grid.shape[0])[:, None, None]
-    region = np.sign(layer[None] - index).astype(np.int8)
+    return np.asarray(np.sign(surface_layer(grid, radius)[None] - index).astype(np.int8))
+
+
+def _enclosed(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:
+    """Regions with a layer closed by voxels from outside."""
+    region = _layers(grid, radius)
+    inside = region == INSIDE
+    touches = np.zeros_like(inside)
+    touches[1:] |= inside[:-1]
+    touches |= np.roll(inside, 1, 1) | np.roll(inside, -1, 1)
+    touches[:, :, 1:] |= inside[:, :, :-1]
+    touches[:, :, :-1] |= inside[:, :, 1:]
+    region[touches & ~inside] = SURFACE
+    return region
+
+
+def _thickened(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:
+    """Regions with a layer closed by the nearer voxel of every pair."""
+    depth = (radius[None] - grid.r[:, None, None]) / grid.r_step  # [voxels]
+    region = _layers(grid, radius)
     closed = region.copy()
     for axis, wraps in ((1, True), (2, False)):
         here = np.arange(grid.shape[axis])

@@ -260,4 +260,5 @@ def _multigrid(laplace: LaplaceSystem, free: Mask) -> Multigrid:
     """Solver of one field's block, the whole problem's where nothing is held."""
     if np.array_equal(free, laplace.free):
         return laplace.multigrid
-    return Multigrid(laplace.grid, laplace.grid.unflatten(free))
+    grid = laplace.grid
+    return Multigrid(grid, grid.unflatten(free), grounds=laplace.grounds)

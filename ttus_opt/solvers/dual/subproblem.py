@@ -26,7 +26,7 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.square_system import BlockSolves
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.multigrid import AggregatedMultigrid, Multigrid
+from ttus_opt.multigrid import AggregatedMultigrid, Grounds, Multigrid
 from ttus_opt.multigrid.pooled_blocks import block_heads
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData
@@ -45,6 +45,7 @@ class ReducedLaplace(BlockSolves):
     Attributes:
         grid: The grid of the operator.
         screening: Added to the diagonal of A, shape (n_r,) [m]; None for nothing.
+        grounds: What cut links change in A; None for nothing.
         free: Voxels at which unknowns stand, shape (V,).
         radii: What turns a row of A into one of L: the root of the sum of r² over a
             block, shape (V,) [m].
@@ -55,6 +56,7 @@ class ReducedLaplace(BlockSolves):
 
     grid: CylindricalGrid
     screening: Array | None = field(repr=False)
+    grounds: Grounds | None = field(repr=False)
     free: Mask = field(repr=False)
     radii: Array = field(repr=False)
     coupling: tuple[sp.csr_array, sp.csr_array] = field(repr=False)
@@ -64,12 +66,14 @@ class ReducedLaplace(BlockSolves):
     @cached_property
     def multigrid(self) -> Multigrid | AggregatedMultigrid:
         """Solver of the symmetric block."""
-        grid, screening = self.grid, self.screening
+        grid, screening, grounds = self.grid, self.screening, self.grounds
         if not self.links.any():
             members = grid.unflatten(self.members)
-            return Multigrid(grid, members, screening=screening)
+            return Multigrid(grid, members, screening=screening, grounds=grounds)
         blocks = (self.members, self.links, self.free)
-        return AggregatedMultigrid(grid, *blocks, screening=screening)
+        return AggregatedMultigrid(
+            grid, *blocks, screening=screening, grounds=grounds
+        )
 
 
 @dataclass(frozen=True)
@@ -258,6 +262,7 @@ def reduced(
         ReducedLaplace(
             laplace.operator_grid,
             laplace.screening_of_layers,
+            laplace.grounds,
             own,
             radii,
             coupling,

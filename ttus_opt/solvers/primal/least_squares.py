@@ -109,7 +109,8 @@ def preconditioner(
         dual: Of the dual.
     """
     laplace, root = split.operator, split.root()
-    cycle = OneCycle(laplace.operator_grid, laplace.free, root.added)
+    grid, grounds = laplace.operator_grid, laplace.grounds
+    cycle = OneCycle(grid, laplace.free, root.added, grounds=grounds)
     rough = ApproximateLaplace.of(laplace, cycle, root.coupling)
     system = RoughSystem.of(split.few.system, rough, split.wide)
     return ConstraintPreconditioner(

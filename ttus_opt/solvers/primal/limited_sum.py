@@ -97,6 +97,7 @@ class LimitedSum:
             self.root.added,
             laplace.links if tied else None,
             laplace.free,
+            laplace.grounds,
         )
         assert left.sums is not None
         more = sp.csr_array(left.sums @ self.root.coupling @ left.expansion)

@@ -57,7 +57,8 @@ def by_differences(
     strength = float(np.median(ratio[ratio > 0.0])) if (ratio > 0.0).any() else 1.0
     grid = laplace.operator_grid
     layers = laplace.radii.reshape(grid.shape)[:, 0, 0] * (anchor / strength)
-    cycle = OneCycle(grid, laplace.free, Added.in_layers(layers, grid.shape))
+    added = Added.in_layers(layers, grid.shape, laplace.grounds)
+    cycle = OneCycle(grid, laplace.free, added)
     root = np.where(free, np.sqrt(laplace.radii), 0.0)
     alone = np.where(diagonal + anchor > 0.0, diagonal + anchor, 1.0)
 
@@ -162,7 +163,7 @@ def by_laplace(
     """
     grid, free = laplace.operator_grid, laplace.free
     root = matched_root(wide, grid, free, laplace.radii, compliance)
-    cycle = OneCycle(grid, free, root.added)
+    cycle = OneCycle(grid, free, root.added, grounds=laplace.grounds)
     rough = ApproximateLaplace.of(laplace, cycle, root.coupling)
 
     def apply(v: Array) -> Array:
