@@ -1,7 +1,8 @@
 """The paper's own choices, for the comparison; the defaults fit unseen presses better.
 
-They are handed on as they are: ``Scene.assemble(voxmap, shell, presses, **SCENE)`` and
-``fit(scene, "eq10", **WEIGHTS)``; ``ttus-opt fit --paper`` takes both.
+They are handed on as they are: ``Voxmap.from_surface(surface, **VOXMAP)``,
+``Scene.assemble(voxmap, shell, presses, **SCENE)`` and ``fit(scene, "eq10",
+**WEIGHTS)``; ``ttus-opt fit --paper`` takes all three.
 
 Source: Yeung, Black, Salcudean, Measurement and Potential Field-Based Patient Modeling
 for Model-Mediated Tele-ultrasound (2025), eqs. 6, 7 and 10.
@@ -12,6 +13,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
+
+#: Where p = 0 stands, for `ttus_opt.voxmap.voxmap.Voxmap.from_surface` and `ScenePlan`
+VOXMAP: Mapping[str, Any] = MappingProxyType({"boundary": "staircase"})
 
 #: Boundary values and sampling, for `ttus_opt.scene.Scene.assemble` and `ScenePlan`
 SCENE: Mapping[str, Any] = MappingProxyType(

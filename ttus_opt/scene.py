@@ -175,7 +175,8 @@ class Scene:
             "wrenches": f"{measured} {kind}",
             "probe": f"{len(self.shell)} shell points",
             "sampling": self.sampling,
-            "boundary": f"p_in {self.inner:.4g}, p_out {self.outer:.4g}",
+            "boundary": f"p_in {self.inner:.4g}, p_out {self.outer:.4g}, "
+            f"{self.voxmap.boundary}",
         }
 
     def with_boundary(self, inner: float, outer: float) -> Scene:
@@ -250,6 +251,7 @@ class ScenePlan:
         inner: p_in, "fit" or None, as for `Scene.assemble`.
         outer: p_out; where p_in is fitted the ratio p_out / p_in.
         sampling: ``trilinear`` or ``voxel-mean``.
+        boundary: ``subvoxel`` or ``staircase``, as for `Voxmap.from_surface`.
     """
 
     shape: Sequence[int] = (48, 120, 60)
@@ -258,6 +260,7 @@ class ScenePlan:
     inner: float | Literal["fit"] | None = None
     outer: float = 1.0
     sampling: str = "trilinear"
+    boundary: str = "subvoxel"
 
     def build(
         self,
@@ -285,7 +288,11 @@ class ScenePlan:
         if not isinstance(recordings, Trajectory):
             recordings = Trajectory.concatenate(recordings)
         voxmap = Voxmap.from_surface(
-            patient, shape=self.shape, r_inner=self.r_inner, r_outer=self.r_outer
+            patient,
+            shape=self.shape,
+            r_inner=self.r_inner,
+            r_outer=self.r_outer,
+            boundary=self.boundary,
         )
         return Scene.assemble(
             voxmap,

@@ -53,7 +53,12 @@ def test_monotone_rows_are_the_pairs_of_each_spoke() -> None:
         assert matrix.data[part].tolist() == [1.0, -1.0]
         found.add(tuple(matrix.indices[part].tolist()))
     assert found == expected
-    np.testing.assert_allclose(rows.lower, 2.0 * grid.r_step)
+    deep = matrix.indices[::2]
+    i, j, k = np.unravel_index(deep, grid.shape)
+    radius = SCENE.voxmap.surface.radius_at(grid.theta[j], grid.z[k])
+    last = REGION[i + 1, j, k] == SURFACE
+    distance = np.where(last, radius - grid.r[i], grid.r_step)
+    np.testing.assert_allclose(rows.lower, 2.0 * distance)
 
 
 def test_monotone_fit_grows_with_depth() -> None:
@@ -67,9 +72,9 @@ def test_monotone_fit_grows_with_depth() -> None:
     assert (grown.duals_by_name["monotone"] <= 1e-9).all()
     assert grown.duals_by_name["monotone"].min() < -1e-6
     steep = fit(SCENE, "eq10_monotone", least_slope=15.0, **options)
-    assert (rows.blocks["p"] @ steep.field.values.reshape(-1)).min() > (
-        14.99 * SCENE.voxmap.grid.r_step
-    )
+    growth = rows.blocks["p"] @ steep.field.values.reshape(-1)
+    least = linear(Monotone(SCENE, 15.0).rows()).lower
+    assert (growth / least).min() > 0.999
 
 
 def test_sign_fit_has_the_sign() -> None:

@@ -27,6 +27,22 @@ def tube(
     return LaplaceSystem.assemble(voxmap)
 
 
+def ghost(voxmap: Voxmap, a: tuple[int, ...], b: tuple[int, ...]) -> float:
+    """What voxel b of the surface layer has of the value of its neighbour a.
+
+    Linear between a and the surface, and beyond (docs/method.md, eq. 4.10); a value s
+    on the surface has the rest.
+    """
+    if voxmap.boundary == "staircase" or voxmap.region[b] != SURFACE:
+        return 0.0
+    grid = voxmap.grid
+    depths = [
+        float(voxmap.surface.radius_at(grid.theta[j], grid.z[k])) - grid.r[i]
+        for i, j, k in (a, b)
+    ]
+    return min(depths[1] / depths[0], 1.0)
+
+
 def reference_rows(voxmap: Voxmap) -> sp.csr_array:
     """The stencil (docs/method.md, eq. 4.2) written down voxel by voxel."""
     grid = voxmap.grid
@@ -40,22 +56,28 @@ def reference_rows(voxmap: Voxmap) -> sp.csr_array:
             L[row, row] = 1.0
             continue
         r = grid.r[i]
-        for di, sign in ((1, 1.0), (-1, -1.0)):
-            L[row, at[i + di, j, k]] += 1.0 + sign * step / (2 * r)
-        for dj in (1, -1):
-            weight = (step / (r * grid.theta_step)) ** 2
-            L[row, at[i, (j + dj) % n_theta, k]] += weight
-            L[row, row] -= weight
-        for dk in (1, -1):
-            L[row, at[i, j, k + dk]] += (step / grid.z_step) ** 2
-            L[row, row] -= (step / grid.z_step) ** 2
-        L[row, row] -= 2.0
+        neighbours = (
+            [((i + d, j, k), 1.0 + d * step / (2 * r)) for d in (1, -1)]
+            + [
+                ((i, (j + d) % n_theta, k), (step / (r * grid.theta_step)) ** 2)
+                for d in (1, -1)
+            ]
+            + [((i, j, k + d), (step / grid.z_step) ** 2) for d in (1, -1)]
+        )
+        for there, weight in neighbours:
+            own = ghost(voxmap, (i, j, k), there)
+            L[row, at[there]] += weight * (1.0 - own)
+            L[row, row] += weight * (own - 1.0)
     return sp.csr_array(L)
 
 
+@pytest.mark.parametrize("boundary", ["subvoxel", "staircase"])
 @pytest.mark.parametrize("shape", [(9, 12, 7), (8, 5, 4), (12, 4, 3)])
-def test_rows_equal_the_plain_reference(shape: tuple[int, int, int]) -> None:
-    system = LaplaceSystem.assemble(Voxmap.from_surface(torso(), shape=shape))
+def test_rows_equal_the_plain_reference(
+    shape: tuple[int, int, int], boundary: str
+) -> None:
+    voxmap = Voxmap.from_surface(torso(), shape=shape, boundary=boundary)
+    system = LaplaceSystem.assemble(voxmap)
     difference = system.L - reference_rows(system.voxmap)
     assert abs(difference).max() < 1e-12
     for row in range(system.L.shape[0]):  # columns ascend within each row
@@ -221,12 +243,21 @@ def test_ends_satisfy_the_polar_stencil_of_a_torso(
         if fixed[i, j]:
             continue
         r, turn = grid.r[i], grid.shape[1]
+
+        def seen(
+            i2: int, j2: int, a: tuple[int, ...] = (i, j), turn: int = turn
+        ) -> float:
+            """The neighbour's value, a ghost of one's own beyond the surface."""
+            k = end % grid.shape[2]
+            own = ghost(system.voxmap, (*a, k), (i2, j2 % turn, k))
+            return float(b[i2, j2 % turn] + own * b[a])
+
         rest = (
-            (1 + step / (2 * r)) * b[i + 1, j]
-            + (1 - step / (2 * r)) * b[i - 1, j]
+            (1 + step / (2 * r)) * seen(i + 1, j)
+            + (1 - step / (2 * r)) * seen(i - 1, j)
             - 2 * b[i, j]
             + (step / (r * grid.theta_step)) ** 2
-            * (b[i, (j + 1) % turn] + b[i, j - 1] - 2 * b[i, j])
+            * (seen(i, j + 1) + seen(i, j - 1) - 2 * b[i, j])
         )
         worst = max(worst, abs(rest))
     assert worst < 1e-12

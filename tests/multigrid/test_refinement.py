@@ -14,8 +14,7 @@ from ttus_opt.multigrid.refinement import Operator, add, operate, residual
 
 def operator(small: Torso) -> Operator:
     sizes = *small.grid.shape[1:], small.hierarchy.levels[0].layout.pitch
-    r, t, z = conductances(small.grid)
-    return Operator(small.free.reshape(-1), r, t, z, np.zeros_like(r), *sizes)
+    return Operator.of(small.free.reshape(-1), conductances(small.grid), sizes)
 
 
 def test_operate_is_A(small: Torso) -> None:

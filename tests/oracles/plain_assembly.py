@@ -60,10 +60,37 @@ def plain_laplace(
         edge = skin.copy()
         edge[[0, -1]] = True
         side = np.where(skin, 0.0, b[:, :, k] * edge).reshape(-1)
-        polar = spsolve(sp.csc_array(_with_identity(slices, edge.reshape(-1))), side)
+        M = _with_ghosts(slices, voxmap, (slice(None), slice(None), k))
+        polar = spsolve(sp.csc_array(_with_identity(M, edge.reshape(-1))), side)
         b[:, :, k] = polar.reshape(n_r, n_theta)
     b[voxmap.on_surface] = 0.0
+    full = _with_ghosts(full, voxmap, (slice(None),) * 3)
     return _with_identity(full, voxmap.dirichlet.reshape(-1)), b.reshape(-1)
+
+
+def _with_ghosts(
+    M: sp.csr_array, voxmap: Voxmap, part: tuple[slice | int, ...]
+) -> sp.csr_array:
+    """The matrix where b of the surface layer has p_a φ_b/φ_a + s (1 − φ_b/φ_a).
+
+    φ is the depth below the surface, s what the layer holds; not in a staircase.
+    """
+    if voxmap.boundary == "staircase":
+        return M
+    grid = voxmap.grid
+    radius = voxmap.surface.radius_at(grid.theta[:, None], grid.z)
+    depth = (radius[None] - grid.r[:, None, None])[part].reshape(-1)
+    layer = voxmap.on_surface[part].reshape(-1)
+    entries = sp.coo_array(M)
+    a, b = entries.coords
+    kept = entries.data != 0.0
+    a, b, w = a[kept], b[kept], entries.data[kept]
+    to_layer = layer[b] & ~layer[a]
+    ratio = depth[b] / np.where(to_layer, depth[a], np.inf)
+    own = np.where(to_layer, np.minimum(ratio, 1.0), 0.0)
+    rows, columns = np.concatenate([a, a]), np.concatenate([b, a])
+    values = np.concatenate([w * (1.0 - own), w * own])
+    return sp.csr_array(sp.coo_array((values, (rows, columns)), shape=M.shape))
 
 
 def _with_identity(M: sp.csr_array, fixed: NDArray[np.bool_]) -> sp.csr_array:

@@ -39,6 +39,27 @@ def test_round_trip(field: PotentialField, tmp_path: Path) -> None:
     assert back.provenance == {"solver": "none"}
 
 
+def test_the_boundary_is_kept_and_old_files_are_staircases(
+    field: PotentialField, tmp_path: Path
+) -> None:
+    field.save(tmp_path / "a.nc")
+    assert PotentialField.load(tmp_path / "a.nc").voxmap.boundary == "subvoxel"
+    with xr.open_dataset(tmp_path / "a.nc") as data:
+        old = data.load()
+    for boundary, expected in ((None, "staircase"), ("staircase", "staircase")):
+        del old.attrs["boundary"]
+        if boundary is not None:
+            old.attrs["boundary"] = boundary
+        old.to_netcdf(tmp_path / "b.nc")
+        back = PotentialField.load(tmp_path / "b.nc")
+        assert back.voxmap.boundary == expected
+        old.attrs["boundary"] = "subvoxel"
+    old.attrs["boundary"] = "smooth"
+    old.to_netcdf(tmp_path / "c.nc")
+    with pytest.raises(FileError, match="boundary must be one of subvoxel, staircase"):
+        PotentialField.load(tmp_path / "c.nc")
+
+
 def test_every_variable_carries_units(field: PotentialField, tmp_path: Path) -> None:
     field.save(tmp_path / "a.nc")
     with xr.open_dataset(tmp_path / "a.nc") as data:

@@ -38,11 +38,12 @@ def rough(seed: int) -> Surface:
     return Surface.from_radius(rng.uniform(0.05, 0.12, (24, 9)), np.linspace(0, 0.2, 9))
 
 
+@pytest.mark.parametrize("boundary", ["subvoxel", "staircase"])
 @pytest.mark.parametrize(
     "surface", [torso(), rough(0), rough(1)], ids=["torso", "rough", "rough2"]
 )
-def test_inside_and_outside_never_touch(surface: Surface) -> None:
-    region = Voxmap.from_surface(surface, shape=(30, 24, 9)).region
+def test_inside_and_outside_never_touch(surface: Surface, boundary: str) -> None:
+    region = Voxmap.from_surface(surface, shape=(30, 24, 9), boundary=boundary).region
     for axis in range(3):
         product = region * np.roll(region, -1, axis)
         if axis != 1:  # only θ closes on itself
@@ -51,7 +52,7 @@ def test_inside_and_outside_never_touch(surface: Surface) -> None:
 
 
 def test_added_surface_voxels_lie_at_the_surface_no_thicker_than_needed() -> None:
-    voxmap = Voxmap.from_surface(torso(), shape=(40, 90, 31))
+    voxmap = Voxmap.from_surface(torso(), shape=(40, 90, 31), boundary="staircase")
     grid = voxmap.grid
     theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
     distance = np.abs(grid.r[:, None, None] - torso().radius_at(theta, z)[None])
@@ -60,6 +61,16 @@ def test_added_surface_voxels_lie_at_the_surface_no_thicker_than_needed() -> Non
     assert (per_spoke >= 1).all()
     assert per_spoke.mean() < 2.0
     assert distance[thick].max() < 3 * grid.r_step
+
+
+def test_below_the_nearest_layer_every_voxel_stays_inside() -> None:
+    """A staircase closed from inside would be 0 where a steep surface is pressed."""
+    voxmap = Voxmap.from_surface(rough(0), shape=(30, 24, 9))
+    depth = voxmap.surface_place[None] - np.arange(30)[:, None, None]
+    assert (voxmap.region[depth > 0.5] == INSIDE).all()
+    assert (voxmap.region[depth <= 0.5] != INSIDE).all()
+    closed = Voxmap.from_surface(rough(0), shape=(30, 24, 9), boundary="staircase")
+    assert (closed.region[depth > 0.5] == SURFACE).any()
 
 
 def test_dirichlet_voxels_are_surface_layers_and_ends() -> None:
@@ -78,6 +89,7 @@ def test_dirichlet_voxels_are_surface_layers_and_ends() -> None:
         ({"r_inner": 0.2, "r_outer": 0.4}, GeometryError, "choose r_inner below"),
         ({"r_outer": 0.08}, GeometryError, "larger r_outer"),
         ({"shape": (4000, 4000, 4000)}, InputError, "GiB"),
+        ({"boundary": "smooth"}, InputError, "subvoxel, staircase, got 'smooth'"),
     ],
 )
 def test_refusals(options: dict, error: type, word: str) -> None:

@@ -21,6 +21,7 @@ from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.field import FIELD_UNIT
+from ttus_opt.voxmap.voxmap import checked_boundary
 
 #: Voxels in r, θ, z and number of poses
 REFERENCE = {
@@ -66,6 +67,7 @@ class CaseSpec:
         probe_unit: Unit of a mesh file.
         perturbation: Of the measured wrenches, one of
             `perturbation.PERTURBATIONS`; "" for none.
+        boundary: ``subvoxel`` or ``staircase``.
     """
 
     name: str
@@ -81,6 +83,7 @@ class CaseSpec:
     n_points: int = 1500
     probe_unit: str = "mm"
     perturbation: str = ""
+    boundary: str = "subvoxel"
 
     @property
     def n_voxels(self) -> int:
@@ -108,6 +111,7 @@ class CaseSpec:
             inner=self.inner,
             outer=self.outer,
             sampling=self.sampling,
+            boundary=self.boundary,
         )
         recording = perturbed(self._thinned(), self.perturbation)
         return plan.build(Surface.load(self.surface), shell, recording)
@@ -127,6 +131,16 @@ class CaseSpec:
         if not checked_perturbation(how):
             return self
         return replace(self, name=f"{self.name}-{how}", perturbation=how)
+
+    def bounded(self, boundary: str) -> CaseSpec:
+        """The same with p = 0 standing elsewhere, and a name that says so.
+
+        Raises:
+            InputError: There is no such boundary.
+        """
+        if checked_boundary(boundary) == self.boundary:
+            return self
+        return replace(self, name=f"{self.name}-{boundary}", boundary=boundary)
 
     def sampled(self, sampling: str) -> CaseSpec:
         """The same with forces sampled otherwise, and a name that says so.

@@ -82,6 +82,9 @@ Inner = Annotated[str, typer.Option(help="Its value on the inner layer, or fit."
 Sampling = Annotated[
     str, typer.Option(help="Sampling of any scene: voxel-mean or trilinear.")
 ]
+Boundary = Annotated[
+    str, typer.Option(help="Where p = 0 stands in any scene: subvoxel or staircase.")
+]
 Perturb = Annotated[
     str,
     typer.Option(
@@ -142,6 +145,7 @@ def benchmark(
     r_inner: InnerRadius = 0.03,
     inner: Inner = "fit",
     sampling: Sampling = "trilinear",
+    boundary: Boundary = "subvoxel",
     perturb: Perturb = "",
     contest: Contest = "",
     weight: Weight = 1e-2,
@@ -173,7 +177,7 @@ def benchmark(
         memory=memory,
     )
     suite = Suite(
-        [each.perturbed(perturb or contest) for each in cases],
+        [each.bounded(boundary).perturbed(perturb or contest) for each in cases],
         output,
         settings,
         names,

@@ -73,7 +73,8 @@ def fit(
         typer.Option(
             "--paper",
             help="The paper's choices where nothing else is said: --inner 1 "
-            "--sampling voxel-mean --force-weight 1e-4 --torque-weight 1e-4.",
+            "--sampling voxel-mean --boundary staircase --force-weight 1e-4 "
+            "--torque-weight 1e-4.",
         ),
     ] = False,
     every: Annotated[

@@ -54,7 +54,7 @@ class ProblemOptions:
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """Grid, boundary values and sampling, as typed."""
+    """Grid, boundary, its values and sampling, as typed."""
 
     shape: Annotated[str, typer.Option(help="Voxels in r, θ, z: n_r,n_theta,n_z.")] = (
         "48,120,60"
@@ -83,15 +83,23 @@ class SceneOptions:
             help="How contact samples p: trilinear, the default, or voxel-mean."
         ),
     ] = None
+    boundary: Annotated[
+        str | None,
+        typer.Option(
+            help="Where p = 0 stands: subvoxel, at the true radius, the default, or "
+            "staircase, on the voxels nearest to it."
+        ),
+    ] = None
 
     def as_in_the_paper(self) -> Self:
-        """With the paper's boundary value and sampling where none are given."""
-        from ttus_opt.paper import SCENE
+        """With the paper's boundary, its value and sampling where none are given."""
+        from ttus_opt.paper import SCENE, VOXMAP
 
         return replace(
             self,
             inner=str(SCENE["inner"]) if self.inner is None else self.inner,
             sampling=self.sampling or SCENE["sampling"],
+            boundary=self.boundary or VOXMAP["boundary"],
         )
 
     @cached_property
@@ -110,6 +118,7 @@ class SceneOptions:
             boundary_value(self.inner),
             self.outer,
             self.sampling or ScenePlan.sampling,
+            self.boundary or ScenePlan.boundary,
         )
 
 

@@ -2,7 +2,8 @@
 
 The deeper voxel of two neighbours on a spoke has at least the value of the shallower
 one, and ``least_slope`` times their distance more. Pairs lie inside or between
-inside and the surface layer; pairs of two given boundary values are left out.
+inside and the surface layer, whose value stands at the true radius unless the voxmap is
+a staircase; pairs of two given boundary values are left out.
 
 See docs/method.md, The shelf.
 """
@@ -64,5 +65,9 @@ class Monotone(Constraint):
             (np.tile([1.0, -1.0], m), columns, 2 * np.arange(m + 1)),
             shape=(m, grid.n_voxels),
         )
-        lower = np.full(m, self.least_slope * grid.r_step)
+        distance = np.full(grid.n_voxels, grid.r_step)
+        links = voxmap.cut_links
+        outwards = links.neighbours == links.voxels + grid.strides[0]
+        distance[links.voxels[outwards]] /= links.factors[outwards]
+        lower = self.least_slope * distance[deeper]
         return LinearRows({"p": rows}, lower, np.full(m, np.inf))

@@ -62,9 +62,7 @@ class _Stencil(NamedTuple):
     def of_links(self, links: CutLinks, shape: tuple[int, int, int]) -> Array:
         """The weight of each link without a cut, shape (k,) [–]."""
         i = nodes_of(links.voxels, shape)[0]
-        along = np.where(
-            links.neighbours > links.voxels, self.outer[i], self.inner[i]
-        )
+        along = np.where(links.neighbours > links.voxels, self.outer[i], self.inner[i])
         return np.choose(links.axes, [along, self.theta[i], self.z])
 
     @classmethod
@@ -142,7 +140,9 @@ class LaplaceSystem(BlockSolves):
         inner[0] = 1.0
         outer[-1] = -1.0
         own = np.where(links.axes == 2, 0.0, change)
-        own = grid.unflatten(np.bincount(links.voxels, own, grid.n_voxels).astype(float))
+        own = grid.unflatten(
+            np.bincount(links.voxels, own, grid.n_voxels).astype(float)
+        )
         for k in (0, -1):
             inner[:, :, k], outer[:, :, k] = _polar_ends(
                 grid, voxmap.region[:, :, k], stencil, own[:, :, k]

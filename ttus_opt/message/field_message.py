@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from ttus_opt.message.interpolation import Scheme, differences, restored
 from ttus_opt.message.surface_message import check_base, check_bound
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import FIELD_UNIT, PotentialField
-from ttus_opt.voxmap.voxmap import Voxmap
+from ttus_opt.voxmap.voxmap import Boundary, Voxmap
 
 #: Default bound of the potential [N, or N/cm² when trilinear]
 MAX_ERROR = 0.005
@@ -41,7 +41,7 @@ LARGEST_BOUNDARY = 1e9
 #: Bytes of parameters at most, and characters of a name
 PARAMETER_BYTES = 2**16
 
-SAMPLINGS = tuple(FIELD_UNIT)
+SAMPLINGS, BOUNDARIES = tuple(FIELD_UNIT), get_args(Boundary)
 
 
 class Grid(NamedTuple):
@@ -90,9 +90,10 @@ def encode_field(
             f"a field that is sent has at most {MOST_VOXELS:,} voxels, got "
             f"{of.n_voxels:,}: fit it on a coarser grid"
         )
-    laid = _laid_over(surface, grid)
+    laid = _laid_over(surface, grid, field.voxmap.boundary)
     moved = (field.voxmap.region - laid.region).astype(np.int64)
-    laplace = _laplace_fields(Voxmap(laid.grid, surface, field.voxmap.region))
+    sent = Voxmap(laid.grid, surface, field.voxmap.region, field.voxmap.boundary)
+    laplace = _laplace_fields(sent)
     values = of.flatten(field.values)
     # least squares for any field, whatever its formulation said of the boundary
     scales = np.linalg.lstsq(np.stack(laplace, axis=1), values, rcond=None)[0]
@@ -109,7 +110,8 @@ def encode_field(
     writer = Writer()
     writer.number("I", name)
     writer.number("3H2d", *grid)
-    writer.number("B3d", SAMPLINGS.index(field.sampling), *scales, bound)
+    kinds = SAMPLINGS.index(field.sampling), BOUNDARIES.index(field.voxmap.boundary)
+    writer.number("2B3d", *kinds, *scales, bound)
     writer.packed(told.encode())
     # along r last: the voxels of a step of the layer are then together
     write_integers(writer, moved.transpose(1, 2, 0).reshape(-1))
@@ -141,18 +143,20 @@ def decode_field(
             f"the message has a field of {size:,} voxels, at most {most_voxels:,} are "
             "decoded: raise max_voxels if you trust the sender"
         )
-    kind, inner, outer, bound = reader.numbers("B3d")
+    kind, where, inner, outer, bound = reader.numbers("2B3d")
     check_bound(bound, LEAST_BOUND, GREATEST_BOUND, "of the potential")
     if kind >= len(SAMPLINGS):
         raise InputError("the message has an unknown sampling: update ttus_opt")
+    if where >= len(BOUNDARIES):
+        raise InputError("the message has an unknown boundary: update ttus_opt")
     if not all(abs(value) <= LARGEST_BOUNDARY for value in (inner, outer)):
         raise InputError("the message's boundary values are none: ask for it again")
     parameters, errors = _parameters(reader.unpacked(PARAMETER_BYTES))
     moved = read_integers(reader, size)
     sent = read_integers(reader, size)
     reader.end()
-    laid = _laid_over(surface, grid)
-    voxmap = Voxmap(laid.grid, surface, _region(laid, moved))
+    laid = _laid_over(surface, grid, BOUNDARIES[where])
+    voxmap = Voxmap(laid.grid, surface, _region(laid, moved), laid.boundary)
     laplace = _laplace_fields(voxmap)
     rest = restored(sent, bound, _scheme(grid))
     values = inner * laplace[0] + outer * laplace[1] + laid.grid.flatten(rest)
@@ -166,12 +170,16 @@ def decode_field(
     )
 
 
-def _laid_over(surface: Surface, grid: Grid) -> Voxmap:
+def _laid_over(surface: Surface, grid: Grid, boundary: str) -> Voxmap:
     shape = (grid.n_r, grid.n_theta, grid.n_z)
     if not all(map(math.isfinite, (grid.r_inner, grid.r_outer))):
         raise InputError("the message's grid is not finite: ask for it again")
     return Voxmap.from_surface(
-        surface, shape=shape, r_inner=grid.r_inner, r_outer=grid.r_outer
+        surface,
+        shape=shape,
+        r_inner=grid.r_inner,
+        r_outer=grid.r_outer,
+        boundary=boundary,
     )
 
 

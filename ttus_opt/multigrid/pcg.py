@@ -259,7 +259,7 @@ def operate(
 def add_grounds(
     work: Single, places: NDArray[np.int64], grounds: Single, out: int, own: int
 ) -> float:
-    """Add to A p what some nodes have on their diagonal; returns its p · A p (compiled).
+    """Add to A p what some nodes have on their diagonal; returns p · that (compiled).
 
     Args:
         work: Vectors.

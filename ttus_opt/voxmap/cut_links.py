@@ -22,6 +22,10 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 
+#: |φ_a| is taken for this much at least. It is above ½ where a region is that of its
+#: surface; one that is read from elsewhere then stays solvable [–]
+LEAST_DEPTH = 0.25
+
 
 @dataclass(frozen=True)
 class CutLinks:
@@ -69,6 +73,8 @@ class CutLinks:
                 free = region[a] != 0
                 a, b = (tuple(n[free] for n in v) for v in (a, b))
                 own, other = (place[v[1], v[2]] - v[0] for v in (a, b))
+                side = np.sign(region[a])
+                own = side * np.maximum(side * own, LEAST_DEPTH)
                 # outside a wall may lean over: then nothing flows
                 factor = np.maximum(1.0 - other / own, 0.0)
                 links = (
@@ -78,5 +84,7 @@ class CutLinks:
                     factor,
                 )
                 found.append(links)
-        voxels, neighbours, axes, factors = map(np.concatenate, zip(*found, strict=True))
+        voxels, neighbours, axes, factors = map(
+            np.concatenate, zip(*found, strict=True)
+        )
         return cls(voxels, neighbours, axes, factors)

@@ -146,7 +146,7 @@ class Voxmap:
 
     @cached_property
     def surface_place(self) -> Array:
-        """(R − r_inner)/Δr on every spoke of the grid, shape (n_theta, n_z) [layers]."""
+        """(R − r_inner)/Δr on every spoke of the grid, (n_theta, n_z) [layers]."""
         grid = self.grid
         radius = self.surface.radius_at(grid.theta[:, None], grid.z)
         return np.asarray((radius - grid.r_inner) / grid.r_step)
@@ -217,7 +217,9 @@ def surface_layer(grid: CylindricalGrid, radius: Array) -> NDArray[np.int64]:
 def _layers(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:
     """Region of every voxel by its own spoke alone; radii at (θ_j, z_k) [m]."""
     index = np.arange(grid.shape[0])[:, None, None]
-    return np.asarray(np.sign(surface_layer(grid, radius)[None] - index).astype(np.int8))
+    return np.asarray(
+        np.sign(surface_layer(grid, radius)[None] - index).astype(np.int8)
+    )
 
 
 def _enclosed(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:

@@ -71,9 +71,7 @@ class ReducedLaplace(BlockSolves):
             members = grid.unflatten(self.members)
             return Multigrid(grid, members, screening=screening, grounds=grounds)
         blocks = (self.members, self.links, self.free)
-        return AggregatedMultigrid(
-            grid, *blocks, screening=screening, grounds=grounds
-        )
+        return AggregatedMultigrid(grid, *blocks, screening=screening, grounds=grounds)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,68 @@
+"""Where the surface cuts links, by hand and voxel by voxel."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from tests.conftest import torso
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.voxmap import SURFACE, Voxmap
+
+
+def tube(radius: float, boundary: str = "subvoxel") -> Voxmap:
+    """Layers at 3, 4, … 15 cm around a cylinder."""
+    surface = Surface.from_radius(np.full((8, 3), radius), np.array([0.0, 0.1, 0.2]))
+    return Voxmap.from_surface(
+        surface, shape=(13, 6, 4), r_inner=0.03, r_outer=0.15, boundary=boundary
+    )
+
+
+@pytest.mark.parametrize(
+    ("radius", "inner", "outer"),
+    [
+        (0.09, 1.0, 1.0),  # on a layer: nothing is cut
+        (0.094, 1.4, 0.6),  # beyond the layer at 9 cm, from 8 and from 10 cm
+        (0.086, 0.6, 1.4),
+    ],
+)
+def test_a_link_along_r_conducts_by_its_length(
+    radius: float, inner: float, outer: float
+) -> None:
+    voxmap = tube(radius)
+    links = voxmap.cut_links
+    assert (links.axes == 0).all()
+    assert len(links.voxels) == 2 * 6 * 4
+    layer = np.unravel_index(links.voxels, voxmap.grid.shape)[0]
+    np.testing.assert_allclose(links.factors[layer == 5], 1.0 / inner, rtol=1e-9)
+    np.testing.assert_allclose(links.factors[layer == 7], 1.0 / outer, rtol=1e-9)
+
+
+def test_every_link_to_the_layer_is_there_once() -> None:
+    """Neighbours counted voxel by voxel; where they meet the surface, by bisection."""
+    voxmap = Voxmap.from_surface(torso(), shape=(10, 8, 6))
+    grid, links = voxmap.grid, voxmap.cut_links
+    expected = {}
+    for a in itertools.product(*map(range, grid.shape)):
+        for axis, step in itertools.product(range(3), (1, -1)):
+            b = list(a)
+            b[axis] += step
+            b[1] %= grid.shape[1]
+            if not all(0 <= n < size for n, size in zip(b, grid.shape, strict=True)):
+                continue
+            if voxmap.region[a] != SURFACE and voxmap.region[tuple(b)] == SURFACE:
+                v, s = (int(np.ravel_multi_index(x, grid.shape)) for x in (a, b))
+                expected[v, s] = axis
+    found = zip(links.voxels.tolist(), links.neighbours.tolist(), strict=True)
+    assert dict(zip(found, links.axes.tolist(), strict=True)) == expected
+    assert len(links.voxels) == len(expected)
+    assert (links.factors >= 0.0).all()
+    inside = voxmap.region.reshape(-1)[links.voxels] > 0
+    assert (links.factors[inside] > 0.0).all()
+    assert links.factors[inside & (links.axes == 0)].max() < 2.0
+
+
+def test_a_staircase_cuts_none() -> None:
+    assert len(tube(0.094, "staircase").cut_links.voxels) == 0
