@@ -67,8 +67,9 @@ class AggregatedMultigrid(Multigrid):
         assert self._pooled is not None
         pooled = self.grid.flatten(self._pooled)
         built = (self.grid, self.free, pooled, self._leads)
-        options = {"screening": self.screening, "grounds": self.grounds}
-        return partial(AggregatedMultigrid, **options), built
+        screening, grounds = self.screening, self.grounds
+        make = partial(AggregatedMultigrid, screening=screening, grounds=grounds)
+        return make, built
 
     def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
         """One V-cycle at a time, as `Multigrid.preconditioner`; it knows all blocks."""

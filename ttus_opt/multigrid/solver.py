@@ -126,8 +126,8 @@ class Multigrid:
     def __reduce__(self) -> tuple[Callable[..., Multigrid], tuple[object, ...]]:
         """Pickle as what it was built from."""
         built = (self.grid, self.grid.unflatten(self.free))
-        options = {"screening": self.screening, "grounds": self.grounds}
-        return partial(Multigrid, **options), built
+        make = partial(Multigrid, screening=self.screening, grounds=self.grounds)
+        return make, built
 
     @property
     def memory_bytes(self) -> int:
