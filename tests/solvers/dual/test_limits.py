@@ -63,13 +63,18 @@ def test_growth_is_read_voxel_by_voxel(small: Scene) -> None:
     slope = 7.0
     limits = read(small, Monotone(small, slope))
     region, fixed = small.voxmap.region, small.voxmap.dirichlet
-    step = slope * small.voxmap.grid.r_step
+    grid = small.voxmap.grid
     for i, j, k in np.ndindex(region.shape):
         linked = i + 1 < region.shape[0] and region[i, j, k] == 1
         linked = linked and region[i + 1, j, k] >= 0
         linked = linked and not (fixed[i, j, k] and fixed[i + 1, j, k])
         v = np.ravel_multi_index((i, j, k), region.shape)
-        assert limits.least[v] == (pytest.approx(step) if linked else -INF)
+        step = grid.r_step
+        if linked and region[i + 1, j, k] == 0:  # as far as the surface
+            radius = small.voxmap.surface.radius_at(grid.theta[j], grid.z[k])
+            step = float(radius) - grid.r[i]
+        least = pytest.approx(slope * step) if linked else -INF
+        assert limits.least[v] == least
 
 
 def test_hard_boundary_gives_values(small: Scene) -> None:
