@@ -145,9 +145,10 @@ def bent(at: int, value: bytes) -> bytes:
         (10, np.float64(0.2).tobytes(), "r_outer|surface"),
         (18, np.float64(1e300).tobytes(), "half a radial step"),
         (26, b"\x09", "unknown sampling"),
-        (27, np.float64(np.nan).tobytes(), "boundary values"),
-        (35, np.float64(1e300).tobytes(), "boundary values"),
-        (43, np.float64(np.nan).tobytes(), "max_error"),
+        (27, b"\x09", "unknown boundary"),
+        (28, np.float64(np.nan).tobytes(), "boundary values"),
+        (36, np.float64(1e300).tobytes(), "boundary values"),
+        (44, np.float64(np.nan).tobytes(), "max_error"),
     ],
 )
 def test_hostile_headers(at: int, value: bytes, words: str) -> None:

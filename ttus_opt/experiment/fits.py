@@ -82,6 +82,7 @@ class PatientFits:
                 inner=setting.inner,
                 outer=setting.outer,
                 sampling=setting.sampling,
+                boundary=setting.boundary,
             )
             recordings = [self.examination.measured[name] for name in FITTED]
             self._scenes[key] = plan.build(

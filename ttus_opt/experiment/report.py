@@ -145,7 +145,7 @@ def _what_was_done(result: ExperimentResult) -> list[Block]:
                 "into the body)",
                 f"Grid {shape}, trilinear sampling, λ_f = λ_τ = {plan.weight:g} unless "
                 "a formulation chooses its own; the paper's columns: voxel-mean "
-                "sampling, p_in = p_out = 1, λ_f = λ_τ = 1e-4",
+                "sampling on a staircase, p_in = p_out = 1, λ_f = λ_τ = 1e-4",
                 f"Finite elements at {plan.resolution:g} times the bundled example's "
                 "spacing; the surface is the true skin, 2° by 5 mm",
             ]

@@ -30,6 +30,7 @@ class Setting:
         inner: p_in, or "fit".
         outer: p_out; where p_in is fitted the ratio p_out / p_in.
         sampling: ``trilinear`` or ``voxel-mean``.
+        boundary: ``subvoxel`` or ``staircase``.
     """
 
     name: str
@@ -38,11 +39,12 @@ class Setting:
     inner: float | Literal["fit"] = "fit"
     outer: float = 1.0
     sampling: str = "trilinear"
+    boundary: str = "subvoxel"
 
     @property
     def scene_key(self) -> tuple[object, ...]:
         """Settings with the same key share a scene."""
-        return (self.inner, self.outer, self.sampling)
+        return (self.inner, self.outer, self.sampling, self.boundary)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, and for knowing whether a kept result is of this setting."""
@@ -53,12 +55,14 @@ class Setting:
             "inner": self.inner,
             "outer": self.outer,
             "sampling": self.sampling,
+            "boundary": self.boundary,
         }
 
 
-#: The paper's: without and with measured forces, at its boundary values and weights
-PAPER_WITHOUT = Setting("paper_without", "laplace_only", **paper.SCENE)
-PAPER_WITH = Setting("paper_with", "eq10", paper.WEIGHTS, **paper.SCENE)
+#: The paper's: without and with measured forces, its boundary, values and weights
+_PAPER = {**paper.SCENE, **paper.VOXMAP}
+PAPER_WITHOUT = Setting("paper_without", "laplace_only", **_PAPER)
+PAPER_WITH = Setting("paper_with", "eq10", paper.WEIGHTS, **_PAPER)
 
 #: The Laplace field alone, its boundary values scaled to the measured forces
 LAPLACE = Setting("laplace_scaled", "laplace_only")
