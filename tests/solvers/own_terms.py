@@ -58,4 +58,15 @@ class SkinGraph(Term):
         return AffineRows({"p": rows}, np.zeros(len(at)))
 
 
+@dataclass(frozen=True)
+class Differences(Term):
+    """Differences between neighbours in r, θ and z."""
+
+    name = "differences"
+
+    def rows(self) -> AffineRows:
+        rows = difference_rows(self.scene.voxmap.grid)
+        return AffineRows({"p": rows}, np.zeros(rows.shape[0]))
+
+
 OWN = (DepthWeighted, AlongZ, SkinGraph)

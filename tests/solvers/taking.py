@@ -85,14 +85,14 @@ FORMULATIONS: Mapping[str, frozenset[str]] = {
 REFERENCES: Mapping[str, frozenset[str]] = {
     "least_squares": QP | CLOSED | ALGEBRAIC,
     "two_weights": QP | CLOSED | ALGEBRAIC,
-    "box": QP | HIGHS,
-    "weakly_active": QP | HIGHS,
+    "box": QP | HIGHS | BENT,
+    "weakly_active": QP | HIGHS | BENT,
     "equality": QP,
-    "upper_row": QP | HIGHS,
-    "lower_row": QP | HIGHS,
-    "mixed_rows": QP | HIGHS,
-    "names": QP | HIGHS,
-    "linear_term": QP | HIGHS,
+    "upper_row": QP | HIGHS | BENT,
+    "lower_row": QP | HIGHS | BENT,
+    "mixed_rows": QP | HIGHS | BENT,
+    "names": QP | HIGHS | BENT,
+    "linear_term": QP | HIGHS | BENT,
     "absolute": QP | HIGHS | BENT,
     "absolute_kink": QP | HIGHS | BENT,
     "huber": QP | HIGHS | BENT,
@@ -100,7 +100,7 @@ REFERENCES: Mapping[str, frozenset[str]] = {
 }
 
 #: Who takes a small program without Laplace rows that has bounds
-BOUNDED = QP | HIGHS
+BOUNDED = QP | HIGHS | BENT
 
 #: What a plain installation has; a solver beyond may be absent, and is named then
 REQUIRED = {

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 
 import ttus_opt as tt
 from tests.conftest import small_scene
-from tests.solvers.own_terms import SkinGraph
+from tests.solvers.own_terms import Differences, SkinGraph
 from tests.solvers.test_normal_equations import direct_answer
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.sign import Sign
@@ -31,17 +31,6 @@ from ttus_opt.terms.torque import TorqueTerm
 from ttus_opt.terms.total_variation import difference_rows
 
 SCENE, SOLVER = small_scene("trilinear"), solvers()["algebraic"]
-
-
-@dataclass(frozen=True)
-class Differences(Term):
-    """Squares of differences between neighbours."""
-
-    name = "differences"
-
-    def rows(self) -> AffineRows:
-        rows = difference_rows(self.scene.voxmap.grid)
-        return AffineRows({"p": rows}, np.zeros(rows.shape[0]))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from tests.conftest import small_scene
-from tests.solvers.own_terms import OWN, AlongZ, DepthWeighted
+from tests.solvers.own_terms import OWN, AlongZ, DepthWeighted, Differences
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.benchmark.cases import with_new_values
 from ttus_opt.constraints.boundary import HardBoundary
@@ -186,3 +186,11 @@ def test_out_of_time_it_says_so() -> None:
     program = (declared(SCENE) + TikhonovTerm(SCENE, 1e-3)).compile()
     found = SOLVER.prepare(program, Request(1e-6, 1e-9)).solve()
     assert found.claim is Claim.TIME_LIMIT
+
+
+def test_heavy_differences_leave_constants_to_soft_values() -> None:
+    """Screening at every voxel would hold them: 222 steps where 72 will do."""
+    scene = small_scene("trilinear", (12, 36, 15))
+    program = (declared(scene) + Differences(scene, 1e3)).compile()
+    found = solved(program, 1e-6)
+    assert found.claim is Claim.DONE and found.iterations < 110

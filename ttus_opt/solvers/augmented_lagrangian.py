@@ -21,6 +21,7 @@ from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import Reduction
 from ttus_opt.solvers.base import Candidate, Capabilities, Prepared, Request, Solver
+from ttus_opt.solvers.dual.data import laplace_prior
 from ttus_opt.solvers.proximal.field_newton import FieldNewton
 from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
 from ttus_opt.solvers.proximal.method_of_multipliers import (
@@ -42,6 +43,9 @@ FEW = 0.1
 #: Weight of the anchor over σ [–]
 ANCHOR = 10.0
 
+#: The same over that of limits, where all penalties are squares [–]
+WEAK = 1e-3
+
 #: Multipliers without a kink at the start, over those where absolute values end [–]
 START = 1.5
 
@@ -59,7 +63,10 @@ class AugmentedLagrangian(Solver):
     )
 
     def refusal(self, program: Program) -> str:
-        """Penalties that state their resolvent, one at least no square; no cones."""
+        """Penalties that state their resolvent; no cones.
+
+        Squares alone only with limits, and without a Laplace term.
+        """
         declared = program.declared or program
         if declared.cones:
             return "it takes no cones"
@@ -70,7 +77,7 @@ class AugmentedLagrangian(Solver):
         ]
         if mute:
             return f"the penalty of {mute[0]} does not state its resolvent"
-        if declared.is_quadratic:
+        if declared.is_quadratic and not _is_limited_alone(declared):
             return "all penalties are squares: other solvers take them faster"
         return ""
 
@@ -208,7 +215,9 @@ class _Loaded(Prepared):
         self._set_anchor(anchor, bent)
         for b in limits:
             b.multipliers[:] = 0.0
-            b.sigma = self._stiffness(blocks, b)
+            b.sigma = self._stiffness([k for k in blocks if k is not anchor], b)
+        if not bent:  # squares alone: what they leave open is held weakly
+            self._set_anchor(anchor, limits, WEAK)
         residuals = [b.residual(x) for b in blocks]
         pairs = []
         for b, r in zip(blocks, residuals, strict=True):
@@ -227,10 +236,13 @@ class _Loaded(Prepared):
         return x
 
     def _set_anchor(
-        self, anchor: PenalisedRows | None, bent: list[PenalisedRows]
+        self,
+        anchor: PenalisedRows | None,
+        bent: list[PenalisedRows],
+        share: float = ANCHOR,
     ) -> None:
         if anchor is not None and bent:
-            anchor.weight = 0.5 * ANCHOR * max(b.sigma for b in bent)
+            anchor.weight = 0.5 * share * max(b.sigma for b in bent)
             anchor.sigma = 1e15 * anchor.weight
 
     def _stiffness(self, blocks: list[PenalisedRows], own: PenalisedRows) -> float:
@@ -258,6 +270,15 @@ class _Loaded(Prepared):
                     b = np.where(problem.fixed[program.variables["p"]], b, prior.target)
                 x[program.variables["p"]] = laplace.solve(b, rtol=1e-10)
         return np.where(problem.fixed, problem.values, x)
+
+
+def _is_limited_alone(program: Program) -> bool:
+    """Whether there are limits, and no Laplace term whose solvers take them."""
+    prior = laplace_prior(program)
+    if (prior is not None and prior.weight > 0.0) or not program.terms:
+        return False
+    beyond = [c for c in program.constraints if (c.lower != c.upper).any()]
+    return bool(beyond or program.bounds)
 
 
 def _anchor(rows: sp.csr_array) -> PenalisedRows:

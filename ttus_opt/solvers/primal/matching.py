@@ -36,6 +36,8 @@ WAVES = 6
 STRENGTHS, LEAST = 6, 1e-8
 #: Steps of the fit
 FIT_STEPS = 12
+#: A symbol below this is zero [–]
+ROUNDING = 1e-9
 #: Conductances below this part of L's own are left out [–]
 NEGLIGIBLE = 0.02
 
@@ -121,21 +123,33 @@ class _Waves:
         bend = 2.0 - 2.0 * np.cos(waves)
         return cls(waves, bend, bend @ own, own)
 
-    def fit(self, b: Array) -> Array:
+    def fit(self, b: Array, most: float = np.inf) -> Array:
         """Fit c and d along r, θ, z to a symbol b of B, shape (4,).
 
         The ratio of λ + X̂ to the root of λ² + b matters, too small as too large: the
         squares of its logarithm are made least, by Gauss and Newton's method.
+
+        Args:
+            b: At every wave, shape (n,).
+            most: Most of c.
         """
         goal = np.sqrt(self.stiffness**2 + b)
         basis = np.column_stack([np.ones(len(b)), self.bend])
-        found = nnls(basis / goal[:, None], 1.0 - self.stiffness / goal)[0]
+        found = _bounded(basis / goal[:, None], 1.0 - self.stiffness / goal, most)
         for _ in range(FIT_STEPS):
             now = self.stiffness + basis @ found
             slope = basis / now[:, None]
-            full = nnls(slope, slope @ found - np.log(now / goal))[0]
+            full = _bounded(slope, slope @ found - np.log(now / goal), most)
             found = 0.5 * (found + full)
         return np.asarray(found)
+
+
+def _bounded(matrix: Array, side: Array, most: float) -> Array:
+    """Least squares over x ≥ 0, its first entry at most some number."""
+    found = nnls(matrix, side)[0]
+    if found[0] > most:
+        found = np.r_[most, nnls(matrix[:, 1:], side - most * matrix[:, 0])[0]]
+    return np.asarray(found)
 
 
 @dataclass(frozen=True)
@@ -233,7 +247,14 @@ def _root(
     at = np.flatnonzero(strength)
     least = max(float(strength[at].min()), LEAST * largest)
     steps = np.geomspace(least, largest, STRENGTHS if least < 0.9 * largest else 1)
-    fits = np.array([waves.fit(step * symbol) for step in steps])
+    most, held = np.inf, np.count_nonzero(~free & (compliance > 0.0))
+    acting, every = np.count_nonzero(free & (strength > 0.0)), np.count_nonzero(free)
+    blind = stencil.symbol(np.zeros((1, 3)))[0] < ROUNDING
+    if held and blind and acting > 0.5 * every:
+        # all over the field, it does not see constants, which soft values alone hold,
+        # and X would hold them at every voxel
+        most = float(np.sqrt(held / every))
+    fits = np.array([waves.fit(step * symbol, most) for step in steps])
     fits[:, 1:][fits[:, 1:] < NEGLIGIBLE * waves.own] = 0.0
     found = np.zeros((4, grid.n_voxels))
     # √ of the strength is what all of them are about proportional to
