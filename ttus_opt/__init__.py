@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ttus_opt.errors import TtusWarning as TtusWarning
     from ttus_opt.fitting.batch import Fitter as Fitter
     from ttus_opt.fitting.batch import fit as fit
+    from ttus_opt.fitting.doubt import doubt as doubt
     from ttus_opt.fitting.path_dataset import read_solution_path as read_solution_path
     from ttus_opt.fitting.path_dataset import write_solution_path as write_solution_path
     from ttus_opt.fitting.recursive import RecursiveFit as RecursiveFit
@@ -67,6 +68,7 @@ _HOME = {
     "TtusError": "errors",
     "TtusWarning": "errors",
     "Voxmap": "voxmap.voxmap",
+    "doubt": "fitting.doubt",
     "evaluate": "report.metrics",
     "extract_surface": "scan.extraction",
     "fit": "fitting.batch",

@@ -152,6 +152,16 @@ class WeightSweep:
         """What they measure of the response fields, K, shape (k, rows)."""
         return self._images
 
+    @property
+    def base(self) -> Array:
+        """The prior's mean p₀, shape (V,)."""
+        return self._base
+
+    @property
+    def fields(self) -> Array:
+        """The response fields, shape (k, V)."""
+        return np.concatenate([self._fields[0][:0], *self._fields])[: len(self)]
+
     def complete(self, root_weights: Array, missing: float = 0.5) -> bool:
         """Add response fields until the basis holds C for these weights and smaller.
 

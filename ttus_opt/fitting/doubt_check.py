@@ -1,0 +1,79 @@
+"""Whether stated doubt holds: coverage, and whether the error grows with it."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import scipy.stats
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.fitting.doubt import NORMAL, Doubt
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.metrics import Evaluation
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Stated doubt against errors on a recording, over frames in contact.
+
+    Attributes:
+        force_coverage: Share of measured force components within the 95 % interval,
+            the field's doubt and what a measurement shows beside it [–].
+        torque_coverage: The same of torque; NaN where none was measured [–].
+        force_rank_correlation: Spearman's, of the force's error with its doubt [–].
+        torque_rank_correlation: The same of torque [–].
+        frames: Frames in contact.
+    """
+
+    force_coverage: float
+    torque_coverage: float
+    force_rank_correlation: float
+    torque_rank_correlation: float
+    frames: int
+
+    def as_dict(self) -> dict[str, float]:
+        """All figures by name, for JSON."""
+        return asdict(self)
+
+
+def check_doubt(
+    doubt: Doubt, evaluation: Evaluation, trajectory: Trajectory
+) -> Calibration:
+    """Compare stated doubt with errors.
+
+    Args:
+        doubt: Of the field that was evaluated.
+        evaluation: Of `ttus_opt.evaluate` on the trajectory.
+        trajectory: A recording that was not fitted.
+
+    Raises:
+        InputError: The probe touches in fewer than three frames.
+    """
+    stated = doubt.std(trajectory)
+    touching = stated.force_size > 0.0
+    if np.count_nonzero(touching) < 3:
+        raise InputError(
+            "doubt is checked on frames in contact, the recording has fewer than three"
+        )
+    force = _against(
+        (evaluation.rendered_force - evaluation.measured_force)[touching],
+        stated.force[touching],
+        stated.force_noise,
+    )
+    torque = (np.nan, np.nan)
+    if np.isfinite(stated.torque_noise) and trajectory.has_torque:
+        torque = _against(
+            (evaluation.rendered_torque - evaluation.measured_torque)[touching],
+            stated.torque[touching],
+            stated.torque_noise,
+        )
+    return Calibration(force[0], torque[0], force[1], torque[1], int(touching.sum()))
+
+
+def _against(error: Array, std: Array, noise: float) -> tuple[float, float]:
+    """Coverage, and rank correlation of sizes."""
+    within = np.abs(error) <= NORMAL * np.sqrt(std**2 + noise**2)
+    sizes = np.linalg.norm(error, axis=1), np.linalg.norm(std, axis=1)
+    return float(within.mean()), float(scipy.stats.spearmanr(*sizes).statistic)
