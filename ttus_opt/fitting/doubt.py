@@ -29,6 +29,7 @@ from typing import Literal
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.contact.friction import (
@@ -50,6 +51,8 @@ from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep
 
 Method = Literal["exact", "samples"]
+
+Single = NDArray[np.float32]
 
 #: Largest grid whose rows are solved for one by one [voxels]
 MOST_VOXELS = 60_000
@@ -120,7 +123,7 @@ class Doubt:
     method: Method
     calibrated_by: str
     _posterior: _Posterior = field(repr=False)
-    _draws: Array | None = field(repr=False)
+    _draws: Single | None = field(repr=False)
     _parameters: Mapping[str, float] = field(repr=False)
     _noise: tuple[float, float] = field(repr=False)
 
@@ -271,7 +274,7 @@ class _Posterior:
         known = np.asarray(rows @ self.fields.T)
         out = np.zeros((rows.shape[0] // height, height, height))
         told = np.diff(rows.indptr).reshape(-1, height) > 0
-        for k in np.flatnonzero(told.any(axis=1)):
+        for k in np.flatnonzero(told.any(axis=1)).tolist():
             block = slice(k * height, (k + 1) * height)
             loads = rows[block].toarray()
             slopes = np.stack(
@@ -282,7 +285,7 @@ class _Posterior:
             out[k] = rest + a @ self.inner @ a.T
         return out
 
-    def draw(self, count: int) -> Array:
+    def draw(self, count: int) -> Single:
         """Draws of the field around its mean, shape (count, V)."""
         rng, laplace = np.random.default_rng(0), self.system.laplace
         root, V = np.sqrt(self.system.compliance), self.fields.shape[1]

@@ -31,6 +31,7 @@ from ttus_opt.haptic.blend import (
     opened_ledger,
     settled_ledger,
 )
+from ttus_opt.haptic.doubt_map import DoubtMap
 from ttus_opt.haptic.drag import DragLaw, patch_weights
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import TIME, MotionFilter
@@ -73,6 +74,8 @@ class Wrench:
             ``given`` and ``estimated`` by where the twist is from, ``left out`` for
             a field with drag and an unknown motion.
         saturated: Whether the force was cut to the renderer's limit.
+        force_std: Standard deviation of the force as a `DoubtMap` has it; NaN for a
+            renderer without one [N].
     """
 
     force: Array
@@ -82,6 +85,7 @@ class Wrench:
     beyond_inner: int = 0
     drag: DragSource = "none"
     saturated: bool = False
+    force_std: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +127,8 @@ class Renderer:
         motion: How a twist is estimated; `MotionFilter`'s defaults when not given.
         force_limit: Most force [N]: a larger one is cut to it, direction kept, the
             torque by the same factor. No limit by default.
+        doubt: How sure presses are over the skin, of the first field: `render` then
+            gives `Wrench.force_std`, looked up and not computed.
 
     Raises:
         InputError: A limit that is not positive, or unusable drag parameters.
@@ -136,7 +142,9 @@ class Renderer:
         blend: BlendLaw | None = None,
         motion: MotionFilter | None = None,
         force_limit: float | None = None,
+        doubt: DoubtMap | None = None,
     ) -> None:
+        self._doubt = doubt
         if force_limit is not None and not force_limit > 0.0:
             raise InputError(f"force_limit must be positive [N], got {force_limit}")
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
@@ -225,12 +233,17 @@ class Renderer:
         try:
             counts, drag = self._render(rotation, position, twist, time, order)
             wrench = self._buffers.rows[WRENCH].copy()
+            std = math.nan if self._doubt is None else self._std(self._doubt, wrench)
         finally:
             self._turn.release()
-        contact_points, in_grid, beyond, saturated = counts
-        return Wrench(
-            wrench[:3], wrench[3:], contact_points, in_grid, beyond, drag, saturated
-        )
+        points, in_grid, beyond, saturated = counts
+        force, torque = wrench[:3], wrench[3:]
+        return Wrench(force, torque, points, in_grid, beyond, drag, saturated, std)
+
+    def _std(self, doubt: DoubtMap, wrench: Array) -> float:
+        """Standard deviation of the frame's force, under the probe's origin [N]."""
+        size = math.hypot(*wrench[:3].tolist())
+        return doubt.at(*self._buffers.at.tolist()) * size if size else 0.0
 
     def render_into(
         self,

@@ -1,0 +1,49 @@
+"""The map over the skin against the doubt of single presses."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+from tests.fitting.test_doubt import fitted, three_presses
+from ttus_opt.errors import InputError
+from ttus_opt.fitting import skin_doubt
+from ttus_opt.fitting.doubt import Doubt, doubt
+from ttus_opt.fitting.skin_doubt import doubt_map
+
+
+@functools.cache
+def drawn() -> Doubt:
+    return doubt(fitted(), three_presses(), method="samples")
+
+
+def test_presses_reach_the_depth_asked_for() -> None:
+    scene = three_presses()
+    theta, z = np.array([0.3, 2.0]), np.array([0.05, 0.1, 0.15])
+    presses = skin_doubt._presses(scene, theta, z, 0.006)
+    assert len(presses) == 6
+    for R, x in zip(presses.rotation, presses.position, strict=True):
+        points = scene.shell.points @ R.T + x
+        angle = np.arctan2(points[:, 1], points[:, 0])
+        skin = scene.voxmap.surface.radius_at(angle, points[:, 2])
+        deepest = (skin - np.hypot(points[:, 0], points[:, 1])).max()
+        assert deepest == pytest.approx(0.006, abs=1e-5)
+
+
+def test_it_is_smaller_where_the_patient_was_measured() -> None:
+    scene, field = three_presses(), fitted().field
+    found = doubt_map(drawn(), field, spacing=0.04)
+    assert found.relative.shape == (len(found.theta), len(found.z))
+    touching = scene.rows.contact_points > 0
+    at = [found.at(*x) for x in scene.trajectory.position[touching]]
+    behind = [found.at(-x, -y, z) for x, y, z in scene.trajectory.position[touching]]
+    assert np.median(at) < 0.7 * np.median(behind)
+
+
+def test_what_gives_no_map_is_refused() -> None:
+    with pytest.raises(InputError, match="must be positive"):
+        doubt_map(drawn(), fitted().field, spacing=0.0)
+    with pytest.raises(InputError, match="too short"):
+        doubt_map(drawn(), fitted().field, spacing=5.0)

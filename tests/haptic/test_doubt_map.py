@@ -1,0 +1,54 @@
+"""A map over the skin: what a frame looks up."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import small_scene
+from ttus_opt.errors import InputError
+from ttus_opt.haptic.doubt_map import DoubtMap
+
+THETA = np.arange(8) * np.pi / 4.0
+
+
+def linear() -> DoubtMap:
+    z = np.linspace(0.0, 0.2, 3)
+    return DoubtMap(THETA, z, 0.1 + np.abs(np.cos(THETA))[:, None] + z)
+
+
+def test_between_places_it_is_bilinear_and_closed() -> None:
+    found = linear()
+    for angle, height in ((0.1, 0.03), (2 * np.pi - 0.1, 0.17), (np.pi, 0.2)):
+        knots = np.append(np.abs(np.cos(THETA)), 1.0)
+        expected = 0.1 + height
+        expected += np.interp(angle, np.append(THETA, 2 * np.pi), knots)
+        x, y = math.cos(angle), math.sin(angle)
+        assert found.at(x, y, height) == pytest.approx(expected)
+    assert found.at(1.0, 0.0, 9.0) == pytest.approx(found.at(1.0, 0.0, 0.2))
+
+
+def test_a_frame_has_the_share_of_its_force() -> None:
+    scene = small_scene("trilinear")
+    field = tt.fit(scene, "eq10").field
+    half = DoubtMap(THETA, np.array([0.0, 0.2]), np.full((8, 2), 0.5))
+    renderer = tt.Renderer(field, scene.shell, doubt=half)
+    told = scene.trajectory
+    wrench = renderer.render(told.rotation[0], told.position[0])
+    assert wrench.force_std == pytest.approx(0.5 * np.linalg.norm(wrench.force))
+    assert wrench.force_std > 0.0
+    away = renderer.render(told.rotation[0], 1.3 * told.position[0])
+    assert away.force_std == 0.0
+    plain = tt.Renderer(field, scene.shell).render(told.rotation[0], told.position[0])
+    assert math.isnan(plain.force_std)
+
+
+@pytest.mark.parametrize(
+    "relative", [np.zeros((3, 8)), np.full((8, 3), -1.0), np.full((8, 3), np.nan)]
+)
+def test_what_is_no_map_is_refused(relative: np.ndarray) -> None:
+    with pytest.raises(InputError, match="doubt map"):
+        DoubtMap(THETA, np.linspace(0.0, 1.0, 3), relative)

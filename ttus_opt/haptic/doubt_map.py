@@ -1,0 +1,75 @@
+"""How sure a press is, as a map over the skin that a frame looks up.
+
+The map holds, for places θ and z, the standard deviation of the force of one press over
+that force. A frame's standard deviation is the map's value under the probe, bilinear
+between places, times the frame's force. That takes doubt for proportional to force and
+for the same in all orientations; `ttus_opt.fitting.doubt` takes neither for granted.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+
+
+@dataclass(frozen=True)
+class DoubtMap:
+    """Relative standard deviation of a press over the skin.
+
+    Attributes:
+        theta: Angles of the places, from 0 in equal steps around, shape (n,) [rad].
+        z: Their heights in equal steps, shape (m,) [m].
+        relative: Standard deviation of the force over the force, shape (n, m) [–].
+    """
+
+    theta: Array = field(repr=False)
+    z: Array = field(repr=False)
+    relative: Array = field(repr=False)
+
+    def __post_init__(self) -> None:
+        """Validate the map.
+
+        Raises:
+            InputError: Shapes that do not fit, or values that are negative or no
+                numbers.
+        """
+        shape = len(self.theta), len(self.z)
+        if self.relative.shape != shape or len(self.z) < 2 or not len(self.theta):
+            raise InputError(
+                f"a doubt map needs relative of shape {shape} and two heights or more, "
+                f"got {self.relative.shape}"
+            )
+        if not (np.isfinite(self.relative).all() and (self.relative >= 0.0).all()):
+            raise InputError("a doubt map needs standard deviations, none negative")
+
+    @cached_property
+    def _rows(self) -> list[list[float]]:
+        """The values as plain numbers: a look-up of one place is faster than NumPy."""
+        return [[float(v) for v in row] for row in self.relative]
+
+    @cached_property
+    def _steps(self) -> tuple[float, float, float]:
+        """Places per rad, the first height, places per m."""
+        z = self.z
+        return (
+            len(self.theta) / (2.0 * math.pi),
+            float(z[0]),
+            (len(z) - 1) / float(z[-1] - z[0]),
+        )
+
+    def at(self, x: float, y: float, z: float) -> float:
+        """The value at the place under a point, patient frame [m]."""
+        rows, (around, lowest, along) = self._rows, self._steps
+        a = (math.atan2(y, x) * around) % len(rows)
+        b = min(max((z - lowest) * along, 0.0), len(rows[0]) - 1.0)
+        i, k = int(a) % len(rows), min(int(b), len(rows[0]) - 2)
+        s, t = a - int(a), b - k
+        one, other = rows[i], rows[(i + 1) % len(rows)]
+        low = one[k] + s * (other[k] - one[k])
+        return low + t * (one[k + 1] + s * (other[k + 1] - one[k + 1]) - low)

@@ -1,0 +1,42 @@
+"""Where a patient was measured, and where the model only guesses."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ttus_opt.haptic.doubt_map import DoubtMap
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.plots.canvas import look, new_figure
+
+_SHADES = "cividis"  # even in greyscale
+
+
+def doubt_picture(found: DoubtMap, measured: Trajectory | None = None) -> Figure:
+    """Draw a map of doubt over the unrolled skin.
+
+    Args:
+        found: The map.
+        measured: Recordings that were fitted, drawn as dots.
+
+    Returns:
+        The figure: standard deviation of a press's force over that force, in percent,
+        over angle and height.
+    """
+    with look():
+        figure = new_figure(7.0, 4.5)
+        axes = figure.subplots()
+        closed = np.concatenate([found.relative, found.relative[:1]])
+        angles = np.degrees(np.append(found.theta, 2.0 * np.pi))
+        shown = axes.pcolormesh(
+            angles, 100.0 * found.z, 100.0 * closed.T, cmap=_SHADES, shading="gouraud"
+        )
+        figure.colorbar(shown, ax=axes, label="standard deviation of a press [%]")
+        if measured is not None:
+            x, y, z = measured.position.T
+            around = np.degrees(np.arctan2(y, x)) % 360.0
+            axes.plot(around, 100.0 * z, ".", ms=2, color="white", label="recorded")
+            axes.legend(loc="upper right")
+        axes.set(xlim=(0.0, 360.0), xlabel="θ [°]", ylabel="z [cm]")
+        axes.set_ylim(100.0 * found.z[0], 100.0 * found.z[-1])
+    return figure
