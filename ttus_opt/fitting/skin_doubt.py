@@ -55,7 +55,7 @@ def doubt_map(
         )
     surface = doubt.scene.voxmap.surface
     around = 2.0 * np.pi * float(surface.radius.mean())
-    n = max(int(round(around / spacing)), 8)
+    n = max(round(around / spacing), 8)
     theta = np.arange(n) * 2.0 * np.pi / n
     low, high = float(surface.z[0]) + END, float(surface.z[-1]) - END
     if high - low < spacing:
