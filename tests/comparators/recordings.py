@@ -22,7 +22,7 @@ STIFFNESS, EXPONENT, DRAG = 900.0, 1.5, 0.2
 #: A coarse grid for the potential fields
 COARSE = {"shape": (14, 32, 16)}
 
-FIELDS = {"depth_map", "depth_map_coulomb", "eq10", "laplace_only"}
+FIELDS = {"depth_map", "depth_map_coulomb", "eq10", "laplace_only", "tuned"}
 
 
 def options(name: str) -> dict[str, Any]:

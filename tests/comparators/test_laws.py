@@ -20,7 +20,7 @@ from ttus_opt.scan.surface import Surface
 
 NAMES = list(available())
 #: Their fits or frames take long
-LONG = {"depth_map", "depth_map_coulomb", "eq10", "proxy_six_dof"}
+LONG = {"depth_map", "depth_map_coulomb", "eq10", "proxy_six_dof", "tuned"}
 
 
 #: Two that stand for the others where a law needs fits of its own

@@ -28,13 +28,11 @@ LEAST_FORCE = 0.1
 
 
 class WrenchSource(Protocol):
-    """What judging asks for: wrenches along a recording.
+    """What judging asks for: wrenches along a recording."""
 
-    Attributes:
-        name: As it is printed.
-    """
-
-    name: str
+    @property
+    def name(self) -> str:
+        """As it is printed."""
 
     def wrenches(self, trajectory: Trajectory) -> Array:
         """The wrench of every frame, shape (n, 6) [N, N·m]."""

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.signal import savgol_filter
 
 from ttus_opt.arrays import Array
-from ttus_opt.comparators.base import Comparator, WrenchSource
+from ttus_opt.comparators.base import RendersWrenches, WrenchSource
 from ttus_opt.comparators.registry import available, create
 from ttus_opt.errors import InputError, TtusError
 from ttus_opt.haptic.field_wrench import FieldWrenches
@@ -102,7 +102,9 @@ def compare(
     for name in chosen:
         if progress is not None:
             progress(name)
-        comparator = create(name, surface=surface, shell=shell, cloud=cloud)
+        comparator: RendersWrenches = create(
+            name, surface=surface, shell=shell, cloud=cloud
+        )
         begin = time.process_time()
         try:
             comparator.fit(fitted)
@@ -118,7 +120,7 @@ def compare(
 
 
 def judged(
-    comparator: WrenchSource | Comparator,
+    comparator: WrenchSource,
     label: str,
     recording: Trajectory,
     seconds_fit: float = math.nan,
@@ -156,7 +158,7 @@ def judged(
     )
 
 
-def ripple(comparator: WrenchSource | Comparator, recording: Trajectory) -> float:
+def ripple(comparator: WrenchSource, recording: Trajectory) -> float:
     """Short waves of the force on a slow straight slide through a firm touch.
 
     Args:

@@ -19,7 +19,7 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import ScenePlan
+from ttus_opt.scene import Scene, ScenePlan
 
 
 class FieldModel(Comparator):
@@ -54,8 +54,12 @@ class FieldModel(Comparator):
 
     def _fit(self, recording: Trajectory, force: Array) -> None:
         scene = self.plan.build(self.surface, self.shell, recording)
-        self.solution = fit(scene, self.formulation, **self.defaults)
+        self.solution = self._solved(scene)
         self._renderer = Renderer(self.solution.field, self.shell)
+
+    def _solved(self, scene: Scene) -> Solution:
+        """The fit of the formulation."""
+        return fit(scene, self.formulation, **self.defaults)
 
     def _wrench(self, R: Array, at: Array, twist: Array) -> tuple[Array, int]:
         out = np.empty(6)

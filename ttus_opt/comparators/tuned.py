@@ -1,0 +1,25 @@
+"""Eq. 10 with what the data say of weights, boundary scale and drag: `ttus_opt.tune`.
+
+The same as ``ttus-opt fit --weights auto``: of `eq10` and `coulomb_global` the one with
+the larger marginal likelihood, at its most likely weights.
+"""
+
+from __future__ import annotations
+
+from ttus_opt.comparators.field_model import FieldModel
+from ttus_opt.fitting.batch import fit
+from ttus_opt.fitting.tuning import tune
+from ttus_opt.problem.solution import Solution
+from ttus_opt.scene import Scene
+
+
+class Tuned(FieldModel):
+    """The field of the most likely formulation and weights."""
+
+    name = "tuned"
+    summary = "ours: eq. 10, with drag or without, by marginal likelihood"
+    turns = False  # its searches end within a tolerance
+
+    def _solved(self, scene: Scene) -> Solution:
+        found = tune(scene, compare=False)
+        return fit(found.scene, found.formulation)
