@@ -71,3 +71,15 @@ def test_what_is_refused(run: Run, given: Path, output: Path) -> None:
     refused(run(f"{words} --by angular-speed --largest-offset 0.1"), "correlate by")
     refused(run(f"{words} --offset 0 --largest-gap 0"), "gap")
     assert empty(output)
+
+
+def test_a_ros_recording_for_both(run: Run, tmp_path: Path, output: Path) -> None:
+    pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
+    from tests.sensors.test_ros_bag import recorded
+
+    bag = recorded(tmp_path, "ros1")
+    words = f"synchronise {bag} --wrenches {bag} --offset 0 -o {output / 'r.csv'}"
+    refused(run(words), "several topics", "/posestamped")
+    answer = run(f"{words} --pose-topic /posestamped")
+    assert "10 of 10 frames" in answer.out
+    assert read_trajectory(output / "r.csv").has_torque

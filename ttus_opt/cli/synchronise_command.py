@@ -29,10 +29,17 @@ def register(app: typer.Typer) -> None:
 
 def synchronise(
     poses: Annotated[
-        Path, typer.Argument(help="Trajectory CSV, or a PLUS sequence (.mha).")
+        Path,
+        typer.Argument(
+            help="Trajectory CSV, PLUS sequence (.mha), or ROS recording (.bag, .mcap, "
+            "folder)."
+        ),
     ],
     wrenches: Annotated[
-        Path, typer.Option(help="Table t,fx,fy,fz[,tx,ty,tz] on its own clock.")
+        Path,
+        typer.Option(
+            help="Table t,fx,fy,fz[,tx,ty,tz] on its own clock, or ROS recording."
+        ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Trajectory CSV.")],
     by: Annotated[
@@ -52,6 +59,12 @@ def synchronise(
     transform: Annotated[
         str | None, typer.Option(help="Of a .mha with several, as ProbeToTracker.")
     ] = None,
+    pose_topic: Annotated[
+        str | None, typer.Option(help="Of a ROS recording with several.")
+    ] = None,
+    wrench_topic: Annotated[str | None, typer.Option(help="The same of wrenches.")] = (
+        None
+    ),
     together: Annotated[
         bool,
         typer.Option(
@@ -71,13 +84,14 @@ def synchronise(
 
     Frames without wrenches are left out; a new segment begins after them.
     """
-    from ttus_opt.sensors.streams import read_wrench_stream, with_wrenches
+    from ttus_opt.sensors.streams import with_wrenches
 
     inputs = [poses, wrenches, *([surface] if surface else [])]
     check_outputs([output], inputs, force=force)
     if (by is None) == (offset is None):
         raise InputError("give either --by contact or angular-speed, or --offset")
-    track, stream = _poses(poses, transform), read_wrench_stream(wrenches)
+    track = _poses(poses, transform, pose_topic)
+    stream = _wrenches(wrenches, wrench_topic)
     found = None
     if by is not None:
         around = float(track.time[0] - stream.time[0]) if together else 0.0
@@ -107,10 +121,24 @@ def synchronise(
     )
 
 
-def _poses(file: Path, transform: str | None) -> Trajectory:
+def _of_ros(file: Path) -> bool:
+    return file.is_dir() or file.suffix.lower() in (".bag", ".mcap")
+
+
+def _wrenches(file: Path, topic: str | None) -> WrenchStream:
+    from ttus_opt.sensors.ros_bag import read_bag_wrenches
+    from ttus_opt.sensors.streams import read_wrench_stream
+
+    return read_bag_wrenches(file, topic) if _of_ros(file) else read_wrench_stream(file)
+
+
+def _poses(file: Path, transform: str | None, topic: str | None) -> Trajectory:
     from ttus_opt.probe.trajectory import read_trajectory
     from ttus_opt.sensors.plus_sequence import read_plus_sequence
+    from ttus_opt.sensors.ros_bag import read_bag_poses
 
+    if _of_ros(file):
+        return read_bag_poses(file, topic)
     if file.suffix.lower() == ".mha":
         return read_plus_sequence(file, transform)
     return read_trajectory(file)
@@ -125,13 +153,12 @@ def _found(
     search: tuple[float, float],
 ) -> Offset:
     """The offset by what the user names."""
-    from ttus_opt.probe.trajectory import read_trajectory
     from ttus_opt.scan.surface import Surface
     from ttus_opt.sensors import clock
 
     if by == "angular-speed":
         first = clock.angular_speed(track)
-        second = clock.angular_speed(read_trajectory(wrenches))
+        second = clock.angular_speed(_poses(wrenches, None, None))
     elif by == "contact":
         if surface is None:
             raise InputError("--by contact needs --surface, in the frame of the poses")
