@@ -34,6 +34,7 @@ ALONE = (
     "modules.md",
     "benchmark.md",
     "comparators.md",
+    "experiment/report.md",
 )
 
 FIRST_NOTEBOOK = "notebooks/01_scan_to_field_to_force.ipynb"

@@ -76,6 +76,7 @@ def summary(result: ExperimentResult) -> list[Block]:
     """Everything but the figures."""
     best = best_setting(result)
     blocks: list[Block] = [Heading(TITLE, 1), *_what_was_done(result)]
+    blocks += [tables.recordings_table(result)]
     blocks += [Heading("Counterparts of the paper's tables I to IV"), _about_paper()]
     for name, table in tables.paper_tables(result, best).items():
         blocks += [Heading(name, 3), table]

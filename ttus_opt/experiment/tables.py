@@ -10,10 +10,14 @@ import numpy as np
 from ttus_opt.experiment import paper_averages as paper
 from ttus_opt.experiment.boundary import spread
 from ttus_opt.experiment.document import Table
+from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.rivals import PREFIX
 from ttus_opt.experiment.run import ITSELF, ExperimentResult
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.report.hysteresis import hysteresis_share
+from ttus_opt.report.metrics import FORCE_THRESHOLD
 
 Reading = Callable[[Score], float]
 
@@ -108,6 +112,25 @@ def _paper_row(name: str, seen: bool) -> list[str]:
     else:
         gain = f"−{100 * paper.GAIN_ANGLE:.0f} %, −{paper.GAIN_ANGLE_DEG:g}°"
     return ["the paper, three people", "", gain]
+
+
+def recordings_table(result: ExperimentResult) -> Table:
+    """What was recorded: contact, force, torque, and work that is not given back."""
+    shell = PointShell.from_spec(PROBE_SPEC)
+    lines = []
+    for each in result.patients:
+        for name, own in each.examination.measured.items():
+            assert own.force is not None
+            assert own.torque is not None
+            size = np.linalg.norm(own.force, axis=1)
+            touching = size > FORCE_THRESHOLD
+            torque = 1e3 * np.linalg.norm(own.torque, axis=1)[touching]
+            lost = 100 * hysteresis_share(own, shell, FORCE_THRESHOLD)
+            cells = [f"{touching.sum()}/{len(own)}", f"{np.median(size[touching]):.1f}"]
+            cells += [f"{size.max():.1f}", f"{np.median(torque):.0f}"]
+            lines.append([f"{each.patient.name}, {name}", *cells, number(lost, ".0f")])
+    header = ["", "in contact", "median [N]", "largest [N]", "median torque [mN·m]"]
+    return Table([*header, "work of presses not given back [%]"], lines)
 
 
 def torque_table(result: ExperimentResult) -> Table:
