@@ -87,24 +87,32 @@ def test_aims_met_are_counted_recording_by_recording():
 
 
 def test_rivals_have_no_table_where_none_was_asked_for():
-    assert tables.rivals_table(result([])) is None
+    assert tables.rivals_table(result([]), "eq10") is None
 
 
 def test_rivals_stand_in_a_table_of_their_own_with_those_that_failed():
     rows = [
         row("lean", "press_test", "eq10", 0.3),
         row("lean", "press_test", "comparator eq10", 0.4, told=0.0),
+        row("stout", "press_test", "eq10", 0.5),
     ]
     whole = result(rows)
     facts = {"ms_per_frame": 0.5, "ripple": 0.002}
-    whole.patients[0].rivals = (
+    rivals = (
         SimpleNamespace(name="eq10", facts=facts),
         SimpleNamespace(name="proxy", facts={"failure": "no contact"}),
     )
-    table = tables.rivals_table(whole)
-    assert table.rows[0][:3] == ["eq10", "0.40", "4.0"]
-    assert table.rows[0][-2:] == ["0.5", "0.2"]
-    assert table.rows[1][1] == "not fitted: no contact"
+    whole.patients[:] = [
+        SimpleNamespace(rivals=rivals, patient=SimpleNamespace(name="lean")),
+        SimpleNamespace(rivals=(), patient=SimpleNamespace(name="stout")),
+    ]
+    table = tables.rivals_table(whole, "eq10")
+    assert table.rows[0][:3] == ["(eq. 10)", "0.30", "3.0"]  # lean alone
+    assert table.rows[1][:3] == ["eq10", "0.40", "4.0"]
+    assert table.rows[1][-2:] == ["0.5", "0.2"]
+    assert table.rows[2][1] == "not fitted: no contact"
     assert all(len(cells) == len(table.header) for cells in table.rows)
-    assert len(tables.comparison_table(whole, "true").rows) == 1
+    assert [cells[0] for cells in tables.comparison_table(whole, "true").rows] == [
+        "eq. 10"
+    ]
     assert best_setting(whole) == "eq10"

@@ -226,35 +226,39 @@ def winners_table(result: ExperimentResult, reading: Reading, form: str) -> Tabl
     return Table(["", *map(title, names)], lines)
 
 
-def rivals_table(result: ExperimentResult) -> Table | None:
-    """Comparators beside eq. 10: errors, time of a frame and ripple; None without."""
-    names = list(dict.fromkeys(r.name for p in result.patients for r in p.rivals))
+def rivals_table(result: ExperimentResult, best: str) -> Table | None:
+    """Comparators and the best field: errors, time of a frame, ripple; None without."""
+    examined = [each for each in result.patients if each.rivals]
+    names = list(dict.fromkeys(r.name for each in examined for r in each.rivals))
     if not names:
         return None
-    lines = []
+    whose = {each.patient.name for each in examined}
     rows = select(result.rows, seen=False, against="true")
+    rows = [row for row in rows if row.patient in whose]
+    lines = [[f"({title(best)})", *_rival_errors(rows, best), "–", "–"]]
     for name in names:
-        own = select(rows, setting=PREFIX + name)
-        facts = [r.facts for p in result.patients for r in p.rivals if r.name == name]
+        facts = [r.facts for each in examined for r in each.rivals if r.name == name]
         failures = [f["failure"] for f in facts if "failure" in f]
-        if failures and not own:
+        if failures:
             lines.append([name, f"not fitted: {failures[0]}", *[""] * 6])
             continue
         frame, ripple = (
-            float(np.median([f[key] for f in facts if key in f]))
+            float(np.median([f[key] for f in facts]))
             for key in ("ms_per_frame", "ripple")
         )
-        lines.append(
-            [
-                name,
-                number(mean(own, _FORCE)),
-                number(mean(own, _ANGLE), ".1f"),
-                number(100 * mean(own, lambda s: s.torque_share), ".0f"),
-                number(mean(own, lambda s: s.torque_angle_error_deg), ".0f"),
-                number(100 * mean(own, lambda s: s.share_told_apart), ".0f"),
-                number(frame, ".2g"),
-                number(100 * ripple, ".2g"),
-            ]
-        )
+        errors = _rival_errors(rows, PREFIX + name)
+        lines.append([name, *errors, number(frame, ".2g"), number(100 * ripple, ".2g")])
     header = ["", "force [N]", "angle [°]", "torque [%]", "torque angle [°]"]
     return Table([*header, "told apart [%]", "ms per frame", "ripple [%]"], lines)
+
+
+def _rival_errors(rows: Sequence[Row], setting: str) -> list[str]:
+    """Mean errors of a comparator over recordings, as its table prints them."""
+    own = select(rows, setting=setting)
+    return [
+        number(mean(own, _FORCE)),
+        number(mean(own, _ANGLE), ".1f"),
+        number(100 * mean(own, lambda s: s.torque_share), ".0f"),
+        number(mean(own, lambda s: s.torque_angle_error_deg), ".0f"),
+        number(100 * mean(own, lambda s: s.share_told_apart), ".0f"),
+    ]
