@@ -9,7 +9,7 @@ import pytest
 
 from tests.cli.conftest import Run, empty, refused
 from ttus_opt import experiment
-from ttus_opt.experiment.run import ExperimentResult
+from ttus_opt.experiment.pipeline import ExperimentResult
 
 
 @pytest.mark.parametrize(

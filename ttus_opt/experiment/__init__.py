@@ -6,7 +6,7 @@
 Needs scikit-fem (extra ``phantom``) to simulate recordings that are not there yet.
 """
 
-from ttus_opt.experiment.run import ExperimentResult, Plan, n_stages, run
+from ttus_opt.experiment.pipeline import ExperimentResult, Plan, n_stages, run
 from ttus_opt.experiment.scores import Row, Score
 
 __all__ = ["ExperimentResult", "Plan", "Row", "Score", "n_stages", "run"]

@@ -20,8 +20,8 @@ from ttus_opt.experiment.document import (
     write_markdown,
 )
 from ttus_opt.experiment.figures import draw
+from ttus_opt.experiment.pipeline import ExperimentResult
 from ttus_opt.experiment.rivals import PREFIX
-from ttus_opt.experiment.run import ExperimentResult
 from ttus_opt.experiment.scores import AIM_ANGLE, AIM_TORQUE, AIM_TORQUE_ANGLE, Score
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
 from ttus_opt.phantom.recording import (

@@ -12,7 +12,7 @@ from ttus_opt.errors import InputError, MissingPackageError
 from ttus_opt.experiment import recordings
 from ttus_opt.experiment.boundary import FACTORS
 from ttus_opt.experiment.patients import patients
-from ttus_opt.experiment.run import ITSELF
+from ttus_opt.experiment.pipeline import ITSELF
 from ttus_opt.experiment.settings import compared
 
 PLAN = experiment.Plan(
