@@ -48,6 +48,7 @@ def test_the_shown_commands_have_these_options(
         "evaluate",
         "render",
         "benchmark",
+        "experiment",
     ]
     for name, words in commands:
         with pytest.raises(SystemExit):
