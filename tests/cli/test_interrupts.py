@@ -57,6 +57,28 @@ def interrupted(process: subprocess.Popen[str], *, terminal: bool) -> float:
     return time.perf_counter() - start
 
 
+def deaf_at_work(command: str, files: Path, folder: Path) -> subprocess.Popen[str]:
+    """A command whose solver never listens, once that solver is at work.
+
+    Args:
+        command: Its first word, and options of its own.
+        files: Surface and recording.
+        folder: Where it runs; it writes into ``output`` there.
+    """
+    (folder / "deaf.py").write_text(DEAF)
+    (folder / "output").mkdir()
+    words = (
+        f"{command} --surface {files / 'surface.nc'} --probe {PROBE} --points 60 "
+        f"--trajectory {files / 'press.csv'} --shape 6,12,6 --solver deaf.py "
+        f"-o {folder / 'output' / 'f.nc'}"
+    ).split()
+    process = started(words, folder)
+    while not (folder / "at_work").exists():
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.05)
+    return process
+
+
 @pytest.mark.parametrize(
     "terminal",
     [True, pytest.param(False, marks=pytest.mark.slow)],
@@ -65,23 +87,11 @@ def interrupted(process: subprocess.Popen[str], *, terminal: bool) -> float:
 def test_a_solver_that_never_listens(
     files: Path, tmp_path: Path, terminal: bool
 ) -> None:
-    (tmp_path / "deaf.py").write_text(DEAF)
-    output = tmp_path / "output"
-    output.mkdir()
-    words = (
-        f"fit --surface {files / 'surface.nc'} --probe {PROBE} --points 60 "
-        f"--trajectory {files / 'press.csv'} --shape 6,12,6 --solver deaf.py "
-        f"-o {output / 'f.nc'}"
-    ).split()
-    process = started(words, tmp_path)
-    while not (tmp_path / "at_work").exists():
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.05)
+    process = deaf_at_work("fit", files, tmp_path)
     interrupted(process, terminal=terminal)
     assert process.returncode == 130
-    told = process.communicate()[1]
-    assert told.strip().endswith("nothing further was written")
-    assert empty(output)
+    assert process.communicate()[1].strip().endswith("nothing further was written")
+    assert empty(tmp_path / "output")
     with pytest.raises(ProcessLookupError):  # nothing of it goes on
         os.killpg(process.pid, 0)
 
@@ -89,25 +99,14 @@ def test_a_solver_that_never_listens(
 @pytest.mark.slow
 def test_a_second_interrupt_ends_a_path_at_once(files: Path, tmp_path: Path) -> None:
     """The first leaves it time to write the points it has."""
-    (tmp_path / "deaf.py").write_text(DEAF)
-    output = tmp_path / "output"
-    output.mkdir()
-    words = (
-        f"path --surface {files / 'surface.nc'} --probe {PROBE} --points 60 "
-        f"--trajectory {files / 'press.csv'} --shape 6,12,6 --solver deaf.py "
-        f"--weight force=1e-2,1 -o {output / 'p.nc'}"
-    ).split()
-    process = started(words, tmp_path)
-    while not (tmp_path / "at_work").exists():
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.05)
+    process = deaf_at_work("path --weight force=1e-2,1", files, tmp_path)
     process.send_signal(signal.SIGINT)
     time.sleep(0.5)
     assert process.poll() is None
     interrupted(process, terminal=False)
     assert process.returncode == 130
     assert process.communicate()[1].strip().endswith("nothing further was written")
-    assert empty(output)
+    assert empty(tmp_path / "output")
 
 
 #: Those that once did not listen
