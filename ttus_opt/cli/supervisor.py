@@ -45,7 +45,8 @@ def run_supervised(command: str) -> None:
     Args:
         command: The first word of the command line.
     """
-    if command not in COMMANDS or not hasattr(os, "fork"):
+    computes = command[:1] not in ("", "-") and command not in ALONE
+    if not (computes and hasattr(os, "fork")):
         return
     child = os.fork()
     if child:
