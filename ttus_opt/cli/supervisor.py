@@ -16,17 +16,8 @@ from types import FrameType
 
 from ttus_opt.interrupts import INTERRUPT
 
-#: Commands that compute; the others are over at once, or watch children of their own
-COMMANDS = (
-    "demo",
-    "evaluate",
-    "experiment",
-    "fit",
-    "path",
-    "render",
-    "surface",
-    "tune",
-)
+#: Commands that are over at once, or watch children of their own
+ALONE = ("benchmark", "formulations", "solvers", "warm-up")
 
 #: What a child that was asked to stop is given to clean up [s]
 GRACE = 1.0
