@@ -127,7 +127,14 @@ def test_without_rosbags_the_extra_is_named(
         read_bag_poses(tmp_path / "r.bag")
 
 
-@pytest.mark.parametrize("n", [20, pytest.param(1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "n",
+    [
+        20,
+        pytest.param(200, marks=pytest.mark.slow),
+        pytest.param(1500, marks=[pytest.mark.slow, pytest.mark.long]),
+    ],
+)
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
 def test_mutations(tmp_path: Path, kind: str, n: int) -> None:
