@@ -25,20 +25,27 @@ from typing import Any
 import numba
 import numpy as np
 from numba import carray, types
-from numba.core import cgutils
 from numba.extending import intrinsic
 
 from ttus_opt.arrays import IntArray
 from ttus_opt.compiled import compiled
 from ttus_opt.errors import TtusError
 from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.haptic.tables import (
+    N_ARRAYS,
+    N_FIELDS,
+    WORDS,
+    buffers_at,
+    pointer,
+    render_tables,
+    table_of,
+)
 from ttus_opt.haptic.wrench import (
     TWIST,
     WRENCH,
     FieldPair,
     FrameBuffers,
     FrameLimits,
-    render_frame,
 )
 
 #: The C header that declares the function and its codes
@@ -49,16 +56,8 @@ HEADER = Path(__file__).with_name("ttus_frame.h")
 OFF_GRID = -1
 
 #: Words of a context: frames begun and done, 1 while an update waits, the address of
-#: the fields' table, 1 for trilinear sampling; then the arrays of the data, the buffers
-#: and the limits in their order
+#: the fields' table, 1 for trilinear sampling; then a frame's table
 BEGUN, DONE, WAITING, FIELDS, TRILINEAR, ARRAYS = 0, 1, 2, 3, 4, 5
-
-#: Words of an array in a table, its address and its shape; arrays of a context (the
-#: data's without its flag, the buffers', the limits'), and of a pair of fields
-WORDS = 3
-N_DATA = len(FrameData._fields) - 1
-N_ARRAYS = N_DATA + len(FrameBuffers._fields) + len(FrameLimits._fields)
-N_FIELDS = len(FieldPair._fields)
 
 #: An update gives up on a frame that has not ended after so long [s]
 PATIENCE = 5.0
@@ -112,8 +111,8 @@ class Context:
         )
         head = np.zeros(ARRAYS, dtype=np.int64)
         head[TRILINEAR] = own.trilinear
-        self.words: IntArray = np.concatenate([head, _table(self._arrays)])
-        self._fields = _table(pair), pair
+        self.words: IntArray = np.concatenate([head, table_of(self._arrays)])
+        self._fields = table_of(pair), pair
         self.words[FIELDS] = self._fields[0].ctypes.data
 
     def pause(self) -> None:
@@ -127,7 +126,7 @@ class Context:
 
     def resume(self, pair: FieldPair) -> None:
         """Render other fields from the next frame on; after `pause`."""
-        old, self._fields = self._fields, (_table(pair), pair)
+        old, self._fields = self._fields, (table_of(pair), pair)
         _store(self.words, FIELDS, self._fields[0].ctypes.data)
         self._let_frames_end()  # the last that may read the old fields
         del old
@@ -142,22 +141,6 @@ class Context:
                     "its thread stopped?"
                 )
             time.sleep(1e-5)
-
-
-def _table(arrays: tuple[np.ndarray[Any, Any], ...]) -> IntArray:
-    """Address and shape of arrays, one after the other, shape (WORDS·n,)."""
-    rows = [(a.ctypes.data, *a.shape, *(0,) * (2 - a.ndim)) for a in arrays]
-    return np.array(rows, dtype=np.int64).reshape(-1)
-
-
-@intrinsic
-def _pointer(typing_context: Any, address: Any) -> Any:
-    """An address as a pointer (compiled)."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return builder.inttoptr(arguments[0], cgutils.voidptr_t)
-
-    return types.voidptr(types.int64), generate
 
 
 def _word_at(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -201,49 +184,6 @@ def _store(words: IntArray, place: int, value: int) -> None:
     _write(words, place, value)
 
 
-@compiled(inline="always")
-def _vector(table: IntArray, k: int, kind: Any) -> Any:
-    """Array k of a table, of one dimension (compiled)."""
-    return carray(_pointer(table[WORDS * k]), (table[WORDS * k + 1],), kind)
-
-
-@compiled(inline="always")
-def _matrix(table: IntArray, k: int, kind: Any) -> Any:
-    """Array k of a table, of two dimensions (compiled)."""
-    shape = (table[WORDS * k + 1], table[WORDS * k + 2])
-    return carray(_pointer(table[WORDS * k]), shape, kind)
-
-
-@compiled()
-def _data(trilinear: bool, table: IntArray) -> FrameData:
-    """The data that a context's table describes (compiled)."""
-    real, whole = np.float64, np.int64
-    return FrameData(
-        trilinear,
-        _matrix(table, 0, real),  # points
-        _matrix(table, 1, real),  # lever
-        _vector(table, 2, real),  # reference
-        _vector(table, 3, whole),  # start
-        _matrix(table, 4, real),  # spheres
-        _vector(table, 5, real),  # limits
-        _vector(table, 6, whole),  # shape
-        _vector(table, 7, real),  # radius
-        _vector(table, 8, whole),  # nodes
-        _vector(table, 9, real),  # layout
-        _matrix(table, 10, real),  # spokes
-        _matrix(table, 11, real),  # ceiling
-        _vector(table, 12, real),  # tiles
-        _matrix(table, 13, real),  # place
-        _vector(table, 14, np.bool_),  # near
-        _matrix(table, 15, whole),  # node
-        _vector(table, 16, whole),  # touched
-        _vector(table, 17, real),  # depth
-        _matrix(table, 18, whole),  # voxel
-        _matrix(table, 19, real),  # share
-        _vector(table, 20, np.int32),  # hits
-    )
-
-
 @compiled(error_model="numpy")
 def _frame(
     context: Any, rotation: Any, position: Any, twist: Any, time: float, wrench: Any
@@ -253,23 +193,8 @@ def _frame(
     _write(words, BEGUN, words[BEGUN] + 1)
     may_write = _read(words, WAITING) == 0
     table = words[ARRAYS:]
-    data = _data(words[TRILINEAR] != 0, table)
-    real, k = np.float64, N_DATA
-    buffers = FrameBuffers(
-        _matrix(table, k, real),
-        _vector(table, k + 1, real),
-        _vector(table, k + 2, real),
-        _matrix(table, k + 3, real),
-    )
-    limits = FrameLimits(_vector(table, k + 4, real), _matrix(table, k + 5, real))
-    fields = carray(_pointer(_read(words, FIELDS)), (WORDS * N_FIELDS,), np.int64)
-    pair = FieldPair(
-        _vector(fields, 0, real),
-        _vector(fields, 1, real),
-        _vector(fields, 2, real),
-        _vector(fields, 3, real),
-        _vector(fields, 4, real),
-    )
+    buffers = buffers_at(table)
+    fields = carray(pointer(_read(words, FIELDS)), (WORDS * N_FIELDS,), np.int64)
     R, at, given = carray(rotation, (3, 3)), carray(position, 3), carray(twist, 6)
     for i in range(3):
         buffers.at[i] = at[i]
@@ -278,7 +203,8 @@ def _frame(
     if math.isnan(time):
         for i in range(6):
             buffers.rows[TWIST, i] = given[i]
-    contact, in_grid, _, _ = render_frame(buffers, time, data, pair, limits, may_write)
+    trilinear = words[TRILINEAR] != 0
+    contact, in_grid, _, _ = render_tables(table, fields, trilinear, time, may_write)
     if contact >= 0:
         out = carray(wrench, 6)
         for i in range(6):

@@ -13,13 +13,13 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.contact.friction import FRICTION, VISCOUS
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.errors import InputError, TtusWarning
@@ -35,6 +35,7 @@ from ttus_opt.haptic.doubt_map import DoubtMap
 from ttus_opt.haptic.drag import DragLaw, patch_weights
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import TIME, MotionFilter
+from ttus_opt.haptic.tables import frame_table, render_tables, table_of
 from ttus_opt.haptic.wrench import (
     BAD_TIME,
     BAD_TWIST,
@@ -45,7 +46,6 @@ from ttus_opt.haptic.wrench import (
     FrameLimits,
     mixed,
     mixed_drag,
-    render_frame,
 )
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import PoseLike, QuaternionOrder, pose_of, rotations
@@ -92,9 +92,15 @@ class Wrench:
 class _Fields:
     """The fields of a frame, replaced together, with the names of their drag."""
 
-    pair: FieldPair = field(repr=False)
+    pair: FieldPair
+    table: IntArray  # addresses of the pair's arrays
     current_drag: str
     target_drag: str
+
+    @classmethod
+    def of(cls, pair: FieldPair, current_drag: str, target_drag: str) -> _Fields:
+        """A pair with its table."""
+        return cls(pair, table_of(pair), current_drag, target_drag)
 
     @property
     def drag(self) -> str:
@@ -162,11 +168,12 @@ class Renderer:
         values, drag = _flat(field), DragLaw.of(field.parameters, field.voxmap.grid)
         ledger = settled_ledger(blend.reserve)
         name = _drag_name(field, drag)
-        self._fields = _Fields(
+        self._fields = _Fields.of(
             FieldPair(values, values, drag.numbers, drag.numbers, ledger), name, name
         )
         # a pose is copied here: whatever its layout, it compiles nothing new
         self._buffers = FrameBuffers.empty()
+        self._table = frame_table(self._data, self._buffers, self._limits)
         self._turn = threading.Lock()  # of the buffers; a frame only tries it
         self._ledger_lock = threading.Lock()  # to change the ledger; frames only try it
         self._waiting = False  # an update wants the ledger
@@ -192,7 +199,9 @@ class Renderer:
         amid = settled_ledger(0.0)
         amid[PROGRESS] = 0.5
         pair = pair._replace(ledger=amid)
-        render_frame(FrameBuffers.empty(), math.nan, data, pair, self._limits, True)
+        buffers = FrameBuffers.empty()
+        table = frame_table(data, buffers, self._limits)
+        render_tables(table, table_of(pair), data.trilinear, math.nan, True)
         opened_ledger(amid, pair.current, pair.target, data)
         mixed(pair.current[:4], pair.target[:4], 0.5)
         mixed_drag(amid, pair, pair.current, data, weights)
@@ -322,8 +331,8 @@ class Renderer:
         try:
             fields = self._fields
             drag = fields.drag
-            counts = render_frame(
-                buffers, now, self._data, fields.pair, self._limits, may_write
+            counts = render_tables(
+                self._table, fields.table, self._data.trilinear, now, may_write
             )
         finally:
             if may_write:
@@ -414,7 +423,7 @@ class Renderer:
         """The fields after an update; only with the ledger's lock held."""
         now, old_name = self._fields.pair, self._fields.drag
         if now.ledger[SEEN] == 0.0:
-            return _Fields(
+            return _Fields.of(
                 FieldPair(values, values, drag, drag, now.ledger), name, name
             )
         share = float(now.ledger[PROGRESS])
@@ -423,7 +432,7 @@ class Renderer:
             current = mixed(now.current, now.target, share)
             old_drag = mixed_drag(now.ledger, now, current, data, self._limits.weights)
         ledger = opened_ledger(now.ledger, current, values, data)
-        return _Fields(
+        return _Fields.of(
             FieldPair(current, values, old_drag, drag, ledger), old_name, name
         )
 
