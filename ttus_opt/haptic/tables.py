@@ -136,4 +136,5 @@ def render_tables(
         vector(fields, 4, real),
     )
     data = _data(trilinear, table)
-    return render_frame(buffers_at(table), time, data, pair, limits, may_write)
+    buffers = buffers_at(table)
+    return render_frame(buffers, time, data, pair, limits, may_write)  # type: ignore[no-any-return]
