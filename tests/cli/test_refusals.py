@@ -68,7 +68,7 @@ def test_cloud_that_never_meets_the_axis(run: Run, files: Path, output: Path) ->
             "--n-theta 0 --no-support --axis-origin 0,0,0 --axis-direction 0,0,1",
             ["n_theta", "0"],
         ),
-        ("--n-theta many", ["--n-theta", "not a valid int"]),
+        ("--n-theta many", ["--n-theta", "valid int"]),
         ("--axis-origin 0,0,0", ["--axis-direction"]),
         ("--axis-origin 0,0 --axis-direction 0,0,1", ["--axis-origin", "3 numbers"]),
         ("--axis-origin 0,0,0 --axis-direction 0,0,0", ["--axis-direction", "zero"]),

@@ -258,3 +258,12 @@ def test_a_linear_term_hides_no_other_from_the_least_gradient() -> None:
     absolute = ProgramTerm("absolute", 3.0, eye, np.zeros(2), Absolute())
     for terms in ([linear, absolute], [absolute, linear]):
         assert _least_gradient(program(2, terms), slice(0, 2), 1.0) == 3.0
+
+
+def test_rows_that_cancel_everywhere_are_judged_by_what_cancels() -> None:
+    """x ≤ y with x = y = 3 but for 1e-10: the row's own value is no measure."""
+    problem = program(2, [squares([4, 2])], (rows("order", [[1, -1]], -np.inf, 0.0),))
+    x = np.array([3.0 + 1e-10, 3.0])
+    kkt = kkt_residuals(problem, x, Duals({"order": np.array([2.0])}))
+    assert kkt.primal == pytest.approx(1e-10, rel=1e-5)
+    assert kkt.primal_relative == pytest.approx(1e-10 / 3e-3, rel=1e-5)

@@ -102,7 +102,7 @@ def test_a_new_solve_reuses_and_agrees_with_a_fresh_one() -> None:
             again = prepared.solve()
             fresh = solved(loaded)
             assert relative(again.x, fresh.x) < 1e-8, what
-            assert again.iterations <= max(fresh.iterations, 2), what
+            assert again.iterations <= fresh.iterations + 1, what  # kept directions
     prepared.update(program(scene, 1.0))
     assert prepared.solve().iterations < first / 2
 

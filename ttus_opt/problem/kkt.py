@@ -23,11 +23,12 @@ customary and no bound.
 
 Relative figures, each by the worst block (the field, each parameter, each second
 field) or member, so that none hides behind a larger one: ``primal`` over the member's
-largest limit or value; ``dual`` in the Euclidean norm over the largest of the block's
-summands that should cancel; ``gap`` over the objective f(x), constant included. An
-objective that is zero but for rounding has no relative gap; there the distance √gap
-is judged, a hundred times as strictly, over √f of nothing fitted (x = 0 but for what
-equalities hold), and where squares do not determine x the gap over that f.
+largest limit or value, no less than a thousandth of what cancels in its rows; ``dual``
+in the Euclidean norm over the largest of the block's summands that should cancel;
+``gap`` over the objective f(x), constant included. An objective that is zero but for
+rounding has no relative gap; there the distance √gap is judged, a hundred times as
+strictly, over √f of nothing fitted (x = 0 but for what equalities hold), and where
+squares do not determine x the gap over that f.
 """
 
 from __future__ import annotations
@@ -135,6 +136,9 @@ NOT_FINITE = KKT(*([float("inf")] * 6))
 
 #: The gap is followed down to this part of the tolerance [–]
 CLOSE_ENOUGH = 1e-2
+
+#: Rows whose values are a smaller part of their summands cancel: theirs is no size [–]
+CANCELLED = 1e-3
 
 #: How much stricter a distance is judged than a relative gap [–]
 STRICTER = 100.0
@@ -256,7 +260,9 @@ def _members(program: Program, x: Array) -> Iterator[_Member]:
     for b in program.bounds:
         yield _Member(x[b.part], b.lower[b.part], b.upper[b.part])
     for c in program.constraints:
-        yield _Member(c.matrix @ x, c.lower, c.upper)
+        entries = np.abs(c.matrix.data * x[c.matrix.indices])
+        size = CANCELLED * float(entries.max(initial=0.0))
+        yield _Member(c.matrix @ x, c.lower, c.upper, size)
     for cone in program.cones:
         yield _in_cones(cone, x)
 
@@ -310,6 +316,7 @@ class _Member:
     value: Array
     lower: Array
     upper: Array
+    least: float = 0.0  # size that rows have whose summands cancel
 
     @property
     def violation(self) -> float:
@@ -327,7 +334,9 @@ class _Member:
                 zero but for rounding have no size of their own.
         """
         violation = self.violation
-        return violation / largest_of(self._span, least, TINY) if violation else 0.0
+        if not violation:
+            return 0.0
+        return violation / largest_of(self._span, self.least, least, TINY)
 
     @property
     def _span(self) -> float:
