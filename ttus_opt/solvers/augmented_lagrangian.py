@@ -87,7 +87,7 @@ class AugmentedLagrangian(Solver):
             return math.inf
         s = Sizes.of(program)
         limited = s.limits > s.kinks  # a kink's own bounds are not the program's
-        return 1.0 + 1e-4 * (2.0 if limited else 1.0) * s.voxels
+        return 0.6 + 1e-4 * (2.0 if limited else 1.0) * s.voxels
 
     def prepare(self, program: Program, request: Request) -> Prepared:
         """Sort the rows."""
