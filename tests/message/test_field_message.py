@@ -65,7 +65,9 @@ def test_a_bound_of_ones_own() -> None:
 def test_size_and_force_of_case_M(weight: float) -> None:
     """A field of 345,600 voxels takes 3 kB, and 0.02 N at 0.25 mm and 0.005 N/cm²."""
     cloud = tt.read_cloud(example.path("scan.ply"), unit="m")
-    surface = tt.extract_surface(cloud, axis=tt.Axis.from_cloud(cloud))
+    base = encode(tt.extract_surface(cloud, axis=tt.Axis.from_cloud(cloud)))
+    surface = decode(base)  # what both sides have
+    assert isinstance(surface, tt.Surface)
     shell = tt.PointShell.ellipsoid((0.030, 0.0125, 0.018))
     recordings = [
         tt.read_trajectory(example.path(f"{name}_fit.csv"))
@@ -79,7 +81,6 @@ def test_size_and_force_of_case_M(weight: float) -> None:
         sampling="trilinear",
     )
     field = tt.fit(scene, "eq10", force_weight=weight, torque_weight=weight).field
-    base = encode(surface)
     message = encode(field, base=base)
     assert len(message) <= 3000
     received = decode(message, base=base)

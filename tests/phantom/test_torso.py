@@ -84,6 +84,7 @@ def test_force_is_much_the_same_on_a_coarser_mesh(coarse_patch):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_refinement_closes_in():
     coarse, middle, fine = (
         skin_compliance(torso_body(Torso(), TorsoMesh(resolution=r)))

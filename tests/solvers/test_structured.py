@@ -195,7 +195,9 @@ def test_never_forms_q() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+@pytest.mark.parametrize(
+    "sampling", [pytest.param("voxel-mean", marks=pytest.mark.long), "trilinear"]
+)
 def test_case_s_equals_the_closed_form(sampling: str) -> None:
     """24×72×30 with 200 poses, against SuperLU on Q; about a minute each."""
     scene = small_scene(sampling, (24, 72, 30), n_poses=200)
