@@ -132,6 +132,7 @@ def test_the_stamp_tells_nothing_else(load: Load, edit: tuple[str, str, str]) ->
     assert content_stamp(load().twice) == content_stamp(load(edit).twice)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", some(EDITS, 1))
 def test_code_is_not_haunted_by_what_it_was_made_of(load: Load, name: str) -> None:
     edit, expected = EDITS[name]
@@ -178,6 +179,7 @@ def test_checkouts_share_code(load: Load) -> None:
     assert hits(other.twice) == 1
 
 
+@pytest.mark.slow
 def test_each_list_of_types_has_its_own_file(load: Load, tmp_path: Path) -> None:
     caller = load()
     assert (caller.twice(0), caller.twice(0.5)) == (2, 2.5)
@@ -199,6 +201,7 @@ def test_code_nobody_asks_for_is_removed(load: Load, tmp_path: Path) -> None:
     assert sorted(left) == ["haunted.callee.step"] + ["haunted.caller.twice"] * 2
 
 
+@pytest.mark.slow
 def test_what_another_process_compiles_is_waited_for(
     load: Load, tmp_path: Path
 ) -> None:

@@ -40,6 +40,7 @@ def test_probe_and_drag_are_those_of_the_physics():
     assert example.DRAG == DRAG
 
 
+@pytest.mark.slow
 def test_surface_and_scan_are_what_the_phantom_makes():
     stored, made = Surface.load(example.path("surface.nc")), true_surface()
     assert stored.radius == pytest.approx(made.radius, rel=1e-9)

@@ -17,6 +17,7 @@ SHOW = (
 )
 
 
+@pytest.mark.slow
 def test_a_users_own_file_of_that_name_changes_nothing(tmp_path: Path) -> None:
     (tmp_path / "formulations.py").write_text("raise SystemExit('not ours')\n")
     script = tmp_path / "run.py"

@@ -66,6 +66,7 @@ def test_short_forms_of_probe_and_trajectory() -> None:
     assert repr(SCENE.voxmap.grid) == f"CylindricalGrid({extent})"
 
 
+@pytest.mark.slow
 def test_everything_public_is_one_short_line() -> None:
     solution = tt.fit(SCENE, "eq10_sign", solver="structured")
     field = solution.field
@@ -143,6 +144,7 @@ def test_sections_hold_every_outline_circle_and_dot() -> None:
     assert svg.findall("polygon")[0].attrib["points"].startswith("0.100,-0.100")
 
 
+@pytest.mark.slow
 def test_a_card_loads_no_plotting_package() -> None:
     program = (
         "import sys, tests.test_html_card as t; t.FIELD._repr_html_()\n"

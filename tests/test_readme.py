@@ -36,6 +36,7 @@ def test_the_python_lines_print_what_is_said(readme: str) -> None:
     assert numbers(printed.getvalue()) == pytest.approx(numbers(said), abs=0.15)
 
 
+@pytest.mark.slow
 def test_the_shown_commands_have_these_options(
     readme: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -179,6 +179,7 @@ def test_poses_without_wrench_have_rows_but_no_measurements() -> None:
         _ = scene.f
 
 
+@pytest.mark.slow
 def test_a_plan_goes_from_scan_to_scene_step_by_step() -> None:
     """From a cloud, from its surface and by hand: the same scene."""
     theta, z = np.meshgrid(

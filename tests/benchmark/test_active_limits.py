@@ -6,6 +6,7 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import ttus_opt as tt
 from tests.solvers import taking
@@ -48,6 +49,7 @@ def test_inequality_rows_count() -> None:
     assert active_limits(problem, np.array([1.0, 2.0]), duals) == 2
 
 
+@pytest.mark.slow
 @taking.over({"osqp", "scs", "clarabel"})
 def test_solvers_agree(solver: Solver) -> None:
     name = solver.name

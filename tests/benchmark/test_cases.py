@@ -87,6 +87,7 @@ print(len(before), *sorted(ready() - before), sep="\\n")
 """
 
 
+@pytest.mark.slow
 def test_small_case_compiles_all_that_a_case_calls() -> None:
     # in a process of its own: in this one other tests have compiled much already
     told = subprocess.run(

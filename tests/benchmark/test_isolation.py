@@ -77,6 +77,7 @@ closed_form._Factorised.solve = lambda self: time.sleep(60)"""
     assert row["detail"] == "ended during first"
 
 
+@pytest.mark.slow
 def test_other_parts_fail_as_rows_as_well(tmp_path: Path) -> None:
     gone = replace(TINY, name="gone", surface=str(tmp_path / "no.nc"))
     (row,) = run_isolated(replace(assembly(), case=gone), tmp_path)

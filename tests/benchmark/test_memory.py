@@ -25,6 +25,7 @@ print(before, during, memory.peak_bytes())
 """
 
 
+@pytest.mark.slow
 def test_peak_memory_sees_an_allocation_and_forgets_it() -> None:
     if not Path("/proc/self/clear_refs").exists():
         pytest.skip("this system does not tell a process's peak")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
+import pytest
+
 from tests.benchmark.rows import failed, row
 from ttus_opt.benchmark.report import write_report
 from ttus_opt.benchmark.row import Row
@@ -33,6 +35,7 @@ def headings(text: str) -> list[str]:
     return [line for line in text.splitlines() if line.startswith("## ")]
 
 
+@pytest.mark.slow
 def test_report_has_the_closed_form_first_and_pictures(tmp_path: Path) -> None:
     text = written(tmp_path, {"solvers": ROWS}, memory=True)
     assert headings(text)[0] == "## Against the closed form Q p = d"
@@ -62,6 +65,7 @@ def test_report_of_other_parts_alone(tmp_path: Path) -> None:
     assert "time limit: ended during updates" in text
 
 
+@pytest.mark.slow
 def test_rows_are_there_as_csv(tmp_path: Path) -> None:
     written(tmp_path, {"solvers": ROWS})
     with (tmp_path / "solvers.csv").open(newline="") as file:

@@ -65,6 +65,7 @@ def test_own_scene_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "Against the closed form" in Path(told["report"]).read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_export_runs_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -21,6 +21,7 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 
 
+@pytest.mark.slow
 def test_surface_writes_what_it_says(run: Run, files: Path, tmp_path: Path) -> None:
     output, picture = tmp_path / "s.nc", tmp_path / "s.png"
     answer = run(
@@ -67,6 +68,7 @@ def test_fit_json_has_the_stable_keys(run: Run, files: Path, tmp_path: Path) -> 
     assert found.provenance["trajectories"] == "press.csv"
 
 
+@pytest.mark.slow
 def test_fit_tells_how_well_parameters_are_known(
     run: Run, files: Path, tmp_path: Path
 ) -> None:
@@ -103,6 +105,7 @@ def test_fit_tells_how_well_parameters_are_known(
     assert stored == {"boundary_scale": error}
 
 
+@pytest.mark.slow
 def test_a_fit_that_fails_still_draws_the_poses(
     run: Run, files: Path, tmp_path: Path
 ) -> None:
@@ -115,6 +118,7 @@ def test_a_fit_that_fails_still_draws_the_poses(
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_options_reach_the_formulation(run: Run, files: Path, tmp_path: Path) -> None:
     own = tmp_path / "own.py"
     own.write_text(
@@ -144,6 +148,7 @@ def test_options_reach_the_formulation(run: Run, files: Path, tmp_path: Path) ->
     )
 
 
+@pytest.mark.slow
 def test_evaluate_matches_the_rows_of_the_fit(
     run: Run, files: Path, field: Path, tmp_path: Path
 ) -> None:
@@ -171,6 +176,7 @@ def test_evaluate_matches_the_rows_of_the_fit(
     assert picture.exists()
 
 
+@pytest.mark.slow
 def test_evaluate_writes_null_for_what_is_not_defined(
     run: Run, field: Path, tmp_path: Path
 ) -> None:
@@ -218,6 +224,7 @@ def test_render_gives_what_evaluate_compares(
     assert json.loads(again.out)["force_vector_rmse_N"] < 1e-12
 
 
+@pytest.mark.slow
 def test_render_outside_the_grid_gives_zero_and_says_so(
     run: Run, field: Path, tmp_path: Path
 ) -> None:
@@ -272,6 +279,7 @@ def test_version(run: Run) -> None:
     )
 
 
+@pytest.mark.slow
 def test_module_runs_as_a_process(tmp_path: Path) -> None:
     process = subprocess.run(
         [sys.executable, "-m", "ttus_opt", "surface"],
@@ -286,6 +294,7 @@ def test_module_runs_as_a_process(tmp_path: Path) -> None:
     assert process.stderr.startswith("error: Missing argument")
 
 
+@pytest.mark.slow
 def test_rendering_path_loads_no_modelling_package() -> None:
     code = (
         "import sys, ttus_opt; ttus_opt.Renderer; ttus_opt.PotentialField; "

@@ -28,6 +28,7 @@ def words(tmp_path: Path) -> str:
     )
 
 
+@pytest.mark.slow
 def test_the_contact_comes_back(run: Run, words: str, output: Path) -> None:
     answer = run(
         f"{words} --sign on-probe -o {output / 'c.csv'} --model {output / 'm.json'}"
@@ -41,6 +42,7 @@ def test_the_contact_comes_back(run: Run, words: str, output: Path) -> None:
     assert set(told["sensor"]) == {"axes", "point", "sign"}
 
 
+@pytest.mark.slow
 def test_false_statements_leave_nothing(run: Run, words: str, output: Path) -> None:
     to = f"-o {output / 'c.csv'} --model {output / 'm.json'}"
     refused(run(f"{words} --sign by-probe {to}"), "give sign on-probe")

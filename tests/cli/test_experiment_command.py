@@ -12,6 +12,7 @@ from ttus_opt import experiment
 from ttus_opt.experiment.pipeline import ExperimentResult
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "said"),
     [

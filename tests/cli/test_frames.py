@@ -124,6 +124,7 @@ def test_what_is_no_frame_is_refused(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_forces_alone(run: Run, tmp_path: Path) -> None:
     replace(recording(), torque=None).save(tmp_path / "force.csv")
     fitted = run(fit_words(tmp_path / "force.csv", tmp_path / "f.nc"))
@@ -137,6 +138,7 @@ def test_forces_alone(run: Run, tmp_path: Path) -> None:
     assert "torque  not measured" in run(words.replace("--json", "")).out
 
 
+@pytest.mark.slow
 def test_a_field_knows_where_it_came_from(run: Run, tmp_path: Path) -> None:
     recording().save(tmp_path / "seen.csv")
     recording("press_test").save(tmp_path / "unseen.csv")
@@ -181,6 +183,7 @@ def test_a_probes_file_that_changed_is_told(tmp_path: Path) -> None:
             seen(damaged, recordings.trajectory)
 
 
+@pytest.mark.slow
 def test_head_and_box(run: Run, tmp_path: Path) -> None:
     words = (
         f"surface {example.path('scan.ply')} -o {tmp_path / 's.nc'} --n-theta 36 "

@@ -79,6 +79,7 @@ def deaf_at_work(command: str, files: Path, folder: Path) -> subprocess.Popen[st
     return process
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "terminal",
     [True, pytest.param(False, marks=pytest.mark.slow)],

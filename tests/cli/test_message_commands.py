@@ -22,6 +22,7 @@ def message(run: Run, files: Path, output: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_surface_and_its_field(
     run: Run, files: Path, field: Path, output: Path, message: Path
 ) -> None:
@@ -51,6 +52,7 @@ def test_what_changed(run: Run, files: Path, output: Path, message: Path) -> Non
     assert json.loads(answer.out)["holds"] == "surface"
 
 
+@pytest.mark.slow
 def test_what_is_refused(
     run: Run, files: Path, field: Path, tmp_path: Path, output: Path
 ) -> None:

@@ -21,6 +21,7 @@ def words(files: Path, output: Path, more: str = "") -> str:
     )
 
 
+@pytest.mark.slow
 def test_it_writes_a_file_and_a_picture_and_tells(
     run: Run, files: Path, tmp_path: Path
 ) -> None:

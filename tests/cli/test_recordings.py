@@ -71,6 +71,7 @@ def test_the_command_names_the_mistake_and_the_option_mends_it(
         assert told["recordings"][0][name] == pytest.approx(expected[name], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_torques_about_the_origin_come_back_about_the_origin(
     run: Run, tmp_path: Path
 ) -> None:
@@ -96,6 +97,7 @@ def test_torques_about_the_origin_come_back_about_the_origin(
     assert json.loads(other.out)["torque_magnitude_error_Nm"] > 1e-3
 
 
+@pytest.mark.slow
 def test_another_probe_is_told(run: Run, tmp_path: Path) -> None:
     fitted = words(example.path("press_fit.csv"), tmp_path / "f.nc")
     assert run(fitted.replace("--columns t=__time", "")).status == 0
@@ -107,6 +109,7 @@ def test_another_probe_is_told(run: Run, tmp_path: Path) -> None:
     assert np.isfinite(json.loads(answer.out)["force_magnitude_error_N"])
 
 
+@pytest.mark.slow
 def test_a_boundary_that_cannot_be_fitted_names_the_mistake(
     run: Run, tmp_path: Path
 ) -> None:

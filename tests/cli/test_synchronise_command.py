@@ -59,6 +59,7 @@ def test_the_offset_is_found(run: Run, given: Path, output: Path, by: str) -> No
     assert "frames in 1 segments" in run(words).out
 
 
+@pytest.mark.slow
 def test_what_is_refused(run: Run, given: Path, output: Path) -> None:
     words = (
         f"synchronise {given / 'tracker.csv'} --wrenches {given / 'robot.csv'} "
@@ -73,6 +74,7 @@ def test_what_is_refused(run: Run, given: Path, output: Path) -> None:
     assert empty(output)
 
 
+@pytest.mark.slow
 def test_a_ros_recording_for_both(run: Run, tmp_path: Path, output: Path) -> None:
     pytest.importorskip("rosbags", reason="needs ttus-opt[sensors]")
     from tests.sensors.test_ros_bag import recorded

@@ -18,6 +18,7 @@ def words(files: Path, command: str, more: str = "") -> str:
     )
 
 
+@pytest.mark.slow
 def test_it_tells_weights_and_how_fit_takes_them(
     run: Run, files: Path, tmp_path: Path
 ) -> None:

@@ -29,6 +29,7 @@ class Known:
         return out
 
 
+@pytest.mark.slow
 def test_a_table_has_a_row_per_comparator_and_recording() -> None:
     press, slide = (part.select(slice(0, 40)) for part in recordings())
     began: list[str] = []

@@ -77,6 +77,7 @@ def test_evidence_finds_what_the_data_were_made_with() -> None:
     assert 0.2 < law.deviation < 0.6
 
 
+@pytest.mark.slow
 def test_unseen_places_are_predicted_better_than_by_one_stiffness() -> None:
     data = palpation(200, 0.05)
     seen = Palpation(data.depth[::2], data.place[::2], data.force[::2])

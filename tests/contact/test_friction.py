@@ -170,6 +170,7 @@ def test_coulomb_global_finds_what_was_put_in(acts_at: str) -> None:
     assert worse.force_angle_error_deg > 8.0
 
 
+@pytest.mark.slow
 def test_the_boundary_scale_is_the_objectives_own() -> None:
     """Against dense least squares over (p, s): the scene's own fit is elsewhere."""
     made = dragged_scene("contact", shape=(7, 14, 8))
@@ -214,6 +215,7 @@ def test_coulomb_drag_field_finds_what_was_put_in() -> None:
     assert solution.duals_by_name["drag_sign"].shape == (scene.n_voxels,)
 
 
+@pytest.mark.slow
 def test_viscous_drag_finds_what_was_put_in() -> None:
     scene = dragged_scene("contact", mu=0.0, viscous=20.0)
     solution = tt.fit(
@@ -240,6 +242,7 @@ def test_viscous_drag_finds_what_was_put_in() -> None:
         )
 
 
+@pytest.mark.slow
 def test_rendered_drag_is_that_of_the_fits_rows() -> None:
     """What the fit explains is what rendering gives, coefficients in the field."""
     scene = dragged_scene("reference")

@@ -26,6 +26,7 @@ def test_every_point_lies_in_one_block_and_its_sphere(n_points: int) -> None:
         assert np.linalg.norm(mine - blocks.centre[b], axis=1).max() <= reach
 
 
+@pytest.mark.slow
 def test_blocks_are_compact() -> None:
     shell = PointShell.sphere(0.02, n_points=1600)
     blocks = ShellBlocks.of(shell)

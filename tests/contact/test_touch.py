@@ -151,6 +151,7 @@ def test_force_starts_from_zero(name: str, grid: str, sampling: str) -> None:
         assert np.abs(press.push(rows, p)).max() < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("grid", ["coarse", "S", "anisotropic"])
 def test_trilinear_presses_are_continuous(grid: str) -> None:
     """Half the step, half the largest jump; also with both ends of the press."""

@@ -86,6 +86,7 @@ def test_the_answer_is_the_dense_minimum() -> None:
     assert set(solution.timings.as_dict()) == told
 
 
+@pytest.mark.slow
 def test_a_candidate_that_fails_its_check_is_never_in_field() -> None:
     """However sure the solver is."""
     wrong = judge(dense_minimum(0.1) + 1e-3)
@@ -99,6 +100,7 @@ def test_a_candidate_that_fails_its_check_is_never_in_field() -> None:
     assert judge(dense_minimum(0.1)).status is Status.SOLVED
 
 
+@pytest.mark.slow
 def test_a_solvers_claim_is_checked_before_it_is_believed() -> None:
     """An answer that holds is a solution even when its solver gave up."""
     assert judge(dense_minimum(0.1), Claim.GAVE_UP).status is Status.SOLVED
@@ -182,6 +184,7 @@ def test_a_term_that_is_no_number_is_refused_by_name(place: str, value: float) -
             fit(SCENE, declared, solver=solver)
 
 
+@pytest.mark.slow
 def test_auto_goes_on_where_the_first_answer_does_not_hold(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -58,6 +58,7 @@ def dense_posterior(scene: Scene) -> np.ndarray:
     return np.linalg.inv(L.T @ L + FORCE * N.T @ N + TORQUE * W.T @ W)
 
 
+@pytest.mark.slow
 def test_covariance_is_that_of_dense_algebra() -> None:
     scene = three_presses()
     rows = wrench_rows(scene, unseen())
@@ -76,6 +77,7 @@ def test_covariance_is_that_of_dense_algebra() -> None:
     assert exact().method == "exact"
 
 
+@pytest.mark.slow
 def test_draws_agree_with_it() -> None:
     drawn = doubt(fitted(), three_presses(), method="samples")
     ratio = drawn.std(unseen()).force_size / exact().std(unseen()).force_size
@@ -85,6 +87,7 @@ def test_draws_agree_with_it() -> None:
     assert np.median(np.abs(found / std - 1.0)) < 0.06
 
 
+@pytest.mark.slow
 def test_scale_is_that_of_presses_left_out() -> None:
     scene = three_presses()
     L, number = scene.L.toarray(), press_numbers(scene)
@@ -140,6 +143,7 @@ def test_fits_of_perturbed_data_scatter_as_stated() -> None:
     assert np.abs(ratio - 1.0).max() < 0.9 and abs(ratio.mean() - 1.0) < 0.2
 
 
+@pytest.mark.slow
 def test_a_fitted_scale_is_doubted_too() -> None:
     scene = three_presses()
     own = Scene.assemble(scene.voxmap, scene.shell, scene.trajectory, inner="fit")

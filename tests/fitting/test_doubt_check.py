@@ -14,6 +14,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.fitting.doubt_check import check_doubt
 
 
+@pytest.mark.slow
 def test_errors_drawn_from_the_doubt_are_covered() -> None:
     rng, many = np.random.default_rng(2), presses(torso(), 60, np.random.default_rng(5))
     stated, field = exact().std(many), fitted().field

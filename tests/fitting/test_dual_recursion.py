@@ -103,6 +103,7 @@ def test_whitened_innovations_carry_the_least_objective(coarse: Scene) -> None:
     assert system.misfit == pytest.approx(objective, rel=1e-6)
 
 
+@pytest.mark.slow
 @given(
     order=st.permutations(range(5)),
     removed=st.integers(0, 4),

@@ -195,6 +195,7 @@ def test_the_noise_is_estimated_from_what_is_left() -> None:
     assert np.mean(found) == pytest.approx(sigma**2, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_viscous_standard_error_is_that_of_dense_least_squares() -> None:
     """σ̂² (AᵀA)⁻¹ with all rows in one matrix, one patch and several."""
     scene = noisy(made(viscous=True), 1e-3, np.random.default_rng(2))
@@ -230,6 +231,7 @@ def test_a_viscous_standard_error_is_that_of_dense_least_squares() -> None:
             assert solution.parameters[f"viscous_coefficient_{i}"] == mean
 
 
+@pytest.mark.slow
 def test_a_searched_standard_error_is_that_of_the_dense_profile() -> None:
     """J(μ) by dense least squares at other places, its second difference by hand."""
     scene = noisy(made(viscous=False), 1e-3, np.random.default_rng(3))
@@ -311,6 +313,7 @@ def test_several_patches_are_doubted_one_by_one() -> None:
     assert known | set(solution.not_identified) == each
 
 
+@pytest.mark.slow
 def test_a_value_at_its_lower_limit_is_a_statement() -> None:
     """Frictionless data with good sliding: μ = 0, told, with its standard error."""
     scene = dragged_scene("contact", mu=-0.1, shape=SMALL)  # it pushes along
@@ -353,6 +356,7 @@ def test_standard_errors_go_through_the_file(tmp_path: Path) -> None:
     assert back.standard_errors["viscous_coefficient"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_general_solver_tells_the_same() -> None:
     scene = noisy(made(viscous=True), 1e-3, np.random.default_rng(1))
     ours, theirs = (

@@ -54,6 +54,7 @@ def covariance() -> np.ndarray:
     return C + root[:, None] * R * root
 
 
+@pytest.mark.slow
 def test_the_evidence_is_that_of_dense_algebra() -> None:
     _, u, t, _ = dense()
     S, weights = covariance(), np.array([FORCE, TORQUE])

@@ -162,6 +162,7 @@ def test_window_and_fading() -> None:
     assert difference(fit, laplace) < 1e-12
 
 
+@pytest.mark.slow
 def test_innovation_is_predicted_by_the_dense_posterior(scene: Scene) -> None:
     fit = RecursiveFit(scene, **WEIGHTS, noise_std=0.2)
     pose = presses(torso(), 1, np.random.default_rng(99))
@@ -213,6 +214,7 @@ def consistent(scene: Scene, std: float, seed: int) -> Trajectory:
     )
 
 
+@pytest.mark.slow
 def test_good_measurements_pass_and_their_statistics_are_right() -> None:
     scene = small_scene("trilinear", n_poses=150)
     told = consistent(scene, 0.1, 5)
@@ -226,6 +228,7 @@ def test_good_measurements_pass_and_their_statistics_are_right() -> None:
     assert fit.estimated_noise_std == pytest.approx(0.1, rel=0.1)
 
 
+@pytest.mark.slow
 def test_an_outlier_is_reported_and_left_out() -> None:
     scene = small_scene("trilinear", n_poses=30)
     told = consistent(scene, 0.1, 6)

@@ -261,6 +261,7 @@ def slide(held: Held, updates: int, window: int, every: int, fading: bool) -> No
             assert held.check() < EXACT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("weight", "fading"),
     [
@@ -279,6 +280,7 @@ def test_a_window_slides_on_and_on(weight: float, fading: bool) -> None:
     assert held.fit.memory_bytes <= 2 * before
 
 
+@pytest.mark.slow
 def test_a_window_slides_with_the_solves_of_the_multigrid(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -128,6 +128,7 @@ def test_torques_about_the_poses_origin_are_told() -> None:
     assert found.shell_centroid == pytest.approx((0.0, 0.0, 0.06), abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
 def test_residuals_and_contacts_are_those_of_each_recording() -> None:
     voxmap, shell = geometry()

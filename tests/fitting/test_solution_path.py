@@ -89,6 +89,7 @@ def test_the_best_weights_are_those_of_the_smallest_error(path: Any) -> None:
     assert best_weights(path.drop_dims("held_out")) == {}
 
 
+@pytest.mark.slow
 def test_a_grid_with_limits_carries_working_sets_over() -> None:
     scene = small_scene("trilinear")
     weights = {"force": [1e-2, 1.0], "torque": [1e-1, 10.0]}

@@ -113,6 +113,7 @@ def test_motion_is_displacement_and_rotation_vector() -> None:
             assert found == (0.0,) * 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("new", [1.6, 0.3])
 def test_stored_energy_at_the_start_is_the_volume_integral(new: float) -> None:
     """The way out finds ∫ (p_new − p_old) dV over the sunk part of the probe."""
@@ -125,6 +126,7 @@ def test_stored_energy_at_the_start_is_the_volume_integral(new: float) -> None:
     assert renderer.blend.stored_gap == pytest.approx(expected, rel=0.04)
 
 
+@pytest.mark.slow
 def test_stored_energy_follows_the_motion() -> None:
     """Observed along a walk, ΔU stays the volume integral, and ends at zero."""
     walk = Walk.make(5)
@@ -157,6 +159,7 @@ WALKS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sampling", "reserve", "seed"), WALKS)
 def test_no_jump_and_no_energy_over_random_motions_and_updates(
     sampling: str, reserve: float, seed: int
@@ -230,6 +233,7 @@ def work_of_a_walk(seed: int, *, passive: bool) -> tuple[float, float]:
     return work, -least
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", some(range(4), 2))
 def test_a_round_trip_gives_no_energy(seed: int) -> None:
     """From air to air, the probe gets no work out of updates; carelessly it does."""

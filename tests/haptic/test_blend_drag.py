@@ -26,6 +26,7 @@ def full_twist(walk: Walk, k: int, seconds: float = 1e-3) -> np.ndarray:
     return np.concatenate([moved, turn]) / seconds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 1])
 def test_drags_are_swapped_with_their_fields(seed: int) -> None:
     """A convex combination of whole wrenches, within the rate, that takes energy."""

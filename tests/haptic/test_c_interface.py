@@ -109,6 +109,7 @@ def poses_of(scene: Scene, n: int = 40) -> tuple[np.ndarray, ...]:
     return turns @ R, position, twist, np.full(n, np.nan)
 
 
+@pytest.mark.slow
 def test_frames_from_c_are_those_from_python(
     scene: Scene, library: ctypes.CDLL
 ) -> None:

@@ -52,6 +52,7 @@ def test_drag_is_that_of_the_points_depths(law: str, sampling: str) -> None:
     assert (dragged > 30) == (law != "none")
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=60)
 @given(st.integers(0, 2**32 - 1))
 def test_friction_only_takes_energy(seed: int) -> None:

@@ -52,6 +52,7 @@ def by_definition(R: np.ndarray, at: np.ndarray) -> Expected:
     return Expected(inside, depth, bool(within.any()), beyond)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
 @settings(deadline=None, max_examples=60)
 @given(st.integers(0, 2**32 - 1))

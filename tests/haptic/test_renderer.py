@@ -184,6 +184,7 @@ def test_unusable_poses(
         renderer.render(rotation, position)
 
 
+@pytest.mark.slow
 def test_rendering_loads_no_modelling_package() -> None:
     program = (
         "import sys, ttus_opt; ttus_opt.Renderer, ttus_opt.PotentialField\n"

@@ -187,6 +187,7 @@ def stopped(name: str, solver: str, rng: np.random.Generator) -> Iterator[Soluti
         yield found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["structured", "osqp", "clarabel"])
 def test_a_solver_stopped_early_is_not_believed(solver: str) -> None:
     """Over all formulations for ours; some for the others, all of them when slow."""

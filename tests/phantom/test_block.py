@@ -53,6 +53,7 @@ def test_force_grows_with_the_power_three_halves():
     assert np.log(deep / shallow) / np.log(3.0) == pytest.approx(1.5, abs=0.06)
 
 
+@pytest.mark.slow
 def test_force_is_normal_and_the_torque_of_a_centred_sphere_vanishes():
     contact = pressed(4e-3, 8e-4)
     assert np.abs(contact.force[:2]).max() < 1e-9 * contact.force[2]

@@ -23,6 +23,7 @@ def test_surface_is_the_torso_within_a_tenth_of_a_millimetre():
     assert np.abs(error).max() < 1e-4
 
 
+@pytest.mark.slow
 def test_cloud_lies_in_the_scan_frame():
     points = frame().to_patient(cloud())
     z = points[:, 2]
@@ -50,6 +51,7 @@ def test_recording_is_the_record_with_noise_and_drag_where_named(coarse_patch):
             assert rest.std() == pytest.approx(0.08, rel=0.25)
 
 
+@pytest.mark.slow
 def test_write_example_writes_every_file_and_counts_poses(coarse_patch, tmp_path):
     count = []
     write_example(tmp_path, coarse_patch, lambda: count.append(1))

@@ -30,6 +30,7 @@ def variation(points):
     return distance.std() / distance.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PRIMITIVES)
 def test_laws_of_a_closed_surface(name):
     shell = PRIMITIVES[name]()
@@ -142,6 +143,7 @@ def test_mesh_area_centroid_and_closed_law():
     assert variation(shell.points) < 0.2
 
 
+@pytest.mark.slow
 @settings(max_examples=6, deadline=None)
 @given(
     turn=st.tuples(*[st.floats(-3, 3)] * 3),
@@ -164,6 +166,7 @@ def test_moving_and_scaling_the_mesh_moves_and_scales_the_shell(turn, shift, sca
     np.testing.assert_allclose(moved.normals, base.normals @ rotation.T, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_inner_walls_are_left_out_unless_asked_for():
     outer = trimesh.creation.box((0.05, 0.02, 0.01))
     inner = trimesh.creation.box((0.046, 0.016, 0.006))

@@ -1,5 +1,6 @@
 import numba
 import numpy as np
+import pytest
 import trimesh
 
 from ttus_opt.probe.ray_casting import RayTree, count_crossings
@@ -26,6 +27,7 @@ def brute_force(corners, origins, directions):
     return np.array(counts)
 
 
+@pytest.mark.slow
 def test_counts_equal_brute_force_on_a_soup():
     rng = np.random.default_rng(4)
     corners = rng.normal(size=(300, 1, 3)) + 0.3 * rng.normal(size=(300, 3, 3))

@@ -42,6 +42,7 @@ def dense(program: Program, r: np.ndarray, fixed: np.ndarray) -> float:
     return 0.5 * float(r[free] @ np.linalg.solve(P[np.ix_(free, free)], r[free]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [1e-4, 10.0])
 @pytest.mark.parametrize(
     "name",

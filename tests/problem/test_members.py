@@ -20,6 +20,7 @@ def cones(sizes: tuple[int, ...]) -> ProgramCones:
     return ProgramCones("cones", eye, np.zeros(m), sizes)
 
 
+@pytest.mark.slow
 def test_the_projection_is_the_nearest_point() -> None:
     """Against a general minimiser; a cone of one row is a sign."""
     one = cones((3,))

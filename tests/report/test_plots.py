@@ -103,6 +103,7 @@ def test_force_of_different_trajectories_is_refused(
         plots.force_over_time({})
 
 
+@pytest.mark.slow
 def test_potential_shows_the_slice_that_changed_most(
     fields: tuple[PotentialField, PotentialField],
 ) -> None:

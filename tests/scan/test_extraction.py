@@ -24,6 +24,7 @@ from ttus_opt.scan.surface import Surface
 DATA = SHARED / "torso"
 
 
+@pytest.mark.slow
 def test_noisy_cylinder_is_unbiased_and_its_deviation_honest() -> None:
     errors, scores = [], []
     for seed in range(3):
@@ -40,6 +41,7 @@ def test_noisy_cylinder_is_unbiased_and_its_deviation_honest() -> None:
     assert 0.4 < np.sqrt(np.mean(np.concatenate(scores) ** 2)) < 1.3
 
 
+@pytest.mark.slow
 def test_bed_left_in_is_rejected_by_the_weights() -> None:
     """A bed 4 cm behind half of the skin, not taken out as a plane."""
     rng = np.random.default_rng(0)
@@ -60,6 +62,7 @@ def test_bed_left_in_is_rejected_by_the_weights() -> None:
     assert abs(error.mean()) < 1e-4
 
 
+@pytest.mark.slow
 def test_step_is_followed() -> None:
     """A shoulder: the radius jumps by 6 cm within a spoke and back."""
     theta = np.random.default_rng(0).uniform(0, 2 * np.pi, 80_000)
@@ -73,6 +76,7 @@ def test_step_is_followed() -> None:
     np.testing.assert_allclose(low, 0.12, atol=0.002)
 
 
+@pytest.mark.slow
 def test_unseen_part_is_marked_filled_and_less_certain() -> None:
     cloud = cylinder(np.random.default_rng(0), noise=0.001)
     seen = cloud[cloud[:, 0] > -0.05]
@@ -84,6 +88,7 @@ def test_unseen_part_is_marked_filled_and_less_certain() -> None:
     assert (back > 5 * s.radius_std[0]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n_theta", "n_z"), [(9, 2), (36, 20), (181, 40), (90, 150)])
 def test_any_resolution(n_theta: int, n_z: int) -> None:
     cloud = cylinder(np.random.default_rng(0))
@@ -94,6 +99,7 @@ def test_any_resolution(n_theta: int, n_z: int) -> None:
     assert abs(s.radius[s.observed].mean() - 0.15) < 3e-4
 
 
+@pytest.mark.slow
 def test_given_heights_and_frame() -> None:
     turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
     axis = Axis(np.array([1.0, 2, 3]), turn)
@@ -288,6 +294,7 @@ def real_scan() -> tuple[Array, Surface]:
     return cloud, extract_surface(cloud, axis=axis)
 
 
+@pytest.mark.slow
 def test_real_scan_is_followed() -> None:
     cloud, s = real_scan()
     plane = find_supporting_plane(cloud)
@@ -345,6 +352,7 @@ def test_real_surface_is_smooth_and_closed() -> None:
     assert bend[[0, -1]].mean() < 2 * bend.mean()  # no seam where the lap closes
 
 
+@pytest.mark.slow
 def test_same_scan_same_surface() -> None:
     cloud, s = real_scan()
     axis = Axis.from_cloud(cloud, head=[1.0, 0.0, 0.0])

@@ -78,6 +78,7 @@ def test_wrong_shapes_are_refused() -> None:
         Axis(np.zeros(2), np.eye(3))
 
 
+@pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000), st.booleans())
 def test_found_on_a_bed_in_any_attitude(seed: int, upper: bool) -> None:
@@ -93,6 +94,7 @@ def test_found_on_a_bed_in_any_attitude(seed: int, upper: bool) -> None:
     np.testing.assert_allclose(origin, [0, 0.11, 0], atol=0.02)
 
 
+@pytest.mark.slow
 def test_the_user_says_how_the_patient_lies() -> None:
     rng = np.random.default_rng(3)
     cloud = np.concatenate([body(rng, upper=False), bed(rng)])
@@ -220,6 +222,7 @@ def test_refusals() -> None:
         Axis.from_cloud(np.concatenate([flat, stubs]))
 
 
+@pytest.mark.slow
 def test_the_supporting_plane_is_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """It stays in the frame: extraction looks for none, and leaves the bed out."""
     rng = np.random.default_rng(0)

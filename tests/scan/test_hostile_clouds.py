@@ -89,6 +89,7 @@ def test_mutations_raise_nothing_but_our_own(n: int, tmp_path: Path) -> None:
     only_our_errors(seeds(tmp_path), read_cloud, n)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")  # front and head, of noise
 def test_a_cloud_that_fills_a_volume_is_refused() -> None:
     rng = np.random.default_rng(0)

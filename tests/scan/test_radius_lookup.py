@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numba
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -44,6 +45,7 @@ def plain(surface: Surface, theta: float, z: float) -> float:
     return float(np.interp(z, surface.z, along))
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(
     st.floats(0.0, 2 * np.pi, exclude_max=True),

@@ -56,6 +56,7 @@ def test_no_bed_none_found(seed: int) -> None:
     assert find_supporting_plane(torso(rng, upper=True)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trials", some([150, 600], 1))
 def test_cut_ends_are_not_a_bed(trials: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The flat end of a closed torso has the body on one side, but no rim."""

@@ -67,6 +67,7 @@ def test_noise_shows_in_the_loop() -> None:
     assert found.loop.worst > found.loop.gap
 
 
+@pytest.mark.slow
 def test_the_real_pairs(shared: Path) -> None:
     A, B = read_pose_pairs(shared / "markers" / "handeye" / "pose_samples.json")
     found = hand_eye(A, B, "fixed")

@@ -67,6 +67,7 @@ def test_orthogonal_rows_are_thresholded(weight: float) -> None:
     np.testing.assert_allclose(x, expected, atol=1e-5 * np.abs(y).max())
 
 
+@pytest.mark.slow
 def test_a_step_keeps_its_edge_under_total_variation() -> None:
     """‖x − y‖² + w Σ |D x|, a step of 20 and 30: each side w/2n inwards."""
     y = np.repeat([0.0, 1.0], [20, 30])

@@ -83,6 +83,7 @@ def test_takes_another_operator_with_a_wide_term(name: str) -> None:
     np.testing.assert_allclose(found.x, direct_answer(program), atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", [TikhonovTerm, DepthWeighted], ids=lambda t: t.name)
 def test_steps_stay_few_over_twelve_decades(own: type) -> None:
     """Of the term; of the measured rows, too, up to what single precision holds."""
@@ -104,6 +105,7 @@ def test_steps_stay_few_where_own_terms_are_up_to_the_prior(own: type) -> None:
         assert found.iterations <= 50
 
 
+@pytest.mark.slow
 def test_steps_do_not_grow_with_the_grid() -> None:
     counts = []
     for shape in ((7, 16, 9), (13, 32, 17), (25, 64, 33)):
@@ -188,6 +190,7 @@ def test_out_of_time_it_says_so() -> None:
     assert found.claim is Claim.TIME_LIMIT
 
 
+@pytest.mark.slow
 def test_heavy_differences_leave_constants_to_soft_values() -> None:
     """Screening at every voxel would hold them: 222 steps where 72 will do."""
     scene = small_scene("trilinear", (12, 36, 15))

@@ -81,6 +81,7 @@ def test_weight_zero_is_laplace_only(scene: Scene) -> None:
     np.testing.assert_allclose(x, scene.laplace.solve(scene.b), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_new_solve_reuses_and_agrees_with_a_fresh_one() -> None:
     """New values, boundary and weights need few or no new directions."""
     scene = small_scene("trilinear", (16, 32, 20), n_poses=40)

@@ -111,6 +111,7 @@ def test_what_cannot_be_taken_is_named(
     assert "edge" in str(caught.value)
 
 
+@pytest.mark.slow
 def test_a_formulation_in_cvxpys_words() -> None:
     """Variables and constraints by name; the same optimum and the same multipliers."""
     declared = load("coulomb_drag", SCENE, force_weight=1.0, torque_weight=1.0)

@@ -53,6 +53,7 @@ def test_the_place_may_be_given() -> None:
         estimate_drag(scene, "handle")
 
 
+@pytest.mark.slow
 def test_drag_hardly_moves_the_boundary_scale(shared: Path) -> None:
     """`inner="fit"` needs no friction: drag is across the force it scales."""
     folder = shared / "phantom"

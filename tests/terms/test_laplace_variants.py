@@ -193,6 +193,7 @@ def departures(name: str, refinements: tuple[int, ...], weight: float) -> list[f
     return found
 
 
+@pytest.mark.slow
 def test_refining_the_grid_leaves_the_volume_weighted_answer() -> None:
     fixed = departures("volume_weighted", (1, 2, 3), 1.0)
     assert max(fixed) / min(fixed) < 1.05

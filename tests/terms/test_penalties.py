@@ -20,6 +20,7 @@ from ttus_opt.terms.total_variation import TotalVariationTerm, difference_rows
 SCENE = small_scene("trilinear", n_poses=20)
 
 
+@pytest.mark.slow
 def test_huber_with_a_wide_limit_is_eq10() -> None:
     plain = fit(SCENE, "eq10", force_weight=0.1, torque_weight=0.1)
     wide = fit(SCENE, "robust", force_weight=0.1, torque_weight=0.1, limit=1e3)
@@ -57,6 +58,7 @@ def test_a_limit_that_is_none_is_refused(limit: float) -> None:
         RobustForceTerm(SCENE, 1.0, limit)
 
 
+@pytest.mark.slow
 def test_sparse_sources_are_sparse() -> None:
     """Squares spread sources over the voxels, absolute values put them into few."""
     options = {"force_weight": 10.0, "torque_weight": 10.0}
@@ -71,6 +73,7 @@ def test_sparse_sources_are_sparse() -> None:
     assert 0 < active(few.field) < 0.2 * active(spread.field)
 
 
+@pytest.mark.slow
 def test_without_measurements_priors_give_the_laplace_field() -> None:
     scene = small_scene("trilinear", shape=(7, 12, 8))
     expected = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))

@@ -140,6 +140,7 @@ def test_beyond_the_inner_layer_its_values_go_on(sampling: str, r_inner: float) 
     assert (rows.beyond_inner == 4).all()
 
 
+@pytest.mark.slow
 def test_no_jump_where_a_point_passes_the_inner_layer_or_any_other() -> None:
     """Along one line almost to the axis, in steps of 1 µm, then of half a µm."""
     rng = np.random.default_rng(5)

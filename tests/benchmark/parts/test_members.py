@@ -80,6 +80,7 @@ def test_names() -> None:
             chosen(text)
 
 
+@pytest.mark.slow
 def test_a_profile_has_the_fit_and_its_kernels(tmp_path: Path) -> None:
     part = parts()["profile"]
     rows = measured(part, tmp_path)
@@ -99,6 +100,7 @@ def test_a_profile_has_the_fit_and_its_kernels(tmp_path: Path) -> None:
     assert "gone" not in text
 
 
+@pytest.mark.slow
 def test_recursion_equals_the_batch_fit(tmp_path: Path) -> None:
     (row,) = measured(parts()["recursion"], tmp_path)
     assert row["held"] == 30
@@ -106,6 +108,7 @@ def test_recursion_equals_the_batch_fit(tmp_path: Path) -> None:
     assert row["difference_from_batch"] < 1e-4 * row["change_from_prior"]
 
 
+@pytest.mark.slow
 def test_recursion_takes_poses_again_until_there_are_enough() -> None:
     scene = replace(TINY, n_poses=40).build()
     own = int((scene.rows.contact_points > 0).sum())
@@ -116,6 +119,7 @@ def test_recursion_takes_poses_again_until_there_are_enough() -> None:
     assert (rows.contact_points > 0).all()
 
 
+@pytest.mark.slow
 def test_recursion_out_of_time_says_how_far_it_came(tmp_path: Path) -> None:
     part = parts()["recursion"]
     (spec,) = part.plan([TINY], Settings(time_limit=1e-9))

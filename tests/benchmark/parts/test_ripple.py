@@ -23,6 +23,7 @@ def test_the_skin_is_the_leaning_cylinder() -> None:
     np.testing.assert_allclose(np.linalg.norm(away, axis=1), RADIUS, rtol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", some(["along", "around"], 1))
 def test_interpolation_is_steadier_than_means_and_than_coarser_voxels(
     direction: str,

@@ -33,6 +33,7 @@ def options(**settings: Any) -> dict[str, dict[str, float]]:
     return {each["formulation"]: dict(each["options"]) for each in told}
 
 
+@pytest.mark.slow
 def test_the_reference_is_what_fits_the_case() -> None:
     some = {"solvers": ["osqp"]}
     assert named("S", **some) == ["closed_form", "osqp"]

@@ -129,6 +129,7 @@ def test_the_safeguard_from_the_first_working_set_on(
     check(declared, least_active=3, options=DualOptions(patience=0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("smoothness", [1e-2, 1e2])
 @pytest.mark.parametrize("share", [1.0, 0.1])
 def test_stiff_and_soft_drag(smoothness: float, share: float) -> None:
@@ -171,6 +172,7 @@ def test_with_given_values_sign_and_bounds(share: float) -> None:
         check(coulomb(scene, 1.0, *more, largest_friction=share), least_active=3)
 
 
+@pytest.mark.slow
 def test_a_new_solve_starts_from_the_last_working_set() -> None:
     scene = contested(1)
     loaded = coulomb(scene, 1.0, largest_friction=0.1)

@@ -202,6 +202,7 @@ def least_give(limits: SpokeLimits) -> float:
     return float(result.fun)
 
 
+@pytest.mark.slow
 def test_contradiction_is_the_least_give_of_a_linear_program() -> None:
     """Two bounds in conflict by x can both hold when each gives way by x / 2."""
     found = []
@@ -305,6 +306,7 @@ def least_value(limits: SpokeLimits, v: int, sign: float) -> float:
     return float(result.fun) if result.status == 0 else -INF
 
 
+@pytest.mark.slow
 def test_bounds_are_dropped_only_where_others_imply_them() -> None:
     dropped = 0
     for seed in range(60):

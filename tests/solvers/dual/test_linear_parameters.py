@@ -17,6 +17,7 @@ from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.solver import DualSolver
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [1e-2, 1.0])
 def test_equals_dense_bounded_least_squares(weight: float) -> None:
     """Four columns, one of them empty, and bounds of which two are active."""

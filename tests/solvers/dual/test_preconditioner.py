@@ -25,6 +25,7 @@ def dual_system(sampling: str, weight: float, name: str = "eq10") -> DualSystem:
     return DualData.of(program).system
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary"])
 @pytest.mark.parametrize("sampling", ["trilinear", "voxel-mean"])
 def test_is_spectrally_equivalent_at_light_and_heavy_weights(
@@ -41,6 +42,7 @@ def test_is_spectrally_equivalent_at_light_and_heavy_weights(
         assert 0.4 < ratios.min() <= ratios.max() < 1.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary"])
 def test_a_box_of_the_grid_is_enough(name: str) -> None:
     """Every voxel of a press measured: nearly the same band, at a part of the cost."""

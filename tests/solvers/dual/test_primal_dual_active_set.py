@@ -117,6 +117,7 @@ def working_sets(candidate: Candidate) -> int:
     return int(candidate.detail.split(" working sets")[0])
 
 
+@pytest.mark.slow
 def test_a_volume_of_growth_limits_does_not_grow_by_layers(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -133,6 +134,7 @@ def test_a_volume_of_growth_limits_does_not_grow_by_layers(
     assert working_sets(found) < 0.75 * working_sets(slowly)
 
 
+@pytest.mark.slow
 def test_limits_that_hardly_matter_end_the_iteration() -> None:
     """What may remain is within the tolerance, also if it may remain at once."""
     scene = contested(2, (12, 24, 14), noise=4.0)
@@ -145,6 +147,7 @@ def test_limits_that_hardly_matter_end_the_iteration() -> None:
     assert working_sets(cut) < working_sets(whole)
 
 
+@pytest.mark.slow
 def test_too_few_working_sets_are_no_answer() -> None:
     """What it ended on is told as that, and not started from."""
     scene = contested(1, scale=-3.0, noise=2.0)
@@ -197,6 +200,7 @@ def test_upper_bounds_that_fall_outwards() -> None:
     check(eq10(scene, 1.0, within, Monotone(scene, 20.0)), least_active=20)
 
 
+@pytest.mark.slow
 def test_bounds_that_hold_everywhere() -> None:
     """Lower and upper bound are one value, at every voxel or in one layer."""
     scene = contested()
@@ -264,6 +268,7 @@ SURFACES = {
 
 
 # given values of the inner layer leave no room for a slope
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hard", "kind"),
     [
@@ -488,6 +493,7 @@ def test_two_growths_on_one_link_the_steeper_first() -> None:
     check(eq10(scene, 1.0, Steeper(scene, 30.0), Monotone(scene)))
 
 
+@pytest.mark.slow
 def test_an_update_whose_bound_has_become_implied() -> None:
     """The same constraints; the second layer's bound now implies the first one's."""
     scene = contested()
@@ -523,6 +529,7 @@ def test_an_update_with_another_grid() -> None:
     updated(limited(contested()), limited(contested(shape=(6, 10, 6))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seeds", some([range(6), range(6, 60)], 1))
 def test_random_limits_of_all_kinds_are_settled(seeds: range) -> None:
     """Bounds, links, given values, weights and slopes drawn at random; KKT hold."""

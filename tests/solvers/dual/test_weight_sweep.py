@@ -48,6 +48,7 @@ def exact(program: Program) -> Array:
     return x
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["eq10", "eq10_hard_boundary", "volume_weighted"])
 def test_minimisers_are_those_of_a_factorisation(name: str) -> None:
     sweep = WeightSweep(DualData.of(declared(name).compile()))

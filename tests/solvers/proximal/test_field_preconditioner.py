@@ -30,6 +30,7 @@ def test_links_are_the_matrix_off_its_diagonal() -> None:
         np.testing.assert_allclose(link, np.maximum(entries, 0.0), atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [0.0, 0.05])
 def test_a_network_is_inverted_well_cut_or_not(cut: float) -> None:
     """Eigenvalues of P⁻¹H lie between 0.5 and 1.5, where the diagonal's are 1e-3."""
