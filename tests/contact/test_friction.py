@@ -373,10 +373,10 @@ def test_friction_of_the_independent_phantom(shared: Path, kind: str) -> None:
         true = errors_on(solution.field, scene.shell, folder / f"{name}_truth.csv")
         bare = errors_on(ideal, scene.shell, without / f"{name}_truth.csv")
         assert before.force_angle_error_deg > 12.0
-        # 1.34° beside 0.77° without any drag at worst
-        assert true.force_angle_error_deg < min(3.0, bare.force_angle_error_deg + 0.6)
+        # 2.29° at worst, and 1.34° beside 0.77° without any drag
+        assert true.force_angle_error_deg < min(2.5, bare.force_angle_error_deg + 0.6)
         assert after.force_magnitude_error_N < before.force_magnitude_error_N
-        # 3.7 % at worst
-        assert true.force_magnitude_error_N < bare.force_magnitude_error_N * 1.05
+        # 0.006 N at worst, a sixtieth of what a hand can tell
+        assert true.force_magnitude_error_N < bare.force_magnitude_error_N + 0.01
         assert after.torque_magnitude_error_Nm < before.torque_magnitude_error_Nm * 1.03
         assert true.torque_magnitude_error_Nm < bare.torque_magnitude_error_Nm * 1.03
