@@ -88,7 +88,15 @@ class Intrinsics:
         Raises:
             InputError: It has another size.
         """
-        found = (image.shape[1], image.shape[0])
+        self.check_shape((image.shape[0], image.shape[1]))
+
+    def check_shape(self, shape: tuple[int, int]) -> None:
+        """Validate that images of a height and width [pixel] are of this camera.
+
+        Raises:
+            InputError: Its images have another size.
+        """
+        found = (shape[1], shape[0])
         if self.size is not None and found != self.size:
             raise InputError(
                 f"the image has {found[0]} x {found[1]} pixels, the intrinsics are for "

@@ -1,0 +1,158 @@
+"""From depth images to points: a body and a bed whose geometry is known exactly."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.sensors.cameras import (
+    Camera,
+    flying,
+    measured,
+    millimetres,
+    see_ellipsoid,
+    see_plane,
+)
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.sensors.depth import DepthImage, read_depth_image
+from ttus_opt.sensors.depth_noise import Pixels, StructuredLight, TimeOfFlight
+from ttus_opt.sensors.intrinsics import Intrinsics
+from ttus_opt.sensors.unprojection import Unprojection
+
+CAMERA = Camera((0.1, 0.9, -0.2), (0.0, 0.1, 0.0))
+CENTRE, SEMI_AXES = np.array([0, 0.11, 0]), np.array([0.17, 0.11, 0.35])
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def rays(camera: Camera = CAMERA) -> Unprojection:
+    return Unprojection.from_intrinsics(
+        Intrinsics(camera.matrix, np.zeros(0)), camera.shape
+    )
+
+
+def seen(camera: Camera = CAMERA) -> Array:
+    """An ellipsoid on a bed."""
+    body = see_ellipsoid(camera, CENTRE, SEMI_AXES)
+    return np.minimum(body, see_plane(camera, UP, 0.0))
+
+
+def off_the_body(points: Array) -> Array:
+    """Distance to the ellipsoid, to first order, signed outwards [m]."""
+    scaled = (points - CENTRE) / SEMI_AXES
+    f = np.linalg.norm(scaled, axis=1)
+    return (f - 1.0) * f / np.linalg.norm(scaled / SEMI_AXES, axis=1)
+
+
+def distance(points: Array) -> Array:
+    return np.minimum(np.abs(off_the_body(points)), np.abs(points[:, 1]))
+
+
+def test_points_lie_on_what_was_seen(tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "scan.png"), millimetres(seen()))
+    camera = Intrinsics(CAMERA.matrix, np.zeros(0), (160, 120))
+    cloud = read_depth_image(tmp_path / "scan.png", camera).to_cloud(CAMERA.pose)
+    assert distance(cloud.points).max() < 0.7e-3  # rounded to millimetres
+    assert cloud.std is None
+    (dropped,) = cloud.dropped
+    assert dropped.invalid == 0
+    left_out = dropped.flying + dropped.grazing
+    assert len(cloud.points) == CAMERA.shape[0] * CAMERA.shape[1] - left_out
+
+
+def test_range_and_z_are_the_same_scene() -> None:
+    z = seen()
+    along = z / rays().rays[..., 2]
+    by_z = DepthImage(z, rays()).to_cloud(CAMERA.pose)
+    by_range = DepthImage(along, rays(), "range").to_cloud(CAMERA.pose)
+    np.testing.assert_allclose(by_range.points, by_z.points, atol=1e-12)
+    mistaken = DepthImage(along, rays()).to_cloud(CAMERA.pose)
+    assert distance(mistaken.points).max() > 5e-3
+
+
+def test_flying_and_missing_pixels_are_left_out() -> None:
+    rng = np.random.default_rng(0)
+    mixed = flying(seen(), rng)
+    depth = measured(mixed, 0.0, 0.1, rng)
+    cloud = DepthImage(depth, rays()).to_cloud(CAMERA.pose)
+    every = CAMERA.pose[:3, 3] + mixed[..., None] * CAMERA.rays
+    n_flying = int((distance(every.reshape(-1, 3)) > 0.01).sum())
+    assert n_flying > 100
+    assert (distance(cloud.points) > 0.01).sum() < 0.12 * n_flying
+    assert cloud.dropped[0].invalid == np.isnan(depth).sum()
+    on_body = np.isfinite(see_ellipsoid(CAMERA, CENTRE, SEMI_AXES)) & (mixed == seen())
+    kept = np.abs(off_the_body(cloud.points)) < 1e-6
+    assert kept.sum() > 0.75 * on_body.sum()  # a tenth is missing
+
+
+@pytest.mark.parametrize("tilt", [0.0, 40.0, 60.0, 67.0, 85.0])
+def test_incidence_is_that_of_a_plane(tilt: float) -> None:
+    """The deviation tells it; beyond 75° nothing is left."""
+
+    class Angle:
+        def along_ray(self, pixels: Pixels) -> Array:
+            return pixels.incidence
+
+    camera = Camera((0, 0, 0), (0, 0, 1), focal=600.0)
+    turn = np.deg2rad(tilt)
+    normal = np.array([np.sin(turn), 0.0, -np.cos(turn)])
+    z = see_plane(camera, normal, float(-np.cos(turn)))
+    image = DepthImage(np.where(z < 5, z, np.nan), rays(camera))
+    if tilt > 75:
+        with pytest.raises(InputError, match="grazing"):
+            image.to_cloud(camera.pose, noise=Angle())
+        return
+    found = image.to_cloud(camera.pose, noise=Angle())
+    directions = found.points / np.linalg.norm(found.points, axis=1)[:, None]
+    truth = np.arccos(-directions @ normal)
+    assert found.std is not None
+    assert len(found.points) == z.size
+    np.testing.assert_allclose(found.std, truth, atol=1e-3)
+
+
+def test_deviations_are_those_of_the_noise() -> None:
+    rng = np.random.default_rng(1)
+    model = StructuredLight()
+    z, own = seen(), rays()
+    distance_along = z / own.rays[..., 2]
+    facing = Pixels(z, distance_along, np.zeros_like(z), own.focal)
+    std = model.along_ray(facing) * own.rays[..., 2]
+    image = DepthImage(measured(z, std, 0.0, rng), own)
+    cloud = image.to_cloud(CAMERA.pose, noise=model)
+    assert cloud.std is not None
+    bed = cloud.points[:, 1] < 0.02
+    view = cloud.points[bed] - CAMERA.pose[:3, 3]
+    cosine = -view[:, 1] / np.linalg.norm(view, axis=1)
+    error = cloud.points[bed][:, 1] / cosine
+    assert np.std(error / cloud.std[bed]) == pytest.approx(1.0, abs=0.05)
+    flat = image.to_cloud(CAMERA.pose, noise=TimeOfFlight(0.004))
+    assert flat.std is not None
+    assert set(flat.std.tolist()) == {0.004}
+
+
+def test_refusals(tmp_path: Path) -> None:
+    z = seen()
+    with pytest.raises(InputError, match="depth_kind is"):
+        DepthImage(z, rays(), "disparity")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="transposed"):
+        DepthImage(z.T, rays())
+    with pytest.raises(InputError, match="not positive"):
+        DepthImage(np.where(z > 0.9, 0.0, z), rays())
+    with pytest.raises(InputError, match="no pixel with a depth"):
+        DepthImage(np.full_like(z, np.nan), rays())
+    image = DepthImage(z, rays())
+    with pytest.raises(InputError, match="degrees"):
+        image.to_cloud(grazing=70.0)
+    with pytest.raises(InputError, match="scales by 2"):
+        image.to_cloud(np.diag([2.0, 2, 2, 1]))
+    alone = np.full_like(z, np.nan)
+    alone[::20, ::20] = 1.0
+    with pytest.raises(InputError, match="no pixel shows a surface"):
+        DepthImage(alone, rays()).to_cloud()
+    np.save(tmp_path / "scan.npy", z)
+    camera = Intrinsics(CAMERA.matrix, np.zeros(0), (640, 480))
+    with pytest.raises(InputError, match=r"scan\.npy.*640 x 480"):
+        read_depth_image(tmp_path / "scan.npy", camera)

@@ -1,0 +1,93 @@
+"""Rays by intrinsics, against projection, and from a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tests.hostile import only_our_errors
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.sensors.intrinsics import Intrinsics
+from ttus_opt.sensors.unprojection import Unprojection, read_unprojection
+
+K = np.array([[150.0, 0, 79.0], [0, 155.0, 60.0], [0, 0, 1]])
+SHAPE = (120, 160)
+
+
+@pytest.mark.parametrize(
+    "distortion",
+    [[], [0.1, -0.2, 0.001, -0.002, 0.05], [0.2, 0.1, 0, 0, 0.1, 0.3, 0.1, 0.05]],
+)
+def test_every_ray_projects_to_its_pixel(distortion: list[float]) -> None:
+    D = np.array(distortion, float)
+    found = Unprojection.from_intrinsics(Intrinsics(K, D), SHAPE)
+    seen = np.isfinite(found.rays).all(axis=2)
+    assert seen.mean() > 0.99
+    np.testing.assert_allclose(np.linalg.norm(found.rays[seen], axis=1), 1.0)
+    v, u = np.indices(SHAPE)
+    zero = np.zeros(3)
+    pixels, _ = cv2.projectPoints(found.rays[seen], zero, zero, K, D)
+    np.testing.assert_allclose(pixels[:, 0], np.stack([u, v], -1)[seen], atol=0.05)
+    assert found.focal == pytest.approx(150.0, rel=0.1)
+
+
+def test_pixels_where_no_distortion_can_be_undone() -> None:
+    """Beyond the largest radius that this distortion reaches nothing is seen."""
+    D = np.array([-0.8, 0, 0, 0, 0.0])
+    found = Unprojection.from_intrinsics(Intrinsics(K, D), SHAPE)
+    seen = np.isfinite(found.rays).all(axis=2)
+    assert seen[60, 79]
+    assert not seen[0, 0]
+    v, u = np.nonzero(seen)
+    x, y = ((found.rays[seen] / found.rays[seen][:, 2:])[:, :2]).T
+    radius = np.hypot(x, y)
+    factor = 1 - 0.8 * radius**2
+    np.testing.assert_allclose(150 * x * factor + 79, u, atol=0.05)
+    np.testing.assert_allclose(155 * y * factor + 60, v, atol=0.05)
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_a_table(tmp_path: Path, n: int) -> None:
+    own = Unprojection.from_intrinsics(Intrinsics(K, np.zeros(0)), SHAPE)
+    table = own.rays / own.rays[..., 2:]
+    table[0, 0] = np.nan
+    np.save(tmp_path / "rays.npy", 3.0 * table if n == 3 else table[..., :2])
+    found = read_unprojection(tmp_path / "rays.npy")
+    assert np.isnan(found.rays[0, 0]).all()
+    np.testing.assert_allclose(found.rays[1:], own.rays[1:], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (np.zeros((20, 30)), "height, width, 3"),
+        (np.zeros((3, 20, 30)), "transposed"),
+        (np.zeros((20, 30, 3)), "no pixel has a ray"),
+        (np.full((20, 30, 3), np.nan), "no pixel has a ray"),
+        (-np.ones((20, 30, 3)), "negate y and z"),
+        (np.array([["a"]]), "expected numbers"),
+    ],
+)
+def test_what_is_no_table(tmp_path: Path, values: np.ndarray, words: str) -> None:
+    np.save(tmp_path / "rays.npy", values)
+    with pytest.raises(FileError, match=words) as told:
+        read_unprojection(tmp_path / "rays.npy")
+    assert "\n" not in str(told.value)
+
+
+def test_no_rays() -> None:
+    with pytest.raises(InputError, match="unit vectors"):
+        Unprojection(np.ones((20, 30, 3)))
+    with pytest.raises(InputError, match=r"height, width, 3"):
+        Unprojection(np.ones((20, 30)))
+
+
+@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
+def test_mutations(tmp_path: Path, n: int) -> None:
+    np.save(tmp_path / "a.npy", np.random.default_rng(0).normal(size=(20, 24, 2)))
+    np.save(tmp_path / "b.npy", np.ones((20, 24, 3), np.float32))
+    sources = [tmp_path / "a.npy", tmp_path / "b.npy"]
+    only_our_errors(sources, read_unprojection, n)

@@ -1,0 +1,204 @@
+"""From a depth image to points in the scan's frame, each with its deviation.
+
+    image = read_depth_image("scan.png", read_intrinsics("camera.json"))
+    cloud = image.to_cloud(camera_to_scan, noise=noise_model("structured-light"))
+    surface = tt.extract_surface(cloud.points, axis=..., point_std=cloud.std)
+
+Camera axes are OpenCV's: x to the right of the image, y down, z forward. Pixels that
+show no surface (`ttus_opt.sensors.depth_pixels`) or one that is seen at a grazing angle
+are left out, and counted.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, field
+from typing import Literal, get_args
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.probe.pose import PoseLike
+from ttus_opt.probe.rigid_motion import rigid_motion
+from ttus_opt.sensors.depth_files import read_depth
+from ttus_opt.sensors.depth_noise import NoiseModel, Pixels
+from ttus_opt.sensors.depth_pixels import USUAL_NOISE, judge
+from ttus_opt.sensors.intrinsics import Intrinsics
+from ttus_opt.sensors.unprojection import Unprojection
+
+DepthKind = Literal["z", "range"]
+
+#: Surfaces seen at a larger angle from their normal are left out [rad]
+GRAZING = np.deg2rad(75.0)
+
+
+@dataclass(frozen=True)
+class Dropped:
+    """How many pixels were left out.
+
+    Attributes:
+        invalid: Nothing was measured, or the pixel has no ray.
+        flying: Between two surfaces, at the edge of one, or alone.
+        grazing: The surface is seen at too large an angle.
+    """
+
+    invalid: int
+    flying: int
+    grazing: int
+
+
+@dataclass(frozen=True)
+class DepthCloud:
+    """Points of a scan.
+
+    Attributes:
+        points: In the scan's frame, shape (n, 3) [m].
+        std: Standard deviation along the ray, shape (n,) [m]; None without a noise
+            model.
+        dropped: Pixels left out, one of each image.
+    """
+
+    points: Array = field(repr=False)
+    std: Array | None = field(repr=False)
+    dropped: tuple[Dropped, ...]
+
+
+@dataclass(frozen=True)
+class DepthImage:
+    """Depths and the directions they were measured in.
+
+    Attributes:
+        depth: NaN where nothing was measured, shape (height, width) [m].
+        camera: Where the pixels look.
+        depth_kind: ``z`` along the optical axis, ``range`` along the ray.
+        name: For messages.
+    """
+
+    depth: Array = field(repr=False)
+    camera: Unprojection = field(repr=False)
+    depth_kind: DepthKind = "z"
+    name: str = "depth image"
+
+    def __post_init__(self) -> None:
+        """Validate the image.
+
+        Raises:
+            InputError: Another kind, another size than the camera's, depths that are
+                not positive, or none at all.
+        """
+        if self.depth_kind not in get_args(DepthKind):
+            raise InputError(
+                "depth_kind is 'z' (along the optical axis) or 'range' (along the "
+                f"ray), got {self.depth_kind!r}"
+            )
+        if self.depth.shape != self.camera.shape:
+            found, expected = self.depth.shape, self.camera.shape
+            raise InputError(
+                f"{self.name} has shape {found}, the camera's rays {expected}: of "
+                "another camera, or transposed?"
+            )
+        depth = self.depth[~np.isnan(self.depth)]
+        if not (np.isfinite(depth) & (depth > 0.0)).all():
+            raise InputError(
+                f"{self.name} has depths that are not positive: set them to NaN"
+            )
+        if not np.isfinite(self._distance()).any():
+            raise InputError(f"{self.name} has no pixel with a depth: record it again")
+
+    def _distance(self) -> Array:
+        """Along the rays, NaN where nothing was measured or no ray is [m]."""
+        z = self.camera.rays[..., 2]
+        along = self.depth / z if self.depth_kind == "z" else self.depth
+        return np.where(np.isnan(z), np.nan, along)
+
+    def to_cloud(
+        self,
+        camera_pose: PoseLike | None = None,
+        *,
+        noise: NoiseModel | None = None,
+        grazing: float = GRAZING,
+    ) -> DepthCloud:
+        """The points of the image.
+
+        Args:
+            camera_pose: Camera to scan, x_scan = R x_camera + t, shape (4, 4) [–, m];
+                the camera's own frame when not given.
+            noise: The camera's noise (`ttus_opt.sensors.depth_noise`).
+            grazing: Largest angle between ray and surface normal [rad].
+
+        Returns:
+            The cloud.
+
+        Raises:
+            InputError: No rigid motion, no angle, or no pixel shows a surface.
+        """
+        if not 0.1 < grazing < np.pi / 2:
+            raise InputError(
+                f"grazing must be an angle from 0.1 to 1.57 rad, got {grazing:g}: "
+                "degrees?"
+            )
+        motion = rigid_motion(np.eye(4) if camera_pose is None else camera_pose)
+        rays, focal = self.camera.rays, self.camera.focal
+        distance = self._distance()
+        z = distance * rays[..., 2]
+
+        def deviation(incidence: Array) -> Array:
+            if noise is None:
+                return USUAL_NOISE * distance
+            return noise.along_ray(Pixels(z, distance, incidence, focal))
+
+        axial = deviation(np.zeros_like(z)) * rays[..., 2]
+        found = judge(z, rays, focal, axial, grazing)
+        steep = found.incidence > grazing
+        measured = np.isfinite(distance)
+        kept = measured & ~found.flying & ~steep
+        dropped = Dropped(
+            int((~measured).sum()), int(found.flying.sum()), int(steep.sum())
+        )
+        if not kept.any():
+            raise InputError(
+                f"{self.name}: no pixel shows a surface ({dropped.invalid} without "
+                f"depth, {dropped.flying} flying, {dropped.grazing} grazing): check "
+                "intrinsics, unit and depth kind"
+            )
+        points = distance[kept, None] * rays[kept]
+        std = None if noise is None else deviation(found.incidence)[kept]
+        return DepthCloud(points @ motion[:3, :3].T + motion[:3, 3], std, (dropped,))
+
+
+def read_depth_image(
+    path: str | os.PathLike[str],
+    camera: Intrinsics | Unprojection,
+    *,
+    depth_kind: DepthKind = "z",
+    unit: str | None = None,
+) -> DepthImage:
+    """Read a depth image.
+
+    Args:
+        path: 16-bit PNG, TIFF or NPY; whole numbers are millimetres and fractions
+            metres, unless a unit is given.
+        camera: Its intrinsics (`ttus_opt.sensors.intrinsics.read_intrinsics`), or a
+            table of rays (`ttus_opt.sensors.unprojection.read_unprojection`).
+        depth_kind: ``z`` along the optical axis, ``range`` along the ray.
+        unit: ``m``, ``cm`` or ``mm``.
+
+    Returns:
+        The image.
+
+    Raises:
+        FileError: Missing, damaged, or no depth image.
+        InputError: It is of another size than the camera, or in another unit.
+    """
+    depth = read_depth(path, unit)
+    name = os.fspath(path)
+    try:
+        rays = (
+            Unprojection.from_intrinsics(camera, (depth.shape[0], depth.shape[1]))
+            if isinstance(camera, Intrinsics)
+            else camera
+        )
+        return DepthImage(depth, rays, depth_kind, name)
+    except InputError as error:
+        raise InputError(f"{name}: {error}") from error

@@ -1,0 +1,212 @@
+"""Depth images as files: 16-bit PNG in millimetres, TIFF or NPY in metres.
+
+Whole numbers are millimetres and fractions are metres, as cameras write them, unless a
+unit is given. A depth that no scan of a patient has is refused, because metres read as
+millimetres would otherwise fail much later.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt import io
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.scan.cloud import UNITS
+
+SUFFIXES = (".png", ".tif", ".tiff", ".npy")
+
+#: Largest file [byte] and image [pixel]
+LARGEST_FILE, LARGEST_IMAGE = 400_000_000, 30_000_000
+
+#: Sides of an image smaller than this show no body [pixel]
+LEAST_SIDE = 16
+
+#: First bytes of a PNG
+PNG = b"\x89PNG\r\n\x1a\n"
+
+#: The median of a scan's depths [m]
+DEPTH_LIMITS = (0.1, 10.0)
+
+
+def read_depth(path: str | os.PathLike[str], unit: str | None = None) -> Array:
+    """The depths of an image.
+
+    Args:
+        path: A .png, .tif, .tiff or .npy file of one number per pixel.
+        unit: ``m``, ``cm`` or ``mm``; by default millimetres for whole numbers and
+            metres for fractions.
+
+    Returns:
+        Depths, NaN where nothing was measured (0, negative, not finite, or the largest
+        number of a whole-number image), shape (height, width) [m].
+
+    Raises:
+        FileError: Missing, damaged, or no depth image.
+        InputError: An unknown unit, or depths that no scan has in it.
+    """
+    if unit is not None and unit not in UNITS:
+        raise InputError(f"unit must be one of 'm', 'cm', 'mm', got {unit!r}")
+    file = io.existing_file(path, "depth image")
+    if file.stat().st_size > LARGEST_FILE:
+        raise FileError(f"{file} is too large for a depth image: wrong file?")
+    values = _read(file)
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    _check_kind(file, values)
+    whole = values.dtype.kind in "iu"
+    scale = UNITS[unit or ("mm" if whole else "m")]
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth = values.astype(np.float64) * scale
+    lost = ~np.isfinite(depth) | (depth <= 0.0)
+    if whole:
+        lost |= values == np.iinfo(values.dtype).max
+    _check_values(file, values, depth[~lost] / scale, scale)
+    return np.where(lost, np.nan, depth)
+
+
+def _read(file: Path) -> NDArray[Any]:
+    suffix = file.suffix.lower()
+    if suffix == ".npy":
+        return read_array(file)
+    if suffix not in SUFFIXES:
+        raise FileError(
+            f"{file} has the suffix {suffix!r}, expected one of {', '.join(SUFFIXES)}: "
+            "export the depth image as one of these"
+        )
+    return _decoded(file)
+
+
+def read_array(file: Path) -> NDArray[Any]:
+    """An array of numbers from NPY.
+
+    Raises:
+        FileError: It is none, or of more pixels than an image has.
+    """
+    try:
+        # mapped: a header that announces more than the file holds allocates nothing
+        values = np.lib.format.open_memmap(file, mode="r")
+    except Exception as error:  # numpy raises nearly every class on damaged headers
+        raise FileError(
+            f"{file} does not read as a NPY array ({type(error).__name__}): truncated "
+            "or damaged? save it again"
+        ) from error
+    if values.dtype.kind not in "iuf":
+        raise FileError(f"{file} holds {values.dtype}, expected numbers: save it again")
+    return np.array(values)
+
+
+def _decoded(file: Path) -> NDArray[Any]:
+    """The pixels of a PNG or TIFF, as they are in it.
+
+    Raises:
+        FileError: OpenCV does not read it.
+    """
+    import cv2
+
+    content = np.fromfile(file, np.uint8)
+    if file.suffix.lower() == ".png":
+        _check_png(file, content.tobytes())
+    said = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
+    except (cv2.error, MemoryError) as error:
+        raise FileError(
+            f"{file} is no image that OpenCV reads: damaged? export it again"
+        ) from error
+    finally:
+        cv2.utils.logging.setLogLevel(said)
+    if image is None:
+        raise FileError(
+            f"{file} is no image that OpenCV reads: damaged? export it again"
+        )
+    return np.asarray(image)
+
+
+def _check_png(file: Path, content: bytes) -> None:
+    """Refuse a PNG whose chunks are damaged: the decoder would fill in what is lost.
+
+    Raises:
+        FileError: A checksum is wrong, chunks are missing, or it announces too much.
+    """
+    at, kinds, size = len(PNG), [], 0
+    while content.startswith(PNG) and at + 12 <= len(content):
+        length, kind = struct.unpack_from(">I4s", content, at)
+        body = content[at + 4 : at + 8 + length]
+        end = content[at + 8 + length : at + 12 + length]
+        if end != zlib.crc32(body).to_bytes(4, "big"):
+            break
+        if kind == b"IHDR" and length == 13:
+            size = math.prod(struct.unpack_from(">II", body, 4))
+        kinds.append(kind)
+        at += 12 + length
+    if size > LARGEST_IMAGE:
+        raise FileError(f"{file} announces {size} pixels: no depth image")
+    if not kinds or kinds[0] != b"IHDR" or kinds[-1] != b"IEND":
+        raise FileError(
+            f"{file} is a damaged or truncated PNG: copy or export it again"
+        )
+
+
+def _check_kind(file: Path, values: NDArray[Any]) -> None:
+    """Refuse pictures for the eye, and arrays that are no image."""
+    if values.ndim != 2:
+        hint = (
+            "a colour picture of the depth? export the depth itself"
+            if values.ndim == 3 and values.shape[2] in (3, 4)
+            else "save one number per pixel"
+        )
+        raise FileError(
+            f"{file}: a depth image is (height, width), got {values.shape}: {hint}"
+        )
+    if values.dtype.itemsize == 1:
+        raise FileError(
+            f"{file} has 8 bits per pixel: a picture for the eye? export the depth "
+            "itself, 16-bit PNG in millimetres"
+        )
+    if min(values.shape) < LEAST_SIDE or values.size > LARGEST_IMAGE:
+        raise FileError(
+            f"{file} has {values.shape[1]} x {values.shape[0]} pixels: a depth image "
+            f"has {LEAST_SIDE} or more a side and at most {LARGEST_IMAGE // 10**6} "
+            "million"
+        )
+
+
+def _check_values(file: Path, values: NDArray[Any], seen: Array, scale: float) -> None:
+    """Refuse depths [the file's unit] that no scan of a patient has."""
+    if len(seen) == 0:
+        if (values < 0).any():
+            raise InputError(
+                f"{file}: every depth is negative: a camera that looks along -z? "
+                "negate them"
+            )
+        raise InputError(
+            f"{file}: no pixel has a depth: nothing within the camera's range? "
+            "record it again"
+        )
+    least, largest = DEPTH_LIMITS
+    middle = float(np.median(seen))
+    if least <= middle * scale <= largest:
+        return
+    better = [u for u, size in UNITS.items() if least <= middle * size <= largest]
+    # cameras stand about a metre off
+    better.sort(key=lambda u: abs(np.log(middle * UNITS[u])))
+    advice = (
+        f"pass unit='{better[0]}'"
+        if better
+        else f"a scan has {least:g} to {largest:g} m: export the depth again, whole "
+        "numbers in millimetres or fractions in metres"
+    )
+    raise InputError(
+        f"{file}: the median depth is {middle:.4g}, {middle * scale:.4g} m as read: "
+        f"another unit? {advice}"
+    )
