@@ -82,7 +82,10 @@ def test_flying_and_missing_pixels_are_left_out() -> None:
     n_flying = int((distance(every.reshape(-1, 3)) > 0.01).sum())
     assert n_flying > 100
     assert (distance(cloud.points) > 0.01).sum() < 0.12 * n_flying
-    assert cloud.dropped[0].invalid == np.isnan(depth).sum()
+    (dropped,) = cloud.dropped
+    assert dropped.invalid == np.isnan(depth).sum()
+    left_out = dropped.invalid + dropped.flying + dropped.grazing
+    assert len(cloud.points) + left_out == depth.size
     on_body = np.isfinite(see_ellipsoid(CAMERA, CENTRE, SEMI_AXES)) & (mixed == seen())
     kept = np.abs(off_the_body(cloud.points)) < 1e-6
     assert kept.sum() > 0.75 * on_body.sum()  # a tenth is missing

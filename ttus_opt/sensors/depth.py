@@ -150,8 +150,8 @@ class DepthImage:
 
         axial = deviation(np.zeros_like(z)) * rays[..., 2]
         found = judge(z, rays, focal, axial, grazing)
-        steep = found.incidence > grazing
         measured = np.isfinite(distance)
+        steep = measured & (found.incidence > grazing)  # NaN where flying
         kept = measured & ~found.flying & ~steep
         dropped = Dropped(
             int((~measured).sum()), int(found.flying.sum()), int(steep.sum())
