@@ -164,6 +164,27 @@ def test_kind_and_version_are_checked(tmp_path: Path) -> None:
         io.read_dataset(file, kind="field", version=1)
 
 
+@pytest.mark.parametrize(
+    ("attributes", "told"),
+    [
+        ({"ttus_opt_kind": np.arange(2.0)}, "ttus_opt_kind must be text, got array"),
+        ({"ttus_opt_kind": 5.0}, "ttus_opt_kind must be text, got np.float64"),
+        ({"ttus_opt_version": "two"}, "which version of a surface"),
+        ({"ttus_opt_version": np.arange(2)}, "which version of a surface"),
+        ({"ttus_opt_version": 1.5}, "which version of a surface"),
+    ],
+)
+def test_stamps_of_another_type(
+    tmp_path: Path, attributes: dict[str, object], told: str
+) -> None:
+    file = tmp_path / "a.nc"
+    stamped = {"ttus_opt_kind": "surface", "ttus_opt_version": 1, **attributes}
+    dataset().assign_attrs(stamped).to_netcdf(file)
+    with pytest.raises(FileError, match=told) as caught:
+        io.read_dataset(file, kind="surface", version=1, foreign=True)
+    assert "a.nc" in str(caught.value)
+
+
 def test_a_file_from_elsewhere_is_read_only_where_allowed(tmp_path: Path) -> None:
     file = tmp_path / "a.nc"
     dataset().to_netcdf(file)

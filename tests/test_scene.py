@@ -101,6 +101,12 @@ def test_with_boundary_assembles_nothing(scene: Scene) -> None:
     np.testing.assert_allclose(other.b, 2.0 * scene.b)
 
 
+def test_regions_of_another_surface_warn() -> None:
+    wider = replace(SURFACE, radius=SURFACE.radius + 0.4 * VOXMAP.grid.r_step)
+    with pytest.warns(TtusWarning, match="region is not that of the surface"):
+        Scene.assemble(replace(VOXMAP, surface=wider), SHELL, TRAJECTORY)
+
+
 def test_no_contact_warns_that_the_fit_is_laplace_only() -> None:
     away = replace(TRAJECTORY, position=TRAJECTORY.position * [1.3, 1.3, 1.0])
     with pytest.warns(TtusWarning, match="Laplace only"):

@@ -16,10 +16,12 @@ import platform
 import secrets
 import shutil
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.errors import FileError, InputError
@@ -27,6 +29,9 @@ from ttus_opt.interrupts import signals_deferred as signals_deferred
 
 if TYPE_CHECKING:
     import xarray as xr
+
+#: Longest value of a file that an error shows [characters]
+LONGEST_VALUE = 40
 
 
 def existing_file(path: str | os.PathLike[str], what: str) -> Path:
@@ -208,15 +213,17 @@ def read_dataset(
             f"{file} is not a readable netCDF file ({type(error).__name__}): "
             f"truncated, or not a {kind} file?"
         ) from error
-    found = dataset.attrs.get("ttus_opt_kind")
-    if found is None and foreign:
+    if "ttus_opt_kind" not in dataset.attrs and foreign:
         return dataset
+    try:
+        found = text_of(dataset.attrs, "ttus_opt_kind", "no ttus_opt data")
+    except InputError as error:
+        raise FileError(f"{file}: {error}") from error
     if found != kind:
-        raise FileError(
-            f"{file} holds {found or 'no ttus_opt data'}, expected a {kind}: "
-            "wrong file?"
-        )
-    given = int(dataset.attrs.get("ttus_opt_version", -1))
+        raise FileError(f"{file} holds {found}, expected a {kind}: wrong file?")
+    given = dataset.attrs.get("ttus_opt_version")
+    if not isinstance(given, Integral):
+        raise FileError(f"{file} does not say which version of a {kind} it is")
     if given != version:
         raise FileError(
             f"{file} is {kind} version {given}, this ttus_opt reads version "
@@ -251,6 +258,35 @@ def kind_of(path: str | os.PathLike[str], what: str) -> str | None:
     return None if kind is None else str(kind)
 
 
+def text_of(
+    attributes: Mapping[str, Any], name: str, default: str | None = None
+) -> str:
+    """A text among a file's attributes.
+
+    Args:
+        attributes: The file's.
+        name: The attribute.
+        default: What it is where the file has none.
+
+    Raises:
+        InputError: It is missing and has no default, is no text, or an empty one.
+    """
+    found = attributes.get(name, default)
+    if not (isinstance(found, str) and found):
+        raise InputError(f"attribute {name} must be text, got {shortened(found)}")
+    return found
+
+
+def shortened(value: object) -> str:
+    """A value from a file as an error shows it: one line, not a long one.
+
+    >>> shortened("a" * 200)
+    "'aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa…"
+    """
+    text = " ".join(repr(value).split())
+    return text if len(text) <= LONGEST_VALUE else text[:LONGEST_VALUE] + "…"
+
+
 def array_of(
     dataset: xr.Dataset, name: str, dims: tuple[str, ...], units: str
 ) -> NDArray[Any]:
@@ -283,3 +319,18 @@ def array_of(
             "the unit"
         )
     return found.to_numpy()
+
+
+def mask(name: str, values: NDArray[Any]) -> NDArray[np.bool_]:
+    """A mask that was written as numbers.
+
+    Args:
+        name: The variable, for the message.
+        values: What was read.
+
+    Raises:
+        InputError: Something else than 0 and 1 is in it.
+    """
+    if not np.isin(values, (0, 1)).all():
+        raise InputError(f"{name} must hold 0 and 1 only")
+    return np.asarray(values, dtype=bool)

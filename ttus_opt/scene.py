@@ -117,6 +117,7 @@ class Scene:
             raise InputError(f'inner must be a number or "fit", got {inner!r}')
         for name, value in (("inner", inner), ("outer", outer)):
             _check_boundary(name, value)
+        _report_misplaced(voxmap)
         laplace = LaplaceSystem.assemble(voxmap)
         rows = contact_rows(
             voxmap,
@@ -325,6 +326,19 @@ def _measured(values: Array | None, what: str) -> Array:
             f"the trajectory has no measured {what}: add them, or fit laplace_only"
         )
     return np.ascontiguousarray(values, dtype=np.float64).reshape(-1)
+
+
+def _report_misplaced(voxmap: Voxmap) -> None:
+    """Warn where regions are not those of the surface."""
+    misplaced = voxmap.cut_links.misplaced
+    if misplaced:
+        warnings.warn(
+            f"at {misplaced} links of voxels the region is not that of the surface, "
+            "which is taken to lie a quarter of a layer beyond: lay the grid over the "
+            "surface with Voxmap.from_surface",
+            TtusWarning,
+            stacklevel=3,
+        )
 
 
 def _report_contact(rows: ContactRows, r_inner: float) -> None:

@@ -53,6 +53,11 @@ def test_a_warning_is_one_line_and_told_once(
     assert capsys.readouterr().err == "warning: two lines\n"
 
 
+def test_what_a_terminal_would_carry_out_is_not_printed() -> None:
+    told = console.one_line("cannot read \x1b[2J\x00a.csv\udcff:\n no such  file")
+    assert told == "cannot read \ufffd[2J\ufffda.csv\ufffd: no such file"
+
+
 def test_stages_are_shown_only_for_long_work(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

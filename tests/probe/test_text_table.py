@@ -110,6 +110,17 @@ def test_a_line_of_another_length(
         tt.read_trajectory(write(tmp_path, ",".join(OURS), body))
 
 
+def test_faults_of_any_length_are_told_shortly(tmp_path: Path) -> None:
+    wide = write(tmp_path, ",".join(f"c{i}" for i in range(99_999)), ["1"])
+    with pytest.raises(FileError, match=r"c0,c1.*… \(99,999 in all\)") as told:
+        tt.read_trajectory(wide)
+    assert len(str(told.value)) < 600
+    body = [line.replace("0.2", 5000 * "x") for line in lines(",")]
+    with pytest.raises(FileError, match="py is 'xxx.*…, not a number") as told:
+        tt.read_trajectory(write(tmp_path, ",".join(OURS), body))
+    assert len(str(told.value)) < 300
+
+
 def test_a_decimal_comma_is_named(tmp_path: Path) -> None:
     body = [line.replace("0.2", "0,2") for line in lines(";")]
     with pytest.raises(FileError, match=r"line 2: py is '0,2'.*decimal comma"):

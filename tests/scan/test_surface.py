@@ -134,6 +134,10 @@ def test_bad_files(tmp_path: Path) -> None:
     "damage",
     [
         lambda d: d.assign_coords(z=1000.0 * d["z"]),
+        lambda d: d.assign(radius_std=d["radius_std"] + np.nan),
+        lambda d: d.assign(radius_std=d["radius_std"] + 1e300),
+        lambda d: d.assign(radius_std=d["radius_std"] - 1.0),
+        lambda d: d.assign(observed=d["observed"] * np.nan),
         lambda d: d.assign_coords(theta=[f"{t:.3f}" for t in d["theta"].values]),
         lambda d: d.assign_attrs(axis_origin="[NaN, 0, 0]"),
         lambda d: d.assign_attrs(axis_origin="{}"),
@@ -145,6 +149,10 @@ def test_bad_files(tmp_path: Path) -> None:
     ],
     ids=[
         "heights in mm",
+        "deviations of NaN",
+        "endless deviations",
+        "negative deviations",
+        "a mask of NaN",
         "angles as text",
         "NaN origin",
         "no array",

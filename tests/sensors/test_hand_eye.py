@@ -145,6 +145,12 @@ def test_millimetres_are_noticed() -> None:
         hand_eye(A, B, "fixed")
 
 
+@pytest.mark.parametrize("limit", [{"largest_gap": -1.0}, {"largest_twist": np.nan}])
+def test_limits_that_are_none(limit: dict[str, float]) -> None:
+    with pytest.raises(InputError, match="must be above 0"):
+        hand_eye(*pairs("fixed"), "fixed", **limit)
+
+
 def test_another_kind_of_camera() -> None:
     with pytest.raises(InputError, match="fixed or moving"):
         hand_eye(*pairs("fixed"), "flying")  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -62,6 +63,14 @@ def test_every_link_to_the_layer_is_there_once() -> None:
     inside = voxmap.region.reshape(-1)[links.voxels] > 0
     assert (links.factors[inside] > 0.0).all()
     assert links.factors[inside & (links.axes == 0)].max() < 2.0
+
+
+def test_a_region_of_another_surface_is_counted() -> None:
+    voxmap = tube(0.09)
+    assert voxmap.cut_links.misplaced == 0
+    other = replace(voxmap, surface=tube(0.099).surface)
+    assert other.cut_links.misplaced == 24  # from 10 cm, where 1 mm is left
+    assert (other.cut_links.factors >= 0.0).all()
 
 
 def test_a_staircase_cuts_none() -> None:

@@ -157,7 +157,31 @@ DAMAGES = {
     ),
     "parameters that are a list": (
         lambda d: d.assign_attrs(parameters="[1.0]"),
-        "attribute parameters must be a JSON object, got [1.0]",
+        "attribute parameters must be a JSON object, got '[1.0]'",
+    ),
+    "parameters of no text": (
+        lambda d: d.assign_attrs(parameters=5.0),
+        "attribute parameters must be text, got np.float64(5.0)",
+    ),
+    "no such boundary": (
+        lambda d: d.assign_attrs(boundary="cubist"),
+        "boundary must be one of subvoxel, staircase, got 'cubist'",
+    ),
+    "a boundary of 10,000 letters": (
+        lambda d: d.assign_attrs(boundary=10_000 * "x"),
+        f"got '{39 * 'x'}…",
+    ),
+    "a boundary that is a number": (
+        lambda d: d.assign_attrs(boundary=3.0),
+        "attribute boundary must be text, got np.float64(3.0)",
+    ),
+    "two boundaries": (
+        lambda d: d.assign_attrs(boundary=np.array([1.0, 2.0])),
+        "attribute boundary must be text, got array([1., 2.])",
+    ),
+    "an empty boundary": (
+        lambda d: d.assign_attrs(boundary=""),
+        "attribute boundary must be text, got ''",
     ),
     "no region": (lambda d: d.drop_vars("region"), "it has no variable region"),
 }

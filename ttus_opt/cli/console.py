@@ -38,8 +38,16 @@ PATIENCE = 1.0
 
 
 def one_line(text: str) -> str:
-    """The text with line breaks and runs of spaces as one space."""
-    return " ".join(text.split())
+    """The text with line breaks and runs of spaces as one space, all of it printable.
+
+    What a file or an argument has of other characters would be carried out by a
+    terminal.
+
+    >>> one_line("got \\x1b[2J,  twice")
+    'got �[2J, twice'
+    """
+    words = " ".join(text.split())
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in words)
 
 
 def as_options(message: str, **options: str) -> str:

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
 
@@ -37,6 +38,9 @@ ROS = {
 
 #: A stamp above this is in nanoseconds, as ROS writes whole numbers [s]
 NANOSECONDS = 1e14
+
+#: Of a header without the required columns an error shows so much [characters]
+LONGEST_HEADER = 200
 
 
 @dataclass(frozen=True)
@@ -77,7 +81,8 @@ class TextTable:
                 try:
                     float(cell)
                 except ValueError:
-                    found = f"{cell!r}, not a number" if cell else "empty"
+                    told = io.shortened(cell)
+                    found = f"{told}, not a number" if cell else "empty"
                     comma = (
                         ", with a decimal comma? write a point" if "," in cell else ""
                     )
@@ -177,10 +182,13 @@ def _header(
             closest = names
             break
     missing = [n for n in required if n not in (closest or [])]
+    found = ",".join(closest or []) or "none"
+    if len(found) > LONGEST_HEADER:
+        found = f"{found[:LONGEST_HEADER]}… ({len(closest or []):,} in all)"
     raise FileError(
         f"{file} has no column {', '.join(missing)}: the header must name "
-        f"{','.join(required)}, got {','.join(closest or []) or 'none'}; say which is "
-        "which by columns, for instance px=x"
+        f"{','.join(required)}, got {found}; say which is which by columns, for "
+        "instance px=x"
     )
 
 

@@ -83,6 +83,11 @@ class Surface:
                 raise InputError(
                     f"{name} reaches {most:.4g} m: is it in millimetres? Divide by 1000"
                 )
+        if not ((self.radius_std >= 0) & (self.radius_std <= LARGEST)).all():
+            raise InputError(
+                f"radius_std must lie between 0 and {LARGEST:g} m everywhere: give 0 "
+                "where nothing is known of it"
+            )
         bad = ~(np.isfinite(self.radius) & (self.radius > 0))
         if bad.any():
             raise GeometryError(
@@ -227,7 +232,7 @@ class Surface:
                 np.zeros_like(radius) if std is None else std.to_numpy().astype(float),
                 np.ones(radius.shape, dtype=bool)
                 if observed is None
-                else observed.to_numpy().astype(bool),
+                else io.mask("observed", observed.to_numpy()),
                 Axis.from_attributes(dataset.attrs),
             )
         except (InputError, KeyError, TypeError, ValueError) as error:

@@ -182,6 +182,11 @@ def hand_eye(
     """
     if camera not in get_args(Camera):
         raise InputError(f"camera must be fixed or moving, got {camera!r}")
+    if not (largest_gap > 0.0 and largest_twist > 0.0):
+        raise InputError(
+            f"the largest gap and twist must be above 0, got {largest_gap:g} m and "
+            f"{np.rad2deg(largest_twist):g}°"
+        )
     A, B = (
         _checked("marker_in_camera", marker_in_camera),
         _checked("hand_in_base", hand_in_base),

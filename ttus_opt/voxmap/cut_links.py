@@ -22,8 +22,10 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 
-#: |φ_a| is taken for this much at least. It is above ½ where a region is that of its
-#: surface; one that is read from elsewhere then stays solvable [–]
+#: |φ_a| is taken for this much at least [–]. It is above ½ where a region is that of its
+#: surface, and nothing is changed. A decoded field has the sender's region beside a
+#: surface that was rounded: both ends then predict with the same links, and what the
+#: prediction lacks is sent. A scene over such a voxmap warns (`CutLinks.misplaced`)
 LEAST_DEPTH = 0.25
 
 
@@ -36,12 +38,15 @@ class CutLinks:
         neighbours: Flat indices of b, shape (k,).
         axes: 0, 1 or 2 for a link along r, θ or z, shape (k,).
         factors: What multiplies the link's conductance, not negative, shape (k,) [–].
+        misplaced: Links whose free voxel lies nearer to the surface than any does where
+            the region is that of the surface.
     """
 
     voxels: IntArray = field(repr=False)
     neighbours: IntArray = field(repr=False)
     axes: IntArray = field(repr=False)
     factors: Array = field(repr=False)
+    misplaced: int = 0
 
     @classmethod
     def none(cls) -> CutLinks:
@@ -60,7 +65,7 @@ class CutLinks:
         """
         shape = region.shape
         layer = np.nonzero(region == 0)
-        found = []
+        found, misplaced = [], 0
         for axis in range(3):
             for step in (1, -1):
                 at = [np.array(n) for n in layer]
@@ -74,6 +79,7 @@ class CutLinks:
                 a, b = (tuple(n[free] for n in v) for v in (a, b))
                 own, other = (place[v[1], v[2]] - v[0] for v in (a, b))
                 side = np.sign(region[a])
+                misplaced += int((side * own < LEAST_DEPTH).sum())
                 own = side * np.maximum(side * own, LEAST_DEPTH)
                 # outside a wall may lean over: then nothing flows
                 factor = np.maximum(1.0 - other / own, 0.0)
@@ -87,4 +93,4 @@ class CutLinks:
         voxels, neighbours, axes, factors = map(
             np.concatenate, zip(*found, strict=True)
         )
-        return cls(voxels, neighbours, axes, factors)
+        return cls(voxels, neighbours, axes, factors, misplaced)

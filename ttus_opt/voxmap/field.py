@@ -189,13 +189,14 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         InputError: A variable that is missing, has other dimensions or units, or
             does not fit the grid; also KeyError, TypeError or ValueError.
     """
-    sampling = data.attrs["sampling"]
+    sampling = io.text_of(data.attrs, "sampling")
     if sampling not in FIELD_UNIT:
         raise InputError(
-            f"sampling must be one of {', '.join(FIELD_UNIT)}, got {sampling!r}"
+            f"sampling must be one of {', '.join(FIELD_UNIT)}, got "
+            f"{io.shortened(sampling)}"
         )
     values = io.array_of(data, "potential", DIMS, FIELD_UNIT[sampling])
-    r_inner, r_outer, z_min, z_max = json.loads(data.attrs["grid_limits"])
+    r_inner, r_outer, z_min, z_max = json.loads(io.text_of(data.attrs, "grid_limits"))
     grid = CylindricalGrid(r_inner, r_outer, z_min, z_max, values.shape)
     for name, units in zip(DIMS, ("m", "rad", "m"), strict=True):
         centres = io.array_of(data, name, (name,), units)
@@ -206,18 +207,18 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         io.array_of(data, "surface_z", ON_SURFACE[1:], "m"),
         io.array_of(data, "radius", ON_SURFACE, "m"),
         io.array_of(data, "radius_std", ON_SURFACE, "m"),
-        io.array_of(data, "observed", ON_SURFACE, "1").astype(bool),
+        io.mask("observed", io.array_of(data, "observed", ON_SURFACE, "1")),
         Axis.from_attributes(data.attrs),
     )
     region = io.array_of(data, "region", DIMS, "1")
     # files from before there was a choice
-    boundary = data.attrs.get("boundary", "staircase")
+    boundary = io.text_of(data.attrs, "boundary", "staircase")
     return PotentialField(
         Voxmap(grid, surface, region, boundary),
         values,
         sampling,
         *(
-            _by_name(name, data.attrs.get(name, "{}"))
+            _by_name(name, io.text_of(data.attrs, name, "{}"))
             for name in ("parameters", "provenance", "standard_errors")
         ),
     )
@@ -231,5 +232,7 @@ def _by_name(attribute: str, text: str) -> dict[str, Any]:
     """
     found = json.loads(text)
     if not isinstance(found, dict):
-        raise InputError(f"attribute {attribute} must be a JSON object, got {text}")
+        raise InputError(
+            f"attribute {attribute} must be a JSON object, got {io.shortened(text)}"
+        )
     return found

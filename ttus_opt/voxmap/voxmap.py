@@ -23,6 +23,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
 from ttus_opt.scan.surface import Surface
@@ -167,7 +168,8 @@ def checked_boundary(boundary: str) -> str:
     """
     if boundary not in get_args(Boundary):
         raise InputError(
-            f"boundary must be one of {', '.join(get_args(Boundary))}, got {boundary!r}"
+            f"boundary must be one of {', '.join(get_args(Boundary))}, got "
+            f"{io.shortened(boundary)}"
         )
     return boundary
 
