@@ -116,7 +116,7 @@ def test_faults_of_any_length_are_told_shortly(tmp_path: Path) -> None:
         tt.read_trajectory(wide)
     assert len(str(told.value)) < 600
     body = [line.replace("0.2", 5000 * "x") for line in lines(",")]
-    with pytest.raises(FileError, match="py is 'xxx.*…, not a number") as told:
+    with pytest.raises(FileError, match=r"py is 'xxx.*…, not a number") as told:
         tt.read_trajectory(write(tmp_path, ",".join(OURS), body))
     assert len(str(told.value)) < 300
 

@@ -38,12 +38,12 @@ PATIENCE = 1.0
 
 
 def one_line(text: str) -> str:
-    """The text with line breaks and runs of spaces as one space, all of it printable.
+    r"""The text with line breaks and runs of spaces as one space, all of it printable.
 
     What a file or an argument has of other characters would be carried out by a
     terminal.
 
-    >>> one_line("got \\x1b[2J,  twice")
+    >>> one_line("got \x1b[2J,  twice")
     'got �[2J, twice'
     """
     words = " ".join(text.split())

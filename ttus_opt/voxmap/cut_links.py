@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 
-#: |φ_a| is taken for this much at least [–]. It is above ½ where a region is that of its
-#: surface, and nothing is changed. A decoded field has the sender's region beside a
-#: surface that was rounded: both ends then predict with the same links, and what the
-#: prediction lacks is sent. A scene over such a voxmap warns (`CutLinks.misplaced`)
+#: |φ_a| is taken for this much at least [–]. Where a region is that of its surface it
+#: is above ½ and nothing changes. A decoded field has the sender's region beside a
+#: rounded surface: both ends predict with the same links, and what the prediction
+#: lacks is sent. A scene over such a voxmap warns (`CutLinks.misplaced`)
 LEAST_DEPTH = 0.25
 
 
