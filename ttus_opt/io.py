@@ -17,7 +17,6 @@ import secrets
 import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -222,7 +221,7 @@ def read_dataset(
     if found != kind:
         raise FileError(f"{file} holds {found}, expected a {kind}: wrong file?")
     given = dataset.attrs.get("ttus_opt_version")
-    if not isinstance(given, Integral):
+    if not isinstance(given, int | np.integer):
         raise FileError(f"{file} does not say which version of a {kind} it is")
     if given != version:
         raise FileError(

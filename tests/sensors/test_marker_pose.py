@@ -180,6 +180,8 @@ def test_what_is_refused() -> None:
         marker_poses(blank, 0.05, "QR", CAMERA)
     with pytest.raises(InputError, match="millimetres"):
         marker_poses(blank, 65.0, "4X4_50", CAMERA)
+    with pytest.raises(InputError, match="between 0.0001 and 2 m, got 1e-300$"):
+        marker_poses(blank, 1e-300, "4X4_50", CAMERA)
     with pytest.raises(InputError, match="millimetres"):
         Board(3, 4, 25.6, 6.6, "4X4_250")
     with pytest.raises(InputError, match="0 x 4"):

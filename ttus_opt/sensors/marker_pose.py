@@ -32,6 +32,9 @@ LEAST_PIXEL_STD = 0.1
 #: error, or a warning says that both fit
 UNAMBIGUOUS = 2.0
 
+#: Lengths of a board lie between these [m]
+SHORTEST, LONGEST = 1e-4, 2.0
+
 #: Largest image [byte, pixel]
 LARGEST_FILE, LARGEST_IMAGE = 2**27, 2**26
 
@@ -225,12 +228,13 @@ def _check_length(name: str, length: float) -> None:
     """Validate a length of a board.
 
     Raises:
-        InputError: It is none, or in millimetres.
+        InputError: It is shorter or longer than a camera can see, or in millimetres.
     """
-    if not 0.0 < length < 2.0:
+    if not SHORTEST < length < LONGEST:
+        hint = ": is it in millimetres? Divide by 1000" if length >= LONGEST else ""
         raise InputError(
-            f"{name} must be a length in m between 0 and 2, got {length}: is it in "
-            "millimetres? Divide by 1000"
+            f"{name} must be a length between {SHORTEST:g} and {LONGEST:g} m, got "
+            f"{length:g}{hint}"
         )
 
 
