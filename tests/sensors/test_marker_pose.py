@@ -180,7 +180,7 @@ def test_what_is_refused() -> None:
         marker_poses(blank, 0.05, "QR", CAMERA)
     with pytest.raises(InputError, match="millimetres"):
         marker_poses(blank, 65.0, "4X4_50", CAMERA)
-    with pytest.raises(InputError, match="between 0.0001 and 2 m, got 1e-300$"):
+    with pytest.raises(InputError, match=r"between 0\.0001 and 2 m, got 1e-300$"):
         marker_poses(blank, 1e-300, "4X4_50", CAMERA)
     with pytest.raises(InputError, match="millimetres"):
         Board(3, 4, 25.6, 6.6, "4X4_250")
