@@ -39,11 +39,18 @@ def test_a_file_and_an_object_come_back_from_json(tmp_path: Path) -> None:
     for given, name in ((str(path), "mine"), (path, "mine"), (Renamed(), "renamed")):
         options = json.loads(json.dumps(options_of(given)))
         assert options["solver"] == name
-        assert solver_of(options).name == name
+        found = solver_of(options)
+        assert found != "auto"
+        assert found.name == name
     assert options_of("osqp") == {"solver": "osqp"}
     before = options_of(path)
     path.write_text(FILE + "# another version\n")
     assert options_of(path) != before
+
+
+def test_auto_is_a_solver_of_its_own() -> None:
+    assert options_of("auto") == {"solver": "auto"}
+    assert solver_of({"solver": "auto"}) == "auto"
 
 
 def test_what_cannot_travel_is_refused(tmp_path: Path) -> None:

@@ -11,18 +11,21 @@ import hashlib
 import pickle
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from ttus_opt.errors import InputError
 from ttus_opt.solvers.base import Solver
 from ttus_opt.solvers.registry import asked_for, solvers
+
+#: Among solvers: what `tt.fit` takes where none is named
+AUTO: Literal["auto"] = "auto"
 
 
 def options_of(given: str | Path | Solver) -> dict[str, Any]:
     """What a run's options say of a solver: its name, and where an own one is.
 
     Args:
-        given: A name, the path of a file with ``SOLVERS``, or a solver.
+        given: A name, `AUTO`, the path of a file with ``SOLVERS``, or a solver.
 
     Returns:
         ``solver``, and for an own one ``own``: plain data, for JSON.
@@ -31,6 +34,8 @@ def options_of(given: str | Path | Solver) -> dict[str, Any]:
         InputError: There is no such solver, it has a name of the shelf, or it cannot
             go to another process.
     """
+    if given == AUTO:
+        return {"solver": AUTO}
     solver = asked_for(given)
     if isinstance(given, str) and given in solvers():
         return {"solver": given}
@@ -47,9 +52,11 @@ def options_of(given: str | Path | Solver) -> dict[str, Any]:
     return {"solver": solver.name, "own": {"path": str(path), **version(path)}}
 
 
-def solver_of(options: Mapping[str, Any]) -> Solver:
+def solver_of(options: Mapping[str, Any]) -> Solver | Literal["auto"]:
     """The solver of a run's options, in whatever process."""
     own = options.get("own")
+    if options["solver"] == AUTO:
+        return AUTO
     if own is None:
         return asked_for(str(options["solver"]))
     if "path" in own:

@@ -42,8 +42,9 @@ Formulations = Annotated[
 Solvers = Annotated[
     str,
     typer.Option(
-        help="Names, or paths of your own files, separated by commas; all stands for "
-        "those installed, closed forms up to 100,000 voxels only."
+        help="Names, or paths of your own files, separated by commas; auto is what a "
+        "fit takes, all stands for those installed, closed forms up to 100,000 voxels "
+        "only."
     ),
 ]
 ClosedForm = Annotated[

@@ -14,6 +14,7 @@ from tests.benchmark.tiny import TINY, tiny_suite
 from ttus_opt.benchmark.cases import reference_cases
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.settings import Settings
+from ttus_opt.solvers import registry
 
 PART = parts()["solvers"]
 
@@ -92,6 +93,15 @@ def test_answers_that_failed_the_check_set_no_standard(tmp_path: Path) -> None:
     done = PART.finished([row("right", 1.0, 2.0), low], Settings(), tmp_path)
     assert done[0]["objective_gap"] == 0.0
     assert done[1]["objective_gap"] is None
+
+
+@pytest.mark.slow
+def test_auto_says_who_answered_and_what_it_took(tmp_path: Path) -> None:
+    (found,) = tiny_suite(tmp_path, solvers=["auto"], closed_form="").run()["solvers"]
+    assert (found["solver"], found["status"]) == ("auto", "solved")
+    assert found["taken"] in registry.estimating()
+    assert 0.0 < found["cpu_again"] < 60.0
+    assert 0.0 < found["cpu_first"] < 60.0
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.benchmark.cases import CaseSpec
+from ttus_opt.benchmark.own_solver import AUTO as AUTO_SOLVER
 from ttus_opt.benchmark.own_solver import options_of, solver_of, version
 from ttus_opt.benchmark.parts.base import Part
 from ttus_opt.benchmark.progress import Progress
@@ -39,6 +40,9 @@ FIGURES = {
     "seconds_assembly": "scene and program [s]",
     "seconds_first": "set-up and first solve, median of the repeats [s]",
     "seconds_again": "taking in other values and solving again, median [s]",
+    "cpu_first": "CPU time of set-up, first solve and its check, median [s]",
+    "cpu_again": "the same of other values, median [s]",
+    "taken": "the solver that answered, where auto chose",
     "seconds_each": "every repeat's ``first`` and ``again`` [s]",
     "peak_memory_bytes": "largest size of the run's own process; None without one",
     "solver_memory_bytes": "what set-up and solve added to it at most",
@@ -87,6 +91,8 @@ class SolversPart(Part):
         programs: dict[tuple[str, str], Program] = {}
         for spec in specs:
             solver = solver_of(spec.options)
+            if solver == AUTO_SOLVER:
+                continue
             if not solver.installed:
                 install = f"pip install {solver.pip_name}"
                 rows[spec.key] = self.row(spec, "not installed", install)
