@@ -46,14 +46,16 @@ class Exact:
 
 
 @functools.cache
-def exact(name: str, weight: float) -> Exact:
-    """Solved to 1e-9, by a solver of its own kind where there is one."""
+def exact(
+    name: str, weight: float, scene_of: Callable[[], Scene] = made, least: float = 1e-9
+) -> Exact:
+    """Solved far beyond the tolerance, by a solver of its own kind if there is one."""
     options = {} if name == "laplace_only" else {
         "force_weight": weight, "torque_weight": weight
     }  # fmt: skip
-    declared = load(name, made(), **options)
+    declared = load(name, scene_of(), **options)
     first = registry.choose("auto", reduce(declared.compile()).program).name
-    request = Request(1e-9)
+    request = Request(least)
     fitter = Fitter(declared, solver=first, request=request)
     candidate, reduction = fitter._prepared.solve(), fitter._reduction
     solution = judged(declared, reduction, first, candidate, request, TIMES)
@@ -95,7 +97,7 @@ def perturbations(known: Exact, rng: np.random.Generator) -> Iterator[tuple[str,
     program = known.reduction.program
     x = known.candidate.x
     assert x is not None
-    scene = made()
+    scene = known.declared.scene
     V = scene.n_voxels
     for name, part in program.variables.items():
         size = part.stop - part.start
