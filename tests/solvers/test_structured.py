@@ -83,7 +83,12 @@ def test_weight_zero_is_laplace_only(scene: Scene) -> None:
 
 @pytest.mark.slow
 def test_a_new_solve_reuses_and_agrees_with_a_fresh_one() -> None:
-    """New values, boundary and weights need few or no new directions."""
+    """New values, boundary and weights need few or no new directions.
+
+    Images of kept directions are as exact as the solve they come from asked for. What
+    that leaves for another right-hand side takes one round of refinement, and here one
+    direction: so many more than a fresh solve there may be, for a single change.
+    """
     scene = small_scene("trilinear", (16, 32, 20), n_poses=40)
     prepared = STRUCTURED.prepare(program(scene, 1.0), TIGHT)
     first = prepared.solve().iterations
@@ -96,6 +101,7 @@ def test_a_new_solve_reuses_and_agrees_with_a_fresh_one() -> None:
         "boundary": scene.with_boundary(3.0, 1.0),
         "measured values": replace(scene, trajectory=louder),
     }
+    of_kept, of_fresh = 0, 0
     for what, other in changes.items():
         for weight in (1.0, 0.3):
             loaded = program(other, weight)
@@ -103,7 +109,10 @@ def test_a_new_solve_reuses_and_agrees_with_a_fresh_one() -> None:
             again = prepared.solve()
             fresh = solved(loaded)
             assert relative(again.x, fresh.x) < 1e-8, what
-            assert again.iterations <= fresh.iterations + 1, what  # kept directions
+            assert again.iterations <= fresh.iterations + 1, what
+            of_kept += again.iterations
+            of_fresh += fresh.iterations
+    assert of_kept < 0.8 * of_fresh  # without what is kept it would be all of them
     prepared.update(program(scene, 1.0))
     assert prepared.solve().iterations < first / 2
 

@@ -15,6 +15,7 @@ from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array
 from ttus_opt.solvers.primal.flexible import Map, flexible_conjugate_gradients
+from ttus_opt.solvers.primal.normal_product import add_normal_product
 from ttus_opt.solvers.primal.wide_term import WideTerm
 from ttus_opt.solvers.proximal.field_preconditioner import (
     NeighbourRows,
@@ -62,9 +63,9 @@ class FieldNewton:
             anchor: Rows of the anchor, of single variables; None for none.
         """
         self._program, self._fixed = problem.program, problem.fixed
-        self._problem, self._anchor = problem, anchor
+        self._held = np.flatnonzero(problem.fixed)
+        self._anchor = anchor
         self._blocks = [*problem.blocks, *([] if anchor is None else [anchor])]
-        self._adjoints = [sp.csr_array(rows.matrix.T) for rows in self._blocks]
         self._squared = [
             rows.matrix.multiply(rows.matrix).tocsr().T.tocsr() for rows in self._blocks
         ]
@@ -127,11 +128,18 @@ class FieldNewton:
             if part.stop - part.start == len(laplace.free)
         ]
 
+        alone = np.ones(len(diagonal), dtype=bool)
+        for part, _ in fields:
+            alone[part] = False
+        rest = np.flatnonzero(alone)
+
         def prior(v: Array) -> Array:
-            z = inverse * v
+            z = np.empty_like(v)
+            z[rest] = inverse[rest] * v[rest]
             for part, apply in fields:
                 z[part] = apply(v[part])
-            return np.where(self._fixed, 0.0, z)
+            z[self._held] = 0.0
+            return z
 
         few = [
             sp.diags_array(np.sqrt(slope.factor)) @ b.matrix
@@ -197,11 +205,13 @@ class FieldNewton:
     def _product(self, v: Array, slopes: Sequence[Slope]) -> Array:
         """H v on the variables that are free."""
         out = np.zeros_like(v)
-        for rows, adjoint, slope in zip(
-            self._blocks, self._adjoints, slopes, strict=True
-        ):
-            out += adjoint @ slope.times(rows.matrix @ v)
-        return np.where(self._fixed, 0.0, out)
+        for rows, slope in zip(self._blocks, slopes, strict=True):
+            if slope.along is None and self._is_wide(rows):
+                add_normal_product(out, rows.matrix, slope.factor, v)
+            else:
+                out += rows.matrix.T @ slope.times(rows.matrix @ v)
+        out[self._held] = 0.0
+        return out
 
     def diagonal(self, slopes: Sequence[Slope]) -> Array:
         """The diagonal of H, without what slopes take off along groups, shape (n,)."""
@@ -214,10 +224,8 @@ class FieldNewton:
         """The step of a small problem."""
         free = np.flatnonzero(~self._fixed)
         H = sp.csr_array((len(side),) * 2)
-        for rows, adjoint, slope in zip(
-            self._blocks, self._adjoints, slopes, strict=True
-        ):
-            H = H + adjoint @ _matrix(slope) @ rows.matrix
+        for rows, slope in zip(self._blocks, slopes, strict=True):
+            H = H + rows.matrix.T @ _matrix(slope) @ rows.matrix
         own = sp.csc_array(H[free][:, free])
         tiny = np.finfo(float).eps * float(abs(own.diagonal()).max(initial=0.0))
         own = own + sp.csc_array(sp.eye_array(len(free)) * tiny)

@@ -142,11 +142,14 @@ def by_network(
         for link, along in zip(links, own, strict=True)
     )
     cycle = OneCycle(grid, free, Added(grid.unflatten(rest / strength), tuple(more)))
-    alone = np.where(diagonal > 0.0, diagonal, 1.0)
+    others = np.flatnonzero(~free)
+    alone = np.where(diagonal > 0.0, diagonal, 1.0)[others]
 
     def apply(v: Array) -> Array:
-        inside = np.where(free, v, 0.0)
-        return np.where(free, cycle.solve(inside).x / strength, v / alone)
+        out = cycle.solve(v).x
+        out /= strength
+        out[others] = v[others] / alone
+        return out
 
     return apply
 

@@ -1,0 +1,134 @@
+"""A dense sum of squares with few rows of any weight, against least squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from ttus_opt.arrays import Array
+from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.solvers.primal.conjugate_gradients import (
+    Goal,
+    Minimum,
+    Pair,
+    inner_product,
+    minimise,
+)
+
+V, FEW = 20, 3
+
+
+@dataclass
+class Dense:
+    """F(p) = ‖M p − t‖² + ‖D p − d‖²."""
+
+    M: Array
+    t: Array
+    D: Array
+    d: Array
+
+    @classmethod
+    def of(cls, weight: float) -> Dense:
+        rng = np.random.default_rng(0)
+        M = rng.normal(size=(V, V)) @ np.diag(np.geomspace(1.0, 30.0, V))
+        D = np.sqrt(weight) * rng.normal(size=(FEW, V))
+        d = np.sqrt(weight) * rng.normal(size=FEW)
+        return cls(M, rng.normal(size=V), D, d)
+
+    def measure(self, p: Array) -> Array:
+        return self.D @ p
+
+    def residual(self, at: Pair) -> Pair:
+        r = self.M.T @ (self.t - self.M @ at.p) + self.D.T @ at.y
+        return Pair(r, self.d - self.D @ at.p - at.y)
+
+    def image(self, along: Pair) -> tuple[Pair, Array]:
+        measured = self.D @ along.p
+        r = self.M.T @ (self.M @ along.p) - self.D.T @ along.y
+        return Pair(r, measured + along.y), measured
+
+    def gradient(self, rest: Pair) -> Array:
+        return np.asarray(rest.p + self.D.T @ rest.y)
+
+    def value(self, p: Array) -> float:
+        return float(
+            np.sum((self.M @ p - self.t) ** 2) + np.sum((self.D @ p - self.d) ** 2)
+        )
+
+    @property
+    def minimiser(self) -> Array:
+        M, t = np.vstack([self.M, self.D]), np.concatenate([self.t, self.d])
+        return np.asarray(np.linalg.lstsq(M, t)[0])
+
+
+@dataclass
+class WithRows:
+    """Respects the few rows exactly; of the rest it has a prior Hessian P."""
+
+    function: Dense
+    P: Array
+
+    def apply(self, rest: Pair) -> Pair:
+        D = self.function.D
+        z, columns = np.linalg.solve(self.P, rest.p), np.linalg.solve(self.P, D.T)
+        y = np.linalg.solve(np.eye(FEW) + D @ columns, rest.y - D @ z)
+        return Pair(z + columns @ y, y)
+
+
+def preconditioner(function: Dense, exact: bool) -> WithRows:
+    H = function.M.T @ function.M
+    return WithRows(function, H if exact else np.diag(np.diagonal(H)))
+
+
+def run(function: Dense, exact: bool, max_steps: int = 200) -> Minimum:
+    start = Pair(np.zeros(V), np.zeros(FEW))
+    largest = np.linalg.norm(function.gradient(function.residual(start)))
+    goal = Goal(1e-20, 0.0, 1e-11 * float(largest), max_steps, Accuracy(0.0))
+    return minimise(function, preconditioner(function, exact), start, goal, 8, 0.5)
+
+
+@pytest.mark.parametrize("weight", [1e-6, 1.0, 1e8])
+def test_equals_least_squares_at_any_weight_of_the_rows(weight: float) -> None:
+    function = Dense.of(weight)
+    found, expected = run(function, exact=False), function.minimiser
+    assert found.reached
+    np.testing.assert_allclose(found.at.p, expected, atol=1e-9 * np.abs(expected).max())
+    # multipliers are what the rows leave
+    left = function.d - function.D @ found.at.p
+    np.testing.assert_allclose(found.at.y, left, atol=1e-6 * np.abs(left).max())
+
+
+def test_the_exact_inverse_needs_one_step() -> None:
+    found = run(Dense.of(1.0), exact=True)
+    assert (found.reached, found.steps) == (True, 1)
+
+
+def test_without_enough_steps_it_says_so() -> None:
+    function = Dense.of(1.0)
+    found = run(function, exact=False, max_steps=4)
+    assert not found.reached
+    assert found.steps <= 5
+    start = function.value(np.zeros(V))
+    assert function.value(function.minimiser) < function.value(found.at.p) < start
+
+
+def test_nothing_is_done_past_the_deadline() -> None:
+    function = Dense.of(1.0)
+    late = Goal(1e-22, 0.0, 1e-7, 200, Accuracy(0.0, deadline=0.0))
+    start = Pair(np.ones(V), np.zeros(FEW))
+    found = minimise(function, preconditioner(function, False), start, late, 8, 0.5)
+    assert (found.reached, found.steps) == (False, 0)
+    np.testing.assert_array_equal(found.at.p, start.p)
+
+
+def test_a_goal_needs_a_small_gap_and_a_small_gradient() -> None:
+    goal = Goal(1e-3, 1e-6, 0.1, 1, Accuracy(0.0))
+    small, large = np.full(4, 0.04), np.full(4, 0.06)
+    assert goal.reached(1e-3, 1.0, small)
+    assert not goal.reached(1.1e-3, 1.0, small)
+    assert not goal.reached(1e-3, 1.0, large)
+    assert goal.reached(1e-6, 0.0, small)  # whatever F is
+    assert not goal.times(0.5).reached(1e-3, 1.0, small)
+    assert inner_product(small, large) == pytest.approx(4 * 0.04 * 0.06)
