@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from ttus_opt.scan.frame import Axis as Axis
     from ttus_opt.scan.surface import Surface as Surface
     from ttus_opt.scene import Scene as Scene
+    from ttus_opt.session.pipeline import run_session as run_session
     from ttus_opt.terms.base import AffineRows as AffineRows
     from ttus_opt.terms.base import Term as Term
     from ttus_opt.terms.cvxpy_term import CvxpyTerm as CvxpyTerm
@@ -76,6 +77,7 @@ _HOME = {
     "read_cloud": "scan.cloud",
     "read_solution_path": "fitting.path_dataset",
     "read_trajectory": "probe.trajectory",
+    "run_session": "session.pipeline",
     "solution_path": "fitting.solution_path",
     "tune": "fitting.tuning",
     "write_solution_path": "fitting.path_dataset",

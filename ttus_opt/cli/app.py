@@ -24,8 +24,10 @@ from ttus_opt.cli import (
     list_commands,
     message_commands,
     path_command,
+    record_command,
     register_command,
     render_command,
+    session_command,
     surface_command,
     synchronise_command,
     tune_command,
@@ -46,6 +48,7 @@ app = typer.Typer(
 )
 for module in (
     demo_command,
+    record_command,
     register_command,
     synchronise_command,
     compensate_command,
@@ -54,6 +57,7 @@ for module in (
     tune_command,
     path_command,
     evaluate_command,
+    session_command,
     experiment_command,
     render_command,
     message_commands,

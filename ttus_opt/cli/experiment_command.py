@@ -62,8 +62,8 @@ def experiment(
 ) -> None:
     """Simulate three patients, fit with and without forces, report every error."""
     from ttus_opt.experiment import Plan, n_stages, run
-    from ttus_opt.experiment.document import markdown
     from ttus_opt.experiment.report import summary
+    from ttus_opt.report.document import markdown
 
     n_r, n_theta, n_z = whole_numbers(shape, 3, "--shape")
     plan = Plan(

@@ -78,9 +78,9 @@ class RecordingOptions:
     columns: Annotated[
         str,
         typer.Option(
-            metavar="NAME=COLUMN,…",
-            help="Names of the file's columns by ours, for instance px=tip_x; ROS's "
-            "names are known.",
+            metavar="NAME=COLUMN,…|FILE",
+            help="Names of the file's columns by ours, for instance px=tip_x, or a "
+            "YAML file of them; ROS's names are known.",
         ),
     ] = ""
     quaternion: Annotated[
@@ -208,18 +208,17 @@ def read_trajectories(paths: Sequence[Path], columns: str = "") -> Trajectory:
 
     Args:
         paths: The files.
-        columns: Pairs ``ours=theirs`` of column names, separated by commas.
+        columns: Pairs ``ours=theirs`` of column names, separated by commas, or a YAML
+            file of them.
 
     Raises:
         FileError: A file is not a usable trajectory.
         InputError: Only some of them have wrenches, or columns that are no pairs.
     """
     from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+    from ttus_opt.sensors.column_map import read_column_map, table_columns
 
-    pairs = [pair.partition("=") for pair in columns.split(",") if pair]
-    if not all(ours and theirs for ours, _, theirs in pairs):
-        raise InputError(f"--columns takes NAME=COLUMN,…, got {columns!r}")
-    told = {ours.strip(): theirs.strip() for ours, _, theirs in pairs}
+    told = table_columns(read_column_map(columns)) if columns else {}
     return Trajectory.concatenate(
         [read_trajectory(path, columns=told) for path in paths]
     )

@@ -31,14 +31,15 @@ def synchronise(
     poses: Annotated[
         Path,
         typer.Argument(
-            help="Trajectory CSV, PLUS sequence (.mha), or ROS recording (.bag, .mcap, "
-            "folder)."
+            help="Trajectory CSV, netCDF, PLUS sequence (.mha), or ROS recording "
+            "(.bag, .mcap, folder)."
         ),
     ],
     wrenches: Annotated[
         Path,
         typer.Option(
-            help="Table t,fx,fy,fz[,tx,ty,tz] on its own clock, or ROS recording."
+            help="Table t,fx,fy,fz[,tx,ty,tz] on its own clock, netCDF, or ROS "
+            "recording."
         ),
     ],
     output: Annotated[Path, typer.Option("-o", "--output", help="Trajectory CSV.")],
@@ -59,6 +60,13 @@ def synchronise(
     transform: Annotated[
         str | None, typer.Option(help="Of a .mha with several, as ProbeToTracker.")
     ] = None,
+    columns: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME=COLUMN,…|FILE",
+            help="Names of the files' columns by ours, or a YAML file of them.",
+        ),
+    ] = "",
     pose_topic: Annotated[
         str | None, typer.Option(help="Of a ROS recording with several.")
     ] = None,
@@ -84,14 +92,17 @@ def synchronise(
 
     Frames without wrenches are left out; a new segment begins after them.
     """
+    from ttus_opt.sensors.column_map import read_column_map
+    from ttus_opt.sensors.stream_files import read_poses, read_wrenches
     from ttus_opt.sensors.streams import with_wrenches
 
     inputs = [poses, wrenches, *([surface] if surface else [])]
     check_outputs([output], inputs, force=force)
     if (by is None) == (offset is None):
         raise InputError("give either --by contact or angular-speed, or --offset")
-    track = _poses(poses, transform, pose_topic)
-    stream = _wrenches(wrenches, wrench_topic)
+    named = read_column_map(columns)
+    track = read_poses(poses, transform or pose_topic, named)
+    stream = read_wrenches(wrenches, wrench_topic, named)
     found = None
     if by is not None:
         around = float(track.time[0] - stream.time[0]) if together else 0.0
@@ -121,29 +132,6 @@ def synchronise(
     )
 
 
-def _of_ros(file: Path) -> bool:
-    return file.is_dir() or file.suffix.lower() in (".bag", ".mcap")
-
-
-def _wrenches(file: Path, topic: str | None) -> WrenchStream:
-    from ttus_opt.sensors.ros_bag import read_bag_wrenches
-    from ttus_opt.sensors.streams import read_wrench_stream
-
-    return read_bag_wrenches(file, topic) if _of_ros(file) else read_wrench_stream(file)
-
-
-def _poses(file: Path, transform: str | None, topic: str | None) -> Trajectory:
-    from ttus_opt.probe.trajectory import read_trajectory
-    from ttus_opt.sensors.plus_sequence import read_plus_sequence
-    from ttus_opt.sensors.ros_bag import read_bag_poses
-
-    if _of_ros(file):
-        return read_bag_poses(file, topic)
-    if file.suffix.lower() == ".mha":
-        return read_plus_sequence(file, transform)
-    return read_trajectory(file)
-
-
 def _found(
     track: Trajectory,
     stream: WrenchStream,
@@ -155,10 +143,11 @@ def _found(
     """The offset by what the user names."""
     from ttus_opt.scan.surface import Surface
     from ttus_opt.sensors import clock
+    from ttus_opt.sensors.stream_files import read_poses
 
     if by == "angular-speed":
         first = clock.angular_speed(track)
-        second = clock.angular_speed(_poses(wrenches, None, None))
+        second = clock.angular_speed(read_poses(wrenches))
     elif by == "contact":
         if surface is None:
             raise InputError("--by contact needs --surface, in the frame of the poses")

@@ -8,11 +8,11 @@ from matplotlib.figure import Figure
 
 from ttus_opt import io
 from ttus_opt.experiment.boundary import UNSEEN
-from ttus_opt.experiment.document import Picture
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.pipeline import ExperimentResult, PatientResult
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITHOUT
 from ttus_opt.report import plots
+from ttus_opt.report.document import Picture
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
 
 #: Folder of the figures beside the report

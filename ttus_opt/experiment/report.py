@@ -9,16 +9,6 @@ import numpy as np
 
 from ttus_opt.experiment import paper_averages as paper
 from ttus_opt.experiment import tables
-from ttus_opt.experiment.document import (
-    Block,
-    Heading,
-    Items,
-    Picture,
-    Table,
-    Text,
-    write_html,
-    write_markdown,
-)
 from ttus_opt.experiment.figures import draw
 from ttus_opt.experiment.pipeline import ExperimentResult
 from ttus_opt.experiment.rivals import PREFIX
@@ -30,6 +20,16 @@ from ttus_opt.phantom.recording import (
     POSITION_NOISE,
     ROTATION_NOISE,
     TORQUE_NOISE,
+)
+from ttus_opt.report.document import (
+    Block,
+    Heading,
+    Items,
+    Picture,
+    Table,
+    Text,
+    write_html,
+    write_markdown,
 )
 
 TITLE = "The paper's experiment on three phantom patients"

@@ -9,13 +9,13 @@ import numpy as np
 
 from ttus_opt.experiment import paper_averages as paper
 from ttus_opt.experiment.boundary import spread
-from ttus_opt.experiment.document import Table
 from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.pipeline import ITSELF, ExperimentResult
 from ttus_opt.experiment.rivals import PREFIX
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.report.document import Table
 from ttus_opt.report.hysteresis import hysteresis_share
 from ttus_opt.report.metrics import FORCE_THRESHOLD
 

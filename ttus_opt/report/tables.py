@@ -71,6 +71,13 @@ def error_table(comparisons: Sequence[Comparison]) -> str:
     Returns:
         A table as of `table`.
     """
+    return table(*error_cells(comparisons))
+
+
+def error_cells(
+    comparisons: Sequence[Comparison],
+) -> tuple[list[str], list[list[str]]]:
+    """Header and rows of `error_table`."""
     header = ["recording", "frames", *(name for name, _, _ in _COLUMNS)]
     rows = []
     for case in comparisons:
@@ -83,7 +90,7 @@ def error_table(comparisons: Sequence[Comparison]) -> str:
             for _, read, form in _COLUMNS
         ]
         rows.append(cells)
-    return table(header, rows)
+    return header, rows
 
 
 def write_report(

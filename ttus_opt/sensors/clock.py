@@ -1,8 +1,9 @@
 """The offset between two clocks, by correlation (docs/method.md, 20.1).
 
-Two devices saw the same motion: angular speeds of two trackers, or contact as the force
-sensor has it and as the pose has it. Both signals are laid on one step; the offset is
-the lag with the highest correlation coefficient, refined by a parabola.
+Two devices saw the same motion: angular speeds of two trackers, contact as the force
+sensor has it and as the pose has it, or how fast gravity turns in the axes of a force
+sensor held in free air. Both signals are laid on one step; the offset is the lag with
+the highest correlation coefficient, refined by a parabola.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
@@ -33,6 +35,9 @@ RIVAL = 0.97
 
 #: Force above which a sensor is in contact [N]
 CONTACT = 0.5
+
+#: Slopes are those between the means of two halves of this span [s]
+SPAN = 0.3
 
 #: A signal lasts over gaps up to so many of its usual steps
 GAP_STEPS = 5.0
@@ -98,6 +103,27 @@ def contact_of_poses(poses: Trajectory, surface: Surface, share: float) -> Signa
     return Signal(poses.time, (depth > np.quantile(depth, 1.0 - share)).astype(float))
 
 
+def gravity_of_poses(poses: Trajectory, down: ArrayLike) -> Signal:
+    """How fast gravity turns in a probe's axes, |d(Rᵀ g/‖g‖)/dt| [1/s].
+
+    Args:
+        poses: Probe to the frame of ``down``.
+        down: Direction of gravity there, shape (3,).
+    """
+    direction = np.asarray(down, np.float64)
+    own = np.einsum("tji,j->ti", poses.rotation, direction / np.linalg.norm(direction))
+    return _slope(poses.time, own)
+
+
+def gravity_of_readings(time: Array, force: Array) -> Signal:
+    """How fast raw forces change, |df/dt| [N/s].
+
+    In free air they are bias and weight, so this is the weight times the same of the
+    poses, whatever bias, weight, axes and sign of the sensor are.
+    """
+    return _slope(time, force)
+
+
 def clock_offset(
     first: Signal,
     second: Signal,
@@ -160,6 +186,31 @@ def clock_offset(
     part = 0.5 * (low - high) / bend if bend < 0 else 0.0
     seconds = float((lags[best] + part) * step) - apart
     return Offset(seconds, float(mid), rival)
+
+
+def _slope(time: Array, values: Array) -> Signal:
+    """Length of the slope of vectors (T, 3) over `SPAN`, where both halves are known.
+
+    Raises:
+        InputError: The recording is shorter.
+    """
+    before = np.searchsorted(time, time - 0.5 * SPAN)
+    after = np.searchsorted(time, time + 0.5 * SPAN, side="right")
+    here = np.arange(len(time))
+    both = (time - 0.5 * SPAN >= time[0]) & (time + 0.5 * SPAN <= time[-1])
+    both &= (before < here) & (after > here + 1)
+    if not both.any():
+        raise InputError(
+            f"a recording of {np.ptp(time):.3g} s tells no slopes over {SPAN:g} s"
+        )
+    columns = np.concatenate([time[:, None] - time[0], values], axis=1)
+    total = np.concatenate([np.zeros((1, 4)), np.cumsum(columns, axis=0)])
+    i, low, high = here[both], before[both], after[both]
+    first = (total[i] - total[low]) / (i - low)[:, None]
+    second = (total[high] - total[i + 1]) / (high - i - 1)[:, None]
+    change = second - first
+    slope = np.linalg.norm(change[:, 1:], axis=1) / change[:, 0]
+    return Signal(time[both], slope)
 
 
 def _step(signal: Signal) -> float:

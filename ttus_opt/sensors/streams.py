@@ -63,6 +63,21 @@ class WrenchStream:
                 "times of a stream must increase [s]: sort them, drop doubles"
             )
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the table that `read_wrench_stream` reads.
+
+        Raises:
+            FileError: The file cannot be written.
+        """
+        columns = [self.time[:, None], self.force]
+        names = ["t", *FORCE]
+        if self.torque is not None:
+            columns.append(self.torque)
+            names += TORQUE
+        lines = [",".join(map(repr, row)) for row in np.hstack(columns).tolist()]
+        with io.replacing(path) as temporary:
+            temporary.write_text("\n".join([",".join(names), *lines, ""]))
+
 
 def read_wrench_stream(
     path: str | os.PathLike[str], columns: Mapping[str, str] | None = None

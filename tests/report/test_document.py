@@ -1,6 +1,6 @@
 import base64
 
-from ttus_opt.experiment.document import (
+from ttus_opt.report.document import (
     Heading,
     Items,
     Picture,

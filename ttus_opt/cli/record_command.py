@@ -1,0 +1,94 @@
+"""``ttus-opt record``: poses and forces of an OpenIGTLink server, as they come."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ttus_opt.cli.console import print_json
+from ttus_opt.cli.options import Json, check_outputs
+from ttus_opt.errors import InputError
+
+EXAMPLE = "ttus-opt record localhost:18944 --poses tracker.csv --seconds 60"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("record", epilog=f"Example: {EXAMPLE}")(record)
+
+
+def record(
+    server: Annotated[str, typer.Argument(help="HOST or HOST:PORT of the server.")],
+    poses: Annotated[
+        Path | None, typer.Option(help="Write TRANSFORM messages here (CSV).")
+    ] = None,
+    wrenches: Annotated[
+        Path | None, typer.Option(help="Write SENSOR messages here (CSV).")
+    ] = None,
+    pose_device: Annotated[
+        str | None, typer.Option(help="Of the poses, where several send some.")
+    ] = None,
+    wrench_device: Annotated[
+        str | None, typer.Option(help="The same of the forces.")
+    ] = None,
+    seconds: Annotated[
+        float | None,
+        typer.Option(help="For how long from the first message; else until Ctrl-C."),
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Record a tracker's poses and a force sensor's readings over OpenIGTLink.
+
+    The files are written at the end, also when it comes by Ctrl-C.
+    """
+    from ttus_opt.sensors import open_igt_link as igt
+
+    if poses is None and wrenches is None:
+        raise InputError("give --poses or --wrenches: where to write what comes")
+    check_outputs([poses, wrenches], [], force=False)
+    host, _, port = server.partition(":")
+    if port and not port.isdigit():
+        raise InputError(f"SERVER is HOST or HOST:PORT, got {server!r}")
+    shown = _counter()
+    received = igt.record(host, int(port or igt.PORT), seconds=seconds, progress=shown)
+    told: dict[str, object] = {"messages": received.count}
+    lines = []
+    # all is checked before a file is written
+    track = None if poses is None else received.trajectory(pose_device)
+    stream = None if wrenches is None else received.wrenches(wrench_device)
+    if track is not None and poses is not None:
+        track.save(poses)
+        told |= {"poses": str(poses), "pose_frames": len(track)}
+        lines.append(f"{poses}: {len(track)} poses, {_span(track.time)}")
+    if stream is not None and wrenches is not None:
+        stream.save(wrenches)
+        told |= {"wrenches": str(wrenches), "wrench_frames": len(stream.time)}
+        lines.append(f"{wrenches}: {len(stream.time)} readings, {_span(stream.time)}")
+    if json:
+        print_json(told)
+        return
+    typer.echo("\n".join(lines))
+
+
+def _span(time: object) -> str:
+    import numpy as np
+
+    return f"{np.ptp(np.asarray(time)):.1f} s"
+
+
+def _counter() -> object:
+    """A counter of messages on a terminal's stderr; None elsewhere."""
+    import sys
+
+    if not sys.stderr.isatty():
+        return None
+    from tqdm import tqdm
+
+    bar = tqdm(file=sys.stderr, unit=" messages", leave=False)
+
+    def show(count: int) -> None:
+        bar.update(count - bar.n)
+
+    return show

@@ -1,0 +1,89 @@
+"""``ttus-opt session``: from a recording folder to a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.options import Json
+from ttus_opt.errors import InputError
+
+EXAMPLE = "ttus-opt session recording -o results"
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command."""
+    app.command("session", epilog=f"Example: {EXAMPLE}")(session)
+
+
+def session(
+    folder: Annotated[
+        Path,
+        typer.Argument(
+            help="Folder with a session.yaml that says what is where, or that file."
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Folder of the results."),
+    ] = None,
+    example: Annotated[
+        bool,
+        typer.Option(
+            "--example", help="Write a synthetic recording into FOLDER instead."
+        ),
+    ] = False,
+    json: Json = False,
+) -> None:
+    """From a recording folder to surface, trajectories, field, errors and a report.
+
+    Every step writes its files when it is complete; session.json says which are.
+    """
+    if example:
+        _write_example(folder, output, json)
+        return
+    if output is None:
+        raise InputError("--output is missing: name a folder for the results")
+    from ttus_opt.report.document import markdown
+    from ttus_opt.session import run_session
+    from ttus_opt.session.report import summary
+    from ttus_opt.session.results import STEPS, complete_steps
+
+    begun: list[str] = []
+    try:
+        with Stages(len(STEPS)) as begin:
+
+            def reported(step: str) -> None:
+                begun.append(step)
+                begin(step)
+
+            result = run_session(folder, output, progress=reported)
+    except KeyboardInterrupt:
+        done = [step for step in complete_steps(output) if step in begun[:-1]]
+        told = ", ".join(done) or "nothing"
+        typer.echo(f"complete in {output}: {told}", err=True)
+        raise
+    if json:
+        print_json(
+            {"output": str(output), **result.as_dict(), "report": f"{output}/report.md"}
+        )
+        return
+    typer.echo("\n\n".join(map(markdown, summary(result)[2:])))
+    typer.echo(f"\nreport.md, report.html, session.json and all steps in {output}/")
+
+
+def _write_example(folder: Path, output: Path | None, json: bool) -> None:
+    from ttus_opt.session.synthetic import write_recording
+
+    if output is not None:
+        raise InputError("--example writes into FOLDER: leave --output out")
+    with Stages(1) as begin:
+        begin("making the recording")
+        truth = write_recording(folder)
+    if json:
+        print_json({"folder": str(folder), "truth": truth.as_dict()})
+        return
+    typer.echo(f"{folder}: a synthetic recording; ttus-opt session {folder} -o results")

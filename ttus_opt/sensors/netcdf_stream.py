@@ -1,0 +1,285 @@
+"""Pose and wrench streams in netCDF, through xarray.
+
+A variable ``time`` of one dimension; ``position(time, 3)``, ``quaternion(time, 4)``,
+``force(time, 3)`` and ``torque(time, 3)``, each with ``units``, time first. Components
+are labelled by a coordinate (``x, y, z`` or ``w, x, y, z``); where a quaternion's are
+not, its attribute ``order`` names them.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ttus_opt import io
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.probe.pose import from_quaternions
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.column_map import ORDER, ORDERS
+from ttus_opt.sensors.streams import WrenchStream
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: What a file's unit is in the package's, by quantity
+UNITS: dict[str, dict[str, float]] = {
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
+    "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "force": {"N": 1.0},
+    "torque": {"N m": 1.0, "N mm": 1e-3},
+    "quaternion": {"1": 1.0},
+}
+
+#: Other ways to write them
+SPELLINGS = {
+    **dict.fromkeys(("second", "seconds", "sec"), "s"),
+    **dict.fromkeys(("millisecond", "milliseconds", "msec"), "ms"),
+    **dict.fromkeys(("microsecond", "microseconds"), "us"),
+    **dict.fromkeys(("nanosecond", "nanoseconds"), "ns"),
+    **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
+    **dict.fromkeys(("millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("Nm", "N.m", "N*m", "N·m", "newton metre"), "N m"),
+    **dict.fromkeys(("Nmm", "N.mm", "N*mm", "N·mm"), "N mm"),
+    **dict.fromkeys(("", "-", "–", "dimensionless"), "1"),
+}
+
+#: Readings of one stream at most
+MOST_READINGS = 20_000_000
+
+#: Positions beyond this are in another unit [m]
+LARGEST_POSITION = 100.0
+
+
+def read_netcdf_poses(
+    path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
+) -> Trajectory:
+    """Poses of a netCDF file.
+
+    Args:
+        path: The file.
+        columns: Its own names of ``t``, ``position`` and ``quaternion``, and the
+            ``quaternion_order`` where the file does not say it.
+
+    Raises:
+        FileError: Missing, damaged, or without such variables, units or order.
+    """
+    file, data, told = _opened(path, columns)
+    try:
+        time = _time(data, told)
+        position = _vector(data, "position", told, "xyz")
+        if not np.abs(position).max(initial=0.0) < LARGEST_POSITION:
+            raise InputError(
+                f"positions beyond {LARGEST_POSITION:g} m or not finite: check units"
+            )
+        order = _order(data, told)
+        quaternion = _vector(data, "quaternion", told, order)
+        return Trajectory(time, position, from_quaternions(quaternion, order))  # type: ignore[arg-type]  # one of both
+    except InputError as error:
+        raise FileError(f"{file}: {error}") from error
+
+
+def read_netcdf_wrenches(
+    path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
+) -> WrenchStream:
+    """Wrenches of a netCDF file; torques where there are any.
+
+    Args:
+        path: The file.
+        columns: Its own names of ``t``, ``force`` and ``torque``.
+
+    Raises:
+        FileError: Missing, damaged, or without such variables or units.
+    """
+    file, data, told = _opened(path, columns)
+    try:
+        torque = None
+        if told.get("torque", "torque") in data.variables:
+            torque = _vector(data, "torque", told, "xyz")
+        return WrenchStream(
+            _time(data, told), _vector(data, "force", told, "xyz"), torque
+        )
+    except InputError as error:
+        raise FileError(f"{file}: {error}") from error
+
+
+def write_netcdf_wrenches(stream: WrenchStream, path: str | os.PathLike[str]) -> None:
+    """Write wrenches as `read_netcdf_wrenches` reads them.
+
+    Raises:
+        FileError: The file cannot be written.
+    """
+    import xarray as xr
+
+    variables: dict[str, Any] = {
+        "force": (("time", "axis"), stream.force, {"units": "N"})
+    }
+    if stream.torque is not None:
+        variables["torque"] = (("time", "axis"), stream.torque, {"units": "N m"})
+    time = ("time", stream.time, {"units": "s", "axis": "T"})
+    dataset = xr.Dataset(variables, {"time": time, "axis": list("xyz")})
+    io.write_dataset(dataset, path, kind="wrenches", version=1)
+
+
+def _opened(
+    path: str | os.PathLike[str], columns: Mapping[str, str] | None
+) -> tuple[Path, xr.Dataset, Mapping[str, str]]:
+    """The file's content in memory, times as numbers.
+
+    Raises:
+        FileError: Missing, no netCDF, or names that such a file has not.
+    """
+    import warnings
+
+    import xarray as xr
+
+    file = io.existing_file(path, "netCDF stream")
+    told = columns or {}
+    single = [name for name in told if name not in ("t", ORDER, *UNITS)]
+    if single:
+        raise FileError(
+            f"{file}: netCDF holds whole vectors: name position, quaternion, force or "
+            f"torque, not {single[0]}"
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of foreign attributes
+            with xr.open_dataset(
+                file, engine="netcdf4", decode_times=False, decode_timedelta=False
+            ) as opened:
+                if max(opened.sizes.values(), default=0) > MOST_READINGS:
+                    raise FileError(f"{file} is too long a stream: cut it")
+                return file, opened.load(), told
+    except FileError:
+        raise
+    except (Exception, MemoryError) as error:  # damaged files raise nearly every class
+        raise FileError(
+            f"{file} is not a readable netCDF file ({type(error).__name__}): copy or "
+            "record it again"
+        ) from error
+
+
+def _variable(data: xr.Dataset, name: str, told: Mapping[str, str]) -> xr.DataArray:
+    """A variable by the package's word.
+
+    Raises:
+        InputError: There is none.
+    """
+    theirs = told.get("t" if name == "time" else name, name)
+    if theirs not in data.variables:
+        known = ", ".join(map(str, data.variables)) or "none"
+        raise InputError(
+            f"it has no variable {theirs}, but {known}: say which is which by columns, "
+            f"for instance {'t' if name == 'time' else name}=…"
+        )
+    return data[theirs]
+
+
+def _factor(found: xr.DataArray, name: str, unit: str | None = None) -> float:
+    """What turns a variable's numbers into the package's unit.
+
+    Raises:
+        InputError: No unit, or another one.
+    """
+    given = found.attrs.get("units") if unit is None else unit
+    if given is None and name == "quaternion":
+        return 1.0
+    word = str(given).strip()
+    known = UNITS[name]
+    factor = known.get(SPELLINGS.get(word, word))
+    if given is None or factor is None:
+        raise InputError(
+            f"{found.name} has units {given!r}, expected {' or '.join(known)}: set the "
+            "attribute units"
+        )
+    return factor
+
+
+def _numbers(found: xr.DataArray) -> Array:
+    """Values in double precision.
+
+    Raises:
+        InputError: They are none.
+    """
+    if found.dtype.kind not in "fiu":
+        raise InputError(f"{found.name} holds no numbers: wrong variable?")
+    return np.asarray(found.to_numpy(), dtype=np.float64)
+
+
+def _time(data: xr.Dataset, told: Mapping[str, str]) -> Array:
+    """Times [s]; of "seconds since …" the number, whatever they count from.
+
+    Raises:
+        InputError: No time of one dimension, or without a unit.
+    """
+    found = _variable(data, "time", told)
+    if found.ndim != 1:
+        raise InputError(f"{found.name} has {found.ndim} dimensions, times have one")
+    unit = str(found.attrs.get("units", "")).partition(" since ")[0]
+    values = _factor(found, "time", unit) * _numbers(found)
+    if not np.isfinite(values).all():
+        raise InputError(f"{found.name} contains NaN or infinity: drop those frames")
+    return values
+
+
+def _vector(data: xr.Dataset, name: str, told: Mapping[str, str], order: str) -> Array:
+    """A vector over time, shape (T, len(order)).
+
+    Raises:
+        InputError: Other dimensions, components in another order, or another unit.
+    """
+    found = _variable(data, name, told)
+    along = _variable(data, "time", told).dims
+    if found.ndim != 2 or found.dims[:1] != along or found.shape[1] != len(order):
+        sizes = ", ".join(f"{d} {n}" for d, n in found.sizes.items()) or "none"
+        raise InputError(
+            f"{found.name} must have dimensions ({', '.join(map(str, along))}, "
+            f"{len(order)} components), got ({sizes}): transpose it"
+        )
+    labels = _labels(found)
+    if labels and labels != order:
+        raise InputError(
+            f"components of {found.name} are {', '.join(labels)}, expected "
+            f"{', '.join(order)}: reorder them"
+        )
+    values = _factor(found, name) * _numbers(found)
+    if not np.isfinite(values).all():
+        raise InputError(f"{found.name} contains NaN or infinity: drop those frames")
+    return values
+
+
+def _labels(found: xr.DataArray) -> str:
+    """Component labels as one word (``qw`` counts as w); empty where there are none."""
+    dim = found.dims[-1]
+    if dim not in found.coords or found.coords[dim].dtype.kind not in "UOS":
+        return ""
+    words = [str(label).strip().lower() for label in found.coords[dim].to_numpy()]
+    return "".join(word[-1:] for word in words)
+
+
+def _order(data: xr.Dataset, told: Mapping[str, str]) -> str:
+    """The order of a quaternion's components: labelled, stated in the file, or told.
+
+    Raises:
+        InputError: None of these, or two that differ.
+    """
+    found = _variable(data, "quaternion", told)
+    labelled = _labels(found) if found.ndim == 2 else ""
+    named = (labelled, str(found.attrs.get("order", "")), told.get(ORDER, ""))
+    said = {word for word in named if word}
+    if len(said) > 1 or not said <= set(ORDERS):
+        raise InputError(
+            f"the order of {found.name} is given as {' and '.join(sorted(said))}: "
+            "expected wxyz or xyzw"
+        )
+    if not said:
+        raise InputError(
+            f"the order of {found.name} is not said and never guessed: give columns "
+            f"{ORDER}=xyzw or wxyz, or label the components"
+        )
+    return said.pop()

@@ -1,0 +1,254 @@
+"""OpenIGTLink, live: poses and forces as they are sent, until a time or Ctrl-C.
+
+TRANSFORM messages are poses (shifts in mm, as PLUS and 3D Slicer send them), SENSOR
+messages of 3 or 6 numbers are forces, or forces and torques [N, N·m]. Times are those
+of the messages. Needs the extra ``sensors`` (pyigtl).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.optional import load
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.streams import WrenchStream
+
+#: Where PLUS listens
+PORT = 18944
+
+#: Shifts of OpenIGTLink [m]
+MILLIMETRE = 1e-3
+
+#: No connection, or no message, after this is none [s]
+PATIENCE = 5.0
+
+#: Messages of one recording at most
+MOST_MESSAGES = 5_000_000
+
+#: How often the clock is looked at [s]
+PAUSE = 0.02
+
+
+@dataclass
+class Received:
+    """Messages of a recording, by device, in the order they came.
+
+    Attributes:
+        poses: Times [s] and matrices (4, 4) [–, mm].
+        readings: Times [s] and numbers.
+        others: Types of messages that are neither, by device.
+    """
+
+    poses: dict[str, list[tuple[float, Array]]] = field(default_factory=dict)
+    readings: dict[str, list[tuple[float, Array]]] = field(default_factory=dict)
+    others: dict[str, str] = field(default_factory=dict)
+    count: int = 0
+
+    def take(self, message: Any) -> None:
+        """Keep a message."""
+        self.count += 1
+        device, at = str(message.device_name), float(message.timestamp)
+        if message.message_type == "TRANSFORM":
+            kept, value = self.poses, np.array(message.matrix, np.float64)
+        elif message.message_type == "SENSOR":
+            kept, value = self.readings, np.array(message.values, np.float64)
+        else:
+            self.others[device] = str(message.message_type)
+            return
+        if self.count < MOST_MESSAGES:
+            kept.setdefault(device, []).append((at, value))
+
+    def trajectory(self, device: str | None = None) -> Trajectory:
+        """Poses of a device.
+
+        Args:
+            device: May be left out where there is one.
+
+        Raises:
+            InputError: There is none, several and none named, or what it sent is no
+                pose.
+        """
+        name, time_, values = _stream(self.poses, device, "TRANSFORM", self.others)
+        matrices = np.array(values)
+        if not np.abs(matrices).max() < 1e6:
+            raise InputError(f"{name} sent NaN, infinity or shifts beyond a kilometre")
+        try:
+            position = MILLIMETRE * matrices[:, :3, 3]
+            return Trajectory(time_, position, matrices[:, :3, :3].copy())
+        except InputError as error:
+            raise InputError(f"{name} sent no rigid motion: {error}") from error
+
+    def wrenches(self, device: str | None = None) -> WrenchStream:
+        """Forces, and torques where there are any, of a device.
+
+        Args:
+            device: May be left out where there is one.
+
+        Raises:
+            InputError: As of `trajectory`, or neither 3 nor 6 numbers.
+        """
+        name, time_, values = _stream(self.readings, device, "SENSOR", self.others)
+        sizes = {len(value) for value in values}
+        if sizes not in ({3}, {6}):
+            raise InputError(
+                f"{name} sent {', '.join(map(str, sorted(sizes)))} numbers, expected 3 "
+                "forces, or 3 forces and 3 torques, always the same"
+            )
+        numbers = np.array(values)
+        torque = numbers[:, 3:].copy() if sizes == {6} else None
+        try:
+            return WrenchStream(time_, numbers[:, :3].copy(), torque)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
+
+
+def record(
+    host: str,
+    port: int = PORT,
+    *,
+    seconds: float | None = None,
+    patience: float = PATIENCE,
+    progress: Callable[[int], None] | None = None,
+) -> Received:
+    """Listen to a server for a while.
+
+    Args:
+        host: Its name or address.
+        port: Its port.
+        seconds: For how long from the first message; until interrupted when None.
+        patience: How long to wait for a connection and a first message [s].
+        progress: Called with the number of messages, many times a second.
+
+    Returns:
+        What came. An interrupt (Ctrl-C) ends the recording and nothing is lost.
+
+    Raises:
+        InputError: Nobody listens there, nothing is sent, or numbers that are none.
+        MissingPackageError: pyigtl is not installed.
+    """
+    if not (1 <= port <= 65535 and 0.0 < patience < np.inf):
+        raise InputError(f"a port is 1 to 65535, got {port}")
+    if seconds is not None and not 0.0 < seconds < np.inf:
+        raise InputError(f"a recording lasts a positive time [s], got {seconds}")
+    received = Received()
+    with _listening(host, port, received) as client:
+        begun: float | None = None
+        asked = time.monotonic()
+        with contextlib.suppress(KeyboardInterrupt):
+            while (
+                begun is None or seconds is None or time.monotonic() - begun < seconds
+            ):
+                time.sleep(PAUSE)
+                if begun is None and received.count:
+                    begun = time.monotonic()
+                if begun is None and time.monotonic() - asked > patience:
+                    break
+                if progress is not None:
+                    progress(received.count)
+        connected = client.is_connected()
+    if received.count == 0:
+        raise InputError(
+            f"{host}:{port} is connected and sends nothing: is it recording?"
+            if connected
+            else f"nobody listens at {host}:{port}: check host, port and server"
+        )
+    return received
+
+
+@contextlib.contextmanager
+def _listening(host: str, port: int, received: Received) -> Iterator[Any]:
+    """A client that hands over every message; pyigtl itself keeps the latest only."""
+    igtl: Any = load("pyigtl", "sensors")
+    _teach_sensor(igtl)
+
+    class Messages(dict[str, Any]):
+        """Takes what the client's thread writes."""
+
+        def __setitem__(self, device: str, message: Any) -> None:
+            received.take(message)
+
+    client = igtl.OpenIGTLinkClient(host, port, start_now=False)
+    client.incoming_messages = Messages()
+    client.start()
+    try:
+        yield client
+    finally:
+        # its own stop() waits without end for a thread that has died
+        client.communication_thread_stop_requested = True
+        client._client_thread.join(timeout=2.0)
+
+
+_TEACHING = threading.Lock()
+
+
+def _teach_sensor(igtl: Any) -> None:
+    """SENSOR messages, which pyigtl does not know (OpenIGTLink v2, sensor)."""
+    known = igtl.messages.message_type_to_class_constructor
+    with _TEACHING:
+        if "SENSOR" not in known:
+            known["SENSOR"] = sensor_message(igtl)
+
+
+def sensor_message(igtl: Any) -> Any:
+    """The class of SENSOR messages.
+
+    Args:
+        igtl: The module pyigtl.
+
+    Returns:
+        A class over its ``MessageBase`` with ``values`` [N, N·m].
+    """
+
+    class SensorMessage(igtl.messages.MessageBase):  # type: ignore[misc]  # untyped
+        """Count, status, unit and as many doubles."""
+
+        def __init__(self, values: Any = (), **more: Any) -> None:
+            super().__init__(**more)
+            self._message_type = "SENSOR"
+            self.values = np.asarray(values, np.float64).reshape(-1)
+            self._valid_message = True
+
+        def _pack_content(self) -> bytes:
+            head = struct.pack("> B B Q", len(self.values), 0, 0)
+            return head + self.values.astype(">f8").tobytes()
+
+        def _unpack_content(self, content: bytes) -> None:
+            count, _, _ = struct.unpack_from("> B B Q", content)
+            self.values = np.frombuffer(content, ">f8", count, 10).astype(np.float64)
+
+    return SensorMessage
+
+
+def _stream(
+    kept: dict[str, list[tuple[float, Array]]],
+    device: str | None,
+    kind: str,
+    others: dict[str, str],
+) -> tuple[str, Array, list[Array]]:
+    """Messages of a device by time, each instant once.
+
+    Raises:
+        InputError: There is none, or several and none named.
+    """
+    if not kept:
+        told = ", ".join(f"{name} ({what})" for name, what in others.items())
+        came = f", but {told}" if told else ""
+        raise InputError(f"no {kind} came{came}: what does the server send?")
+    if device is None and len(kept) > 1:
+        raise InputError(f"several devices sent {kind}: name one of {', '.join(kept)}")
+    name = next(iter(kept)) if device is None else device
+    if name not in kept:
+        raise InputError(f"{name} sent no {kind}: one of {', '.join(kept)}")
+    stamps = np.array([at for at, _ in kept[name]], np.float64)
+    stamps, first = np.unique(stamps, return_index=True)
+    return name, stamps, [kept[name][i][1] for i in first]

@@ -1,0 +1,407 @@
+"""What a recording folder holds, as ``session.yaml`` in it says, read and checked.
+
+Every file is named from the folder of the description. Frames: *tracker*, of the
+tracker's own poses; *scan*, of the cloud or of the depth cameras' poses; *patient*, of
+the surface, which the session finds.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.probe.pose import from_quaternions
+from ttus_opt.sensors.clock import LARGEST_OFFSET
+from ttus_opt.sensors.column_map import column_map, read_column_map
+from ttus_opt.sensors.force_sensor import ForceSensor
+from ttus_opt.sensors.mapping_file import read_mapping
+from ttus_opt.session.section import Section
+
+#: Names of the description in a folder, in this order
+NAMES = ("session.yaml", "session.yml", "session.json")
+
+PARTS = (
+    "title",
+    "probe",
+    "probe_unit",
+    "scan",
+    "tracker",
+    "force",
+    "clock",
+    "free",
+    "recordings",
+    "fit",
+)
+FRAMES = ("tracker", "scan", "patient")
+CLOCKS = ("gravity", "contact", "offset")
+
+
+@dataclass(frozen=True)
+class Scan:
+    """Where the patient's skin comes from: a cloud, or a surface that is there already.
+
+    Attributes:
+        file: Cloud or surface (.nc).
+        unit: Of the cloud.
+        head: Direction to the head in the scan, shape (3,); None to find it.
+        prone: Whether the patient lies on the front.
+        nodes: Spokes and slices of the surface.
+    """
+
+    file: Path
+    unit: str
+    head: tuple[float, ...] | None
+    prone: bool
+    nodes: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A file of poses or wrenches.
+
+    Attributes:
+        file: Whatever `ttus_opt.sensors.stream_files` reads.
+        name: Of a transform or topic in it; None for the only one.
+        columns: Its own names, by the package's.
+    """
+
+    file: Path
+    name: str | None
+    columns: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Tracker:
+    """Poses of a target on the probe.
+
+    Attributes:
+        stream: The poses: target to ``frame``.
+        frame: One of `FRAMES`.
+        to_scan: Motion from tracker to scan, shape (4, 4); None for one that `tags`
+            give, or that is not needed.
+        tags: Pairs of poses: tag in the scan, target in the tracker.
+        probe_to_target: Motion, shape (4, 4).
+    """
+
+    stream: Stream
+    frame: str
+    to_scan: Array | None = field(repr=False)
+    tags: Path | None
+    probe_to_target: Array = field(repr=False)
+
+
+@dataclass(frozen=True)
+class Force:
+    """Readings of a force sensor.
+
+    Attributes:
+        stream: Raw readings, sensor axes, or contact wrenches where ``sensor`` is None.
+        sensor: How it is mounted.
+        down: Direction of gravity, shape (3,).
+        down_frame: One of `FRAMES`.
+        frame: Axes of contact wrenches: one of `FRAMES`, or ``probe``.
+    """
+
+    stream: Stream
+    sensor: ForceSensor | None
+    down: tuple[float, ...] | None
+    down_frame: str
+    frame: str
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How the two clocks are brought together.
+
+    Attributes:
+        by: One of `CLOCKS`.
+        offset: Added to the times of forces, where it is known [s].
+        largest_offset: How far offsets are looked for [s].
+        together: Whether both recordings began at about the same time.
+        largest_gap: Longer gaps are not bridged [s].
+    """
+
+    by: str
+    offset: float
+    largest_offset: float
+    together: bool
+    largest_gap: float
+
+
+@dataclass(frozen=True)
+class Part:
+    """A stretch of the tracker's recording.
+
+    Attributes:
+        name: Of its file.
+        start: After the tracker's first pose [s].
+        end: The same.
+        fitted: Whether the field is fitted to it; otherwise it is judged by it.
+    """
+
+    name: str
+    start: float
+    end: float
+    fitted: bool = True
+
+
+@dataclass(frozen=True)
+class FitPlan:
+    """What is fitted.
+
+    Attributes:
+        formulation: Name, or the path of a file beside the description.
+        shape: Voxels in r, θ and z.
+        r_inner: Radius of the innermost layer [m].
+        solver: Name, or auto.
+        options: The formulation's own.
+    """
+
+    formulation: str
+    shape: tuple[int, ...]
+    r_inner: float
+    solver: str
+    options: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Description:
+    """A session.
+
+    Attributes:
+        file: Where it is written.
+        title: Of the report.
+        probe: A primitive, or the path of a mesh.
+        probe_unit: Of a mesh.
+        scan: The patient's skin.
+        tracker: Poses.
+        force: Wrenches.
+        clock: How they come together.
+        free: The stretch in free air; None where readings are compensated.
+        recordings: What is fitted to and judged by.
+        fit: What is fitted.
+    """
+
+    file: Path
+    title: str
+    probe: str
+    probe_unit: str
+    scan: Scan
+    tracker: Tracker
+    force: Force
+    clock: Clock
+    free: Part | None
+    recordings: tuple[Part, ...]
+    fit: FitPlan
+
+
+def read_description(path: str | os.PathLike[str]) -> Description:
+    """Read and check a description; no recording is opened yet.
+
+    Args:
+        path: The folder, or the YAML or JSON file.
+
+    Raises:
+        FileError: No description, an unknown key, a missing file, or a value that
+            cannot be used; the message names file and key.
+    """
+    file = _found(Path(path))
+    whole = Section(file, "", read_mapping(file, "session"))
+    whole.require_known(PARTS)
+    free = None
+    if "free" in whole:
+        free = _part(whole.section("free"), "free", ("from", "to"))
+    tracker, force = _tracker(whole.section("tracker")), _force(whole.section("force"))
+    if (force.sensor is None) != (free is None):
+        raise whole.fail(
+            "free" if free is None else "force.sensor",
+            "is missing: raw readings need both the stretch in free air (free) and how "
+            "the sensor is mounted (force.sensor); contact wrenches neither",
+        )
+    return Description(
+        file,
+        whole.text("title", file.parent.resolve().name or "Session"),
+        _probe(whole),
+        whole.text("probe_unit", "mm"),
+        _scan(whole.section("scan")),
+        tracker,
+        force,
+        _clock(whole.section("clock"), free is not None),
+        free,
+        _recordings(whole.section("recordings")),
+        _fit(whole.section("fit")),
+    )
+
+
+def _found(path: Path) -> Path:
+    """The description's file.
+
+    Raises:
+        FileError: There is none.
+    """
+    if not path.exists():
+        raise FileError(f"session not found: {path}: check the path")
+    if not path.is_dir():
+        return path
+    for name in NAMES:
+        if (path / name).is_file():
+            return path / name
+    raise FileError(
+        f"{path} has no {NAMES[0]} that says what is where: write one, or copy that of "
+        "ttus-opt session DIR --example"
+    )
+
+
+def _probe(whole: Section) -> str:
+    spec = whole.text("probe")
+    return spec if ":" in spec else str(whole.path("probe"))
+
+
+def _scan(part: Section) -> Scan:
+    part.require_known(("cloud", "surface", "unit", "head", "prone", "nodes"))
+    if ("cloud" in part) == ("surface" in part):
+        raise part.fail("cloud", "or surface must be given, one of both")
+    head = part.numbers("head", 3) if "head" in part else None
+    return Scan(
+        part.path("cloud" if "cloud" in part else "surface"),
+        part.text("unit", "m"),
+        head,
+        part.flag("prone"),
+        part.whole("nodes", 2, (180, 60)),
+    )
+
+
+def _stream(part: Section) -> Stream:
+    told = part.values.get("columns")
+    try:
+        if told is None:
+            columns = {}
+        elif isinstance(told, Mapping):
+            columns = column_map(told)
+        else:
+            text = part.text("columns")
+            beside = part.file.parent / text
+            columns = read_column_map(beside if beside.is_file() else text)
+    except InputError as error:
+        raise part.fail("columns", f"cannot be used: {error}") from error
+    name = part.text("name") if "name" in part else None
+    return Stream(part.path("file"), name, columns)
+
+
+def _tracker(part: Section) -> Tracker:
+    part.require_known(
+        ("file", "name", "columns", "frame", "to_scan", "tags", "probe_to_target")
+    )
+    frame = part.choice("frame", FRAMES, "tracker")
+    given = [key for key in ("to_scan", "tags") if key in part]
+    if frame == "tracker" and len(given) != 1:
+        raise part.fail(
+            "to_scan",
+            "or tags must be given, one of both: the motion from tracker to scan, or "
+            "pairs of poses that it is found from",
+        )
+    if frame != "tracker" and given:
+        raise part.fail(given[0], f"is for frame tracker, poses are in the {frame}'s")
+    target = part.motion("probe_to_target") if "probe_to_target" in part else np.eye(4)
+    return Tracker(
+        _stream(part),
+        frame,
+        part.motion("to_scan") if "to_scan" in part else None,
+        part.path("tags") if "tags" in part else None,
+        target,
+    )
+
+
+def _force(part: Section) -> Force:
+    part.require_known(
+        ("file", "name", "columns", "sensor", "down", "down_frame", "frame")
+    )
+    stream = _stream(part)
+    if "sensor" not in part:
+        axes = part.choice("frame", (*FRAMES, "probe"))
+        return Force(stream, None, None, "scan", axes)
+    mounted = part.section("sensor")
+    mounted.require_known(("axes", "point", "sign"))
+    if "frame" in part:
+        raise part.fail("frame", "is for contact wrenches; sensor.axes says it of raw")
+    try:
+        quaternion = np.array([mounted.numbers("axes", 4)])
+        sensor = ForceSensor(
+            from_quaternions(quaternion, "xyzw")[0],
+            np.array(mounted.numbers("point", 3)),
+            mounted.text("sign"),  # type: ignore[arg-type]  # checked there
+        )
+    except InputError as error:
+        raise part.fail("sensor", f"cannot be used: {error}") from error
+    down_frame = part.choice("down_frame", FRAMES, "scan")
+    return Force(stream, sensor, part.numbers("down", 3), down_frame, "")
+
+
+def _clock(part: Section, raw: bool) -> Clock:
+    part.require_known(("by", "offset", "largest_offset", "together", "largest_gap"))
+    usual = "offset" if "offset" in part else "gravity" if raw else "contact"
+    by = part.choice("by", CLOCKS, usual)
+    if (by == "offset") != ("offset" in part):
+        raise part.fail("offset", "and by: offset go together: give both or none")
+    if by != "offset" and (by == "gravity") != raw:
+        raise part.fail(
+            "by",
+            f"is {by}: gravity tells the offset of raw readings in free air, contact "
+            "that of contact wrenches",
+        )
+    return Clock(
+        by,
+        part.number("offset", 0.0),
+        part.number("largest_offset", LARGEST_OFFSET),
+        part.flag("together"),
+        part.number("largest_gap", 0.1),
+    )
+
+
+def _part(part: Section, name: str, known: tuple[str, ...]) -> Part:
+    part.require_known(known)
+    start, end = part.number("from"), part.number("to")
+    if not 0.0 <= start < end:
+        raise part.fail(
+            "to",
+            f"must be after from, both seconds after the tracker's first pose, "
+            f"got {start:g} to {end:g}",
+        )
+    fitted = "use" in known and part.choice("use", ("fit", "test")) == "fit"
+    return Part(name, start, end, fitted)
+
+
+def _recordings(part: Section) -> tuple[Part, ...]:
+    parts = []
+    for name in part.values:
+        if not re.fullmatch(r"[A-Za-z0-9][\w.-]{0,60}", name):
+            raise part.fail(
+                name, "must be a name of letters, digits, _, . and -: it names a file"
+            )
+        parts.append(_part(part.section(name), name, ("from", "to", "use")))
+    for use, fitted in (("fit", True), ("test", False)):
+        if not any(each.fitted == fitted for each in parts):
+            raise part.fail("", f"has no stretch with use: {use}, one is needed")
+    return tuple(parts)
+
+
+def _fit(part: Section) -> FitPlan:
+    part.require_known(("formulation", "shape", "r_inner", "solver", "options"))
+    formulation = part.text("formulation", "eq10")
+    if (part.file.parent / formulation).is_file():
+        formulation = str(part.file.parent / formulation)
+    options = part.section("options")
+    return FitPlan(
+        formulation,
+        part.whole("shape", 3, (48, 120, 60)),
+        part.number("r_inner", 0.03),
+        part.text("solver", "auto"),
+        {name: options.number(name) for name in options.values},
+    )

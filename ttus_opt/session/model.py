@@ -1,0 +1,83 @@
+"""Sixth and seventh step of a session: a field fitted, and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ttus_opt.fitting.batch import fit
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.problem.solution import Solution
+from ttus_opt.report.metrics import evaluate
+from ttus_opt.report.tables import Comparison
+from ttus_opt.scan.surface import Surface
+from ttus_opt.scene import ScenePlan
+from ttus_opt.session.description import Description
+
+
+@dataclass(frozen=True)
+class Model:
+    """A fitted field, and the Laplace prior alone beside it.
+
+    Attributes:
+        before: The prior, its boundary scaled to the forces.
+        after: Fitted.
+    """
+
+    before: Solution = field(repr=False)
+    after: Solution
+
+
+def fit_model(
+    session: Description,
+    surface: Surface,
+    shell: PointShell,
+    recordings: Mapping[str, Trajectory],
+) -> Model:
+    """Fit to the stretches that are meant for it.
+
+    Args:
+        session: As described.
+        surface: The patient's.
+        shell: The probe.
+        recordings: All stretches, by name.
+
+    Raises:
+        InputError: A grid, formulation or solver that cannot be used.
+        NoSolutionError: The fit failed its own check.
+    """
+    plan = ScenePlan(session.fit.shape, session.fit.r_inner)
+    fitted = [recordings[part.name] for part in session.recordings if part.fitted]
+    scene = plan.build(surface, shell, fitted)
+    before = fit(scene, "laplace_only")
+    told = session.fit
+    after = fit(scene, told.formulation, solver=told.solver, **told.options)  # type: ignore[arg-type]  # options have names of their own
+    for solution in (before, after):
+        _ = solution.field  # raises where it failed its own check
+    return Model(before, after)
+
+
+def judge(
+    session: Description,
+    model: Model,
+    shell: PointShell,
+    recordings: Mapping[str, Trajectory],
+) -> tuple[Comparison, ...]:
+    """Both fields rendered along every stretch, against what was measured.
+
+    Args:
+        session: As described.
+        model: The fields.
+        shell: The probe.
+        recordings: All stretches, by name.
+    """
+    fields = model.before.field, model.after.field
+    return tuple(
+        Comparison(
+            part.name,
+            part.fitted,
+            *(evaluate(each, shell, recordings[part.name]) for each in fields),
+        )
+        for part in session.recordings
+    )

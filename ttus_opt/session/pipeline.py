@@ -1,0 +1,199 @@
+"""A session from end to end: one function per step, each in a module of its own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ttus_opt.multigrid.ahead import compiling_ahead
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.tables import Comparison
+from ttus_opt.sensors.tool_load import ToolLoad
+from ttus_opt.session.description import Description, read_description
+from ttus_opt.session.model import Model, fit_model, judge
+from ttus_opt.session.readings import (
+    Timing,
+    contact_wrenches,
+    joined_streams,
+    read_forces,
+    synchronise,
+)
+from ttus_opt.session.recordings import cut
+from ttus_opt.session.registration import Registration, probe_poses, register
+from ttus_opt.session.results import STEPS, Results
+from ttus_opt.session.skin import Skin, find_skin
+
+#: How often `run_session` reports progress
+N_STAGES = len(STEPS)
+
+
+@dataclass(frozen=True)
+class SessionResult:
+    """What a session found.
+
+    Attributes:
+        folder: Of the results.
+        session: As it was described.
+        skin: The patient's surface.
+        registration: How the frames lie.
+        timing: The offset of both clocks.
+        load: What was taken off raw readings; None where they were compensated.
+        recordings: Contact wrenches, patient frame, by name.
+        model: The fields.
+        comparisons: Errors before and after, per recording.
+        told: All figures by name, as in ``session.json``.
+    """
+
+    folder: Path
+    session: Description = field(repr=False)
+    skin: Skin = field(repr=False)
+    registration: Registration = field(repr=False)
+    timing: Timing
+    load: ToolLoad | None
+    recordings: dict[str, Trajectory] = field(repr=False)
+    model: Model
+    comparisons: tuple[Comparison, ...] = field(repr=False)
+    told: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def as_dict(self) -> dict[str, Any]:
+        """All figures by name, for JSON."""
+        return self.told
+
+
+def run_session(
+    path: str | os.PathLike[str],
+    output: str | os.PathLike[str],
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> SessionResult:
+    """From a recording folder to surface, trajectories, field, errors and a report.
+
+    Args:
+        path: The folder with its ``session.yaml``, or that file
+            (``docs/how-to/session.md``).
+        output: Folder of the results; made when missing. Every step writes its files
+            when it is complete, and ``session.json`` says which are.
+        progress: Called with every step that begins, `N_STAGES` times.
+
+    Returns:
+        What every step found.
+
+    Raises:
+        FileError: A file is missing or damaged, or the description says what it may
+            not; nothing is written.
+        InputError: Recordings that contradict each other; the message names the step.
+        NoSolutionError: The fit failed its own check.
+    """
+    session = read_description(path)
+    results = Results(output, progress or (lambda step: None))
+    results.check(
+        [session.file, session.scan.file]
+        + [stream.file for stream in (session.tracker.stream, session.force.stream)]
+    )
+    shell = PointShell.from_spec(session.probe, unit=session.probe_unit)
+    with compiling_ahead():
+        return _run(session, shell, results)
+
+
+def _run(session: Description, shell: PointShell, results: Results) -> SessionResult:
+    """The steps, one after the other."""
+    with results.step("surface"):
+        skin = find_skin(session.scan)
+        skin.surface.save(results.path("surface.nc"))
+        results.tell("surface", _surface_facts(skin))
+    with results.step("registration"):
+        frames = register(session.tracker, skin.surface)
+        poses = probe_poses(session.tracker, frames)
+        results.tell("registration", frames.facts())
+    with results.step("clock"):
+        wrenches = read_forces(session)
+        timing = synchronise(session, poses, wrenches, skin.surface, frames)
+        joined = joined_streams(session, poses, wrenches, timing)
+        results.tell("clock", _clock_facts(session, timing, len(poses), len(joined)))
+    begin = float(poses.time[0])
+    with results.step("load"):
+        contact, load = contact_wrenches(session, joined, shell, frames, begin)
+        results.tell("load", {} if load is None else load.facts())
+    with results.step("recordings"):
+        recordings = cut(contact, session.recordings, begin)
+        for name, recording in recordings.items():
+            recording.save(results.path(f"recordings/{name}.csv"))
+        frames_of = {name: len(each) for name, each in recordings.items()}
+        results.tell("recordings", frames_of)
+    with results.step("fit"):
+        model = fit_model(session, skin.surface, shell, recordings)
+        model.after.field.save(results.path("field.nc"))
+        results.tell("fit", _fit_facts(model))
+    with results.step("evaluation"):
+        comparisons = judge(session, model, shell, recordings)
+        results.tell("evaluation", {"errors": _error_facts(comparisons)})
+    with results.step("report"):
+        from ttus_opt.session.report import write_reports
+
+        found = SessionResult(
+            results.folder,
+            session,
+            skin,
+            frames,
+            timing,
+            load,
+            recordings,
+            model,
+            comparisons,
+            results.told,
+        )
+        write_reports(found, shell, results.path)
+    return found
+
+
+def _surface_facts(skin: Skin) -> dict[str, Any]:
+    surface = skin.surface
+    return {
+        "points": None if skin.cloud is None else len(skin.cloud),
+        "observed": float(surface.observed.mean()),
+        "z_min_m": float(surface.z[0]),
+        "z_max_m": float(surface.z[-1]),
+        "axis_origin": surface.axis.origin,
+        "axis_rotation": surface.axis.rotation,
+    }
+
+
+def _clock_facts(
+    session: Description, timing: Timing, n_poses: int, n_joined: int
+) -> dict[str, Any]:
+    return {
+        "by": session.clock.by,
+        "offset_s": timing.offset,
+        "correlation": timing.correlation,
+        "frames": n_joined,
+        "left_out": n_poses - n_joined,
+    }
+
+
+def _fit_facts(model: Model) -> dict[str, Any]:
+    after = model.after
+    return {
+        "formulation": after.formulation,
+        "status": after.status.name.lower(),
+        "solver": after.solver,
+        "kkt": None if after.kkt is None else after.kkt.as_dict(),
+        "parameters": dict(after.parameters),
+        "standard_errors": dict(after.standard_errors),
+        "not_identified": dict(after.not_identified),
+    }
+
+
+def _error_facts(comparisons: tuple[Comparison, ...]) -> list[dict[str, Any]]:
+    return [
+        {
+            "recording": case.recording,
+            "seen": case.seen,
+            "before": case.before.errors.as_dict(),
+            "after": case.after.errors.as_dict(),
+        }
+        for case in comparisons
+    ]

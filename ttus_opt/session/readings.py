@@ -1,0 +1,148 @@
+"""Third and fourth step of a session: one clock, then contact wrenches.
+
+Raw readings in free air are bias and weight. How fast they change tells the offset of
+the clocks before either is known (`ttus_opt.sensors.clock.gravity_of_readings`); at the
+poses' instants they then tell bias, weight and centre of mass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.surface import Surface
+from ttus_opt.sensors import clock
+from ttus_opt.sensors.stream_files import read_wrenches
+from ttus_opt.sensors.streams import WrenchStream, with_wrenches
+from ttus_opt.sensors.tool_load import ToolLoad, identify_load
+from ttus_opt.sensors.wrench_compensation import compensated
+from ttus_opt.session.description import Description
+from ttus_opt.session.recordings import stretch
+from ttus_opt.session.registration import Registration, gravity
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What brings both clocks together.
+
+    Attributes:
+        offset: To be added to the times of forces [s].
+        first: What was compared, of the poses; None where the offset was given.
+        second: The same of the forces, on their own clock.
+        correlation: At the offset.
+    """
+
+    offset: float
+    first: clock.Signal | None = field(default=None, repr=False)
+    second: clock.Signal | None = field(default=None, repr=False)
+    correlation: float | None = None
+
+
+def read_forces(session: Description) -> WrenchStream:
+    """The stream of wrenches.
+
+    Raises:
+        FileError: It cannot be read.
+        InputError: A name or columns it does not have.
+    """
+    stream = session.force.stream
+    return read_wrenches(stream.file, stream.name, stream.columns)
+
+
+def synchronise(
+    session: Description,
+    poses: Trajectory,
+    wrenches: WrenchStream,
+    surface: Surface,
+    registration: Registration,
+) -> Timing:
+    """The offset of both clocks.
+
+    Args:
+        session: As described.
+        poses: Of the probe, patient frame.
+        wrenches: On their own clock.
+        surface: The patient's.
+        registration: How the frames lie.
+
+    Raises:
+        InputError: The streams do not show the same motion.
+    """
+    told = session.clock
+    if told.by == "offset":
+        return Timing(told.offset)
+    around = float(poses.time[0] - wrenches.time[0]) if told.together else 0.0
+    if told.by == "gravity":
+        assert session.free is not None
+        own = stretch(poses, session.free, float(poses.time[0]))
+        first = clock.gravity_of_poses(own, gravity(session, registration))
+        second = clock.gravity_of_readings(wrenches.time, wrenches.force)
+    else:
+        second = clock.contact_of_force(wrenches.time, wrenches.force)
+        share = float(second.values.mean())
+        first = clock.contact_of_poses(poses, surface, share)
+    found = clock.clock_offset(
+        first, second, around=around, largest=told.largest_offset
+    )
+    return Timing(found.seconds, first, second, found.correlation)
+
+
+def contact_wrenches(
+    session: Description,
+    joined: Trajectory,
+    shell: PointShell,
+    registration: Registration,
+    begin: float,
+) -> tuple[Trajectory, ToolLoad | None]:
+    """Wrenches of contact at the poses' instants, patient frame.
+
+    Args:
+        session: As described.
+        joined: Poses, patient frame, with readings as they were recorded.
+        shell: The probe.
+        registration: How the frames lie.
+        begin: Time of the tracker's first pose [s].
+
+    Returns:
+        Force on the probe and torque about the shell's reference, and the load that
+        was taken off; None where the readings were compensated.
+
+    Raises:
+        InputError: Readings that contradict how the sensor is mounted, or no torques.
+        GeometryError: The free poses hardly tilt the sensor.
+    """
+    sensor = session.force.sensor
+    if sensor is None or session.free is None:
+        return _turned(joined, session.force.frame, registration), None
+    down = gravity(session, registration)
+    load = identify_load(stretch(joined, session.free, begin), sensor, down)
+    return compensated(joined, sensor, load, down, shell.reference), load
+
+
+def _turned(joined: Trajectory, frame: str, registration: Registration) -> Trajectory:
+    """Contact wrenches of another frame's axes, in those of the patient."""
+    turn = joined.rotation if frame == "probe" else np.eye(3)
+    if frame != "probe":
+        for motion in registration.to_patient(frame):
+            turn = motion[:3, :3] @ turn
+    force, torque = (
+        None if v is None else np.einsum("...ij,...j->...i", turn, v)
+        for v in (joined.force, joined.torque)
+    )
+    return replace(joined, force=force, torque=torque)
+
+
+def joined_streams(
+    session: Description, poses: Trajectory, wrenches: WrenchStream, timing: Timing
+) -> Trajectory:
+    """Poses with the readings of their instants; nothing across gaps.
+
+    Raises:
+        InputError: The streams do not overlap at this offset.
+    """
+    return with_wrenches(
+        poses, wrenches, timing.offset, largest_gap=session.clock.largest_gap
+    )

@@ -1,0 +1,174 @@
+"""The folder of a session's results: step by step, each whole or not there."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ttus_opt import io
+from ttus_opt.errors import FileError, TtusError
+
+#: What has been done and found so far
+SUMMARY = "session.json"
+
+STEPS = (
+    "surface",
+    "registration",
+    "clock",
+    "load",
+    "recordings",
+    "fit",
+    "evaluation",
+    "report",
+)
+
+#: Names that a session writes, and so may remove before it writes them again
+OWN = (
+    "surface.nc",
+    "field.nc",
+    "report.md",
+    "report.html",
+    SUMMARY,
+    "recordings/*.csv",
+    "figures/*.png",
+)
+
+
+class Results:
+    """A folder that is filled step by step.
+
+    Args:
+        folder: Made when missing; results of an earlier session in it are removed when
+            the first step begins to write.
+        progress: Called with what begins.
+    """
+
+    def __init__(
+        self, folder: str | os.PathLike[str], progress: Callable[[str], None]
+    ) -> None:
+        self.folder = Path(folder)
+        self._progress = progress
+        self._told: dict[str, Any] = {"complete": [], "files": []}
+        self._cleared = False
+
+    def check(self, inputs: Sequence[Path]) -> None:
+        """Refuse, before any work, a folder that cannot be written to.
+
+        Raises:
+            FileError: It cannot be, is the recording's own, or holds other results.
+        """
+        io.check_output(self.folder / SUMMARY, inputs=inputs)
+        for file in inputs:
+            own = file.resolve().parent
+            if own == self.folder.resolve():
+                raise FileError(
+                    f"{self.folder} holds the recording: name another folder for the "
+                    "results"
+                )
+        if self._existing() and not (self.folder / SUMMARY).is_file():
+            raise FileError(
+                f"{self.folder} holds files of other work, {self._existing()[0].name}: "
+                "name another folder"
+            )
+
+    @contextlib.contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """One of `STEPS`; written down as complete when it ends without an error.
+
+        Raises:
+            TtusError: What the step raises, its name before the message and what is
+                complete after it.
+        """
+        self._progress(name)
+        try:
+            yield
+        except TtusError as error:
+            done = ", ".join(self._told["complete"])
+            after = f" (complete in {self.folder}: {done})" if done else ""
+            error.args = (f"{name}: {error}{after}",)
+            raise
+        self._told["complete"].append(name)
+        self._write_summary()
+
+    def tell(self, name: str, facts: Mapping[str, Any]) -> None:
+        """Keep a step's figures for `SUMMARY`."""
+        self._told[name] = _plain(facts)
+
+    def path(self, name: str) -> Path:
+        """Where a file goes; earlier results are removed first."""
+        self._clear()
+        self._told["files"].append(name)
+        return self.folder / name
+
+    @property
+    def told(self) -> dict[str, Any]:
+        """All figures so far."""
+        return dict(self._told)
+
+    def _existing(self) -> list[Path]:
+        return [file for name in OWN for file in sorted(self.folder.glob(name))]
+
+    def _clear(self) -> None:
+        """Remove what an earlier session wrote, its summary last.
+
+        Raises:
+            FileError: A file cannot be removed.
+        """
+        if self._cleared:
+            return
+        self._cleared = True
+        written = _read(self.folder).get("files", [])
+        earlier = [
+            f for f in self._existing() if str(f.relative_to(self.folder)) in written
+        ]
+        for file in [*earlier, self.folder / SUMMARY]:
+            try:
+                file.unlink(missing_ok=True)
+            except OSError as error:
+                raise FileError(
+                    f"cannot replace {file}: {error.strerror}: name another folder"
+                ) from error
+
+    def _write_summary(self) -> None:
+        self._clear()
+        file = self.folder / SUMMARY
+        text = json.dumps(self._told, indent=2, ensure_ascii=False, allow_nan=False)
+        with io.signals_deferred(), io.replacing(file) as temporary:
+            temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def complete_steps(folder: str | os.PathLike[str]) -> list[str]:
+    """Steps that are complete in a folder; none where there is no session's summary."""
+    return [step for step in STEPS if step in _read(folder).get("complete", [])]
+
+
+def _read(folder: str | os.PathLike[str]) -> dict[str, list[str]]:
+    """Lists of a summary; none where there is no such file."""
+    try:
+        told = json.loads((Path(folder) / SUMMARY).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    lists = told.items() if isinstance(told, dict) else ()
+    return {name: value for name, value in lists if isinstance(value, list)}
+
+
+def _plain(value: Any) -> Any:
+    """What JSON can say; NaN and infinity become null."""
+    if isinstance(value, Mapping):
+        return {str(name): _plain(each) for name, each in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,220 @@
+"""A part of a session's description, whose faults are told by file and place."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, TtusError
+from ttus_opt.probe.rigid_motion import read_rigid_motion, rigid_motion
+
+
+@dataclass(frozen=True)
+class Section:
+    """Names and values at one place of a description.
+
+    Attributes:
+        file: The description.
+        place: Such as ``tracker``; empty for the whole.
+        values: By name.
+    """
+
+    file: Path
+    place: str
+    values: Mapping[str, Any]
+
+    def fail(self, key: str, what: str) -> FileError:
+        """The error of a key."""
+        where = ".".join(part for part in (self.place, key) if part)
+        return FileError(f"{self.file}: {where} {what}")
+
+    def require_known(self, known: Sequence[str]) -> None:
+        """Refuse keys that mean nothing here.
+
+        Raises:
+            FileError: There is one; the nearest that is known is named.
+        """
+        for key in self.values:
+            if key not in known:
+                near = difflib.get_close_matches(str(key), known, n=1)
+                hint = f"did you mean {near[0]}?" if near else ""
+                told = f"choose from {', '.join(known)}"
+                raise self.fail(str(key), f"is not known: {hint or told}")
+
+    def __contains__(self, key: str) -> bool:
+        """Whether it says something of a key."""
+        return self.values.get(key) is not None
+
+    def get(self, key: str) -> Any:
+        """A value that must be there.
+
+        Raises:
+            FileError: It is missing.
+        """
+        if key not in self:
+            raise self.fail(key, "is missing: add it")
+        return self.values[key]
+
+    def section(self, key: str) -> Section:
+        """A part of its own; an empty one where there is none.
+
+        Raises:
+            FileError: It is no mapping.
+        """
+        value = self.values.get(key)
+        if value is None:
+            value = {}
+        if not isinstance(value, Mapping):
+            raise self.fail(key, f"must map names to values, got {value!r}")
+        odd = [name for name in value if not isinstance(name, str)]
+        if odd:
+            raise self.fail(key, f"has {odd[0]!r} for a name: put it in quotes")
+        place = f"{self.place}.{key}" if self.place else key
+        return Section(self.file, place, value)
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """A word.
+
+        Raises:
+            FileError: It is missing and has no default, or is no text.
+        """
+        if key not in self and default is not None:
+            return default
+        value = self.get(key)
+        if not isinstance(value, str) or not value:
+            raise self.fail(key, f"must be a text, got {value!r}")
+        return value
+
+    def choice(self, key: str, words: Sequence[str], default: str | None = None) -> str:
+        """One of some words.
+
+        Raises:
+            FileError: Another one.
+        """
+        word = self.text(key, default)
+        if word not in words:
+            raise self.fail(key, f"must be {' or '.join(words)}, got {word!r}")
+        return word
+
+    def flag(self, key: str) -> bool:
+        """True or false; false where it is not said.
+
+        Raises:
+            FileError: Neither.
+        """
+        value = self.values.get(key, False)
+        if not isinstance(value, bool):
+            raise self.fail(key, f"must be true or false, got {value!r}")
+        return value
+
+    def number(self, key: str, default: float | None = None) -> float:
+        """A finite number.
+
+        Raises:
+            FileError: It is missing and has no default, or none.
+        """
+        if key not in self and default is not None:
+            return default
+        return self._number(key, self.get(key))
+
+    def numbers(
+        self, key: str, count: int, default: Sequence[float] | None = None
+    ) -> tuple[float, ...]:
+        """A list of finite numbers.
+
+        Raises:
+            FileError: It is missing and has no default, or another list.
+        """
+        if key not in self and default is not None:
+            return tuple(default)
+        value = self.get(key)
+        if not isinstance(value, list) or len(value) != count:
+            raise self.fail(key, f"must be a list of {count} numbers, got {value!r}")
+        return tuple(self._number(key, each) for each in value)
+
+    def whole(
+        self, key: str, count: int, default: Sequence[int] | None = None
+    ) -> tuple[int, ...]:
+        """A list of whole numbers.
+
+        Raises:
+            FileError: As of `numbers`, or one has a fraction.
+        """
+        values = self.numbers(key, count, default)
+        if any(value != round(value) for value in values):
+            raise self.fail(key, f"must be whole numbers, got {list(values)}")
+        return tuple(int(value) for value in values)
+
+    def path(self, key: str) -> Path:
+        """A file or folder beside the description that is there.
+
+        Raises:
+            FileError: It is missing.
+        """
+        return self._existing(key, self.text(key))
+
+    def paths(self, key: str) -> tuple[Path, ...]:
+        """One or several of them.
+
+        Raises:
+            FileError: One is missing, or there is none.
+        """
+        value = self.get(key)
+        names = value if isinstance(value, list) else [value]
+        if not names or not all(isinstance(name, str) and name for name in names):
+            raise self.fail(key, f"must be a file or a list of files, got {value!r}")
+        return tuple(self._existing(key, name) for name in names)
+
+    def motion(self, key: str) -> Array:
+        """A rigid motion: a file, x,y,z,qx,qy,qz,qw, or rows of a matrix.
+
+        Returns:
+            Shape (4, 4) [–, m].
+
+        Raises:
+            FileError: It is none.
+        """
+        value = self.get(key)
+        try:
+            if isinstance(value, list):
+                flat = np.array(value, dtype=np.float64)
+                if flat.shape == (4, 4):
+                    return rigid_motion(flat)
+                return read_rigid_motion(json.dumps(flat.reshape(-1).tolist()))
+            text = self.text(key)
+            if (self.file.parent / text).is_file():
+                return read_rigid_motion(self.file.parent / text)
+            return read_rigid_motion(text)
+        except FileError:
+            raise
+        except (TtusError, ValueError, TypeError) as error:
+            told = error if isinstance(error, TtusError) else f"got {value!r}"
+            raise self.fail(key, f"is no rigid motion: {told}") from error
+
+    def _number(self, key: str, value: Any) -> float:
+        try:
+            number = float(value)
+        except (TypeError, ValueError, OverflowError):
+            number = math.nan
+        # YAML 1.1 reads 1e-2 as a text
+        if isinstance(value, bool) or not math.isfinite(number):
+            raise self.fail(key, f"must be a finite number, got {value!r}")
+        return number
+
+    def _existing(self, key: str, name: str) -> Path:
+        place = self.file.parent / name
+        try:
+            there = place.exists()
+        except (OSError, ValueError):  # a name that no file may have
+            there = False
+        if not there:
+            raise self.fail(key, f"is {name}, which is not in {self.file.parent}")
+        return place

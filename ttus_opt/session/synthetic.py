@@ -1,0 +1,348 @@
+"""A recording that goes through every step of a session, with a truth that is known.
+
+The bundled example's torso is scanned, and its four recordings without drag become one:
+the probe is tilted in free air, then presses and sweeps. A tracker beside the bed tells
+poses of a target on the probe at 40 Hz, a force sensor of another clock reads at 125 Hz
+its bias, the weight below it and the contact. Tracker and scanning camera see a tag on
+the target. What the description states of the sensor is true to half a degree and a
+millimetre only, as a drawing is.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from ttus_opt import example, io
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError
+from ttus_opt.phantom.camera import write_cloud
+from ttus_opt.phantom.example_data import cloud, frame
+from ttus_opt.probe.pose import to_quaternions
+from ttus_opt.probe.rigid_motion import inverse
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
+from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
+from ttus_opt.sensors.streams import WrenchStream
+from ttus_opt.sensors.tool_load import GRAVITY
+
+#: The example's recordings in their order, and what they are for
+RECORDINGS = {
+    "press_fit": "fit",
+    "sweep_fit": "fit",
+    "press_test": "test",
+    "sweep_test": "test",
+}
+
+#: Duration of the tilts in free air, and from one recording to the next [s]
+FREE, PAUSE = 20.0, 3.0
+
+#: Frames per second [Hz]
+TRACKER_RATE, SENSOR_RATE = 40.0, 125.0
+
+#: Standard deviations of the tracker, per axis [m, rad]
+SHIFT_NOISE, TURN_NOISE = 0.2e-3, np.radians(0.05)
+
+#: The same of a tag as the scanning camera sees it, and how many poses it has
+TAG_SHIFT_NOISE, TAG_TURN_NOISE, TAG_POSES = 0.3e-3, np.radians(0.05), 60
+
+#: Of the sensor, on top of the noise that the example's wrenches have [N, N·m]
+FORCE_NOISE, TORQUE_NOISE = 0.02, 0.001
+
+#: Gravity in the patient frame: the patient lies on the back
+DOWN = np.array([0.0, -1.0, 0.0])
+
+
+def _motion(
+    turn: tuple[float, float, float], shift: tuple[float, float, float]
+) -> Array:
+    """A rotation vector [rad] and a shift [m] as a matrix (4, 4)."""
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    out[:3, 3] = shift
+    return out
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a perfect calibration would find.
+
+    Attributes:
+        tracker_to_scan: Motion, shape (4, 4).
+        tag_to_target: Motion, shape (4, 4).
+        target_to_probe: Motion, shape (4, 4); known from the drawing.
+        axes: Sensor to probe, shape (3, 3).
+        point: The sensor's reference point, probe frame, shape (3,) [m].
+        mass: Below the sensor [kg].
+        centre: Of that mass from the point, sensor axes, shape (3,) [m].
+        force_bias: Sensor axes, shape (3,) [N].
+        torque_bias: The same [N·m].
+        offset: To be added to the sensor's times [s].
+    """
+
+    tracker_to_scan: Array = field(
+        default_factory=lambda: _motion((0.4, -1.1, 0.7), (1.3, -0.6, 0.4))
+    )
+    tag_to_target: Array = field(
+        default_factory=lambda: _motion((0.2, 0.5, -0.3), (0.03, 0.04, -0.01))
+    )
+    target_to_probe: Array = field(
+        default_factory=lambda: _motion((0.0, 0.8, 0.1), (0.02, -0.05, -0.12))
+    )
+    axes: Array = field(
+        default_factory=lambda: Rotation.from_rotvec([0.006, -0.005, 0.785]).as_matrix()
+    )
+    point: Array = field(default_factory=lambda: np.array([0.001, 0.0, -0.0805]))
+    mass: float = 0.38
+    centre: Array = field(default_factory=lambda: np.array([0.003, -0.002, 0.045]))
+    force_bias: Array = field(default_factory=lambda: np.array([1.8, -2.6, 4.1]))
+    torque_bias: Array = field(default_factory=lambda: np.array([0.03, -0.04, 0.02]))
+    offset: float = 0.83
+
+    def as_dict(self) -> dict[str, Any]:
+        """All of it by name, for JSON."""
+        return {name: np.asarray(v).tolist() for name, v in asdict(self).items()}
+
+
+#: The sensor's mounting as the description states it
+STATED_AXES = Rotation.from_rotvec([0.0, 0.0, np.pi / 4]).as_quat()
+STATED_POINT = (0.0, 0.0, -0.08)
+
+
+def write_recording(
+    folder: str | os.PathLike[str],
+    *,
+    seconds: float = 20.0,
+    shape: tuple[int, int, int] = (48, 120, 60),
+    seed: int = 0,
+) -> Truth:
+    """Make the recording.
+
+    Args:
+        folder: Where to; made when missing, refused when it holds other files.
+        seconds: Of each of the example's recordings that are taken, at most 20.
+        shape: Voxels that the description asks for.
+        seed: Of all noise.
+
+    Returns:
+        What a perfect calibration would find.
+
+    Raises:
+        FileError: The folder holds other files or cannot be written to.
+    """
+    place, rng, truth = Path(folder), np.random.default_rng(seed), Truth()
+    names = {"session.json", "scan.ply", "tracker.csv", "force.nc", "tags.json"}
+    foreign = [f for f in place.glob("*") if f.name not in names]
+    if foreign:
+        raise FileError(
+            f"{place} holds other files, {foreign[0].name}: name a folder of its own"
+        )
+    io.check_output(place / "session.json")
+    moved, stretches = _motion_of_all(seconds, rng)
+    tracker = _tracked(moved, truth, rng)
+    write_cloud(cloud(), place / "scan.ply")
+    tracker.save(place / "tracker.csv", digits=9)
+    write_netcdf_wrenches(_sensed(moved, truth, rng), place / "force.nc")
+    _write_json(place / "tags.json", _tag_pairs(truth, rng))
+    told = _description(truth, stretches, shape)
+    _write_json(place / "session.json", told)  # last: the folder is whole
+    return truth
+
+
+def perfect(seconds: float = 20.0) -> dict[str, Trajectory]:
+    """The recordings as perfect calibration has them, frame of the example's surface.
+
+    Args:
+        seconds: As of `write_recording`.
+    """
+    return {name: _recording(name, seconds) for name in RECORDINGS}
+
+
+def _recording(name: str, seconds: float) -> Trajectory:
+    whole = read_trajectory(example.path(f"{name}.csv"))
+    return whole.select(whole.time <= seconds)
+
+
+def _motion_of_all(
+    seconds: float, rng: np.random.Generator
+) -> tuple[Trajectory, dict[str, tuple[float, float]]]:
+    """Everything the probe does, patient frame, and when each recording is."""
+    parts, begin = [_tilts(rng)], FREE + PAUSE
+    stretches = {}
+    for name in RECORDINGS:
+        own = _recording(name, seconds)
+        length = float(own.time[-1])
+        stretches[name] = (begin, begin + length)
+        parts.append(
+            Trajectory(
+                own.time + begin, own.position, own.rotation, own.force, own.torque
+            )
+        )
+        begin += length + PAUSE
+    assert all(p.force is not None and p.torque is not None for p in parts)
+    return (
+        Trajectory(
+            np.concatenate([p.time for p in parts]),
+            np.concatenate([p.position for p in parts]),
+            np.concatenate([p.rotation for p in parts]),
+            np.concatenate([p.force for p in parts if p.force is not None]),
+            np.concatenate([p.torque for p in parts if p.torque is not None]),
+        ),
+        stretches,
+    )
+
+
+def _tilts(rng: np.random.Generator) -> Trajectory:
+    """A probe held 15 cm above the belly, from one tilt to the next every second."""
+    held = np.arange(0.0, FREE + 0.5, 1.0)
+    towards = Rotation.from_euler(
+        "x", 90.0, degrees=True
+    )  # the probe's z into the skin
+    tilts = Rotation.from_rotvec(rng.normal(0.0, 0.5, (len(held), 3))) * towards
+    # at rest for half of every second
+    stops = np.sort(np.concatenate([held, held[:-1] + 0.5]))
+    turns = Slerp(
+        stops, Rotation.concatenate([tilts[i // 2] for i in range(len(stops))])
+    )
+    time = np.arange(0.0, FREE, 0.05)
+    place = np.tile([0.0, 0.27, 0.15], (len(time), 1))
+    place += 0.02 * np.sin(np.outer(time, [0.9, 0.7, 0.5]))
+    none = np.zeros((len(time), 3))
+    return Trajectory(time, place, turns(time).as_matrix(), none, none)
+
+
+def _at(moved: Trajectory, time: Array) -> Trajectory:
+    """Pose and contact at other times; slerp and straight lines."""
+
+    def then(values: Array | None) -> Array:
+        assert values is not None
+        columns = [np.interp(time, moved.time, column) for column in values.T]
+        return np.stack(columns, axis=1)
+
+    turns = Slerp(moved.time, Rotation.from_matrix(moved.rotation))(time)
+    return Trajectory(
+        time,
+        then(moved.position),
+        turns.as_matrix(),
+        then(moved.force),
+        then(moved.torque),
+    )
+
+
+def _matrices(poses: Trajectory) -> Array:
+    out = np.tile(np.eye(4), (len(poses), 1, 1))
+    out[:, :3, :3], out[:, :3, 3] = poses.rotation, poses.position
+    return out
+
+
+def _patient_to_scan() -> Array:
+    return inverse(frame().scan_to_patient)
+
+
+def _shaken(
+    motions: Array, shift: float, turn: float, rng: np.random.Generator
+) -> Array:
+    """Motions with noise, shape (T, 4, 4)."""
+    out = motions.copy()
+    small = Rotation.from_rotvec(rng.normal(0.0, turn, (len(out), 3))).as_matrix()
+    out[:, :3, :3] = small @ out[:, :3, :3]
+    out[:, :3, 3] += rng.normal(0.0, shift, (len(out), 3))
+    return out
+
+
+def _targets(moved: Trajectory, truth: Truth) -> Array:
+    """Target to tracker, shape (T, 4, 4)."""
+    to_tracker = inverse(truth.tracker_to_scan) @ _patient_to_scan()
+    return np.asarray(to_tracker @ _matrices(moved) @ truth.target_to_probe)
+
+
+def _tracked(moved: Trajectory, truth: Truth, rng: np.random.Generator) -> Trajectory:
+    """What the tracker tells, out of sight now and then between two recordings."""
+    time = np.arange(0.0, moved.time[-1], 1.0 / TRACKER_RATE)
+    hidden = np.zeros(len(time), dtype=bool)
+    gaps = np.flatnonzero(np.diff(moved.time) > 0.5 * PAUSE)
+    for begin in moved.time[gaps]:
+        hidden |= (time > begin + 0.5) & (time < begin + PAUSE - 0.5)
+    seen = _at(moved, time[~hidden])
+    target = _shaken(_targets(seen, truth), SHIFT_NOISE, TURN_NOISE, rng)
+    return Trajectory(seen.time, target[:, :3, 3].copy(), target[:, :3, :3].copy())
+
+
+def _sensed(moved: Trajectory, truth: Truth, rng: np.random.Generator) -> WrenchStream:
+    """What the force sensor reads on its own clock."""
+    time = np.arange(0.0, moved.time[-1], 1.0 / SENSOR_RATE)
+    here = _at(moved, time)
+    assert here.force is not None
+    assert here.torque is not None
+    shell_centre = np.zeros(3)  # the example's torques are about the probe's centre
+    arm = here.rotation @ (shell_centre - truth.point)
+    torque = here.torque + np.cross(arm, here.force)
+    to_sensor = np.transpose(here.rotation @ truth.axes, (0, 2, 1))
+    weight = to_sensor @ (truth.mass * GRAVITY * DOWN)
+    own_force = np.einsum("tij,tj->ti", to_sensor, here.force) + weight
+    own_torque = np.einsum("tij,tj->ti", to_sensor, torque)
+    own_torque += np.cross(truth.centre, weight)
+    noise = rng.standard_normal((len(time), 6))
+    return WrenchStream(
+        time - truth.offset,
+        own_force + truth.force_bias + FORCE_NOISE * noise[:, :3],
+        own_torque + truth.torque_bias + TORQUE_NOISE * noise[:, 3:],
+    )
+
+
+def _tag_pairs(truth: Truth, rng: np.random.Generator) -> list[list[list[list[float]]]]:
+    """Poses of the tag in the scan and of the target in the tracker, turned about."""
+    place = rng.uniform([-0.15, 0.15, 0.0], [0.15, 0.4, 0.3], (TAG_POSES, 3))
+    turns = Rotation.from_rotvec(rng.normal(0.0, 0.7, (TAG_POSES, 3))).as_matrix()
+    moved = Trajectory(np.arange(float(TAG_POSES)), place, turns)
+    target = _targets(moved, truth)
+    tag = truth.tracker_to_scan @ target @ truth.tag_to_target
+    tag = _shaken(tag, TAG_SHIFT_NOISE, TAG_TURN_NOISE, rng)
+    target = _shaken(target, SHIFT_NOISE, TURN_NOISE, rng)
+    return [[a.tolist(), b.tolist()] for a, b in zip(tag, target, strict=True)]
+
+
+def _description(
+    truth: Truth,
+    stretches: dict[str, tuple[float, float]],
+    shape: tuple[int, int, int],
+) -> dict[str, object]:
+    down = _patient_to_scan()[:3, :3] @ DOWN
+    to_target = inverse(truth.target_to_probe)
+    quaternion = to_quaternions(to_target[None, :3, :3])[0]
+    return {
+        "title": "Synthetic recording",
+        "probe": example.PROBE,
+        "scan": {"cloud": "scan.ply", "unit": "m"},
+        "tracker": {
+            "file": "tracker.csv",
+            "tags": "tags.json",
+            "probe_to_target": [*to_target[:3, 3], *np.roll(quaternion, -1)],
+        },
+        "force": {
+            "file": "force.nc",
+            "sensor": {
+                "axes": STATED_AXES.tolist(),
+                "point": list(STATED_POINT),
+                "sign": "on-probe",
+            },
+            "down": down.tolist(),
+        },
+        "clock": {"by": "gravity"},
+        "free": {"from": 0.0, "to": FREE - 0.5},
+        "recordings": {
+            name: {"from": start, "to": end, "use": RECORDINGS[name]}
+            for name, (start, end) in stretches.items()
+        },
+        "fit": {"formulation": "eq10", "shape": list(shape)},
+    }
+
+
+def _write_json(path: Path, content: object) -> None:
+    with io.replacing(path) as temporary:
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
