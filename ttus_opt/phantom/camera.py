@@ -33,13 +33,17 @@ class View:
     opening: float = 0.34
     pixels: int = 72
 
-    def rays(self) -> Array:
-        """Unit directions of all pixels, shape (pixels², 3) [–]."""
+    def axes(self) -> Array:
+        """Rows: to the right of the picture, up, and ahead, shape (3, 3) [–]."""
         ahead = np.asarray(self.target) - np.asarray(self.eye)
         ahead /= np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
-        up = np.cross(right, ahead)
+        return np.array([right, np.cross(right, ahead), ahead])
+
+    def rays(self) -> Array:
+        """Unit directions of all pixels, lowest row first, shape (pixels², 3) [–]."""
+        right, up, ahead = self.axes()
         step = np.tan(self.opening) * np.linspace(-1.0, 1.0, self.pixels)
         u, v = (g.reshape(-1, 1) for g in np.meshgrid(step, step))
         rays = ahead + u * right + v * up
@@ -94,18 +98,61 @@ def scan(
         raise InputError("a scan needs at least one view, got none")
     clouds = []
     for view in views:
-        eye, rays = np.asarray(view.eye), view.rays()
-        far = 2.0 * float(np.linalg.norm(eye - np.asarray(view.target)))
-        distance = np.minimum(
-            _to_skin(setup, eye, rays, far), _to_table(setup, eye, rays)
-        )
-        seen = np.isfinite(distance) & (rng.random(len(rays)) >= dropout)
-        noisy = distance + noise * rng.standard_normal(len(rays))
-        seen[seen] &= ~_in_hole(setup, eye + distance[seen, None] * rays[seen])
-        if not seen.any():
-            raise InputError(f"the view from {view.eye} sees nothing: turn it around")
-        clouds.append(eye + noisy[seen, None] * rays[seen])
+        distance = _measured(setup, view, rng, noise, dropout)
+        seen = np.isfinite(distance)
+        clouds.append(view.eye + distance[seen, None] * view.rays()[seen])
     return np.concatenate(clouds)
+
+
+def depth_image(
+    setup: ScanSetup,
+    view: View,
+    rng: np.random.Generator,
+    *,
+    noise: float = 0.002,
+    dropout: float = 0.05,
+) -> Array:
+    """What one camera measures, as a picture of depths along its axis.
+
+    Args:
+        setup: Body and table.
+        view: The camera.
+        rng: Source of noise and dropouts.
+        noise: As of `scan` [m].
+        dropout: As of `scan` [–].
+
+    Returns:
+        Upper row first, NaN without a measurement, shape (pixels, pixels) [m].
+
+    Raises:
+        InputError: The camera sees nothing.
+    """
+    distance = _measured(setup, view, rng, noise, dropout)
+    depth = distance * (view.rays() @ view.axes()[2])
+    return np.asarray(depth.reshape(view.pixels, view.pixels)[::-1])
+
+
+def _measured(
+    setup: ScanSetup,
+    view: View,
+    rng: np.random.Generator,
+    noise: float,
+    dropout: float,
+) -> Array:
+    """Noisy distances along a camera's rays, NaN without a measurement [m].
+
+    Raises:
+        InputError: The camera sees nothing.
+    """
+    eye, rays = np.asarray(view.eye), view.rays()
+    far = 2.0 * float(np.linalg.norm(eye - np.asarray(view.target)))
+    distance = np.minimum(_to_skin(setup, eye, rays, far), _to_table(setup, eye, rays))
+    seen = np.isfinite(distance) & (rng.random(len(rays)) >= dropout)
+    noisy = distance + noise * rng.standard_normal(len(rays))
+    seen[seen] &= ~_in_hole(setup, eye + distance[seen, None] * rays[seen])
+    if not seen.any():
+        raise InputError(f"the view from {view.eye} sees nothing: turn it around")
+    return np.where(seen, noisy, np.nan)
 
 
 def _to_skin(setup: ScanSetup, eye: Array, rays: Array, far: float) -> Array:

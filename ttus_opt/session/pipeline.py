@@ -91,7 +91,7 @@ def run_session(
     session = read_description(path)
     results = Results(output, progress or (lambda step: None))
     results.check(
-        [session.file, session.scan.file]
+        [session.file, *session.scan.files]
         + [stream.file for stream in (session.tracker.stream, session.force.stream)]
     )
     shell = PointShell.from_spec(session.probe, unit=session.probe_unit)

@@ -182,14 +182,27 @@ class Section:
         Raises:
             FileError: It is none.
         """
+        return self._motion(key, self.get(key))
+
+    def motions(self, key: str) -> tuple[Array, ...]:
+        """Several of them, one a line.
+
+        Raises:
+            FileError: There is none, or one is none.
+        """
         value = self.get(key)
+        if not isinstance(value, list) or not value:
+            raise self.fail(key, f"must be a list of rigid motions, got {value!r}")
+        return tuple(self._motion(key, each) for each in value)
+
+    def _motion(self, key: str, value: Any) -> Array:
         try:
             if isinstance(value, list):
                 flat = np.array(value, dtype=np.float64)
                 if flat.shape == (4, 4):
                     return rigid_motion(flat)
                 return read_rigid_motion(json.dumps(flat.reshape(-1).tolist()))
-            text = self.text(key)
+            text = str(value)
             if (self.file.parent / text).is_file():
                 return read_rigid_motion(self.file.parent / text)
             return read_rigid_motion(text)

@@ -22,8 +22,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from ttus_opt import example, io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError
-from ttus_opt.phantom.camera import write_cloud
-from ttus_opt.phantom.example_data import cloud, frame
+from ttus_opt.phantom.camera import ScanSetup, depth_image
+from ttus_opt.phantom.example_data import TORSO, VIEWS, frame
 from ttus_opt.probe.pose import to_quaternions
 from ttus_opt.probe.rigid_motion import inverse
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
@@ -38,6 +38,20 @@ RECORDINGS = {
     "press_test": "test",
     "sweep_test": "test",
 }
+
+#: All that is written
+FILES = (
+    "depth_0.png",
+    "depth_1.png",
+    "camera.json",
+    "tracker.csv",
+    "force.nc",
+    "tags.json",
+    "session.json",
+)
+
+#: Standard deviation of the depth cameras [m]
+DEPTH_NOISE = 0.002
 
 #: Duration of the tilts in free air, and from one recording to the next [s]
 FREE, PAUSE = 20.0, 3.0
@@ -136,8 +150,7 @@ def write_recording(
         FileError: The folder holds other files or cannot be written to.
     """
     place, rng, truth = Path(folder), np.random.default_rng(seed), Truth()
-    names = {"session.json", "scan.ply", "tracker.csv", "force.nc", "tags.json"}
-    foreign = [f for f in place.glob("*") if f.name not in names]
+    foreign = [f for f in place.glob("*") if f.name not in FILES]
     if foreign:
         raise FileError(
             f"{place} holds other files, {foreign[0].name}: name a folder of its own"
@@ -145,11 +158,11 @@ def write_recording(
     io.check_output(place / "session.json")
     moved, stretches = _motion_of_all(seconds, rng)
     tracker = _tracked(moved, truth, rng)
-    write_cloud(cloud(), place / "scan.ply")
+    cameras = _write_scan(place, rng)
     tracker.save(place / "tracker.csv", digits=9)
     write_netcdf_wrenches(_sensed(moved, truth, rng), place / "force.nc")
     _write_json(place / "tags.json", _tag_pairs(truth, rng))
-    told = _description(truth, stretches, shape)
+    told = _description(truth, stretches, shape, cameras)
     _write_json(place / "session.json", told)  # last: the folder is whole
     return truth
 
@@ -311,6 +324,7 @@ def _description(
     truth: Truth,
     stretches: dict[str, tuple[float, float]],
     shape: tuple[int, int, int],
+    cameras: list[list[list[float]]],
 ) -> dict[str, object]:
     down = _patient_to_scan()[:3, :3] @ DOWN
     to_target = inverse(truth.target_to_probe)
@@ -318,7 +332,12 @@ def _description(
     return {
         "title": "Synthetic recording",
         "probe": example.PROBE,
-        "scan": {"cloud": "scan.ply", "unit": "m"},
+        "scan": {
+            "depth": [f"depth_{i}.png" for i in range(len(cameras))],
+            "intrinsics": "camera.json",
+            "camera_to_scan": cameras,
+            "noise": f"time-of-flight:{DEPTH_NOISE:g}",
+        },
         "tracker": {
             "file": "tracker.csv",
             "tags": "tags.json",
@@ -341,6 +360,36 @@ def _description(
         },
         "fit": {"formulation": "eq10", "shape": list(shape)},
     }
+
+
+def _write_scan(folder: Path, rng: np.random.Generator) -> list[list[list[float]]]:
+    """Depth images in millimetres and the intrinsics; where the cameras stand."""
+    import cv2
+
+    poses = []
+    for number, view in enumerate(VIEWS):
+        depth = depth_image(ScanSetup(TORSO), view, rng, noise=DEPTH_NOISE)
+        whole = np.nan_to_num(np.round(1e3 * depth), nan=0.0).astype(np.uint16)
+        _, content = cv2.imencode(".png", whole)
+        with io.replacing(folder / f"depth_{number}.png") as temporary:
+            temporary.write_bytes(content.tobytes())
+        right, up, ahead = view.axes()
+        pose = np.eye(4)
+        pose[:3, :3] = np.stack([right, -up, ahead], axis=1)  # x right, y down
+        pose[:3, 3] = view.eye
+        poses.append((_patient_to_scan() @ pose).tolist())
+    centre = (VIEWS[0].pixels - 1) / 2
+    focal = centre / float(np.tan(VIEWS[0].opening))
+    _write_json(
+        folder / "camera.json",
+        {
+            "width": VIEWS[0].pixels,
+            "height": VIEWS[0].pixels,
+            "K": [focal, 0.0, centre, 0.0, focal, centre, 0.0, 0.0, 1.0],
+            "D": [],
+        },
+    )
+    return poses
 
 
 def _write_json(path: Path, content: object) -> None:
