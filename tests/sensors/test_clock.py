@@ -17,6 +17,8 @@ from ttus_opt.sensors.clock import (
     clock_offset,
     contact_of_force,
     contact_of_poses,
+    gravity_of_poses,
+    gravity_of_readings,
 )
 from ttus_opt.sensors.streams import poses_at
 
@@ -133,3 +135,34 @@ def test_what_is_refused() -> None:
     poses = Trajectory(time, np.ones((1000, 3)), np.tile(np.eye(3), (1000, 1, 1)))
     with pytest.raises(InputError, match="into contact and off"):
         contact_of_poses(poses, None, 1.0)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_gravity_needs_no_calibration(sign: float) -> None:
+    """Bias, weight, axes and sign are unknown, noise and rate are the sensor's own."""
+    rng = np.random.default_rng(3)
+    time, own = np.arange(0.0, 15.0, 0.03), np.arange(-1.0, 17.0, 0.009)
+
+    def turned(t: np.ndarray) -> np.ndarray:
+        angle = np.stack([wander(t), wander(t + 40.0), wander(t + 80.0)], axis=1)
+        return Rotation.from_rotvec(0.25 * angle).as_matrix()
+
+    down = np.array([0.0, -1.0, 0.0])
+    poses = Trajectory(time, np.zeros((len(time), 3)), turned(time))
+    axes = Rotation.from_rotvec([0.4, 2.0, -0.3]).as_matrix()
+    gravity = np.einsum("tji,j->ti", turned(own + 1.37) @ axes, down)
+    force = sign * (3.7 * gravity + [4.0, -2.0, 7.0])
+    force += rng.normal(0.0, 0.05, force.shape)
+    found = clock_offset(gravity_of_poses(poses, down), gravity_of_readings(own, force))
+    assert found.seconds == pytest.approx(1.37, abs=0.004)
+    assert found.correlation > 0.98
+
+
+def test_slopes_of_straight_lines_are_exact() -> None:
+    """For uneven steps too; a recording that is too short is refused."""
+    time = np.cumsum(np.random.default_rng(1).uniform(0.005, 0.03, 200))
+    found = gravity_of_readings(time, np.outer(time, [1.0, -2.0, 2.0]))
+    np.testing.assert_allclose(found.values, 3.0)
+    assert found.time[0] >= time[0] + 0.15
+    with pytest.raises(InputError, match="tells no slopes"):
+        gravity_of_readings(time[:5], np.zeros((5, 3)))

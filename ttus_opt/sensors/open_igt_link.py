@@ -2,12 +2,13 @@
 
 TRANSFORM messages are poses (shifts in mm, as PLUS and 3D Slicer send them), SENSOR
 messages of 3 or 6 numbers are forces, or forces and torques [N, N·m]. Times are those
-of the messages. Needs the extra ``sensors`` (pyigtl).
+of the messages. Needs the extra ``live`` (pyigtl).
 """
 
 from __future__ import annotations
 
 import contextlib
+import socket
 import struct
 import threading
 import time
@@ -141,13 +142,19 @@ def record(
     if seconds is not None and not 0.0 < seconds < np.inf:
         raise InputError(f"a recording lasts a positive time [s], got {seconds}")
     received = Received()
-    with _listening(host, port, received) as client:
+    igtl: Any = load("pyigtl", "live")
+    try:
+        connection = socket.create_connection((host, port), timeout=patience)
+    except (OSError, UnicodeError) as error:
+        raise InputError(
+            f"nobody listens at {host}:{port}: check host, port and server"
+        ) from error
+    with _listening(igtl, connection, received):
         begun: float | None = None
         asked = time.monotonic()
         with contextlib.suppress(KeyboardInterrupt):
-            while (
-                begun is None or seconds is None or time.monotonic() - begun < seconds
-            ):
+            lasts = np.inf if seconds is None else seconds
+            while begun is None or time.monotonic() - begun < lasts:
                 time.sleep(PAUSE)
                 if begun is None and received.count:
                     begun = time.monotonic()
@@ -155,20 +162,16 @@ def record(
                     break
                 if progress is not None:
                     progress(received.count)
-        connected = client.is_connected()
     if received.count == 0:
-        raise InputError(
-            f"{host}:{port} is connected and sends nothing: is it recording?"
-            if connected
-            else f"nobody listens at {host}:{port}: check host, port and server"
-        )
+        raise InputError(f"{host}:{port} sends nothing: is the server recording?")
     return received
 
 
 @contextlib.contextmanager
-def _listening(host: str, port: int, received: Received) -> Iterator[Any]:
+def _listening(
+    igtl: Any, connection: socket.socket, received: Received
+) -> Iterator[None]:
     """A client that hands over every message; pyigtl itself keeps the latest only."""
-    igtl: Any = load("pyigtl", "sensors")
     _teach_sensor(igtl)
 
     class Messages(dict[str, Any]):
@@ -177,15 +180,18 @@ def _listening(host: str, port: int, received: Received) -> Iterator[Any]:
         def __setitem__(self, device: str, message: Any) -> None:
             received.take(message)
 
-    client = igtl.OpenIGTLinkClient(host, port, start_now=False)
+    client = igtl.OpenIGTLinkClient(*connection.getpeername()[:2], start_now=False)
     client.incoming_messages = Messages()
+    connection.settimeout(PAUSE)
+    client.socket, client._connected = connection, True
     client.start()
     try:
-        yield client
+        yield
     finally:
         # its own stop() waits without end for a thread that has died
         client.communication_thread_stop_requested = True
         client._client_thread.join(timeout=2.0)
+        connection.close()
 
 
 _TEACHING = threading.Lock()

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
@@ -22,6 +23,10 @@ from ttus_opt.sensors.wrench_compensation import compensated
 from ttus_opt.session.description import Description
 from ttus_opt.session.recordings import stretch
 from ttus_opt.session.registration import Registration, gravity
+
+#: Correlation below which the weight does not follow the tilts: in free air nothing
+#: else changes the readings
+LEAST_GRAVITY = 0.8
 
 
 @dataclass(frozen=True)
@@ -87,6 +92,12 @@ def synchronise(
     found = clock.clock_offset(
         first, second, around=around, largest=told.largest_offset
     )
+    if told.by == "gravity" and found.correlation < LEAST_GRAVITY:
+        raise InputError(
+            "forces in free air follow the tilts of the probe with a correlation of "
+            f"{found.correlation:.2f} at best, {LEAST_GRAVITY:g} is needed: is free "
+            "the stretch in free air, and largest_offset large enough?"
+        )
     return Timing(found.seconds, first, second, found.correlation)
 
 

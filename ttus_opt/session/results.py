@@ -64,7 +64,6 @@ class Results:
         Raises:
             FileError: It cannot be, is the recording's own, or holds other results.
         """
-        io.check_output(self.folder / SUMMARY, inputs=inputs)
         for file in inputs:
             own = file.resolve().parent
             if own == self.folder.resolve():
@@ -72,6 +71,7 @@ class Results:
                     f"{self.folder} holds the recording: name another folder for the "
                     "results"
                 )
+        io.check_output(self.folder / SUMMARY)
         if self._existing() and not (self.folder / SUMMARY).is_file():
             raise FileError(
                 f"{self.folder} holds files of other work, {self._existing()[0].name}: "

@@ -149,19 +149,20 @@ def write_recording(
     Raises:
         FileError: The folder holds other files or cannot be written to.
     """
-    place, rng, truth = Path(folder), np.random.default_rng(seed), Truth()
+    place, truth = Path(folder), Truth()
+    # each device has noise of its own, however long the others record
+    tags, scan, tilts, tracker, sensor = np.random.default_rng(seed).spawn(5)
     foreign = [f for f in place.glob("*") if f.name not in FILES]
     if foreign:
         raise FileError(
             f"{place} holds other files, {foreign[0].name}: name a folder of its own"
         )
     io.check_output(place / "session.json")
-    moved, stretches = _motion_of_all(seconds, rng)
-    tracker = _tracked(moved, truth, rng)
-    cameras = _write_scan(place, rng)
-    tracker.save(place / "tracker.csv", digits=9)
-    write_netcdf_wrenches(_sensed(moved, truth, rng), place / "force.nc")
-    _write_json(place / "tags.json", _tag_pairs(truth, rng))
+    moved, stretches = _motion_of_all(seconds, tilts)
+    cameras = _write_scan(place, scan)
+    _tracked(moved, truth, tracker).save(place / "tracker.csv", digits=9)
+    write_netcdf_wrenches(_sensed(moved, truth, sensor), place / "force.nc")
+    _write_json(place / "tags.json", _tag_pairs(truth, tags))
     told = _description(truth, stretches, shape, cameras)
     _write_json(place / "session.json", told)  # last: the folder is whole
     return truth

@@ -1,0 +1,84 @@
+"""``ttus-opt session`` and ``ttus-opt record``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Run, empty, refused
+from tests.session.recordings import changed, copied
+from ttus_opt.session.results import STEPS
+
+
+@pytest.mark.slow
+def test_a_session(run: Run, tmp_path: Path, output: Path) -> None:
+    recording = copied(tmp_path)
+    answer = run(f"session {recording} -o {output} --json")
+    assert answer.status == 0, answer.err
+    assert answer.errors == []
+    told = json.loads(answer.out)
+    assert told["complete"] == list(STEPS)
+    assert told["clock"]["offset_s"] == pytest.approx(0.83, abs=0.003)
+    assert Path(told["report"]).read_text().startswith("# Synthetic recording")
+
+
+def test_what_is_refused(run: Run, tmp_path: Path, output: Path) -> None:
+    recording = copied(tmp_path)
+    refused(run(f"session {recording}"), "--output is missing")
+    refused(run(f"session {tmp_path} -o {output}"), "session.yaml", "--example")
+    refused(run(f"session {recording} -o {output} --example"), "leave --output out")
+    changed(recording, "tracker.frame", "robot")
+    words = ("session.json: tracker.frame must be tracker or scan or patient",)
+    refused(run(f"session {recording} -o {output}"), *words)
+    (recording / "depth_1.png").write_bytes(b"no picture")
+    changed(recording, "tracker.frame", "tracker")
+    refused(run(f"session {recording} -o {output}"), "error: surface: ", "depth_1.png")
+    assert empty(output)
+
+
+def test_an_interrupt_says_what_is_complete(
+    run: Run, tmp_path: Path, output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    recording = copied(tmp_path)
+    monkeypatch.setattr("ttus_opt.session.pipeline.synchronise", stop)
+    answer = run(f"session {recording} -o {output}")
+    assert answer.status == 130
+    assert answer.errors[0] == f"complete in {output}: surface, registration"
+    assert {f.name for f in output.iterdir()} == {"session.json", "surface.nc"}
+
+
+def test_the_example(run: Run, tmp_path: Path) -> None:
+    folder = tmp_path / "recording"
+    told = json.loads(run(f"session {folder} --example --json").out)
+    assert told["truth"]["offset"] == 0.83
+    assert (folder / "session.json").is_file()
+    (folder / "note.txt").touch()
+    refused(run(f"session {folder} --example"), "holds other files")
+
+
+def test_a_recording_of_openigtlink(run: Run, output: Path) -> None:
+    pytest.importorskip("pyigtl", reason="needs ttus-opt[live]")
+    from tests.sensors.test_open_igt_link import sensor, serving, transform
+    from ttus_opt.probe.trajectory import read_trajectory
+    from ttus_opt.sensors.streams import read_wrench_stream
+
+    poses, forces = output / "poses.csv", output / "forces.csv"
+    sent = [m for i in range(5) for m in (transform(i), sensor(i))]
+    words = f"--poses {poses} --wrenches {forces} --seconds 0.2 --json"
+    with serving(sent) as port:
+        told = json.loads(run(f"record 127.0.0.1:{port} {words}").out)
+    assert told["pose_frames"] == told["wrench_frames"] == 5
+    assert len(read_trajectory(poses)) == 5
+    assert read_wrench_stream(forces).force[0].tolist() == [1, 2, 3]
+    for file in (poses, forces):
+        file.unlink()
+    with serving([transform(i) for i in range(5)]) as port:
+        refused(run(f"record 127.0.0.1:{port} {words}"), "no SENSOR came")
+    refused(run("record 127.0.0.1:nine --poses a.csv"), "HOST or HOST:PORT")
+    refused(run("record 127.0.0.1"), "--poses or --wrenches")
+    assert empty(output)

@@ -1,0 +1,118 @@
+"""What a description may say, and the one line on what it may not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.hostile import only_our_errors
+from tests.session.recordings import changed, copied, described
+from ttus_opt.errors import FileError, TtusError
+from ttus_opt.session.description import read_description
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return copied(tmp_path)
+
+
+def test_the_example_is_understood(recording: Path) -> None:
+    found = read_description(recording)
+    assert found.title == "Synthetic recording"
+    assert [part.name for part in found.recordings if part.fitted] == [
+        "press_fit",
+        "sweep_fit",
+    ]
+    assert found.fit.shape == (12, 24, 12)
+    assert found.clock.by == "gravity"
+    assert found.force.sensor is not None
+    assert len(found.scan.cameras) == 2
+    np.testing.assert_allclose(found.tracker.probe_to_target[3], [0, 0, 0, 1])
+    # the same by its file, and as YAML
+    assert read_description(recording / "session.json").title == found.title
+    yaml = pytest.importorskip("yaml", reason="needs ttus-opt[sensors]")
+    content = described(recording)
+    (recording / "session.json").unlink()
+    (recording / "session.yaml").write_text(yaml.safe_dump(content, sort_keys=False))
+    assert read_description(recording).recordings == found.recordings
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("trackr", {}, "trackr is not known: did you mean tracker?"),
+        ("tracker.paint", 1, "tracker.paint is not known: choose from file"),
+        ("tracker.file", "no.csv", "tracker.file is no.csv, which is not in"),
+        ("tracker.file", None, "tracker.file is missing: add it"),
+        ("tracker.frame", "robot", "must be tracker or scan or patient, got 'robot'"),
+        ("tracker.frame", "scan", "tracker.tags is for frame tracker"),
+        ("tracker.tags", None, "to_scan or tags must be given"),
+        ("tracker.to_scan", [0, 0, 0, 0, 0, 0, 1], "to_scan or tags must be given"),
+        ("tracker.probe_to_target", [1, 2, 3], "probe_to_target is no rigid motion"),
+        ("tracker.probe_to_target", "no.json", "probe_to_target|no.json"),
+        ("tracker.columns", {"quaternion": ["a", "b", "c", "d"]}, "never guessed"),
+        ("force.frame", "probe", "is for contact wrenches"),
+        ("force.down_frame", "moon", "must be tracker or scan or patient"),
+        ("force.down", [0, 1], "must be a list of 3 numbers"),
+        ("force.sensor.sign", "both", "sign must be on-probe or by-probe"),
+        ("force.sensor.axes", [0, 0, 0, 2], "force.sensor cannot be used"),
+        ("force.sensor", None, "frame is missing"),
+        ("free", None, "both the stretch in free air"),
+        ("free.to", -1, "free.to must be after from"),
+        ("free.use", "fit", "free.use is not known"),
+        ("clock.by", "ear", "must be gravity or contact or offset"),
+        ("clock.by", "contact", "gravity tells the offset of raw readings"),
+        ("clock.offset", 0.3, "go together"),
+        ("clock.largest_gap", "wide", "must be a finite number"),
+        ("recordings.press_fit.use", "look", "must be fit or test"),
+        ("recordings.press_fit.from", True, "must be a finite number"),
+        ("recordings", {}, "has no stretch with use: fit"),
+        ("recordings.../evil", {"from": 0, "to": 1, "use": "fit"}, "names a file"),
+        ("fit.shape", [4, 5.5, 6], "must be whole numbers"),
+        ("fit.options", {"force_weight": "much"}, "must be a finite number"),
+        ("scan.cloud", "camera.json", "scan needs one of cloud, surface, depth, got 2"),
+        ("scan.depth", ["depth_0.png"], "has 2 entries for 1 depth images"),
+        ("scan.depth_kind", "w", "must be z or range"),
+        ("scan.intrinsics", 5, "must be a file or a list of files"),
+        ("scan.unit", "ft", "must be m or cm or mm"),
+        ("probe", "probe.stl", "probe is probe.stl, which is not in"),
+    ],
+)
+def test_what_it_may_not_say(recording: Path, key: str, value: Any, words: str) -> None:
+    if key == "recordings.../evil":
+        content = described(recording)["recordings"]
+        changed(recording, "recordings", {**content, "../evil": value})
+    else:
+        changed(recording, key, value)
+    with pytest.raises(TtusError, match=words) as told:
+        read_description(recording)
+    assert "\n" not in str(told.value)
+
+
+def test_no_description(tmp_path: Path) -> None:
+    with pytest.raises(FileError, match="not found"):
+        read_description(tmp_path / "nowhere")
+    with pytest.raises(FileError, match=r"has no session\.yaml"):
+        read_description(tmp_path)
+    (tmp_path / "session.json").write_text("[1]")
+    with pytest.raises(FileError, match="must map names"):
+        read_description(tmp_path)
+    (tmp_path / "session.json").write_text('{"a": ')
+    with pytest.raises(FileError, match=r"JSON \(line 1\)"):
+        read_description(tmp_path)
+
+
+def test_weights_as_yaml_writes_them(recording: Path) -> None:
+    """YAML 1.1 reads 1e-2 as a text."""
+    pytest.importorskip("yaml", reason="needs ttus-opt[sensors]")
+    changed(recording, "fit.options", {"force_weight": "1e-2"})
+    assert read_description(recording).fit.options == {"force_weight": 0.01}
+
+
+@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
+def test_mutations(recording: Path, n: int) -> None:
+    source = recording / "session.json"
+    only_our_errors([source], read_description, n)

@@ -1,0 +1,156 @@
+"""A recording from end to end: what it finds, what it writes, what it leaves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.session.recordings import SECONDS, changed, copied, described, made
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.phantom.example_data import frame
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.rigid_motion import inverse
+from ttus_opt.probe.trajectory import read_trajectory
+from ttus_opt.session.model import fit_model, judge
+from ttus_opt.session.pipeline import SessionResult, run_session
+from ttus_opt.session.results import STEPS, complete_steps
+from ttus_opt.session.synthetic import Truth, perfect, write_recording
+from ttus_opt.voxmap.field import PotentialField
+
+
+def forces_unseen(result: SessionResult) -> float:
+    """Mean magnitude error on motion that was not fitted [N]."""
+    errors = [c.after.errors for c in result.comparisons if not c.seen]
+    return float(np.mean([e.force_magnitude_error_N for e in errors]))
+
+
+def forces_perfect(result: SessionResult, seconds: float) -> float:
+    """The same where clocks, frames, sensor and tracker are perfect."""
+    back = inverse(frame().scan_to_patient)
+    own = result.skin.surface.axis.scan_to_patient
+    recordings = {k: v.transformed(back, own) for k, v in perfect(seconds).items()}
+    shell = PointShell.from_spec(result.session.probe)
+    model = fit_model(result.session, result.skin.surface, shell, recordings)
+    found = judge(result.session, model, shell, recordings)
+    errors = [c.after.errors for c in found if not c.seen]
+    return float(np.mean([e.force_magnitude_error_N for e in errors]))
+
+
+def check_found(result: SessionResult, truth: Truth) -> None:
+    """Each step against the truth."""
+    assert result.timing.offset == pytest.approx(truth.offset, abs=0.003)
+    load = result.load
+    assert load is not None
+    assert load.mass == pytest.approx(truth.mass, abs=0.002)
+    np.testing.assert_allclose(load.centre, truth.centre, atol=1e-3)
+    np.testing.assert_allclose(load.force_bias, truth.force_bias, atol=0.08)
+    belly = frame().to_scan(np.array([[0.0, 0.12, 0.15]]))[0]
+    found = result.registration.tracker_to_scan
+    assert found is not None
+    moved = found @ inverse(truth.tracker_to_scan)
+    gap = moved[:3, :3] @ belly + moved[:3, 3] - belly
+    assert np.linalg.norm(gap) < 1e-3
+    # the probe's path in the patient, carried back to the truth's frame
+    for name, own in perfect(SECONDS).items():
+        seen = result.recordings[name].transformed(
+            inverse(result.registration.scan_to_patient), frame().scan_to_patient
+        )
+        assert np.abs(seen.position.mean(0) - own.position.mean(0)).max() < 1.5e-3
+        assert seen.force is not None
+        assert own.force is not None
+        assert np.abs(seen.force.mean(0) - own.force.mean(0)).max() < 0.15
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> SessionResult:
+    """On a coarse grid and of short recordings."""
+    output = tmp_path_factory.mktemp("session") / "results"
+    return tt.run_session(made(), output)
+
+
+@pytest.mark.slow
+def test_what_it_finds(result: SessionResult) -> None:
+    check_found(result, Truth())
+    assert forces_unseen(result) < 1.2 * forces_perfect(result, SECONDS)
+
+
+@pytest.mark.slow
+def test_what_it_writes(result: SessionResult) -> None:
+    folder = result.folder
+    told = json.loads((folder / "session.json").read_text())
+    assert told["complete"] == list(STEPS) == complete_steps(folder)
+    assert told["clock"]["offset_s"] == result.timing.offset
+    errors = {row["recording"]: row for row in told["evaluation"]["errors"]}
+    assert errors["press_test"]["after"]["force_magnitude_error_N"] > 0.0
+    for name, recording in result.recordings.items():
+        written = read_trajectory(folder / "recordings" / f"{name}.csv")
+        np.testing.assert_array_equal(written.position, recording.position)
+    field = PotentialField.load(folder / "field.nc")
+    shell = PointShell.from_spec(result.session.probe)
+    again = tt.evaluate(field, shell, result.recordings["press_test"]).errors
+    first = next(c for c in result.comparisons if c.recording == "press_test")
+    assert again.force_magnitude_error_N == pytest.approx(
+        first.after.errors.force_magnitude_error_N
+    )
+    report = (folder / "report.md").read_text()
+    assert f"forces moved by {result.timing.offset:.4f} s (by gravity" in report
+    for line in report.splitlines():
+        if line.startswith("!["):
+            assert (folder / line.rpartition("(")[2].rstrip(")")).is_file()
+    assert "data:image/png" in (folder / "report.html").read_text()
+    assert not [f for f in folder.rglob(".*")]  # nothing half-written
+
+
+@pytest.mark.slow
+def test_a_second_session_replaces_the_first(
+    result: SessionResult, tmp_path: Path
+) -> None:
+    """And one that fails leaves complete steps alone, never old ones beside new."""
+    recording, output = copied(tmp_path), tmp_path / "out"
+    changed(recording, "fit.formulation", "laplace_only")
+    run_session(recording, output)
+    (output / "note.txt").write_text("the user's")
+    changed(recording, "clock", {"by": "gravity", "largest_offset": 0.2})
+    told = r"^clock: .*\(complete in .*out: surface, registration\)$"
+    with pytest.raises(InputError, match=told):
+        run_session(recording, output)
+    assert complete_steps(output) == ["surface", "registration"]
+    left = {str(f.relative_to(output)) for f in output.rglob("*") if f.is_file()}
+    assert left == {"surface.nc", "session.json", "note.txt"}
+
+
+def test_nothing_is_written_where_nothing_is_to_be(tmp_path: Path) -> None:
+    recording = copied(tmp_path)
+    with pytest.raises(FileError, match="holds the recording"):
+        run_session(recording, recording)
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "surface.nc").write_text("of other work")
+    with pytest.raises(FileError, match="files of other work"):
+        run_session(recording, other)
+    changed(recording, "tracker.file", "none.csv")
+    with pytest.raises(FileError, match="which is not in"):
+        run_session(recording, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_recording_goes_into_a_folder_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").touch()
+    with pytest.raises(FileError, match="holds other files, thesis"):
+        write_recording(tmp_path)
+    assert described(made())["title"] == "Synthetic recording"
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_forces_as_good_as_with_perfect_calibration(tmp_path: Path) -> None:
+    """The whole recording, 48 × 120 × 60 voxels: within a fifth."""
+    truth = write_recording(tmp_path / "recording")
+    result = run_session(tmp_path / "recording", tmp_path / "out")
+    own, best = forces_unseen(result), forces_perfect(result, 20.0)
+    assert truth.offset == pytest.approx(result.timing.offset, abs=0.002)
+    assert own < 1.2 * best
