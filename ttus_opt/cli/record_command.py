@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -78,7 +79,7 @@ def _span(time: object) -> str:
     return f"{np.ptp(np.asarray(time)):.1f} s"
 
 
-def _counter() -> object:
+def _counter() -> Callable[[int], None] | None:
     """A counter of messages on a terminal's stderr; None elsewhere."""
     import sys
 

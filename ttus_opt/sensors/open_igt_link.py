@@ -215,7 +215,7 @@ def sensor_message(igtl: Any) -> Any:
         A class over its ``MessageBase`` with ``values`` [N, N·m].
     """
 
-    class SensorMessage(igtl.messages.MessageBase):  # type: ignore[misc]  # untyped
+    class SensorMessage(igtl.messages.MessageBase):
         """Count, status, unit and as many doubles."""
 
         def __init__(self, values: Any = (), **more: Any) -> None:
