@@ -18,6 +18,7 @@ EXPECTED = [
     "03_solvers",
     "04_friction",
     "05_own_term_and_formulation",
+    "06_from_sensors",
 ]
 
 #: A path of one machine: /home/…, C:\…, file://…
@@ -46,7 +47,7 @@ def numbers(tree: ast.AST) -> list[float]:
     return [v for v in values if isinstance(v, (int, float))]
 
 
-def test_the_five_are_there() -> None:
+def test_all_are_there() -> None:
     assert [path.stem for path in NOTEBOOKS] == EXPECTED
 
 

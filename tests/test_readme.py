@@ -48,6 +48,8 @@ def test_the_shown_commands_have_these_options(
         "path",
         "evaluate",
         "render",
+        "session",
+        "session",
         "benchmark",
         "experiment",
     ]
