@@ -159,9 +159,17 @@ class Mutant:
         return self.module, self.before, self.after
 
 
+#: Lines that hold no expression that is computed
+QUIET = ("*,", "if TYPE_CHECKING:")
+
+
 def silent_lines(code: str) -> set[int]:
-    """Lines of annotations, signatures' types and decorators: they do nothing."""
-    silent: set[int] = set()
+    """Lines of annotations, signatures' types and decorators: they do nothing.
+
+    Nor do imports for annotations, and a lone ``*`` among parameters is no product.
+    """
+    lines = code.splitlines()
+    silent = {n for n, line in enumerate(lines, 1) if line.strip() in QUIET}
     for node in ast.walk(ast.parse(code)):
         quiet: list[ast.expr] = []
         if isinstance(node, ast.FunctionDef | ast.ClassDef):

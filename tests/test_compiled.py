@@ -4,6 +4,7 @@ import contextlib
 import importlib
 import io
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -13,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+import numpy as np
 import pytest
 
 import ttus_opt.compiled as kept
@@ -310,6 +312,27 @@ def test_an_inner_function_is_called_by_compiled_ones_only() -> None:
     assert quarter(2.0) == 0.5
     with pytest.raises(TypeError, match="half is called by compiled functions only"):
         half(2.0)  # where numba would end the process
+
+
+def test_arguments_that_lie_apart_let_a_loop_look_up_a_table(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The compiler is told so, and the two codes are not taken for each other."""
+
+    def looked_up(table: Any, place: Any, out: Any) -> None:
+        for i in range(out.size):
+            out[i] = table[place[i]]
+
+    monkeypatch.setattr(kept, "_folder", lambda: None)  # kept code tells no more
+    arguments, said = (np.arange(5.0) ** 2, np.array([4, 0, 3, 1]), np.empty(4)), []
+    pair = compiled(apart=True)(looked_up), compiled()(looked_up)
+    for function in pair:
+        function(*arguments)
+        assert arguments[2].tolist() == [16.0, 0.0, 9.0, 1.0]
+        code = next(iter(function.inspect_llvm().values()))
+        said.append(re.search(r"noalias[^,]*%arg\.out\.0", code) is not None)
+    assert said == [True, False]
+    assert content_stamp(pair[0]) != content_stamp(pair[1])
 
 
 def test_a_global_that_cannot_be_told_is_refused() -> None:

@@ -39,11 +39,13 @@ from ttus_opt.claims import Claims
 KEEP_SECONDS = 30 * 86400.0
 
 
-def compiled(*, inner: bool = False, **options: Any) -> Any:
+def compiled(*, inner: bool = False, apart: bool = False, **options: Any) -> Any:
     """Decorator: compile on first use and keep the machine code.
 
     Args:
         inner: Called by compiled functions only, which halves the time to compile it.
+        apart: No array that it writes shares memory with another argument, so that a
+            loop that looks up tables can become vector instructions.
         options: numba's own (``nogil``, ``inline``, ``fastmath``, ``error_model``).
 
     Returns:
@@ -57,6 +59,8 @@ def compiled(*, inner: bool = False, **options: Any) -> Any:
         if not isinstance(dispatcher, numba.core.dispatcher.Dispatcher):
             return dispatcher  # with NUMBA_DISABLE_JIT, the function itself
         dispatcher._cache = _Kept(dispatcher)
+        if apart:
+            dispatcher._compiler.__class__ = _Apart
         if inner:
             dispatcher.__class__ = _Inner
         return dispatcher
@@ -72,6 +76,14 @@ class _Inner(numba.core.registry.CPUDispatcher):
             f"{self.py_func.__name__} is called by compiled functions only: it is "
             "declared with inner=True"
         )
+
+
+class _Apart(numba.core.dispatcher._FunctionCompiler):
+    """Compiles for arguments that share no memory; numba does so for its own loops."""
+
+    def _customize_flags(self, flags: Any) -> Any:
+        flags.noalias = True
+        return flags
 
 
 def is_kept(dispatcher: Any) -> bool:
@@ -195,6 +207,8 @@ def _function_content(value: Any, seen: dict[int, int]) -> Iterator[str]:
     seen[id(value)] = len(seen)
     yield name
     yield from _content(getattr(value, "targetoptions", None), seen)
+    if isinstance(getattr(value, "_compiler", None), _Apart):
+        yield "apart"
     yield from _content((function.__defaults__, function.__kwdefaults__), seen)
     for cell in function.__closure__ or ():
         yield from _content(cell.cell_contents, seen)

@@ -27,6 +27,7 @@ def test_points_and_levers_are_the_shells_in_block_order(trilinear: bool) -> Non
 def test_scratch_of_its_own_shares_no_scratch() -> None:
     data = FrameData.of(VOXMAP, SHELL, trilinear=False)
     other = data.with_own_scratch()
-    for name in ("place", "near", "node", "touched", "depth", "voxel", "share", "hits"):
+    scratch = "place near node touched depth spot voxel share sampled hits"
+    for name in scratch.split():
         assert not np.shares_memory(getattr(data, name), getattr(other, name))
     assert other.points is data.points

@@ -65,9 +65,9 @@ def rotated(R: Array, x: float, y: float, z: float) -> tuple[float, float, float
 @compiled(inline="always")
 def within(radius_squared: float, z: float, limits: GridLimits) -> bool:
     """Whether a place lies within the outer layer and the slices (compiled)."""
-    if z < limits.z_min:
-        return False
-    return not (radius_squared > limits.r_outer * limits.r_outer or z > limits.z_max)
+    beyond = radius_squared > limits.r_outer * limits.r_outer
+    # no branch, for loops of vector instructions
+    return not (beyond | (z < limits.z_min) | (z > limits.z_max))
 
 
 class VoxmapArrays(NamedTuple):

@@ -5,10 +5,10 @@ its second pass only:
 
 - `touch` finds the shell points inside the patient. Blocks away from the surface are
   skipped by their bounding spheres (`ttus_opt.contact.shell_blocks`); the rest goes
-  through a loop without branches, which the compiler turns into vector instructions.
-  What a point samples comes from the very functions that make the rows of the fit
-  (`ttus_opt.voxmap.depth_sampling`), so that both agree to the last voxel.
-- `wrench_of` sums the wrench of one field over those points.
+  through loops without branches, which the compiler turns into vector instructions.
+- `wrench_of` samples one field at those points, in such a loop too, and sums its
+  wrench. What a point samples comes from the very functions that make the rows of the
+  fit (`ttus_opt.voxmap.depth_sampling`), so that both agree to the last voxel.
 
 All is float64, no fast-math: reordered or fused operations would put points near a
 voxel face on different sides in the fit and in the frame.
@@ -39,8 +39,8 @@ def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
     Args:
         R: Rotation, probe to patient, shape (3, 3) [–].
         at: Position, shape (3,) [m].
-        s: Probe, surface and scratch; its ``touched``, ``depth``, ``voxel`` and
-            ``share`` are written.
+        s: Probe, surface and scratch; its ``touched``, ``depth``, ``spot``, ``voxel``
+            and ``share`` are written.
 
     Returns:
         Points in contact, whether the shell meets the grid, and how many of the
@@ -54,7 +54,7 @@ def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
     layout, tiles = RadiusLayout(a[0], a[1], a[2], a[3]), Tiles(b[0], b[1], b[2], b[3])
     _place(R, at, s.spheres, 0, n_blocks, place)
     _find_near(place, s.spheres[3], limits, s.ceiling, tiles, near)
-    contact, beyond, in_grid, first = 0, 0, False, 0
+    contact, beyond, met, first = 0, 0, 0, 0
     while first < n_blocks:
         if not near[first]:
             first += 1
@@ -66,13 +66,12 @@ def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
         first = last
         _place(R, at, points, low, high, place)
         _find_nodes(high - low, s.nodes, layout, place, node)
-        contact, deeper, met = _select(low, high - low, contact, s)
-        in_grid, beyond = in_grid or met, beyond + deeper
-    if s.trilinear:
-        _find_spokes(contact, s)
-    else:
+        met += _find_depths(high - low, place, node, s.radius, limits)
+        contact, deeper = _keep(low, high - low, contact, s)
+        beyond += deeper
+    if not s.trilinear:
         _find_voxels(contact, s)
-    return contact, in_grid or _meets_grid(R, at, s), beyond
+    return contact, met > 0 or _meets_grid(R, at, s), beyond
 
 
 @compiled(inline="always")
@@ -146,71 +145,80 @@ def _find_nodes(
         )
 
 
+@compiled(error_model="numpy", nogil=True, apart=True)
+def _find_depths(
+    size: int, place: Array, node: IntArray, radius: Array, limits: GridLimits
+) -> int:
+    """Radius and depth of every placed point, without a branch (compiled).
+
+    Args:
+        size: Points placed.
+        place: Written: r and depth; −1 for a depth outside the grid.
+        node: Their cells of the surface's nodes.
+        radius: Of those nodes, flat [m].
+        limits: Of the grid.
+
+    Returns:
+        How many lie within the grid.
+    """
+    squares, heights, a, b = place[0], place[2], place[3], place[4]
+    here, after, radii, depths = node[0], node[1], place[5], place[6]
+    met = 0
+    for m in range(size):
+        r = math.sqrt(squares[m])
+        depth = radius_between(here[m], after[m], a[m], b[m], radius) - r
+        is_met = within(squares[m], heights[m], limits)
+        radii[m], depths[m] = r, depth if is_met else -1.0
+        met += 1 if is_met else 0
+    return met
+
+
 @compiled(error_model="numpy", nogil=True)
-def _select(low: int, size: int, contact: int, s: FrameData) -> tuple[int, int, bool]:
-    """Append the points inside the patient, r, θ, z in ``share`` (compiled).
+def _keep(low: int, size: int, contact: int, s: FrameData) -> tuple[int, int]:
+    """Append the points inside the patient, without a branch (compiled).
 
     Args:
         low: First of the points that were placed.
         size: How many.
         contact: Points in contact so far.
-        s: With the placed points.
+        s: With the placed points and their depths.
 
     Returns:
-        Points in contact so far, how many of the new ones lie beyond the inner layer,
-        and whether any point lies within the grid.
+        Points in contact so far, and how many of the new ones lie beyond the inner
+        layer.
     """
-    place, node, radius, limits = s.place, s.node, s.radius, _extent(s.limits)
-    touched, depth, share = s.touched, s.depth, s.share
-    in_grid, beyond = False, 0
-    for m in range(size):
-        square, z = place[0, m], place[2, m]
-        if not within(square, z, limits):
-            continue
-        in_grid = True
-        r = math.sqrt(square)
-        R = radius_between(node[0, m], node[1, m], place[3, m], place[4, m], radius)
-        if R - r <= 0.0:
-            continue
-        touched[contact], depth[contact] = low + m, R - r
-        share[0, contact], share[1, contact], share[2, contact] = r, place[1, m], z
-        contact += 1
-        if r < limits.r_inner:
-            beyond += 1
-    return contact, beyond, in_grid
-
-
-@compiled(error_model="numpy", nogil=True)
-def _find_spokes(contact: int, s: FrameData) -> None:
-    """Places of every contact on the four spokes around it (compiled)."""
-    depth, share, voxel, spokes = s.depth, s.share, s.voxel, s.spokes
-    limits = _extent(s.limits)
-    counts = (s.shape[1], s.shape[2])
-    for c in range(contact):
-        cell = spoke_cell(share[1, c], share[2, c], limits, counts[0], counts[1])
-        steps = depth[c] * limits.per_r
-        for corner in range(4):
-            voxel[corner, c], share[corner, c], share[4 + corner, c] = corner_sample(
-                corner, cell, steps, spokes, counts
-            )
+    place, touched, depth, spot = s.place, s.touched, s.depth, s.spot
+    inner, beyond = s.limits[0], 0
+    for m in range(size):  # one outside is written and its place taken by the next
+        r, d = place[5, m], place[6, m]
+        touched[contact], depth[contact] = low + m, d
+        spot[0, contact], spot[1, contact], spot[2, contact] = (
+            r,
+            place[1, m],
+            place[2, m],
+        )
+        is_kept = 1 if d > 0.0 else 0
+        contact += is_kept
+        beyond += is_kept if r < inner else 0
+    return contact, beyond
 
 
 @compiled(error_model="numpy", nogil=True)
 def _find_voxels(contact: int, s: FrameData) -> None:
     """Voxel of every contact and its part in the voxel's mean (compiled)."""
-    depth, share, voxel, spokes = s.depth, s.share, s.voxel, s.spokes
+    depth, spot, share, voxel, spokes = s.depth, s.spot, s.share, s.voxel, s.spokes
     limits = _extent(s.limits)
     shape, hits = s.shape, s.hits
     for c in range(contact):
         v, samples = nearest_voxel(
-            share[0, c], share[1, c], share[2, c], depth[c], limits, shape, spokes
+            spot[0, c], spot[1, c], spot[2, c], depth[c], limits, shape, spokes
         )
-        voxel[0, c], share[0, c] = v, 1.0 if samples else 0.0
+        voxel[c], share[c] = v, 1.0 if samples else 0.0
         hits[v] += 1 if samples else 0
     for c in range(contact):
-        share[0, c] /= max(hits[voxel[0, c]], 1)
+        share[c] /= max(hits[voxel[c]], 1)
     for c in range(contact):  # leaves no trace in the next frame
-        hits[voxel[0, c]] = 0
+        hits[voxel[c]] = 0
 
 
 @compiled(error_model="numpy", nogil=True)
@@ -233,6 +241,38 @@ def _meets_grid(R: Array, at: Array, s: FrameData) -> bool:
     return False
 
 
+@compiled(error_model="numpy", nogil=True, apart=True)
+def _sample(
+    spot: Array,
+    depths: Array,
+    limits: GridLimits,
+    counts: tuple[int, int],
+    spokes: Array,
+    values: Array,
+    sampled: Array,
+) -> None:
+    """What places sample of a field on the spokes around them (compiled).
+
+    Args:
+        spot: r, θ, z, shape (3, M) [m, rad, m].
+        depths: Below the surface, shape (M,) [m].
+        limits: Of the grid.
+        counts: Its voxels in θ and z [–].
+        spokes: `depth_sampling.spoke_table`.
+        values: The field, flat, shape (V,) [N/cm²].
+        sampled: Out: of the first n places, shape (n,) [N/cm²].
+    """
+    thetas, heights, layer = spot[1], spot[2], counts[0] * counts[1]
+    for c in range(sampled.size):
+        cell = spoke_cell(thetas[c], heights[c], limits, counts[0], counts[1])
+        steps, p = depths[c] * limits.per_r, 0.0
+        for corner in range(4):
+            v, low, high = corner_sample(corner, cell, steps, spokes, counts)
+            p += low * values[v]
+            p += high * values[v + layer]
+        sampled[c] = p
+
+
 @compiled(error_model="numpy", nogil=True)
 def wrench_of(
     values: Array, contact: int, R: Array, s: FrameData, wrench: Array
@@ -246,19 +286,16 @@ def wrench_of(
         s: The same data.
         wrench: Out: force and torque, patient axes, shape (6,) [N, N·m].
     """
-    voxel, share, touched, lever = s.voxel, s.share, s.touched, s.lever
-    layer = s.shape[1] * s.shape[2]
+    touched, lever, sampled = s.touched, s.lever, s.sampled
+    if s.trilinear:
+        counts, limits = (s.shape[1], s.shape[2]), _extent(s.limits)
+        _sample(s.spot, s.depth, limits, counts, s.spokes, values, sampled[:contact])
+    else:
+        for c in range(contact):
+            sampled[c] = s.share[c] * values[s.voxel[c]]
     fx, fy, fz, tx, ty, tz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(contact):
-        if s.trilinear:
-            p = 0.0
-            for corner in range(4):
-                v = voxel[corner, c]
-                p += share[corner, c] * values[v]
-                p += share[4 + corner, c] * values[v + layer]
-        else:
-            p = share[0, c] * values[voxel[0, c]]
-        m = touched[c]
+        p, m = sampled[c], touched[c]
         fx += p * lever[m, 0]
         fy += p * lever[m, 1]
         fz += p * lever[m, 2]

@@ -42,15 +42,16 @@ class FrameData(NamedTuple):
         spokes: `depth_sampling.spoke_table`.
         ceiling: `SurfaceCeiling.ceiling`.
         tiles: `SurfaceCeiling.tiles`, shape (4,).
-        place: Scratch, points about the axis: r², θ, z, then the place within the
-            surface's cell, shape (5, RUN·BLOCK) or (5, B) if that is more.
+        place: Scratch, points about the axis: r², θ, z, the place within the
+            surface's cell, r and depth, shape (7, RUN·BLOCK) or (7, B) if that is more.
         near: Scratch, blocks that may touch, shape (B,).
         node: Scratch, the surface's cell, shape as ``place`` (2, …).
         touched: Out: the points in contact, shape (M,).
         depth: Out: their depths below the surface, shape (M,) [m].
-        voxel: Out: per contact, the voxel, or one on each of the 4 spokes, (4, M).
-        share: Out: per contact, the voxel's share; trilinear, those of the 4 voxels,
-            then of the 4 next outwards; shape (8, M).
+        spot: Out: where they are, r, θ, z, shape (3, M) [m, rad, m].
+        voxel: Out, unless trilinear: the voxel of each, shape (M,).
+        share: Out, unless trilinear: its part in the voxel's mean, shape (M,).
+        sampled: Scratch, what each samples of a field, shape (M,).
         hits: Scratch, points per voxel, zero between frames, (V,) or (1,).
     """
 
@@ -73,8 +74,10 @@ class FrameData(NamedTuple):
     node: IntArray
     touched: IntArray
     depth: Array
+    spot: Array
     voxel: IntArray
     share: Array
+    sampled: Array
     hits: NDArray[np.int32]
 
     @classmethod
@@ -102,13 +105,15 @@ class FrameData(NamedTuple):
             spoke_table(voxmap),
             above.ceiling,
             np.array(above.tiles),
-            np.empty((5, width)),
+            np.empty((7, width)),
             np.empty(len(blocks.reach), dtype=np.bool_),
             np.empty((2, width), dtype=np.int64),
             np.empty(n, dtype=np.int64),
             np.empty(n),
-            np.empty((4, n), dtype=np.int64),
-            np.empty((8, n)),
+            np.empty((3, n)),
+            np.empty(n, dtype=np.int64),
+            np.empty(n),
+            np.empty(n),
             np.zeros(1 if trilinear else voxmap.grid.n_voxels, dtype=np.int32),
         )
 
@@ -120,7 +125,9 @@ class FrameData(NamedTuple):
             node=np.empty_like(self.node),
             touched=np.empty_like(self.touched),
             depth=np.empty_like(self.depth),
+            spot=np.empty_like(self.spot),
             voxel=np.empty_like(self.voxel),
             share=np.empty_like(self.share),
+            sampled=np.empty_like(self.sampled),
             hits=np.zeros_like(self.hits),
         )

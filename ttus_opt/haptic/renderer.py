@@ -105,9 +105,9 @@ class _Fields:
     @property
     def drag(self) -> str:
         """Names of the coefficients that drag at present; empty without any."""
-        if self.target_drag or self.pair.ledger[PROGRESS] == 1.0:
+        if self.target_drag or not self.current_drag:
             return self.target_drag
-        return self.current_drag
+        return "" if self.pair.ledger[PROGRESS] == 1.0 else self.current_drag
 
 
 class Renderer:

@@ -90,9 +90,11 @@ def _data(trilinear: bool, table: IntArray) -> FrameData:
         matrix(table, 15, whole),  # node
         vector(table, 16, whole),  # touched
         vector(table, 17, real),  # depth
-        matrix(table, 18, whole),  # voxel
-        matrix(table, 19, real),  # share
-        vector(table, 20, np.int32),  # hits
+        matrix(table, 18, real),  # spot
+        vector(table, 19, whole),  # voxel
+        vector(table, 20, real),  # share
+        vector(table, 21, real),  # sampled
+        vector(table, 22, np.int32),  # hits
     )
 
 
