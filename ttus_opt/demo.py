@@ -1,7 +1,8 @@
 """The whole method on the bundled example: scan to surface to field to errors.
 
 Fitted to two recordings (pushes and lines along the body), judged on both and on two
-others of the same kind. Laplace prior alone against eq. 10 with force and torque.
+others of the same kind. Laplace prior alone against eq. 10 with force and torque, its
+weights chosen from the fitted recordings alone.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import numpy as np
 from ttus_opt import example
 from ttus_opt.arrays import Array
 from ttus_opt.fitting.batch import fit
+from ttus_opt.fitting.weight_choice import choose_weights
 from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory
@@ -31,10 +33,7 @@ from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.field import PotentialField
 
 #: How often `run` reports progress.
-N_STAGES = 7
-
-#: λ_f = λ_τ, as the trilinear sampling needs it.
-WEIGHT = 1e-2
+N_STAGES = 8
 
 FITTED, UNSEEN = ("press_fit", "sweep_fit"), ("press_test", "sweep_test")
 
@@ -87,6 +86,7 @@ class DemoResult:
         return {
             "status": self.after.status.name.lower(),
             "kkt": None if kkt is None else kkt.as_dict(),
+            "weights": dict(self.after.weights),
             "parameters": dict(self.after.parameters),
             "standard_errors": dict(self.after.standard_errors),
             "not_identified": dict(self.after.not_identified),
@@ -148,8 +148,10 @@ def run(
         scene = plan.build(surface, shell, [recordings[name] for name in FITTED])
         begin("Laplace prior alone")
         before = fit(scene, "laplace_only")
+    begin("choosing weights")
+    choice = choose_weights(scene, "eq10")
     begin("with forces and torques")
-    after = fit(scene, "eq10", force_weight=WEIGHT, torque_weight=WEIGHT)
+    after = fit(choice.scene, choice.formulation)
     begin("evaluating")
     fields = before.field, after.field
     comparisons = tuple(
@@ -232,7 +234,8 @@ def _facts(scene: Scene, result: DemoResult) -> dict[str, str]:
         f"by {1e3 * error.mean:.1f} mm in the mean and {1e3 * error.p95:.1f} mm at "
         "the 95th percentile",
         "Grid": f"{shape} = {scene.n_voxels:,} voxels, trilinear sampling",
-        "Fit": f"{after.formulation} with λ_f = λ_τ = {WEIGHT:g} and ℓ = "
+        "Fit": f"{after.formulation} with λ_f = {after.weights['force']:.2g}, "
+        f"λ_τ = {after.weights['torque']:.2g}, chosen from the recordings, and ℓ = "
         f"{1e3 * scene.torque_length:.1f} mm to {len(scene.trajectory)} poses "
         f"({', '.join(FITTED)}), by {after.solver}",
         "Check": "worst relative KKT residual "

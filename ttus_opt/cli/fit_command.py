@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,6 +20,8 @@ from ttus_opt.cli.sources import sources
 from ttus_opt.errors import InputError, TtusWarning
 
 if TYPE_CHECKING:
+    from ttus_opt.fitting.sanity import SanityReport
+    from ttus_opt.fitting.weight_choice import WeightChoice
     from ttus_opt.probe.conventions import Conventions
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
@@ -55,17 +57,18 @@ def fit(
     grid: SceneOptions,
     force_weight: Annotated[
         float | None,
-        typer.Option(help="λ_f; the formulation's own by default, 0.01."),
+        typer.Option(help="λ_f; then no weight is chosen from the recordings."),
     ] = None,
     torque_weight: Annotated[
         float | None,
-        typer.Option(help="λ_τ; the formulation's own by default, 0.01."),
+        typer.Option(help="λ_τ; then no weight is chosen from the recordings."),
     ] = None,
     weights: Annotated[
         str | None,
         typer.Option(
             help="auto: weights and boundary scale by marginal likelihood, as "
-            "ttus-opt tune finds them.",
+            "ttus-opt tune finds them; own: the formulation's, 0.01. By default auto "
+            "where no weight is given.",
         ),
     ] = None,
     paper: Annotated[
@@ -104,23 +107,23 @@ def fit(
     from ttus_opt.probe.thinning import thinned
     from ttus_opt.scan.surface import Surface
 
-    given = {
-        "force_weight": force_weight,
-        "torque_weight": torque_weight,
-        "torque_length": torque_length,
-    }
-    options = {name: value for name, value in given.items() if value is not None}
-    options |= problem.further
+    options = _options(
+        problem,
+        paper,
+        force_weight=force_weight,
+        torque_weight=torque_weight,
+        torque_length=torque_length,
+    )
     if paper:
         grid = grid.as_in_the_paper()
-        options = _weights_of_the_paper(problem.formulation) | options
+    by_data = _by_data(weights, problem.formulation, options)
     conventions, plan = recordings.conventions, grid.plan
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(plan.shape), LARGEST_FILE)
     inputs: list[Path | str] = [surface, probe.probe, *recordings.files]
     check_outputs([output, picture], inputs, force=force, size=size)
     _check_picture(picture)
-    with Stages(5 + (picture is not None)) as begin:
+    with Stages(5 + by_data + (picture is not None)) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
         as_written = thinned(recordings.as_written(), every=every, rate=rate)
@@ -133,15 +136,16 @@ def fit(
             )
         begin("assembling (first run compiles)")
         scene = _built(plan, (patient, shell, recorded), (as_written, conventions))
+        if by_data:
+            begin("choosing weights")
+        choice = _choice(scene, problem, options, weights if by_data else "own")
         begin("solving")
         solution = fit_scene(
-            scene,
-            problem.formulation,
+            choice.scene,
+            choice.formulation,
             solver=problem.solver,
             tolerance=problem.tolerance,
             time_limit=time_limit,
-            weights=weights,  # type: ignore[arg-type]  # checked there
-            **options,
         )
         begin("writing the field")
         report = None
@@ -151,26 +155,67 @@ def fit(
             replace(found, provenance={**found.provenance, **told}).save(output)
             begin("checking the recordings")
             report = check_recordings(
-                scene,
+                choice.scene,
                 found,
                 _names(recordings.trajectory),
                 written=as_written,
                 told=conventions,
             )
     if json:
-        sanity = None if report is None else report.as_dict()
-        print_json({**_summary(solution, output), "sanity": sanity})
+        print_json(_summary(solution, output, choice, report))
     solution.field  # noqa: B018  raises what is wrong when nothing was verified
     if not json:
         assert report is not None
         _tell(solution, output)
-        if weights is not None:
-            chosen = (f"{name} {w:.4g}" for name, w in solution.weights.items())
-            typer.echo(f"weights chosen: {', '.join(chosen)}")
-        for line in [*report.lines, *_how_read(recorded, conventions)]:
-            typer.echo(line)
+        _tell_lines(choice.lines, report.lines, _how_read(recorded, conventions))
     if report is not None and report.mistake is not None:
         warnings.warn(str(report.mistake), TtusWarning, stacklevel=2)
+
+
+def _options(
+    problem: ProblemOptions, paper: bool, **given: float | None
+) -> dict[str, Any]:
+    """Options of the formulation that were given, or are the paper's."""
+    options = {name: value for name, value in given.items() if value is not None}
+    options |= problem.further
+    return {**_weights_of_the_paper(problem.name), **options} if paper else options
+
+
+def _by_data(
+    weights: str | None, formulation: str | None, options: Mapping[str, Any]
+) -> bool:
+    """Whether weights are chosen from the recordings.
+
+    Raises:
+        InputError: Another word than auto or own, or auto and a weight beside it.
+    """
+    from ttus_opt.fitting.weight_choice import has_weights, is_weight
+
+    if weights not in (None, "auto", "own"):
+        raise InputError(f"--weights takes auto or own, got {weights!r}")
+    given = [name for name in options if is_weight(name)]
+    if weights == "auto" and given:
+        told = given[0].replace("_", "-")
+        raise InputError(f"--weights auto chooses --{told}: give one or the other")
+    if weights is not None:
+        return weights == "auto"
+    return not given and (formulation is None or has_weights(formulation))
+
+
+def _choice(
+    scene: Scene,
+    problem: ProblemOptions,
+    options: Mapping[str, Any],
+    weights: str | None,
+) -> WeightChoice:
+    """What is fitted: with weights of its own, or with those of the recordings."""
+    from ttus_opt.fitting.weight_choice import WeightChoice, choose_weights
+    from ttus_opt.problem.formulation import load
+
+    if weights == "own":
+        return WeightChoice(scene, load(problem.name, scene, **options))
+    strict = weights is not None
+    return choose_weights(scene, problem.formulation, options, strict=strict)
 
 
 def _built(
@@ -257,7 +302,12 @@ def _weights_of_the_paper(formulation: str) -> dict[str, Any]:
     return {n: w for n, w in WEIGHTS.items() if known is None or n in known}
 
 
-def _summary(solution: Solution, output: Path) -> dict[str, Any]:
+def _summary(
+    solution: Solution,
+    output: Path,
+    choice: WeightChoice,
+    report: SanityReport | None,
+) -> dict[str, Any]:
     solved = solution.verified_field is not None
     return {
         "status": solution.status.name.lower(),
@@ -281,12 +331,20 @@ def _summary(solution: Solution, output: Path) -> dict[str, Any]:
         "remarks": solution.remarks,
         "seconds": solution.timings.as_dict(),
         "output": str(output) if solved else None,
+        "weights_chosen": choice.as_dict(),
+        "sanity": None if report is None else report.as_dict(),
     }
 
 
 def _n_voxels(solution: Solution) -> int:
     p = solution.program.variables["p"]
     return int(p.stop - p.start)
+
+
+def _tell_lines(*parts: Sequence[str]) -> None:
+    for part in parts:
+        for line in part:
+            typer.echo(line)
 
 
 def _tell(solution: Solution, output: Path) -> None:

@@ -116,7 +116,7 @@ def path(
         begin("assembling (first run compiles)")
         scene = plan.build(patient, shell, recorded)
     found = solution_path(
-        problem.formulation,
+        problem.name,
         scene,
         weights=weights,
         held_out=unseen,

@@ -22,8 +22,12 @@ class ProblemOptions:
     """What is solved and by what, as typed."""
 
     formulation: Annotated[
-        str, typer.Option(help="A formulation's name, or the path of your own file.")
-    ] = "eq10"
+        str | None,
+        typer.Option(
+            help="A formulation's name, or the path of your own file. By default eq10; "
+            "where fit chooses the weights, coulomb_global if the recordings show drag."
+        ),
+    ] = None
     solver: Annotated[
         str,
         typer.Option(
@@ -41,6 +45,11 @@ class ProblemOptions:
     tolerance: Annotated[
         float, typer.Option(help="Largest relative residual of a solution.")
     ] = 1e-6
+
+    @property
+    def name(self) -> str:
+        """The formulation, eq. 10 where none was named."""
+        return self.formulation or "eq10"
 
     @cached_property
     def further(self) -> dict[str, Any]:

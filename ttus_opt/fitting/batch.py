@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from ttus_opt.compiled import Stopwatch
 from ttus_opt.errors import InputError
@@ -22,9 +22,6 @@ from ttus_opt.problem.solution import Attempt, Solution, Status, Timings
 from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Prepared, Request, Solver
-
-if TYPE_CHECKING:
-    from ttus_opt.fitting.tuning import Tuning
 
 #: KKT tolerance of the fits along a search; the last one has the tolerance asked for
 SEARCH_TOLERANCE = 1e-4
@@ -53,7 +50,8 @@ def fit(
         tolerance: Largest relative KKT residual of a solution [–].
         time_limit: Most seconds the solver may take, each time it is called [s].
         weights: "auto" chooses weights and boundary scale by their marginal likelihood
-            (`ttus_opt.tune`); None takes those of the formulation.
+            (`ttus_opt.tune`), or takes the formulation's own with a `TtusWarning`
+            where the recordings do not bear it; None takes the formulation's own.
         options: The formulation's own (``force_weight``, ``torque_weight``, …).
 
     Returns: The solution; its ``field`` is there only when its residuals, computed
@@ -67,15 +65,21 @@ def fit(
         SolverUnavailableError: The solver's package is not installed.
     """
     if weights is not None:
-        tuned = _tuned(scene, formulation, weights, options)
+        from ttus_opt.fitting.weight_choice import choose_weights
+
+        if weights != "auto":
+            raise InputError(f'weights takes "auto" or None, got {weights!r}')
+        watch = Stopwatch()
+        choice = choose_weights(scene, formulation, options)
+        choosing = watch.seconds
         found = fit(
-            tuned.scene,
-            tuned.formulation,
+            choice.scene,
+            choice.formulation,
             solver=solver,
             tolerance=tolerance,
             time_limit=time_limit,
         )
-        spent = (found.timings.search or 0.0) + tuned.seconds
+        spent = (found.timings.search or 0.0) + choosing
         return replace(found, timings=replace(found.timings, search=spent))
     watch = Stopwatch()
     declared = shelf.load(formulation, scene, **options)
@@ -92,27 +96,6 @@ def fit(
     )
     sought = replace(sought, formulation=sought.formulation.named(declared.name))
     return _told(sought, doubts, solver, request, None, watch)
-
-
-def _tuned(
-    scene: Scene,
-    formulation: str | Path | Formulation,
-    weights: str,
-    options: Mapping[str, Any],
-) -> Tuning:
-    """What is fitted where weights are to be chosen.
-
-    Raises:
-        InputError: Another word than "auto", or weights beside it.
-    """
-    from ttus_opt.fitting.tuning import tune
-
-    if weights != "auto":
-        raise InputError(f'weights takes "auto" or None, got {weights!r}')
-    given = [name for name in options if name.endswith("_weight")]
-    if given:
-        raise InputError(f'weights="auto" chooses {given[0]}: give one or the other')
-    return tune(scene, formulation, compare=False, **options)
 
 
 def _told(

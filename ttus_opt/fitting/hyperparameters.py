@@ -62,6 +62,10 @@ class Prior:
             return min(max(self.median + self.spread * x, 0.0), self.highest)
         return min(self.median * math.exp(self.spread * x), self.highest)
 
+    def bounds(self, x: float) -> bool:
+        """Whether a value that many standard deviations away is a bound."""
+        return abs(x) >= FARTHEST or self.value(x) >= self.highest
+
 
 @dataclass(frozen=True)
 class Hyperparameter:
@@ -75,6 +79,8 @@ class Hyperparameter:
             prior is linear; NaN where it was not determined [–].
         determined: Whether the data bear it; where not, the prior value is used.
         unit: Its unit.
+        at_bound: Whether the value ended where none larger, or none smaller, is looked
+            for; a coefficient of 0 is no bound but its absence.
     """
 
     name: str
@@ -83,6 +89,7 @@ class Hyperparameter:
     spread: float
     determined: bool
     unit: str = "1"
+    at_bound: bool = False
 
 
 @dataclass(frozen=True)
@@ -133,6 +140,7 @@ def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> 
             float(spreads[i]) * prior.spread if i in spreads else math.nan,
             i in spreads,
             prior.unit,
+            i in spreads and prior.bounds(float(x[i])),
         )
         for i, prior in enumerate(priors)
     )

@@ -26,7 +26,7 @@ from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep
 
 #: Most voxels of a grid that is tuned on; larger ones are halved, or divided by more
-MOST_VOXELS = 60_000
+MOST_VOXELS = 20_000
 
 #: Random probes of the rows' variance, and the relative residual of their solves
 PROBES, PROBE_RTOL = 8, 1e-4
@@ -94,6 +94,20 @@ class TuningRows:
     def n_rows(self) -> int:
         """Rows of one term [–]."""
         return 3 * len(self.declared.scene.trajectory)
+
+    def include(self, other: TuningRows) -> bool:
+        """Whether these are another's rows, or would be with a coefficient of 0."""
+        if other.coefficient:
+            return other is self
+        own, n = self.system, len(other.target)
+        same = (
+            self.terms == other.terms
+            and own.laplace is other.system.laplace
+            and np.array_equal(own.compliance, other.system.compliance)
+            and np.array_equal(self.b, other.b)
+            and np.array_equal(self.target[:n], other.target)
+        )
+        return same and not abs(own.rows[:n] - other.system.rows).sum()
 
     def variance(self) -> float:
         """Mean prior variance of the first term's rows in contact, with σ² = 1."""

@@ -116,6 +116,16 @@ def option_names(formulation: str | Path) -> tuple[str, ...] | None:
     return None if known is None else tuple(known)
 
 
+def option_defaults(formulation: str | Path) -> dict[str, Any] | None:
+    """A formulation's options with their defaults; None where it takes any.
+
+    Raises:
+        InputError: There is no such formulation.
+    """
+    known = _options(_find(formulation)[0])
+    return None if known is None else {name: p.default for name, p in known.items()}
+
+
 def _check_option(what: str, parameter: inspect.Parameter, value: Any) -> None:
     """Validate the kind of an option by its default and its annotation.
 

@@ -1,0 +1,175 @@
+"""When a fit's weights are chosen from its recordings, and why not."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import presses, small_scene, torso
+from tests.dragging import dragged_scene
+from tests.fitting.test_contact_spread import scene_of
+from tests.fitting.test_tuning import drawn, tuned
+from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.fitting import weight_choice
+from ttus_opt.fitting.hyperparameters import Hyperparameter
+from ttus_opt.fitting.tuning import Tuning
+from ttus_opt.fitting.weight_choice import WeightChoice, choose_weights, has_weights
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+
+OWN = {"force": 1e-2, "torque": 1e-2}
+
+
+def weights(choice: WeightChoice) -> dict[str, float]:
+    return {t.name: t.weight for t in choice.formulation.terms if t.measures}
+
+
+def refused(scene: Scene, told: str) -> WeightChoice:
+    """The choice for a scene that cannot bear one; it has the formulation's own."""
+    with pytest.warns(TtusWarning, match=told):
+        choice = choose_weights(scene, "eq10")
+    assert choice.tuning is None and choice.scene is scene
+    assert weights(choice) == OWN
+    assert choice.as_dict()["by"] == "formulation"
+    assert choice.reason in choice.as_dict()["reason"] and not choice.lines
+    return choice
+
+
+def test_what_is_chosen_is_what_tune_finds_and_says_how_sure() -> None:
+    choice = choose_weights(drawn(), "eq10")
+    assert weights(choice) == tuned().weights
+    assert choice.scene.inner == tuned().scene.inner
+    told = choice.as_dict()
+    assert told["by"] == "marginal likelihood" and told["weights"] == tuned().weights
+    spread = {h.name: h.spread for h in tuned().hyperparameters if h.determined}
+    assert told["weight_factors"]["force"] == np.exp(spread["signal_to_noise"])
+    assert told["weight_factors"]["torque"] >= told["weight_factors"]["force"]
+    assert told["hyperparameters"].keys() == {h.name for h in tuned().hyperparameters}
+    assert choice.lines[0].startswith("weights chosen from the recordings: force ")
+
+
+def test_without_contact() -> None:
+    scene = small_scene("trilinear")
+    away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
+    with pytest.warns(TtusWarning):
+        off = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
+    refused(off, "touches the patient in no frame; those of eq10 are used")
+
+
+def test_too_few_frames() -> None:
+    scene = small_scene("trilinear")
+    few = scene.trajectory.select(np.arange(12) < 4)
+    refused(
+        Scene.assemble(scene.voxmap, scene.shell, few, inner=1.0), "4 frames in contact"
+    )
+
+
+@pytest.mark.parametrize("lifted", [False, True])
+def test_one_press_and_presses_at_one_place(lifted: bool) -> None:
+    rng = np.random.default_rng(1)
+    angle = 1.5 + rng.uniform(-0.01, 0.01, 30)
+    depth = rng.uniform(0.004, 0.012, 30)
+    if lifted:
+        depth[14:16] = -0.02
+    told = "all 2 presses within" if lifted else "one press within"
+    refused(scene_of(angle, np.full(30, 0.1), depth), told)
+
+
+def changed(name: str, **how: object) -> Tuning:
+    """What is found, but for one hyperparameter."""
+
+    def change(one: Hyperparameter) -> Hyperparameter:
+        return replace(one, **how) if one.name == name else one  # type: ignore[arg-type]
+
+    return replace(tuned(), hyperparameters=tuple(map(change, tuned().hyperparameters)))
+
+
+@pytest.mark.parametrize(
+    ("found", "told"),
+    [
+        (("signal_to_noise", {"determined": False}), "do not determine how far"),
+        (("correlation_time", {"at_bound": True}), "correlation_time ended at its"),
+    ],
+)
+def test_what_the_evidence_does_not_bear(
+    found: tuple[str, dict[str, object]], told: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    doubtful = changed(found[0], **found[1])
+    monkeypatch.setattr(weight_choice, "tune", lambda *_, **__: doubtful)
+    refused(drawn(), told)
+
+
+@pytest.mark.slow
+def test_forces_without_noise_end_at_the_bound() -> None:
+    scene = drawn()
+    p = scene.laplace.solve(scene.b)
+    bumps = np.random.default_rng(2).normal(size=len(scene.b))
+    p += 30.0 * scene.laplace.solve(np.where(scene.laplace.free, bumps, 0.0))
+    exact = replace(
+        scene.trajectory,
+        force=(scene.N @ p).reshape(-1, 3),
+        torque=(scene.W @ p).reshape(-1, 3),
+    )
+    silent = Scene.assemble(scene.voxmap, scene.shell, exact, inner="fit")
+    with pytest.warns(TtusWarning, match="signal_to_noise ended at its bound"):
+        choose_weights(silent, "eq10")
+
+
+@pytest.mark.slow
+def test_drag_in_the_recordings_is_chosen_together_with_the_weights() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TtusWarning)
+        clean = dragged_scene("contact")
+    rng, n = np.random.default_rng(4), len(clean.trajectory)
+    assert clean.trajectory.force is not None and clean.trajectory.torque is not None
+    noisy = replace(
+        clean.trajectory,
+        force=clean.trajectory.force + rng.normal(0.0, 0.05, (n, 3)),
+        torque=clean.trajectory.torque + rng.normal(0.0, 1e-3, (n, 3)),
+    )
+    scene = Scene.assemble(clean.voxmap, clean.shell, noisy)
+    choice = choose_weights(scene)
+    assert choice.formulation.name == "coulomb_global"
+    assert choice.tuning is not None
+    named = {h.name: h for h in choice.tuning.hyperparameters}
+    assert named["friction_coefficient"].value == pytest.approx(0.3, abs=0.03)
+
+
+def test_without_drag_it_is_eq10() -> None:
+    choice = choose_weights(drawn())
+    assert choice.formulation.name == "eq10"
+    assert weights(choice) == pytest.approx(tuned().weights, rel=0.2)
+
+
+def test_a_formulation_that_cannot_be_tuned_keeps_its_weights() -> None:
+    with pytest.warns(TtusWarning, match=r"coulomb_drag cannot be tuned.*are used"):
+        choice = choose_weights(drawn(), "coulomb_drag", strict=False)
+    assert choice.tuning is None and weights(choice) == OWN
+    with pytest.raises(InputError, match="cannot be tuned"):
+        choose_weights(drawn(), "coulomb_drag")
+    with pytest.raises(InputError, match="has no option"):
+        choose_weights(drawn(), "eq10", {"strength": 1.0})
+
+
+def test_weights_that_were_given_are_nothing_to_choose(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    assert has_weights("eq10") and has_weights("coulomb_global")
+    assert not has_weights("laplace_only")
+    assert not has_weights("depth_map")  # chooses its own
+    own = tmp_path / "own.py"
+    own.write_text("def build(scene, strength: float = 1.0): ...\n", encoding="utf-8")
+    assert not has_weights(own)
+    declared = tt.load_formulation("eq10", drawn())
+    assert isinstance(declared, Formulation) and not has_weights(declared)
+    with pytest.raises(InputError, match="chooses force_weight"):
+        choose_weights(drawn(), "eq10", {"force_weight": 1.0})
+
+
+def test_a_library_fit_has_the_weights_it_names() -> None:
+    poses = presses(torso(), 20, np.random.default_rng(0))
+    scene = Scene.assemble(small_scene("trilinear").voxmap, drawn().shell, poses)
+    solution = tt.fit(scene, "eq10")
+    assert {n: solution.weights[n] for n in OWN} == OWN

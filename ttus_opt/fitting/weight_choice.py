@@ -1,0 +1,185 @@
+"""The weights of a fit: chosen from its recordings where these bear it, else its own.
+
+`tune` finds the likeliest weights of whatever it is given. Here stands what it needs to
+be trusted without a look: enough frames at more than one place, a weight that the
+recordings determine, and no hyperparameter at its bound. Otherwise a `TtusWarning` says
+which of these is missing, and the formulation's own weights are used.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.fitting.contact_spread import contact_spread
+from ttus_opt.fitting.tuning import CANDIDATES, Tuning, tune
+from ttus_opt.fitting.tuning_candidate import SIGNAL_TO_NOISE
+from ttus_opt.fitting.weight_criteria import presses
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.formulation import Formulation
+from ttus_opt.scene import Scene
+
+#: Fewer frames in contact than this tell nothing of three or four hyperparameters [–]
+LEAST_FRAMES = 12
+
+#: What is fitted where nothing is asked for and nothing can be chosen
+USUAL = "eq10"
+
+
+@dataclass(frozen=True)
+class WeightChoice:
+    """What to fit: ``fit(choice.scene, choice.formulation)``.
+
+    Attributes:
+        scene: With the boundary scale as found.
+        formulation: With the weights as found, or its own.
+        tuning: How they were found; None where they are the formulation's own.
+        reason: Why these are used; empty where weights were found, or not looked for.
+    """
+
+    scene: Scene = field(repr=False)
+    formulation: Formulation
+    tuning: Tuning | None = field(default=None, repr=False)
+    reason: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """What was chosen and how sure that is, for JSON."""
+        weights = {t.name: t.weight for t in self.formulation.terms if t.measures}
+        if self.tuning is None:
+            return {"by": "formulation", "weights": weights, "reason": self.reason}
+        return {
+            "by": "marginal likelihood",
+            "reason": "",
+            "weights": weights,
+            "weight_factors": dict(self.tuning.weight_factors),
+            "hyperparameters": {h.name: asdict(h) for h in self.tuning.hyperparameters},
+            "not_determined": list(self.tuning.not_determined),
+            "noise_N": self.tuning.noise,
+            "left_out_force_error_N": self.tuning.left_out_force_error,
+            "log_marginal": dict(self.tuning.candidates),
+            "tuned_on": list(self.tuning.shape),
+            "seconds": self.tuning.seconds,
+        }
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The same in words."""
+        if self.tuning is None:
+            return ()
+        factors = self.tuning.weight_factors
+        told = ", ".join(
+            f"{name} {weight:.3g} (×/÷ {factors[name]:.2f})"
+            for name, weight in self.tuning.weights.items()
+        )
+        lines = [
+            f"weights chosen from the recordings: {told}, for an error of a force "
+            f"component of {self.tuning.noise:.2f} N"
+        ]
+        if self.tuning.not_determined:
+            names = ", ".join(self.tuning.not_determined)
+            lines.append(f"not determined by the recordings, prior value kept: {names}")
+        return tuple(lines)
+
+
+def has_weights(formulation: str | Path | Formulation) -> bool:
+    """Whether it is named and has options for weights that are numbers by default.
+
+    Others were given their weights, have none, or choose them on their own.
+    """
+    if isinstance(formulation, Formulation):
+        return False
+    usual = (shelf.option_defaults(formulation) or {}).items()
+    values = [value for name, value in usual if is_weight(name)]
+    return bool(values) and None not in values
+
+
+def is_weight(option: str) -> bool:
+    """Whether an option of a formulation is the weight of a term."""
+    return option.endswith("_weight")
+
+
+def choose_weights(
+    scene: Scene,
+    formulation: str | Path | Formulation | None = None,
+    options: Mapping[str, Any] | None = None,
+    *,
+    strict: bool = True,
+    progress: Callable[[str], None] | None = None,
+) -> WeightChoice:
+    """Choose weights and boundary scale by marginal likelihood, or say why not.
+
+    Args:
+        scene: Patient, probe and measurements.
+        formulation: What to fit; None for eq. 10, with drag where the recordings show
+            it (`CANDIDATES`).
+        options: Of the formulation; no weights among them.
+        strict: Whether a formulation that cannot be tuned is an error, and not a
+            warning.
+        progress: As of `tune`.
+
+    Raises:
+        InputError: Weights among the options, an unknown formulation or option, or one
+            that cannot be tuned.
+    """
+    options = options or {}
+    given = [name for name in options if is_weight(name)]
+    if given:
+        raise InputError(f'weights="auto" chooses {given[0]}: give one or the other')
+    asked = CANDIDATES if formulation is None else (formulation,)
+    usual = USUAL if formulation is None else formulation
+    own = shelf.load(usual, scene, **options)  # tells what is wrong with it
+    reason = _too_little(scene)
+    if not reason:
+        try:
+            tuned = tune(scene, asked, compare=False, progress=progress, **options)
+        except InputError as error:
+            if strict:
+                raise
+            reason = str(error)
+        else:
+            reason = _doubt(tuned)
+            if not reason:
+                return WeightChoice(tuned.scene, tuned.formulation, tuned)
+    weights = (f"{t.name} {t.weight:g}" for t in own.terms if t.measures)
+    warnings.warn(
+        f"weights were not chosen from the recordings: {reason}; those of "
+        f"{own.name} are used ({', '.join(weights)})",
+        TtusWarning,
+        stacklevel=2,
+    )
+    return WeightChoice(scene, own, reason=reason)
+
+
+def _too_little(scene: Scene) -> str:
+    """Why the recordings cannot bear any weight; empty where they may."""
+    touching = scene.rows.contact_points > 0
+    if not touching.any():
+        return "the probe touches the patient in no frame"
+    if touching.sum() < LEAST_FRAMES:
+        return f"{touching.sum()} frames in contact are too few, record longer"
+    spread, size = contact_spread(scene), scene.shell.rms_radius
+    if spread < size:
+        count = len(np.unique(presses(scene)[touching]))
+        told = "one press" if count == 1 else f"all {count} presses"
+        return (
+            f"{told} within {1e3 * spread:.0f} mm, less than the probe's own size, "
+            "tells nothing of other places: press at several"
+        )
+    return ""
+
+
+def _doubt(found: Tuning) -> str:
+    """Why what was found is not used; empty where it is."""
+    for one in found.hyperparameters:
+        if one.name == SIGNAL_TO_NOISE and not one.determined:
+            return "they do not determine how far to trust them (signal_to_noise)"
+        if one.at_bound or not math.isfinite(one.value):
+            return f"{one.name} ended at its bound, {one.value:.3g}"
+    return ""
