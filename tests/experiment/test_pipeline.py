@@ -14,12 +14,14 @@ from ttus_opt.experiment.boundary import FACTORS
 from ttus_opt.experiment.patients import patients
 from ttus_opt.experiment.pipeline import ITSELF
 from ttus_opt.experiment.settings import compared
+from ttus_opt.experiment.tables import title
 
 PLAN = experiment.Plan(
     shape=(16, 48, 24),
     formulations=("eq10", "eq10_sign"),
     resolution=3.5,
     patients=("lean",),
+    weights="auto",
 )
 
 
@@ -54,6 +56,18 @@ def test_measured_forces_help_and_matter_more_than_the_boundary_value(done):
     before = [row.before_N for row in result.boundary]
     after = [row.after_N for row in result.boundary]
     assert np.ptp(after) < 0.2 * np.ptp(before)
+
+
+@pytest.mark.slow
+def test_weights_are_chosen_and_told(done):
+    folder, result, _ = done
+    told = json.loads((folder / "lean" / "eq10_auto.json").read_text(encoding="utf-8"))
+    choice = told["facts"]["weights_chosen"]
+    assert choice["by"] == "marginal likelihood"
+    assert choice["weights"]["force"] not in (0.0, 1.0)
+    rows = [r.score for r in result.rows if r.setting == "eq10_auto" and not r.seen]
+    assert len(rows) == 4
+    assert "eq. 10, weights by evidence" in (folder / "report.md").read_text("utf-8")
 
 
 @pytest.mark.slow
@@ -105,6 +119,19 @@ def test_weights_are_for_formulations_that_do_not_choose_their_own():
         compared(("eq10", "eq10"), 1.0)
     with pytest.raises(InputError, match="eq99"):
         compared(("eq99",), 1.0)
+
+
+def test_weights_from_the_recordings_stand_beside_the_given_ones():
+    plan = experiment.Plan(formulations=("eq10", "depth_map"), weights="auto")
+    given = experiment.Plan(formulations=("eq10", "depth_map"))
+    more = plan.settings[len(given.settings) :]
+    assert plan.settings[: len(given.settings)] == given.settings
+    assert [(s.name, s.chooses) for s in more] == [("eq10_auto", True)]
+    assert "chooses" not in given.settings[0].as_dict()
+    assert more[0].as_dict()["chooses"] and not more[0].options
+    assert title("eq10_auto") == "eq. 10, weights by evidence"
+    with pytest.raises(InputError, match="given or auto"):
+        experiment.Plan(weights="evidence")
 
 
 def test_refuses_plans_that_cannot_be_done(tmp_path):

@@ -38,6 +38,13 @@ def experiment(
         float,
         typer.Option(help="λ_f = λ_τ of formulations that do not choose their own."),
     ] = 1.0,
+    weights: Annotated[
+        str,
+        typer.Option(
+            help="auto: these once more, with weights chosen from the recordings; "
+            "given: not.",
+        ),
+    ] = "given",
     torso: Annotated[
         Path | None,
         typer.Option(help="A scan whose skin the third patient gets; else made up."),
@@ -75,6 +82,7 @@ def experiment(
         torso_unit,
         _listed(patients),
         _listed(comparators),
+        weights,
     )
     with Stages(n_stages(plan)) as begin:
         result = run(output, plan, progress=begin)

@@ -20,6 +20,7 @@ from ttus_opt.experiment.recordings import Examination
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import Setting
 from ttus_opt.fitting.batch import fit
+from ttus_opt.fitting.weight_choice import choose_weights
 from ttus_opt.haptic.field_wrench import FieldWrenches
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.problem.solution import Status
@@ -103,13 +104,22 @@ class PatientFits:
             rows = tuple(Row.from_dict(row) for row in kept["rows"])
             return Fitted(setting.name, rows, kept["facts"], self._field(setting))
         begin = time.process_time()
-        solution = fit(self.scene(setting), setting.formulation, **setting.options)
+        scene, weights = self.scene(setting), {}
+        if setting.chooses:
+            choice = choose_weights(
+                scene, setting.formulation, setting.options, strict=False
+            )
+            solution = fit(choice.scene, choice.formulation)
+            weights = {"weights_chosen": choice.as_dict()}
+        else:
+            solution = fit(scene, setting.formulation, **setting.options)
         facts: dict[str, Any] = {
             "status": solution.status.name.lower(),
             "solver": solution.solver,
             "processor_seconds": round(time.process_time() - begin, 2),
             "parameters": dict(solution.parameters),
             "not_identified": dict(solution.not_identified),
+            **weights,
         }
         found = None
         rows = ()

@@ -26,6 +26,7 @@ from ttus_opt.experiment.settings import (
     PAPER_WITHOUT,
     WEIGHT,
     Setting,
+    chosen,
     compared,
     without_torque,
 )
@@ -44,6 +45,8 @@ class Plan:
         shape: Voxels in r, θ and z [–].
         formulations: Compared, names or paths.
         weight: λ_f = λ_τ of formulations that do not choose their own.
+        weights: ``auto`` fits those once more, with weights chosen from the recordings
+            by marginal likelihood; ``given`` does not.
         resolution: Of the finite elements: multiplies every node spacing; 1 is fine.
         torso: A scan whose skin the third patient has; None for a made-up one.
         torso_unit: Of that file.
@@ -59,13 +62,17 @@ class Plan:
     torso_unit: str = "mm"
     patients: Sequence[str] = ()
     comparators: Sequence[str] = ()
+    weights: str = "given"
 
     def __post_init__(self) -> None:
-        """Validate the numbers.
+        """Validate numbers and words.
 
         Raises:
-            InputError: A weight or resolution that is not positive.
+            InputError: A weight or resolution that is not positive, or another word
+                than given or auto.
         """
+        if self.weights not in ("given", "auto"):
+            raise InputError(f"weights takes given or auto, got {self.weights!r}")
         if not (self.weight > 0.0 and 0.3 <= self.resolution <= 10.0):
             raise InputError(
                 "the experiment needs a weight above 0 and a resolution from 0.3 to "
@@ -83,7 +90,8 @@ class Plan:
         eq10 = compared(("eq10",), self.weight)
         own = (PAPER_WITHOUT, PAPER_WITH, LAPLACE, without_torque(self.weight), *eq10)
         taken = {each.name for each in own}
-        return (*own, *(each for each in others if each.name not in taken))
+        more = chosen(self.formulations) if self.weights == "auto" else ()
+        return (*own, *(each for each in others if each.name not in taken), *more)
 
     @property
     def rivals(self) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from ttus_opt import paper
 from ttus_opt.errors import InputError
+from ttus_opt.fitting.weight_choice import has_weights
 from ttus_opt.problem.formulation import available, option_names
 
 #: Compared by default, after those of the tables
@@ -17,6 +18,9 @@ FORMULATIONS = ("eq10", "coulomb_global", "depth_map", "depth_map_coulomb")
 
 #: λ_f = λ_τ of formulations that do not choose their own
 WEIGHT = 1.0
+
+#: Ends the name of a setting whose weights are chosen from the recordings
+CHOSEN = "_auto"
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,8 @@ class Setting:
         outer: p_out; where p_in is fitted the ratio p_out / p_in.
         sampling: ``trilinear`` or ``voxel-mean``.
         boundary: ``subvoxel`` or ``staircase``.
+        chooses: Whether its weights are chosen from the recordings, by marginal
+            likelihood.
     """
 
     name: str
@@ -40,6 +46,7 @@ class Setting:
     outer: float = 1.0
     sampling: str = "trilinear"
     boundary: str = "subvoxel"
+    chooses: bool = False
 
     @property
     def scene_key(self) -> tuple[object, ...]:
@@ -48,7 +55,7 @@ class Setting:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, and for knowing whether a kept result is of this setting."""
-        return {
+        told = {
             "name": self.name,
             "formulation": self.formulation,
             "options": dict(self.options),
@@ -57,6 +64,8 @@ class Setting:
             "sampling": self.sampling,
             "boundary": self.boundary,
         }
+        # a result that was kept before there was a choice is still of its setting
+        return told | ({"chooses": True} if self.chooses else {})
 
 
 #: The paper's: without and with measured forces, its boundary, values and weights
@@ -91,6 +100,19 @@ def compared(formulations: Sequence[str], weight: float) -> tuple[Setting, ...]:
     if len(set(names)) < len(names):
         raise InputError(f"formulations are named twice: {', '.join(names)}")
     return settings
+
+
+def chosen(formulations: Sequence[str]) -> tuple[Setting, ...]:
+    """A setting with weights from the recordings for every formulation that has some.
+
+    Raises:
+        InputError: An unknown formulation.
+    """
+    return tuple(
+        Setting(f"{Path(name).stem}{CHOSEN}", name, chooses=True)
+        for name in formulations
+        if has_weights(name)
+    )
 
 
 def _weights(name: str, weight: float) -> Mapping[str, float]:

@@ -13,7 +13,12 @@ from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.pipeline import ITSELF, ExperimentResult
 from ttus_opt.experiment.rivals import PREFIX
 from ttus_opt.experiment.scores import Row, Score
-from ttus_opt.experiment.settings import LAPLACE, PAPER_WITH, PAPER_WITHOUT
+from ttus_opt.experiment.settings import (
+    CHOSEN,
+    LAPLACE,
+    PAPER_WITH,
+    PAPER_WITHOUT,
+)
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.report.document import Table
 from ttus_opt.report.hysteresis import hysteresis_share
@@ -37,7 +42,9 @@ _ANGLE: Reading = lambda s: s.force_angle_error_deg  # noqa: E731
 
 def title(setting: str) -> str:
     """A setting's name as a table prints it."""
-    return TITLES.get(setting, setting)
+    plain = setting.removesuffix(CHOSEN)
+    told = TITLES.get(plain, plain)
+    return told if plain == setting else f"{told}, weights by evidence"
 
 
 def select(rows: Iterable[Row], **wanted: object) -> list[Row]:
