@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.errors import InputError, TtusWarning
-from ttus_opt.fitting.contact_spread import contact_spread
+from ttus_opt.fitting.contact_spread import SPOT, contact_spread
 from ttus_opt.fitting.tuning import CANDIDATES, Tuning, tune
 from ttus_opt.fitting.tuning_candidate import SIGNAL_TO_NOISE
 from ttus_opt.fitting.weight_criteria import presses
@@ -164,14 +164,15 @@ def _too_little(scene: Scene) -> str:
         return "the probe touches the patient in no frame"
     if touching.sum() < LEAST_FRAMES:
         return f"{touching.sum()} frames in contact are too few, record longer"
-    spread, size = contact_spread(scene), scene.shell.rms_radius
-    if spread < size:
-        count = len(np.unique(presses(scene)[touching]))
-        told = "one press" if count == 1 else f"all {count} presses"
+    count = len(np.unique(presses(scene)[touching]))
+    spread = contact_spread(scene)
+    if count == 1 and spread < scene.shell.rms_radius:
         return (
-            f"{told} within {1e3 * spread:.0f} mm, less than the probe's own size, "
+            f"one press within {1e3 * spread:.0f} mm, less than the probe's own size, "
             "tells nothing of other places: press at several"
         )
+    if spread < SPOT:
+        return f"all presses within {1e3 * spread:.1f} mm: press at several places"
     return ""
 
 
