@@ -128,6 +128,19 @@ def test_torques_about_the_poses_origin_are_told() -> None:
     assert found.shell_centroid == pytest.approx((0.0, 0.0, 0.06), abs=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
+def test_torques_about_a_point_of_the_sensor_are_told() -> None:
+    """A sensor 8 cm above the probe and 2 cm beside it, whose place was not told."""
+    own = recording("sweep_fit")
+    arm = own.rotation @ np.array([0.02, 0.0, 0.08])
+    found = report(replace(own, torque=own.torque - np.cross(arm, own.force)))
+    assert found.mistake is not None
+    option, point = found.mistake.mends.split()
+    assert option == "--torque-about"
+    told = np.array(point.split(","), dtype=float)
+    assert told == pytest.approx([0.02, 0.0, 0.08], abs=0.01)
+
+
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::ttus_opt.TtusWarning")
 def test_residuals_and_contacts_are_those_of_each_recording() -> None:

@@ -22,10 +22,13 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
+from ttus_opt.fitting.agreement import agreement
+from ttus_opt.fitting.torque_point import torque_offset
 from ttus_opt.probe.conventions import QUATERNIONS, Conventions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
@@ -43,6 +46,10 @@ DELAYS = (-0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4)
 
 #: Torques this many times too large are in N·mm
 WRONG_UNIT = 100.0
+
+#: Torques are about another point when it lies so far from the one that was told, and
+#: no farther than a sensor sits from the skin [m]
+FAR, FARTHEST = 0.01, 0.5
 
 #: A centroid this near the pose's origin leaves nothing to mistake [m]
 NEAR = 3e-3
@@ -239,14 +246,23 @@ def _likely_mistake(
     frames = np.linspace(0, len(written) - 1, FRAMES)
     chosen = np.unique(frames.astype(np.int64))
     prior = scene.laplace.solve(scene.b)
-    own = _agreement(scene, prior, scene.trajectory.select(chosen))
+    own = agreement(scene, prior, scene.trajectory.select(chosen))
     best: Mistake | None = None
     for what, mends, reread in _readings(scene, written, told):
         # read as a whole first: an instant needs its neighbours
-        other = _agreement(scene, prior, reread.select(chosen))
+        other = agreement(scene, prior, reread.select(chosen))
         bound = CLEARLY * own.disagreement if best is None else best.after
         if other.disagreement < bound:
             best = Mistake(what, mends, own.disagreement, other.disagreement)
+    moved = _about_another_point(scene, prior, written, told, chosen)
+    if moved is not None:
+        mends, after = moved
+        if after < CLEARLY * (own.disagreement if best is None else best.after):
+            x, y, z = (1e3 * v for v in mends.point(np.asarray(scene.shell.reference)))
+            what = f"torques about ({x:.0f}, {y:.0f}, {z:.0f}) mm of the probe's frame"
+            return own.disagreement, Mistake(
+                what, mends.options, own.disagreement, after
+            )
     if best is None and told.torque_unit == "Nm" and own.torque_ratio > WRONG_UNIT:
         mends = replace(told, torque_unit="Nmm").options
         size = f"{own.torque_ratio:.0f} times those expected"
@@ -254,6 +270,39 @@ def _likely_mistake(
             f"torques in N·mm, {size}", mends, own.disagreement, own.disagreement
         )
     return own.disagreement, best
+
+
+def _about_another_point(
+    scene: Scene,
+    prior: Array,
+    written: Trajectory,
+    told: Conventions,
+    chosen: NDArray[np.int64],
+) -> tuple[Conventions, float] | None:
+    """The reading about the point that torques themselves tell, and its S.
+
+    None without torques, or where that point is the one that was told.
+    """
+    frames = scene.trajectory.select(chosen)
+    if frames.torque is None or frames.force is None:
+        return None
+    rows = contact_rows(
+        scene.voxmap,
+        scene.shell,
+        frames.rotation,
+        frames.position,
+        sampling=scene.sampling,
+    )
+    expected = (rows.W @ prior).reshape(-1, 3)
+    c = torque_offset(frames.torque, expected, frames.force, frames.rotation)
+    if not FAR < np.linalg.norm(c) < FARTHEST:
+        return None
+    centroid = np.asarray(scene.shell.reference)
+    point = tuple(np.round(told.point(centroid) + c, 3).tolist())
+    other = replace(told, torque_about=point)
+    reread = other.read(written, centroid, scene.voxmap.surface.axis.scan_to_patient)
+    found = agreement(scene, prior, reread.select(chosen))
+    return other, found.disagreement
 
 
 def _readings(
@@ -330,42 +379,6 @@ def _difference(told: Conventions, other: Conventions) -> str:
         late = other.wrench_delay - told.wrench_delay
         words.append(f"wrenches {abs(late):.1g} s {'later' if late > 0 else 'earlier'}")
     return " and ".join(words)
-
-
-@dataclass(frozen=True)
-class _Agreement:
-    """S, and how much larger torques are than those of the Laplace field [–]."""
-
-    disagreement: float
-    torque_ratio: float
-
-
-def _agreement(scene: Scene, prior: Array, frames: Trajectory) -> _Agreement:
-    """S of some frames; `prior` is p₀, shape (V,)."""
-    rows = contact_rows(
-        scene.voxmap,
-        scene.shell,
-        frames.rotation,
-        frames.position,
-        sampling=scene.sampling,
-    )
-    assert frames.force is not None
-    s, force_left = _scaled(frames.force.reshape(-1), rows.N @ prior)
-    if frames.torque is None:
-        return _Agreement(force_left, 0.0)
-    k, torque_left = _scaled(frames.torque.reshape(-1), rows.W @ prior)
-    left = math.sqrt(force_left * torque_left)
-    return _Agreement(left, k / s if s > 0.0 else 0.0)
-
-
-def _scaled(measured: Array, expected: Array) -> tuple[float, float]:
-    """The scale ≥ 0 that fits best, and ‖rest‖²/‖measured‖²; 1 where nothing is."""
-    size, own = float(measured @ measured), float(expected @ expected)
-    if size == 0.0 or own == 0.0:
-        return 0.0, float(size > 0.0)
-    scale = max(float(measured @ expected) / own, 0.0)
-    rest = measured - scale * expected
-    return scale, float(rest @ rest) / size
 
 
 def _mean_size(vectors: Array) -> float:
