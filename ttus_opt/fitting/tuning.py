@@ -119,7 +119,7 @@ def tune(
     """Choose weights, boundary scale, friction and options by marginal likelihood.
 
     Limits of a formulation, such as p ≥ 0, are left out: the evidence is that of the
-    Gaussian without them. A grid of more than 20,000 voxels is tuned on a coarser one;
+    Gaussian without them. A grid of more than 16,000 voxels is tuned on a coarser one;
     a Formulation that is an object, on its own.
 
     Args:
