@@ -68,6 +68,15 @@ def test_too_few_frames() -> None:
     )
 
 
+def test_forces_of_the_wrong_sign() -> None:
+    own = drawn().trajectory
+    assert own.force is not None and own.torque is not None
+    flipped = replace(own, force=-own.force, torque=-own.torque)
+    with pytest.warns(TtusWarning, match="push into the patient"):
+        scene = Scene.assemble(drawn().voxmap, drawn().shell, flipped)
+    refused(scene, "chosen from the recordings: the forces push into the patient")
+
+
 @pytest.mark.parametrize("lifted", [False, True])
 def test_one_press_and_presses_at_one_place(lifted: bool) -> None:
     rng = np.random.default_rng(1)

@@ -256,12 +256,13 @@ def _likely_mistake(
             best = Mistake(what, mends, own.disagreement, other.disagreement)
     moved = _about_another_point(scene, prior, written, told, chosen)
     if moved is not None:
-        mends, after = moved
+        reading, after = moved
         if after < CLEARLY * (own.disagreement if best is None else best.after):
-            x, y, z = (1e3 * v for v in mends.point(np.asarray(scene.shell.reference)))
+            point = reading.point(np.asarray(scene.shell.reference))
+            x, y, z = (1e3 * v for v in point)
             what = f"torques about ({x:.0f}, {y:.0f}, {z:.0f}) mm of the probe's frame"
             return own.disagreement, Mistake(
-                what, mends.options, own.disagreement, after
+                what, reading.options, own.disagreement, after
             )
     if best is None and told.torque_unit == "Nm" and own.torque_ratio > WRONG_UNIT:
         mends = replace(told, torque_unit="Nmm").options

@@ -7,6 +7,7 @@ differs, a few random probes of both tell.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -14,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.marginal_likelihood import MeasuredSeries
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem.formulation import Formulation
@@ -175,7 +176,9 @@ def coarser(scene: Scene) -> Scene:
         scene.sampling,
         scene.voxmap.boundary,
     )
-    return plan.build(scene.voxmap.surface, scene.shell, scene.trajectory)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TtusWarning)  # said of the scene itself
+        return plan.build(scene.voxmap.surface, scene.shell, scene.trajectory)
 
 
 def _compiled(declared: Formulation) -> tuple[Program, list[ProgramTerm]]:

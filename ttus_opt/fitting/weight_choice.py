@@ -24,7 +24,7 @@ from ttus_opt.fitting.tuning_candidate import SIGNAL_TO_NOISE
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
-from ttus_opt.scene import Scene
+from ttus_opt.scene import BOUNDARY_SCALE, Scene
 
 #: Fewer frames in contact than this tell nothing of three or four hyperparameters [–]
 LEAST_FRAMES = 12
@@ -164,6 +164,8 @@ def _too_little(scene: Scene) -> str:
         return "the probe touches the patient in no frame"
     if touching.sum() < LEAST_FRAMES:
         return f"{touching.sum()} frames in contact are too few, record longer"
+    if BOUNDARY_SCALE in scene.not_identified:
+        return scene.not_identified[BOUNDARY_SCALE]
     count = len(np.unique(presses(scene)[touching]))
     spread = contact_spread(scene)
     if count == 1 and spread < scene.shell.rms_radius:
