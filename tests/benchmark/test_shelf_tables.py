@@ -1,0 +1,108 @@
+"""The documentation's tables of the shelf, and the README's rows that are measured."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.benchmark.rows import failed, row
+from ttus_opt.benchmark.row import Row
+
+FOLDER = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+def script(name: str) -> Any:
+    spec = importlib.util.spec_from_file_location(name, FOLDER / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+TABLES = script("shelf_tables")
+
+
+def answer(formulation: str, seconds: float, **other: Any) -> Row:
+    solver = other.pop("solver", "auto")
+    told = {"formulation": formulation, "cpu_first": seconds, "taken": "structured"}
+    return row(solver, 99.0, 1.0, **told, **other)
+
+
+ROWS = [
+    answer("eq10", 0.1),
+    answer("eq10", 1.0, case="M", voxels=518_400),
+    answer("tikhonov", 0.2),
+    answer("tikhonov", 2.0, solver="scs"),
+    answer("tikhonov", 6.0, case="M", voxels=518_400),
+    answer("tikhonov", 41.0, case="L", voxels=1_080_000),
+    answer("robust", 20.0, case="M", voxels=518_400),
+    failed("auto") | {"formulation": "total_variation", "case": "M"},
+]
+
+
+def test_ratios_growth_and_failures_by_hand() -> None:
+    lines = {
+        line.split("|")[1].strip(): [cell.strip() for cell in line.split("|")[2:-1]]
+        for line in TABLES.shelf_table(ROWS).splitlines()[2:]
+    }
+    assert list(lines) == ["eq10", "tikhonov", "robust", "total_variation"]
+    assert lines["eq10"][:5] == ["structured", "0.1", "1 ×", "1", "1 ×"]
+    assert lines["eq10"][7] == "1.00"  # ten times the voxels, ten times the time
+    assert lines["tikhonov"][1:6] == ["0.2", "2 ×", "6", "6 ×", "41"]
+    assert lines["total_variation"][3] == "(time limit)"
+    assert math.isnan(TABLES.growth(ROWS[:1]))
+
+
+def test_missed_goals_are_told_and_met_ones_are_not() -> None:
+    told = TABLES.missed(ROWS)
+    assert [line.split(":")[0].split(" (")[0] for line in told] == [
+        "`tikhonov` on M",
+        "`total_variation` on M",
+        "`tikhonov` on L",
+        "`tikhonov` grows like V^1.69",
+        "`tikhonov` on S",
+    ]
+    assert told[-1].endswith("10 × faster than the best general solver (goal 20 ×)")
+
+
+def test_a_folder_is_read_once_and_markers_are_filled(tmp_path: Path) -> None:
+    text = "".join(json.dumps([each]) + "\n" for each in (*ROWS, ROWS[0]))
+    (tmp_path / "rows.jsonl").write_text(text, encoding="utf-8")
+    keys = {each["key"] for each in ROWS}
+    assert sorted(each["key"] for each in TABLES.read([tmp_path, tmp_path])) == sorted(
+        keys
+    )
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- a: begin -->\nold\n<!-- a: end -->\nafter\n")
+    for _ in range(2):  # filling in again changes nothing
+        TABLES.filled(page, "a", "new")
+        assert page.read_text() == (
+            "before\n<!-- a: begin -->\n\nnew\n\n<!-- a: end -->\nafter\n"
+        )
+    with pytest.raises(ValueError, match="markers"):
+        TABLES.filled(page, "b", "new")
+
+
+def test_the_markers_are_in_the_pages() -> None:
+    root = FOLDER.parent
+    for page, names in (
+        (root / "docs" / "benchmark.md", "shelf general profile contest missed"),
+        (root / "README.md", "shelf"),
+    ):
+        text = page.read_text(encoding="utf-8")
+        for name in names.split():
+            assert text.count(f"<!-- {name}: begin -->") == 1, (page, name)
+            assert text.count(f"<!-- {name}: end -->") == 1, (page, name)
+
+
+def test_every_row_of_the_readme_is_measured() -> None:
+    rows = script("readme_rows")
+    assert [rows.begins(row) for row in rows.readme_rows()] == list(rows.ROWS)
+    with pytest.raises(KeyError, match="put it into ROWS"):
+        rows.begins("a new row")
