@@ -59,6 +59,15 @@ def test_ratios_growth_and_failures_by_hand() -> None:
     assert math.isnan(TABLES.growth(ROWS[:1]))
 
 
+def test_late_by_the_clock_of_a_busy_machine_is_not_late() -> None:
+    late = answer("eq10", 30.0, status="time limit", detail="solved after 184 s")
+    assert TABLES.solved(late)  # its limit is 100 s
+    assert not TABLES.solved(late | {"cpu_first": 101.0})
+    assert not TABLES.solved(late | {"detail": "MaxTime"})
+    (told,) = TABLES.profile_rows([late | {"solver": "scs"}])
+    assert (told["status"], told["seconds_first"]) == ("solved", 30.0)
+
+
 def test_missed_goals_are_told_and_met_ones_are_not() -> None:
     told = TABLES.missed(ROWS)
     assert [line.split(":")[0].split(" (")[0] for line in told] == [
