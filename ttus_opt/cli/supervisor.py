@@ -39,27 +39,31 @@ def run_supervised(command: str) -> None:
     computes = command[:1] not in ("", "-") and command not in ALONE
     if not (computes and hasattr(os, "fork")):
         return
+    # none may strike before both have their handlers
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT, signal.SIGTERM))
     child = os.fork()
     if child:
-        os._exit(_watch(child, LONGER.get(command, GRACE)))
+        os._exit(_watch(child, LONGER.get(command, GRACE), before))
     _end_with_parent()
     if signal.getsignal(signal.SIGINT) != signal.SIG_IGN:
         # a terminal interrupts parent and child alike: only the parent's word counts,
         # or the second interrupt would strike while the first is cleaned up after
         signal.signal(signal.SIGINT, lambda *_: None)
         signal.signal(INTERRUPT, _interrupt)
+    signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
-def _watch(child: int, grace: float) -> int:
+def _watch(child: int, grace: float, mask: set[signal.Signals | int]) -> int:
     """Wait for a child and pass signals on; the exit status it leaves.
 
     Args:
         child: Its process number.
         grace: What it is given to clean up; a second interrupt ends it at once [s].
+        mask: Signals to be blocked once those are handled that were blocked.
     """
     stopped: list[int] = []
 
@@ -75,6 +79,7 @@ def _watch(child: int, grace: float) -> int:
         signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGALRM, lambda *_: os.kill(child, signal.SIGKILL))
+    signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     _, status = os.waitpid(child, 0)
     code = os.waitstatus_to_exitcode(status)
     if not stopped:

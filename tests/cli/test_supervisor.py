@@ -1,0 +1,122 @@
+"""The process that waits for a command: it ends as the command does."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from ttus_opt.cli import supervisor
+
+pytestmark = pytest.mark.skipif(
+    not hasattr(os, "fork"), reason="the system cannot fork"
+)
+
+#: What a child is given to clean up here [s]
+GRACE = 0.2
+
+#: A command that does what follows, without loading the rest of the package
+COMMAND = f"""
+import importlib.util, os, signal, sys, time
+spec = importlib.util.spec_from_file_location("supervisor", {supervisor.__file__!r})
+supervisor = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(supervisor)
+supervisor.GRACE = {GRACE}
+supervisor.run_supervised("fit")
+"""
+
+
+@pytest.fixture
+def started(tmp_path: Path) -> Iterator[list[subprocess.Popen[str]]]:
+    """Processes that are ended whatever happens."""
+    running: list[subprocess.Popen[str]] = []
+    yield running
+    for process in running:
+        process.kill()
+        process.communicate()
+
+
+def command(does: str, started: list[subprocess.Popen[str]]) -> subprocess.Popen[str]:
+    """A supervised process, once it says that it is at work."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", f"{COMMAND}\nprint('at work', flush=True)\n{does}"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)},
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    started.append(process)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "at work\n"
+    return process
+
+
+@pytest.mark.parametrize(
+    ("does", "status"),
+    [
+        ("sys.exit(2)", 2),
+        ("pass", 0),
+        ("os.kill(os.getpid(), signal.SIGKILL)", -signal.SIGKILL),
+        ("os.kill(os.getpid(), signal.SIGSEGV)", -signal.SIGSEGV),
+    ],
+)
+def test_it_ends_as_its_child(
+    does: str, status: int, started: list[subprocess.Popen[str]]
+) -> None:
+    assert command(does, started).wait(20.0) == status
+
+
+@pytest.mark.parametrize(
+    ("sent", "status"),
+    [
+        (signal.SIGINT, supervisor.INTERRUPTED),
+        (signal.SIGTERM, supervisor.TERMINATED),
+    ],
+)
+def test_a_child_that_hears_nothing_is_ended(
+    sent: signal.Signals, status: int, started: list[subprocess.Popen[str]]
+) -> None:
+    deaf = "signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())"
+    process = command(f"{deaf}\nprint('deaf', flush=True)\ntime.sleep(60)", started)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "deaf\n"
+    start = time.monotonic()
+    process.send_signal(sent)
+    assert process.wait(20.0) == status
+    assert time.monotonic() - start >= GRACE
+    assert process.stderr is not None
+    assert ("nothing further was written" in process.stderr.read()) == (
+        sent == signal.SIGINT
+    )
+
+
+def test_a_child_cleans_up_within_its_time(
+    started: list[subprocess.Popen[str]],
+) -> None:
+    does = """
+try:
+    time.sleep(60)
+except KeyboardInterrupt:
+    print('clean', flush=True)
+    sys.exit(130)
+"""
+    process = command(does, started)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(20.0) == supervisor.INTERRUPTED
+    assert process.stdout is not None
+    assert process.stdout.read() == "clean\n"
+
+
+@pytest.mark.parametrize("word", ["", "--help", *supervisor.ALONE])
+def test_what_is_over_at_once_has_no_child(
+    word: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "fork", lambda: pytest.fail("forked"))
+    supervisor.run_supervised(word)

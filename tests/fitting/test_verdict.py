@@ -1,0 +1,106 @@
+"""What a solver's answer and its word come to: residuals decide, proofs are asked."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.sparse.linalg
+
+from tests.conftest import small_scene
+from tests.solvers.problems import bounds, program, rows, term
+from ttus_opt.errors import InputError
+from ttus_opt.fitting.verdict import check_candidate, judged
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.kkt import Duals
+from ttus_opt.problem.reduction import Reduction, reduce
+from ttus_opt.problem.solution import Solution, Status, Timings
+from ttus_opt.solvers.base import Candidate, Claim, Request
+
+SCENE = small_scene("trilinear")
+EQ10 = shelf.load("eq10", SCENE)
+
+
+@pytest.fixture(scope="module")
+def answer() -> np.ndarray:
+    """The minimum of eq. 10, by one factorisation."""
+    terms = EQ10.compile().terms
+    A = sum(t.weight * (t.matrix.T @ t.matrix) for t in terms)
+    b = sum(t.weight * (t.matrix.T @ t.target) for t in terms)
+    return np.asarray(scipy.sparse.linalg.spsolve(A.tocsc(), b))
+
+
+def told(candidate: Candidate, reduction: Reduction | None = None) -> Solution:
+    return judged(
+        EQ10,
+        reduction or reduce(EQ10.compile()),
+        "package",
+        candidate,
+        Request(1e-6),
+        Timings(0.0, 0.0, 0.0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("claim", "error", "status", "remark"),
+    [
+        (Claim.DONE, 0.0, Status.SOLVED, ""),
+        (Claim.TIME_LIMIT, 0.0, Status.SOLVED, ""),
+        (Claim.DOUBTS, 0.0, Status.SOLVED, ""),  # proved without the solver
+        (Claim.INFEASIBLE, 0.0, Status.SOLVED, ""),
+        (Claim.DONE, 0.1, Status.INACCURATE, ""),
+        (Claim.TIME_LIMIT, 0.1, Status.TIME_LIMIT, ""),
+        (Claim.UNBOUNDED, 0.1, Status.INACCURATE, "solver's word, without a proof"),
+    ],
+)
+def test_residuals_decide_not_the_claim(
+    answer: np.ndarray, claim: Claim, error: float, status: Status, remark: str
+) -> None:
+    found = told(Candidate((1.0 + error) * answer, claim=claim, detail="its words"))
+    assert found.status is status
+    assert found.detail.startswith("its words")
+    assert remark in found.detail
+    assert (found.verified_field is not None) == (status is Status.SOLVED)
+
+
+def test_no_answer_is_a_failure() -> None:
+    found = told(Candidate(None, claim=Claim.GAVE_UP))
+    assert found.status is Status.FAILED
+    assert found.kkt is None
+    assert np.isnan(found.objective)
+
+
+def test_a_contradiction_needs_a_proof_and_is_named() -> None:
+    """2 ≤ x₀ against x₀ ≤ 1; without the second, "infeasible" is a mere word."""
+    reach = program(
+        [term(np.eye(2), [0.0, 0.0])], [rows("reach", [[1, 0]], [2.0], [np.inf])]
+    )
+    limit = bounds("limit", [-np.inf, -np.inf], [1.0, np.inf])
+    contrary = replace(reach, bounds=(limit,))
+    none = Candidate(None, claim=Claim.INFEASIBLE)
+    found = told(none, Reduction(contrary, contrary))
+    assert found.status is Status.INFEASIBLE
+    assert set(found.conflict) == {"reach", "limit"}
+    found = told(none, Reduction(reach, reach))
+    assert found.status is Status.FAILED
+    assert "without a proof" in found.detail
+
+
+@pytest.mark.parametrize(
+    ("candidate", "words"),
+    [
+        ("done", "must return a Candidate, got str"),
+        (Candidate(np.zeros(3)), r"x must have shape \(2,\), got \(3,\)"),
+        (Candidate(np.zeros(2), Duals({}, np.zeros(1))), r"duals\.bounds must have"),
+        (
+            Candidate(np.zeros(2), Duals({"reach": np.zeros(2)})),
+            r"duals\.rows\['reach'\] must have shape \(1,\)",
+        ),
+    ],
+)
+def test_the_form_of_an_answer_is_checked(candidate: Any, words: str) -> None:
+    small = program([term(np.eye(2), [0.0, 0.0])], [rows("reach", [[1, 0]], [2], [3])])
+    with pytest.raises(InputError, match=words):
+        check_candidate(candidate, small, "mine")
