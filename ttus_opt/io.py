@@ -81,7 +81,13 @@ def check_output(
         FileError: It is a folder or a device, it is one of the inputs, its folder
             cannot be written to, or the disk is too full.
     """
-    target = Path(os.path.realpath(path))
+    try:
+        target = Path(os.path.realpath(path))
+        with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+            target.stat()
+    except (OSError, ValueError) as error:
+        told = getattr(error, "strerror", None) or error
+        raise FileError(f"cannot write {path}: {told}: choose another name") from error
     if target.is_dir():
         raise FileError(f"cannot write {path}: it is a folder: name a file in it")
     if target.exists() and not target.is_file():
@@ -106,6 +112,21 @@ def check_output(
             f"cannot write {path}: it takes about {size / 2**20:.0f} MiB and "
             f"{free / 2**20:.0f} MiB are free: make room or name another folder"
         )
+
+
+def made_folder(path: Path) -> Path:
+    """A folder, made where it is missing.
+
+    Raises:
+        FileError: It cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(
+            f"cannot write to {path}: {error.strerror or error}: choose another folder"
+        ) from error
+    return path
 
 
 @contextlib.contextmanager

@@ -9,6 +9,7 @@ import pytest
 
 from tests.cli.conftest import Run, empty, refused
 from ttus_opt import experiment
+from ttus_opt.experiment import pipeline
 from ttus_opt.experiment.pipeline import ExperimentResult
 
 
@@ -29,6 +30,22 @@ from ttus_opt.experiment.pipeline import ExperimentResult
 def test_refuses_in_one_line(run: Run, output: Path, words: str, said: str) -> None:
     refused(run(f"experiment {words} -o {output}"), said)
     assert empty(output)
+
+
+def test_a_folder_that_cannot_be_is_told_before_the_work(
+    run: Run, output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def work(*given: object) -> None:
+        pytest.fail("it has begun")
+
+    monkeypatch.setattr(pipeline, "_on_patient", work)
+    (output / "file").write_text("kept")
+    for folder in ("file", "file/results"):
+        refused(run(f"experiment -o {output / folder}"), "file is no folder")
+    refused(
+        run(f"experiment -o {output / ('x' * 300)}"), "cannot write", "too long: choose"
+    )
+    assert [path.name for path in output.iterdir()] == ["file"]
 
 
 def test_options_reach_the_plan(

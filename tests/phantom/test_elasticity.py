@@ -80,6 +80,14 @@ def test_refuses_files_that_are_no_patch(tmp_path):
         SkinPatch.load(file)
     with pytest.raises(FileError, match="not found"):
         SkinPatch.load(tmp_path / "none.npz")
+    np.savez_compressed(file, points=np.arange(3000.0).reshape(-1, 3))
+    whole = file.read_bytes()
+    damaged = [whole[:2000], whole[:500] + b"\0" * 500 + whole[1000:], whole]
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    for content in (*damaged, (tmp_path / "array.npy").read_bytes()):
+        file.write_bytes(content)
+        with pytest.raises(FileError, match="not a stored compliance"):
+            SkinPatch.load(file)
 
 
 def test_refuses_bodies_without_an_answer():

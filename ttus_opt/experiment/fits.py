@@ -172,8 +172,10 @@ def as_rendered(wrench: Array) -> FieldWrenches:
 def read_kept(file: Path, told: Mapping[str, Any]) -> dict[str, Any] | None:
     """A kept result, None where there is none of the same making."""
     try:
-        kept: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, json.JSONDecodeError):
+        kept = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    if not isinstance(kept, dict):
         return None
     same = all(kept.get(name) == plain(value) for name, value in told.items())
     return kept if same else None

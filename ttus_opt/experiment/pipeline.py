@@ -204,7 +204,9 @@ def run(
     todo, out = plan or Plan(), Path(folder)
     begin = progress or (lambda stage: None)
     settings, others = todo.settings, todo.rivals
+    io.check_output(out / "report.md")
     chosen = _chosen(todo, out, begin)
+    io.made_folder(out)
     results = tuple(
         _on_patient(each, todo, out / each.name, (settings, others), begin)
         for each in chosen

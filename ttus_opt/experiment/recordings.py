@@ -67,8 +67,8 @@ def examine(
     """
     begin = progress or (lambda stage: None)
     stamp, digest = folder / "digest.txt", patient.digest(resolution)
-    kept = stamp.read_text(encoding="utf-8") if stamp.exists() else ""
-    if kept != digest:
+    kept = stamp.read_bytes() if stamp.exists() else b""
+    if kept != digest.encode():
         begin(f"{patient.name}: finite elements")
         patch = _skin(patient, folder, resolution)
         begin(f"{patient.name}: recordings")

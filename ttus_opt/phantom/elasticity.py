@@ -13,6 +13,8 @@ symmetric positive definite, so that a contact needs neither mesh nor stiffness.
 from __future__ import annotations
 
 import os
+import zipfile
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -26,6 +28,9 @@ from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.optional import load
+
+#: What reading a damaged NPZ file raises, beside the usual
+DAMAGED = (KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError)
 
 #: Unit loads solved at once: enough for matrix-matrix speed, little memory.
 BATCH = 64
@@ -118,14 +123,14 @@ class SkinPatch:
         """
         file = io.existing_file(path, "compliance")
         try:
-            with np.load(file) as stored:
+            with file.open("rb") as stream, np.load(stream) as stored:
                 return cls(
                     stored["points"],
                     stored["normals"],
                     stored["rim"],
                     stored["compliance"],
                 )
-        except (OSError, ValueError, KeyError, EOFError) as error:
+        except (OSError, ValueError, TypeError, *DAMAGED) as error:
             raise FileError(
                 f"{file} is not a stored compliance: delete it and compute it again"
             ) from error
