@@ -335,6 +335,19 @@ def test_arguments_that_lie_apart_let_a_loop_look_up_a_table(
     assert content_stamp(pair[0]) != content_stamp(pair[1])
 
 
+def test_a_slice_is_told_by_its_ends() -> None:
+    """Python 3.14 keeps ``x[:3]`` as a constant of the function."""
+
+    def stamp(part: slice) -> str:
+        @compiled()
+        def function(x: np.ndarray) -> np.ndarray:
+            return x[part]
+
+        return content_stamp(function)
+
+    assert stamp(slice(None, 3)) == stamp(slice(None, 3)) != stamp(slice(None, 4))
+
+
 def test_a_global_that_cannot_be_told_is_refused() -> None:
     reads = object()
 

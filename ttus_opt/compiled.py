@@ -183,6 +183,9 @@ def _content(value: Any, seen: dict[int, int]) -> Iterator[str]:
         yield f"{type(value).__name__} of {len(value)}"
         for part in value:
             yield from _content(part, seen)
+    elif isinstance(value, slice):  # a constant of functions since Python 3.14
+        yield "slice"
+        yield from _content((value.start, value.stop, value.step), seen)
     elif isinstance(value, dict | set | frozenset):  # in an order of no process
         yield f"{type(value).__name__} of {len(value)}"
         parts = value.items() if isinstance(value, dict) else value
