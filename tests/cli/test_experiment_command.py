@@ -18,6 +18,9 @@ from ttus_opt.experiment.pipeline import ExperimentResult
     ("words", "said"),
     [
         ("--shape 10,20", "--shape takes 3 numbers"),
+        ("--shape 3,20,20", "n_r must be a whole number of at least 4"),
+        ("--shape 99999,99999,9999", "choose a smaller shape"),
+        ("--weight 1e300", "at most 1e+15"),
         ("--formulations eq99", "eq99"),
         ("--formulations eq10,eq10", "named twice"),
         ("--weight 0", "weight above 0"),

@@ -30,8 +30,11 @@ from ttus_opt.experiment.settings import (
     compared,
     without_torque,
 )
+from ttus_opt.problem.formulation import LARGEST
 from ttus_opt.report.metrics import compare
 from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.grid import CylindricalGrid
+from ttus_opt.voxmap.voxmap import check_memory
 
 #: The phantom's own wrench at the reported poses, as a setting
 ITSELF = "phantom_itself"
@@ -68,16 +71,19 @@ class Plan:
         """Validate numbers and words.
 
         Raises:
-            InputError: A weight or resolution that is not positive, or another word
-                than given or auto.
+            InputError: A weight or resolution out of range, another word than given
+                or auto, or a shape that is too small or would not fit in memory.
         """
         if self.weights not in ("given", "auto"):
             raise InputError(f"weights takes given or auto, got {self.weights!r}")
-        if not (self.weight > 0.0 and 0.3 <= self.resolution <= 10.0):
+        if not (0.0 < self.weight <= LARGEST and 0.3 <= self.resolution <= 10.0):
             raise InputError(
-                "the experiment needs a weight above 0 and a resolution from 0.3 to "
-                f"10, got {self.weight:g} and {self.resolution:g}"
+                f"the experiment needs a weight above 0, at most {LARGEST:g}, and a "
+                f"resolution from 0.3 to 10, got {self.weight:g} and "
+                f"{self.resolution:g}"
             )
+        # of any size: what is checked are the counts
+        check_memory(CylindricalGrid(0.03, 0.06, 0.0, 0.1, self.shape))
 
     @property
     def settings(self) -> tuple[Setting, ...]:

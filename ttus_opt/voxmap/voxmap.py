@@ -120,7 +120,7 @@ class Voxmap:
             float(surface.z[-1]),
             (int(counts[0]), int(counts[1]), int(counts[2])),
         )
-        _check_memory(grid, memory_limit)
+        check_memory(grid, memory_limit)
         theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
         radius = surface.radius_at(theta, z)
         _check_radius(radius, grid)
@@ -174,7 +174,16 @@ def checked_boundary(boundary: str) -> str:
     return boundary
 
 
-def _check_memory(grid: CylindricalGrid, limit: float | None) -> None:
+def check_memory(grid: CylindricalGrid, limit: float | None = None) -> None:
+    """Estimate what a fit on a grid takes.
+
+    Args:
+        grid: The grid.
+        limit: Most memory it may take; by default what the machine has free [bytes].
+
+    Raises:
+        InputError: It takes more.
+    """
     if limit is None:
         limit = float(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     need = grid.n_voxels * BYTES_PER_VOXEL
