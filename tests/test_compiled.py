@@ -340,7 +340,7 @@ def test_a_slice_is_told_by_its_ends() -> None:
 
     def stamp(part: slice) -> str:
         @compiled()
-        def function(x: np.ndarray) -> np.ndarray:
+        def function(x: Any) -> Any:
             return x[part]
 
         return content_stamp(function)
