@@ -18,16 +18,16 @@ pytestmark = pytest.mark.skipif(
     not hasattr(os, "fork"), reason="the system cannot fork"
 )
 
-#: What a child is given to clean up here [s]
+#: What a child that hears nothing is given to clean up here [s]
 GRACE = 0.2
 
 #: A command that does what follows, without loading the rest of the package
-COMMAND = f"""
+COMMAND = """
 import importlib.util, os, signal, sys, time
-spec = importlib.util.spec_from_file_location("supervisor", {supervisor.__file__!r})
+spec = importlib.util.spec_from_file_location("supervisor", {file!r})
 supervisor = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(supervisor)
-supervisor.GRACE = {GRACE}
+supervisor.GRACE = {grace}
 supervisor.run_supervised("fit")
 """
 
@@ -42,10 +42,13 @@ def started(tmp_path: Path) -> Iterator[list[subprocess.Popen[str]]]:
         process.communicate()
 
 
-def command(does: str, started: list[subprocess.Popen[str]]) -> subprocess.Popen[str]:
+def command(
+    does: str, started: list[subprocess.Popen[str]], grace: float = 20.0
+) -> subprocess.Popen[str]:
     """A supervised process, once it says that it is at work."""
+    script = COMMAND.format(file=supervisor.__file__, grace=grace)
     process = subprocess.Popen(
-        [sys.executable, "-c", f"{COMMAND}\nprint('at work', flush=True)\n{does}"],
+        [sys.executable, "-c", f"{script}\nprint('at work', flush=True)\n{does}"],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -70,7 +73,7 @@ def command(does: str, started: list[subprocess.Popen[str]]) -> subprocess.Popen
 def test_it_ends_as_its_child(
     does: str, status: int, started: list[subprocess.Popen[str]]
 ) -> None:
-    assert command(does, started).wait(20.0) == status
+    assert command(does, started).wait(60.0) == status
 
 
 @pytest.mark.parametrize(
@@ -84,12 +87,14 @@ def test_a_child_that_hears_nothing_is_ended(
     sent: signal.Signals, status: int, started: list[subprocess.Popen[str]]
 ) -> None:
     deaf = "signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())"
-    process = command(f"{deaf}\nprint('deaf', flush=True)\ntime.sleep(60)", started)
+    process = command(
+        f"{deaf}\nprint('deaf', flush=True)\ntime.sleep(60)", started, GRACE
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == "deaf\n"
     start = time.monotonic()
     process.send_signal(sent)
-    assert process.wait(20.0) == status
+    assert process.wait(60.0) == status
     assert time.monotonic() - start >= GRACE
     assert process.stderr is not None
     assert ("nothing further was written" in process.stderr.read()) == (
@@ -109,7 +114,7 @@ except KeyboardInterrupt:
 """
     process = command(does, started)
     process.send_signal(signal.SIGINT)
-    assert process.wait(20.0) == supervisor.INTERRUPTED
+    assert process.wait(60.0) == supervisor.INTERRUPTED
     assert process.stdout is not None
     assert process.stdout.read() == "clean\n"
 
