@@ -107,15 +107,17 @@ def test_a_child_cleans_up_within_its_time(
 ) -> None:
     does = """
 try:
+    print("in the middle", flush=True)
     time.sleep(60)
 except KeyboardInterrupt:
     print('clean', flush=True)
     sys.exit(130)
 """
     process = command(does, started)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "in the middle\n"
     process.send_signal(signal.SIGINT)
     assert process.wait(60.0) == supervisor.INTERRUPTED
-    assert process.stdout is not None
     assert process.stdout.read() == "clean\n"
 
 
