@@ -19,6 +19,7 @@ from ttus_opt.experiment.pipeline import ExperimentResult
     [
         ("--shape 10,20", "--shape takes 3 numbers"),
         ("--shape 3,20,20", "n_r must be a whole number of at least 4"),
+        ("--shape 1e308,20,20", "at most 1,000,000, got 1000"),
         ("--shape 99999,99999,9999", "choose a smaller shape"),
         ("--weight 1e300", "at most 1e+15"),
         ("--formulations eq99", "eq99"),

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
 from ttus_opt.errors import GeometryError, InputError
@@ -21,6 +22,9 @@ from ttus_opt.errors import GeometryError, InputError
 #: Bytes a fit by the structured solver takes per voxel (L, the multigrid, a
 #: dozen vectors): 420 measured on case L with 400 poses, voxel-mean
 BYTES_PER_VOXEL = 450
+
+#: Most voxels along an axis
+MOST_LAYERS = 1_000_000
 
 
 class GridLimits(NamedTuple):
@@ -76,9 +80,10 @@ class CylindricalGrid:
                 f"shape must be (n_r, n_theta, n_z), got {self.shape}: give 3 counts"
             )
         for (name, least), count in zip(minima.items(), self.shape, strict=True):
-            if int(count) != count or count < least:
+            if int(count) != count or not least <= count <= MOST_LAYERS:
                 raise InputError(
-                    f"{name} must be a whole number of at least {least}, got {count}"
+                    f"{name} must be a whole number of at least {least}, at most "
+                    f"{MOST_LAYERS:,}, got {io.shortened(count)}"
                 )
         limits = (self.r_inner, self.r_outer, self.z_min, self.z_max)
         if not all(math.isfinite(v) for v in limits):
