@@ -87,21 +87,25 @@ def _nearest(corners: Array, K: Array, shape: tuple[int, int]) -> Array:
         a, b, c = corners[t, 0], corners[t, 1], corners[t, 2]
         if min(a[2], b[2], c[2]) < 0.05:
             continue
-        normal = np.cross(b - a, c - a)
+        e0, e1, e2 = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        f0, f1, f2 = c[0] - a[0], c[1] - a[1], c[2] - a[2]
         u = K[0, 0] * corners[t, :, 0] / corners[t, :, 2] + K[0, 2]
         v = K[1, 1] * corners[t, :, 1] / corners[t, :, 2] + K[1, 2]
         for i in range(max(int(v.min()), 0), min(int(v.max()) + 2, shape[0])):
             for j in range(max(int(u.min()), 0), min(int(u.max()) + 2, shape[1])):
-                ray = np.array([(j - K[0, 2]) / K[0, 0], (i - K[1, 2]) / K[1, 1], 1.0])
-                facing = (normal * ray).sum()
-                if facing == 0.0:
+                x, y = (j - K[0, 2]) / K[0, 0], (i - K[1, 2]) / K[1, 1]
+                # Möller-Trumbore with the eye at the origin and the ray (x, y, 1)
+                p0, p1, p2 = y * f2 - f1, f0 - x * f2, x * f1 - y * f0
+                det = e0 * p0 + e1 * p1 + e2 * p2
+                if det == 0.0:
                     continue
-                depth = (normal * a).sum() / facing
-                hit = depth * ray
-                s0 = (np.cross(b - a, hit - a) * normal).sum()
-                s1 = (np.cross(c - b, hit - b) * normal).sum()
-                s2 = (np.cross(a - c, hit - c) * normal).sum()
-                if s0 >= 0 and s1 >= 0 and s2 >= 0 and depth < z[i, j]:
+                s = -(a[0] * p0 + a[1] * p1 + a[2] * p2) / det
+                q0 = a[2] * e1 - a[1] * e2
+                q1 = a[0] * e2 - a[2] * e0
+                q2 = a[1] * e0 - a[0] * e1
+                r = (x * q0 + y * q1 + q2) / det
+                depth = (f0 * q0 + f1 * q1 + f2 * q2) / det
+                if s >= 0 and r >= 0 and s + r <= 1 and 0 < depth < z[i, j]:
                     z[i, j] = depth
     return z
 

@@ -21,12 +21,20 @@ if TYPE_CHECKING:
 class CloudOptions:
     """The scan, as typed."""
 
-    scan: Annotated[
-        Path, typer.Argument(help="Cloud: PLY, PCD, XYZ, CSV, TXT, PTS or NPY.")
+    scans: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Cloud: PLY, PCD, XYZ, CSV, TXT, PTS or NPY; or one or more depth "
+            "images: PNG, TIFF or NPY."
+        ),
     ]
     unit: Annotated[
-        str, typer.Option(help="Unit of the scan's coordinates: m, cm, mm.")
-    ] = "m"
+        str | None,
+        typer.Option(
+            help="Unit of the scan's coordinates: m, cm, mm. By default m; depths in "
+            "whole numbers are mm."
+        ),
+    ] = None
     drop_nan: Annotated[
         bool, typer.Option("--drop-nan", help="Leave out points that are NaN.")
     ] = False
@@ -40,21 +48,34 @@ class CloudOptions:
     ] = None
 
     def read(self) -> Array:
-        """The points in metres, shape (n, 3).
+        """The points of a cloud in metres, shape (n, 3).
 
         Raises:
             FileError: The file is no usable cloud.
-            InputError: Unit, box or coordinates that cannot be used.
+            InputError: Several clouds; unit, box or coordinates that cannot be used.
         """
         from ttus_opt.scan.cloud import read_cloud
 
-        box = None if self.box is None else numbers(self.box, 6, "--box")
+        if len(self.scans) > 1:
+            raise InputError(
+                f"{len(self.scans)} clouds are given, one is read: depth images need "
+                "--intrinsics or --rays"
+            )
         return read_cloud(
-            self.scan,
+            self.scans[0],
             unit=self.unit,  # type: ignore[arg-type]  # checked there
             drop_nan=self.drop_nan,
-            box=box,
+            box=self.limits,
         )
+
+    @property
+    def limits(self) -> tuple[float, ...] | None:
+        """The box as numbers [m]; None for everything.
+
+        Raises:
+            InputError: They are no six numbers.
+        """
+        return None if self.box is None else numbers(self.box, 6, "--box")
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
@@ -15,19 +16,35 @@ def cropped(cloud: Array, box: Sequence[float]) -> Array:
 
     Args:
         cloud: Scan, shape (n, 3) [m].
-        box: xmin, xmax, ymin, ymax, zmin, zmax, in the scan's frame [m]; infinite
-            where a side is open.
+        box: As of `inside`.
 
     Returns:
         Those points, in their order, shape (m, 3) [m].
 
     Raises:
-        InputError: No six numbers, a lower limit that is not below the upper, or no
-            point inside; the message tells where the points are.
+        InputError: As of `inside`.
 
     Examples:
         >>> cropped(np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), [-1, 1, -1, 1, -1, 1])
         array([[0., 0., 0.]])
+    """
+    return np.asarray(cloud[inside(cloud, box)])
+
+
+def inside(cloud: Array, box: Sequence[float]) -> NDArray[np.bool_]:
+    """Which points of a scan are inside a box.
+
+    Args:
+        cloud: Scan, shape (n, 3) [m].
+        box: xmin, xmax, ymin, ymax, zmin, zmax, in the scan's frame [m]; infinite
+            where a side is open.
+
+    Returns:
+        Shape (n,).
+
+    Raises:
+        InputError: No six numbers, a lower limit that is not below the upper, or no
+            point inside; the message tells where the points are.
     """
     limits = np.asarray(box, dtype=np.float64)
     if limits.shape != (6,) or np.isnan(limits).any():
@@ -40,13 +57,13 @@ def cropped(cloud: Array, box: Sequence[float]) -> Array:
                 f"the box has {axis}min {a:g} and {axis}max {b:g}: the first must be "
                 "smaller"
             )
-    inside = cloud[((cloud >= low) & (cloud <= high)).all(axis=1)]
-    if len(inside) == 0:
+    within = ((cloud >= low) & (cloud <= high)).all(axis=1)
+    if not within.any():
         raise InputError(
             f"no point lies in the box: the scan reaches {extent_words(cloud)} m: give "
             "the box in metres, in the scan's frame"
         )
-    return inside
+    return np.asarray(within)
 
 
 def extent_words(cloud: Array) -> str:

@@ -47,14 +47,20 @@ class Candidates:
         radius: Sorted along the last axis, padded with inf,
             shape (n_theta, n_z, n_most) [m].
         count: Number of points near the spoke before thinning, shape (n_theta, n_z).
+        std: Standard deviations of the radii, shape of them, 1 where padded [m]; None
+            where the points have none.
+        offset: How far the points are off the spoke and the slice, as an angle around
+            the axis, shape of the radii, 0 where padded [rad]; None with ``std``.
     """
 
     radius: Array
     count: NDArray[np.int64]
+    std: Array | None = None
+    offset: Array | None = None
 
 
-def drop_strays(points: Array) -> Array:
-    """Leave out points with few others around: flying pixels, rests of the bed.
+def stray(points: Array) -> NDArray[np.bool_]:
+    """Points with few others around: flying pixels, rests of the bed.
 
     Few is less than a tenth of the median number in the cube of 3³ cells around, and
     than four in any case: a seen surface fills at least a whole layer of that cube.
@@ -63,7 +69,7 @@ def drop_strays(points: Array) -> Array:
         points: Shape (n, 3) [m].
 
     Returns:
-        Those that are not alone, shape (m, 3) [m].
+        Which are alone, shape (n,).
     """
     cell = ((points - points.min(axis=0)) / _STRAY_CELL).astype(np.int64) + 1
     shape = cell.max(axis=0) + 2
@@ -73,8 +79,7 @@ def drop_strays(points: Array) -> Array:
     for dim in range(3):  # sums over three neighbours in each direction
         grid = grid + np.roll(grid, 1, axis=dim) + np.roll(grid, -1, axis=dim)
     around = grid[place]
-    kept = points[around >= max(4.0, 0.1 * float(np.median(around)))]
-    return np.asarray(kept)
+    return np.asarray(around < max(4.0, 0.1 * float(np.median(around))))
 
 
 def usable_range(points: Array) -> ZRange:
@@ -145,6 +150,7 @@ def collect(
     *,
     spoke_distance: float,
     slice_distance: float,
+    std: Array | None = None,
     n_most: int = 48,
 ) -> Candidates:
     """Candidates of every spoke.
@@ -155,6 +161,7 @@ def collect(
         z: Heights of the slices, equally spaced, shape (n_z,) [m].
         spoke_distance: Largest distance from the spoke within the slice [m].
         slice_distance: Largest distance from the slice [m].
+        std: Standard deviations of the points, shape (n,) [m].
         n_most: A spoke with more candidates keeps this many, evenly among them.
 
     Returns:
@@ -168,24 +175,35 @@ def collect(
     r, angle, height = r[keep], angle[keep], height[keep]
     pairs = _pairs(r, angle, height, theta, z, spoke_distance, slice_distance)
     node = np.concatenate([pair[0] for pair in pairs])
-    radius = np.concatenate([pair[1] for pair in pairs])
+    point = np.concatenate([pair[1] for pair in pairs])
     shape = (len(theta), len(z))
     if len(node) == 0:
         raise GeometryError(
             f"no point of the scan lies near the axis between z = {z[0]:.3f} and "
             f"{z[-1]:.3f} m: the cloud never meets the axis, check axis and unit"
         )
-    order = np.lexsort((radius, node))
-    node, radius = node[order], radius[order]
+    order = np.lexsort((r[point], node))
+    node, point = node[order], point[order]
     count = np.bincount(node, minlength=shape[0] * shape[1])
     rank = np.arange(len(node)) - (np.cumsum(count) - count)[node]
     # Thinning keeps every candidate whose place is the first of its share.
     kept = np.minimum(count[node], n_most)
     place = rank * kept // count[node]
     first = (rank == 0) | (place != (rank - 1) * kept // count[node])
-    table = np.full((count.size, min(n_most, int(count.max()))), np.inf)
-    table[node[first], place[first]] = radius[first]
-    return Candidates(table.reshape(*shape, -1), count.reshape(shape))
+    node, point, place = node[first], point[first], place[first]
+
+    def table(values: Array, padding: float) -> Array:
+        out = np.full((count.size, min(n_most, int(count.max()))), padding)
+        out[node, place] = values
+        return out.reshape(*shape, -1)
+
+    radii, counts = table(r[point], np.inf), count.reshape(shape)
+    if std is None:
+        return Candidates(radii, counts)
+    across = np.sin(angle[point] - theta[node // len(z)])
+    along = (height[point] - z[node % len(z)]) / r[point]
+    offset = table(np.hypot(across, along), 0.0)
+    return Candidates(radii, counts, table(std[keep][point], 1.0), offset)
 
 
 def _pairs(
@@ -196,15 +214,15 @@ def _pairs(
     z: Array,
     spoke_distance: float,
     slice_distance: float,
-) -> list[tuple[NDArray[np.int64], Array]]:
-    """Node and radius of every (point, spoke) within reach, one list per offset."""
+) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    """Node and index of every (spoke, point) within reach, one list per offset."""
     n_theta, n_z = len(theta), len(z)
     step, dz = 2 * np.pi / n_theta, z[1] - z[0]
     j = np.rint(angle / step).astype(np.int64)
     k = np.rint((height - z[0]) / dz).astype(np.int64)
     reach = spoke_distance / r  # sine of the largest angle from the spoke
     if r.size == 0:
-        return [(np.empty(0, np.int64), np.empty(0))]
+        return [(np.empty(0, np.int64), np.empty(0, np.int64))]
     most_j = min(int(np.arcsin(min(reach.max(), 1.0)) / step + 0.5), (n_theta - 1) // 2)
     most_k = int(slice_distance / dz + 0.5)
     found = []
@@ -213,5 +231,6 @@ def _pairs(
         for dk in range(-most_k, most_k + 1):
             here = near & (k + dk >= 0) & (k + dk < n_z)
             here &= np.abs(height - (z[0] + (k + dk) * dz)) <= slice_distance
-            found.append(((((j + dj) % n_theta) * n_z + k + dk)[here], r[here]))
+            node = (((j + dj) % n_theta) * n_z + k + dk)[here]
+            found.append((node, np.flatnonzero(here)))
     return found

@@ -15,6 +15,10 @@ next belong together and share the D of their mean. D then chooses between surfa
 but not among the noisy points of one, where it would favour the near ones and pull
 the contour inwards by 2hσ²/(h² + σ²).
 
+Where points have a deviation of their own (a depth camera's noise model), σ² is that of
+each, and what the contour's slope adds on the way from the spoke to the point,
+σ_i² + (slope_std · offset_i)²; a surface's points are then weighed by 1/σ² as well.
+
 All slices are filtered at once. Two laps close the contour; a Rauch-Tung-Striebel
 pass backwards uses what comes after a spoke as well as what comes before, and the
 candidates are then weighed again around that smoothed contour, which removes the lag
@@ -44,7 +48,8 @@ class ContourModel:
     """What the filter assumes.
 
     Attributes:
-        depth_noise: Standard deviation σ of a point's radius [m].
+        depth_noise: Standard deviation σ of a point's radius, where the points have
+            none of their own [m].
         slope_std: Standard deviation of the contour's slope dr/dθ [m/rad].
         slope_angle: Angle over which the slope forgets itself [rad].
     """
@@ -123,7 +128,7 @@ class _Measurement:
 
 
 def associate(
-    radius: Array, predicted: Array, variance: Array, depth_noise: float
+    radius: Array, predicted: Array, variance: Array, depth_noise: float | Array
 ) -> _Measurement:
     """Weigh candidates around a prediction (eqs. 3-5, D per surface).
 
@@ -131,29 +136,47 @@ def associate(
         radius: Candidates sorted along the last axis, padded with inf, (…, m) [m].
         predicted: Predicted radius d̂, shape (…,) [m].
         variance: Its variance P, so that S = P + σ², shape (…,) [m²].
-        depth_noise: σ [m].
+        depth_noise: σ, one for all or one of each candidate, shape (…, m) [m].
 
     Returns:
         The measurement; where nothing is within the gate, not ``seen``.
     """
-    S = (variance + depth_noise**2)[..., None]
+    own = np.ndim(depth_noise) > 0
+    S = variance[..., None] + depth_noise**2
     # Relative to the prediction: padding (inf) falls outside every gate.
     innovation = radius - predicted[..., None]
     inside = innovation**2 < _GATE**2 * S
     v = np.where(inside, innovation, 0.0)
-    weight = np.exp(-0.5 * v**2 / S) * inside * _far_weight(v, inside, depth_noise)
+    sigma = _mean_noise(inside, depth_noise) if own else depth_noise
+    weight = np.exp(-0.5 * v**2 / S) * inside * _far_weight(v, inside, sigma)
+    if own:
+        weight /= depth_noise**2
     total = weight.sum(axis=-1)
     seen = total > 0
     weight /= np.where(seen, total, 1.0)[..., None]
     y = (weight * v).sum(axis=-1)
     spread = (weight * (v - y[..., None]) ** 2).sum(axis=-1)
     # Two surfaces within the gate: unsure which, beyond what noise explains.
-    doubt = np.maximum(spread - 2.0 * depth_noise**2, 0.0)
-    noise = depth_noise**2 * (weight**2).sum(axis=-1)
+    if own:
+        explained = (weight * depth_noise**2).sum(axis=-1)
+        noise = (weight**2 * depth_noise**2).sum(axis=-1)
+    else:
+        explained = depth_noise**2
+        noise = depth_noise**2 * (weight**2).sum(axis=-1)
+    doubt = np.maximum(spread - 2.0 * explained, 0.0)
     return _Measurement(predicted + y, np.where(seen, noise + doubt, 1.0), seen)
 
 
-def _far_weight(v: Array, inside: NDArray[np.bool_], depth_noise: float) -> Array:
+def _mean_noise(inside: NDArray[np.bool_], depth_noise: float | Array) -> Array:
+    """Root mean square deviation of the candidates inside, shape (…, 1) [m]."""
+    square = np.where(inside, depth_noise, 0.0) ** 2
+    n = np.maximum(inside.sum(axis=-1, keepdims=True), 1)
+    return np.asarray(np.sqrt(square.sum(axis=-1, keepdims=True) / n))
+
+
+def _far_weight(
+    v: Array, inside: NDArray[np.bool_], depth_noise: float | Array
+) -> Array:
     """D = (1 − (r − r_min)/(r_max − r_min))² of each candidate's surface, (…, m)."""
     gap = _SAME_SURFACE * depth_noise
     split = np.diff(v, axis=-1) > gap
@@ -173,7 +196,8 @@ def _far_weight(v: Array, inside: NDArray[np.bool_], depth_noise: float) -> Arra
     mean = (mean / np.maximum(size, 1.0))[key].reshape(values.shape)
     low = np.where(within, mean, np.inf).min(axis=1, keepdims=True)
     # Half a gap further than the farthest surface: unlikely, not impossible.
-    high = np.where(within, mean, -np.inf).max(axis=1, keepdims=True) + gap / 2
+    room = gap[rows] if isinstance(gap, np.ndarray) else gap
+    high = np.where(within, mean, -np.inf).max(axis=1, keepdims=True) + room / 2
     D[rows] = (1.0 - (mean - low) / (high - low)) ** 2
     return D
 
@@ -188,14 +212,22 @@ def follow(candidates: Candidates, model: ContourModel) -> Contour:
     Returns:
         The contours.
     """
-    radius = candidates.radius
+    radius, noise = candidates.radius, _noise(candidates, model)
     prior = _prior_radius(radius)
     jump = np.zeros(radius.shape[:2])
-    smooth = _two_laps(radius, prior, model, jump, None)
+    lap = _Lap(radius, noise, prior, model, jump)
+    smooth = _two_laps(lap, None)
     for _ in range(_N_REWEIGHT):
-        found = associate(radius, smooth.radius, smooth.variance, model.depth_noise)
-        smooth = _two_laps(radius, prior, model, jump, found)
+        found = associate(radius, smooth.radius, smooth.variance, noise)
+        smooth = _two_laps(lap, found)
     return Contour(smooth.radius, smooth.variance, found.seen)
+
+
+def _noise(candidates: Candidates, model: ContourModel) -> float | Array:
+    """σ of all candidates, or of each where the points have deviations [m]."""
+    if candidates.std is None or candidates.offset is None:
+        return model.depth_noise
+    return np.hypot(candidates.std, model.slope_std * candidates.offset)
 
 
 def _prior_radius(radius: Array) -> Array:
@@ -208,13 +240,18 @@ def _prior_radius(radius: Array) -> Array:
     return prior
 
 
-def _two_laps(
-    radius: Array,
-    prior: Array,
-    model: ContourModel,
-    jump: Array,
-    given: _Measurement | None,
-) -> Contour:
+@dataclass(frozen=True)
+class _Lap:
+    """What every lap begins with; ``jump`` (n_theta, n_z) is filled by the first."""
+
+    radius: Array
+    noise: float | Array
+    prior: Array
+    model: ContourModel
+    jump: Array
+
+
+def _two_laps(lap: _Lap, given: _Measurement | None) -> Contour:
     """Two laps forward, one pass backward; the lap in the middle is kept.
 
     With ``given`` measurements the filter is linear; without, each spoke's candidates
@@ -222,10 +259,11 @@ def _two_laps(
     filled with the variance [m²] added where candidates lay outside the gate: the
     contour has a step there (a shoulder) and the track must be found again.
     """
+    radius, noise, model, jump = lap.radius, lap.noise, lap.model, lap.jump
     n, n_z = radius.shape[:2]
     F, Q = model.transition(2.0 * np.pi / n)
     x = np.zeros((n_z, 2))
-    x[:, 0] = prior
+    x[:, 0] = lap.prior
     P = np.tile(np.diag([0.05**2, model.slope_std**2]), (n_z, 1, 1))
     states, covariances = np.empty((2 * n, n_z, 2)), np.empty((2 * n, n_z, 2, 2))
     predictions, spreads = np.empty_like(states), np.empty_like(covariances)
@@ -236,7 +274,8 @@ def _two_laps(
             P[:, 0, 0] += jump[(step - 1) % n]
         predictions[step], spreads[step] = x, P
         if given is None:
-            m = associate(radius[k], x[:, 0], P[:, 0, 0], model.depth_noise)
+            own = noise[k] if isinstance(noise, np.ndarray) else noise
+            m = associate(radius[k], x[:, 0], P[:, 0, 0], own)
             missed = ~m.seen & np.isfinite(radius[k, :, 0])
             jump[k] = np.where(missed, _JUMP**2, jump[k] if step >= n else 0.0)
         else:

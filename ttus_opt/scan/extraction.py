@@ -11,10 +11,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
-from ttus_opt.scan.candidates import collect, drop_strays, usable_range
+from ttus_opt.scan.candidates import collect, stray, usable_range
 from ttus_opt.scan.contour_filter import Contour, ContourModel, follow
 from ttus_opt.scan.fill import fill_smoothly
 from ttus_opt.scan.frame import Axis
@@ -37,6 +38,7 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
     slice_distance: float | None = None,
     model: ContourModel | None = None,
     support: SupportingPlane | Literal["find"] | None = "find",
+    point_std: Array | None = None,
 ) -> Surface:
     """Extract the surface r = R(θ, z) from a scan.
 
@@ -54,17 +56,21 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
         support: The plane the body lies on, in the scan's frame, whose points are left
             out; "find" for the one the frame knows (`Axis.support`), looked for where
             it knows of none yet; None when the scan has none.
+        point_std: Standard deviation of every point, shape (n,) [m], as a depth
+            camera's noise model gives it (`ttus_opt.sensors.depth`); without, the
+            model's ``depth_noise`` is that of all.
 
     Returns:
         The surface: closed, with its deviation, marked where it was observed.
 
     Raises:
-        InputError: Counts, distances or a cloud that cannot be used.
+        InputError: Counts, distances, deviations or a cloud that cannot be used.
         GeometryError: The cloud never meets the axis or shows no body around it.
     """
     _check(cloud, n_theta, n_z, spoke_distance, slice_distance)
+    _check_std(point_std, len(cloud))
     plane = axis.supporting_plane(cloud) if support == "find" else support
-    points = _body_points(cloud, axis, plane)
+    points, body = _body_points(cloud, axis, plane)
     z = _heights(points, z_range, n_z)
     theta: Array = np.arange(n_theta, dtype=np.float64) * (2.0 * np.pi / n_theta)
     dz = float(z[1] - z[0])
@@ -75,6 +81,7 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
         z,
         spoke_distance=spoke_distance,
         slice_distance=slice_distance or reach,
+        std=None if point_std is None else point_std[body],
     )
     contour = follow(candidates, model or ContourModel())
     _check_seen(contour)
@@ -126,18 +133,41 @@ def _check(
         )
 
 
-def _body_points(cloud: Array, axis: Axis, plane: SupportingPlane | None) -> Array:
-    """Points of the body, without support and strays, patient frame, (m, 3) [m]."""
-    body = cloud if plane is None else cloud[plane.above(cloud)]
-    points = axis.to_patient(body)
-    points = points[np.hypot(points[:, 0], points[:, 1]) < _LARGEST_RADIUS]
+def _check_std(point_std: Array | None, n: int) -> None:
+    if point_std is None:
+        return
+    if point_std.shape != (n,):
+        raise InputError(
+            f"point_std must be one deviation [m] for each of {n} points, got shape "
+            f"{point_std.shape}"
+        )
+    if not (np.isfinite(point_std) & (point_std > 0)).all() or point_std.max() > 0.1:
+        raise InputError(
+            "point_std must be between 0 and 0.1 m: leave out other points, and give "
+            "metres"
+        )
+
+
+def _body_points(
+    cloud: Array, axis: Axis, plane: SupportingPlane | None
+) -> tuple[Array, NDArray[np.int64]]:
+    """Points of the body, without support and strays.
+
+    Returns:
+        In the patient frame, shape (m, 3) [m]; and their place in the cloud, (m,).
+    """
+    index = np.arange(len(cloud)) if plane is None else plane.above(cloud).nonzero()[0]
+    points = axis.to_patient(cloud[index])
+    near = np.hypot(points[:, 0], points[:, 1]) < _LARGEST_RADIUS
+    points, index = points[near], index[near]
     if len(points) < _LEAST_POINTS:
         raise GeometryError(
             f"only {len(points)} of {len(cloud)} points are within "
             f"{_LARGEST_RADIUS:g} m of the axis and off the support: the cloud never "
             "meets the axis, check axis and unit"
         )
-    return drop_strays(points)
+    kept = ~stray(points)
+    return points[kept], index[kept]
 
 
 def _heights(points: Array, z_range: tuple[float, float] | None, n_z: int) -> Array:

@@ -1,0 +1,139 @@
+"""``ttus-opt surface`` of depth images."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import ttus_opt as tt
+from tests.sensors.cameras import Camera, measured, millimetres, see_ellipsoid
+from tests.sensors.cameras import see_plane as plane
+from ttus_opt.cli import main
+
+CENTRE, SEMI_AXES = np.array([0.0, 0.11, 0.0]), np.array([0.17, 0.11, 0.35])
+CAMERAS = tuple(
+    Camera(eye, (0.0, 0.1, 0.0))
+    for eye in ((0, 0.9, 0.1), (-0.6, 0.6, 0), (0.6, 0.6, 0))
+)
+
+
+def run(*words: str) -> int:
+    with pytest.raises(SystemExit) as stop:
+        main(words)
+    return int(stop.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three depth images of an ellipsoid on a bed, camera and poses."""
+    folder = tmp_path_factory.mktemp("scans")
+    rng = np.random.default_rng(0)
+    lines = ["t,px,py,pz,qw,qx,qy,qz"]
+    for k, camera in enumerate(CAMERAS):
+        z = np.minimum(
+            see_ellipsoid(camera, CENTRE, SEMI_AXES),
+            plane(camera, np.array([0.0, 1.0, 0.0]), 0.0),
+        )
+        depth = measured(np.where(z < 1.6, z, np.nan), 0.001, 0.05, rng)
+        assert cv2.imwrite(str(folder / f"{k}.png"), millimetres(depth))
+        pose = camera.pose
+        q = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+        lines.append(",".join(f"{v:.9f}" for v in [k, *pose[:3, 3], *q]))
+    (folder / "poses.csv").write_text("\n".join(lines) + "\n")
+    told = {"K": CAMERAS[0].matrix.tolist(), "width": 160, "height": 120}
+    (folder / "camera.json").write_text(json.dumps(told))
+    return folder
+
+
+def words(scans: Path, *more: str) -> list[str]:
+    images = [str(scans / f"{k}.png") for k in range(3)]
+    camera = ["--intrinsics", str(scans / "camera.json")]
+    poses = ["--poses", str(scans / "poses.csv")]
+    axis = ["--axis-origin", "0,0.1,0", "--axis-direction", "0,0,1"]
+    size = ["--n-theta", "60", "--n-z", "16", "--z-range=-0.15,0.15"]
+    return ["surface", *images, *camera, *poses, *axis, *size, *more]
+
+
+def test_three_sides(
+    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "surface.nc"
+    noise = ["--noise", "time-of-flight:0.0012", "--json", "-o", str(out)]
+    assert run(*words(scans, *noise)) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["dropped"]) == 3
+    assert all(one["invalid"] > 0 for one in told["dropped"])
+    assert told["refinements"] == []
+    found = tt.Surface.load(out)
+    points = found.axis.to_scan(found.points()[found.observed])
+    scaled = (points - CENTRE) / SEMI_AXES
+    f = np.linalg.norm(scaled, axis=1)
+    off = np.abs((f - 1) * f / np.linalg.norm(scaled / SEMI_AXES, axis=1))
+    assert found.observed.mean() > 0.5
+    assert off.mean() < 1.0e-3
+    assert np.percentile(off, 95) < 3.0e-3
+
+
+def test_an_ellipsoid_is_too_round_to_be_refined(
+    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
+    out = tmp_path / "surface.nc"
+    assert run(*words(scans, "--refine", "-o", str(out))) == 2
+    assert "slides on the others" in capsys.readouterr().err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (["0.png"], "give --intrinsics or --rays"),
+        (["0.png", "1.png", "--intrinsics", "camera.json"], "give --poses"),
+        (["0.png", "--intrinsics", "camera.json", "--refine"], "no other"),
+        (
+            ["0.png", "--intrinsics", "camera.json", "--poses", "poses.csv"],
+            "3 poses, there is 1 image",
+        ),
+        (["0.png", "--intrinsics", "camera.json", "--noise", "loud"], "noise is one"),
+        (["0.png", "--intrinsics", "camera.json", "--unit", "m"], "another unit"),
+        (["0.png", "--intrinsics", "poses.csv"], "JSON or YAML|camera_matrix"),
+        (["poses.csv", "--noise", "structured-light"], "of depth images"),
+        (["poses.csv", "poses.csv"], "one is read"),
+        (
+            ["0.png", "--intrinsics", "camera.json", "--depth-kind", "disparity"],
+            "depth_kind|--depth-kind",
+        ),
+        (
+            ["0.png", *["--intrinsics", "camera.json"] * 2],
+            "one for all or one for each",
+        ),
+        (["0.png", "--intrinsics", "camera.json", "--rays", "0.png"], "not both"),
+        (
+            [
+                *("0.png", "1.png", "2.png", "--intrinsics", "camera.json"),
+                *("--poses", "poses.csv", "--refine", "--pose-std", "5,1"),
+            ],
+            "--pose-std: a pose's deviations",
+        ),
+    ],
+)
+def test_bad_input_is_one_line(
+    scans: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    given: list[str],
+    told: str,
+) -> None:
+    monkeypatch.chdir(scans)
+    out = tmp_path / "surface.nc"
+    assert run("surface", *given, "-o", str(out)) == 2
+    error = capsys.readouterr().err.strip()
+    assert "\n" not in error
+    assert __import__("re").search(told, error), error
+    assert not out.exists()

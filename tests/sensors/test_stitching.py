@@ -1,0 +1,175 @@
+"""Scans put together: by their poses, refined, and refused."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from tests.hostile import only_our_errors
+from tests.sensors.cameras import Camera, measured, see_ellipsoid, see_plane
+from ttus_opt.arrays import Array
+from ttus_opt.errors import FileError, InputError, MissingPackageError
+from ttus_opt.sensors.depth import DepthImage
+from ttus_opt.sensors.depth_noise import TimeOfFlight
+from ttus_opt.sensors.intrinsics import Intrinsics
+from ttus_opt.sensors.stitching import PoseDoubt, read_camera_poses, stitch
+from ttus_opt.sensors.unprojection import Unprojection
+
+CAMERAS = (
+    Camera((-0.35, 0.8, 0.0), (0.0, 0.1, 0.0)),
+    Camera((0.35, 0.8, 0.1), (0.0, 0.1, 0.0)),
+)
+POSES = np.stack([camera.pose for camera in CAMERAS])
+CENTRE, SEMI_AXES = np.array([0, 0.11, 0]), np.array([0.17, 0.11, 0.35])
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def image(camera: Camera, what: str, seed: int = 0) -> DepthImage:
+    z = see_plane(camera, UP, 0.0)
+    if what == "body and bed":
+        z = np.minimum(z, see_ellipsoid(camera, CENTRE, SEMI_AXES))
+    if what == "cylinder":
+        z = see_ellipsoid(camera, CENTRE, np.array([0.15, 0.15, 1e3]))
+    rng = np.random.default_rng(seed)
+    depth = measured(np.where(z < 2, z, np.nan), 0.001, 0.1, rng)
+    own = Intrinsics(camera.matrix, np.zeros(0))
+    return DepthImage(depth, Unprojection.from_intrinsics(own, camera.shape))
+
+
+@cache
+def images(what: str) -> list[DepthImage]:
+    return [image(camera, what, k) for k, camera in enumerate(CAMERAS)]
+
+
+def moved(pose: Array, shift: tuple[float, ...], turn: tuple[float, ...]) -> Array:
+    """About the camera, in mm and degrees."""
+    change = np.eye(4)
+    change[:3, :3] = Rotation.from_rotvec(np.deg2rad(turn)).as_matrix()
+    change[:3, 3] = 1e-3 * np.array(shift)
+    return pose @ change
+
+
+OFF = moved(POSES[1], (6.0, -4.0, 5.0), (0.4, -0.3, 0.5))
+
+
+def body_error(pose: Array) -> float:
+    """How far the second scan's points are from where they belong [m]."""
+    points = images("body and bed")[1].to_cloud().points
+    truth, found = (points @ p[:3, :3].T + p[:3, 3] for p in (POSES[1], pose))
+    return float(np.linalg.norm(found - truth, axis=1).mean())
+
+
+def test_by_measured_poses() -> None:
+    found = stitch(images("body and bed"), POSES, noise=TimeOfFlight(0.001))
+    parts = [
+        shot.to_cloud(pose, noise=TimeOfFlight(0.001))
+        for shot, pose in zip(images("body and bed"), POSES, strict=True)
+    ]
+    np.testing.assert_allclose(
+        found.cloud.points, np.concatenate([part.points for part in parts]), atol=1e-12
+    )
+    assert found.cloud.std is not None
+    assert found.cloud.std.shape == (len(found.cloud.points),)
+    assert found.cloud.dropped == tuple(part.dropped[0] for part in parts)
+    assert found.refinements == ()
+    np.testing.assert_allclose(found.poses, POSES)
+
+
+def test_a_pose_that_is_off_is_refined() -> None:
+    pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
+    poses = np.stack([POSES[0], OFF])
+    assert body_error(OFF) > 5e-3
+    found = stitch(images("body and bed"), poses, refine=PoseDoubt())
+    assert body_error(found.poses[1]) < 1.5e-3
+    np.testing.assert_array_equal(found.poses[0], POSES[0])
+    (refinement,) = found.refinements
+    assert refinement.scan == 1
+    assert refinement.residual < 1.4e-3 < refinement.residual_before
+    assert refinement.shift == pytest.approx(9e-3, abs=4e-3)
+    assert 0.3 < refinement.overlap < 1.0
+
+
+def test_a_surely_measured_pose_stays() -> None:
+    """The measured pose is a prior: the surer it is, the less it is moved."""
+    pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
+    slightly = moved(POSES[1], (0.0, 0.5, 0.0), (0.0, 0.0, 0.05))
+    poses = np.stack([POSES[0], slightly])
+    steps = []
+    for shift, turn in ((0.005, 0.5), (0.0005, 0.05)):
+        doubt = PoseDoubt(shift, float(np.deg2rad(turn)))
+        steps.append(stitch(images("body and bed"), poses, refine=doubt).refinements[0])
+    assert steps[0].turn > 1.02 * steps[1].turn
+    assert steps[0].shift > 1.02 * steps[1].shift
+
+
+@pytest.mark.parametrize("what", ["bed", "cylinder"])
+def test_what_slides_is_refused(what: str) -> None:
+    pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
+    with pytest.raises(InputError, match="scan 2 slides on the others"):
+        stitch(images(what), POSES, refine=PoseDoubt())
+
+
+def test_what_leaves_its_measured_pose_is_refused() -> None:
+    pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
+    poses = np.stack([POSES[0], OFF])
+    with pytest.raises(InputError, match="deviations of its measured pose"):
+        stitch(images("body and bed"), poses, refine=PoseDoubt(0.0005, 0.001))
+
+
+def test_what_does_not_overlap_is_refused() -> None:
+    pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")
+    away = POSES[1].copy()
+    away[:3, 3] += [0.0, 0.3, 0.0]
+    with pytest.raises(InputError, match="scan 2 overlaps the others by 0 %"):
+        stitch(
+            images("body and bed"), np.stack([POSES[0], away]), refine=PoseDoubt(0.1)
+        )
+
+
+def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
+    shots = images("body and bed")
+    with pytest.raises(InputError, match="2 images have 1 poses"):
+        stitch(shots, POSES[:1])
+    with pytest.raises(InputError, match="0 images"):
+        stitch([], [])
+    with pytest.raises(InputError, match="no other"):
+        stitch(shots[:1], POSES[:1], refine=PoseDoubt())
+    with pytest.raises(InputError, match="millimetres"):
+        stitch(shots[:1], [np.array(POSES[0]) + 1e3 * np.eye(4, k=3)])
+    for shift, turn in ((0.0, 0.1), (5.0, 0.01), (0.005, 1.0), (np.nan, 0.1)):
+        with pytest.raises(InputError, match="another unit"):
+            PoseDoubt(shift, turn)
+    monkeypatch.setitem(__import__("sys").modules, "small_gicp", None)
+    with pytest.raises(MissingPackageError, match=r"ttus-opt\[sensors\]"):
+        stitch(shots, POSES, refine=PoseDoubt())
+
+
+def poses_file(file: Path, order: str = "wxyz") -> Path:
+    lines = ["t,px,py,pz,qw,qx,qy,qz"]
+    for k, pose in enumerate(POSES):
+        turn = Rotation.from_matrix(pose[:3, :3])
+        q = turn.as_quat(scalar_first=order == "wxyz")
+        lines.append(",".join(f"{v:.9f}" for v in [k, *pose[:3, 3], *q]))
+    file.write_text("\n".join(lines) + "\n")
+    return file
+
+
+def test_poses_of_a_file(tmp_path: Path) -> None:
+    for order in ("wxyz", "xyzw"):
+        file = poses_file(tmp_path / "poses.csv", order)
+        found = read_camera_poses(file, 2, order=order)  # type: ignore[arg-type]
+        np.testing.assert_allclose(found, POSES, atol=1e-8)
+    with pytest.raises(FileError, match="has 2 poses, there are 3 images"):
+        read_camera_poses(file, 3)
+    with pytest.raises(FileError, match="has 2 poses, there is 1 image:"):
+        read_camera_poses(file, 1)
+
+
+@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
+def test_mutations(tmp_path: Path, n: int) -> None:
+    file = poses_file(tmp_path / "poses.csv")
+    only_our_errors([file], lambda path: read_camera_poses(path, 2), n)

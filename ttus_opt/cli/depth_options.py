@@ -1,0 +1,198 @@
+"""Options about depth images: cameras, their poses and their noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import typer
+
+from ttus_opt.cli.cloud_options import CloudOptions
+from ttus_opt.cli.options import numbers
+from ttus_opt.errors import InputError
+
+if TYPE_CHECKING:
+    from ttus_opt.sensors.depth import DepthImage
+    from ttus_opt.sensors.stitching import PoseDoubt, Stitched
+
+#: Suffixes of files that can only be depth images
+IMAGES = (".png", ".tif", ".tiff")
+
+
+@dataclass(frozen=True)
+class DepthOptions:
+    """How depth images were taken, as typed."""
+
+    intrinsics: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Camera of depth images: JSON or YAML as OpenCV and ROS write it; one "
+            "for all, or repeated for each."
+        ),
+    ] = None
+    rays: Annotated[
+        Path | None,
+        typer.Option(
+            help="Instead: table of the pixels' directions, NPY (h, w, 3) or (h, w, 2)."
+        ),
+    ] = None
+    depth_kind: Annotated[
+        str,
+        typer.Option(help="z along the optical axis, or range along the ray."),
+    ] = "z"
+    noise: Annotated[
+        str | None,
+        typer.Option(
+            help="structured-light, stereo:BASELINE[,DISPARITY_STD] [m, pixel] or "
+            "time-of-flight:STD [m]: every point's deviation for the contour filter."
+        ),
+    ] = None
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            help="Camera to scan, a line t,px,py,pz,qw,qx,qy,qz for each image."
+        ),
+    ] = None
+    pose_quaternion: Annotated[
+        str,
+        typer.Option(
+            help="Order of qw,qx,qy,qz as they stand: wxyz, or xyzw under those names."
+        ),
+    ] = "wxyz"
+    refine: Annotated[
+        bool,
+        typer.Option(
+            "--refine", help="Refine the poses by GICP (extra sensors: small_gicp)."
+        ),
+    ] = False
+    pose_std: Annotated[
+        str,
+        typer.Option(
+            metavar="METRES,DEGREES",
+            help="How well poses were measured, for --refine.",
+        ),
+    ] = "0.005,0.5"
+
+    @property
+    def files(self) -> list[Path]:
+        """What is read beside the images."""
+        return [*(self.intrinsics or []), *(p for p in (self.rays, self.poses) if p)]
+
+    def are_given(self, scans: list[Path]) -> bool:
+        """Whether the scans are depth images.
+
+        Raises:
+            InputError: They are and nothing says where their pixels look, or they are
+                not and an option says how they were taken.
+        """
+        images = [scan for scan in scans if scan.suffix.lower() in IMAGES]
+        if self.intrinsics or self.rays:
+            return True
+        if images:
+            raise InputError(
+                f"{images[0]} is a depth image: give --intrinsics or --rays"
+            )
+        if self.noise or self.poses or self.refine:
+            raise InputError(
+                "--noise, --poses and --refine are of depth images: give --intrinsics "
+                "or --rays with them"
+            )
+        return False
+
+    def read(self, cloud: CloudOptions) -> Stitched:
+        """The scans in one frame; the first camera's without poses.
+
+        Raises:
+            FileError: A file does not hold what it should.
+            InputError: Options or files that do not go together.
+        """
+        from ttus_opt.sensors.depth_noise import noise_model
+        from ttus_opt.sensors.stitching import read_camera_poses, stitch
+
+        scans = cloud.scans
+        noise = None if self.noise is None else noise_model(self.noise)
+        doubt = self._doubt() if self.refine else None
+        if self.poses is not None:
+            order: Any = self.pose_quaternion  # checked there
+            poses = read_camera_poses(self.poses, len(scans), order=order)
+        elif len(scans) == 1:
+            poses = np.eye(4)[None]
+        else:
+            raise InputError(
+                f"{len(scans)} depth images need the poses of their cameras: give "
+                "--poses"
+            )
+        return stitch(self._images(cloud), poses, noise=noise, refine=doubt)
+
+    def _images(self, cloud: CloudOptions) -> list[DepthImage]:
+        from ttus_opt.sensors.depth import read_depth_image
+        from ttus_opt.sensors.intrinsics import read_intrinsics
+        from ttus_opt.sensors.unprojection import read_unprojection
+
+        files = self.intrinsics or []
+        if bool(files) == (self.rays is not None):
+            raise InputError("give either --intrinsics or --rays, not both")
+        if len(files) > 1 and len(files) != len(cloud.scans):
+            raise InputError(
+                f"{len(cloud.scans)} images have {len(files)} --intrinsics: give one "
+                "for all or one for each"
+            )
+        cameras: list[Any] = [read_intrinsics(file) for file in files]
+        if self.rays is not None:
+            cameras = [read_unprojection(self.rays)]
+        if len(cameras) == 1:
+            cameras *= len(cloud.scans)
+        kind: Any = self.depth_kind  # checked there
+        return [
+            read_depth_image(scan, camera, depth_kind=kind, unit=cloud.unit)
+            for scan, camera in zip(cloud.scans, cameras, strict=True)
+        ]
+
+    def _doubt(self) -> PoseDoubt:
+        from ttus_opt.sensors.stitching import PoseDoubt
+
+        shift, degrees = numbers(self.pose_std, 2, "--pose-std")
+        try:
+            return PoseDoubt(shift, float(np.deg2rad(degrees)))
+        except InputError as error:
+            raise InputError(f"--pose-std: {error}") from error
+
+
+def stitched_facts(found: Stitched) -> dict[str, Any]:
+    """What was left out and how poses were refined, for machines."""
+    return {
+        "dropped": [
+            {"invalid": d.invalid, "flying": d.flying, "grazing": d.grazing}
+            for d in found.cloud.dropped
+        ],
+        "refinements": [
+            {
+                "scan": r.scan + 1,
+                "shift_m": r.shift,
+                "turn_degrees": float(np.rad2deg(r.turn)),
+                "overlap": r.overlap,
+                "residual_before_m": r.residual_before,
+                "residual_m": r.residual,
+                "condition": r.condition,
+            }
+            for r in found.refinements
+        ],
+        "camera_poses": found.poses.tolist(),
+    }
+
+
+def stitched_lines(found: Stitched) -> list[str]:
+    """The same for people."""
+    lines = [
+        f"scan {k + 1}: left out {d.invalid} pixels without depth, {d.flying} flying, "
+        f"{d.grazing} grazing"
+        for k, d in enumerate(found.cloud.dropped)
+    ]
+    return lines + [
+        f"scan {r.scan + 1}: camera moved by {1e3 * r.shift:.1f} mm and "
+        f"{np.rad2deg(r.turn):.2f}°, {100 * r.overlap:.0f} % overlap, residual "
+        f"{1e3 * r.residual_before:.2f} → {1e3 * r.residual:.2f} mm"
+        for r in found.refinements
+    ]
