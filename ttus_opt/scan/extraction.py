@@ -22,6 +22,9 @@ from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane
 from ttus_opt.scan.surface import Surface
 
+#: Points up to this far from a spoke are its candidates [m]
+SPOKE_DISTANCE = 0.004
+
 _LARGEST_RADIUS = 0.5  # of a body [m]
 _LEAST_POINTS = 100
 _LEAST_OBSERVED = 0.05  # share of nodes below which nothing was really seen
@@ -34,7 +37,7 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
     n_theta: int = 180,
     n_z: int = 60,
     z_range: tuple[float, float] | None = None,
-    spoke_distance: float = 0.004,
+    spoke_distance: float = SPOKE_DISTANCE,
     slice_distance: float | None = None,
     model: ContourModel | None = None,
     support: SupportingPlane | Literal["find"] | None = "find",
@@ -73,23 +76,81 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
     points, body = _body_points(cloud, axis, plane)
     z = _heights(points, z_range, n_z)
     theta: Array = np.arange(n_theta, dtype=np.float64) * (2.0 * np.pi / n_theta)
-    dz = float(z[1] - z[0])
-    reach = float(np.clip(dz / 2, 0.003, 0.006))
+    std = None if point_std is None else point_std[body]
+    reach = (spoke_distance, slice_distance)
+    contour = _contours(points, std, theta, z, reach, model)
+    return filled_surface(contour, theta, z, axis, plane)
+
+
+def followed(
+    cloud: Array,
+    axis: Axis,
+    plane: SupportingPlane | None,
+    theta: Array,
+    z: Array,
+    *,
+    model: ContourModel | None = None,
+    point_std: Array | None = None,
+) -> Contour:
+    """The contours of a scan on a given grid; see `extract_surface`.
+
+    Args:
+        cloud: Scan, shape (n, 3) [m].
+        axis: The patient frame in the scan.
+        plane: The plane the body lies on; None when there is none.
+        theta: Angles from 0, equally spaced, shape (n_theta,) [rad].
+        z: Heights, equally spaced, shape (n_z,) [m].
+        model: Depth noise and smoothness the filter assumes.
+        point_std: Standard deviation of every point, shape (n,) [m].
+
+    Raises:
+        InputError: Deviations or a cloud that cannot be used.
+        GeometryError: The cloud never meets the axis or shows no body around it.
+    """
+    _check(cloud, len(theta), len(z), SPOKE_DISTANCE, None)
+    _check_std(point_std, len(cloud))
+    points, body = _body_points(cloud, axis, plane)
+    std = None if point_std is None else point_std[body]
+    return _contours(points, std, theta, z, (SPOKE_DISTANCE, None), model)
+
+
+def _contours(
+    points: Array,
+    std: Array | None,
+    theta: Array,
+    z: Array,
+    reach: tuple[float, float | None],
+    model: ContourModel | None,
+) -> Contour:
+    """Follow body points (patient frame); ``reach`` off a spoke and a slice [m]."""
+    spoke, of_slice = reach
+    by_default = float(np.clip((z[1] - z[0]) / 2, 0.003, 0.006))
     candidates = collect(
         points,
         theta,
         z,
-        spoke_distance=spoke_distance,
-        slice_distance=slice_distance or reach,
-        std=None if point_std is None else point_std[body],
+        spoke_distance=spoke,
+        slice_distance=of_slice or by_default,
+        std=std,
     )
     contour = follow(candidates, model or ContourModel())
     _check_seen(contour)
+    return contour
+
+
+def filled_surface(
+    contour: Contour,
+    theta: Array,
+    z: Array,
+    axis: Axis,
+    plane: SupportingPlane | None,
+) -> Surface:
+    """A surface of contours, what was not seen filled smoothly."""
     filled = fill_smoothly(
         contour.radius,
         contour.variance,
         contour.observed,
-        z_step=dz,
+        z_step=float(z[1] - z[0]),
         limit=None if plane is None else _plane_radius(plane, axis, theta, z),
     )
     return Surface(theta, z, filled.radius, filled.std, contour.observed, axis)
