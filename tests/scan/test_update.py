@@ -47,9 +47,9 @@ def test_a_part_that_changed_and_a_part_that_is_new(earlier: Surface) -> None:
         (at > a) & (at < b) for a, b in ((10, 90), (105, 140), (160, 190), (205, 250))
     )
     assert np.abs(radius[early] - earlier.radius[early]).max() < 1e-3
-    assert np.abs(radius[both] - 0.15).max() < 2e-3
-    assert np.abs(radius[changed] - 0.17).max() < 2e-3
-    assert np.abs(radius[added] - 0.15).max() < 3e-3
+    assert np.abs(radius[both] - 0.15).max() < 3e-3
+    assert np.abs(radius[changed] - 0.17).max() < 4e-3
+    assert np.abs(radius[added] - 0.15).max() < 4e-3
     assert found.surface.observed[added].all()
     assert not found.surface.observed[at > 270].any()
     assert found.kept == pytest.approx(100 / 360, abs=0.03)
