@@ -89,6 +89,48 @@ def test_an_ellipsoid_is_too_round_to_be_refined(
     assert not out.exists()
 
 
+def test_the_frame_of_a_held_probe_and_a_later_scan(
+    scans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The probe's z into the patient, its y to the feet; then one scan more."""
+    turn = Rotation.from_matrix([[-1, 0, 0], [0, 0, -1], [0, -1, 0]])
+    q = ",".join(f"{v:.9f}" for v in turn.as_quat(scalar_first=True))
+    (tmp_path / "probe.csv").write_text(f"t,px,py,pz,qw,qx,qy,qz\n0,0,0.24,0.05,{q}\n")
+    first, second = tmp_path / "first.nc", tmp_path / "second.nc"
+    size = ["--n-theta", "60", "--n-z", "16", "--z-range=-0.1,0.1"]
+    camera = ["--intrinsics", str(scans / "camera.json")]
+    lines = (scans / "poses.csv").read_text().splitlines()
+    for k in (0, 1):
+        one = "\n".join([lines[0], lines[k + 1]]) + "\n"
+        (tmp_path / f"pose{k}.csv").write_text(one)
+    front, left = (
+        [
+            *("surface", str(scans / f"{k}.png"), *camera),
+            *("--poses", str(tmp_path / f"pose{k}.csv")),
+        ]
+        for k in (0, 1)
+    )
+    held = ["--axis-from", str(tmp_path / "probe.csv")]
+    assert run(*front, *held, *size, "-o", str(first)) == 0
+    earlier = tt.Surface.load(first)
+    np.testing.assert_allclose(earlier.axis.rotation, np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(earlier.axis.origin, [0, 0.11, 0.05], atol=0.005)
+    capsys.readouterr()
+    more = ["--update", str(first), "--json", "-o", str(second)]
+    assert run(*left, *more) == 0
+    told = json.loads(capsys.readouterr().out)
+    later = tt.Surface.load(second)
+    assert told["kept"] > 0.05 and told["added"] > 0.01
+    assert told["averaged"] > 0.8 * (told["averaged"] + told["replaced"])
+    assert later.observed.mean() > earlier.observed.mean()
+    np.testing.assert_array_equal(later.axis.rotation, earlier.axis.rotation)
+    assert run(*left, *held, "--update", str(first), "-o", str(second)) == 2
+    assert "--update keeps the surface's frame" in capsys.readouterr().err
+    twice = [*held, "--probe-axes", "z,z"]
+    assert run(*front, *twice, "-o", str(second)) == 2
+    assert "same axis of the probe" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("given", "told"),
     [

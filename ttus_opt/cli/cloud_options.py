@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
@@ -109,9 +109,26 @@ class AxisOptions:
     ] = None
     axis_from: Annotated[
         Path | None,
-        typer.Option(help="Take the patient frame of this surface file."),
+        typer.Option(
+            help="Take the patient frame of this surface file (.nc), or of a probe "
+            "held above the sternum: its poses in the scan's frame (.csv)."
+        ),
     ] = None
-
+    probe_axes: Annotated[
+        str,
+        typer.Option(
+            metavar="INTO,HEAD",
+            help="With poses: the probe's axes into the patient and to the head, of x, "
+            "-x, y, -y, z, -z.",
+        ),
+    ] = "z,-y"
+    axis_depth: Annotated[
+        float | None,
+        typer.Option(
+            help="With poses: the origin so deep below the skin [m]; by default "
+            "half-way to the plane the body lies on."
+        ),
+    ] = None
     support: Annotated[
         bool,
         typer.Option(
@@ -119,6 +136,12 @@ class AxisOptions:
             help="Find the plane the body lies on and leave it out.",
         ),
     ] = True
+
+    @property
+    def are_given(self) -> bool:
+        """Whether anything says where the frame lies."""
+        told = (self.head, self.axis_from, self.axis_origin, self.axis_direction)
+        return any(told) or self.flip_axis or self.prone
 
     @property
     def guesses(self) -> bool:
@@ -146,6 +169,8 @@ class AxisOptions:
                 raise InputError(
                     "give either --axis-from or where the axis lies, not both"
                 )
+            if self.axis_from.suffix.lower() == ".csv":
+                return self._of_probe(cloud, self.axis_from)
             return Surface.load(self.axis_from).axis
         if self.head is not None and self.flip_axis:
             raise InputError("give either --head or --flip-axis, not both")
@@ -161,6 +186,15 @@ class AxisOptions:
         if self.head is not None:
             raise InputError("--axis-direction points to the head: leave --head out")
         return self._given(cloud, self.axis_origin, self.axis_direction)
+
+    def _of_probe(self, cloud: Array, poses: Path) -> Axis:
+        """The frame of a probe held above the sternum."""
+        from ttus_opt.probe.trajectory import read_trajectory
+        from ttus_opt.sensors.probe_axis import axis_from_probe
+
+        held: Any = tuple(word.strip() for word in self.probe_axes.split(","))
+        found = read_trajectory(poses)
+        return axis_from_probe(found, cloud, held=held, depth=self.axis_depth)
 
     def _given(self, cloud: Array, origin: str, direction: str) -> Axis:
         """The frame of an origin and a direction; the front is off the support."""

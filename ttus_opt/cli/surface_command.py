@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -12,6 +12,7 @@ from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.depth_options import DepthOptions, stitched_facts, stitched_lines
 from ttus_opt.cli.option_groups import grouped
 from ttus_opt.cli.options import Force, Json, check_outputs, numbers
+from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
     from ttus_opt.arrays import Array
@@ -42,6 +43,13 @@ def surface(
         str | None,
         typer.Option(help="First and last height in the patient frame, a,b [m]."),
     ] = None,
+    update: Annotated[
+        Path | None,
+        typer.Option(
+            help="Update this surface file by the scan: its frame and grid, what the "
+            "scan does not see kept."
+        ),
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the surface and its observed part here.")
     ] = None,
@@ -53,52 +61,103 @@ def surface(
     The patient's frame, which recordings and fields share, has x to the right, y to the
     front and z to the head; the surface file says where it lies in the scan.
     """
-    from ttus_opt.scan.extraction import extract_surface
-
     if picture is not None:
         from ttus_opt.report import plots
 
         plots.require_picture_suffix(picture)
-    inputs = [*cloud.scans, *depth.files, *([axis.axis_from] if axis.axis_from else [])]
+    inputs = [*cloud.scans, *depth.files, *(f for f in (axis.axis_from, update) if f)]
     check_outputs([output, picture], inputs, force=force)
+    grid = _Grid(n_theta, n_z, None if z_range is None else _pair(z_range))
     with Stages(3 if picture is None else 4) as begin:
         begin("reading the scan")
         points, std, stitched = _read(cloud, depth)
-        frame = axis.frame(points)
         begin("following the contour")
-        found = extract_surface(
-            points,
-            axis=frame,
-            n_theta=n_theta,
-            n_z=n_z,
-            z_range=None if z_range is None else _pair(z_range),
-            support="find" if axis.support else None,
-            point_std=std,
-        )
+        if update is None:
+            found, changes = _extracted(points, std, axis, grid), {}
+        else:
+            found, changes = _updated(points, std, axis, update)
         begin("writing the surface")
         found.save(output)
         if picture is not None:
             begin("drawing")
             plots.save_picture(plots.surface_picture(found, points), picture)
-    told = _summary(found, len(points), output)
+    told = _summary(found, len(points), output) | changes
     if stitched is not None:
         told |= stitched_facts(stitched)
     if json:
         print_json(told)
         return
     typer.echo(
-        f"{output}: {n_theta} x {n_z} radii, {100 * told['observed']:.0f} % observed, "
+        f"{output}: {told['n_theta']} x {told['n_z']} radii, "
+        f"{100 * told['observed']:.0f} % observed, "
         f"R {100 * told['radius_min_m']:.1f} to {100 * told['radius_max_m']:.1f} cm, "
         f"z {100 * told['z_min_m']:.1f} to {100 * told['z_max_m']:.1f} cm"
     )
+    if changes:
+        shares = ", ".join(
+            f"{name} {100 * changes[name]:.0f} %"
+            for name in ("kept", "averaged", "replaced", "added")
+        )
+        typer.echo(f"of its nodes: {shares}")
     for line in [] if stitched is None else stitched_lines(stitched):
         typer.echo(line)
-    along = ", ".join(f"{v:.2f}" for v in frame.rotation[:, 2])
+    along = ", ".join(f"{v:.2f}" for v in found.axis.rotation[:, 2])
     guess = " by the depth of the trunk: if not, add --flip-axis"
     typer.echo(
         "patient frame: x right, y front, z head; the head lies towards "
-        f"({along}) in the scan" + (guess if axis.guesses else "")
+        f"({along}) in the scan" + (guess if axis.guesses and update is None else "")
     )
+
+
+class _Grid(NamedTuple):
+    """Spokes, slices, and the heights between which they are [m]."""
+
+    n_theta: int
+    n_z: int
+    z_range: tuple[float, float] | None
+
+
+def _extracted(
+    points: Array, std: Array | None, axis: AxisOptions, grid: _Grid
+) -> Surface:
+    from ttus_opt.scan.extraction import extract_surface
+
+    return extract_surface(
+        points,
+        axis=axis.frame(points),
+        n_theta=grid.n_theta,
+        n_z=grid.n_z,
+        z_range=grid.z_range,
+        support="find" if axis.support else None,
+        point_std=std,
+    )
+
+
+def _updated(
+    points: Array, std: Array | None, axis: AxisOptions, update: Path
+) -> tuple[Surface, dict[str, Any]]:
+    """The surface of a file updated by a scan, and what became of its nodes."""
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.scan.update import update_surface
+
+    if axis.are_given:
+        raise InputError(
+            "--update keeps the surface's frame: leave --axis-…, --head, --flip-axis "
+            "and --prone out"
+        )
+    found = update_surface(
+        Surface.load(update),
+        points,
+        point_std=std,
+        support="find" if axis.support else None,
+    )
+    return found.surface, {
+        "kept": found.kept,
+        "averaged": found.averaged,
+        "replaced": found.replaced,
+        "added": found.added,
+        "difference_m": found.difference,
+    }
 
 
 def _read(

@@ -1,0 +1,138 @@
+"""The patient frame from a probe held above the sternum."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import ttus_opt as tt
+from ttus_opt.arrays import Array
+from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.probe_axis import axis_from_probe
+
+DATA = Path(__file__).parents[3] / "shared" / "data" / "torso"
+
+#: Probe to a scan whose axes are right, front, head: x to the left, y to the feet
+HELD = np.array([[-1.0, 0, 0], [0, 0, -1], [0, -1, 0]])
+
+
+def scan(rng: np.random.Generator) -> Array:
+    """Half an ellipsoid, 0.22 m deep, on a bed."""
+    u = rng.normal(size=(12_000, 3))
+    u /= np.linalg.norm(u, axis=1)[:, None]
+    u[:, 1] = np.abs(u[:, 1])
+    body = u * [0.17, 0.22, 0.35]
+    bed = np.stack(
+        [rng.uniform(-0.4, 0.4, 8000), np.zeros(8000), rng.uniform(-0.5, 0.5, 8000)], 1
+    )
+    return np.concatenate([body, bed]) + 0.001 * rng.standard_normal((20_000, 3))
+
+
+def probe(n: int = 5, rotation: Array = HELD, at: Array | None = None) -> Trajectory:
+    rng = np.random.default_rng(1)
+    shake = Rotation.from_rotvec(0.004 * rng.standard_normal((n, 3))).as_matrix()
+    position = np.array([0.0, 0.24, 0.05]) if at is None else at
+    return Trajectory(
+        np.arange(float(n)),
+        position + 0.0005 * rng.standard_normal((n, 3)),
+        shake @ rotation,
+    )
+
+
+def test_axes_and_origin_as_stated() -> None:
+    cloud = scan(np.random.default_rng(0))
+    axis = axis_from_probe(probe(), cloud)
+    np.testing.assert_allclose(axis.rotation, np.eye(3), atol=0.01)
+    skin = 0.22 * np.sqrt(1 - (0.05 / 0.35) ** 2)
+    np.testing.assert_allclose(axis.origin, [0, skin / 2, 0.05], atol=0.004)
+    deep = axis_from_probe(probe(), cloud, depth=0.08)
+    np.testing.assert_allclose(deep.origin, [0, skin - 0.08, 0.05], atol=0.004)
+    assert axis.supporting_plane(cloud) is not None
+
+
+@pytest.mark.parametrize(
+    ("held", "columns"),
+    [
+        (("z", "-y"), HELD),
+        (("-z", "x"), np.array([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]])),
+        (("y", "z"), np.array([[-1.0, 0, 0], [0, -1, 0], [0, 0, 1]])),
+    ],
+)
+def test_other_ways_of_holding(held: tuple[str, str], columns: Array) -> None:
+    assert np.linalg.det(columns) == pytest.approx(1.0)
+    axis = axis_from_probe(
+        probe(rotation=columns), scan(np.random.default_rng(0)), held=held
+    )
+    np.testing.assert_allclose(axis.rotation, np.eye(3), atol=0.01)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_turned_and_shifted_with_the_scan(seed: int) -> None:
+    """However scan and probe lie in their frame, the patient frame is the same."""
+    rng = np.random.default_rng(seed)
+    cloud = scan(np.random.default_rng(0))
+    R, t = Rotation.random(rng=rng).as_matrix(), rng.uniform(-1, 1, 3)
+    motion = np.eye(4)
+    motion[:3, :3], motion[:3, 3] = R, t
+    still = axis_from_probe(probe(), cloud)
+    turned = axis_from_probe(probe().transformed(motion), cloud @ R.T + t)
+    np.testing.assert_allclose(turned.rotation, R @ still.rotation, atol=1e-6)
+    # the plane of the bed is found by trials
+    np.testing.assert_allclose(turned.origin, R @ still.origin + t, atol=2e-3)
+
+
+@pytest.mark.slow
+def test_on_a_real_torso() -> None:
+    """A CT's skin: x to the right, y to the front, z to the head; a bed below it."""
+    path = DATA / "ct_skin_mm.ply"
+    if not path.exists():
+        pytest.skip("ct_skin_mm.ply is not beside the checkout")
+    rng = np.random.default_rng(0)
+    skin = tt.read_cloud(path, unit="mm")
+    low, high = skin.min(axis=0), skin.max(axis=0)
+    middle = (low + high) / 2
+    bed = rng.uniform(-0.45, 0.45, (60_000, 3)) + middle
+    bed[:, 1] = low[1] + 0.001 * rng.standard_normal(60_000)
+    cloud = np.concatenate([skin, bed])
+    above = skin[np.hypot(skin[:, 0] - middle[0], skin[:, 2] - middle[2]) < 0.01]
+    at = np.array([middle[0], above[:, 1].max() + 0.02, middle[2]])
+    axis = axis_from_probe(probe(at=at), cloud)
+    np.testing.assert_allclose(axis.rotation, np.eye(3), atol=0.01)
+    half = (above[:, 1].max() + low[1]) / 2
+    np.testing.assert_allclose(axis.origin, [middle[0], half, middle[2]], atol=0.006)
+    found = tt.Axis.from_cloud(cloud)
+    assert np.diag(found.rotation.T @ axis.rotation).min() > np.cos(np.deg2rad(8))
+    surface = tt.extract_surface(cloud, axis=axis, n_theta=90, n_z=30)
+    assert surface.observed.mean() > 0.8
+
+
+def test_refusals() -> None:
+    cloud = scan(np.random.default_rng(0))
+    for held in (("z", "z"), ("z", "-z")):
+        with pytest.raises(InputError, match="same axis"):
+            axis_from_probe(probe(), cloud, held=held)
+    with pytest.raises(InputError, match="each one of"):
+        axis_from_probe(probe(), cloud, held=("down", "x"))
+    for depth in (0.0, 80.0, float("nan")):
+        with pytest.raises(InputError, match="in metres"):
+            axis_from_probe(probe(), cloud, depth=depth)
+    with pytest.raises(GeometryError, match="no skin"):
+        axis_from_probe(probe(at=np.array([2.0, 0, 0])), cloud)
+    with pytest.raises(GeometryError, match="180° off"):
+        axis_from_probe(probe(), cloud, held=("-z", "-y"))
+    still = probe()
+    walked = Trajectory(
+        still.time, still.position + 0.02 * still.time[:, None], still.rotation
+    )
+    with pytest.raises(InputError, match="held still"):
+        axis_from_probe(walked, cloud)
+    with pytest.raises(InputError, match="state how deep"):
+        axis_from_probe(probe(), cloud[:12_000])
+    side = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])
+    beside = probe(rotation=side, at=np.array([0.25, 0.1, 0.0]))
+    with pytest.raises(GeometryError, match="another axis meant"):
+        axis_from_probe(beside, cloud)

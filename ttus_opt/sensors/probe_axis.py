@@ -1,0 +1,161 @@
+"""The patient frame from a tracked probe held above the sternum, the paper's way.
+
+The probe is held still in a stated orientation: one of its axes points into the
+patient, another to the head. So, with R the probe's rotation to the scan's frame,
+
+    y = −R (into the patient),   z = R (to the head),   x = y × z,
+
+x to the patient's right, y to the front. The origin is below the probe: on the line
+through it along y, half-way between the skin and the plane the body lies on, as in a
+frame that is found in the scan; or a stated depth below the skin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
+
+#: How the phantoms' probes are held: z into the patient, y to the feet
+USUAL = ("z", "-y")
+
+AXES = {
+    sign + name: (-1.0 if sign else 1.0) * np.eye(3)[k]
+    for k, name in enumerate("xyz")
+    for sign in ("", "-")
+}
+
+#: A probe that is held still moves and turns less than this [m, rad]
+STILL_SHIFT, STILL_TURN = 0.010, float(np.deg2rad(5.0))
+
+#: Skin this near to the line below the probe is below it [m], and so many points are
+#: skin
+BESIDE, LEAST_POINTS = 0.015, 10
+
+#: The probe points into the patient within this of the supporting plane's normal [–]
+LEAST_UPRIGHT = float(np.cos(np.deg2rad(40.0)))
+
+
+def axis_from_probe(
+    poses: Trajectory,
+    cloud: Array,
+    *,
+    held: tuple[str, str] = USUAL,
+    depth: float | None = None,
+) -> Axis:
+    """The patient frame of a scan from a probe held above the sternum.
+
+    Args:
+        poses: Of the probe, in the scan's frame; several are averaged.
+        cloud: The scan, shape (n, 3) [m].
+        held: The probe's axis that points into the patient, and that which points to
+            the head: ``x``, ``-x``, ``y``, ``-y``, ``z`` or ``-z`` each.
+        depth: How far the origin lies below the skin [m]; by default half-way to the
+            plane the body lies on.
+
+    Returns:
+        The frame.
+
+    Raises:
+        InputError: Axes that are none or the same, a depth that is none, a probe that
+            moved; no plane is found and no depth given.
+        GeometryError: No skin lies below the probe, or it does not point at the plane
+            the body lies on.
+    """
+    into, head = _axes(held)
+    if depth is not None and not 0.01 <= depth <= 0.3:
+        raise InputError(
+            f"the origin lies 0.01 to 0.3 m below the skin, got {depth:g}: it is in "
+            "metres"
+        )
+    rotation, at = _mean_pose(poses)
+    inward = rotation @ into
+    plane = find_supporting_plane(cloud)
+    body = cloud if plane is None else cloud[plane.above(cloud)]
+    skin = _skin_below(body, at, inward)
+    if depth is None:
+        depth = _half_way(plane, at + skin * inward, inward)
+    z = rotation @ head
+    turn = np.stack([np.cross(-inward, z), -inward, z], axis=1)
+    return Axis(at + (skin + depth) * inward, turn, plane)
+
+
+def _axes(held: tuple[str, str]) -> tuple[Array, Array]:
+    if len(held) != 2 or not all(name in AXES for name in held):
+        raise InputError(
+            "held names the probe's axes into the patient and to the head, each one of "
+            f"{', '.join(AXES)}: got {held}"
+        )
+    into, head = (AXES[name] for name in held)
+    if into @ head != 0.0:
+        raise InputError(
+            f"held names the same axis of the probe twice, {held[0]} and {held[1]}: "
+            "one points into the patient, another to the head"
+        )
+    return into, head
+
+
+def _mean_pose(poses: Trajectory) -> tuple[Array, Array]:
+    """Mean rotation (3, 3) and position (3,) of a probe held still.
+
+    Raises:
+        InputError: It moved.
+    """
+    turns = Rotation.from_matrix(poses.rotation)
+    mean = turns.mean()
+    at = np.median(poses.position, axis=0)
+    turned = float((mean.inv() * turns).magnitude().max())
+    shifted = float(np.linalg.norm(poses.position - at, axis=1).max())
+    if turned > STILL_TURN or shifted > STILL_SHIFT:
+        raise InputError(
+            f"the probe moved by {1e3 * shifted:.0f} mm and {np.rad2deg(turned):.0f}° "
+            f"in {len(poses)} poses, expected less than {1e3 * STILL_SHIFT:.0f} mm and "
+            f"{np.rad2deg(STILL_TURN):.0f}°: keep the part where it is held still"
+        )
+    return mean.as_matrix(), at
+
+
+def _skin_below(body: Array, at: Array, inward: Array) -> float:
+    """How far the skin is from the probe along the line into the patient [m].
+
+    Raises:
+        GeometryError: There is none.
+    """
+    away = body - at
+    along = away @ inward
+    beside = np.linalg.norm(away - along[:, None] * inward, axis=1)
+    below = along[(beside < BESIDE) & (along > -0.05) & (along < 0.5)]
+    if len(below) < LEAST_POINTS:
+        raise GeometryError(
+            "no skin of the scan lies below the probe: are its poses in the scan's "
+            "frame, and do the stated axes point into the patient and to the head?"
+        )
+    nearest = float(np.percentile(below, 5))
+    return float(np.median(below[below < nearest + 0.02]))
+
+
+def _half_way(plane: SupportingPlane | None, skin: Array, inward: Array) -> float:
+    """Half the distance from the skin to the supporting plane along a line [m].
+
+    Raises:
+        InputError: There is no plane.
+        GeometryError: The line does not meet it from above.
+    """
+    if plane is None:
+        raise InputError(
+            "the scan shows no plane that the body lies on: state how deep below the "
+            "skin the origin lies (depth)"
+        )
+    upright = -float(plane.normal @ inward)
+    if upright < LEAST_UPRIGHT:
+        angle = np.rad2deg(np.arccos(np.clip(upright, -1, 1)))
+        raise GeometryError(
+            f"the probe's axis into the patient is {angle:.0f}° off the direction to "
+            "the plane the body lies on: was another axis meant?"
+        )
+    return 0.5 * float(plane.height(skin[None])[0]) / upright
