@@ -72,8 +72,9 @@ def surface(
         begin("reading the scan")
         points, std, stitched = _read(cloud, depth)
         begin("following the contour")
+        changes: dict[str, Any] = {}
         if update is None:
-            found, changes = _extracted(points, std, axis, grid), {}
+            found = _extracted(points, std, axis, grid)
         else:
             found, changes = _updated(points, std, axis, update)
         begin("writing the surface")
