@@ -11,6 +11,7 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from ttus_opt.problem import formulation
+from ttus_opt.solvers.dual import preconditioner
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, schur_preconditioner
@@ -71,3 +72,39 @@ def test_preconditioner_nearly_inverts() -> None:
     exact = np.array([system.apply(e) for e in np.eye(len(right_side))])
     inverse = np.linalg.inv(exact)
     assert rest @ inverse @ rest < 0.1**2 * (right_side @ inverse @ right_side)
+
+
+def test_where_directions_become_many_a_factor_takes_over(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It inverts S̃ to single precision, symmetric, and rows without contact alone."""
+    monkeypatch.setattr(preconditioner, "MANY", 3)
+    monkeypatch.setattr(preconditioner, "SHARE", 0.0)
+    system = dual_system("voxel-mean", 1e2)
+    blind = sp.csr_array((2, system.rows.shape[1]))
+    system = replace(
+        system,
+        rows=sp.csr_array(sp.vstack([system.rows, blind])),
+        root_weights=np.append(system.root_weights, [7.0, 9.0]),
+    )
+    tilde, m = ApproximateSchur(system), len(system.root_weights)
+    full = np.array([tilde.apply(e) for e in np.eye(m)])
+    precondition = schur_preconditioner(system, DualOptions(), tilde)
+    right_sides = np.random.default_rng(0).normal(size=(m, m))
+    answers = np.array([precondition(t) for t in right_sides])
+    np.testing.assert_allclose(answers @ full, right_sides, atol=1e-3)
+    np.testing.assert_array_equal(answers[:, -2:], right_sides[:, -2:])
+
+
+def test_a_factor_at_any_weight_is_positive_definite(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where rounding of single precision exceeds I, too."""
+    monkeypatch.setattr(preconditioner, "MANY", 3)
+    monkeypatch.setattr(preconditioner, "SHARE", 0.0)
+    system = dual_system("voxel-mean", 1e14)
+    precondition = schur_preconditioner(system, DualOptions())
+    for residual in np.random.default_rng(0).normal(size=(5, len(system.root_weights))):
+        answer = precondition(residual)
+        assert np.isfinite(answer).all()
+        assert answer @ residual > 0.0

@@ -15,12 +15,22 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
 from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.system import DualSystem
+
+#: Directions, and directions over rows, from which on S̃ is factorised instead [–]
+MANY, SHARE = 500, 0.15
+
+#: Most rows of which it is: a matrix of 144 MB
+MOST_ROWS = 6000
+
+#: Rounding of a factor in single precision over the largest entry [–]
+ROUNDING = 1e-7
 
 
 class ApproximateSchur:
@@ -41,6 +51,8 @@ class ApproximateSchur:
         touched = np.unique(system.rows.indices)
         contact = np.unique(system.rows[: system.n_measured].indices)
         self.root_weights = system.root_weights
+        #: Rows that touch a voxel; those of the others are the identity's
+        self.coupled = np.flatnonzero(np.diff(system.rows.indptr))
         self._cycle = laplace.multigrid.preconditioner(
             near=contact[laplace.free[contact]]
         )
@@ -87,6 +99,81 @@ class ApproximateSchur:
         return np.asarray(y + self.root_weights * measured)
 
 
+class SchurPreconditioner:
+    """S̃⁻¹, roughly: by conjugate directions, or a factor where these become many.
+
+    Where measurements weigh so much that I drowns in S̃, directions are needed by the
+    thousand, and keeping k of them conjugate costs k² m. All of S̃ by m products, and
+    its factor, then cost less.
+    """
+
+    def __init__(self, approximate: ApproximateSchur, options: DualOptions) -> None:
+        """Start without directions.
+
+        Args:
+            approximate: S̃.
+            options: Of the solver.
+        """
+        self._approximate, self._options = approximate, options
+        self._subspace = RecycledSubspace(approximate, np.float32)
+        m = len(approximate.coupled)
+        self._enough = max(MANY, SHARE * m) if m <= MOST_ROWS else np.inf
+        self._factor: Array | None = None
+
+    def __call__(self, residual: Array) -> Array:
+        """S̃⁻¹ residual, shape (m,), almost linear in it and positive definite."""
+        if self._factor is not None:
+            return self._by_factor(residual, self._factor)
+        subspace, options = self._subspace, self._options
+        goal = options.preconditioner_residual * float(np.linalg.norm(residual))
+        answer, rest = subspace.project(residual)
+        energy = float(answer @ residual)
+        recent = np.full(options.preconditioner_delay, np.inf)
+        while (
+            np.linalg.norm(rest) > goal
+            and recent.sum() > options.preconditioner_energy**2 * energy
+            and len(subspace) < options.max_directions
+        ):
+            if len(subspace) > self._enough:
+                self._factor = _factor(self._approximate)
+                return self._by_factor(residual, self._factor)
+            subspace.extend(rest, 0.0)
+            step, rest = subspace.step(rest)
+            answer = answer + step
+            recent = np.append(recent[1:], abs(float(step @ residual)))
+            energy += recent[-1]
+        return answer
+
+    def _by_factor(self, residual: Array, factor: Array) -> Array:
+        at, answer = self._approximate.coupled, residual.copy()
+        size = float(np.abs(residual).max(initial=0.0)) or 1.0
+        side = (residual[at] / size).astype(np.float32)
+        answer[at] = size * scipy.linalg.cho_solve(
+            (factor, False), side, overwrite_b=True, check_finite=False
+        )
+        return answer
+
+
+def _factor(approximate: ApproximateSchur) -> Array:
+    """Cholesky factor of S̃ over the rows that are not the identity's, upper."""
+    at = approximate.coupled
+    full = np.empty((len(at), len(at)), np.float32)
+    unit = np.zeros(len(approximate.root_weights))
+    for k, row in enumerate(at):
+        unit[row] = 1.0
+        full[k] = approximate.apply(unit)[at]
+        unit[row] = 0.0
+    full += full.T.copy()
+    full *= 0.5
+    largest, shift = float(full.diagonal().max()), 0.0
+    while True:
+        try:
+            trial = full + shift * np.eye(len(at), dtype=np.float32)
+            return np.asarray(scipy.linalg.cholesky(trial, overwrite_a=True))
+        except np.linalg.LinAlgError:  # eigenvalues that rounding took
+            shift = max(4.0 * shift, ROUNDING * largest)
+
+
 def schur_preconditioner(
     system: DualSystem,
     options: DualOptions,
@@ -104,23 +191,4 @@ def schur_preconditioner(
     Returns:
         A function from (m,) to (m,), almost linear and positive definite.
     """
-    subspace = RecycledSubspace(approximate or ApproximateSchur(system), np.float32)
-
-    def precondition(residual: Array) -> Array:
-        goal = options.preconditioner_residual * float(np.linalg.norm(residual))
-        answer, rest = subspace.project(residual)
-        energy = float(answer @ residual)
-        recent = np.full(options.preconditioner_delay, np.inf)
-        while (
-            np.linalg.norm(rest) > goal
-            and recent.sum() > options.preconditioner_energy**2 * energy
-            and len(subspace) < options.max_directions
-        ):
-            subspace.extend(rest, 0.0)
-            step, rest = subspace.step(rest)
-            answer = answer + step
-            recent = np.append(recent[1:], abs(float(step @ residual)))
-            energy += recent[-1]
-        return answer
-
-    return precondition
+    return SchurPreconditioner(approximate or ApproximateSchur(system), options)
