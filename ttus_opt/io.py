@@ -203,7 +203,12 @@ def write_dataset(
 
 
 def read_dataset(
-    path: str | os.PathLike[str], *, kind: str, version: int, foreign: bool = False
+    path: str | os.PathLike[str],
+    *,
+    kind: str,
+    version: int,
+    foreign: bool = False,
+    without: Sequence[str] = (),
 ) -> xr.Dataset:
     """Read a netCDF file of a kind into memory.
 
@@ -212,6 +217,7 @@ def read_dataset(
         kind: What the file must hold.
         version: The newest version of that layout this code knows.
         foreign: Accept a file from elsewhere that carries no kind at all.
+        without: Variables that are not read.
 
     Returns:
         The dataset, loaded, the file closed again.
@@ -226,7 +232,9 @@ def read_dataset(
         with warnings.catch_warnings():
             # numpy 2.4 warns inside netCDF4's compiled reader about array shapes
             warnings.simplefilter("ignore", DeprecationWarning)
-            with xr.open_dataset(file, engine="netcdf4") as opened:
+            with xr.open_dataset(
+                file, engine="netcdf4", drop_variables=list(without)
+            ) as opened:
                 dataset = opened.load()
     except (OSError, ValueError, RuntimeError, KeyError) as error:
         raise FileError(

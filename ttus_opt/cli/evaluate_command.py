@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
+    from ttus_opt.report.metrics import Errors
+
 EXAMPLE = (
     "ttus-opt evaluate --field field.nc --probe ellipsoid:0.030,0.0125,0.018 "
     "--trajectory press_test.csv --json"
@@ -38,10 +40,20 @@ def evaluate(
     picture: Annotated[
         Path | None, typer.Option(help="Draw measured and rendered force here.")
     ] = None,
+    doubt: Annotated[
+        bool,
+        typer.Option(
+            "--doubt",
+            help="Compare errors with the doubt that fit --doubt keeps in the field "
+            "file, for every recording.",
+        ),
+    ] = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
     """Compare rendered with measured force and torque."""
+    from ttus_opt.cli.recording_lines import recording_lines
+    from ttus_opt.fitting.saved_doubt import read_doubt
     from ttus_opt.report import metrics
     from ttus_opt.report.hysteresis import hysteresis_share
     from ttus_opt.voxmap.field import PotentialField
@@ -60,17 +72,22 @@ def evaluate(
         told = seen(potential.provenance, recordings.trajectory)
         shell = probe.read()
         recorded = recordings.read(as_written, shell, potential.voxmap.surface)
+        stated = read_doubt(field, shell) if doubt else None
         begin("rendering")
         found = metrics.evaluate(potential, shell, recorded)
         warn_off_grid(found.in_grid)
         warn_beyond(found.beyond_inner)
+        names = [path.name for path in recordings.trajectory]
+        each = recording_lines(potential, shell, recorded, names, stated)
         if picture is not None:
             begin("drawing")
             plots.save_picture(plots.force_over_time({"rendered": found}), picture)
     errors = found.errors
     lost = hysteresis_share(recorded, shell, errors.force_threshold_N)
     if json:
-        print_json({**errors.as_dict(), "hysteresis_share": lost, "recordings": told})
+        more = {"hysteresis_share": lost, "recordings": told}
+        by_recording = [one.as_dict() for one in each]
+        print_json({**errors.as_dict(), **more, "by_recording": by_recording})
         return
     for recording in told:
         if recording["seen"]:
@@ -86,13 +103,15 @@ def evaluate(
             f"felt    {100 * errors.share_told_apart:.1f} % of the frames in contact "
             "could be told from the measured ones (by more than 7 % and 0.36 N, or 18°)"
         )
-    if not math.isnan(lost):
-        typer.echo(
-            f"presses {100 * lost:.0f} % of their work was not given back (hysteresis)"
-        )
     if not recorded.has_torque:
         typer.echo("torque  not measured")
-        return
+    else:
+        _tell_torque(errors)
+    for line in (line for one in each for line in one.lines):
+        typer.echo(line)
+
+
+def _tell_torque(errors: Errors) -> None:
     typer.echo(
         f"torque  {1e3 * errors.torque_magnitude_error_Nm:.1f} mN m mean, "
         f"{1e3 * errors.torque_magnitude_rmse_Nm:.1f} mN m rmse, "

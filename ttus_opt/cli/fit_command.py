@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from ttus_opt.problem.solution import Solution
     from ttus_opt.scan.surface import Surface
     from ttus_opt.scene import Scene, ScenePlan
+    from ttus_opt.voxmap.field import PotentialField
 
 EXAMPLE = (
     "ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
@@ -98,6 +99,21 @@ def fit(
         Path | None,
         typer.Option(help="Draw the probe on the skin with measured forces here."),
     ] = None,
+    doubt: Annotated[
+        bool,
+        typer.Option(
+            "--doubt",
+            help="Keep in the field file how sure the field is, for ttus-opt evaluate "
+            "--doubt and for frames.",
+        ),
+    ] = False,
+    doubt_picture: Annotated[
+        Path | None,
+        typer.Option(
+            help="Draw where this patient was measured and where the model only "
+            "guesses here; --doubt with it."
+        ),
+    ] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -121,8 +137,8 @@ def fit(
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(plan.shape), LARGEST_FILE)
     inputs: list[Path | str] = [surface, probe.probe, *recordings.files]
-    check_outputs([output, picture], inputs, force=force, size=size)
-    _check_picture(picture)
+    check_outputs([output, picture, doubt_picture], inputs, force=force, size=size)
+    _check_pictures(picture, doubt_picture)
     with Stages(5 + by_data + (picture is not None)) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
@@ -147,12 +163,15 @@ def fit(
             tolerance=problem.tolerance,
             time_limit=time_limit,
         )
-        begin("writing the field")
         report = None
         if solution.verified_field is not None:
             found = solution.field
             told = sources(surface, probe, recordings, context.params)
-            replace(found, provenance={**found.provenance, **told}).save(output)
+            begin("writing the field" + doubt * " and drawing from its posterior")
+            _write(
+                replace(found, provenance={**found.provenance, **told}),
+                *(solution, choice.scene, output, (doubt, doubt_picture)),
+            )
             begin("checking the recordings")
             report = check_recordings(
                 choice.scene,
@@ -270,12 +289,46 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return [path.name for path in paths]
 
 
-def _check_picture(picture: Path | None) -> None:
-    """Check its name before the work."""
-    if picture is not None:
-        from ttus_opt.report.plots.canvas import require_picture_suffix
+def _check_pictures(*pictures: Path | None) -> None:
+    """Check their names before the work."""
+    for picture in pictures:
+        if picture is not None:
+            from ttus_opt.report.plots.canvas import require_picture_suffix
 
-        require_picture_suffix(picture)
+            require_picture_suffix(picture)
+
+
+def _write(
+    found: PotentialField,
+    solution: Solution,
+    scene: Scene,
+    output: Path,
+    doubted: tuple[bool, Path | None],
+) -> None:
+    """Write the field, with its doubt and a picture of it where they are asked for.
+
+    A `TtusWarning` says why where there is no doubt.
+    """
+    asked, picture = doubted
+    if not asked and picture is None:
+        found.save(output)
+        return
+    from ttus_opt.fitting.doubt import doubt
+    from ttus_opt.fitting.saved_doubt import save_with_doubt
+    from ttus_opt.report import plots
+
+    try:
+        saved = save_with_doubt(found, doubt(solution, scene), output)
+    except InputError as error:
+        found.save(output)
+        warnings.warn(
+            f"{output} is written without doubt: {error}", TtusWarning, stacklevel=2
+        )
+        return
+    if picture is not None:
+        assert saved.doubt is not None
+        figure = plots.doubt_picture(saved.doubt, scene.trajectory)
+        plots.save_picture(figure, picture)
 
 
 def _draw_poses(

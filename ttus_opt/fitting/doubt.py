@@ -1,19 +1,15 @@
 """How sure a fitted field is of the wrenches that it renders, and of itself.
 
-A quadratic fit is the mean of a Gaussian: prior p ~ N(p₀, σ² L⁻¹Ω L⁻ᵀ), measured rows D
-of weights W² with noise of variance σ² W⁻². So any rows N of a field have the posterior
+A quadratic fit is the mean of a Gaussian: prior p ~ N(p₀, σ² C), measured rows D of
+weights W² with noise of variance σ² W⁻². So any rows N of a field have the posterior
 covariance
 
-    Cov[N p] = σ² (N C Nᵀ - N C Dᵀ(W⁻² + D C Dᵀ)⁻¹ D C Nᵀ),    C = L⁻¹Ω L⁻ᵀ
+    Cov[N p] = σ² (N C Nᵀ - N C Dᵀ(W⁻² + D C Dᵀ)⁻¹ D C Nᵀ)
 
-(Rasmussen and Williams, 2006, eq. 2.24). N C Nᵀ takes one solve with Lᵀ per row. The
-rest is known by a reduced basis (`solvers.dual.weight_sweep`): fields ψᵢ, orthonormal
-in the prior's energy, whose coefficients have the prior N(0, 1) and, with B their
-weighted images, the posterior covariance (1 + BBᵀ)⁻¹.
-
-Where solves per row cost too much, the covariance is that of fields drawn from the
-posterior (Matheron's rule: A. G. Journel, C. J. Huijbregts, Mining Geostatistics,
-1978): a draw of the prior, corrected by what its own noisy measurements say of it.
+(Rasmussen and Williams, 2006, eq. 2.24). C is L⁻¹Ω L⁻ᵀ where a Laplace term is the
+prior (`laplace_posterior`), or known by itself (`covariance_posterior`). Where solves
+per row cost too much, the covariance is that of fields drawn from the posterior, kept
+near the skin (`posterior_draws`).
 
 Limits are left out: the doubt is that of the Gaussian without them. σ² is such that
 95 % of the measured components lie within 1.96 standard deviations of what the field of
@@ -23,36 +19,29 @@ all other presses predicts; with one press, the likeliest.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.contact.friction import (
-    DRAG_AT_REFERENCE,
-    DRAG_AXIS,
-    DRAG_DEADBAND,
-    FRICTION,
-    Sliding,
-    coulomb_rows,
-)
-from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
+from ttus_opt.fitting.covariance_posterior import CovariancePosterior
+from ttus_opt.fitting.laplace_posterior import LaplacePosterior
+from ttus_opt.fitting.posterior import Posterior
+from ttus_opt.fitting.posterior_draws import PosteriorDraws, skin_voxels
 from ttus_opt.fitting.weight_criteria import presses
+from ttus_opt.fitting.wrench_doubt import WrenchDoubt, wrench_rows
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Solution
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.solvers.dual.data import DualData, laplace_prior, root_weights
-from ttus_opt.solvers.dual.system import DualSystem
-from ttus_opt.solvers.dual.weight_sweep import WeightSweep
+from ttus_opt.terms.structure import known_covariance
 
 Method = Literal["exact", "samples"]
-
-Single = NDArray[np.float32]
 
 #: Largest grid whose rows are solved for one by one [voxels]
 MOST_VOXELS = 60_000
@@ -60,51 +49,8 @@ MOST_VOXELS = 60_000
 #: Draws of the posterior where they are not: standard deviations to 4 % [–]
 DRAWS = 256
 
-#: Trace of the covariance, in units of the noise, that the basis may miss: what is
-#: missed counts as unknown [–]
-MISSING = 0.2
-
-#: Relative residual of the solves [–]
-RTOL = 1e-6
-
-#: Prior standard deviation of a fitted boundary scale, over the field's σ: the data
-#: alone tell it [–]
-SCALE_DEVIATION = 1e3
-
-#: Share of measured components within `NORMAL` standard deviations, of a normal
-#: distribution [–]
-COVERED, NORMAL = 0.95, 1.959964
-
-
-@dataclass(frozen=True)
-class WrenchDoubt:
-    """Posterior covariance of rendered wrenches.
-
-    Attributes:
-        covariance: Of force [N] and torque [N·m] of every frame, shape (T, 6, 6).
-        force_noise: Standard deviation of what a measured force component shows beside
-            the field [N].
-        torque_noise: The same of a torque component; NaN without [N·m].
-    """
-
-    covariance: Array = field(repr=False)
-    force_noise: float
-    torque_noise: float
-
-    @property
-    def force(self) -> Array:
-        """Standard deviation of the force's components, shape (T, 3) [N]."""
-        return np.asarray(np.sqrt(np.einsum("tii->ti", self.covariance)[:, :3]))
-
-    @property
-    def torque(self) -> Array:
-        """Standard deviation of the torque's components, shape (T, 3) [N·m]."""
-        return np.asarray(np.sqrt(np.einsum("tii->ti", self.covariance)[:, 3:]))
-
-    @property
-    def force_size(self) -> Array:
-        """Standard deviation of the whole force, √ trace, shape (T,) [N]."""
-        return np.asarray(np.sqrt((self.force**2).sum(axis=1)))
+#: How far below the skin draws are kept [m]
+DEPTH = 0.03
 
 
 @dataclass(frozen=True)
@@ -116,25 +62,33 @@ class Doubt:
         variance: σ², of a row of weight 1 [N²].
         method: Whether rows are solved for, or drawn fields are rendered.
         calibrated_by: ``presses left out``, or ``likelihood`` where there is one press.
+        noise: Standard deviations of what a measured force and torque component show
+            beside the field; NaN where there is none [N, N·m].
+        parameters: Of the fit, by name.
     """
 
     scene: Scene = field(repr=False)
     variance: float
     method: Method
     calibrated_by: str
-    _posterior: _Posterior = field(repr=False)
-    _draws: Single | None = field(repr=False)
-    _parameters: Mapping[str, float] = field(repr=False)
-    _noise: tuple[float, float] = field(repr=False)
+    noise: tuple[float, float]
+    parameters: Mapping[str, float] = field(repr=False)
+    _posterior: Posterior = field(repr=False)
+    _draws: PosteriorDraws | None = field(repr=False)
 
     def std(self, trajectory: Trajectory) -> WrenchDoubt:
         """How sure the field is of what it renders along a trajectory.
 
         Args:
             trajectory: Poses; with drag their motion counts.
+
+        Returns:
+            NaN in frames that reach deeper than draws are kept.
         """
-        rows = _wrench_rows(self.scene, trajectory, self._parameters)
-        return WrenchDoubt(self.covariance(rows, 6), *self._noise)
+        scene = self.scene
+        there = scene.voxmap, scene.shell, scene.sampling
+        rows = wrench_rows(*there, trajectory, self.parameters)
+        return WrenchDoubt(self.covariance(rows, 6), *self.noise)
 
     def covariance(self, rows: sp.csr_array, height: int = 1) -> Array:
         """Posterior covariance of consecutive rows of a field.
@@ -144,7 +98,8 @@ class Doubt:
             height: Rows of a block [–].
 
         Returns:
-            The blocks, shape (k, height, height).
+            The blocks, shape (k, height, height); NaN where rows touch voxels at which
+            draws are not kept.
 
         Raises:
             InputError: Another number of voxels, or rows that are no whole blocks.
@@ -153,197 +108,144 @@ class Doubt:
             raise InputError(
                 f"rows must be (k · {height}, {self.scene.n_voxels}), got {rows.shape}"
             )
-        if self._draws is None:
-            blocks = self._posterior.covariance(rows, height)
-        else:
-            values = np.asarray(rows @ self._draws.T).reshape(-1, height, DRAWS)
-            blocks = values @ values.transpose(0, 2, 1) / DRAWS
-        return self.variance * blocks
+        if self._draws is not None:
+            return self._draws.covariance(rows, height)
+        return self.variance * self._posterior.covariance(rows, height)
 
     def potential_std(self) -> Array:
         """Standard deviation of the field, shape (n_r, n_θ, n_z) [of the field].
 
         By draws, whatever the method.
         """
-        draws = self._draws
-        if draws is None:
-            draws = self._posterior.draw(DRAWS)
+        draws = self._posterior.draw(DRAWS)
         std = np.sqrt(self.variance * np.mean(draws.astype(np.float64) ** 2, axis=0))
         return np.asarray(self.scene.voxmap.grid.unflatten(std))
 
+    def draws(self, count: int = DRAWS, depth: float = DEPTH) -> PosteriorDraws:
+        """Fields drawn from the posterior around its mean, near the skin.
 
-def doubt(solution: Solution, scene: Scene, *, method: Method | None = None) -> Doubt:
+        Args:
+            count: How many; standard deviations are known to 1/√(2 count) [–].
+            depth: How far below the skin [m].
+
+        Raises:
+            InputError: Numbers that are not positive.
+        """
+        kept = self._draws
+        if kept is not None and kept.depth == depth and 1 < count <= len(kept.values):
+            return PosteriorDraws(kept.values[:count], kept.voxels, depth)
+        if not (count > 1 and depth > 0.0):
+            raise InputError(
+                f"draws need a count above 1 and a positive depth, got {count} and "
+                f"{depth} m"
+            )
+        voxels = skin_voxels(self.scene.voxmap, depth)
+        return _drawn(self._posterior, self.variance, count, depth, voxels)
+
+    def sampled(self, count: int = DRAWS, depth: float = DEPTH) -> Doubt:
+        """The same by draws, that are made once.
+
+        Args:
+            count: As of `draws` [–].
+            depth: As of `draws` [m].
+        """
+        return replace(self, method="samples", _draws=self.draws(count, depth))
+
+
+def doubt(
+    solution: Solution,
+    scene: Scene,
+    *,
+    method: Method | None = None,
+    depth: float = DEPTH,
+) -> Doubt:
     """The posterior behind a solution.
 
     Args:
-        solution: Of one field: a Laplace term and squares of measured rows.
+        solution: Of one field: a prior, Laplace's or of known covariance, and squares
+            of measured rows.
         scene: Which it was fitted to.
         method: "exact" solves for every rendered row, "samples" draws `DRAWS` fields
-            once; None takes the former on up to 60,000 voxels.
+            once; None takes the latter on more than 60,000 voxels where a Laplace term
+            is the prior.
+        depth: How far below the skin draws are kept [m].
 
     Raises:
         InputError: The problem has another prior or other unknowns, the scene is
             another, or nothing was measured.
     """
     program = solution.program
-    V = scene.n_voxels
-    usual = laplace_prior(program) is not None and program.n_variables == V
-    if not (usual and program.is_quadratic):
-        raise InputError(
-            f"no doubt of {solution.formulation}: it needs one field, a Laplace term "
-            "and squares of measured rows"
-        )
+    prior = _prior_of(solution)
     if program.laplace is not scene.laplace:
         raise InputError("the solution is of another scene: give the one it is of")
-    measured = [t for t in program.terms if t.weight > 0.0 and not t.laplace_rows]
+    measured = [t for t in program.terms if t.weight > 0.0 and t is not prior]
     frames = len(scene.trajectory)
     if not measured or any(len(t.target) != 3 * frames for t in measured):
         raise InputError(
             "doubt needs measured terms with three rows per frame: fit eq10 or another "
             "formulation with measured forces"
         )
-    data = DualData.of(program)
-    scale = BOUNDARY_SCALE in solution.parameters and BOUNDARY_SCALE not in (
-        solution.not_identified
-    )
-    posterior = _Posterior.of(data, root_weights(program), scale)
+    known = known_covariance(prior.tags) is not None
+    if method is None:
+        method = "exact" if known or scene.n_voxels <= MOST_VOXELS else "samples"
+    voxels = skin_voxels(scene.voxmap, depth) if method == "samples" else None
+    posterior: LaplacePosterior | CovariancePosterior
+    if known:
+        posterior = CovariancePosterior.of(program, prior, measured)
+    else:
+        scale = BOUNDARY_SCALE in solution.parameters and BOUNDARY_SCALE not in (
+            solution.not_identified
+        )
+        posterior = LaplacePosterior.of(
+            DualData.of(program), root_weights(program), scale, voxels
+        )
     frame = np.concatenate([np.repeat(np.arange(frames), 3)] * len(measured))
-    press = presses(scene)[frame[posterior.told]]
-    variance, how = posterior.scale_of(press)
-    method = method or ("exact" if V <= MOST_VOXELS else "samples")
-    draws = posterior.draw(DRAWS) if method == "samples" else None
-    weights = {term.name: term.weight for term in measured}
-    noise = {name: float(np.sqrt(variance / w)) for name, w in weights.items()}
+    told: Mask = posterior.told
+    variance, how = posterior.scale_of(presses(scene)[frame[told]])
+    draws = None
+    if voxels is not None:
+        draws = _drawn(posterior, variance, DRAWS, depth, voxels)
+    noise = _noise(scene, measured, variance * prior.weight)
+    parameters = dict(solution.parameters)
+    return Doubt(scene, variance, method, how, noise, parameters, posterior, draws)
+
+
+def _prior_of(solution: Solution) -> ProgramTerm:
+    """The term that is the prior of the field.
+
+    Raises:
+        InputError: There is none, or there are other unknowns.
+    """
+    program = solution.program
+    prior = _known_prior(program) or laplace_prior(program)
+    one_field = program.n_variables == len(program.laplace.free)
+    if prior is None or not (one_field and program.is_quadratic):
+        raise InputError(
+            f"no doubt of {solution.formulation}: it needs one field, a prior (a "
+            "Laplace term or one of known covariance) and squares of measured rows"
+        )
+    return prior
+
+
+def _known_prior(program: Program) -> ProgramTerm | None:
+    known = (t for t in program.terms if known_covariance(t.tags) is not None)
+    return next((t for t in known if t.weight > 0.0), None)
+
+
+def _noise(
+    scene: Scene, measured: list[ProgramTerm], variance: float
+) -> tuple[float, float]:
+    """What measured force and torque components show beside the field [N, N·m]."""
+    noise = {t.name: float(np.sqrt(variance / t.weight)) for t in measured}
     if "torque" in noise:  # rows of torque are over a length
         own = next(t.target for t in measured if t.name == "torque")
         noise["torque"] *= float(np.linalg.norm(scene.tau) / np.linalg.norm(own))
-    return Doubt(
-        scene,
-        variance,
-        method,
-        how,
-        posterior,
-        draws,
-        dict(solution.parameters),
-        (noise.get("force", np.nan), noise.get("torque", np.nan)),
-    )
+    return noise.get("force", np.nan), noise.get("torque", np.nan)
 
 
-@dataclass(frozen=True)
-class _Posterior:
-    """The Gaussian of a problem, with σ² = 1.
-
-    Attributes:
-        system: Its dual.
-        told: Rows that say something of the field, shape (m,).
-        misfit: What these measured beyond p₀, times their weights' roots, (rows,).
-        fields: ψ, shape (k, V); the last one is p₀ where its scale is unknown.
-        weighted: B, shape (k, rows).
-        inner: (1 + BBᵀ)⁻¹, shape (k, k).
-        n_prior: Fields that are not p₀.
-    """
-
-    system: DualSystem
-    told: Mask
-    misfit: Array
-    fields: Array
-    weighted: Array
-    inner: Array
-    n_prior: int
-
-    @classmethod
-    def of(cls, data: DualData, root: Array, scale: bool) -> _Posterior:
-        sweep = WeightSweep(data, field_rtol=RTOL)
-        sweep.complete(root, MISSING)
-        fields, images, n = sweep.fields, sweep.images, len(sweep)
-        own = root[sweep.told]
-        if scale:
-            base = SCALE_DEVIATION * sweep.base
-            image = np.asarray(data.system.rows[sweep.told] @ base)
-            fields = np.concatenate([fields, base[None]])
-            images = np.concatenate([images, image[None]])
-        B = images * own
-        gram = B @ B.T
-        gram[np.diag_indices_from(gram)] += 1.0
-        inner = scipy.linalg.inv(gram)
-        return cls(data.system, sweep.told, own * sweep.misfit, fields, B, inner, n)
-
-    def covariance(self, rows: sp.csr_array, height: int) -> Array:
-        """Of blocks of rows, by a solve for each row that has an entry."""
-        laplace, root = self.system.laplace, np.sqrt(self.system.compliance)
-        known = np.asarray(rows @ self.fields.T)
-        out = np.zeros((rows.shape[0] // height, height, height))
-        told = np.diff(rows.indptr).reshape(-1, height) > 0
-        for k in np.flatnonzero(told.any(axis=1)).tolist():
-            block = slice(k * height, (k + 1) * height)
-            loads = rows[block].toarray()
-            slopes = np.stack(
-                [root * laplace.solve_adjoint(load, rtol=RTOL) for load in loads]
-            )
-            a = known[block]
-            rest = slopes @ slopes.T - a[:, : self.n_prior] @ a[:, : self.n_prior].T
-            out[k] = rest + a @ self.inner @ a.T
-        return out
-
-    def draw(self, count: int) -> Single:
-        """Draws of the field around its mean, shape (count, V)."""
-        rng, laplace = np.random.default_rng(0), self.system.laplace
-        root, V = np.sqrt(self.system.compliance), self.fields.shape[1]
-        rows = self.system.rows[self.told]
-        weights = self.system.root_weights[self.told]
-        out = np.empty((count, V), dtype=np.float32)
-        for k in range(count):
-            p = laplace.solve(root * rng.standard_normal(V), rtol=RTOL)
-            if len(self.fields) > self.n_prior:
-                p += rng.standard_normal() * self.fields[-1]
-            said = weights * (rows @ p) + rng.standard_normal(len(weights))
-            out[k] = p - (self.inner @ (self.weighted @ said)) @ self.fields
-        return out
-
-    def scale_of(self, press: IntArray) -> tuple[float, str]:
-        """σ², and what it is estimated by.
-
-        Args:
-            press: Which press a row belongs to, shape (rows,) [–].
-        """
-        half = np.linalg.cholesky(self.inner).T @ self.weighted
-        rest = self.misfit - half.T @ (half @ self.misfit)
-        numbers = np.unique(press)
-        if len(numbers) < 2:
-            return float(rest @ self.misfit) / len(rest), "likelihood"
-        scores = np.empty_like(rest)
-        for number in numbers:
-            at = np.flatnonzero(press == number)
-            X = half[:, at]
-            left = np.eye(len(X)) - X @ X.T
-            solved = scipy.linalg.solve(left, X, assume_a="pos")
-            error = rest[at] + X.T @ (solved @ rest[at])
-            scores[at] = error / np.sqrt(1.0 + np.einsum("ki,ki->i", X, solved))
-        deviation = float(np.quantile(np.abs(scores), COVERED)) / NORMAL
-        return deviation**2, "presses left out"
-
-
-def _wrench_rows(
-    scene: Scene, trajectory: Trajectory, parameters: Mapping[str, float]
-) -> sp.csr_array:
-    """Force and torque rows of every frame, six of a frame together, (6T, V)."""
-    rows = contact_rows(
-        scene.voxmap,
-        scene.shell,
-        trajectory.rotation,
-        trajectory.position,
-        sampling=scene.sampling,
-    )
-    N, W = rows.N, rows.W
-    mu = parameters.get(FRICTION, 0.0)
-    if mu:
-        at = "reference" if parameters.get(DRAG_AT_REFERENCE) else "contact"
-        axis = np.array([parameters[name] for name in DRAG_AXIS])
-        sliding = Sliding.of(scene.voxmap, scene.shell, trajectory, at, axis)
-        drag = coulomb_rows(sliding, rows, deadband=parameters[DRAG_DEADBAND])
-        N, W = N - mu * drag.force, W - mu * drag.torque
-    both = sp.csr_array(sp.vstack([N, W], format="csr"))
-    T = len(trajectory)
-    frame, part = np.divmod(np.arange(6 * T), 6)
-    order = np.where(part < 3, 3 * frame + part, 3 * T + 3 * frame + part - 3)
-    return sp.csr_array(both[order])
+def _drawn(
+    posterior: Posterior, variance: float, count: int, depth: float, voxels: IntArray
+) -> PosteriorDraws:
+    values = posterior.draw(count, voxels)
+    values *= np.float32(np.sqrt(variance))
+    return PosteriorDraws(values, voxels, depth)

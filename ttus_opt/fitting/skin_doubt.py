@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.doubt import Doubt
-from ttus_opt.haptic.doubt_map import DoubtMap
 from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene
+from ttus_opt.voxmap.doubt_map import DoubtMap
 from ttus_opt.voxmap.field import PotentialField
 
 #: Distance of places, depth of a press, and what is left out at both ends [m]

@@ -31,7 +31,6 @@ from ttus_opt.haptic.blend import (
     opened_ledger,
     settled_ledger,
 )
-from ttus_opt.haptic.doubt_map import DoubtMap
 from ttus_opt.haptic.drag import DragLaw, patch_weights
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import TIME, MotionFilter
@@ -49,6 +48,7 @@ from ttus_opt.haptic.wrench import (
 )
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import PoseLike, QuaternionOrder, pose_of, rotations
+from ttus_opt.voxmap.doubt_map import DoubtMap
 from ttus_opt.voxmap.field import PotentialField
 
 if TYPE_CHECKING:
@@ -134,10 +134,12 @@ class Renderer:
         force_limit: Most force [N]: a larger one is cut to it, direction kept, the
             torque by the same factor. No limit by default.
         doubt: How sure presses are over the skin, of the first field: `render` then
-            gives `Wrench.force_std`, looked up and not computed.
+            gives `Wrench.force_std`, looked up and not computed. True takes the map
+            that the field has.
 
     Raises:
-        InputError: A limit that is not positive, or unusable drag parameters.
+        InputError: A limit that is not positive, unusable drag parameters, or a field
+            without the map that is asked for.
     """
 
     def __init__(
@@ -148,9 +150,9 @@ class Renderer:
         blend: BlendLaw | None = None,
         motion: MotionFilter | None = None,
         force_limit: float | None = None,
-        doubt: DoubtMap | None = None,
+        doubt: DoubtMap | bool | None = None,
     ) -> None:
-        self._doubt = doubt
+        self._doubt = _map_of(doubt, field)
         if force_limit is not None and not force_limit > 0.0:
             raise InputError(f"force_limit must be positive [N], got {force_limit}")
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
@@ -479,6 +481,22 @@ class Renderer:
 def _flat(field: PotentialField) -> Array:
     """A copy of the field's values, flat."""
     return np.array(field.values, dtype=np.float64, order="C").reshape(-1)
+
+
+def _map_of(doubt: DoubtMap | bool | None, field: PotentialField) -> DoubtMap | None:
+    """The map that is meant.
+
+    Raises:
+        InputError: The field has none.
+    """
+    if not isinstance(doubt, bool):
+        return doubt
+    if doubt and field.doubt is None:
+        raise InputError(
+            "doubt=True needs a field with a doubt map: fit with ttus-opt fit --doubt, "
+            "or give the map of ttus_opt.fitting.skin_doubt.doubt_map"
+        )
+    return field.doubt if doubt else None
 
 
 def _drag_name(field: PotentialField, drag: DragLaw) -> str:

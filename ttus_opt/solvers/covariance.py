@@ -127,7 +127,7 @@ class _Loaded(Prepared):
             return
         self._tag = tag
         self._columns = tag.covariance.columns(voxels)
-        self._root = _square_root(self._columns.among)
+        self._root = square_root(self._columns.among)
         own = prior.matrix[:, : len(prior.target)]
         self._mean = tag.covariance.times(own.T @ prior.target)
 
@@ -211,8 +211,8 @@ def _touched(program: Program, prior: ProgramTerm) -> IntArray:
     return np.asarray(touched[touched < V], dtype=np.int64)
 
 
-def _square_root(matrix: Array) -> Array:
-    """F with F Fᵀ = matrix, without what is rounding."""
+def square_root(matrix: Array) -> Array:
+    """F with F Fᵀ = matrix, positive semidefinite, without what is rounding."""
     values, turn = scipy.linalg.eigh(matrix)
     kept = values > ROUNDING * values.max(initial=0.0)
     return np.asarray(turn[:, kept] * np.sqrt(values[kept]))

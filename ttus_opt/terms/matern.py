@@ -22,6 +22,9 @@ import scipy.sparse.linalg
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.voxmap.voxmap import Voxmap
 
+#: Columns of the surface's covariance that are solved for together
+AT_ONCE = 256
+
 
 @dataclass(frozen=True)
 class MaternFactor:
@@ -114,6 +117,12 @@ class MaternFactor:
         inner = self.volumes[:, None] * self._solved.solve(values)
         return np.asarray(self._solved.solve(inner) / self.tau**2)
 
+    def draw(self, white: Array) -> Array:
+        """R⁻¹ white: fields from white noise, shape (n, k)."""
+        return np.asarray(
+            self._solved.solve(np.sqrt(self.volumes)[:, None] * white) / self.tau
+        )
+
 
 @dataclass(frozen=True)
 class SeparableCovariance:
@@ -168,6 +177,43 @@ class SeparableCovariance:
         g = self.surface.covariance_times(g.T).T
         return np.asarray(self.scale * self.radial.covariance_times(g).ravel())
 
+    def draw(self, rng: np.random.Generator) -> Array:
+        """A field of this covariance and mean zero, shape (V,)."""
+        shape = (len(self.radial.volumes), len(self.surface.volumes))
+        g = self.surface.draw(rng.standard_normal(shape).T).T
+        return np.asarray(self.scale * self.radial.draw(g).ravel())
+
+    def among_rows(self, rows: sp.csr_array, height: int) -> Array:
+        """Covariance of consecutive rows of a field.
+
+        Args:
+            rows: Shape (k · height, V).
+            height: Rows of a block [–].
+
+        Returns:
+            The blocks, shape (k, height, height).
+        """
+        n_spokes = len(self.surface.volumes)
+        spokes, spoke = np.unique(rows.indices % n_spokes, return_inverse=True)
+        between = np.empty((len(spokes), len(spokes)))
+        for first in range(0, len(spokes), AT_ONCE):
+            own = spokes[first : first + AT_ONCE]
+            between[:, first : first + AT_ONCE] = self.surface.covariance(own)[spokes]
+        radial = self.radial.covariance(np.arange(len(self.radial.volumes)))
+        out = np.zeros((rows.shape[0] // height, height, height))
+        for k in range(len(out)):
+            part = slice(rows.indptr[k * height], rows.indptr[(k + 1) * height])
+            voxels, at, column = np.unique(
+                rows.indices[part], return_index=True, return_inverse=True
+            )
+            ends = rows.indptr[k * height : (k + 1) * height + 1] - part.start
+            scaled = rows.data[part] * self.scale[rows.indices[part]]
+            own_rows = sp.csr_array((scaled, column, ends), (height, len(voxels)))
+            place, layer = spoke[part][at], voxels // n_spokes
+            cov = between[np.ix_(place, place)] * radial[np.ix_(layer, layer)]
+            out[k] = own_rows @ (own_rows @ cov).T
+        return out
+
 
 @dataclass(frozen=True)
 class VoxelColumns:
@@ -204,6 +250,16 @@ class VoxelColumns:
         among *= surface[spokes][np.ix_(spoke, spoke)]
         among *= own[:, None] * own
         return cls(voxels, covariance.scale, radial, surface, layer, spoke, among)
+
+    def of_rows(self, rows: sp.csr_array) -> Array:
+        """Few rows of a field, shape (k, V), @ the columns: shape (k, n)."""
+        voxels, column = np.unique(rows.indices, return_inverse=True)
+        n_spokes = self.surface.shape[0]
+        cov = self.radial[voxels // n_spokes][:, self.layer]
+        cov *= self.surface[voxels % n_spokes][:, self.spoke]
+        cov *= self.scale[voxels][:, None] * self.scale[self.voxels]
+        few = (rows.shape[0], len(voxels))
+        return np.asarray(sp.csr_array((rows.data, column, rows.indptr), few) @ cov)
 
     def times(self, values: Array) -> Array:
         """The covariance's columns @ values: (n,) to (V,)."""

@@ -62,6 +62,12 @@ class FieldCovariance(Protocol):
     def times(self, values: Array) -> Array:
         """Covariance @ values, shape (V,)."""
 
+    def among_rows(self, rows: sp.csr_array, height: int) -> Array:
+        """Covariance of blocks of rows of a field, (k, height, height)."""
+
+    def draw(self, rng: np.random.Generator) -> Array:
+        """A field of this covariance and mean zero, shape (V,)."""
+
 
 class CovarianceColumns(Protocol):
     """Some columns of a covariance, without their V entries each."""
@@ -76,6 +82,9 @@ class CovarianceColumns(Protocol):
 
     def times(self, values: Array) -> Array:
         """Columns @ values: (n,) to (V,)."""
+
+    def of_rows(self, rows: sp.csr_array) -> Array:
+        """Few rows of a field @ columns, shape (k, n)."""
 
 
 @dataclass(frozen=True, eq=False)

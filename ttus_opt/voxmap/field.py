@@ -22,6 +22,7 @@ from ttus_opt.errors import FileError, InputError
 from ttus_opt.html_card import SIZE, card, signed_map
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.doubt_map import DoubtMap
 from ttus_opt.voxmap.grid import CylindricalGrid
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -33,6 +34,9 @@ KIND, VERSION = "field", 1
 
 #: Dimensions of voxel values and of the surface in the file
 DIMS, ON_SURFACE = ("r", "theta", "z"), ("surface_theta", "surface_z")
+
+#: Variable of a file with draws of the field's posterior, read where asked for
+DRAWS = "doubt_draws"
 
 #: Unit of the field for each sampling (docs/method.md, Unit of the field)
 FIELD_UNIT: dict[str, str] = {"voxel-mean": "N", "trilinear": "N cm-2"}
@@ -49,6 +53,7 @@ class PotentialField:
         parameters: What was identified beside the field, by name (boundary_scale).
         provenance: Free text by key: formulation, solver, trajectory, …
         standard_errors: Of those parameters that have one, by name.
+        doubt: How sure presses are over the skin; None where that is not known.
     """
 
     voxmap: Voxmap
@@ -57,6 +62,7 @@ class PotentialField:
     parameters: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, str] = field(default_factory=dict, repr=False)
     standard_errors: Mapping[str, float] = field(default_factory=dict, repr=False)
+    doubt: DoubtMap | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Validate the values.
@@ -131,7 +137,8 @@ class PotentialField:
         Returns:
             ``potential`` and ``region`` over (r, theta, z) and the surface over
             (surface_theta, surface_z), with units and coordinates on every variable;
-            the rest as attributes.
+            ``doubt`` over (doubt_theta, doubt_z) where it is known; the rest as
+            attributes.
         """
         import xarray as xr
 
@@ -147,6 +154,7 @@ class PotentialField:
                 "radius": (ON_SURFACE, surface.radius, {"units": "m"}),
                 "radius_std": (ON_SURFACE, surface.radius_std, {"units": "m"}),
                 "observed": (ON_SURFACE, surface.observed.astype("i1"), {"units": "1"}),
+                **({} if self.doubt is None else self.doubt.variables()),
             },
             coords={
                 "r": ("r", grid.r, {"units": "m"}),
@@ -175,7 +183,7 @@ class PotentialField:
         Raises:
             FileError: Not a field file, another version, or damaged.
         """
-        data = io.read_dataset(path, kind=KIND, version=VERSION)
+        data = io.read_dataset(path, kind=KIND, version=VERSION, without=(DRAWS,))
         try:
             return _from_dataset(data)
         except (KeyError, InputError, TypeError, ValueError) as error:
@@ -221,6 +229,7 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
             _by_name(name, io.text_of(data.attrs, name, "{}"))
             for name in ("parameters", "provenance", "standard_errors")
         ),
+        doubt=DoubtMap.of_file(data),
     )
 
 

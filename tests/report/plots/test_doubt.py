@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tests.conftest import presses, torso
-from ttus_opt.haptic.doubt_map import DoubtMap
 from ttus_opt.report import plots
+from ttus_opt.voxmap.doubt_map import DoubtMap
 
 
 def test_it_shows_the_map_in_percent_and_the_recordings() -> None:

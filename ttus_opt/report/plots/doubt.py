@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from ttus_opt.haptic.doubt_map import DoubtMap
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.plots.canvas import look, new_figure
+from ttus_opt.voxmap.doubt_map import DoubtMap
 
 _SHADES = "cividis"  # even in greyscale
 

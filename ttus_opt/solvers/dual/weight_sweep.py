@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.linalg
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData, laplace_prior
@@ -109,6 +109,7 @@ class WeightSweep:
         data: DualData,
         options: DualOptions | None = None,
         field_rtol: float = FIELD_RTOL,
+        voxels: IntArray | None = None,
     ) -> None:
         """Solve for p₀; the basis is empty.
 
@@ -116,8 +117,11 @@ class WeightSweep:
             data: A problem without limits and without unknowns beside the field.
             options: Of the preconditioner; None for the defaults.
             field_rtol: Relative residual of the solves behind a response field [–].
+            voxels: Where response fields are kept, shape (n,): `complete` takes no
+                more, `solve` all; None for everywhere.
         """
         self._field_rtol = field_rtol
+        self._voxels = slice(None) if voxels is None else voxels
         assert not data.columns.shape[1]
         system = data.system
         # rows without an entry say nothing of the field
@@ -159,7 +163,7 @@ class WeightSweep:
 
     @property
     def fields(self) -> Array:
-        """The response fields, shape (k, V)."""
+        """The response fields where they are kept, shape (k, n)."""
         return np.concatenate([self._fields[0][:0], *self._fields])[: len(self)]
 
     def complete(self, root_weights: Array, missing: float = 0.5) -> bool:
@@ -256,10 +260,10 @@ class WeightSweep:
         unit = 1.0 / np.sqrt(square)
         self._multipliers = np.vstack([self._multipliers, unit * z])
         self._images = np.vstack([self._images, unit * image])
-        at = (len(self) - 1) % BLOCK
+        at, kept = (len(self) - 1) % BLOCK, response[self._voxels]
         if at == 0:
-            self._fields.append(np.empty((BLOCK, len(response))))
-        self._fields[-1][at] = unit * response
+            self._fields.append(np.empty((BLOCK, len(kept))))
+        self._fields[-1][at] = unit * kept
         return square
 
     def _response(self, multipliers: Array) -> Array:

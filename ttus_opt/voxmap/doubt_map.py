@@ -11,11 +11,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+#: Variable of a field file, and its dimensions
+VARIABLE, DIMS = "doubt", ("doubt_theta", "doubt_z")
 
 
 @dataclass(frozen=True)
@@ -73,3 +81,27 @@ class DoubtMap:
         one, other = rows[i], rows[(i + 1) % len(rows)]
         low = one[k] + s * (other[k] - one[k])
         return low + t * (one[k + 1] + s * (other[k + 1] - one[k + 1]) - low)
+
+    def variables(self) -> dict[str, Any]:
+        """What a field file has of it: variables and coordinates with units."""
+        note = "standard deviation of a press's force over that force"
+        return {
+            VARIABLE: (DIMS, self.relative, {"units": "1", "long_name": note}),
+            DIMS[0]: (DIMS[:1], self.theta, {"units": "rad"}),
+            DIMS[1]: (DIMS[1:], self.z, {"units": "m"}),
+        }
+
+    @classmethod
+    def of_file(cls, data: xr.Dataset) -> DoubtMap | None:
+        """The map of a field file's content; None where it has none.
+
+        Raises:
+            InputError: Other dimensions or units, or no map.
+        """
+        if VARIABLE not in data.variables:
+            return None
+        return cls(
+            io.array_of(data, DIMS[0], DIMS[:1], "rad"),
+            io.array_of(data, DIMS[1], DIMS[1:], "m"),
+            io.array_of(data, VARIABLE, DIMS, "1"),
+        )

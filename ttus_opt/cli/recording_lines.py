@@ -1,0 +1,119 @@
+"""What `ttus-opt evaluate` says of every recording by itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ttus_opt.errors import InputError
+
+if TYPE_CHECKING:
+    from ttus_opt.fitting.doubt_check import Calibration
+    from ttus_opt.fitting.saved_doubt import SavedDoubt
+    from ttus_opt.probe.point_shell import PointShell
+    from ttus_opt.probe.trajectory import Trajectory
+    from ttus_opt.voxmap.field import PotentialField
+
+
+@dataclass(frozen=True)
+class RecordingLine:
+    """One recording.
+
+    Attributes:
+        name: Of the recording.
+        frames: Its frames [–].
+        hysteresis_share: Work of presses that is not given back; NaN without any.
+        doubt: Stated doubt against errors; None where it is not asked for.
+        refused: Why there is none though it is asked for; "" otherwise.
+    """
+
+    name: str
+    frames: int
+    hysteresis_share: float
+    doubt: Calibration | None = None
+    refused: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON; ``doubt`` only where it is asked for."""
+        told: dict[str, Any] = {
+            "name": self.name,
+            "frames": self.frames,
+            "hysteresis_share": self.hysteresis_share,
+        }
+        if self.doubt is not None or self.refused:
+            told["doubt"] = None if self.doubt is None else self.doubt.as_dict()
+        if self.refused:
+            told["doubt_refused"] = self.refused
+        return told
+
+    @property
+    def lines(self) -> list[str]:
+        """As text; nothing where there is nothing to say."""
+        told = []
+        if not math.isnan(self.hysteresis_share):
+            told.append(
+                f"{self.name}: {100 * self.hysteresis_share:.0f} % of the work of its "
+                "presses was not given back (hysteresis)"
+            )
+        if self.refused:
+            told.append(f"{self.name}: no doubt: {self.refused}")
+        if self.doubt is not None:
+            told += self._doubted(self.doubt)
+        return told
+
+    def _doubted(self, found: Calibration) -> list[str]:
+        torque = not math.isnan(found.torque_std_Nm)
+        unknown = found.frames_unknown
+        line = (
+            f"{self.name}: doubt {found.force_std_N:.3f} N"
+            + (f", {1e3 * found.torque_std_Nm:.1f} mN m" if torque else "")
+            + " in the median; the 95 % interval covers "
+            + f"{100 * found.force_coverage:.1f} % of force"
+            + (f" and {100 * found.torque_coverage:.1f} % of torque" if torque else "")
+            + " components; rank correlation of error and doubt "
+            + f"{found.force_rank_correlation:.2f}"
+            + (f" and {found.torque_rank_correlation:.2f}" if torque else "")
+        )
+        deeper = f"{self.name}: {unknown} frames reach deeper than doubt is kept"
+        return [line, deeper] if unknown else [line]
+
+
+def recording_lines(
+    field: PotentialField,
+    shell: PointShell,
+    recorded: Trajectory,
+    names: Sequence[str],
+    doubt: SavedDoubt | None,
+) -> list[RecordingLine]:
+    """Look at every recording by itself.
+
+    Args:
+        field: The field.
+        shell: The probe.
+        recorded: All recordings as one.
+        names: Of the recordings; numbers where a file has several.
+        doubt: Of the field; None where it is not asked for.
+    """
+    import numpy as np
+
+    from ttus_opt.fitting.doubt_check import check_doubt
+    from ttus_opt.report.hysteresis import hysteresis_share
+    from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
+
+    numbers = np.unique(recorded.segment)
+    if len(names) != len(numbers):
+        names = [f"recording {number}" for number in numbers]
+    out = []
+    for name, number in zip(names, numbers, strict=True):
+        own = recorded.select(recorded.segment == number)
+        lost = hysteresis_share(own, shell, FORCE_THRESHOLD)
+        found, refused = None, ""
+        if doubt is not None:
+            try:
+                found = check_doubt(doubt, evaluate(field, shell, own), own)
+            except InputError as error:
+                refused = str(error)
+        out.append(RecordingLine(name, len(own), lost, found, refused))
+    return out

@@ -1,0 +1,90 @@
+"""What the posterior of a Gaussian prior and measured rows has to tell of itself.
+
+With σ² = 1, C the prior's covariance, D the measured rows times their weights' roots
+and BᵀB = D C Dᵀ, (1 + D C Dᵀ)⁻¹ = 1 − XᵀX with X = L⁻¹B, L Lᵀ = 1 + BBᵀ: all that is
+needed of the measurements is B, with as many rows as they tell of the field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+import scipy.linalg
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array, IntArray
+
+Single = NDArray[np.float32]
+
+#: Share of measured components within `NORMAL` standard deviations, of a normal
+#: distribution [–]
+COVERED, NORMAL = 0.95, 1.959964
+
+
+class Posterior(Protocol):
+    """The Gaussian of a problem, with σ² = 1."""
+
+    def covariance(self, rows: sp.csr_array, height: int) -> Array:
+        """Covariance of blocks of rows of the field, (k, height, height)."""
+
+    def draw(self, count: int, voxels: IntArray | None = None) -> Single:
+        """Draws of the field around its mean, at some voxels or all, (count, n)."""
+
+    def scale_of(self, press: IntArray) -> tuple[float, str]:
+        """σ², and what it is estimated by, from the press of every row, (rows,)."""
+
+
+@dataclass(frozen=True)
+class MeasuredRows:
+    """What the measurements say, with σ² = 1.
+
+    Attributes:
+        weighted: B, shape (k, rows).
+        misfit: What was measured beyond the prior's mean, times the weights' roots,
+            shape (rows,).
+        half: X, shape (k, rows).
+    """
+
+    weighted: Array = field(repr=False)
+    misfit: Array = field(repr=False)
+    half: Array = field(repr=False)
+
+    @classmethod
+    def of(cls, weighted: Array, misfit: Array) -> MeasuredRows:
+        """Factorise 1 + BBᵀ."""
+        gram = weighted @ weighted.T
+        gram[np.diag_indices_from(gram)] += 1.0
+        lower = np.linalg.cholesky(gram)
+        half = scipy.linalg.solve_triangular(lower, weighted, lower=True)
+        return cls(weighted, misfit, half)
+
+    def solve(self, values: Array) -> Array:
+        """(1 + BᵀB)⁻¹ values, shape (rows,)."""
+        return np.asarray(values - self.half.T @ (self.half @ values))
+
+    def scale_of(self, press: IntArray) -> tuple[float, str]:
+        """σ² that covers what is predicted of every press by all others.
+
+        Args:
+            press: Which press a row belongs to, shape (rows,) [–].
+
+        Returns:
+            σ², and what it is estimated by: with one press the likelihood.
+        """
+        rest, half = self.solve(self.misfit), self.half
+        numbers = np.unique(press)
+        if len(numbers) < 2:
+            return float(rest @ self.misfit) / len(rest), "likelihood"
+        scores = np.empty_like(rest)
+        for number in numbers:
+            at = np.flatnonzero(press == number)
+            X = half[:, at]
+            left = np.eye(len(X)) - X @ X.T
+            solved = scipy.linalg.solve(left, X, assume_a="pos")
+            error = rest[at] + X.T @ (solved @ rest[at])
+            scores[at] = error / np.sqrt(1.0 + np.einsum("ki,ki->i", X, solved))
+        deviation = float(np.quantile(np.abs(scores), COVERED)) / NORMAL
+        return deviation**2, "presses left out"

@@ -1,0 +1,72 @@
+"""Fields drawn from a posterior, kept near the skin: the covariance of any contact.
+
+Contact touches voxels near the skin only. So draws are kept down to some depth below
+it, and the covariance of rows is that of what they measure of the draws.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.voxmap.depth_sampling import spoke_table
+from ttus_opt.voxmap.voxmap import Voxmap
+
+
+@dataclass(frozen=True)
+class PosteriorDraws:
+    """Draws around the posterior's mean.
+
+    Attributes:
+        values: Shape (count, n) [of the field].
+        voxels: Where, shape (n,), ascending.
+        depth: How far below the skin they are kept [m].
+    """
+
+    values: NDArray[np.float32] = field(repr=False)
+    voxels: IntArray = field(repr=False)
+    depth: float
+
+    def covariance(self, rows: sp.csr_array, height: int) -> Array:
+        """Covariance of blocks of rows of a field.
+
+        Args:
+            rows: Shape (k · height, V).
+            height: Rows of a block [–].
+
+        Returns:
+            Shape (k, height, height); NaN where a block touches other voxels.
+        """
+        place = np.full(rows.shape[1], -1, dtype=np.int64)
+        place[self.voxels] = np.arange(len(self.voxels))
+        column = place[rows.indices]
+        block = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr)) // height
+        few = (rows.shape[0], len(self.voxels))
+        data, kept = rows.data, np.maximum(column, 0)
+        own = sp.csr_array((data, kept, rows.indptr), few)
+        count = len(self.values)
+        said = np.asarray(own @ self.values.T).reshape(-1, height, count)
+        out = said @ said.transpose(0, 2, 1) / count
+        out[np.unique(block[column < 0])] = np.nan
+        return np.asarray(out)
+
+
+def skin_voxels(voxmap: Voxmap, depth: float) -> IntArray:
+    """Voxels that contact down to a depth samples, shape (n,), ascending.
+
+    Args:
+        voxmap: Grid and surface.
+        depth: Below the surface [m].
+    """
+    grid = voxmap.grid
+    outermost = spoke_table(voxmap)[:, 1].astype(np.int64)
+    n_spokes = len(outermost)
+    layers = outermost - np.arange(math.ceil(depth / grid.r_step) + 2)[:, None]
+    spokes = np.broadcast_to(np.arange(n_spokes), layers.shape)
+    inside = layers >= 0
+    return np.sort(layers[inside] * n_spokes + spokes[inside])

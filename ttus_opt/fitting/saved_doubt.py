@@ -1,0 +1,151 @@
+"""Doubt in a field file: draws of the posterior near the skin, and the map of presses.
+
+The file is a field file with one variable more. Draws are whole numbers of 16 bit,
+times one factor: rounding is far below what a draw tells. A renderer reads the map
+alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ttus_opt import io
+from ttus_opt.errors import FileError, InputError
+from ttus_opt.fitting.doubt import DEPTH, Doubt
+from ttus_opt.fitting.posterior_draws import PosteriorDraws, skin_voxels
+from ttus_opt.fitting.skin_doubt import doubt_map
+from ttus_opt.fitting.wrench_doubt import WrenchDoubt, wrench_rows
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.voxmap import field as field_file
+from ttus_opt.voxmap.field import PotentialField
+
+#: Dimensions of the draws in the file
+DIMS = ("doubt_draw", "doubt_voxel")
+
+#: Draws of a file: standard deviations to 6 %, in half the room of `doubt.DRAWS` [–]
+FILE_DRAWS = 128
+
+#: Largest whole number that a draw is written as
+LARGEST = 32_767
+
+#: Attribute with what else is known of the doubt
+FACTS = "doubt_facts"
+
+
+@dataclass(frozen=True)
+class SavedDoubt:
+    """The posterior of a field as its file has it.
+
+    Attributes:
+        field: The fitted field.
+        shell: The probe that is rendered.
+        draws: Of the posterior, near the skin.
+        noise: Standard deviations of what a measured force and torque component show
+            beside the field; NaN where there is none [N, N·m].
+        calibrated_by: As of `Doubt`.
+    """
+
+    field: PotentialField
+    shell: PointShell = field(repr=False)
+    draws: PosteriorDraws = field(repr=False)
+    noise: tuple[float, float]
+    calibrated_by: str
+
+    def std(self, trajectory: Trajectory) -> WrenchDoubt:
+        """How sure the field is of what it renders along a trajectory.
+
+        Args:
+            trajectory: Poses; with drag their motion counts.
+
+        Returns:
+            NaN in frames that reach deeper than draws are kept.
+        """
+        own = self.field
+        there = own.voxmap, self.shell, own.sampling
+        rows = wrench_rows(*there, trajectory, own.parameters)
+        return WrenchDoubt(self.draws.covariance(rows, 6), *self.noise)
+
+
+def save_with_doubt(
+    fitted: PotentialField,
+    doubt: Doubt,
+    path: str | os.PathLike[str],
+    *,
+    count: int = FILE_DRAWS,
+    depth: float = DEPTH,
+) -> PotentialField:
+    """Write a field with its doubt: draws, and the map that a renderer looks up.
+
+    Args:
+        fitted: The field.
+        doubt: Of it.
+        path: The file, replaced only on success.
+        count: Draws [–].
+        depth: How far below the skin they are kept [m].
+
+    Returns:
+        The field with its map.
+
+    Raises:
+        InputError: As `Doubt.draws` and `doubt_map`.
+        FileError: The file cannot be written.
+    """
+    sampled = doubt.sampled(count, depth)
+    draws = sampled.draws(count, depth)
+    mapped = replace(fitted, doubt=doubt_map(sampled, fitted))
+    factor = float(np.abs(draws.values).max(initial=0.0)) / LARGEST or 1.0
+    whole = np.rint(draws.values / np.float32(factor)).astype(np.int16)
+    force, torque = doubt.noise
+    facts = {
+        "depth": draws.depth,
+        "force_noise": force,
+        "torque_noise": None if np.isnan(torque) else torque,
+        "calibrated_by": doubt.calibrated_by,
+    }
+    told = {"units": fitted.unit, "factor": factor}
+    dataset = mapped.to_xarray().assign({field_file.DRAWS: (DIMS, whole, told)})
+    dataset[field_file.DRAWS].encoding.update(zlib=True, complevel=1)
+    io.write_dataset(
+        dataset.assign_attrs({FACTS: json.dumps(facts)}),
+        path,
+        kind=field_file.KIND,
+        version=field_file.VERSION,
+    )
+    return mapped
+
+
+def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
+    """Read the doubt of a field file.
+
+    Args:
+        path: Written by `save_with_doubt` or ``ttus-opt fit --doubt``.
+        shell: The probe that is rendered.
+
+    Raises:
+        FileError: Not a field file, or damaged.
+        InputError: The file has no doubt.
+    """
+    fitted = PotentialField.load(path)
+    data = io.read_dataset(path, kind=field_file.KIND, version=field_file.VERSION)
+    if FACTS not in data.attrs or field_file.DRAWS not in data.variables:
+        raise InputError(
+            f"{path} says nothing of its doubt: fit again with ttus-opt fit --doubt"
+        )
+    try:
+        facts = json.loads(data.attrs[FACTS])
+        depth, torque = float(facts["depth"]), facts["torque_noise"]
+        whole = io.array_of(data, field_file.DRAWS, DIMS, fitted.unit)
+        factor = np.float32(data[field_file.DRAWS].attrs["factor"])
+        voxels = skin_voxels(fitted.voxmap, depth)
+        if whole.shape[1] != len(voxels) or whole.shape[0] < 2:
+            raise InputError(f"draws at {whole.shape[1]} voxels, not {len(voxels)}")
+        draws = PosteriorDraws(whole.astype(np.float32) * factor, voxels, depth)
+        noise = float(facts["force_noise"]), np.nan if torque is None else float(torque)
+        return SavedDoubt(fitted, shell, draws, noise, str(facts["calibrated_by"]))
+    except (KeyError, InputError, TypeError, ValueError) as error:
+        raise FileError(f"{path}: damaged doubt: {error}") from error
