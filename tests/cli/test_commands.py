@@ -210,6 +210,34 @@ def test_evaluate_says_what_a_hand_could_tell_apart(
     )
 
 
+@pytest.mark.slow
+def test_fit_keeps_its_doubt_for_evaluate(
+    run: Run, files: Path, field: Path, tmp_path: Path
+) -> None:
+    own, picture = tmp_path / "own.nc", tmp_path / "doubt.png"
+    more = f"--formulation depth_map --doubt-picture {picture}"
+    assert run(fit_words(files, own, more)).status == 0
+    assert picture.stat().st_size > 0
+    words = f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'} --doubt"
+    answer = run(f"evaluate --field {own} {words} --json")
+    (one,) = json.loads(answer.out)["by_recording"]
+    assert one["name"] == "press.csv" and one["frames"] == 30
+    told = one["doubt"]
+    assert told["force_std_N"] > 0.0 and 0.0 <= told["force_coverage"] <= 1.0
+    spoken = run(f"evaluate --field {own} {words}")
+    assert "the 95 % interval covers" in spoken.out
+    refused = run(f"evaluate --field {field} {words}")
+    assert refused.status == 2 and "fit --doubt" in refused.errors[-1]
+
+
+@pytest.mark.slow
+def test_fit_says_when_there_is_no_doubt(run: Run, files: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own.nc"
+    answer = run(fit_words(files, own, "--formulation robust --doubt"))
+    assert answer.status == 0 and own.exists()
+    assert "written without doubt: no doubt of robust" in answer.err
+
+
 def test_render_gives_what_evaluate_compares(
     run: Run, files: Path, field: Path, tmp_path: Path
 ) -> None:

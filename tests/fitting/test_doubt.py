@@ -13,7 +13,8 @@ import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
 from tests.fitting import test_weight_criteria
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.doubt import SCALE_DEVIATION, Doubt, doubt
+from ttus_opt.fitting.doubt import Doubt, doubt
+from ttus_opt.fitting.laplace_posterior import SCALE_DEVIATION
 from ttus_opt.fitting.weight_criteria import presses as press_numbers
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
@@ -175,11 +176,13 @@ def test_one_press_is_scaled_by_its_likelihood() -> None:
 
 def test_what_has_no_such_posterior_is_refused() -> None:
     scene = three_presses()
-    with pytest.raises(InputError, match="no doubt of depth_map"):
-        doubt(tt.fit(scene, "depth_map"), scene)
+    with pytest.raises(InputError, match="no doubt of robust"):
+        doubt(tt.fit(scene, "robust"), scene)
     with pytest.raises(InputError, match="measured terms"):
         doubt(tt.fit(scene, "laplace_only"), scene)
     with pytest.raises(InputError, match="another scene"):
         doubt(fitted(), small_scene("trilinear", n_poses=3))
     with pytest.raises(InputError, match="rows must be"):
         exact().covariance(sp.csr_array((5, 7)))
+    with pytest.raises(InputError, match="count above 1"):
+        exact().draws(1)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
+from ttus_opt.contact.contact_size import size_factors
 from ttus_opt.contact.rows import REFERENCE_AREA
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
@@ -32,10 +33,14 @@ def numpy_frame(
         Force and torque, patient axes, shape (6,) [N, N·m].
     """
     points = shell.points @ rotation.T + position
+    by_area = field.sampling != "voxel-mean"
     inside, voxels, shares = plain_samples(field.voxmap, points, field.sampling)
     weight = (shares * field.values.reshape(-1)[voxels]).sum(axis=1)
-    if field.sampling == "trilinear":
+    if by_area:
         weight *= shell.areas[inside] / REFERENCE_AREA
+    if field.sampling == "contact-size":
+        pose = rotation[None], position[None]
+        weight *= size_factors(field.voxmap, shell, *pose)[0]
     normals = shell.normals[inside] @ rotation.T
     moments = np.cross((shell.points[inside] - shell.reference) @ rotation.T, normals)
     return np.concatenate([weight @ normals, weight @ moments])

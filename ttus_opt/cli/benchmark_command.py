@@ -81,7 +81,8 @@ Shape = Annotated[str, typer.Option(help="Its voxels in r, θ, z.")]
 InnerRadius = Annotated[float, typer.Option(help="Its innermost radius [m].")]
 Inner = Annotated[str, typer.Option(help="Its value on the inner layer, or fit.")]
 Sampling = Annotated[
-    str, typer.Option(help="Sampling of any scene: voxel-mean or trilinear.")
+    str,
+    typer.Option(help="Sampling of any scene: trilinear, voxel-mean or contact-size."),
 ]
 Boundary = Annotated[
     str, typer.Option(help="Where p = 0 stands in any scene: subvoxel or staircase.")

@@ -89,7 +89,8 @@ class SceneOptions:
     sampling: Annotated[
         str | None,
         typer.Option(
-            help="How contact samples p: trilinear, the default, or voxel-mean."
+            help="How contact samples p: trilinear, the default, voxel-mean, or "
+            "contact-size, trilinear times 10 mm over the length of the patch."
         ),
     ] = None
     boundary: Annotated[

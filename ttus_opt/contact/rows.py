@@ -1,12 +1,14 @@
 """Contact rows: force and torque as linear maps of the field (paper eqs. 6, 7).
 
-For each pose, the shell points inside the patient sample the field in one of two
-ways, both linear in p (docs/method.md, Contact rows):
+For each pose, the shell points inside the patient sample the field in one of three
+ways, all linear in p (docs/method.md, Contact rows):
 
 - ``voxel-mean`` (the paper): f = Σ_v n̄(v) p(v), with n̄(v) the mean of the normals of
   the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂;
   points too near to the surface to sample their voxel do not count in its means.
 - ``trilinear``: f = Σ_m (a_m/A₀) n̂_m p(x_m), p(x_m) interpolated, A₀ = 1 cm².
+- ``contact-size``: the same times 10 mm/ℓ, ℓ the length of the touching patch
+  (`ttus_opt.contact.contact_size`).
 
 What a point samples is said in `ttus_opt.voxmap.depth_sampling`; the rows here and the
 frames of `ttus_opt.haptic.renderer` are both made from it, so that ``render(pose) ==
@@ -24,6 +26,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
+from ttus_opt.contact.contact_size import size_factors
 from ttus_opt.contact.row_kernels import REFERENCE_AREA as REFERENCE_AREA
 from ttus_opt.contact.row_kernels import Rows, Scratch, VoxmapArrays, pose_rows
 from ttus_opt.contact.row_kernels import rotated as rotated
@@ -35,7 +38,7 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.pose import rotations
 from ttus_opt.voxmap.voxmap import Voxmap
 
-Sampling = Literal["voxel-mean", "trilinear"]
+Sampling = Literal["voxel-mean", "trilinear", "contact-size"]
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,7 @@ def contact_rows(
         shell: The probe's point shell.
         rotation: Probe to patient, shape (T, 3, 3) [–].
         position: Of the probe frame's origin, patient frame, shape (T, 3) [m].
-        sampling: ``voxel-mean`` or ``trilinear``.
+        sampling: ``voxel-mean``, ``trilinear`` or ``contact-size``.
 
     Returns:
         The rows.
@@ -127,13 +130,18 @@ def contact_rows(
     scratch = Scratch.of(shape[1], len(shell.points))
     rows = Rows.empty(len(position), 1024)
     poses, done = (rotation, position, shell_arrays(shell)), 0
-    trilinear = checked_sampling(sampling) == "trilinear"
+    trilinear = checked_sampling(sampling) != "voxel-mean"
     while True:
         done = pose_rows(done, trilinear, *poses, arrays, rows, scratch)
         if done == len(position):
             break
         rows = rows.grown(3 * done, len(position) / (done + 1))
     used = rows.row_ptr[-1]
+    if sampling == "contact-size":
+        factor = np.repeat(size_factors(voxmap, shell, rotation, position), 3)
+        entries = np.repeat(factor, np.diff(rows.row_ptr))
+        for data in (rows.force, rows.torque):
+            data[:used] *= entries
     matrices = []
     columns = rows.columns[:used].copy()
     for data in (rows.force, rows.torque):

@@ -42,7 +42,7 @@ class SavedDoubt:
     """The posterior of a field as its file has it.
 
     Attributes:
-        field: The fitted field.
+        potential: The fitted field.
         shell: The probe that is rendered.
         draws: Of the posterior, near the skin.
         noise: Standard deviations of what a measured force and torque component show
@@ -50,7 +50,7 @@ class SavedDoubt:
         calibrated_by: As of `Doubt`.
     """
 
-    field: PotentialField
+    potential: PotentialField
     shell: PointShell = field(repr=False)
     draws: PosteriorDraws = field(repr=False)
     noise: tuple[float, float]
@@ -65,7 +65,7 @@ class SavedDoubt:
         Returns:
             NaN in frames that reach deeper than draws are kept.
         """
-        own = self.field
+        own = self.potential
         there = own.voxmap, self.shell, own.sampling
         rows = wrench_rows(*there, trajectory, own.parameters)
         return WrenchDoubt(self.draws.covariance(rows, 6), *self.noise)

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.compiled import compiled
+from ttus_opt.contact.contact_size import REFERENCE_LENGTH
 from ttus_opt.contact.rows import rotated, within
 from ttus_opt.contact.shell_blocks import Tiles
 from ttus_opt.cylindrical import turn_angle
@@ -30,6 +31,9 @@ from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.depth_sampling import corner_sample, nearest_voxel, spoke_cell
 from ttus_opt.voxmap.grid import GridLimits
+
+#: Place of ℓ₀ in `FrameData.limits`
+LENGTH = 7
 
 
 @compiled(error_model="numpy", nogil=True)
@@ -71,6 +75,8 @@ def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
         beyond += deeper
     if not s.trilinear:
         _find_voxels(contact, s)
+    elif s.limits[LENGTH] > 0.0:
+        s.share[0] = _size_factor(contact, s)
     return contact, met > 0 or _meets_grid(R, at, s), beyond
 
 
@@ -204,6 +210,27 @@ def _keep(low: int, size: int, contact: int, s: FrameData) -> tuple[int, int]:
 
 
 @compiled(error_model="numpy", nogil=True)
+def _size_factor(contact: int, s: FrameData) -> float:
+    """10 mm/ℓ of the points in contact, as `contact.contact_size` has it (compiled)."""
+    touched, depth, points, lever = s.touched, s.depth, s.points, s.lever
+    total, x, y, z, square = 0.0, 0.0, 0.0, 0.0, 0.0
+    for c in range(contact):
+        m = touched[c]
+        a, b, d = points[0, m], points[1, m], points[2, m]
+        n = lever[m, 0] ** 2 + lever[m, 1] ** 2 + lever[m, 2] ** 2
+        w = depth[c] * math.sqrt(n)  # the lever's normal is as long as the area
+        total += w
+        x += w * a
+        y += w * b
+        z += w * d
+        square += w * (a * a + b * b + d * d)
+    if total > 0.0:
+        x, y, z, square = x / total, y / total, z / total, square / total
+    spread = max(square - (x * x + y * y + z * z), 0.0)
+    return REFERENCE_LENGTH / math.sqrt(s.limits[LENGTH] ** 2 + 12.0 * spread)
+
+
+@compiled(error_model="numpy", nogil=True)
 def _find_voxels(contact: int, s: FrameData) -> None:
     """Voxel of every contact and its part in the voxel's mean (compiled)."""
     depth, spot, share, voxel, spokes = s.depth, s.spot, s.share, s.voxel, s.spokes
@@ -302,5 +329,8 @@ def wrench_of(
         tx += p * lever[m, 3]
         ty += p * lever[m, 4]
         tz += p * lever[m, 5]
+    if s.limits[LENGTH] > 0.0:
+        k = s.share[0]
+        fx, fy, fz, tx, ty, tz = k * fx, k * fy, k * fz, k * tx, k * ty, k * tz
     wrench[0], wrench[1], wrench[2] = rotated(R, fx, fy, fz)
     wrench[3], wrench[4], wrench[5] = rotated(R, tx, ty, tz)

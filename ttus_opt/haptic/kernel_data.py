@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
+from ttus_opt.contact.contact_size import LEAST_LENGTH
 from ttus_opt.contact.rows import shell_arrays
 from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks, SurfaceCeiling
 from ttus_opt.probe.point_shell import PointShell
@@ -34,7 +35,7 @@ class FrameData(NamedTuple):
         start: First point of each block, shape (B + 1,).
         spheres: Bounding spheres, x, y, z, radius apart, shape (4, B) [m].
         limits: `CylindricalGrid.kernel_limits`, an array as tuples of numbers are slow
-            to pass, shape (7,).
+            to pass, then ℓ₀ of `contact_size`, 0 where size does not count, shape (8,).
         shape: Voxel counts, shape (3,).
         radius: Of the surface's nodes, flat [m].
         nodes: Their counts over θ and z, shape (2,).
@@ -50,7 +51,8 @@ class FrameData(NamedTuple):
         depth: Out: their depths below the surface, shape (M,) [m].
         spot: Out: where they are, r, θ, z, shape (3, M) [m, rad, m].
         voxel: Out, unless trilinear: the voxel of each, shape (M,).
-        share: Out, unless trilinear: its part in the voxel's mean, shape (M,).
+        share: Out, unless trilinear: its part in the voxel's mean, shape (M,). By
+            size: the first one is 10 mm/ℓ.
         sampled: Scratch, what each samples of a field, shape (M,).
         hits: Scratch, points per voxel, zero between frames, (V,) or (1,).
     """
@@ -81,8 +83,15 @@ class FrameData(NamedTuple):
     hits: NDArray[np.int32]
 
     @classmethod
-    def of(cls, voxmap: Voxmap, shell: PointShell, *, trilinear: bool) -> FrameData:
-        """Prepare a probe over a voxmap."""
+    def of(
+        cls,
+        voxmap: Voxmap,
+        shell: PointShell,
+        *,
+        trilinear: bool,
+        by_size: bool = False,
+    ) -> FrameData:
+        """Prepare a probe over a voxmap; ``by_size`` is trilinear, times 10 mm/ℓ."""
         blocks = ShellBlocks.of(shell)
         above = SurfaceCeiling.of(voxmap.surface, float(blocks.reach.max()))
         points, normals, weights, reference = shell_arrays(shell)
@@ -97,7 +106,7 @@ class FrameData(NamedTuple):
             reference,
             blocks.start,
             np.ascontiguousarray(np.column_stack([blocks.centre, blocks.reach]).T),
-            np.array(voxmap.grid.kernel_limits),
+            np.array([*voxmap.grid.kernel_limits, LEAST_LENGTH * by_size]),
             np.array(voxmap.grid.shape),
             np.ascontiguousarray(voxmap.surface.radius).reshape(-1),
             np.array(voxmap.surface.radius.shape),

@@ -158,7 +158,10 @@ class Renderer:
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
         self._field = field
         self._data = FrameData.of(
-            field.voxmap, shell, trilinear=field.sampling == "trilinear"
+            field.voxmap,
+            shell,
+            trilinear=field.sampling != "voxel-mean",
+            by_size=field.sampling == "contact-size",
         )
         weights = patch_weights(shell)[ShellBlocks.of(shell).order]
         numbers = (

@@ -194,7 +194,8 @@ class SeparableCovariance:
             The blocks, shape (k, height, height).
         """
         n_spokes = len(self.surface.volumes)
-        spokes, spoke = np.unique(rows.indices % n_spokes, return_inverse=True)
+        of_entry = rows.indices.astype(np.int64) % n_spokes
+        spokes, spoke = np.unique(of_entry, return_inverse=True)
         between = np.empty((len(spokes), len(spokes)))
         for first in range(0, len(spokes), AT_ONCE):
             own = spokes[first : first + AT_ONCE]

@@ -39,7 +39,11 @@ DIMS, ON_SURFACE = ("r", "theta", "z"), ("surface_theta", "surface_z")
 DRAWS = "doubt_draws"
 
 #: Unit of the field for each sampling (docs/method.md, Unit of the field)
-FIELD_UNIT: dict[str, str] = {"voxel-mean": "N", "trilinear": "N cm-2"}
+FIELD_UNIT: dict[str, str] = {
+    "voxel-mean": "N",
+    "trilinear": "N cm-2",
+    "contact-size": "N cm-2",
+}
 
 
 @dataclass(frozen=True)
@@ -48,8 +52,9 @@ class PotentialField:
 
     Attributes:
         voxmap: Grid, surface and regions.
-        values: p per voxel, shape ``grid.shape`` [N, or N/cm² when trilinear].
-        sampling: How contact samples it: ``voxel-mean`` or ``trilinear``.
+        values: p per voxel, shape ``grid.shape`` [N when voxel-mean, else N/cm²].
+        sampling: How contact samples it: ``voxel-mean``, ``trilinear`` or
+            ``contact-size``.
         parameters: What was identified beside the field, by name (boundary_scale).
         provenance: Free text by key: formulation, solver, trajectory, …
         standard_errors: Of those parameters that have one, by name.
@@ -115,7 +120,7 @@ class PotentialField:
     def _facts(self) -> dict[str, str]:
         """What it is in a few words, by name."""
         low, high = self.values.min(), self.values.max()
-        unit = "N/cm²" if self.sampling == "trilinear" else self.unit
+        unit = "N" if self.sampling == "voxel-mean" else "N/cm²"
         facts = {
             "voxels": self.voxmap.grid.sizes,
             "potential": f"p {low:.3g} to {high:.3g} {unit}",
@@ -225,20 +230,20 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         Voxmap(grid, surface, region, boundary),
         values,
         sampling,
-        *(
-            _by_name(name, io.text_of(data.attrs, name, "{}"))
-            for name in ("parameters", "provenance", "standard_errors")
-        ),
-        doubt=DoubtMap.of_file(data),
+        _by_name("parameters", data.attrs),
+        _by_name("provenance", data.attrs),
+        _by_name("standard_errors", data.attrs),
+        DoubtMap.of_file(data),
     )
 
 
-def _by_name(attribute: str, text: str) -> dict[str, Any]:
-    """What an attribute has by name.
+def _by_name(attribute: str, attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """What an attribute has by name; nothing where it is not there.
 
     Raises:
         InputError: It is no JSON object.
     """
+    text = io.text_of(attributes, attribute, "{}")
     found = json.loads(text)
     if not isinstance(found, dict):
         raise InputError(

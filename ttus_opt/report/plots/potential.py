@@ -18,7 +18,7 @@ from ttus_opt.voxmap.field import PotentialField
 _COLOURS = "RdBu_r"
 
 
-_UNITS = {"voxel-mean": "N", "trilinear": "N/cm²"}
+_UNITS = {"voxel-mean": "N", "trilinear": "N/cm²", "contact-size": "N/cm²"}
 
 #: Colours tell values apart up to this depth below and height above the skin [m].
 _SKIN_DEPTH = 0.025

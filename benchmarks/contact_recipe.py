@@ -1,0 +1,159 @@
+"""One recipe on flat, round and sharp probes over half-space, layer and ribbed layer.
+
+    python benchmarks/contact_recipe.py --models depth_map,tuned,stiffness_map
+
+Forces of presses follow from contact mechanics, not from a field: a sphere on a
+half-space (Hertz 1881), a flat square punch on it (Johnson, Contact Mechanics, 1985,
+§3.8), and a thin layer on a rigid base, whose pressure is its modulus over its
+thickness times the depth (ibid., §5.8), the thickness constant or a wave as of ribs.
+Half of the places are fitted, with noise, half are predicted: mean error of the
+force's magnitude over its mean, in percent. No option is set for any of the models.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+import warnings
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ttus_opt import comparators
+from ttus_opt.errors import TtusError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.surface import Surface
+
+#: Radius and height of the body; it is flat on the scale of a contact [m]
+BODY, HEIGHT = 0.15, 0.2
+
+#: Places, depths of each as a part of the deepest [–]
+PLACES, DEPTHS = 60, np.linspace(0.15, 1.0, 6)
+
+#: Half width of what is pressed: angle [rad], height [m]
+WIDTH = 0.35, 0.06
+
+#: Reduced modulus of the half-space [Pa]; modulus of the layer and its thickness [m]
+HALF_SPACE, LAYER, THICKNESS = 30e3, 60e3, 0.03
+
+#: Wave of the ribs: length [m], share of the thickness [–]
+RIBS = 0.035, 0.5
+
+#: Noise of a component: of force [N], relative [–]; of torque [N·m]
+NOISE = 0.02, 0.03, 2e-3
+
+GRID = {"shape": (20, 90, 30), "r_inner": 0.12}
+
+
+def probes() -> dict[str, tuple[PointShell, float, float]]:
+    """Shell, half its thickness along the press [m], deepest press [m], by name."""
+    return {
+        "round": (PointShell.sphere(0.02, 1500), 0.02, 0.006),
+        "flat": (PointShell.box((0.02, 0.02, 0.02), 1500), 0.01, 0.004),
+        "sharp": (PointShell.sphere(0.00315, 800), 0.00315, 0.002),
+    }
+
+
+def stiffness(body: str, z: float) -> float:
+    """Pressure over depth of a layer at a height [Pa/m]."""
+    length, share = RIBS
+    wave = share * math.sin(2.0 * math.pi * z / length) if body == "ribbed" else 0.0
+    return LAYER / (THICKNESS * (1.0 + wave))
+
+
+def force(body: str, probe: str, depth: float, z: float) -> float:
+    """The exact force of a press [N]."""
+    size = {"round": 0.02, "flat": 0.02, "sharp": 0.00315}[probe]
+    if body == "half-space":
+        if probe == "flat":  # a square punch is as stiff as a round one, to 1.2 %
+            return 2.0 * HALF_SPACE * 1.012 * math.sqrt(size**2 / math.pi) * depth
+        return 4.0 / 3.0 * HALF_SPACE * math.sqrt(size * depth) * depth
+    volume = size**2 * depth if probe == "flat" else math.pi * size * depth**2
+    return stiffness(body, z) * volume
+
+
+def recording(body: str, probe: str, rng: np.random.Generator) -> Trajectory:
+    """Presses at random places, the probe's z axis along the radius."""
+    _, thick, deepest = probes()[probe]
+    angle = rng.uniform(-WIDTH[0], WIDTH[0], PLACES)
+    height = HEIGHT / 2 + rng.uniform(-WIDTH[1], WIDTH[1], PLACES)
+    position, rotation, forces = [], [], []
+    for a, z in zip(angle, height, strict=True):
+        outward = np.array([math.cos(a), math.sin(a), 0.0])
+        turn = Rotation.from_euler("z", a).as_matrix()
+        for depth in (-0.005, *(DEPTHS * deepest), -0.005):
+            position.append((BODY + thick - depth) * outward + [0.0, 0.0, z])
+            rotation.append(turn)
+            size = force(body, probe, depth, z) if depth > 0.0 else 0.0
+            forces.append(size * outward)
+    time_ = 0.2 * np.arange(len(position))
+    return Trajectory(time_, np.array(position), np.array(rotation), np.array(forces))
+
+
+def noisy(exact: Trajectory, rng: np.random.Generator) -> Trajectory:
+    """Measured forces."""
+    assert exact.force is not None
+    size = np.linalg.norm(exact.force, axis=1, keepdims=True)
+    std = NOISE[0] + NOISE[1] * size
+    measured = exact.force + std * rng.standard_normal(exact.force.shape)
+    torque = NOISE[2] * rng.standard_normal(measured.shape)  # by symmetry noise alone
+    return Trajectory(exact.time, exact.position, exact.rotation, measured, torque)
+
+
+def error(model: str, body: str, probe: str, sampling: str, seed: int) -> float:
+    """Held-out mean error over the mean force [–]."""
+    rng = np.random.default_rng(seed)
+    whole = recording(body, probe, rng)
+    half = len(whole) // 2
+    told = noisy(whole.select(np.arange(half)), rng)
+    unseen = whole.select(np.arange(half, 2 * half))
+    surface = Surface.from_radius(np.full((90, 31), BODY), np.linspace(0, HEIGHT, 31))
+    kind = comparators.kind(model)
+    grid = GRID if hasattr(kind, "formulation") else {}
+    made = kind(surface=surface, shell=probes()[probe][0], **grid)
+    if grid:
+        made.plan = replace(made.plan, sampling=sampling)
+    fitted = made.fit(told)
+    assert unseen.force is not None
+    size = np.linalg.norm(unseen.force, axis=1)
+    touching = size > 0.0
+    found = np.linalg.norm(fitted.wrenches(unseen)[:, :3], axis=1)
+    return float(np.abs(found - size)[touching].mean() / size[touching].mean())
+
+
+def main() -> None:
+    """Print a row per probe and body."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--models", default="depth_map,tuned,stiffness_map")
+    parser.add_argument("--probes", default="round,flat,sharp")
+    parser.add_argument("--bodies", default="half-space,layer,ribbed")
+    parser.add_argument("--sampling", default="trilinear", help="of the fields")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    models = options.models.split(",")
+    warnings.simplefilter("ignore")
+    sys.stdout.write(f"| probe | body | {' | '.join(models)} |\n")
+    for probe in options.probes.split(","):
+        for body in options.bodies.split(","):
+            row = {}
+            for model in models:
+                begin = time.process_time()
+                try:
+                    row[model] = 100.0 * error(
+                        model, body, probe, options.sampling, options.seed
+                    )
+                except TtusError as refusal:
+                    sys.stderr.write(f"{model}: {refusal}\n")
+                    row[model] = math.nan
+                sys.stderr.write(f"{model} {time.process_time() - begin:.1f} s\n")
+            cells = " | ".join(f"{row[m]:.1f}" for m in models)
+            sys.stdout.write(f"| {probe} | {body} | {cells} |\n")
+            sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,98 @@
+"""The patch's length and what it does: exact patches, Hertz's power, continuity."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.conftest import small_scene
+from ttus_opt.arrays import Array
+from ttus_opt.benchmark.plain_frame import numpy_frame
+from ttus_opt.contact.contact_size import (
+    LEAST_LENGTH,
+    REFERENCE_LENGTH,
+    size_factors,
+)
+from ttus_opt.contact.rows import contact_rows
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
+
+#: A body so large that it is flat under a probe [m]
+BODY = 2.0
+
+
+def flat(shape: tuple[int, int, int] = (8, 720, 20)) -> Voxmap:
+    surface = Surface.from_radius(np.full((720, 21), BODY), np.linspace(0.0, 0.2, 21))
+    return Voxmap.from_surface(surface, shape=shape, r_inner=BODY - 0.02)
+
+
+def pressed(depths: Array, size: float) -> tuple[Array, Array]:
+    at = np.stack([BODY + size - depths, 0 * depths, 0.1 + 0 * depths], axis=1)
+    return np.broadcast_to(np.eye(3), (len(depths), 3, 3)), at
+
+
+def test_a_ball_presses_a_round_patch_as_long_as_its_width() -> None:
+    depths = np.array([0.002, 0.004])
+    ball = PointShell.sphere(0.05, 8000)
+    lengths = REFERENCE_LENGTH / size_factors(flat(), ball, *pressed(depths, 0.05))
+    width = 2.0 * np.sqrt(2.0 * 0.05 * depths)
+    np.testing.assert_allclose(lengths, np.hypot(LEAST_LENGTH, width), rtol=0.03)
+
+
+def test_no_contact_and_one_point_are_as_long_as_the_least() -> None:
+    depths = np.array([-0.001, 1e-7])
+    ball = PointShell.sphere(0.05, 500)
+    deepest = ball.points[:, 0].min()  # the first point to touch
+    factors = size_factors(flat(), ball, *pressed(depths, -deepest))
+    np.testing.assert_allclose(factors, REFERENCE_LENGTH / LEAST_LENGTH)
+
+
+def test_a_ball_on_a_field_that_grows_with_depth_is_hertz() -> None:
+    voxmap, ball = flat(), PointShell.sphere(0.05, 8000)
+    depths = np.array([0.002, 0.003, 0.0045])
+    layers = np.repeat(BODY - voxmap.grid.r, voxmap.grid.n_voxels // 8)
+    sizes = {}
+    for sampling in ("trilinear", "contact-size"):
+        rows = contact_rows(voxmap, ball, *pressed(depths, 0.05), sampling=sampling)
+        force = (rows.N @ layers).reshape(-1, 3)[:, 0]
+        sizes[sampling] = np.polyfit(np.log(depths), np.log(force), 1)[0]
+    assert sizes["trilinear"] == pytest.approx(2.0, abs=0.03)
+    # ℓ₀ leaves a little of it
+    assert sizes["contact-size"] == pytest.approx(1.5, abs=0.05)
+
+
+def test_force_is_continuous_where_points_come_into_contact() -> None:
+    scene = small_scene("contact-size")
+    R, x = scene.trajectory.rotation[0], scene.trajectory.position[0]
+    out = x / np.linalg.norm(x)
+    steps = np.linspace(0.0, 0.01, 400)
+    at = x + np.outer(0.004 - steps, out)
+    rows = contact_rows(
+        scene.voxmap,
+        scene.shell,
+        np.broadcast_to(R, (400, 3, 3)),
+        at,
+        sampling="contact-size",
+    )
+    p = np.maximum(-scene.b, 0.0) + scene.laplace.solve(scene.b)
+    size = np.linalg.norm((rows.N @ p).reshape(-1, 3), axis=1)
+    assert len(np.unique(rows.contact_points)) > 20
+    assert np.abs(np.diff(size)).max() < 0.03 * size.max()
+
+
+def test_frame_rows_and_plain_code_agree() -> None:
+    scene = small_scene("contact-size")
+    values = np.random.default_rng(0).normal(size=scene.voxmap.grid.shape)
+    field = PotentialField(scene.voxmap, values, "contact-size")
+    renderer = tt.Renderer(field, scene.shell)
+    N, W = ((m @ values.ravel()).reshape(-1, 3) for m in (scene.N, scene.W))
+    told = scene.trajectory
+    for t in range(4):
+        wrench = renderer.render(told.rotation[t], told.position[t])
+        np.testing.assert_allclose(wrench.force, N[t], rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(wrench.torque, W[t], rtol=1e-9, atol=1e-11)
+        plain = numpy_frame(field, scene.shell, told.rotation[t], told.position[t])
+        np.testing.assert_allclose(wrench.force, plain[:3], rtol=1e-9, atol=1e-11)

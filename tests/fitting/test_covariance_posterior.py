@@ -1,0 +1,55 @@
+"""The closed form of a depth map's posterior against dense algebra."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.fitting.test_doubt import three_presses, unseen, wrench_rows
+from ttus_opt.fitting.doubt import Doubt, doubt
+from ttus_opt.problem.solution import Solution
+
+WEIGHTS = {"force_weight": 30.0, "torque_weight": 3.0}
+
+
+@functools.cache
+def fitted() -> Solution:
+    return tt.fit(three_presses(), "depth_map", **WEIGHTS)
+
+
+@functools.cache
+def exact() -> Doubt:
+    return doubt(fitted(), three_presses())
+
+
+def dense() -> np.ndarray:
+    """(RᵀR + Dᵀ W² D)⁻¹ by its terms' own matrices."""
+    terms = fitted().program.terms
+    return np.linalg.inv(
+        sum(t.weight * (t.matrix.T @ t.matrix).toarray() for t in terms if t.weight)
+    )
+
+
+@pytest.mark.slow
+def test_covariance_is_that_of_dense_algebra() -> None:
+    rows = wrench_rows(three_presses(), unseen())
+    expected = (rows @ dense() @ rows.T).reshape(5, 6, 5, 6)
+    stated = exact().std(unseen()).covariance / exact().variance
+    assert exact().method == "exact" and stated[0, 0, 0] > 0.0
+    for t in range(5):
+        block = expected[t, :, t]
+        size = np.sqrt(np.outer(np.diag(block), np.diag(block)))
+        np.testing.assert_allclose(stated[t] / size, block / size, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_draws_agree_with_it() -> None:
+    drawn = exact().sampled(count=400)
+    ratio = drawn.std(unseen()).force_size / exact().std(unseen()).force_size
+    np.testing.assert_allclose(ratio, 1.0, atol=0.15)
+    std = np.sqrt(exact().variance * np.diag(dense()))
+    found = exact().potential_std().reshape(-1)
+    assert abs(np.median(found / std) - 1.0) < 0.02

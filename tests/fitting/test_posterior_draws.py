@@ -1,0 +1,31 @@
+"""Draws near the skin: what contact samples, and what is deeper."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from tests.conftest import small_scene
+from ttus_opt.fitting.posterior_draws import PosteriorDraws, skin_voxels
+
+
+def test_contact_touches_kept_voxels_only_and_all_are_inside() -> None:
+    scene = small_scene("trilinear")
+    kept = skin_voxels(scene.voxmap, 0.012)
+    assert np.isin(scene.N.indices, kept).all()
+    assert (scene.voxmap.region.reshape(-1)[kept] > 0).all()
+    assert len(kept) < len(skin_voxels(scene.voxmap, 0.04))
+    assert np.array_equal(kept, np.unique(kept))
+
+
+def test_covariance_is_that_of_what_is_measured_of_the_draws() -> None:
+    rng = np.random.default_rng(0)
+    values, voxels = rng.normal(size=(7, 3)), np.array([1, 4, 5])
+    draws = PosteriorDraws(values.astype(np.float32), voxels, 0.01)
+    rows = np.zeros((6, 8))
+    rows[0, 1], rows[1, [4, 5]], rows[4, 5], rows[5, 6] = 2.0, (1.0, -3.0), 1.0, 1.0
+    found = draws.covariance(sp.csr_array(rows), 2)
+    said = rows[:2, voxels] @ values.T
+    np.testing.assert_allclose(found[0], said @ said.T / 7, rtol=1e-5)
+    assert (found[1] == 0.0).all()
+    assert np.isnan(found[2]).all()

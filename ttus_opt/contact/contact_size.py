@@ -1,0 +1,67 @@
+"""How long the touching patch is, and what a length does to its stiffness.
+
+The stiffness per area of a half-space falls with the size of what presses it, k ∝ 1/a;
+that of a thin layer does not. With w_m = a_m d_m, area times depth, and c = Σ w_m x_m /
+Σ w_m, the patch has the length
+
+    ℓ² = ℓ₀² + 12 Σ w_m ‖x_m − c‖² / Σ w_m,
+
+2a for the round patch of a ball, the length of a strip. A point that comes into contact
+has no weight yet, so that ℓ is continuous in the pose; ℓ₀ keeps it from zero at first
+touch. The sampling ``contact-size`` is the trilinear one times 10 mm/ℓ: it stays linear
+in p, and with p ∝ d a ball's force grows like d^{3/2}, as Hertz has it. See
+docs/method.md, Contact size.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.cylindrical import cylindrical
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.voxmap.voxmap import Voxmap
+
+#: Length of a patch on which `contact-size` and `trilinear` are the same [m]
+REFERENCE_LENGTH = 0.01
+
+#: ℓ₀; half the reference, so that the factor is 2 at most [m]
+LEAST_LENGTH = 0.005
+
+#: Poses looked at together
+AT_ONCE = 64
+
+
+def size_factors(
+    voxmap: Voxmap, shell: PointShell, rotation: Array, position: Array
+) -> Array:
+    """10 mm/ℓ of every pose, shape (T,) [–]; of no contact as of a point.
+
+    Args:
+        voxmap: Grid and surface.
+        shell: The probe.
+        rotation: Probe to patient, shape (T, 3, 3) [–].
+        position: Of the probe frame's origin, patient frame, shape (T, 3) [m].
+    """
+    out = np.empty(len(position))
+    for start in range(0, len(position), AT_ONCE):
+        part = slice(start, start + AT_ONCE)
+        out[part] = _factors(voxmap, shell, rotation[part], position[part])
+    return out
+
+
+def _factors(
+    voxmap: Voxmap, shell: PointShell, rotation: Array, position: Array
+) -> Array:
+    grid = voxmap.grid
+    places = np.einsum("tij,mj->tmi", rotation, shell.points) + position[:, None]
+    r, theta, z = cylindrical(places)
+    inside = (z >= grid.z_min) & (z <= grid.z_max) & (r <= grid.r_outer)
+    depth = np.where(inside, voxmap.surface.radius_at(theta, z) - r, 0.0)
+    weight = np.maximum(depth, 0.0) * shell.areas
+    total = weight.sum(axis=1)
+    shares = weight / np.where(total > 0.0, total, 1.0)[:, None]
+    centre = shares @ shell.points  # lengths are the same in the probe's frame
+    spread = shares @ (shell.points**2).sum(axis=1) - (centre**2).sum(axis=1)
+    square = LEAST_LENGTH**2 + 12.0 * np.maximum(spread, 0.0)
+    return np.asarray(REFERENCE_LENGTH / np.sqrt(square))
