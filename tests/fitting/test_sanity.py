@@ -172,3 +172,9 @@ def test_the_probe_is_told_in_millimetres() -> None:
     assert found.lines == [
         "probe: 60 × 25 × 36 mm, centroid at (12.3, -4.0, 0.0) mm of its frame"
     ]
+
+
+def test_hysteresis_is_told_where_there_is_some() -> None:
+    found = report(recording("press_fit")).recordings[0]
+    assert abs(found.hysteresis_share) < 0.05 and "hysteresis" not in str(found)
+    assert str(replace(found, hysteresis_share=0.3)).endswith(", 30 % hysteresis")

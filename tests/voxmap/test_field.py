@@ -103,7 +103,7 @@ DAMAGES = {
     ),
     "no such sampling": (
         lambda d: d.assign_attrs(sampling="nearest"),
-        "sampling must be one of voxel-mean, trilinear, got 'nearest'",
+        "sampling must be one of voxel-mean, trilinear, contact-size, got 'nearest'",
     ),
     "region of two by two": (
         lambda d: d.assign(

@@ -55,7 +55,8 @@ def _factors(
 ) -> Array:
     grid = voxmap.grid
     places = np.einsum("tij,mj->tmi", rotation, shell.points) + position[:, None]
-    r, theta, z = cylindrical(places)
+    shape = places.shape[:2]
+    r, theta, z = (v.reshape(shape) for v in cylindrical(places.reshape(-1, 3)))
     inside = (z >= grid.z_min) & (z <= grid.z_max) & (r <= grid.r_outer)
     depth = np.where(inside, voxmap.surface.radius_at(theta, z) - r, 0.0)
     weight = np.maximum(depth, 0.0) * shell.areas

@@ -31,6 +31,7 @@ from ttus_opt.fitting.agreement import agreement
 from ttus_opt.fitting.torque_point import torque_offset
 from ttus_opt.probe.conventions import QUATERNIONS, Conventions
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.hysteresis import hysteresis_share
 from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
@@ -51,6 +52,9 @@ WRONG_UNIT = 100.0
 #: no farther than a sensor sits from the skin [m]
 FAR, FARTHEST = 0.01, 0.5
 
+#: Hysteresis below this is that of noise and of a probe that drifts a little [–]
+WORTH_TELLING = 0.05
+
 #: A centroid this near the pose's origin leaves nothing to mistake [m]
 NEAR = 3e-3
 
@@ -70,6 +74,8 @@ class RecordingCheck:
         contact_without_force: Frames in contact by geometry without a measured force
             [–].
         beyond_inner: Frames with shell points beyond the inner layer [–].
+        hysteresis_share: Work of complete presses that is not given back; NaN without
+            any [–].
     """
 
     name: str
@@ -80,17 +86,21 @@ class RecordingCheck:
     force_without_contact: int
     contact_without_force: int
     beyond_inner: int
+    hysteresis_share: float = math.nan
 
     def __str__(self) -> str:
         torque = f"{1e3 * self.torque_residual_Nm:.1f} mN·m"
         if math.isnan(self.torque_residual_Nm):
             torque = "no torques"
+        lost = ""
+        if self.hysteresis_share >= WORTH_TELLING:
+            lost = f", {100 * self.hysteresis_share:.0f} % hysteresis"
         return (
             f"{self.name}: {self.frames} frames, residual {self.force_residual_N:.2f} "
             f"N, {torque}, "
             f"{self.force_angle_deg:.1f}°; {self.force_without_contact} with force but "
             f"no contact, {self.contact_without_force} with contact but no force, "
-            f"{self.beyond_inner} below the inner layer"
+            f"{self.beyond_inner} below the inner layer{lost}"
         )
 
 
@@ -223,6 +233,7 @@ def _recording(
         int((force & ~contact).sum()),
         int((contact & ~force).sum()),
         int((found.beyond_inner > 0).sum()),
+        hysteresis_share(own, scene.shell, FORCE_THRESHOLD),
     )
 
 
