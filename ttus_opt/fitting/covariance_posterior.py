@@ -103,7 +103,3 @@ class CovariancePosterior:
             p -= self.columns.times(self.rows.T @ self.measured.solve(said))
             draws.append(p[at].astype(np.float32))
         return np.stack(draws)
-
-    def scale_of(self, press: IntArray) -> tuple[float, str]:
-        """σ², and what it is estimated by."""
-        return self.measured.scale_of(press)

@@ -13,7 +13,8 @@ near the skin (`posterior_draws`).
 
 Limits are left out: the doubt is that of the Gaussian without them. σ² is such that
 95 % of the measured components lie within 1.96 standard deviations of what the field of
-all other presses predicts; with one press, the likeliest.
+all other presses predicts; with one press, the likeliest. With it, the noise of forces
+and that of torques are each such that 95 % of their own components do.
 """
 
 from __future__ import annotations
@@ -168,7 +169,8 @@ def doubt(
         method: "exact" solves for every rendered row, "samples" draws `DRAWS` fields
             once; None takes the latter on more than 60,000 voxels where a Laplace term
             is the prior.
-        depth: How far below the skin draws are kept [m].
+        depth: How far below the skin draws, and on more than 60,000 voxels the basis,
+            are kept [m].
 
     Raises:
         InputError: The problem has another prior or other unknowns, the scene is
@@ -188,7 +190,8 @@ def doubt(
     known = known_covariance(prior.tags) is not None
     if method is None:
         method = "exact" if known or scene.n_voxels <= MOST_VOXELS else "samples"
-    voxels = skin_voxels(scene.voxmap, depth) if method == "samples" else None
+    near = method == "samples" or (not known and scene.n_voxels > MOST_VOXELS)
+    voxels = skin_voxels(scene.voxmap, depth) if near else None
     posterior: LaplacePosterior | CovariancePosterior
     if known:
         posterior = CovariancePosterior.of(program, prior, measured)
@@ -200,14 +203,17 @@ def doubt(
             DualData.of(program), root_weights(program), scale, voxels
         )
     frame = np.concatenate([np.repeat(np.arange(frames), 3)] * len(measured))
+    kind = np.repeat(np.arange(len(measured)), 3 * frames)
     told: Mask = posterior.told
-    variance, how = posterior.scale_of(presses(scene)[frame[told]])
-    draws = None
-    if voxels is not None:
+    found = posterior.measured.calibrate(presses(scene)[frame[told]], kind[told])
+    variance, draws = found.variance, None
+    if voxels is not None and method == "samples":
         draws = _drawn(posterior, variance, DRAWS, depth, voxels)
-    noise = _noise(scene, measured, variance * prior.weight)
+    noise = _noise(scene, measured, [prior.weight * v for v in found.noise])
     parameters = dict(solution.parameters)
-    return Doubt(scene, variance, method, how, noise, parameters, posterior, draws)
+    return Doubt(
+        scene, variance, method, found.method, noise, parameters, posterior, draws
+    )
 
 
 def _prior_of(solution: Solution) -> ProgramTerm:
@@ -233,10 +239,13 @@ def _known_prior(program: Program) -> ProgramTerm | None:
 
 
 def _noise(
-    scene: Scene, measured: list[ProgramTerm], variance: float
+    scene: Scene, measured: list[ProgramTerm], variances: list[float]
 ) -> tuple[float, float]:
     """What measured force and torque components show beside the field [N, N·m]."""
-    noise = {t.name: float(np.sqrt(variance / t.weight)) for t in measured}
+    noise = {
+        t.name: float(np.sqrt(v / t.weight))
+        for t, v in zip(measured, variances, strict=True)
+    }
     if "torque" in noise:  # rows of torque are over a length
         own = next(t.target for t in measured if t.name == "torque")
         noise["torque"] *= float(np.linalg.norm(scene.tau) / np.linalg.norm(own))

@@ -17,7 +17,7 @@ import scipy.linalg
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.fitting.posterior import MeasuredRows, Single
+from ttus_opt.fitting.posterior import MeasuredRows, Single, kept_rows
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep
@@ -88,13 +88,19 @@ class LaplacePosterior:
         return cls(data.system, sweep.told, measured, base, fields, inner, n, voxels)
 
     def covariance(self, rows: sp.csr_array, height: int) -> Array:
-        """Of blocks of rows, by a solve for each row that has an entry."""
-        assert self.voxels is None
+        """Of blocks of rows, by a solve for each row that has an entry.
+
+        NaN where a block touches voxels at which the basis is not kept.
+        """
         laplace, root = self.system.laplace, np.sqrt(self.system.compliance)
-        known = np.asarray(rows @ self.fields.T)
+        kept, missing = rows, np.zeros(rows.shape[0] // height, dtype=bool)
+        if self.voxels is not None:
+            kept, missing = kept_rows(rows, self.voxels, height)
+        known = np.asarray(kept @ self.fields.T)
         out = np.zeros((rows.shape[0] // height, height, height))
         told = np.diff(rows.indptr).reshape(-1, height) > 0
-        for k in np.flatnonzero(told.any(axis=1)).tolist():
+        out[missing] = np.nan
+        for k in np.flatnonzero(told.any(axis=1) & ~missing).tolist():
             block = slice(k * height, (k + 1) * height)
             loads = rows[block].toarray()
             slopes = np.stack(
@@ -140,7 +146,3 @@ class LaplacePosterior:
         if self.base is not None:
             p += (self.measured.weighted[-1] @ y) * self.base
         return p if voxels is None else p[voxels]
-
-    def scale_of(self, press: IntArray) -> tuple[float, str]:
-        """σ², and what it is estimated by."""
-        return self.measured.scale_of(press)

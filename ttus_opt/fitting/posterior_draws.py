@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
+from ttus_opt.fitting.posterior import Single, kept_rows
 from ttus_opt.voxmap.depth_sampling import spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -28,7 +28,7 @@ class PosteriorDraws:
         depth: How far below the skin they are kept [m].
     """
 
-    values: NDArray[np.float32] = field(repr=False)
+    values: Single = field(repr=False)
     voxels: IntArray = field(repr=False)
     depth: float
 
@@ -42,17 +42,11 @@ class PosteriorDraws:
         Returns:
             Shape (k, height, height); NaN where a block touches other voxels.
         """
-        place = np.full(rows.shape[1], -1, dtype=np.int64)
-        place[self.voxels] = np.arange(len(self.voxels))
-        column = place[rows.indices]
-        block = np.repeat(np.arange(rows.shape[0]), np.diff(rows.indptr)) // height
-        few = (rows.shape[0], len(self.voxels))
-        data, kept = rows.data, np.maximum(column, 0)
-        own = sp.csr_array((data, kept, rows.indptr), few)
+        own, missing = kept_rows(rows, self.voxels, height)
         count = len(self.values)
         said = np.asarray(own @ self.values.T).reshape(-1, height, count)
         out = said @ said.transpose(0, 2, 1) / count
-        out[np.unique(block[column < 0])] = np.nan
+        out[missing] = np.nan
         return np.asarray(out)
 
 
