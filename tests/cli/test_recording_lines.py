@@ -1,0 +1,34 @@
+"""What is said of a recording, and what is left out where it is not known."""
+
+from __future__ import annotations
+
+import math
+
+from ttus_opt.cli.recording_lines import RecordingLine
+from ttus_opt.fitting.doubt_check import Calibration
+
+FOUND = Calibration(0.05, 0.002, 0.951, 0.932, 0.41, 0.2, 90, 3)
+
+
+def test_all_that_is_known_is_said() -> None:
+    line = RecordingLine("a.csv", 100, 0.123, FOUND)
+    lost, doubt, deeper = line.lines
+    assert lost.startswith("a.csv: 12 % of the work")
+    assert "0.050 N, 2.0 mN m" in doubt and "95.1 % of force and 93.2 % of" in doubt
+    assert doubt.endswith("0.41 and 0.20") and deeper.startswith("a.csv: 3 frames")
+    told = line.as_dict()
+    assert told["doubt"]["force_coverage"] == 0.951 and "doubt_refused" not in told
+
+
+def test_what_is_not_known_is_left_out() -> None:
+    assert RecordingLine("a.csv", 100, math.nan).lines == []
+    assert "doubt" not in RecordingLine("a.csv", 100, math.nan).as_dict()
+    force = Calibration(0.05, math.nan, 0.95, math.nan, 0.4, math.nan, 90)
+    (line,) = RecordingLine("a.csv", 100, math.nan, force).lines
+    assert "mN m" not in line and "torque" not in line and "nan" not in line
+
+
+def test_a_refusal_is_said() -> None:
+    line = RecordingLine("a.csv", 2, math.nan, None, "fewer than three")
+    assert line.lines == ["a.csv: no doubt: fewer than three"]
+    assert line.as_dict()["doubt"] is None
