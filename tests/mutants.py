@@ -88,7 +88,7 @@ class Target:
 TARGETS = (
     Target("report/metrics.py", ("report/test_metrics.py",)),
     Target("problem/kkt.py", ("problem/test_kkt.py",)),
-    Target("fitting/batch.py", ("fitting/test_batch.py",)),
+    Target("fitting/batch.py", ("fitting/test_batch.py", "fitting/test_tuning.py")),
     Target("fitting/verdict.py", ("fitting/test_batch.py",)),
     Target("problem/gradient_blocks.py", ("problem/test_kkt.py",)),
     Target("fitting/recursive.py", ("fitting/test_recursive.py",)),
