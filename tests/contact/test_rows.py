@@ -160,6 +160,8 @@ def test_trilinear_rows_are_continuous_in_the_pose_and_voxel_means_jump() -> Non
     [
         (np.eye(3), np.zeros((1, 3)), r"\(1, 3, 3\)"),
         (np.eye(3)[None], np.zeros(3), r"\(T, 3\)"),
+        (np.tile(np.eye(3), (3, 1, 1)), np.zeros((3, 4)), r"\(T, 3\)"),
+        (np.tile(np.eye(3), (3, 1, 1)), np.zeros((3, 2)), r"\(T, 3\)"),
         (2 * np.eye(3)[None], np.zeros((1, 3)), "orthonormal"),
         (1.00001 * np.eye(3)[None], np.zeros((1, 3)), "orthonormal"),
         (np.eye(3)[None], np.full((1, 3), np.nan), "NaN"),

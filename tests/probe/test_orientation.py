@@ -236,3 +236,18 @@ def test_real_probe_agrees_with_the_winding_number():
     above = winding_numbers(centre + 1e-5 * outward[pick], mesh.corners)
     below = winding_numbers(centre - 1e-5 * outward[pick], mesh.corners)
     assert (below - above < 0.5).mean() <= 0.01
+
+
+@pytest.mark.parametrize("corner", range(3))
+def test_rays_start_all_over_a_face(corner: int) -> None:
+    """A shield close above one corner stops as large a share as it covers."""
+    face = 0.01 * np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    shield = face[corner] + 0.4 * (face - face[corner]) + [0.0, 0.0, 1e-5]
+    mesh = TriangleMesh(np.vstack([face, shield]), np.array([[0, 1, 2], [3, 4, 5]]))
+    tree = orientation.RayTree.build(mesh.corners)
+    even, free = orientation._side_statistics(
+        mesh, tree, np.array([0]), 2000, np.random.default_rng(0)
+    )
+    covered = 0.4**2
+    np.testing.assert_allclose(free, [[1.0 - covered, 1.0]], atol=0.01)
+    np.testing.assert_allclose(even, free)  # each that is stopped crosses once

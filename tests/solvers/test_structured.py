@@ -252,3 +252,17 @@ def test_auto_leaves_terms_over_all_voxels_to_the_normal_equations() -> None:
         for name in ("eq10", "tikhonov")
     }
     assert chosen == {"eq10": "structured", "tikhonov": "normal_equations"}
+
+
+def test_limits_and_a_second_field_cost_more() -> None:
+    """What "auto" weighs: in proportion to the voxels beside a small constant."""
+    cost = {}
+    for n, shape in (("few", (7, 14, 8)), ("many", (12, 36, 15))):
+        scene = small_scene("trilinear", shape=shape)
+        for name in ("eq10", "eq10_sign", "coulomb_drag"):
+            declared = formulation.load(name, scene).compile()
+            cost[name, n] = STRUCTURED.cost(declared)
+    for n in ("few", "many"):
+        assert 0.0 < cost["eq10", n] < cost["eq10_sign", n] < cost["coulomb_drag", n]
+    for name in ("eq10", "eq10_sign", "coulomb_drag"):
+        assert cost[name, "few"] < cost[name, "many"]
