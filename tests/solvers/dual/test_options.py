@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 from dataclasses import fields
 
@@ -21,7 +22,7 @@ def test_a_number_is_kept_in_its_range(option) -> None:  # type: ignore[no-untyp
         with pytest.raises(InputError, match=f"{option.name} must lie between"):
             DualOptions(**{option.name: outside})
     assert option.default not in option.metadata["trials"]
-    assert f"        {option.name}:" in (DualOptions.__doc__ or "")
+    assert f"\n    {option.name}:" in (inspect.getdoc(DualOptions) or "")
 
 
 def test_a_deadline_passes() -> None:
