@@ -210,7 +210,7 @@ def _cases(
     """Reference cases, or the user's own scene.
 
     Raises:
-        InputError: No such case, a scene half given, or numbers that are none.
+        InputError: No such case, a scene half given, or invalid numbers.
         FileError: A file is not there.
     """
     from ttus_opt.benchmark import CaseSpec, reference_cases

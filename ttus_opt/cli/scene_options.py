@@ -56,7 +56,7 @@ class ProblemOptions:
         """Options of the formulation by name.
 
         Raises:
-            InputError: A pair that is none.
+            InputError: A pair that is not KEY=VALUE.
         """
         return further_options(self.option or ())
 
@@ -117,7 +117,7 @@ class SceneOptions:
         """How the scene is built.
 
         Raises:
-            InputError: Counts that are none, or an inner value that is no number.
+            InputError: Invalid counts, or an inner value that is no number.
         """
         from ttus_opt.scene import ScenePlan
 
@@ -150,7 +150,7 @@ def further_options(pairs: Sequence[str]) -> dict[str, Any]:
     """Options written key=value; a value is JSON where it can be read as that.
 
     Raises:
-        InputError: A pair that is none.
+        InputError: A pair that is not KEY=VALUE.
     """
     options: dict[str, Any] = {}
     for pair in pairs:

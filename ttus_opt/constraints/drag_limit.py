@@ -21,7 +21,7 @@ def check_coefficient(largest: float) -> None:
     """Validate a largest friction coefficient.
 
     Raises:
-        InputError: It is none that friction may have.
+        InputError: Friction has no such coefficient.
     """
     low, high = COEFFICIENTS
     if not low <= largest <= high:
@@ -47,7 +47,7 @@ class DragLimit(Constraint):
         """Validate the coefficient.
 
         Raises:
-            InputError: μ_max is none that friction may have.
+            InputError: Friction has no such coefficient μ_max.
         """
         check_coefficient(self.largest)
 

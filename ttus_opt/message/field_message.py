@@ -35,7 +35,7 @@ LEAST_BOUND, GREATEST_BOUND = 1e-9, 1e6
 #: Most voxels of a field that is decoded, unless told otherwise: case L twice
 MOST_VOXELS = 2_500_000
 
-#: Boundary values beyond this are none [as the potential]
+#: Larger boundary values are refused [as the potential]
 LARGEST_BOUNDARY = 1e9
 
 #: Bytes of parameters at most, and characters of a name
@@ -150,7 +150,9 @@ def decode_field(
     if where >= len(BOUNDARIES):
         raise InputError("the message has an unknown boundary: update ttus_opt")
     if not all(abs(value) <= LARGEST_BOUNDARY for value in (inner, outer)):
-        raise InputError("the message's boundary values are none: ask for it again")
+        raise InputError(
+            "the message's boundary values are not usable: ask for it again"
+        )
     parameters, errors = _parameters(reader.unpacked(PARAMETER_BYTES))
     moved = read_integers(reader, size)
     sent = read_integers(reader, size)

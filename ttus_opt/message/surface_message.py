@@ -129,7 +129,7 @@ def decode_surface(reader: Reader) -> Surface:
     if not (np.isfinite(limits).all() and np.abs(limits).max() < 1e6):
         raise InputError("the message's grid or frame is not finite: ask for it again")
     if not math.isclose(float(np.linalg.norm(quaternion)), 1.0, abs_tol=1e-6):
-        raise InputError("the message's rotation is none: ask for it again")
+        raise InputError("the message holds no valid rotation: ask for it again")
     nodes = _read_nodes(reader, n_theta, n_z, closed=True)
     reader.end()
     return Surface(
@@ -259,7 +259,9 @@ def _read_nodes(reader: Reader, n_theta: int, n_z: int, *, closed: bool) -> _Nod
     stds = reader.numbers("2f")
     bound = check_bound(reader.number("d"), LEAST_BOUND, GREATEST_BOUND, "m")
     if not all(0.0 <= std <= LARGEST for std in stds):
-        raise InputError("the message's standard deviations are none: ask for it again")
+        raise InputError(
+            "the message's standard deviations are invalid: ask for it again"
+        )
     size = n_theta * n_z
     bits = np.frombuffer(reader.unpacked((size + 7) // 8), np.uint8)
     if len(bits) != (size + 7) // 8:

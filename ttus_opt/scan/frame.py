@@ -100,7 +100,7 @@ class Axis:
 
         Raises:
             InputError: The cloud is not (n, 3) or has fewer than 100 points, or a
-                direction that is none.
+                direction that is zero.
             GeometryError: The scan shows no body, or ``head`` points across it.
         """
         towards = None if head is None else np.asarray(head, dtype=np.float64)

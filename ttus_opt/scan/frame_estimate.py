@@ -84,7 +84,7 @@ def estimate_frame(
 
     Raises:
         InputError: The cloud is not (n, 3) or has fewer than 100 points, or a
-            direction that is none.
+            direction that is zero.
         GeometryError: Nothing stands above the supporting plane, the points do not
             span a body, or the direction to the head points across it.
     """

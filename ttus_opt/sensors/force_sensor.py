@@ -46,7 +46,7 @@ class ForceSensor:
         """Validate the statements.
 
         Raises:
-            InputError: Axes that are no rotation, a point that is none, another sign.
+            InputError: Axes that are no rotation, an invalid point, another sign.
         """
         axes, point = np.asarray(self.axes, float), np.asarray(self.point, float)
         if axes.shape != (3, 3):

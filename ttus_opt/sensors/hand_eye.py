@@ -50,7 +50,7 @@ LARGEST_GAP, LARGEST_TWIST = 0.010, np.deg2rad(1.0)
 #: Solvers that differ by more are told [m]
 LARGEST_SPREAD = 0.002
 
-#: Entries of a pose beyond this are none, in whatever unit
+#: Larger entries of a pose are refused, in whatever unit
 LARGEST_NUMBER = 1e6
 
 #: Largest file [byte]
@@ -175,7 +175,7 @@ def hand_eye(
         The answer of the solver whose loops close best, and all others.
 
     Raises:
-        InputError: Too few pairs, poses that are none, pairs that do not belong
+        InputError: Too few pairs, invalid poses, pairs that do not belong
             together, or loops that do not close; where they would with poses the other
             way round, that is said.
         GeometryError: The motions turn about one axis only.
@@ -227,7 +227,7 @@ def _checked(name: str, poses: Sequence[Array] | Array) -> Array:
     """Poses (n, 4, 4), each a rigid motion.
 
     Raises:
-        InputError: One is none; its number is told.
+        InputError: One is not rigid; its number is told.
     """
     given = np.asarray(poses, dtype=np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):

@@ -29,7 +29,7 @@ LARGEST_FILE = 100_000
 #: Counts of coefficients that OpenCV knows
 DISTORTIONS = (0, 4, 5, 8, 12, 14)
 
-#: Focal lengths and sizes beyond this are none [pixel]
+#: Larger focal lengths and sizes are refused [pixel]
 LARGEST = 1e5
 
 MATRIX = ("camera_matrix", "K", "k", "matrix")
@@ -156,7 +156,7 @@ def _yaml(text: str) -> Any:
     """A YAML text; OpenCV's first line and tag are understood.
 
     Raises:
-        ValueError: It is none.
+        ValueError: It is no YAML.
     """
     yaml: Any = load("yaml", "sensors")
 

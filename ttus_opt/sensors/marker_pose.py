@@ -190,7 +190,7 @@ def marker_poses(
         One pose for every marker seen, by number.
 
     Raises:
-        InputError: No marker is seen, or a side that is none.
+        InputError: No marker is seen, or an invalid side.
     """
     import cv2
 

@@ -97,7 +97,7 @@ def _poses(frames: dict[int, dict[str, str]], name: str) -> Trajectory:
 
     Raises:
         InputError: None is valid, or one is no rigid motion.
-        ValueError: What should be numbers are none.
+        ValueError: Text stands where numbers should be.
     """
     time, matrices, segment, part = [], [], [], 0
     for number in sorted(frames):

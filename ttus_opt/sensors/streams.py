@@ -22,7 +22,7 @@ from ttus_opt.probe.trajectory import Trajectory
 
 FORCE, TORQUE = ("fx", "fy", "fz"), ("tx", "ty", "tz")
 
-#: Readings beyond this are none [N, N·m]
+#: Larger readings are refused [N, N·m]
 LARGEST = 1e5
 
 
@@ -122,7 +122,7 @@ def with_wrenches(
         The frames that have a wrench.
 
     Raises:
-        InputError: The streams do not overlap, or a gap that is none.
+        InputError: The streams do not overlap, or an invalid gap.
     """
     if not (np.isfinite(offset) and 0.0 < largest_gap < np.inf):
         raise InputError(
@@ -168,7 +168,7 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
         left out a new segment begins.
 
     Raises:
-        InputError: No time does, or a gap that is none.
+        InputError: No time does, or an invalid gap.
     """
     if not 0.0 < largest_gap < np.inf:
         raise InputError(f"the largest gap must be positive [s], got {largest_gap}")

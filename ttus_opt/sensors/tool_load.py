@@ -94,7 +94,7 @@ def checked_down(down: ArrayLike) -> Array:
     """The direction of gravity, normalised, shape (3,) [–].
 
     Raises:
-        InputError: It is none.
+        InputError: It is zero, or no vector.
     """
     direction = np.array(down, dtype=np.float64)
     length = float(np.linalg.norm(direction)) if direction.shape == (3,) else 0.0
