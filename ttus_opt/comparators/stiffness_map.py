@@ -23,13 +23,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.linalg
-import scipy.optimize
 from scipy.spatial.distance import cdist
 
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
+from ttus_opt.terms.posterior_mode import posterior_mode
 
 #: Median and logarithmic deviation of the priors of a, ℓ [m], σ and σ_n [N]
 MEDIANS = np.log([1.3, 0.03, 0.4, 0.15])
@@ -166,21 +166,8 @@ def chosen_law(data: Palpation) -> PowerLaw:
             float(exponent), float(length), float(deviation), max(float(noise), least)
         )
 
-    def cost(steps: Array) -> float:
-        return float(0.5 * steps @ steps) - data.log_evidence(law(steps))
-
-    found = scipy.optimize.minimize(
-        cost,
-        np.zeros(4),
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": np.vstack([np.zeros(4), np.eye(4)]),
-            "xatol": 0.05,
-            "fatol": 0.1,
-            "maxfev": 200,
-        },
-    )
-    return law(np.asarray(found.x))
+    mode = posterior_mode(lambda steps: data.log_evidence(law(steps)), 4, 200)
+    return law(mode.steps)
 
 
 def matern(places: Array, others: Array, length: float) -> Array:

@@ -33,6 +33,7 @@ from ttus_opt.terms.depth_profile import (
     powers_of,
     voxel_depths,
 )
+from ttus_opt.terms.posterior_mode import posterior_mode
 
 #: Median and logarithmic standard deviation of the priors
 PRIOR = {"surface_length": (0.03, 0.3), "deviation": (0.4, 0.5), "noise": (0.15, 1.0)}
@@ -101,22 +102,11 @@ def estimate_depth_map(
         length, deviation, noise = np.exp(medians + widths * steps)
         return float(length), float(deviation), max(float(noise), least)
 
-    def cost(steps: Array) -> float:
-        evidence, _ = problem.evidence(*values(steps), depth_length)
-        return float(0.5 * steps @ steps - evidence)
+    def log_evidence(steps: Array) -> float:
+        return float(problem.evidence(*values(steps), depth_length)[0])
 
-    found = scipy.optimize.minimize(
-        cost,
-        np.zeros(3),
-        method="Nelder-Mead",
-        options={
-            "initial_simplex": np.vstack([np.zeros(3), np.eye(3)]),
-            "xatol": 0.05,
-            "fatol": 0.1,
-            "maxfev": 150,
-        },
-    )
-    length, deviation, noise = values(found.x)
+    mode = posterior_mode(log_evidence, 3, 150)
+    length, deviation, noise = values(mode.steps)
     _, coefficients = problem.evidence(length, deviation, noise, depth_length)
     profile = DepthProfile(exponents, tuple(float(c) for c in coefficients))
     return DepthMapEstimate(
@@ -125,7 +115,7 @@ def estimate_depth_map(
         length,
         depth_length,
         noise,
-        -float(found.fun),
+        mode.log_posterior,
     )
 
 

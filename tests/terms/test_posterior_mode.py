@@ -1,0 +1,28 @@
+"""The most probable numbers against a Gaussian's own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ttus_opt.terms.posterior_mode import posterior_mode
+
+
+def test_a_gaussian_evidence() -> None:
+    """Evidence −½ (s − m)ᵀ K (s − m) and the unit prior: (K + I) s = K m."""
+    K, m = np.array([[30.0, 5.0], [5.0, 80.0]]), np.array([2.0, -1.0])
+
+    def log_evidence(s: np.ndarray) -> float:
+        return float(-0.5 * (s - m) @ K @ (s - m))
+
+    found = posterior_mode(log_evidence, 2, 200)
+    exact = np.linalg.solve(K + np.eye(2), K @ m)
+    np.testing.assert_allclose(found.steps, exact, atol=0.1)
+    best = log_evidence(exact) - 0.5 * exact @ exact
+    assert best - 0.1 <= found.log_posterior <= best
+
+
+def test_without_evidence_the_prior_stays() -> None:
+    calls = []
+    found = posterior_mode(lambda s: calls.append(s) or 0.0, 3, 40)
+    assert np.abs(found.steps).max() < 0.3
+    assert len(calls) <= 41
