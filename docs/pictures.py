@@ -1,6 +1,7 @@
 """Draws the documentation's pictures into docs/pictures; `make docs` calls it.
 
-The demo's own, and two of the method: the voxmap and the sampling below the surface.
+The demo's own, two of the method (the voxmap and the sampling below the surface), and
+one each of recordings and of a depth image.
 """
 
 from __future__ import annotations
@@ -13,6 +14,10 @@ import numpy as np
 import ttus_opt as tt
 from ttus_opt import demo, example, plots
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, MEASURED, look, new_figure
+from ttus_opt.sensors.depth import DepthImage
+from ttus_opt.sensors.depth_noise import noise_model
+from ttus_opt.sensors.intrinsics import Intrinsics
+from ttus_opt.sensors.unprojection import Unprojection
 
 FOLDER = Path(__file__).parent / "pictures"
 
@@ -104,9 +109,46 @@ def poses_picture(path: Path) -> None:
     plots.save_picture(figure, path)
 
 
+def depth_picture(path: Path) -> None:
+    """A depth image of a body on a bed, and its points with their deviations."""
+    matrix = np.array([[300.0, 0.0, 159.5], [0.0, 300.0, 119.5], [0.0, 0.0, 1.0]])
+    camera = Unprojection.from_intrinsics(Intrinsics(matrix, np.zeros(0)), (240, 320))
+    rays = camera.rays / camera.rays[..., 2:]
+    # an ellipse of 17 by 11 cm, 0.9 m above a bed that the camera looks down at
+    a = (rays[..., 0] / 0.17) ** 2 + (1.0 / 0.11) ** 2
+    b, c = -0.79 / 0.11**2, (0.79 / 0.11) ** 2 - 1.0
+    room = b**2 - a * c
+    z = np.where(room > 0.0, (-b - np.sqrt(np.maximum(room, 0.0))) / a, 0.9)
+    model = noise_model("structured-light")
+    rng = np.random.default_rng(0)
+    noisy = z + 0.0015 * rng.standard_normal(z.shape)
+    noisy[rng.random(z.shape) < 0.05] = np.nan
+    cloud = DepthImage(noisy, camera).to_cloud(noise=model)
+    assert cloud.std is not None
+    shown = np.abs(cloud.points[:, 1]) < 0.02
+    x, _, depth = 100.0 * cloud.points[shown].T
+    with look():
+        figure = new_figure(7.4, 2.9)
+        left, right = figure.subplots(1, 2, width_ratios=[1.0, 1.2])
+        image = left.imshow(100.0 * noisy, cmap="viridis")
+        left.set_title("depth image")
+        left.set_xlabel("column [pixel]")
+        left.set_ylabel("row [pixel]")
+        figure.colorbar(image, ax=left, label="z [cm]", shrink=0.8)
+        dots = right.scatter(x, depth, c=1e3 * cloud.std[shown], s=1.5, cmap="magma_r")
+        right.invert_yaxis()
+        right.set_aspect("equal")
+        right.set_title("points of a strip, camera above")
+        right.set_xlabel("x [cm]")
+        right.set_ylabel("z [cm]")
+        figure.colorbar(dots, ax=right, label="standard deviation [mm]", shrink=0.8)
+        plots.save_picture(figure, path)
+
+
 def main() -> None:
     """Draw them all."""
     FOLDER.mkdir(exist_ok=True)
+    depth_picture(FOLDER / "depth.png")
     voxmap_picture(FOLDER / "voxmap.svg")
     sampling_picture(FOLDER / "sampling.svg")
     poses_picture(FOLDER / "poses.png")
