@@ -76,6 +76,18 @@ def test_the_same_seen_twice_is_known_better(earlier: Surface) -> None:
     assert ratio == pytest.approx(np.sqrt(0.5), abs=0.05)
 
 
+def test_a_patch_is_enough(earlier: Surface) -> None:
+    """A hand's breadth of skin, 8 mm further out; the rest stays."""
+    swollen = part(cylinder(np.random.default_rng(3), radius=0.158), 60, 100)
+    patch = swollen[np.abs(swollen[:, 2]) < 0.05]
+    found = update_surface(earlier, patch, support=None)
+    inside = (np.abs(degrees(earlier) - 80) < 12)[:, None] & (np.abs(earlier.z) < 0.03)
+    away = (np.abs(degrees(earlier) - 80) > 30)[:, None] & earlier.observed
+    assert np.abs(found.surface.radius[inside] - 0.158).max() < 4e-3
+    assert np.abs(found.surface.radius - earlier.radius)[away].max() < 1e-3
+    assert found.replaced < 0.06
+
+
 def test_a_patient_who_moved_is_told(earlier: Surface) -> None:
     cloud = part(cylinder(np.random.default_rng(2), radius=0.162), 0, 200)
     with pytest.warns(TtusWarning, match=r"lies \+12 mm off.*patient moved"):

@@ -93,6 +93,7 @@ def test_a_pose_that_is_off_is_refined() -> None:
     assert 0.3 < refinement.overlap < 1.0
 
 
+@pytest.mark.slow
 def test_a_surely_measured_pose_stays() -> None:
     """The measured pose is a prior: the surer it is, the less it is moved."""
     pytest.importorskip("small_gicp", reason="needs ttus-opt[sensors]")

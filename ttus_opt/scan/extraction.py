@@ -79,6 +79,7 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
     std = None if point_std is None else point_std[body]
     reach = (spoke_distance, slice_distance)
     contour = _contours(points, std, theta, z, reach, model)
+    _check_seen(contour)
     return filled_surface(contour, theta, z, axis, plane)
 
 
@@ -92,7 +93,7 @@ def followed(
     model: ContourModel | None = None,
     point_std: Array | None = None,
 ) -> Contour:
-    """The contours of a scan on a given grid; see `extract_surface`.
+    """The contours of a scan on a given grid, however little of it the scan shows.
 
     Args:
         cloud: Scan, shape (n, 3) [m].
@@ -105,7 +106,7 @@ def followed(
 
     Raises:
         InputError: Deviations or a cloud that cannot be used.
-        GeometryError: The cloud never meets the axis or shows no body around it.
+        GeometryError: The cloud never meets the axis.
     """
     _check(cloud, len(theta), len(z), SPOKE_DISTANCE, None)
     _check_std(point_std, len(cloud))
@@ -133,9 +134,7 @@ def _contours(
         slice_distance=of_slice or by_default,
         std=std,
     )
-    contour = follow(candidates, model or ContourModel())
-    _check_seen(contour)
-    return contour
+    return follow(candidates, model or ContourModel())
 
 
 def filled_surface(

@@ -25,8 +25,9 @@ from ttus_opt.scan.surface import Surface
 #: Radii this many deviations apart are of a patient who changed
 ALIKE = 3.0
 
-#: A median difference beyond this is of a patient who lies elsewhere [m]
-MOVED = 0.008
+#: A median difference beyond this [m], over more than this share of what the earlier
+#: scan saw, is of a patient who lies elsewhere
+MOVED, MOVED_SHARE = 0.008, 0.25
 
 #: Least deviation of a known radius [m]
 LEAST_STD = 1e-4
@@ -76,7 +77,7 @@ def update_surface(
     Raises:
         InputError: A cloud that cannot be used, or a surface whose angles do not begin
             at 0.
-        GeometryError: The scan shows no body around the surface's axis.
+        GeometryError: The scan never meets the surface's axis.
     """
     if abs(earlier.theta[0]) > 1e-9:
         raise InputError(
@@ -105,7 +106,7 @@ def update_surface(
         seen,
     )
     difference = float(np.median(change[both])) if both.any() else float("nan")
-    if abs(difference) > MOVED:
+    if abs(difference) > MOVED and both.sum() > MOVED_SHARE * earlier.observed.sum():
         warnings.warn(
             f"the later scan lies {1e3 * difference:+.0f} mm off the earlier one in "
             "the median: has the patient moved? Extract the surface anew then",
