@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import socket
 import threading
 import time
@@ -13,10 +14,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from ttus_opt.errors import InputError
+from tests.hostile import SEED, mutated
+from ttus_opt.errors import InputError, TtusError
 from ttus_opt.sensors import open_igt_link as igt
 
 pyigtl = pytest.importorskip("pyigtl", reason="needs ttus-opt[live]")
+
+KINDS = {
+    "TRANSFORM": pyigtl.TransformMessage,
+    "SENSOR": igt.sensor_message(pyigtl),
+    "STRING": pyigtl.StringMessage,
+}
 
 TURN = Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix()
 
@@ -129,3 +137,46 @@ def test_what_came_is_checked() -> None:
     assert received(sensor(0, 3), sensor(1, 3)).wrenches().torque is None
     again = received(transform(1), transform(0), transform(1)).trajectory()
     np.testing.assert_allclose(again.time, [50.0, 50.1], atol=1e-6)
+
+
+@pytest.mark.parametrize("n", [60, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["pose", "force"])
+def test_mutations(kind: str, n: int) -> None:
+    """Damaged messages that pyigtl reads all the same: our errors and no other."""
+    sent = [transform(i) if kind == "pose" else sensor(i) for i in range(3)]
+    content = b"".join(message.pack() for message in sent)
+    rng = np.random.default_rng(SEED)
+    head = pyigtl.messages.MessageBase.IGTL_HEADER_SIZE
+    taken = 0
+    for _ in range(n):
+        data, found = mutated(content, rng), igt.Received()
+        while len(data) >= head:
+            with contextlib.suppress(Exception):  # pyigtl closes the connection
+                fields = pyigtl.messages.MessageBase.parse_header(data[:head])
+                end = head + fields["body_size"]
+                message = KINDS[fields["message_type"]]()
+                message.unpack(fields, data[head:end])
+                found.take(message)
+                data = data[end:]
+                continue
+            break
+        taken += found.count
+        for read in (found.trajectory, found.wrenches):
+            try:
+                read()
+            except TtusError as error:
+                assert "\n" not in str(error)
+    assert taken > n / 4
+
+
+def test_a_server_that_sends_nonsense() -> None:
+    """What came before the connection broke is kept."""
+
+    class Nonsense:
+        def pack(self) -> bytes:
+            return b"\xff" * 58
+
+    sent = [*(transform(i) for i in range(5)), Nonsense()]
+    with serving(sent) as port, contextlib.redirect_stderr(io.StringIO()):
+        found = igt.record("127.0.0.1", port, seconds=0.3)
+    assert len(found.trajectory()) == 5
