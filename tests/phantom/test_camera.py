@@ -3,7 +3,7 @@ import pytest
 
 from ttus_opt.errors import InputError
 from ttus_opt.phantom import Torso
-from ttus_opt.phantom.camera import ScanSetup, View, scan, write_cloud
+from ttus_opt.phantom.camera import ScanSetup, View, depth_image, scan, write_cloud
 from ttus_opt.scan.cloud import read_cloud
 
 TORSO = Torso()
@@ -71,3 +71,21 @@ def test_refuses_no_camera_and_one_that_sees_nothing():
         scan(SETUP, (), rng)
     with pytest.raises(InputError, match="sees nothing"):
         scan(SETUP, (View((0.0, 1.0, 0.15), target=(0.0, 2.0, 0.15)),), rng)
+
+
+def test_a_depth_image_is_a_pinhole_camera_s():
+    """Upper row first, x to the right, depths along the axis: it lies on the scan."""
+    rng = np.random.default_rng(0)
+    depth = depth_image(SETUP, VIEW, rng, noise=0.0, dropout=0.0)
+    centre = (VIEW.pixels - 1) / 2
+    row, column = np.nonzero(np.isfinite(depth))
+    z = depth[row, column]
+    slope = np.tan(VIEW.opening) / centre
+    right, up, ahead = VIEW.axes()
+    points = np.asarray(VIEW.eye) + np.outer(z, ahead)
+    points += np.outer(z * (column - centre) * slope, right)
+    points -= np.outer(z * (row - centre) * slope, up)
+    on_table = np.abs(points[:, 1] - SETUP.table) < 1e-9
+    assert np.abs(radial_error(points[~on_table])).max() < 1e-6
+    assert len(points) == len(clean_scan())
+    assert up[1] > 0.0

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import faulthandler
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,6 +16,8 @@ from scipy.spatial.transform import Rotation
 
 from tests.hostile import only_our_errors
 from ttus_opt.errors import FileError
+from ttus_opt.sensors import netcdf_child, netcdf_stream
+from ttus_opt.sensors.netcdf_child import Variable, packed, unpacked
 from ttus_opt.sensors.netcdf_stream import (
     read_netcdf_poses,
     read_netcdf_wrenches,
@@ -47,6 +52,34 @@ def written(data: xr.Dataset, file: Path) -> Path:
     return file
 
 
+def forked(file: Path) -> dict[str, Variable]:
+    """`read_apart` in a copy of this process, for thousands of files."""
+    back, there = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(back)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        faulthandler.disable()
+        status = 1
+        with contextlib.suppress(BaseException), os.fdopen(there, "wb") as stream:
+            stream.write(packed(str(file)))
+            status = 0
+        os._exit(status)
+    os.close(there)
+    with os.fdopen(back, "rb") as stream:
+        content = stream.read()
+    if os.waitpid(child, 0)[1]:
+        raise ValueError("its reader crashed")
+    return unpacked(content)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    if hasattr(os, "fork"):
+        monkeypatch.setattr(netcdf_stream, "read_apart", forked)
+
+
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize("order", ["xyzw", "wxyz"])
 def test_poses(tmp_path: Path, order: str) -> None:
     """By labels, by the file's attribute, or told; the same poses."""
@@ -63,6 +96,7 @@ def test_poses(tmp_path: Path, order: str) -> None:
         np.testing.assert_allclose(found.rotation, TURNS.as_matrix(), atol=1e-12)
 
 
+@pytest.mark.usefixtures("quick")
 def test_other_units_and_names(tmp_path: Path) -> None:
     data = poses().rename(position="tip", time="stamp")
     data["tip"] = (1e3 * data.tip).assign_attrs(units="mm")
@@ -113,6 +147,7 @@ SPOILT: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {
 }
 
 
+@pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize(
     ("name", "words"),
     [
@@ -144,9 +179,18 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         read_netcdf_poses(tmp_path / "p.nc", {"px": "x"})
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a system that can fork")
 @pytest.mark.parametrize("n", [20, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.usefixtures("quick")
 def test_mutations(tmp_path: Path, n: int) -> None:
-    def read(file: Path) -> None:
-        read_netcdf_poses(file)
+    """Some of these crash the netCDF library: in its own process alone."""
+    sources = [written(poses(), tmp_path / "p.nc")]
+    only_our_errors(sources, read_netcdf_poses, n)
 
-    only_our_errors([written(poses(), tmp_path / "p.nc")], read, n)
+
+def test_a_reader_that_crashes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "crash.py").write_text("import os\nos.abort()\n")
+    monkeypatch.setattr(netcdf_child, "__file__", str(tmp_path / "crash.py"))
+    file = written(poses(), tmp_path / "p.nc")
+    with pytest.raises(FileError, match="not a readable netCDF"):
+        read_netcdf_poses(file)

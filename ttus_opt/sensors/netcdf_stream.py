@@ -1,4 +1,4 @@
-"""Pose and wrench streams in netCDF, through xarray.
+"""Pose and wrench streams in netCDF.
 
 A variable ``time`` of one dimension; ``position(time, 3)``, ``quaternion(time, 4)``,
 ``force(time, 3)`` and ``torque(time, 3)``, each with ``units``, time first. Components
@@ -21,6 +21,7 @@ from ttus_opt.errors import FileError, InputError
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.column_map import ORDER, ORDERS
+from ttus_opt.sensors.netcdf_child import Variable, read_apart
 from ttus_opt.sensors.streams import WrenchStream
 
 if TYPE_CHECKING:
@@ -48,9 +49,6 @@ SPELLINGS = {
     **dict.fromkeys(("Nmm", "N.mm", "N*mm", "N·mm"), "N mm"),
     **dict.fromkeys(("", "-", "–", "dimensionless"), "1"),
 }
-
-#: Readings of one stream at most
-MOST_READINGS = 20_000_000
 
 #: Positions beyond this are in another unit [m]
 LARGEST_POSITION = 100.0
@@ -134,10 +132,6 @@ def _opened(
     Raises:
         FileError: Missing, no netCDF, or names that such a file has not.
     """
-    import warnings
-
-    import xarray as xr
-
     file = io.existing_file(path, "netCDF stream")
     told = columns or {}
     single = [name for name in told if name not in ("t", ORDER, *UNITS)]
@@ -147,21 +141,18 @@ def _opened(
             f"torque, not {single[0]}"
         )
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of foreign attributes
-            with xr.open_dataset(
-                file, engine="netcdf4", decode_times=False, decode_timedelta=False
-            ) as opened:
-                if max(opened.sizes.values(), default=0) > MOST_READINGS:
-                    raise FileError(f"{file} is too long a stream: cut it")
-                return file, opened.load(), told
-    except FileError:
-        raise
-    except (Exception, MemoryError) as error:  # damaged files raise nearly every class
+        return file, _dataset(read_apart(file)), told
+    except Exception as error:  # damaged files raise nearly every class
         raise FileError(
-            f"{file} is not a readable netCDF file ({type(error).__name__}): copy or "
-            "record it again"
+            f"{file} is not a readable netCDF file: copy or record it again"
         ) from error
+
+
+def _dataset(found: Mapping[str, Variable]) -> xr.Dataset:
+    """Variables put together; those named as their dimension are its labels."""
+    import xarray as xr
+
+    return xr.Dataset({name: tuple(each) for name, each in found.items()})
 
 
 def _variable(data: xr.Dataset, name: str, told: Mapping[str, str]) -> xr.DataArray:
