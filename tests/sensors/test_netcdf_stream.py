@@ -180,7 +180,9 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs a system that can fork")
-@pytest.mark.parametrize("n", [20, pytest.param(3000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "n", [20, pytest.param(3000, marks=[pytest.mark.slow, pytest.mark.long])]
+)
 @pytest.mark.usefixtures("quick")
 def test_mutations(tmp_path: Path, n: int) -> None:
     """Some of these crash the netCDF library: in its own process alone."""

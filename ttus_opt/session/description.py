@@ -67,6 +67,7 @@ class Scan:
         files: A cloud, a surface (.nc), or depth images.
         cameras: Of depth images, one each; none for a cloud or surface.
         noise: Noise model of the cameras; None where it is not known.
+        refine: Whether the cameras' poses are refined by what they share.
         unit: Of the coordinates or depths; None for the usual one.
         head: Direction to the head in the scan, shape (3,); None to find it.
         prone: Whether the patient lies on the front.
@@ -76,6 +77,7 @@ class Scan:
     files: tuple[Path, ...]
     cameras: tuple[Camera, ...]
     noise: str | None
+    refine: bool
     unit: str | None
     head: tuple[float, ...] | None
     prone: bool
@@ -286,7 +288,7 @@ def _probe(whole: Section) -> str:
 
 def _scan(part: Section) -> Scan:
     kinds = ("cloud", "surface", "depth")
-    of_cameras = ("intrinsics", "camera_to_scan", "depth_kind", "noise")
+    of_cameras = ("intrinsics", "camera_to_scan", "depth_kind", "noise", "refine")
     part.require_known((*kinds, *of_cameras, "unit", "head", "prone", "nodes"))
     given = [kind for kind in kinds if kind in part]
     if len(given) != 1:
@@ -304,6 +306,7 @@ def _scan(part: Section) -> Scan:
         files,
         _cameras(part, len(files)) if given[0] == "depth" else (),
         part.text("noise") if "noise" in part else None,
+        part.flag("refine"),
         part.choice("unit", tuple(UNITS)) if "unit" in part else None,
         part.numbers("head", 3) if "head" in part else None,
         part.flag("prone"),
