@@ -13,6 +13,7 @@ import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, small_scene, torso
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.constraints.boundary import HardBoundary
+from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem import formulation
 from ttus_opt.problem.kkt import kkt_residuals
@@ -266,3 +267,13 @@ def test_limits_and_a_second_field_cost_more() -> None:
         assert 0.0 < cost["eq10", n] < cost["eq10_sign", n] < cost["coulomb_drag", n]
     for name in ("eq10", "eq10_sign", "coulomb_drag"):
         assert cost[name, "few"] < cost[name, "many"]
+
+
+def test_limits_that_contradict_each_other_come_with_a_proof() -> None:
+    """Multipliers, not a claim: only such a verdict is believed."""
+    scene = small_scene("trilinear", shape=(7, 14, 8))
+    declared = formulation.load("eq10_sign", scene)
+    declared = declared.with_constraints(HardBoundary(scene), Monotone(scene, 1000.0))
+    found = STRUCTURED.prepare(declared.compile(), TIGHT).solve()
+    assert found.claim is Claim.INFEASIBLE
+    assert any(dual.any() for dual in found.duals.rows.values())
