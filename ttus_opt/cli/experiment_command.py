@@ -65,6 +65,16 @@ def experiment(
         str,
         typer.Option(help="Also other ways to render: names, or all."),
     ] = "",
+    jobs: Annotated[
+        int, typer.Option(help="Patients and settings at the same time (joblib).")
+    ] = 1,
+    dask: Annotated[
+        str,
+        typer.Option(
+            help="Address of a dask scheduler for them, host:port; its workers must "
+            "see the folder."
+        ),
+    ] = "",
     json: Json = False,
 ) -> None:
     """Simulate three patients, fit with and without forces, report every error."""
@@ -83,6 +93,8 @@ def experiment(
         _listed(patients),
         _listed(comparators),
         weights,
+        jobs,
+        dask,
     )
     with Stages(n_stages(plan)) as begin:
         result = run(output, plan, progress=begin)

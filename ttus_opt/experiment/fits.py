@@ -60,6 +60,11 @@ class PatientFits:
         folder: Where fields and errors are kept.
         shape: Voxels in r, θ and z [–].
         digest: A word that changes when recordings or package version do.
+
+    Attributes:
+        examination: As given.
+        shell: The probe.
+        stamp: Digest and shape in one.
     """
 
     def __init__(
@@ -72,6 +77,7 @@ class PatientFits:
         self.examination = examination
         self.shell = PointShell.from_spec(PROBE_SPEC)
         self._folder, self._shape, self._digest = folder, shape, digest
+        self.stamp = f"{digest} {shape}"
         self._scenes: dict[tuple[object, ...], Scene] = {}
 
     def scene(self, setting: Setting) -> Scene:

@@ -30,6 +30,7 @@ from ttus_opt.experiment.settings import (
     compared,
     without_torque,
 )
+from ttus_opt.experiment.side_by_side import do_ahead
 from ttus_opt.problem.formulation import LARGEST
 from ttus_opt.report.metrics import compare
 from ttus_opt.scan.surface import Surface
@@ -50,6 +51,9 @@ class Plan:
         weight: λ_f = λ_τ of formulations that do not choose their own.
         weights: ``auto`` fits those once more, with weights chosen from the recordings
             by marginal likelihood; ``given`` does not.
+        jobs: Patients and settings at the same time.
+        dask: Address of a dask scheduler for them, whose workers see the folder; ""
+            for this machine.
         resolution: Of the finite elements: multiplies every node spacing; 1 is fine.
         torso: A scan whose skin the third patient has; None for a made-up one.
         torso_unit: Of that file.
@@ -66,14 +70,18 @@ class Plan:
     patients: Sequence[str] = ()
     comparators: Sequence[str] = ()
     weights: str = "given"
+    jobs: int = 1
+    dask: str = ""
 
     def __post_init__(self) -> None:
         """Validate numbers and words.
 
         Raises:
-            InputError: A weight or resolution out of range, another word than given
-                or auto, or a shape that is too small or would not fit in memory.
+            InputError: A weight or resolution out of range, no job, another word than
+                given or auto, or a shape that is too small or would not fit in memory.
         """
+        if self.jobs < 1:
+            raise InputError(f"jobs must be at least 1, got {self.jobs}")
         if self.weights not in ("given", "auto"):
             raise InputError(f"weights takes given or auto, got {self.weights!r}")
         if not (0.0 < self.weight <= LARGEST and 0.3 <= self.resolution <= 10.0):
@@ -202,7 +210,7 @@ def run(
     Raises:
         InputError: An unknown formulation, patient or comparator.
         MissingPackageError: scikit-fem is not installed (extra ``phantom``) and the
-            recordings are not there yet.
+            recordings are not there yet; or joblib or dask, where they are asked for.
         FileError: The folder cannot be written to.
     """
     from ttus_opt.experiment.report import write_reports
@@ -213,6 +221,8 @@ def run(
     io.check_output(out / "report.md")
     chosen = _chosen(todo, out, begin)
     io.made_folder(out)
+    if todo.jobs > 1 or todo.dask:
+        do_ahead(chosen, todo, out, begin)
     results = tuple(
         _on_patient(each, todo, out / each.name, (settings, others), begin)
         for each in chosen
@@ -227,7 +237,8 @@ def run(
 def n_stages(plan: Plan) -> int:
     """How often `run` reports progress, at most."""
     each = 3 + len(plan.settings) + len(plan.rivals)
-    return 2 + each * len(plan.patients or patients())
+    passes = 2 if plan.jobs > 1 or plan.dask else 1
+    return 2 + passes * each * len(plan.patients or patients())
 
 
 def _chosen(
@@ -278,8 +289,7 @@ def _on_patient(
         begin(f"{patient.name}: {setting.name}")
         found[setting.name] = fits.fitted(setting)
     begin(f"{patient.name}: boundary values")
-    stamp = f"{digest} {plan.shape}"
-    boundary = boundary_errors(fits, plan.weight, folder / "boundary.json", stamp)
+    boundary = boundary_errors(fits, plan.weight, folder / "boundary.json", fits.stamp)
     compared_with = []
     for name in others:
         begin(f"{patient.name}: {name}")

@@ -1,0 +1,96 @@
+"""Patients and settings of an experiment side by side, by joblib, on dask where asked.
+
+All that is found is kept in files (`fits`, `boundary`, `rivals`), so that a task
+returns no more than what it did; the experiment then reads the files in its own order.
+A task that was interrupted is done again by the next call, the others are not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ttus_opt import optional
+from ttus_opt.errors import InputError
+from ttus_opt.experiment import rivals
+from ttus_opt.experiment.boundary import boundary_errors
+from ttus_opt.experiment.fits import PatientFits
+from ttus_opt.experiment.patients import Patient
+from ttus_opt.experiment.recordings import examine
+from ttus_opt.experiment.settings import Setting
+
+if TYPE_CHECKING:
+    from ttus_opt.experiment.pipeline import Plan
+
+#: A setting to fit, a comparator's name, or None for the boundary values
+Task = Setting | str | None
+
+
+def do_ahead(
+    patients: Sequence[Patient],
+    plan: Plan,
+    folder: Path,
+    begin: Callable[[str], None],
+) -> None:
+    """Examine all patients, then do every task of each, several at a time.
+
+    Args:
+        patients: Who.
+        plan: What is done, by how many tasks at a time, and where.
+        folder: Of the experiment; every worker must see it.
+        begin: Called with what is done.
+
+    Raises:
+        MissingPackageError: joblib or dask is not installed.
+        InputError: No scheduler answers.
+    """
+    delayed = optional.load("joblib", "parallel").delayed
+    tasks: list[Task] = [*plan.settings, None, *plan.rivals]
+    with _pool(plan.jobs, plan.dask) as run:
+        for told in run(delayed(_examined)(who, plan, folder) for who in patients):
+            begin(told)
+        work = ((who, plan, folder, task) for task in tasks for who in patients)
+        for told in run(delayed(_done)(*each) for each in work):
+            begin(told)
+
+
+def _examined(patient: Patient, plan: Plan, folder: Path) -> str:
+    examine(patient, folder / patient.name, plan.resolution, lambda _: None)
+    return f"{patient.name}: recordings"
+
+
+def _done(patient: Patient, plan: Plan, folder: Path, task: Task) -> str:
+    own, digest = folder / patient.name, patient.digest(plan.resolution)
+    examination = examine(patient, own, plan.resolution, lambda _: None)
+    fits = PatientFits(examination, own, plan.shape, digest)
+    if isinstance(task, Setting):
+        fits.fitted(task)
+        return f"{patient.name}: {task.name}"
+    if task is None:
+        boundary_errors(fits, plan.weight, own / "boundary.json", fits.stamp)
+        return f"{patient.name}: boundary values"
+    rivals.rival(fits, task, own, digest)
+    return f"{patient.name}: {task}"
+
+
+@contextlib.contextmanager
+def _pool(jobs: int, address: str) -> Iterator[Any]:
+    """Runs joblib's tasks in processes here, or on a dask cluster.
+
+    Raises:
+        MissingPackageError: joblib or dask is not installed.
+        InputError: No scheduler answers.
+    """
+    joblib = optional.load("joblib", "parallel")
+    if not address:
+        yield joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+        return
+    distributed = optional.load("distributed", "parallel")
+    try:
+        client = distributed.Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(f"no dask scheduler answers at {address}: {error}") from error
+    with client, joblib.parallel_config("dask"):
+        yield joblib.Parallel(n_jobs=-1, return_as="generator_unordered")
