@@ -1,7 +1,7 @@
 """Eq. 10 with what the data say of weights, boundary scale and drag: `ttus_opt.tune`.
 
-The same as ``ttus-opt fit``, where no weight is given: of `eq10` and `coulomb_global` the one with
-the larger marginal likelihood, at its most likely weights.
+The same as ``ttus-opt fit`` where no weight is given: of `eq10` and `coulomb_global`
+the one with the larger marginal likelihood, at its most likely weights.
 """
 
 from __future__ import annotations
