@@ -13,8 +13,7 @@ near the skin (`posterior_draws`).
 
 Limits are left out: the doubt is that of the Gaussian without them. σ² is such that
 95 % of the measured components lie within 1.96 standard deviations of what the field of
-all other presses predicts; with one press, the likeliest. With it, the noise of forces
-and that of torques are each such that 95 % of their own components do.
+all other presses predicts; with one press, the likeliest.
 """
 
 from __future__ import annotations
@@ -203,17 +202,14 @@ def doubt(
             DualData.of(program), root_weights(program), scale, voxels
         )
     frame = np.concatenate([np.repeat(np.arange(frames), 3)] * len(measured))
-    kind = np.repeat(np.arange(len(measured)), 3 * frames)
     told: Mask = posterior.told
-    found = posterior.measured.calibrate(presses(scene)[frame[told]], kind[told])
-    variance, draws = found.variance, None
+    variance, how = posterior.measured.scale_of(presses(scene)[frame[told]])
+    draws = None
     if voxels is not None and method == "samples":
         draws = _drawn(posterior, variance, DRAWS, depth, voxels)
-    noise = _noise(scene, measured, [prior.weight * v for v in found.noise])
+    noise = _noise(scene, measured, variance * prior.weight)
     parameters = dict(solution.parameters)
-    return Doubt(
-        scene, variance, method, found.method, noise, parameters, posterior, draws
-    )
+    return Doubt(scene, variance, method, how, noise, parameters, posterior, draws)
 
 
 def _prior_of(solution: Solution) -> ProgramTerm:
@@ -239,13 +235,10 @@ def _known_prior(program: Program) -> ProgramTerm | None:
 
 
 def _noise(
-    scene: Scene, measured: list[ProgramTerm], variances: list[float]
+    scene: Scene, measured: list[ProgramTerm], variance: float
 ) -> tuple[float, float]:
     """What measured force and torque components show beside the field [N, N·m]."""
-    noise = {
-        t.name: float(np.sqrt(v / t.weight))
-        for t, v in zip(measured, variances, strict=True)
-    }
+    noise = {t.name: float(np.sqrt(variance / t.weight)) for t in measured}
     if "torque" in noise:  # rows of torque are over a length
         own = next(t.target for t in measured if t.name == "torque")
         noise["torque"] *= float(np.linalg.norm(scene.tau) / np.linalg.norm(own))

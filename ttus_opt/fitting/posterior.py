@@ -23,9 +23,6 @@ Single = NDArray[np.float32]
 #: distribution [–]
 COVERED, NORMAL = 0.95, 1.959964
 
-#: Halvings of the range in which a noise is sought; what keeps a quotient finite
-BISECTIONS, TINY = 40, 1e-300
-
 
 class Posterior(Protocol):
     """The Gaussian of a problem, with σ² = 1."""
@@ -43,21 +40,6 @@ class Posterior(Protocol):
 
     def draw(self, count: int, voxels: IntArray | None = None) -> Single:
         """Draws of the field around its mean, at some voxels or all, (count, n)."""
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """Scales of the posterior and of the noise beside it.
-
-    Attributes:
-        variance: σ².
-        noise: σ² of the measurements of each kind, over a row's own 1/weight [–].
-        method: ``presses left out``, or ``likelihood`` where there is one press.
-    """
-
-    variance: float
-    noise: tuple[float, ...]
-    method: str
 
 
 def kept_rows(
@@ -113,51 +95,26 @@ class MeasuredRows:
         """(1 + BᵀB)⁻¹ values, shape (rows,)."""
         return np.asarray(values - self.half.T @ (self.half @ values))
 
-    def calibrate(self, press: IntArray, kind: IntArray) -> Calibration:
-        """Scales that cover what is predicted of every press by all others.
-
-        σ² covers all rows, the noise's share of it then each kind's own.
+    def scale_of(self, press: IntArray) -> tuple[float, str]:
+        """σ² that covers what is predicted of every press by all others.
 
         Args:
             press: Which press a row belongs to, shape (rows,) [–].
-            kind: What a row measures, from 0 on, shape (rows,) [–].
-        """
-        kinds = range(int(kind.max(initial=-1)) + 1)
-        if len(np.unique(press)) < 2:
-            rest = self.solve(self.misfit)
-            variance = float(rest @ self.misfit) / len(rest)
-            return Calibration(variance, (variance,) * len(kinds), "likelihood")
-        error, known = self._left_out(press)
-        variance = _quantile(error / np.sqrt(1.0 + known)) ** 2
-        own = [_noise(error[kind == k], variance * known[kind == k]) for k in kinds]
-        return Calibration(variance, tuple(own), "presses left out")
 
-    def _left_out(self, press: IntArray) -> tuple[Array, Array]:
-        """Errors of what all other presses predict, and the field's variance there."""
+        Returns:
+            σ², and what it is estimated by: with one press the likelihood.
+        """
         rest, half = self.solve(self.misfit), self.half
-        error, known = np.empty_like(rest), np.empty_like(rest)
-        for number in np.unique(press):
+        numbers = np.unique(press)
+        if len(numbers) < 2:
+            return float(rest @ self.misfit) / len(rest), "likelihood"
+        scores = np.empty_like(rest)
+        for number in numbers:
             at = np.flatnonzero(press == number)
             X = half[:, at]
             left = np.eye(len(X)) - X @ X.T
             solved = scipy.linalg.solve(left, X, assume_a="pos")
-            error[at] = rest[at] + X.T @ (solved @ rest[at])
-            known[at] = np.einsum("ki,ki->i", X, solved)
-        return error, known
-
-
-def _quantile(scores: Array) -> float:
-    """The deviation of which `COVERED` scores are below `NORMAL` [–]."""
-    return float(np.quantile(np.abs(scores), COVERED)) / NORMAL
-
-
-def _noise(error: Array, known: Array) -> float:
-    """Variance beside a known one for which `COVERED` errors are covered."""
-    if not len(error) or _quantile(error / np.sqrt(known + TINY)) <= 1.0:
-        return 0.0
-    low, high = 0.0, float(np.square(error).max()) / NORMAL**2
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        enough = _quantile(error / np.sqrt(known + middle)) <= 1.0
-        low, high = (low, middle) if enough else (middle, high)
-    return high
+            error = rest[at] + X.T @ (solved @ rest[at])
+            scores[at] = error / np.sqrt(1.0 + np.einsum("ki,ki->i", X, solved))
+        deviation = float(np.quantile(np.abs(scores), COVERED)) / NORMAL
+        return deviation**2, "presses left out"
