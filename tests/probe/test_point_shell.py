@@ -253,6 +253,7 @@ def test_bad_specifications_name_the_three_forms(spec):
         (lambda: PointShell.sphere(20.0), GeometryError, "millimetres"),
         (lambda: PointShell.sphere(2e-4), GeometryError, "expected a probe"),
         (lambda: PointShell.sphere(0.02, 3), InputError, "at least 4"),
+        (lambda: PointShell.sphere(0.02, 10**20), InputError, "at most 1,000,000"),
         (lambda: PointShell.from_triangles(*capsule()[:2], 2), InputError, "least 4"),
         (
             lambda: PointShell.from_triangles(*capsule()[:2], surface="inner"),

@@ -38,6 +38,9 @@ SurfaceChoice = Literal["outer", "all", "hull"]
 #: changes by 3 %.
 LEAST_EXPOSURE = 1 / 3
 
+#: Most points of a shell
+MOST_POINTS = 1_000_000
+
 #: |∫ n̂ dA| over the area above which a surface is called open.
 OPEN_SHARE = 0.02
 
@@ -379,9 +382,10 @@ def _normalised(vectors: Array) -> Array:
 
 
 def _require_points(n_points: int) -> None:
-    if int(n_points) != n_points or n_points < 4:
+    if int(n_points) != n_points or not 4 <= n_points <= MOST_POINTS:
         raise InputError(
-            f"n_points must be a whole number of at least 4, got {n_points}"
+            f"n_points must be a whole number of at least 4, at most {MOST_POINTS:,}, "
+            f"got {n_points}"
         )
 
 
