@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -12,6 +13,7 @@ from ttus_opt.benchmark import suite
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.cli import main
+from ttus_opt.contact.rows import Sampling
 
 
 def crashed(spec: RunSpec, *others: object) -> list[Row]:
@@ -85,7 +87,7 @@ def test_other_parts_as_json(
     assert typed(*words, "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert told["rows"] == told["recursion"] == told["assembly"] == []
-    assert len(told["rendering"]) == 2
+    assert len(told["rendering"]) == len(get_args(Sampling))
     assert len(told["ripple"]) == 3
     assert "## Ripple" in Path(told["report"]).read_text("utf-8")
     assert typed(*words) == 0
