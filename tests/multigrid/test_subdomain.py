@@ -1,4 +1,4 @@
-"""Boxes of the grid for rough solves, against the same boxes written as masks."""
+"""Boxes of the grid for approximate solves, against the same boxes written as masks."""
 
 from __future__ import annotations
 

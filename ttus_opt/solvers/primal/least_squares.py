@@ -10,10 +10,13 @@ from ttus_opt.arrays import Array, Mask
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.primal.approximate_system import (
+    ApproximateLaplace,
+    ApproximateSystem,
+)
 from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
-from ttus_opt.solvers.primal.rough_system import ApproximateLaplace, RoughSystem
 from ttus_opt.solvers.primal.split import Split
 from ttus_opt.solvers.primal.wide_term import WideTerm
 
@@ -111,8 +114,8 @@ def preconditioner(
     laplace, root = split.operator, split.root()
     grid, grounds = laplace.operator_grid, laplace.grounds
     cycle = OneCycle(grid, laplace.free, root.added, grounds=grounds)
-    rough = ApproximateLaplace.of(laplace, cycle, root.coupling)
-    system = RoughSystem.of(split.few.system, rough, split.wide)
+    approximate = ApproximateLaplace.of(laplace, cycle, root.coupling)
+    system = ApproximateSystem.of(split.few.system, approximate, split.wide)
     return ConstraintPreconditioner(
         system, split.few.columns[:, free], options.inner, dual
     )

@@ -22,12 +22,15 @@ from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualAnswer
 from ttus_opt.solvers.dual.subproblem import ReducedLaplace, Subproblem, reduced
 from ttus_opt.solvers.dual.working_set import WorkingSet
+from ttus_opt.solvers.primal.approximate_system import (
+    ApproximateLaplace,
+    ApproximateSystem,
+)
 from ttus_opt.solvers.primal.conjugate_gradients import Goal, Pair, minimise
 from ttus_opt.solvers.primal.least_squares import LeastSquares
 from ttus_opt.solvers.primal.matching import Root
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
-from ttus_opt.solvers.primal.rough_system import ApproximateLaplace, RoughSystem
 from ttus_opt.solvers.primal.split import Split
 from ttus_opt.solvers.primal.wide_term import WideTerm
 
@@ -105,11 +108,13 @@ class LimitedSum:
         kept = sp.diags_array((system.compliance > 0.0) & ~laplace.free, dtype=float)
         more = sp.csr_array(more @ kept)
         more.eliminate_zeros()
-        rough = ApproximateLaplace.of(laplace, cycle, more)
-        rough_system = RoughSystem.of(system, rough, split.wide)
+        approximate = ApproximateLaplace.of(laplace, cycle, more)
+        approximate_system = ApproximateSystem.of(system, approximate, split.wide)
         columns = np.zeros((len(left.t), 0))
         inner = self.primal.inner
-        return ConstraintPreconditioner(rough_system, columns, inner, self.options)
+        return ConstraintPreconditioner(
+            approximate_system, columns, inner, self.options
+        )
 
 
 @dataclass(frozen=True)

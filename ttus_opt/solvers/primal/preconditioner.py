@@ -22,8 +22,8 @@ from ttus_opt.solvers.dual.conjugate_gradients import (
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
+from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
 from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
-from ttus_opt.solvers.primal.rough_system import RoughSystem
 
 #: Most rounds in which the accuracy of S's system follows the answer's energy
 ROUNDS = 3
@@ -37,12 +37,16 @@ class ConstraintPreconditioner:
     """
 
     def __init__(
-        self, system: RoughSystem, columns: Array, inner: float, options: DualOptions
+        self,
+        system: ApproximateSystem,
+        columns: Array,
+        inner: float,
+        options: DualOptions,
     ) -> None:
         """Start without directions.
 
         Args:
-            system: S, with an L whose solves are rough.
+            system: S, with an L whose solves are approximate.
             columns: E of the free unknowns beside the field, shape (m, k).
             inner: Residual of S's system over the energy norm of the answer [–].
             options: Of the dual.

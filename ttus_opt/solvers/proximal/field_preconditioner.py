@@ -27,9 +27,9 @@ from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid.coarsening import Added, conductances
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
+from ttus_opt.solvers.primal.approximate_system import ApproximateLaplace
 from ttus_opt.solvers.primal.flexible import Map
 from ttus_opt.solvers.primal.matching import matched_root
-from ttus_opt.solvers.primal.rough_system import ApproximateLaplace
 from ttus_opt.solvers.primal.wide_term import WideTerm
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 
@@ -167,10 +167,10 @@ def by_laplace(
     grid, free = laplace.operator_grid, laplace.free
     root = matched_root(wide, grid, free, laplace.radii, compliance)
     cycle = OneCycle(grid, free, root.added, grounds=laplace.grounds)
-    rough = ApproximateLaplace.of(laplace, cycle, root.coupling)
+    approximate = ApproximateLaplace.of(laplace, cycle, root.coupling)
 
     def apply(v: Array) -> Array:
-        return rough.solve(compliance * rough.solve_adjoint(v))
+        return approximate.solve(compliance * approximate.solve_adjoint(v))
 
     return apply
 

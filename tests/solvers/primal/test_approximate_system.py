@@ -10,10 +10,10 @@ from tests.conftest import small_scene
 from tests.solvers.own_terms import AlongZ
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.primal.approximate_system import FixedBlock
 from ttus_opt.solvers.primal.conjugate_gradients import Pair
 from ttus_opt.solvers.primal.least_squares import preconditioner
 from ttus_opt.solvers.primal.options import PrimalOptions
-from ttus_opt.solvers.primal.rough_system import FixedBlock
 from ttus_opt.solvers.primal.split import Split
 from ttus_opt.solvers.primal.wide_term import WideTerm
 

@@ -1,4 +1,4 @@
-"""The dual system with rough solves: P⁻¹ = L̃⁻¹ Ω L̃⁻ᵀ, one V-cycle for each L̃⁻¹.
+"""The dual system with approximate solves: P⁻¹ = L̃⁻¹ Ω L̃⁻ᵀ, one V-cycle for each L̃⁻¹.
 
 At fixed voxels whose values are soft Ω is not diagonal where wide terms have rows
 there. Of these rows, over fixed voxels and the free ones beside them, the free ones are
@@ -112,8 +112,8 @@ class FixedBlock:
 
 
 @dataclass(frozen=True)
-class RoughSystem(DualSystem):
-    """A dual system whose L has rough solves.
+class ApproximateSystem(DualSystem):
+    """A dual system whose L has approximate solves.
 
     Attributes:
         fixed: Ω at fixed voxels where it is not diagonal; None where it is.
@@ -123,13 +123,16 @@ class RoughSystem(DualSystem):
 
     @classmethod
     def of(
-        cls, exact: DualSystem, rough: ApproximateLaplace, wide: Sequence[WideTerm]
-    ) -> RoughSystem:
-        """The same rows as of an exact system, with rough solves and wide terms."""
+        cls,
+        exact: DualSystem,
+        approximate: ApproximateLaplace,
+        wide: Sequence[WideTerm],
+    ) -> ApproximateSystem:
+        """The rows of an exact system, with approximate solves and wide terms."""
         compliance = exact.compliance
-        fixed = FixedBlock.of(wide, rough.free, compliance)
+        fixed = FixedBlock.of(wide, approximate.free, compliance)
         rows = exact.rows, exact.root_weights, exact.n_measured
-        return cls(rough, compliance, *rows, fixed)
+        return cls(approximate, compliance, *rows, fixed)
 
     def prior(self, r: Array) -> Array:
         """P⁻¹r, shape (V,)."""
