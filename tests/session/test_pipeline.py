@@ -29,7 +29,7 @@ def forces_unseen(result: SessionResult) -> float:
 
 
 def forces_perfect(result: SessionResult, seconds: float) -> float:
-    """The same where clocks, frames, sensor and tracker are perfect."""
+    """The same where clocks, frames and the sensor's load are known exactly."""
     back = inverse(frame().scan_to_patient)
     own = result.skin.surface.axis.scan_to_patient
     recordings = {k: v.transformed(back, own) for k, v in perfect(seconds).items()}

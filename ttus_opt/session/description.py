@@ -17,6 +17,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
+from ttus_opt.fitting.weight_choice import has_weights, is_weight
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.scan.cloud import UNITS
 from ttus_opt.sensors.clock import LARGEST_OFFSET
@@ -179,18 +180,21 @@ class FitPlan:
     """What is fitted.
 
     Attributes:
-        formulation: Name, or the path of a file beside the description.
+        formulation: Name, or the path of a file beside the description; None for
+            eq. 10, with drag where the recordings show it.
         shape: Voxels in r, θ and z.
         r_inner: Radius of the innermost layer [m].
         solver: Name, or auto.
         options: The formulation's own.
+        weights: "auto", by marginal likelihood, or the formulation's "own".
     """
 
-    formulation: str
+    formulation: str | None
     shape: tuple[int, ...]
     r_inner: float
     solver: str
     options: Mapping[str, float]
+    weights: str
 
 
 @dataclass(frozen=True)
@@ -444,15 +448,24 @@ def _recordings(part: Section) -> tuple[Part, ...]:
 
 
 def _fit(part: Section) -> FitPlan:
-    part.require_known(("formulation", "shape", "r_inner", "solver", "options"))
-    formulation = part.text("formulation", "eq10")
-    if (part.file.parent / formulation).is_file():
+    part.require_known(
+        ("formulation", "shape", "r_inner", "solver", "options", "weights")
+    )
+    formulation = part.text("formulation") if "formulation" in part else None
+    if formulation and (part.file.parent / formulation).is_file():
         formulation = str(part.file.parent / formulation)
-    options = part.section("options")
+    told = part.section("options")
+    options = {name: told.number(name) for name in told.values}
+    given = [name for name in options if is_weight(name)]
+    can = not given and (formulation is None or has_weights(formulation))
+    weights = part.choice("weights", ("auto", "own"), "auto" if can else "own")
+    if weights == "auto" and given:
+        raise part.fail("weights", f"chooses {given[0]} too: give one or the other")
     return FitPlan(
         formulation,
         part.whole("shape", 3, (48, 120, 60)),
         part.number("r_inner", 0.03),
         part.text("solver", "auto"),
-        {name: options.number(name) for name in options.values},
+        options,
+        weights,
     )

@@ -178,6 +178,7 @@ def _fit_facts(model: Model) -> dict[str, Any]:
     after = model.after
     return {
         "formulation": after.formulation,
+        "weights": model.choice.as_dict(),
         "status": after.status.name.lower(),
         "solver": after.solver,
         "kkt": None if after.kkt is None else after.kkt.as_dict(),

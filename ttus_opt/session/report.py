@@ -89,6 +89,7 @@ def _steps(result: SessionResult) -> list[list[str]]:
     shape = " × ".join(map(str, result.session.fit.shape))
     known = "; ".join(after.identified)
     found_too = f"; {known}" if known else ""
+    rows.extend(["fit", line] for line in result.model.choice.lines)
     rows.append(
         ["fit", f"{after.formulation} on {shape} by {after.solver}{worst}{found_too}"]
     )

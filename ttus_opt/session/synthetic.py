@@ -168,13 +168,33 @@ def write_recording(
     return truth
 
 
-def perfect(seconds: float = 20.0) -> dict[str, Trajectory]:
+def perfect(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
     """The recordings as perfect calibration has them, frame of the example's surface.
+
+    Poses are the tracker's, with its noise: that is no matter of calibration.
 
     Args:
         seconds: As of `write_recording`.
+        seed: The same.
     """
-    return {name: _recording(name, seconds) for name in RECORDINGS}
+    truth = Truth()
+    _, _, tilts, noise, _ = np.random.default_rng(seed).spawn(5)
+    moved, stretches = _motion_of_all(seconds, tilts)
+    tracked = _tracked(moved, truth, noise)
+    to_patient = inverse(_patient_to_scan()) @ truth.tracker_to_scan
+    poses = to_patient @ _matrices(tracked) @ inverse(truth.target_to_probe)
+    known = _at(moved, tracked.time)
+    seen = Trajectory(
+        tracked.time,
+        poses[:, :3, 3].copy(),
+        poses[:, :3, :3].copy(),
+        known.force,
+        known.torque,
+    )
+    return {
+        name: seen.select((seen.time >= start) & (seen.time <= end))
+        for name, (start, end) in stretches.items()
+    }
 
 
 def _recording(name: str, seconds: float) -> Trajectory:
