@@ -18,7 +18,7 @@ from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.session.model import fit_model, judge
 from ttus_opt.session.pipeline import SessionResult, run_session
 from ttus_opt.session.results import STEPS, complete_steps
-from ttus_opt.session.synthetic import Truth, perfect, write_recording
+from ttus_opt.session.synthetic import Truth, calibrated, perfect, write_recording
 from ttus_opt.voxmap.field import PotentialField
 
 
@@ -32,7 +32,7 @@ def forces_perfect(result: SessionResult, seconds: float) -> float:
     """The same where clocks, frames and the sensor's load are known exactly."""
     back = inverse(frame().scan_to_patient)
     own = result.skin.surface.axis.scan_to_patient
-    recordings = {k: v.transformed(back, own) for k, v in perfect(seconds).items()}
+    recordings = {k: v.transformed(back, own) for k, v in calibrated(seconds).items()}
     shell = PointShell.from_spec(result.session.probe)
     model = fit_model(result.session, result.skin.surface, shell, recordings)
     found = judge(result.session, model, shell, recordings)

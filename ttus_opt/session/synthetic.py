@@ -168,10 +168,19 @@ def write_recording(
     return truth
 
 
-def perfect(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
-    """The recordings as perfect calibration has them, frame of the example's surface.
+def perfect(seconds: float = 20.0) -> dict[str, Trajectory]:
+    """The recordings as perfect devices have them, frame of the example's surface.
 
-    Poses are the tracker's, with its noise: that is no matter of calibration.
+    Args:
+        seconds: As of `write_recording`.
+    """
+    return {name: _recording(name, seconds) for name in RECORDINGS}
+
+
+def calibrated(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
+    """The recordings as perfect calibration has them, with the tracker's noise.
+
+    In the frame of the example's surface, at the tracker's times.
 
     Args:
         seconds: As of `write_recording`.
