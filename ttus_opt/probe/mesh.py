@@ -201,6 +201,9 @@ def read_mesh(path: str | os.PathLike[str], *, unit: str = "mm") -> TriangleMesh
         loaded = trimesh.load_mesh(file, process=False)
         vertices = np.asarray(loaded.vertices, dtype=float)
         faces = np.asarray(loaded.faces, dtype=np.int64)
+        if file.suffix.lower() == ".stl" and not len(faces):
+            # a binary file that is cut off is read as text, which may hold no facet
+            raise ValueError("no faces")
     except Exception as error:  # parsers raise whatever the damage leads to
         raise FileError(
             f"probe mesh {file} cannot be read ({type(error).__name__}): truncated, or "
