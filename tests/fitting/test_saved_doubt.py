@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -62,8 +63,18 @@ def test_files_without_doubt_or_with_a_damaged_one_are_refused(
         read_doubt(tmp_path / "plain.nc", shell)
     whole = io.read_dataset(file, kind=KIND, version=VERSION)
     short = whole.isel(doubt_voxel=slice(10))
-    other = whole.assign_attrs({FACTS: "{}"})
-    for damaged in (short, other):
+    facts = json.loads(whole.attrs[FACTS])
+    spoilt: list[dict[str, object]] = [
+        {},
+        *({**facts, "depth": depth} for depth in (np.nan, 1e300, 0.0)),
+        {**facts, "force_noise": -1.0},
+        {**facts, "force_noise": np.nan},
+        {**facts, "torque_noise": -1.0},
+    ]
+    bent = whole.copy()
+    bent[DRAWS] = whole[DRAWS].assign_attrs(factor=np.nan)
+    others = [whole.assign_attrs({FACTS: json.dumps(each)}) for each in spoilt]
+    for damaged in (short, bent, *others):
         io.write_dataset(damaged, tmp_path / "d.nc", kind=KIND, version=VERSION)
         with pytest.raises(FileError, match="damaged doubt"):
             read_doubt(tmp_path / "d.nc", shell)

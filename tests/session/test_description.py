@@ -73,6 +73,7 @@ def test_the_example_is_understood(recording: Path) -> None:
         ("recordings.../evil", {"from": 0, "to": 1, "use": "fit"}, "names a file"),
         ("fit.shape", [4, 5.5, 6], "must be whole numbers"),
         ("fit.options", {"force_weight": "much"}, "must be a finite number"),
+        ("fit.formulation", "magic", "fit.formulation cannot be used: .*magic"),
         ("scan.cloud", "camera.json", "scan needs one of cloud, surface, depth, got 2"),
         ("scan.depth", ["depth_0.png"], "has 2 entries for 1 depth images"),
         ("scan.depth_kind", "w", "must be z or range"),

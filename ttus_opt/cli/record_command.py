@@ -31,8 +31,9 @@ def record(
     pose_device: Annotated[
         str | None, typer.Option(help="Of the poses, where several send some.")
     ] = None,
-    wrench_device: Annotated[
-        str | None, typer.Option(help="The same of the forces.")
+    sensor: Annotated[
+        str | None,
+        typer.Option("--wrench-device", help="The same of the forces."),
     ] = None,
     seconds: Annotated[
         float | None,
@@ -44,6 +45,8 @@ def record(
 
     The files are written at the end, also when it comes by Ctrl-C.
     """
+    import numpy as np
+
     from ttus_opt.sensors import open_igt_link as igt
 
     if poses is None and wrenches is None:
@@ -55,28 +58,29 @@ def record(
     shown = _counter()
     received = igt.record(host, int(port or igt.PORT), seconds=seconds, progress=shown)
     told: dict[str, object] = {"messages": received.count}
-    lines = []
-    # all is checked before a file is written
-    track = None if poses is None else received.trajectory(pose_device)
-    stream = None if wrenches is None else received.wrenches(wrench_device)
-    if track is not None and poses is not None:
-        track.save(poses)
-        told |= {"poses": str(poses), "pose_frames": len(track)}
-        lines.append(f"{poses}: {len(track)} poses, {_span(track.time)}")
-    if stream is not None and wrenches is not None:
-        stream.save(wrenches)
-        told |= {"wrenches": str(wrenches), "wrench_frames": len(stream.time)}
-        lines.append(f"{wrenches}: {len(stream.time)} readings, {_span(stream.time)}")
+    lines, failed = [], []
+    # what came cannot be had again: one file is written whatever the other lacks
+    for key, count, file, find in (
+        ("poses", "pose_frames", poses, lambda: received.trajectory(pose_device)),
+        ("wrenches", "wrench_frames", wrenches, lambda: received.wrenches(sensor)),
+    ):
+        if file is None:
+            continue
+        try:
+            stream = find()
+        except InputError as error:
+            failed.append(str(error))
+            continue
+        stream.save(file)
+        frames = len(stream.time)
+        told |= {key: str(file), count: frames}
+        lines.append(f"{file}: {frames} frames, {np.ptp(stream.time):.1f} s")
+    if failed:
+        raise InputError("; ".join([*failed, *(f"written {line}" for line in lines)]))
     if json:
         print_json(told)
         return
     typer.echo("\n".join(lines))
-
-
-def _span(time: object) -> str:
-    import numpy as np
-
-    return f"{np.ptp(np.asarray(time)):.1f} s"
 
 
 def _counter() -> Callable[[int], None] | None:

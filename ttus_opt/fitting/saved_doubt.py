@@ -33,6 +33,9 @@ FILE_DRAWS = 128
 #: Largest whole number that a draw is written as
 LARGEST = 32_767
 
+#: No draws are kept deeper than this [m]
+DEEPEST = 1.0
+
 #: Attribute with what else is known of the doubt
 FACTS = "doubt_facts"
 
@@ -139,13 +142,19 @@ def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
     try:
         facts = json.loads(data.attrs[FACTS])
         depth, torque = float(facts["depth"]), facts["torque_noise"]
+        noise = float(facts["force_noise"]), np.nan if torque is None else float(torque)
+        if not (
+            0.0 < depth < DEEPEST and min(noise[0], np.nan_to_num(noise[1])) >= 0.0
+        ):
+            raise InputError(f"depth {depth:g} m, noise {noise[0]:g} N and {torque}")
         whole = io.array_of(data, field_file.DRAWS, DIMS, fitted.unit)
         factor = np.float32(data[field_file.DRAWS].attrs["factor"])
+        if not 0.0 < factor < np.inf:
+            raise InputError(f"factor {factor:g}")
         voxels = skin_voxels(fitted.voxmap, depth)
         if whole.shape[1] != len(voxels) or whole.shape[0] < 2:
             raise InputError(f"draws at {whole.shape[1]} voxels, not {len(voxels)}")
         draws = PosteriorDraws(whole.astype(np.float32) * factor, voxels, depth)
-        noise = float(facts["force_noise"]), np.nan if torque is None else float(torque)
         return SavedDoubt(fitted, shell, draws, noise, str(facts["calibrated_by"]))
     except (KeyError, InputError, TypeError, ValueError) as error:
         raise FileError(f"{path}: damaged doubt: {error}") from error

@@ -33,7 +33,7 @@ MILLIMETRE = 1e-3
 #: No connection, or no message, after this is none [s]
 PATIENCE = 5.0
 
-#: Messages of one recording at most
+#: A recording ends at so many messages, hours of them
 MOST_MESSAGES = 5_000_000
 
 #: How often the clock is looked at [s]
@@ -66,8 +66,7 @@ class Received:
         else:
             self.others[device] = str(message.message_type)
             return
-        if self.count < MOST_MESSAGES:
-            kept.setdefault(device, []).append((at, value))
+        kept.setdefault(device, []).append((at, value))
 
     def trajectory(self, device: str | None = None) -> Trajectory:
         """Poses of a device.
@@ -156,6 +155,8 @@ def record(
             lasts = np.inf if seconds is None else seconds
             while begun is None or time.monotonic() - begun < lasts:
                 time.sleep(PAUSE)
+                if received.count > MOST_MESSAGES:
+                    break
                 if begun is None and received.count:
                     begun = time.monotonic()
                 if begun is None and time.monotonic() - asked > patience:

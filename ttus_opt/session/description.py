@@ -457,7 +457,10 @@ def _fit(part: Section) -> FitPlan:
     told = part.section("options")
     options = {name: told.number(name) for name in told.values}
     given = [name for name in options if is_weight(name)]
-    can = not given and (formulation is None or has_weights(formulation))
+    try:
+        can = not given and (formulation is None or has_weights(formulation))
+    except InputError as error:
+        raise part.fail("formulation", f"cannot be used: {error}") from error
     weights = part.choice("weights", ("auto", "own"), "auto" if can else "own")
     if weights == "auto" and given:
         raise part.fail("weights", f"chooses {given[0]} too: give one or the other")

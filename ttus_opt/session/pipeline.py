@@ -90,10 +90,9 @@ def run_session(
     """
     session = read_description(path)
     results = Results(output, progress or (lambda step: None))
-    results.check(
-        [session.file, *session.scan.files]
-        + [stream.file for stream in (session.tracker.stream, session.force.stream)]
-    )
+    streams = session.tracker.stream.file, session.force.stream.file
+    tags = [] if session.tracker.tags is None else [session.tracker.tags]
+    results.check([session.file, *session.scan.files, *streams, *tags])
     shell = PointShell.from_spec(session.probe, unit=session.probe_unit)
     with compiling_ahead():
         return _run(session, shell, results)

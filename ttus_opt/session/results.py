@@ -72,7 +72,8 @@ class Results:
                     "results"
                 )
         io.check_output(self.folder / SUMMARY)
-        if self._existing() and not (self.folder / SUMMARY).is_file():
+        # a recording may be described by a file of the summary's name
+        if self._existing() and "complete" not in _read(self.folder):
             raise FileError(
                 f"{self.folder} holds files of other work, {self._existing()[0].name}: "
                 "name another folder"
