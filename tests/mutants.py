@@ -126,6 +126,7 @@ TARGETS = (
     ),
     Target("solvers/dual/solver.py", ("solvers/dual/test_solver.py",)),
     Target("laplace/system.py", ("laplace/test_system.py",)),
+    Target("laplace/stencil.py", ("laplace/test_system.py",)),
     Target("fitting/sanity.py", ("fitting/test_sanity.py",)),
     Target("probe/conventions.py", ("probe/test_conventions.py",)),
     Target("probe/text_table.py", ("probe/test_text_table.py",)),

@@ -10,7 +10,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,6 +20,8 @@ from ttus_opt.compiled import Stopwatch
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.html_card import card, sections_svg
+from ttus_opt.laplace.boundary_scale import BOUNDARY_SCALE as BOUNDARY_SCALE
+from ttus_opt.laplace.boundary_scale import Identified, identified_scale
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -28,16 +30,11 @@ from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.voxmap import Voxmap
 
-#: Name under which a scene and a solution carry the scale of boundary values
-BOUNDARY_SCALE = "boundary_scale"
-
-#: Largest relative standard error of a boundary scale that is used: beyond it, the
-#: scale is less than two standard errors from zero [–]
-LARGEST_SCALE_ERROR = 0.5
-
-
 #: Largest boundary value: far above any stiffness, far below overflow [N or N/cm²]
 LARGEST_BOUNDARY = 1e9
+
+#: What a trajectory without wrenches lacks, in a message
+FORCES = "forces (columns fx, fy, fz)"
 
 
 @dataclass(frozen=True)
@@ -119,21 +116,18 @@ class Scene:
             _check_boundary(name, value)
         _report_misplaced(voxmap)
         laplace = LaplaceSystem.assemble(voxmap)
-        rows = contact_rows(
-            voxmap,
-            shell,
-            trajectory.rotation,
-            trajectory.position,
-            sampling=sampling,
-        )
+        poses = trajectory.rotation, trajectory.position
+        rows = contact_rows(voxmap, shell, *poses, sampling=sampling)
         _report_contact(rows, voxmap.grid.r_inner)
-        known = _Identified({}, {}, {})
+        known = Identified({}, {}, {})
         asked = inner is not None
         if inner is None:
-            touching = bool((rows.contact_points > 0).any())
-            inner = "fit" if touching and trajectory.has_wrench else 1.0
+            in_contact = bool((rows.contact_points > 0).any())
+            inner = "fit" if in_contact and trajectory.has_wrench else 1.0
         if isinstance(inner, str):
-            known = _identified_scale(laplace, rows, trajectory, outer, asked)
+            force = _measured(trajectory.force, FORCES)
+            touching = rows.contact_points > 0
+            known = identified_scale(laplace, rows.N, touching, force, outer, asked)
             inner = known.parameters[BOUNDARY_SCALE]
             outer = inner * outer
         return cls(
@@ -192,6 +186,11 @@ class Scene:
             not_identified={},
         )
 
+    def rows_along(self, trajectory: Trajectory) -> ContactRows:
+        """N and W of other poses of the same probe on the same patient."""
+        poses = trajectory.rotation, trajectory.position
+        return contact_rows(self.voxmap, self.shell, *poses, sampling=self.sampling)
+
     @property
     def n_voxels(self) -> int:
         """Number of voxels V [–]."""
@@ -219,7 +218,7 @@ class Scene:
         Raises:
             InputError: The trajectory carries no wrench.
         """
-        return _measured(self.trajectory.force, "forces (columns fx, fy, fz)")
+        return _measured(self.trajectory.force, FORCES)
 
     @property
     def tau(self) -> Array:
@@ -368,76 +367,3 @@ def _report_contact(rows: ContactRows, r_inner: float) -> None:
             TtusWarning,
             stacklevel=3,
         )
-
-
-class _Identified(NamedTuple):
-    """What assembling identified, as a scene keeps it, by name."""
-
-    parameters: dict[str, float]
-    standard_errors: dict[str, float]
-    not_identified: dict[str, str]
-
-
-def _identified_scale(
-    laplace: LaplaceSystem,
-    rows: ContactRows,
-    trajectory: Trajectory,
-    outer: float,
-    asked: bool,
-) -> _Identified:
-    """The boundary scale; 1 where the forces do not bear it.
-
-    Raises:
-        InputError: It was asked for and there is no force in contact, or the forces
-            push into the patient.
-    """
-    scale, error = _boundary_scale(laplace, rows, trajectory, outer)
-    if asked and scale <= 0.0:
-        raise InputError(
-            f'inner="fit" found a boundary scale of {scale:.3g}: the measured forces '
-            "push into the patient: give the force ON the probe in patient axes"
-        )
-    if error <= LARGEST_SCALE_ERROR * scale:
-        return _Identified({BOUNDARY_SCALE: scale}, {BOUNDARY_SCALE: error}, {})
-    reason = _report_scale(scale, error)
-    return _Identified({BOUNDARY_SCALE: 1.0}, {}, {BOUNDARY_SCALE: reason})
-
-
-def _boundary_scale(
-    laplace: LaplaceSystem, rows: ContactRows, trajectory: Trajectory, outer: float
-) -> tuple[float, float]:
-    """Scale s that minimises ‖s N p₁ - f‖² with p₁ the Laplace field of unit p_in.
-
-    Returns:
-        s and its standard error σ̂/‖N p₁‖ with σ̂² = ‖s N p₁ - f‖²/(m - 1), m force rows
-        in contact; inf where m = 1.
-    """
-    unit = rows.N @ laplace.solve(laplace.right_side(1.0, outer))
-    force = _measured(trajectory.force, "forces (columns fx, fy, fz)")
-    square = float(unit @ unit)
-    if square == 0.0:
-        raise InputError(
-            'inner="fit" needs measured forces in contact, the probe never touches '
-            "the patient: check the recordings' frame and unit, or give inner as a "
-            "number"
-        )
-    scale = float(unit @ force) / square
-    contact = np.repeat(rows.contact_points > 0, 3)
-    rest = (scale * unit - force)[contact]
-    freedom = len(rest) - 1
-    variance = float(rest @ rest) / freedom if freedom > 0 else np.inf
-    return scale, float(np.sqrt(variance / square))
-
-
-def _report_scale(scale: float, error: float) -> str:
-    """Warn of a boundary scale that the forces do not bear, and say why."""
-    reason = f"the forces give {scale:.3g} ± {error:.2g}"
-    if scale < -2.0 * error:
-        reason = f"the forces push into the patient ({scale:.3g} ± {error:.2g})"
-    warnings.warn(
-        f'inner="fit" cannot tell the boundary scale: {reason}: 1 is used: record more '
-        "contact, or give inner as a number",
-        TtusWarning,
-        stacklevel=4,
-    )
-    return reason

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.low_rank_kernel import JITTER, ROOM, LowRankKernel
+from ttus_opt.fitting.low_rank_kernel import ROOM, LowRankKernel
+from ttus_opt.fitting.pivots import JITTER
 
 TOLERANCE = 1e-9
 

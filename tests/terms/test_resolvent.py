@@ -37,8 +37,6 @@ def test_a_slope_is_the_resolvents_derivative(penalty: Penalty) -> None:
     _, slope = penalty.resolvent(V, 0.7)
     expected = (ends[0] - ends[1]) / 2e-6
     np.testing.assert_allclose(slope.times(along), expected, rtol=0, atol=1e-7)
-    twice = slope.root_times(slope.root_times(along))
-    np.testing.assert_allclose(twice, slope.times(along), rtol=0, atol=1e-12)
 
 
 def test_a_penalty_without_a_resolvent_says_so() -> None:

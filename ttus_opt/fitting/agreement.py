@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 
 from ttus_opt.arrays import Array
-from ttus_opt.contact.rows import contact_rows
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene
 
@@ -24,13 +23,7 @@ class Agreement:
 
 def agreement(scene: Scene, prior: Array, frames: Trajectory) -> Agreement:
     """S of some frames; `prior` is p₀, shape (V,)."""
-    rows = contact_rows(
-        scene.voxmap,
-        scene.shell,
-        frames.rotation,
-        frames.position,
-        sampling=scene.sampling,
-    )
+    rows = scene.rows_along(frames)
     assert frames.force is not None
     s, force_left = _scaled(frames.force.reshape(-1), rows.N @ prior)
     if frames.torque is None:

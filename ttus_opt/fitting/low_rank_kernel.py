@@ -35,17 +35,10 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import packed_triangle as triangle
+from ttus_opt.fitting.pivots import incomplete_cholesky, replacements
 
 #: Least growth of the packed factors, and of the rows and columns of N [numbers]
 ROOM, MORE = 2**12, 8
-
-#: Added to a pivot's variance, as a multiple of the tolerance, so that C stays well
-#: conditioned when rows are nearly dependent
-JITTER = 0.1
-
-#: Replacements lose at least this share of the largest loss; the newest is taken, for
-#: it will be held longest
-SHARE = 0.25
 
 
 @dataclass(frozen=True)
@@ -156,7 +149,7 @@ class LowRankKernel:
         schur = np.eye(m) + beyond + np.einsum("ik,jk->ij", whitened, whitened)
         for row in whitened:
             triangle.backward(self._E, row)
-        new, chosen, left = _incomplete_cholesky(beyond, tolerance)
+        new, chosen, left = incomplete_cholesky(beyond, tolerance)
         return Projection(held, new, chosen, left, schur, whitened.T)
 
     def append(
@@ -273,7 +266,9 @@ class LowRankKernel:
         self.others = np.where(
             self.others >= start, self.others - count, self.others
         ).astype(np.int64)
-        return self._replacements(lost[:, kept], tolerance)
+        return self.others[
+            replacements(lost[:, kept], self._residual, self.others, tolerance)
+        ]
 
     def drop(self, rows: IntArray) -> None:
         """Remove rows that are no pivots, to `append` them again; O(k²) per row.
@@ -367,27 +362,6 @@ class LowRankKernel:
         self._resize(k, left)
         return kept
 
-    def _replacements(self, lost: Array, tolerance: float) -> IntArray:
-        """Rows that replace dropped columns, by a pivoted Cholesky factor.
-
-        Args:
-            lost: The dropped columns, shape (g, n - k).
-            tolerance: As in `project`.
-        """
-        chosen: list[int] = []
-        for _ in range(len(lost)):
-            size = np.where(self._residual > tolerance, np.sum(lost**2, axis=0), 0.0)
-            largest = float(size.max(initial=0.0))
-            if largest <= tolerance:
-                break
-            enough = np.flatnonzero(size >= max(SHARE * largest, tolerance))
-            best = int(enough[np.argmax(self.others[enough])])
-            chosen.append(best)
-            unit = lost[:, best] / math.sqrt(size[best])
-            lost = lost - np.outer(unit, unit @ lost)
-            lost[:, best] = 0.0
-        return self.others[chosen]
-
     def _refresh(self) -> None:
         """Compute E from C and N; O(n k²)."""
         k = self.rank
@@ -408,31 +382,6 @@ class LowRankKernel:
         rows, columns = min(rows, len(grown)), min(columns, grown.shape[1])
         grown[:rows, :columns] = self._N[:rows, :columns]
         self._N = grown
-
-
-def _incomplete_cholesky(B: Array, tolerance: float) -> tuple[Array, IntArray, Array]:
-    """Pivoted incomplete Cholesky factor of a small matrix.
-
-    Returns:
-        The factor, triangular in its pivots' rows, shape (m, p); the pivots, shape
-        (p,); the residual variances, shape (m,).
-    """
-    rest, left = B.copy(), np.maximum(np.diag(B), 0.0)
-    columns, chosen = [], np.zeros(0, dtype=np.int64)
-    while len(chosen) < len(B):
-        free = np.where(np.isin(np.arange(len(B)), chosen), 0.0, left)
-        best = int(np.argmax(free))
-        if not free[best] > tolerance:
-            break
-        most = np.sqrt(free)
-        size = math.sqrt(free[best] + JITTER * tolerance)
-        column = np.clip(rest[:, best] / size, -most, most)
-        column[best] = size
-        rest -= np.outer(column, column)
-        left = np.maximum(left - column**2, 0.0)
-        columns.append(column)
-        chosen = np.append(chosen, best)
-    return np.array(columns).reshape(len(columns), len(B)).T, chosen, left
 
 
 def _fitted(values: Array, size: int) -> Array:

@@ -86,11 +86,6 @@ class MeasuredSeries:
         """Number of frames [–]."""
         return len(self.time)
 
-    @property
-    def prior_variance(self) -> Array:
-        """Mean prior variance of a row of every term, with σ² = 1, shape (terms,)."""
-        return np.asarray((self.images**2).sum(axis=0).mean(axis=(1, 2)))
-
     def at(self, coefficient: float) -> MeasuredSeries:
         """With the coefficient as given, and none left."""
         if self.slope is None:

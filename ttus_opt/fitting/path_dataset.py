@@ -10,7 +10,6 @@ import numpy as np
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.contact.rows import ContactRows, contact_rows
 from ttus_opt.errors import FileError
 from ttus_opt.fitting.weight_criteria import TOLD
 from ttus_opt.fitting.weight_grid import Index, WeightGrid
@@ -67,7 +66,7 @@ class PathRecord:
         self._terms = [term.name for term in declared.terms]
         self._recordings = _segments(scene.trajectory)
         self._held_out = {
-            name: (one, _rows(declared, one)) for name, one in held_out.items()
+            name: (one, scene.rows_along(one)) for name, one in held_out.items()
         }
         self._status = np.full(grid.shape, MISSING, dtype=np.int8)
         self._numbers: dict[str, Array] = {
@@ -267,17 +266,6 @@ def _segments(trajectory: Trajectory) -> dict[str, Array]:
     """Masks of the frames of every recording, by number."""
     numbers = np.unique(trajectory.segment)
     return {str(n): trajectory.segment == n for n in numbers}
-
-
-def _rows(declared: Formulation, trajectory: Trajectory) -> ContactRows:
-    scene = declared.scene
-    return contact_rows(
-        scene.voxmap,
-        scene.shell,
-        trajectory.rotation,
-        trajectory.position,
-        sampling=scene.sampling,
-    )
 
 
 def _rms(vectors: Array) -> float:

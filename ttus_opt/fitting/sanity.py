@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
-from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.agreement import agreement
 from ttus_opt.fitting.torque_point import torque_offset
@@ -219,11 +218,8 @@ def _recording(
     scene: Scene, field: PotentialField, name: str, own: Trajectory
 ) -> RecordingCheck:
     found = evaluate(field, scene.shell, own)
-    rows = contact_rows(
-        scene.voxmap, scene.shell, own.rotation, own.position, sampling=scene.sampling
-    )
     force = np.linalg.norm(found.measured_force, axis=1) > FORCE_THRESHOLD
-    contact = rows.contact_points > 0
+    contact = scene.rows_along(own).contact_points > 0
     return RecordingCheck(
         name,
         len(own),
@@ -298,14 +294,7 @@ def _about_another_point(
     frames = scene.trajectory.select(chosen)
     if frames.torque is None or frames.force is None:
         return None
-    rows = contact_rows(
-        scene.voxmap,
-        scene.shell,
-        frames.rotation,
-        frames.position,
-        sampling=scene.sampling,
-    )
-    expected = (rows.W @ prior).reshape(-1, 3)
+    expected = (scene.rows_along(frames).W @ prior).reshape(-1, 3)
     c = torque_offset(frames.torque, expected, frames.force, frames.rotation)
     if not FAR < np.linalg.norm(c) < FARTHEST:
         return None

@@ -23,66 +23,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.compiled import compiled
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.laplace.square_system import RTOL as RTOL
 from ttus_opt.laplace.square_system import BlockSolves
+from ttus_opt.laplace.stencil import Stencil, change_links, operator, polar_ends
 from ttus_opt.laplace.variant_grid import VariantGrid
 from ttus_opt.multigrid import Grounds, Multigrid
-from ttus_opt.voxmap.cut_links import CutLinks
-from ttus_opt.voxmap.grid import CylindricalGrid, flat_index, nodes_of
+from ttus_opt.voxmap.grid import CylindricalGrid
 from ttus_opt.voxmap.voxmap import Voxmap
-
-
-class _Stencil(NamedTuple):
-    """Weights of a free voxel's neighbours, and what is taken off its own.
-
-    Attributes:
-        inner: Of the next layer inwards, shape (n_r,) [–].
-        outer: Of the next layer outwards, shape (n_r,) [–].
-        theta: Of the next spokes, shape (n_r,) [–].
-        z: Of the next slices [–].
-        own: (κ Δr)² [–].
-    """
-
-    inner: Array
-    outer: Array
-    theta: Array
-    z: float
-    own: float
-
-    def of_links(self, links: CutLinks, shape: tuple[int, int, int]) -> Array:
-        """The weight of each link without a cut, shape (k,) [–]."""
-        i = nodes_of(links.voxels, shape)[0]
-        along = np.where(links.neighbours > links.voxels, self.outer[i], self.inner[i])
-        return np.choose(links.axes, [along, self.theta[i], self.z])
-
-    @classmethod
-    def of(
-        cls,
-        grid: CylindricalGrid,
-        conductivities: tuple[float, float, float],
-        screening: float,
-    ) -> _Stencil:
-        """Scaled so that the radial weights of the plain operator are 1 ∓ Δr/2r."""
-        r = grid.r
-        k_r, k_theta, k_z = conductivities
-        half = grid.r_step / (2.0 * r)
-        return cls(
-            k_r * (1.0 - half),
-            k_r * (1.0 + half),
-            k_theta * (grid.r_step / (r * grid.theta_step)) ** 2,
-            k_z * (grid.r_step / grid.z_step) ** 2,
-            (screening * grid.r_step) ** 2,
-        )
 
 
 @dataclass(frozen=True)
@@ -130,11 +84,13 @@ class LaplaceSystem(BlockSolves):
         _check_variant(conductivities, screening)
         grid = voxmap.grid
         fixed = voxmap.dirichlet
-        stencil = _Stencil.of(grid, conductivities, screening)
-        L = _matrix(grid, fixed, stencil)
+        stencil = Stencil.of(grid, conductivities, screening)
+        L = operator(grid, fixed, stencil)
         links = voxmap.cut_links
         change = (links.factors - 1.0) * stencil.of_links(links, grid.shape)
-        _cut(links.voxels, links.neighbours, change, L.indptr, L.indices, L.data)
+        change_links(
+            links.voxels, links.neighbours, change, L.indptr, L.indices, L.data
+        )
         inner = np.zeros(grid.shape)
         outer = np.zeros(grid.shape)
         inner[0] = 1.0
@@ -144,7 +100,7 @@ class LaplaceSystem(BlockSolves):
             np.bincount(links.voxels, own, grid.n_voxels).astype(float)
         )
         for k in (0, -1):
-            inner[:, :, k], outer[:, :, k] = _polar_ends(
+            inner[:, :, k], outer[:, :, k] = polar_ends(
                 grid, voxmap.region[:, :, k], stencil, own[:, :, k]
             )
         for part in (inner, outer):
@@ -158,11 +114,6 @@ class LaplaceSystem(BlockSolves):
             conductivities,
             screening,
         )
-
-    @property
-    def is_plain(self) -> bool:
-        """Whether this is ∇² itself."""
-        return self.conductivities == (1.0, 1.0, 1.0) and self.screening == 0.0
 
     @property
     def grid(self) -> CylindricalGrid:
@@ -222,7 +173,7 @@ class LaplaceSystem(BlockSolves):
         grid, links = self.grid, self.voxmap.cut_links
         if not len(links.voxels):
             return None
-        stencil = _Stencil.of(grid, self.conductivities, self.screening)
+        stencil = Stencil.of(grid, self.conductivities, self.screening)
         change = (links.factors - 1.0) * stencil.of_links(links, grid.shape)
         change *= self.radii[links.voxels]
         voxels, which = np.unique(links.voxels, return_inverse=True)
@@ -281,152 +232,3 @@ def _check_variant(
         )
     if not (np.isfinite(screening) and screening >= 0.0):
         raise InputError(f"screening must not be negative [1/m], got {screening}")
-
-
-def _matrix(
-    grid: CylindricalGrid, fixed: NDArray[np.bool_], stencil: _Stencil
-) -> sp.csr_array:
-    """L with sorted columns.
-
-    Columns of a free voxel's row are at seven offsets, which ascend in another order on
-    the first and on the last spoke, where θ closes.
-    """
-    ring, row, one = grid.strides
-    turn = ring - row
-    inner, outer, theta, z, own = stencil
-    along_z = np.full_like(theta, z)
-    diagonal = -(inner + outer + 2.0 * theta + 2.0 * z) - own
-    middle = (along_z, diagonal, along_z)
-    offsets = np.array(
-        [
-            (-ring, -one, 0, one, row, turn, ring),
-            (-ring, -row, -one, 0, one, row, ring),
-            (-ring, -turn, -row, -one, 0, one, ring),
-        ]
-    )
-    weights = np.array(
-        [
-            (inner, *middle, theta, theta, outer),
-            (inner, theta, *middle, theta, outer),
-            (inner, theta, theta, *middle, outer),
-        ]
-    )
-    V = grid.n_voxels
-    nnz = 7 * V - 6 * int(np.count_nonzero(fixed))
-    kind = np.dtype(np.int32 if nnz <= np.iinfo(np.int32).max else np.int64)
-    indptr, indices = np.zeros(V + 1, kind), np.empty(nnz, kind)
-    data = np.empty(nnz)
-    _fill_rows(fixed, offsets, weights, indptr, indices, data)
-    L = sp.csr_array((data, indices, indptr), shape=(V, V))
-    L.has_sorted_indices = True
-    return L
-
-
-@compiled()
-def _cut(
-    voxels: IntArray,
-    neighbours: IntArray,
-    change: Array,
-    indptr: NDArray[np.int32] | NDArray[np.int64],
-    indices: NDArray[np.int32] | NDArray[np.int64],
-    data: Array,
-) -> None:
-    """Change the weights of links in the rows of L (compiled).
-
-    Args:
-        voxels: Whose rows, shape (k,); identity rows stay as they are.
-        neighbours: The columns, shape (k,).
-        change: What is added to a link's weight and taken off the diagonal, shape (k,).
-        indptr: Of L in CSR, shape (V + 1,).
-        indices: Shape (nnz,).
-        data: Changed, shape (nnz,).
-    """
-    for n in range(voxels.size):
-        start, end = indptr[voxels[n]], indptr[voxels[n] + 1]
-        if end - start == 1:
-            continue
-        for at in range(start, end):
-            if indices[at] == neighbours[n]:
-                data[at] += change[n]
-            elif indices[at] == voxels[n]:
-                data[at] -= change[n]
-
-
-@compiled()
-def _fill_rows(
-    fixed: NDArray[np.bool_],
-    offsets: IntArray,
-    weights: Array,
-    indptr: NDArray[np.int32] | NDArray[np.int64],
-    indices: NDArray[np.int32] | NDArray[np.int64],
-    data: Array,
-) -> None:
-    """Rows of L in CSR, from seven entries per kind of spoke and layer (compiled).
-
-    Args:
-        fixed: Dirichlet voxels, shape (n_r, n_theta, n_z).
-        offsets: From a voxel's index to the columns, on the first spoke, those
-            between and the last one, shape (3, 7).
-        weights: Their entries in every layer, shape (3, 7, n_r).
-        indptr: Out, shape (V + 1,).
-        indices: Out, shape (nnz,).
-        data: Out, shape (nnz,).
-    """
-    n_r, n_theta, n_z = fixed.shape
-    at = 0
-    for i in range(n_r):
-        for j in range(n_theta):
-            kind = 0 if j == 0 else (2 if j == n_theta - 1 else 1)
-            for k in range(n_z):
-                v = flat_index(i, j, k, n_theta, n_z)
-                if fixed[i, j, k]:
-                    indices[at] = v
-                    data[at] = 1.0
-                    at += 1
-                else:
-                    for e in range(7):
-                        indices[at + e] = v + offsets[kind, e]
-                        data[at + e] = weights[kind, e, i]
-                    at += 7
-                indptr[v + 1] = at
-
-
-def _polar_ends(
-    grid: CylindricalGrid, region: NDArray[np.int8], stencil: _Stencil, change: Array
-) -> tuple[Array, Array]:
-    """Polar solutions on one end slice for p_in = 1 and for p_out = 1.
-
-    Args:
-        grid: The grid.
-        region: Regions of the slice, shape (n_r, n_theta).
-        stencil: Weights; the one of z has no part in it.
-        change: What cut links take off the diagonal, shape (n_r, n_theta) [–].
-
-    Returns:
-        Both solutions, shape (n_r, n_theta) each [–].
-    """
-    n_r, n_theta, _ = grid.shape
-    inner, outer, theta, _, own = stencil
-    fixed = region == 0
-    fixed[[0, -1]] = True
-    radial = (
-        sp.diags_array(inner[1:], offsets=-1)
-        + sp.diags_array(-(inner + outer) - own)
-        + sp.diags_array(outer[:-1], offsets=1)
-    )
-    ring = sp.diags_array(
-        [1.0, 1.0, -2.0, 1.0, 1.0],
-        offsets=[1 - n_theta, -1, 0, 1, n_theta - 1],
-        shape=(n_theta, n_theta),
-    )
-    full = sp.kron(radial, sp.eye_array(n_theta)) + sp.kron(sp.diags_array(theta), ring)
-    # what is linked is 0: only the diagonal counts
-    full = full - sp.diags_array(change.reshape(-1))
-    at = fixed.reshape(-1)
-    M = sp.diags_array((~at).astype(float)) @ full + sp.diags_array(at.astype(float))
-    sides = np.zeros((n_r, n_theta, 2))
-    sides[0, :, 0] = 1.0
-    sides[-1, :, 1] = -1.0
-    sides[region == 0] = 0.0
-    solved = splu(sp.csc_array(M)).solve(sides.reshape(-1, 2)).reshape(n_r, n_theta, 2)
-    return solved[..., 0], solved[..., 1]

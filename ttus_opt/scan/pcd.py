@@ -20,7 +20,6 @@ from ttus_opt.errors import FileError
 #: numpy's kind of a PCD TYPE letter.
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 
-
 #: Most values of one field of a point
 MOST_VALUES = 2**16
 

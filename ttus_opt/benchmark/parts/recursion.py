@@ -18,7 +18,6 @@ from ttus_opt.benchmark.progress import Progress
 from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.settings import WEIGHTS
 from ttus_opt.benchmark.summary import mebibytes, number, seconds, times
-from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.batch import Fitter
 from ttus_opt.fitting.recursive import RecursiveFit
@@ -126,14 +125,7 @@ class RecursionPart(Part):
 
 def with_measurements(scene: Scene, trajectory: Trajectory) -> Scene:
     """The scene with another recording; Laplace system and b are shared."""
-    rows = contact_rows(
-        scene.voxmap,
-        scene.shell,
-        trajectory.rotation,
-        trajectory.position,
-        sampling=scene.sampling,
-    )
-    return replace(scene, trajectory=trajectory, rows=rows)
+    return replace(scene, trajectory=trajectory, rows=scene.rows_along(trajectory))
 
 
 def _touching(scene: Scene, count: int) -> Trajectory:

@@ -15,8 +15,6 @@ import abc
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numpy as np
-
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 
@@ -37,18 +35,11 @@ class Slope:
 
     def times(self, v: Array) -> Array:
         """The change of g that a change v makes, shape (m,)."""
-        return self.factor * self._across(v)
-
-    def root_times(self, v: Array) -> Array:
-        """The same by the symmetric root of the slope, shape (m,)."""
-        return np.sqrt(self.factor) * self._across(v)
-
-    def _across(self, v: Array) -> Array:
         if self.along is None:
-            return v
+            return self.factor * v
         shape = (-1, self.size)
         parts = (self.along * v).reshape(shape).sum(axis=1, keepdims=True)
-        return np.asarray(v - (parts * self.along.reshape(shape)).reshape(-1))
+        return self.factor * (v - (parts * self.along.reshape(shape)).reshape(-1))
 
 
 @dataclass(frozen=True)

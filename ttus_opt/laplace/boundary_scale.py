@@ -1,0 +1,110 @@
+"""The scale of the boundary values, identified from measured forces.
+
+The Laplace field is linear in p_in where the ratio p_out / p_in is kept, so the scale
+that matches the forces best is one number by least squares (docs/method.md, 8.4).
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.laplace.system import LaplaceSystem
+
+#: Name under which a scene and a solution carry the scale
+BOUNDARY_SCALE = "boundary_scale"
+
+#: Largest relative standard error of a scale that is used: beyond it, the scale is
+#: less than two standard errors from zero [–]
+LARGEST_SCALE_ERROR = 0.5
+
+
+class Identified(NamedTuple):
+    """What assembling identified, by name: values, standard errors, refusals."""
+
+    parameters: dict[str, float]
+    standard_errors: dict[str, float]
+    not_identified: dict[str, str]
+
+
+def identified_scale(
+    laplace: LaplaceSystem,
+    N: sp.csr_array,
+    touching: NDArray[np.bool_],
+    force: Array,
+    outer: float,
+    asked: bool,
+) -> Identified:
+    """The boundary scale; 1 where the forces do not bear it.
+
+    Args:
+        laplace: L.
+        N: Force rows, shape (3T, V).
+        touching: Which poses are in contact, shape (T,).
+        force: Measured forces, shape (3T,) [N].
+        outer: The ratio p_out / p_in [–].
+        asked: A scale that cannot be used is an error and no warning.
+
+    Raises:
+        InputError: It was asked for and there is no force in contact, or the forces
+            push into the patient.
+    """
+    scale, error = _boundary_scale(laplace, N, touching, force, outer)
+    if asked and scale <= 0.0:
+        raise InputError(
+            f'inner="fit" found a boundary scale of {scale:.3g}: the measured forces '
+            "push into the patient: give the force ON the probe in patient axes"
+        )
+    if error <= LARGEST_SCALE_ERROR * scale:
+        return Identified({BOUNDARY_SCALE: scale}, {BOUNDARY_SCALE: error}, {})
+    reason = _report_scale(scale, error)
+    return Identified({BOUNDARY_SCALE: 1.0}, {}, {BOUNDARY_SCALE: reason})
+
+
+def _boundary_scale(
+    laplace: LaplaceSystem,
+    N: sp.csr_array,
+    touching: NDArray[np.bool_],
+    force: Array,
+    outer: float,
+) -> tuple[float, float]:
+    """Scale s that minimises ‖s N p₁ - f‖² with p₁ the Laplace field of unit p_in.
+
+    Returns:
+        s and its standard error σ̂/‖N p₁‖ with σ̂² = ‖s N p₁ - f‖²/(m - 1), m force rows
+        in contact; inf where m = 1.
+    """
+    unit = N @ laplace.solve(laplace.right_side(1.0, outer))
+    square = float(unit @ unit)
+    if square == 0.0:
+        raise InputError(
+            'inner="fit" needs measured forces in contact, the probe never touches '
+            "the patient: check the recordings' frame and unit, or give inner as a "
+            "number"
+        )
+    scale = float(unit @ force) / square
+    contact = np.repeat(touching, 3)
+    rest = (scale * unit - force)[contact]
+    freedom = len(rest) - 1
+    variance = float(rest @ rest) / freedom if freedom > 0 else np.inf
+    return scale, float(np.sqrt(variance / square))
+
+
+def _report_scale(scale: float, error: float) -> str:
+    """Warn of a boundary scale that the forces do not bear, and say why."""
+    reason = f"the forces give {scale:.3g} ± {error:.2g}"
+    if scale < -2.0 * error:
+        reason = f"the forces push into the patient ({scale:.3g} ± {error:.2g})"
+    warnings.warn(
+        f'inner="fit" cannot tell the boundary scale: {reason}: 1 is used: record more '
+        "contact, or give inner as a number",
+        TtusWarning,
+        stacklevel=4,
+    )
+    return reason
