@@ -163,6 +163,16 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Write a text file, replacing ``path`` only on success.
+
+    Raises:
+        FileError: As `replacing`.
+    """
+    with signals_deferred(), replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def provenance() -> dict[str, str]:
     """Who wrote a file and when, as netCDF attributes."""
     try:

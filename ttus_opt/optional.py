@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import importlib
 from types import ModuleType
+from typing import Any
 
-from ttus_opt.errors import MissingPackageError
+from ttus_opt.errors import InputError, MissingPackageError
 
 
 def load(module: str, extra: str) -> ModuleType:
@@ -29,3 +30,20 @@ def load(module: str, extra: str) -> ModuleType:
         raise MissingPackageError(
             f'{error.name} is not installed: pip install "ttus-opt[{extra}]"'
         ) from error
+
+
+def dask_client(address: str) -> Any:
+    """A client of a dask scheduler, as a context that closes it.
+
+    Args:
+        address: Of the scheduler, host:port.
+
+    Raises:
+        MissingPackageError: dask is not installed.
+        InputError: No scheduler answers.
+    """
+    distributed = load("distributed", "parallel")
+    try:
+        return distributed.Client(address, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise InputError(f"no dask scheduler answers at {address}: {error}") from error

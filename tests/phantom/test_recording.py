@@ -91,6 +91,6 @@ def test_pose_noise_has_the_deviations_and_the_correlation_asked_for(correlation
     )
 
 
-def test_refuses_negative_pose_noise():
+def test_refuses_a_negative_correlation_of_poses():
     with pytest.raises(InputError, match="not negative"):
-        add_pose_noise(still_path(3), np.random.default_rng(0), position_std=-1.0)
+        add_pose_noise(still_path(3), np.random.default_rng(0), correlation=-1.0)

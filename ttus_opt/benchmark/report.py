@@ -46,8 +46,7 @@ def write_report(
             write_csv(folder / f"{name}.csv", rows)
     lines += ["## Machine", "", *(f"- {name}: {it}" for name, it in machine.items())]
     report = folder / REPORT
-    with io.replacing(report) as temporary:
-        temporary.write_text("\n".join([*lines, ""]), encoding="utf-8")
+    io.write_text(report, "\n".join([*lines, ""]))
     return report
 
 

@@ -176,12 +176,5 @@ class Suite:
             with ThreadPoolExecutor(self.jobs) as executor:
                 yield executor
             return
-        distributed = optional.load("distributed", "parallel")
-        try:
-            client = distributed.Client(self.dask, timeout="10s")
-        except (OSError, ValueError) as error:
-            raise InputError(
-                f"no dask scheduler answers at {self.dask}: {error}"
-            ) from error
-        with client:
+        with optional.dask_client(self.dask) as client:
             yield client.get_executor()

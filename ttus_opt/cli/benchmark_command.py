@@ -7,12 +7,13 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ttus_opt.cli.console import print_json
-from ttus_opt.cli.options import Json, whole_numbers
+from ttus_opt.cli.options import Json, listed, whole_numbers
+from ttus_opt.cli.scene_options import boundary_value
 from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -170,8 +171,8 @@ def benchmark(
     )
     settings = Settings(
         time_limit,
-        _listed(formulations),
-        _listed(solvers),
+        listed(formulations),
+        listed(solvers),
         "" if closed_form == "none" else closed_form,
         tolerance=tolerance,
         repeat=repeat,
@@ -191,10 +192,6 @@ def benchmark(
         _export(suite, export, json)
     else:
         _run(suite, machine, json)
-
-
-def _listed(text: str) -> list[str]:
-    return [part.strip() for part in text.split(",") if part.strip()]
 
 
 def _cases(
@@ -223,12 +220,6 @@ def _cases(
             "a scene of your own needs --surface, --probe and --trajectory together"
         )
     n_r, n_theta, n_z = whole_numbers(shape, 3, "--shape")
-    value: float | Literal["fit"] = "fit"
-    if inner != "fit":
-        try:
-            value = float(inner)
-        except ValueError:
-            raise InputError(f"--inner takes a number or fit, got {inner!r}") from None
     own = CaseSpec(
         OWN,
         surface,
@@ -236,7 +227,7 @@ def _cases(
         tuple(trajectory),
         (n_r, n_theta, n_z),
         r_inner=r_inner,
-        inner=value,
+        inner=boundary_value(inner),
         sampling=sampling,
     )
     return [existing(own)]

@@ -93,8 +93,7 @@ def compensate(
     }
     clean.save(output)
     if model is not None:
-        with io.replacing(model) as temporary:
-            temporary.write_text(json_module.dumps(told, indent=2) + "\n")
+        io.write_text(model, json_module.dumps(told, indent=2) + "\n")
     if json:
         print_json(told)
         return

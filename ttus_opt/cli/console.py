@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import re
 import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from types import TracebackType
 from typing import Any, TextIO
 
-import numpy as np
 import typer
 
 from ttus_opt.errors import TtusWarning
+from ttus_opt.json_values import plain
 
 #: How keywords of the library are written as options.
 OPTIONS = {
@@ -68,21 +67,7 @@ def as_options(message: str, **options: str) -> str:
 
 def print_json(content: Mapping[str, Any]) -> None:
     """Write a mapping as JSON on stdout; NaN and infinity become null."""
-    typer.echo(json.dumps(_plain(content), indent=2, ensure_ascii=False))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+    typer.echo(json.dumps(plain(content), indent=2, ensure_ascii=False))
 
 
 @contextlib.contextmanager

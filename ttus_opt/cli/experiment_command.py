@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import Json, whole_numbers
+from ttus_opt.cli.options import Json, listed, whole_numbers
 
 EXAMPLE = (
     "ttus-opt experiment --torso ct_skin_mm.ply --formulations "
@@ -85,13 +85,13 @@ def experiment(
     n_r, n_theta, n_z = whole_numbers(shape, 3, "--shape")
     plan = Plan(
         (n_r, n_theta, n_z),
-        _listed(formulations),
+        listed(formulations),
         weight,
         resolution,
         torso,
         torso_unit,
-        _listed(patients),
-        _listed(comparators),
+        listed(patients),
+        listed(comparators),
         weights,
         jobs,
         dask,
@@ -103,7 +103,3 @@ def experiment(
         return
     typer.echo("\n\n".join(map(markdown, summary(result))))
     typer.echo(f"\nreport.md, report.html, results.json and figures in {output}/")
-
-
-def _listed(text: str) -> tuple[str, ...]:
-    return tuple(part.strip() for part in text.split(",") if part.strip())

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.fit_report import how_read, solved_lines, summary
 from ttus_opt.cli.option_groups import grouped
 from ttus_opt.cli.options import Force, Json, check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
@@ -20,7 +21,6 @@ from ttus_opt.cli.sources import sources
 from ttus_opt.errors import InputError, TtusWarning
 
 if TYPE_CHECKING:
-    from ttus_opt.fitting.sanity import SanityReport
     from ttus_opt.fitting.weight_choice import WeightChoice
     from ttus_opt.probe.conventions import Conventions
     from ttus_opt.probe.point_shell import PointShell
@@ -181,12 +181,12 @@ def fit(
                 told=conventions,
             )
     if json:
-        print_json(_summary(solution, output, choice, report))
+        print_json(summary(solution, output, choice, report))
     solution.field  # noqa: B018  raises what is wrong when nothing was verified
     if not json:
         assert report is not None
-        _tell(solution, output)
-        _tell_lines(choice.lines, report.lines, _how_read(recorded, conventions))
+        lines = [*solved_lines(solution, output), *choice.lines, *report.lines]
+        typer.echo("\n".join([*lines, *how_read(recorded, conventions)]))
     if report is not None and report.mistake is not None:
         warnings.warn(str(report.mistake), TtusWarning, stacklevel=2)
 
@@ -273,18 +273,6 @@ def _built(
     return built
 
 
-def _how_read(recorded: Trajectory, conventions: Conventions) -> list[str]:
-    """What was taken for granted of the recordings, in words."""
-    frame, axes = conventions.frame, conventions.wrench_frame
-    about = conventions.torque_about
-    if not isinstance(about, str):
-        about = ",".join(f"{v:g}" for v in about)
-    torques = f"torques about: {about}"
-    if not recorded.has_torque:
-        torques = "no torques were measured: forces alone were fitted"
-    return [f"poses in the {frame}'s frame, wrenches in the {axes}'s axes", torques]
-
-
 def _names(paths: Sequence[Path]) -> list[str]:
     return [path.name for path in paths]
 
@@ -353,67 +341,3 @@ def _weights_of_the_paper(formulation: str) -> dict[str, Any]:
 
     known = option_names(formulation)
     return {n: w for n, w in WEIGHTS.items() if known is None or n in known}
-
-
-def _summary(
-    solution: Solution,
-    output: Path,
-    choice: WeightChoice,
-    report: SanityReport | None,
-) -> dict[str, Any]:
-    solved = solution.verified_field is not None
-    return {
-        "status": solution.status.name.lower(),
-        "advice": "" if solved else solution.status.value,
-        "formulation": solution.formulation,
-        "solver": solution.solver,
-        "detail": solution.detail,
-        "attempts": [
-            {**asdict(a), "status": a.status.name.lower()} for a in solution.attempts
-        ],
-        "voxels": _n_voxels(solution),
-        "objective": solution.objective,
-        "costs": solution.costs,
-        "weights": solution.weights,
-        "kkt": None if solution.kkt is None else solution.kkt.as_dict(),
-        "iterations": solution.iterations,
-        "parameters": solution.parameters,
-        "standard_errors": solution.standard_errors,
-        "not_identified": solution.not_identified,
-        "compressed": solution.compressed,
-        "remarks": solution.remarks,
-        "seconds": solution.timings.as_dict(),
-        "output": str(output) if solved else None,
-        "weights_chosen": choice.as_dict(),
-        "sanity": None if report is None else report.as_dict(),
-    }
-
-
-def _n_voxels(solution: Solution) -> int:
-    p = solution.program.variables["p"]
-    return int(p.stop - p.start)
-
-
-def _tell_lines(*parts: Sequence[str]) -> None:
-    for part in parts:
-        for line in part:
-            typer.echo(line)
-
-
-def _tell(solution: Solution, output: Path) -> None:
-    worst = float("nan") if solution.kkt is None else solution.kkt.worst_relative
-    times = solution.timings
-    after = f" after {', '.join(map(str, solution.attempts))}"
-    costs = ", ".join(f"{name} {cost:.4g}" for name, cost in solution.costs.items())
-    typer.echo(
-        f"{output}: {solution.formulation} by {solution.solver}"
-        f"{after if solution.attempts else ''}, "
-        f"{_n_voxels(solution):,} voxels, KKT {worst:.1e}, "
-        f"{times.assembly:.1f} s assembly, {times.setup + times.solve:.1f} s solve"
-        + (f", {times.compile:.1f} s compile" if times.compile > 0.05 else "")
-    )
-    typer.echo(f"objective {solution.objective:.4g} ({costs})")
-    for name, (had, has) in solution.compressed.items():
-        typer.echo(f"{name}: {had:,} rows compressed to {has:,}, exactly")
-    for line in solution.identified:
-        typer.echo(line)

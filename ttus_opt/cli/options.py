@@ -59,6 +59,15 @@ def whole_numbers(text: str, count: int, option: str) -> tuple[int, ...]:
     return tuple(int(v) for v in values)
 
 
+def listed(text: str) -> tuple[str, ...]:
+    """Words separated by commas.
+
+    >>> listed("eq10, robust")
+    ('eq10', 'robust')
+    """
+    return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
 def check_outputs(
     outputs: Sequence[Path | None],
     inputs: Sequence[Path | str],

@@ -221,7 +221,5 @@ def _write(output: Path | None, motion: Array) -> None:
 
     from ttus_opt import io
 
-    if output is None:
-        return
-    with io.signals_deferred(), io.replacing(output) as temporary:
-        temporary.write_text(json.dumps(motion.tolist()) + "\n", encoding="utf-8")
+    if output is not None:
+        io.write_text(output, json.dumps(motion.tolist()) + "\n")

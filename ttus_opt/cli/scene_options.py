@@ -125,21 +125,21 @@ class SceneOptions:
             whole_numbers(self.shape, 3, "--shape"),
             self.r_inner,
             self.r_outer,
-            boundary_value(self.inner),
+            None if self.inner is None else boundary_value(self.inner),
             self.outer,
             self.sampling or ScenePlan.sampling,
             self.boundary or ScenePlan.boundary,
         )
 
 
-def boundary_value(text: str | None) -> float | Literal["fit"] | None:
+def boundary_value(text: str) -> float | Literal["fit"]:
     """Value of ``--inner``.
 
     Raises:
         InputError: Neither a number nor fit.
     """
-    if text is None or text == "fit":
-        return text  # type: ignore[return-value]  # one word alone
+    if text == "fit":
+        return "fit"
     try:
         return float(text)
     except ValueError:

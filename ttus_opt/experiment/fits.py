@@ -22,6 +22,7 @@ from ttus_opt.experiment.settings import Setting
 from ttus_opt.fitting.batch import fit
 from ttus_opt.fitting.weight_choice import choose_weights
 from ttus_opt.haptic.field_wrench import FieldWrenches
+from ttus_opt.json_values import plain
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.problem.solution import Status
 from ttus_opt.report.metrics import Evaluation, evaluate
@@ -189,19 +190,4 @@ def read_kept(file: Path, told: Mapping[str, Any]) -> dict[str, Any] | None:
 
 def write_kept(file: Path, content: Mapping[str, Any]) -> None:
     """Write a result, replacing the file only on success."""
-    with io.replacing(file) as temporary:
-        text = json.dumps(plain(content), indent=1, allow_nan=False)
-        temporary.write_text(text, encoding="utf-8")
-
-
-def plain(value: Any) -> Any:
-    """What JSON can say; NaN and infinity become null."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
+    io.write_text(file, json.dumps(plain(content), indent=1, allow_nan=False))

@@ -75,8 +75,7 @@ def examine(
         patient.surface().save(folder / "surface.nc")
         for name in RECORDINGS:
             _record(patient, name, patch, folder)
-        with io.replacing(stamp) as temporary:
-            temporary.write_text(digest, encoding="utf-8")
+        io.write_text(stamp, digest)
     kinds = (
         {name: read_trajectory(folder / f"{name}{kind}.csv") for name in RECORDINGS}
         for kind in ("", "_true", "_itself")

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ttus_opt import optional
-from ttus_opt.errors import InputError
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import boundary_errors
 from ttus_opt.experiment.fits import PatientFits
@@ -87,10 +86,5 @@ def _pool(jobs: int, address: str) -> Iterator[Any]:
     if not address:
         yield joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
         return
-    distributed = optional.load("distributed", "parallel")
-    try:
-        client = distributed.Client(address, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise InputError(f"no dask scheduler answers at {address}: {error}") from error
-    with client, joblib.parallel_config("dask"):
+    with optional.dask_client(address), joblib.parallel_config("dask"):
         yield joblib.Parallel(n_jobs=-1, return_as="generator_unordered")

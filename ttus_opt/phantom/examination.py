@@ -19,8 +19,14 @@ from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.phantom.torso import Torso
 from ttus_opt.probe.trajectory import Trajectory
 
-#: Frames per second [Hz].
-RATE = 20.0
+#: Frames per second [Hz], and length of a recording [s]
+RATE, SECONDS = 20.0, 20.0
+
+#: Pushes: middle of the places (across, along), half width of their square [m]
+CENTRE, SPREAD = (0.0, 0.13), 0.015
+
+#: Sweeps: from which height to which [m]
+ALONG = (0.095, 0.205)
 
 
 @dataclass(frozen=True)
@@ -68,21 +74,15 @@ class Handling:
 def push_handling(
     rng: np.random.Generator,
     *,
-    centre: tuple[float, float] = (0.0, 0.13),
-    spread: float = 0.015,
     n_pushes: int = 8,
     deepest: float = 0.013,
-    seconds: float = 20.0,
 ) -> Handling:
     """Pushes at several places, with lift-offs, tilting and turning.
 
     Args:
         rng: Chooses places, depths and tilts.
-        centre: Middle of the places: across, along [m].
-        spread: Half width of the square they lie in [m].
         n_pushes: How many.
         deepest: Depth of the deepest push [m]; the others reach at least 60 %.
-        seconds: Duration [s].
 
     Returns:
         The handling at 20 Hz.
@@ -92,8 +92,8 @@ def push_handling(
     """
     if n_pushes < 2:
         raise InputError(f"n_pushes must be at least 2, got {n_pushes}")
-    time = np.arange(round(seconds * RATE)) / RATE
-    phase = time / seconds * n_pushes
+    time = np.arange(round(SECONDS * RATE)) / RATE
+    phase = time / SECONDS * n_pushes
     number = np.minimum(phase.astype(int), n_pushes - 1)
     peak = deepest * rng.uniform(0.6, 1.0, n_pushes)
     peak[rng.integers(n_pushes)] = deepest
@@ -102,9 +102,9 @@ def push_handling(
     # Two stops per push, so that the hand rests while it presses and moves when up.
     stops = np.repeat(np.arange(n_pushes), 2) + np.tile([0.15, 0.85], n_pushes)
     places = [
-        np.repeat(c + spread * rng.uniform(-1.0, 1.0, n_pushes), 2) for c in centre
+        np.repeat(c + SPREAD * rng.uniform(-1.0, 1.0, n_pushes), 2) for c in CENTRE
     ]
-    drift = [rng.uniform(-0.0015, 0.0015, 2 * n_pushes) for _ in centre]
+    drift = [rng.uniform(-0.0015, 0.0015, 2 * n_pushes) for _ in CENTRE]
     across, along = (
         PchipInterpolator(stops, p + d)(np.clip(phase, stops[0], stops[-1]))
         for p, d in zip(places, drift, strict=True)
@@ -116,26 +116,22 @@ def sweep_handling(
     rng: np.random.Generator,
     *,
     across: float = 0.0,
-    along: tuple[float, float] = (0.095, 0.205),
     depth: tuple[float, float] = (0.004, 0.010),
-    seconds: float = 20.0,
 ) -> Handling:
     """One line up the body and one back beside it, depth and tilt varying.
 
     Args:
         rng: Chooses phases and frequencies.
         across: Middle of the two lines, which lie 5 mm on either side of it [m].
-        along: From which height to which [m].
         depth: Smallest and largest [m].
-        seconds: Duration [s].
 
     Returns:
         The handling at 20 Hz.
     """
-    time = np.arange(round(seconds * RATE)) / RATE
-    phase = time / seconds
+    time = np.arange(round(SECONDS * RATE)) / RATE
+    phase = time / SECONDS
     way = 0.5 * (1.0 - np.cos(2.0 * np.pi * phase))
-    height = along[0] + (along[1] - along[0]) * way
+    height = ALONG[0] + (ALONG[1] - ALONG[0]) * way
     side = across + 0.005 * np.cos(np.pi * phase)
     side = side + 0.003 * np.sin(_wave(rng, time, 0.25))
     middle, half = sum(depth) / 2, (depth[1] - depth[0]) / 2

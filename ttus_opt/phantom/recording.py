@@ -72,23 +72,15 @@ def record(
     return replace(poses, force=force, torque=torque)
 
 
-def add_noise(
-    trajectory: Trajectory,
-    rng: np.random.Generator,
-    *,
-    force_std: float = FORCE_NOISE,
-    torque_std: float = TORQUE_NOISE,
-) -> Trajectory:
-    """Add independent normal noise to every component of the wrench.
+def add_noise(trajectory: Trajectory, rng: np.random.Generator) -> Trajectory:
+    """Add a sensor's independent normal noise to every component of the wrench.
 
     Args:
         trajectory: With a wrench.
         rng: Source of the noise.
-        force_std: Standard deviation [N].
-        torque_std: Standard deviation [N m].
 
     Returns:
-        A noisy copy.
+        A copy with `FORCE_NOISE` and `TORQUE_NOISE`.
 
     Raises:
         InputError: The trajectory has no wrench.
@@ -99,8 +91,8 @@ def add_noise(
     noise = rng.standard_normal((len(trajectory), 6))
     return replace(
         trajectory,
-        force=trajectory.force + force_std * noise[:, :3],
-        torque=trajectory.torque + torque_std * noise[:, 3:],
+        force=trajectory.force + FORCE_NOISE * noise[:, :3],
+        torque=trajectory.torque + TORQUE_NOISE * noise[:, 3:],
     )
 
 
@@ -108,8 +100,6 @@ def add_pose_noise(
     trajectory: Trajectory,
     rng: np.random.Generator,
     *,
-    position_std: float = POSITION_NOISE,
-    rotation_std: float = ROTATION_NOISE,
     correlation: float = POSE_CORRELATION,
 ) -> Trajectory:
     """Displace and turn every pose by a stationary Gauss–Markov error.
@@ -118,27 +108,23 @@ def add_pose_noise(
         trajectory: One recording at even steps; its wrench stays that of the true
             poses.
         rng: Source of the noise.
-        position_std: Standard deviation along each axis [m].
-        rotation_std: About each axis [rad].
         correlation: Time over which errors are alike; 0 for frames of their own [s].
 
     Returns:
-        The trajectory as a tracker reports it.
+        The trajectory as a tracker reports it, off by `POSITION_NOISE` and
+        `ROTATION_NOISE`.
 
     Raises:
-        InputError: A negative deviation or time.
+        InputError: A negative time.
     """
-    if min(position_std, rotation_std, correlation) < 0.0:
-        raise InputError(
-            "pose noise takes deviations and a time that are not negative, got "
-            f"{position_std} m, {rotation_std} rad and {correlation} s"
-        )
+    if correlation < 0.0:
+        raise InputError(f"correlation must not be negative, got {correlation} s")
     white = rng.standard_normal((len(trajectory), 6))
     unit = _correlated(white, trajectory.time, correlation)
-    turn = Rotation.from_rotvec(rotation_std * unit[:, 3:]).as_matrix()
+    turn = Rotation.from_rotvec(ROTATION_NOISE * unit[:, 3:]).as_matrix()
     return replace(
         trajectory,
-        position=trajectory.position + position_std * unit[:, :3],
+        position=trajectory.position + POSITION_NOISE * unit[:, :3],
         rotation=turn @ trajectory.rotation,
     )
 

@@ -163,14 +163,14 @@ class PointShell:
         surface: SurfaceChoice = "outer",
         seed: Seed = 0,
     ) -> PointShell:
-        """Sample a triangle mesh in memory; see `from_mesh`.
+        """Sample a triangle mesh in memory.
 
         Args:
             vertices: Shape (n, 3) [m].
             faces: Vertex indices, shape (k, 3) [–].
-            n_points: Number of points M, at least 4 [–].
-            surface: As in `from_mesh`.
-            seed: Of the sampling.
+            n_points: As of `from_mesh`.
+            surface: As of `from_mesh`.
+            seed: As of `from_mesh`.
 
         Raises:
             InputError: Arrays that are no mesh, or too few points.
@@ -221,9 +221,8 @@ class PointShell:
         require_plausible_extent(2.0 * axes.max(), "the ellipsoid")
         rng = np.random.default_rng(seed)
         # an area element of the unit sphere grows by abc |D⁻¹u| on the ellipsoid
-        unit = _sphere_lattice(max(FINE * n_points, 8000))[
-            rng.permutation(max(FINE * n_points, 8000))
-        ]
+        lattice = _sphere_lattice(max(FINE * n_points, 8000))
+        unit = lattice[rng.permutation(len(lattice))]
         growth = axes.prod() * np.linalg.norm(unit / axes, axis=1)
         area = ellipsoid_area(axes)
         dense = SurfaceSamples(
@@ -252,18 +251,7 @@ class PointShell:
         *,
         seed: Seed = 0,
     ) -> PointShell:
-        """A box about the origin.
-
-        Args:
-            sizes: Full edge lengths along x, y and z [m].
-            n_points: Number of points M, at least 4 [–].
-            seed: Of the sampling.
-
-        Raises:
-            InputError: Lengths that are not three positive numbers, or too few
-                points.
-            GeometryError: Not the size of a probe.
-        """
+        """A box about the origin, full edges along x, y and z [m]; see `ellipsoid`."""
         edges = _lengths(sizes, 3, "box sizes")
         _require_points(n_points)
         require_plausible_extent(edges.max(), "the box")
@@ -290,8 +278,8 @@ class PointShell:
             spec: ``ellipsoid:a,b,c`` (semi-axes), ``sphere:r``, ``box:a,b,c`` (full
                 edges), all [m], or else the path of a mesh.
             n_points: Number of points M, at least 4 [–].
-            unit: Unit of length of a mesh file; primitives are in metres.
-            surface: What to keep of a mesh file, as in `from_mesh`.
+            unit: Of a mesh file, as in `from_mesh`; primitives are in metres.
+            surface: Of a mesh file, likewise.
             seed: Of the sampling.
 
         Raises:

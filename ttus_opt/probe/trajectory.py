@@ -131,13 +131,8 @@ class Trajectory:
     def __repr__(self) -> str:
         parts = len(self._segments())
         recordings = f" in {parts} recordings" if parts > 1 else ""
-        wrench = (
-            "without wrenches"
-            if self.force is None
-            else "with forces"
-            if self.torque is None
-            else "with wrenches"
-        )
+        measured = "with wrenches" if self.has_torque else "with forces"
+        wrench = measured if self.has_wrench else "without wrenches"
         spans = [self.time[p.stop - 1] - self.time[p.start] for p in self._segments()]
         seconds = float(np.sum(spans))
         return f"Trajectory({len(self)} frames{recordings}, {seconds:.4g} s, {wrench})"
@@ -179,7 +174,7 @@ class Trajectory:
             (1, False)
         """
         rotation, position = poses_of(positions, orientations, order)
-        every = np.arange(float(len(position))) if times is None else times
+        every = np.arange(len(position)) if times is None else times
         force, torque = (
             None if given is None else np.array(given, dtype=np.float64)
             for given in (forces, torques)
@@ -361,8 +356,7 @@ class Trajectory:
         if len(self._segments()) > 1:
             names.append(SEGMENT)
             lines = [f"{a},{s}" for a, s in zip(lines, self.segment, strict=True)]
-        with io.replacing(path) as temporary:
-            temporary.write_text("\n".join([",".join(names), *lines, ""]))
+        io.write_text(path, "\n".join([",".join(names), *lines, ""]))
 
 
 def read_trajectory(

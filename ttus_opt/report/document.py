@@ -63,9 +63,7 @@ Block = Heading | Text | Items | Table | Picture
 
 def write_markdown(path: Path, blocks: Sequence[Block]) -> None:
     """Write the blocks as Markdown, replacing ``path`` only on success."""
-    text = "\n\n".join(map(markdown, blocks)) + "\n"
-    with io.replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    io.write_text(path, "\n\n".join(map(markdown, blocks)) + "\n")
 
 
 def write_html(path: Path, title: str, blocks: Sequence[Block]) -> None:
@@ -82,8 +80,7 @@ def write_html(path: Path, title: str, blocks: Sequence[Block]) -> None:
         f"<title>{escape(title)}</title><style>{_STYLE}</style></head>\n"
         f"<body>\n{body}\n</body></html>\n"
     )
-    with io.replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    io.write_text(path, page)
 
 
 def markdown(block: Block) -> str:

@@ -129,8 +129,7 @@ def write_report(
     ]
     for name, caption in pictures.items():
         lines += [f"## {caption}", "", f"![{caption}]({name})", ""]
-    with io.replacing(path) as temporary:
-        temporary.write_text("\n".join(lines), encoding="utf-8")
+    io.write_text(path, "\n".join(lines))
 
 
 def _number(value: float, form: str) -> str:

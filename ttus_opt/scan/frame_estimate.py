@@ -30,7 +30,11 @@ from ttus_opt.scan.body_sides import (
     head_along,
     sign_towards,
 )
-from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
+from ttus_opt.scan.supporting_plane import (
+    SupportingPlane,
+    across,
+    find_supporting_plane,
+)
 
 _CELL = 0.012  # edge of the cells that even out the density of points [m]
 _CUT = 0.25  # (n·z)² beyond which a normal counts no more, 60° from the axis
@@ -173,17 +177,10 @@ class _Lengthwise(NamedTuple):
     z: Array
 
 
-def _across(direction: Array) -> Array:
-    """Two unit vectors across a direction, shape (2, 3)."""
-    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])
-
-
 def _supported_frame(
     points: Array, normals: Array, plane: SupportingPlane
 ) -> _Lengthwise:
-    up, basis = plane.normal, _across(plane.normal)
+    up, basis = plane.normal, across(plane.normal)
     angle = np.arange(0.0, np.pi, np.radians(1.0))
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ basis
     z = _along(points, normals, circle, basis)
@@ -196,7 +193,7 @@ def _supported_frame(
 
 def _free_frame(points: Array, normals: Array) -> _Lengthwise:
     z = _along(points, normals, _half_sphere(4000), np.eye(3))
-    basis = _across(z)
+    basis = across(z)
     section = points @ basis.T
     # Algebraic circle fit: |q|² = 2 c·q + (R² − |c|²) in least squares.
     mean = section.mean(axis=0)

@@ -79,6 +79,13 @@ def find_supporting_plane(
     return None
 
 
+def across(direction: Array) -> Array:
+    """Two unit vectors across a unit vector (3,), and each other, shape (2, 3)."""
+    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
 def _one_round(sample: Array, rng: np.random.Generator) -> tuple[Array, float] | None:
     """The best of many trial planes that is a support, if there is one."""
     normals, offsets = _trial_planes(sample, rng)
@@ -144,17 +151,13 @@ def _supports(sample: Array, normal: Array, offset: float) -> bool:
     body = sample[height > 2 * TOLERANCE]
     if (height < -TOLERANCE).mean() > _MOST_BELOW or min(len(near), len(body)) < 30:
         return False
-    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    first /= np.linalg.norm(first)
     angle = np.linspace(0, np.pi, 16, endpoint=False)
-    across = np.outer(np.cos(angle), first) + np.outer(
-        np.sin(angle), np.cross(normal, first)
-    )
-    seen = near @ across.T
+    along = np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across(normal)
+    seen = near @ along.T
     width = np.ptp(np.percentile(seen, [2, 98], axis=0), axis=0).min()
     if width < LEAST_WIDTH:
         return False
-    low, high = np.percentile(body[::4] @ across.T, [0.5, 99.5], axis=0)
+    low, high = np.percentile(body[::4] @ along.T, [0.5, 99.5], axis=0)
     outside = (seen < low - _OUTLINE_MARGIN) | (seen > high + _OUTLINE_MARGIN)
     return bool(outside.any(axis=1).mean() > _LEAST_OUTSIDE)
 

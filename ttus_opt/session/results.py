@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import json
-import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ttus_opt import io
 from ttus_opt.errors import FileError, TtusError
+from ttus_opt.json_values import plain
 
 #: What has been done and found so far
 SUMMARY = "session.json"
@@ -100,7 +98,7 @@ class Results:
 
     def tell(self, name: str, facts: Mapping[str, Any]) -> None:
         """Keep a step's figures for `SUMMARY`."""
-        self._told[name] = _plain(facts)
+        self._told[name] = plain(facts)
 
     def path(self, name: str) -> Path:
         """Where a file goes; earlier results are removed first."""
@@ -141,8 +139,7 @@ class Results:
         self._clear()
         file = self.folder / SUMMARY
         text = json.dumps(self._told, indent=2, ensure_ascii=False, allow_nan=False)
-        with io.signals_deferred(), io.replacing(file) as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8")
+        io.write_text(file, text + "\n")
 
 
 def complete_steps(folder: str | os.PathLike[str]) -> list[str]:
@@ -158,18 +155,3 @@ def _read(folder: str | os.PathLike[str]) -> dict[str, list[str]]:
         return {}
     lists = told.items() if isinstance(told, dict) else ()
     return {name: value for name, value in lists if isinstance(value, list)}
-
-
-def _plain(value: Any) -> Any:
-    """What JSON can say; NaN and infinity become null."""
-    if isinstance(value, Mapping):
-        return {str(name): _plain(each) for name, each in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

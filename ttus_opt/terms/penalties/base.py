@@ -39,7 +39,8 @@ class Slope:
             return self.factor * v
         shape = (-1, self.size)
         parts = (self.along * v).reshape(shape).sum(axis=1, keepdims=True)
-        return self.factor * (v - (parts * self.along.reshape(shape)).reshape(-1))
+        v = v - (parts * self.along.reshape(shape)).reshape(-1)
+        return self.factor * v
 
 
 @dataclass(frozen=True)
