@@ -148,7 +148,7 @@ def general_table(rows: Sequence[Row]) -> str:
     return table(["formulation", AUTO, *others, "best of them / auto"], body)
 
 
-def contest_table(rows: Sequence[Row]) -> str:
+def perturbed_table(rows: Sequence[Row]) -> str:
     """On S with perturbed wrenches: CPU seconds, ratio, active limits, residual."""
     cases = {case: by(rows, case) for case in ("S-reversed", "S-noise")}
     body = []
@@ -281,7 +281,7 @@ def main() -> None:
     n_problems = len(next(iter(chosen.values())))
     profile = f"{LEGEND.format(n=n_problems)}\n\n{profile_table(chosen)}"
     filled(page, "profile", profile)
-    filled(page, "contest", contest_table(rows))
+    filled(page, "perturbed", perturbed_table(rows))
     goals = missed(rows)
     filled(page, "missed", "\n".join(f"- {line}." for line in goals) or "None.")
     filled(ROOT / "README.md", "shelf", short_table(rows))

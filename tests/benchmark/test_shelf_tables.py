@@ -101,7 +101,7 @@ def test_a_folder_is_read_once_and_markers_are_filled(tmp_path: Path) -> None:
 def test_the_markers_are_in_the_pages() -> None:
     root = FOLDER.parent
     for page, names in (
-        (root / "docs" / "benchmark.md", "shelf general profile contest missed"),
+        (root / "docs" / "benchmark.md", "shelf general profile perturbed missed"),
         (root / "README.md", "shelf"),
     ):
         text = page.read_text(encoding="utf-8")
