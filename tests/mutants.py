@@ -94,6 +94,7 @@ TARGETS = (
     Target("fitting/recursive.py", ("fitting/test_recursive.py",)),
     Target("fitting/dual_recursion.py", ("fitting/test_dual_recursion.py",)),
     Target("fitting/low_rank_kernel.py", ("fitting/test_low_rank_kernel.py",)),
+    Target("fitting/pivots.py", ("fitting/test_low_rank_kernel.py",)),
     Target("fitting/parabola.py", ("fitting/test_parabola.py",)),
     Target(
         "fitting/packed_triangle.py",

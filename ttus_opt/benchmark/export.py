@@ -2,7 +2,7 @@
 
 One file per case and formulation, in the layout the Maros-Meszaros collection has in
 MATLAB files: minimise ½ xᵀP x + qᵀx + r subject to l ≤ A x ≤ u, bounds as rows at the
-end, 1e20 for no limit. The same as NumPy's .npz for who has no reader of the other.
+end, 1e20 for no limit. The same as .npz for readers without MATLAB files.
 """
 
 from __future__ import annotations

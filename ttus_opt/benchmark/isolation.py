@@ -28,18 +28,18 @@ QUESTION, ANSWER, LOG = "run.json", "rows.json", "log.txt"
 #: How often the process is looked at [s]
 PAUSE = 0.1
 
-#: A stage that computes is ended when it is late by this factor and these seconds: who
-#: knows its time limit stops by itself before
+#: A stage that computes is ended when it is late by this factor and these seconds; one
+#: that observes its time limit has stopped by then
 LATE_FACTOR, LATE_SECONDS = 1.1, 5.0
 
-#: The stage of set-up and first solve, and its factor: a solver keeps to its limit from
-#: after set-up on, and shall be able to tell how far it came
+#: The stage of set-up and first solve, and its factor: a solver's limit counts from the
+#: end of its set-up, and it needs time to report how far it came
 SOLVING, SOLVING_FACTOR = "first", 2.0
 
 #: Stages that compile and assemble, and the least time they are given [s]
 PREPARING, PREPARATION = ("start", "warm-up", "scene", "program"), 900.0
 
-#: Told of a run while it is under way: its stage, and for how long that has lasted [s]
+#: Called while a run is under way: with its stage, and for how long that has lasted [s]
 Watching = Callable[[str, float], None]
 
 
@@ -117,14 +117,14 @@ def _run(
 
 
 def _allowed(stage: str, time_limit: float) -> float:
-    """When a stage that should have stopped by itself is ended [s]."""
+    """After how long a stage is ended [s]."""
     factor = SOLVING_FACTOR if stage == SOLVING else LATE_FACTOR
     late = time_limit * factor + LATE_SECONDS
     return max(PREPARATION, late) if stage in PREPARING else late
 
 
 def _reached(folder: Path) -> Row:
-    """The residual a run had reached when it was ended, if it told one."""
+    """The residual a run had reached when it was ended, if it noted one."""
     try:
         return {"residual_reached": float((folder / RESIDUAL).read_text("utf-8"))}
     except (OSError, ValueError):  # none, or ended while it was being written

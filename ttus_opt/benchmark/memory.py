@@ -18,17 +18,17 @@ def peak_bytes() -> int:
 
 
 def current_bytes() -> int:
-    """Resident size now; the peak where the system does not tell [byte]."""
+    """Resident size now; the peak where the system does not report it [byte]."""
     return _told("self/status", "VmRSS") or peak_bytes()
 
 
 def resident_bytes(pid: int) -> int:
-    """Resident size of a process; 0 when it is gone or not told [byte]."""
+    """Resident size of a process; 0 when it is gone or not reported [byte]."""
     return _told(f"{pid}/status", "VmRSS") or 0
 
 
 def available_bytes() -> int | None:
-    """Memory that could be had without swapping; None where it is not told [byte]."""
+    """Memory available without swapping; None where it is not reported [byte]."""
     return _told("meminfo", "MemAvailable")
 
 
@@ -49,7 +49,7 @@ def trim() -> None:
 
 
 def end_this_first() -> None:
-    """Ask the system to end this process first when memory runs out."""
+    """Ask the system to end this process before others when memory runs out."""
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text("1000")
 

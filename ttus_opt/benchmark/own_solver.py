@@ -1,7 +1,7 @@
 """A user's own solver on its way to the process of a run: by path, or as an object.
 
-An object travels pickled, so its class must be importable there; a file is named with a
-digest of its text, so that rows of another version of it are not taken for its own.
+An object is sent pickled, so its class must be importable there. A file is named with a
+digest of its text, so that rows of another version are not taken for this one's.
 """
 
 from __future__ import annotations

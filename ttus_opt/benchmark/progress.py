@@ -1,4 +1,4 @@
-"""What the process of a run tells its parent: stages, their memory, and files."""
+"""What the process of a run reports to its parent: stages, their memory, and files."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ STAGES, RESIDUAL, KEPT = "stages.jsonl", "residual.txt", "kept"
 
 
 class Progress:
-    """Tells the parent what begins, and measures the memory of what ended.
+    """Reports stages to the parent, and measures the memory of each.
 
     Attributes:
         peaks: Largest size of the process per stage [byte].

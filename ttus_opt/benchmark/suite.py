@@ -30,7 +30,7 @@ MEMORY_PART = 0.8
 #: Called with a run and its rows as they come
 Told = Callable[[RunSpec, list[Row]], None]
 
-#: Called several times a second with a run, its stage, and since when that lasts [s]
+#: Called several times a second with a run, its stage, and how long that has lasted [s]
 Watching = Callable[[RunSpec, str, float], None]
 
 

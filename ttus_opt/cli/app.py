@@ -137,7 +137,7 @@ def _termination_as_exit() -> Iterator[None]:
 
 
 def _place(error: BaseException) -> str:
-    """The innermost function of an error, for one that says nothing of itself."""
+    """The innermost function of an error that has no message."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [frame for frame in frames if "ttus_opt" in frame.filename] or list(frames)
     return f"{own[-1].name} ({Path(own[-1].filename).stem})"

@@ -1,4 +1,4 @@
-"""``ttus-opt benchmark``: every solver on every formulation, compared honestly."""
+"""``ttus-opt benchmark``: every solver on every formulation, residuals verified."""
 
 from __future__ import annotations
 
@@ -274,7 +274,7 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
     with tqdm(total=total, file=sys.stderr, bar_format=shape) as bar:
         watched = _Watched(bar)
         try:
-            # a file or a pipe hears of what is done only
+            # a file or a pipe gets finished runs only
             found = suite.run(
                 watched.told, watched.watching if sys.stderr.isatty() else None
             )

@@ -39,8 +39,7 @@ PATIENCE = 1.0
 def one_line(text: str) -> str:
     r"""The text with line breaks and runs of spaces as one space, all of it printable.
 
-    What a file or an argument has of other characters would be carried out by a
-    terminal.
+    A terminal would carry out control characters of a file or an argument.
 
     >>> one_line("got \x1b[2J,  twice")
     'got �[2J, twice'
@@ -133,7 +132,7 @@ class Stages:
         self._thread.join()
 
     def _show(self) -> None:
-        # a file or a pipe hears of long work only, and every few seconds
+        # a file or a pipe gets lines for long work only, and every few seconds
         watched = sys.stderr.isatty()
         patience = PATIENCE if watched else 5.0 * PATIENCE
         if self._finished.wait(patience):

@@ -132,7 +132,7 @@ def _read(file: Path) -> Surface | PotentialField:
 
 
 def _bytes(file: Path) -> bytes:
-    """A message's bytes, of which no more than a message may have.
+    """A message's bytes, and no more than a message may have.
 
     Raises:
         FileError: The file is missing, empty or cannot be read.

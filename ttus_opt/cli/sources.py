@@ -1,4 +1,4 @@
-"""Where a field came from: what `fit` writes of it, what others say of it.
+"""Where a field came from: what `fit` writes, and what other commands check.
 
 The provenance of a field file has texts by key. ``probe``, ``trajectories``,
 ``surface`` are names; ``recordings`` and ``hashes`` are JSON objects of file names and

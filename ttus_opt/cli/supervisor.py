@@ -1,8 +1,8 @@
 """A command runs in a child process, so that Ctrl-C ends it whatever it is doing.
 
-Python handles a signal between two of its own instructions: a factorisation that takes
-minutes in a library keeps it waiting, and some solvers take the interrupt for
-themselves. The process the user started only waits. It passes an interrupt on, gives
+Python handles a signal between two of its own instructions: a factorisation in a
+library keeps it waiting for minutes, and some solvers catch the interrupt themselves.
+The process the user started only waits. It passes an interrupt on, gives
 the child a moment to clean up, and then ends it.
 """
 

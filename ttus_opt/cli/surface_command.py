@@ -1,4 +1,4 @@
-"""``ttus-opt surface``: from a scan to the skin r = R(θ, z)."""
+"""``ttus-opt surface``: from a scan to the surface r = R(θ, z)."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ AT_ONCE = 64
 def size_factors(
     voxmap: Voxmap, shell: PointShell, rotation: Array, position: Array
 ) -> Array:
-    """10 mm/ℓ of every pose, shape (T,) [–]; of no contact as of a point.
+    """10 mm/ℓ of every pose, shape (T,) [–]; without contact that of a point.
 
     Args:
         voxmap: Grid and surface.

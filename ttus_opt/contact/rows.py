@@ -10,7 +10,7 @@ ways, all linear in p (docs/method.md, Contact rows):
 - ``contact-size``: the same times 10 mm/ℓ, ℓ the length of the touching patch
   (`ttus_opt.contact.contact_size`).
 
-What a point samples is said in `ttus_opt.voxmap.depth_sampling`; the rows here and the
+`ttus_opt.voxmap.depth_sampling` defines what a point samples; the rows here and the
 frames of `ttus_opt.haptic.renderer` are both made from it, so that ``render(pose) ==
 N(pose) p``. Beyond the inner layer the field continues with that layer's values. Points
 outside the patient, or beyond the grid's ends along z, sample nothing.

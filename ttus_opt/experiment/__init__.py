@@ -1,4 +1,4 @@
-"""The paper's experiment as one command: three phantom patients, every error told.
+"""The paper's experiment as one command: three phantom patients, every error reported.
 
     from ttus_opt import experiment
     result = experiment.run("results", experiment.Plan(shape=(24, 72, 30)))

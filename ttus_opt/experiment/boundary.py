@@ -1,8 +1,8 @@
 """How much the boundary value matters, before and after measured forces.
 
 The paper picks the value of the inner layer by hand. Here it runs over a decade around
-the one that suits the Laplace field best; what is told is by how much the error on
-unseen motion moves with it.
+the one that suits the Laplace field best, and the error on unseen motion is reported
+for each value.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
     fields = [each.fits[setting].field for setting in names]
     there = [own for own in fields if own is not None]
     if len(there) < len(fields):
-        return []  # a fit that failed is told by the tables
+        return []  # the tables say which fit failed
     without, fitted, prior, eq10 = there
     judge = PatientFits(each.examination, folder, (0, 0, 0), "")
     pictures = []

@@ -54,8 +54,8 @@ def write_reports(folder: Path, result: ExperimentResult) -> None:
 def best_setting(result: ExperimentResult) -> str:
     """Of the formulations compared, the one a hand can tell from the truth least.
 
-    By the mean share of frames told apart on new trajectories, true wrenches; this
-    choice is made after the fact and is told as such.
+    By the mean share of frames told apart on new trajectories, true wrenches. The
+    choice is made after the fact, and the report says so.
     """
     rows = tables.select(result.rows, seen=False, against="true")
     apart = {PAPER_WITHOUT.name, PAPER_WITH.name, LAPLACE.name}

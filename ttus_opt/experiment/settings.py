@@ -64,7 +64,7 @@ class Setting:
             "sampling": self.sampling,
             "boundary": self.boundary,
         }
-        # a result that was kept before there was a choice is still of its setting
+        # results kept before this option existed stay valid
         return told | ({"chooses": True} if self.chooses else {})
 
 

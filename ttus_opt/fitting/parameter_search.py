@@ -1,4 +1,4 @@
-"""Search for a parameter that is no variable of the program, with its standard error.
+"""Search for a parameter that is not a variable of the program, with standard error.
 
 J(v) is the least objective for given values v of the searched parameters. It is first
 minimised one parameter after the other (Brent's bounded search, fits of low accuracy).

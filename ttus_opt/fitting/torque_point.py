@@ -13,7 +13,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 
-#: Directions of c are told whose singular value is at least this share of the largest
+#: Directions of c count whose singular value is at least this share of the largest
 TOLD = 0.1
 
 

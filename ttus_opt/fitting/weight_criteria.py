@@ -26,7 +26,7 @@ import scipy.linalg
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.scene import Scene
 
-#: Name, unit and meaning of what is told, in the order of `Criteria.values`
+#: Name, unit and meaning, in the order of `Criteria.values`
 TOLD = {
     "log_evidence": ("1", "logarithm of the marginal likelihood of the measurements"),
     "gcv": ("N2", "score of generalised cross-validation, of all rows in N"),

@@ -12,15 +12,11 @@ import math
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.multigrid.coarsening import Grounds
 from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.multigrid.pooled_blocks import PooledBlocks
 from ttus_opt.multigrid.solver import Multigrid, MultigridResult
-from ttus_opt.multigrid.v_cycle import VCycle
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 
@@ -70,15 +66,6 @@ class AggregatedMultigrid(Multigrid):
         screening, grounds = self.screening, self.grounds
         make = partial(AggregatedMultigrid, screening=screening, grounds=grounds)
         return make, built
-
-    def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
-        """One V-cycle at a time, as `Multigrid.preconditioner`; it knows all blocks."""
-        assert self._pooled is not None
-        pooled = self.grid.flatten(self._pooled)
-        if near is not None:  # a block that is cut would be held fixed
-            near = np.union1d(near, np.flatnonzero(pooled))
-        whole = (self.hierarchy, self.grid, self.free, pooled, self._added)
-        return VCycle.near(near, *whole)
 
     def apply(self, x: Array) -> Array:
         """PᵀA P z, shape (V,)."""

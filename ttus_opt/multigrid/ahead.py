@@ -1,8 +1,8 @@
 """The multigrid compiled by a process of its own, while another reads its data.
 
-Compiling it takes most of a first run and holds the interpreter's lock; what the other
-process has finished is found in the cache of compiled code, and what it is at is waited
-for (`ttus_opt.compiled`).
+Compiling it takes most of a first run and holds the interpreter's lock. This process
+finds in the cache what the other has compiled, and waits for what that is compiling
+(`ttus_opt.compiled`).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 
 @contextlib.contextmanager
 def compiling_ahead() -> Iterator[None]:
-    """Let another process compile the multigrid meanwhile, unless it was before."""
+    """Let another process compile the multigrid meanwhile, unless that was done."""
     helper = None
     if not is_kept(add):  # the last function that a solve compiles
         helper = subprocess.Popen(

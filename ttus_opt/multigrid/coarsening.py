@@ -47,7 +47,7 @@ class Grounds:
     """What links to fixed neighbours conduct more or less than on an even grid.
 
     A boundary that lies between two nodes cuts their link: see
-    `ttus_opt.voxmap.cut_links`. Who is fixed on its own keeps the plain conductance.
+    `ttus_opt.voxmap.cut_links`. Other fixed neighbours keep the plain conductance.
 
     Attributes:
         voxels: Flat indices, ascending, each once, shape (k,).

@@ -1,4 +1,4 @@
-"""A⁻¹ roughly, by one V-cycle, of A with more conductances and screening.
+"""A⁻¹ approximately, by one V-cycle, of A with more conductances and screening.
 
 The map b ↦ x is linear, symmetric and positive definite up to single precision: what a
 preconditioner has to be. Several sweeps on the finest level make it close to A⁻¹ in
@@ -66,11 +66,8 @@ class OneCycle:
 
     def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
         """One V-cycle near some voxels, as `Multigrid.preconditioner`."""
-        pooled = self._pooled
-        if near is not None and pooled is not None:
-            near = np.union1d(near, np.flatnonzero(pooled))
-        args = (near, self._hierarchy, self._grid, self._free, pooled, self._added)
-        return VCycle.near(*args)
+        whole = (self._hierarchy, self._grid, self._free, self._pooled, self._added)
+        return VCycle.near(near, *whole)
 
     def solve(self, rhs: Array, *, rtol: float = 0.0) -> MultigridResult:
         """One V-cycle's answer.

@@ -159,8 +159,9 @@ class Multigrid:
             near: Flat indices of the voxels at which it matters, shape (k,): it may
                 know of a box around them only. None for all voxels.
         """
-        whole = (self.hierarchy, self.grid, self.free)
-        return VCycle.near(near, *whole, added=self._added)
+        pooled = None if self._pooled is None else self.grid.flatten(self._pooled)
+        whole = (self.hierarchy, self.grid, self.free, pooled, self._added)
+        return VCycle.near(near, *whole)
 
     def solve(
         self,

@@ -1,9 +1,9 @@
 """One V-cycle as a preconditioner, on vectors in red-black order.
 
 A V-cycle costs a tenth of a solve, as long as its right-hand side and answer are not
-copied to whole grids in double precision and back. Who needs A⁻¹ approximately at some
-voxels only, many times over, writes and reads these vectors directly, and a part of
-the grid may do (`subdomain`).
+copied to whole grids in double precision and back. A caller that needs A⁻¹
+approximately, at some voxels only and many times over, writes and reads these vectors
+directly, on a part of the grid where that is enough (`subdomain`).
 """
 
 from __future__ import annotations
@@ -75,6 +75,9 @@ class VCycle:
             pooled: Those pooled with the next one outwards, shape (V,); None for none.
             added: What is added to the operator of the grid; None for nothing.
         """
+        if voxels is not None and pooled is not None:
+            # all blocks, because one that is cut would be held fixed
+            voxels = np.union1d(voxels, np.flatnonzero(pooled))
         part = Subdomain.around(grid, voxels)
         if not part.is_whole:
             inside = part.free(grid.unflatten(free))

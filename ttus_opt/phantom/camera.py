@@ -1,4 +1,4 @@
-"""Depth cameras above a torso on a table: a noisy, one-sided cloud with holes."""
+"""Simulated depth cameras above a torso on a table: noisy, one-sided, with holes."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Conventions:
     wrench_delay: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is not known.
+        """Validate the conventions.
 
         Raises:
             InputError: An unknown word, a point or delay that is not finite, or a
@@ -112,7 +112,7 @@ class Conventions:
                 continue
             option = f"--{name.replace('_', '-')}"
             if name == "base_to_scan":
-                value = "…"  # as it was told: a file or numbers
+                value = "…"  # as it was given: a file or numbers
             if isinstance(value, tuple):
                 value = ",".join(map(str, value))
             words.append(option if value is True else f"{option} {value}")

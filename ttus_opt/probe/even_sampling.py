@@ -123,7 +123,7 @@ def spread_evenly(samples: SurfaceSamples, n_points: int) -> SurfaceSamples:
 def match_moments(
     even: SurfaceSamples, area: float, vector_area: Array, first_moment: Array
 ) -> SurfaceSamples:
-    """Correct the areas, least in the mean square, so that the sums are exact.
+    """Correct the areas by least squares, so that the sums are exact.
 
     Σ a = area, Σ a n̂ = vector area (zero for a closed surface: no net force under
     constant pressure) and Σ a x = first moment (the centroid). Below

@@ -36,7 +36,7 @@ class Status(enum.Enum):
 
 @dataclass(frozen=True)
 class Timings:
-    """Where the time went; what numba compiled is no part of the other times.
+    """Where the time went; the other times do not include numba's compiling.
 
     Attributes:
         assembly: Scene and program [s].

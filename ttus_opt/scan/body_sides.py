@@ -8,7 +8,7 @@ the support, or from back to front), the sign of z is that of the slope of the s
 line through D(z) over the middle four fifths of the length.
 
 Both rules look at the body alone, so that turning the scan does not change them. Both
-are guesses: a share below `CLEAR` is told as doubtful, and the user's word goes first.
+are guesses: below `CLEAR` a warning says so, and what the user states is never guessed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def front_along(depth: Array) -> float:
         depth: Of skin points seen all around, in either direction, shape (n,) [m].
 
     Returns:
-        1.0, or -1.0 where the front lies at smaller ones.
+        1.0, or -1.0 where the front lies at smaller depths.
     """
     low, high = np.percentile(depth, [2, 98])
     lean = (0.5 * (low + high) - depth.mean()) / (high - low)

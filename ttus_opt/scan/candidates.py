@@ -60,16 +60,16 @@ class Candidates:
 
 
 def stray(points: Array) -> NDArray[np.bool_]:
-    """Points with few others around: flying pixels, rests of the bed.
+    """Points with few others around: flying pixels, remains of the bed.
 
-    Few is less than a tenth of the median number in the cube of 3³ cells around, and
-    than four in any case: a seen surface fills at least a whole layer of that cube.
+    Few is less than four, or than a tenth of the median number, in the cube of 3³ cells
+    around: a seen surface fills at least a whole layer of that cube.
 
     Args:
         points: Shape (n, 3) [m].
 
     Returns:
-        Which are alone, shape (n,).
+        Which points are stray, shape (n,).
     """
     cell = ((points - points.min(axis=0)) / _STRAY_CELL).astype(np.int64) + 1
     shape = cell.max(axis=0) + 2

@@ -3,8 +3,8 @@
 The later scan is followed on the earlier surface's own grid and frame. Node by node:
 seen by both and alike, the two are averaged by their variances; seen by both and
 different, the later one holds; seen once, that one holds; never seen, the surface is
-filled anew from all that was seen. Alike is a difference within three deviations of
-both together.
+filled anew from all that was seen. Radii are alike when they differ by less than
+three standard deviations of their difference.
 """
 
 from __future__ import annotations

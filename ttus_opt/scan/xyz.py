@@ -149,7 +149,7 @@ def _refuse_a_counter(file: Path, points: Array) -> None:
 
 
 def _words(text: str) -> list[str]:
-    """Names on a line, in small letters; other programs' names as ours."""
+    """Names on a line, in lower case; other programs' names replaced by ours."""
     words = [w.strip().strip('"').lower() for w in text.split(_separator(text))]
     return [SAME.get(word, word) for word in words if word] or [""]
 

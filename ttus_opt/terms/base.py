@@ -1,6 +1,6 @@
 """What a term is: a penalty φ of an affine residual, weight · φ(M x - t).
 
-A term says its rows and its target; who minimises it is not its business. The
+A term states its rows and its target, and not how they are minimised. The
 weight is a number beside the rows, never multiplied into them, so that it can be
 changed without assembling anything again.
 """

@@ -5,10 +5,10 @@ With the field's covariance C and noise σ_n² I the measured forces are Gaussia
     f ~ N(N φ, K),   K = σ_n² I + N C Nᵀ,
 
 so that the logarithm of their density, the evidence, says how well a profile, a
-relative deviation σ, a length ℓ along the surface and a noise σ_n explain them. Data
-that say little of one of these would send it anywhere: weak log-normal priors keep
-them near what soft tissue has shown. The coefficients of the profile are not negative
-least squares in the metric of K.
+relative deviation σ, a length ℓ along the surface and a noise σ_n explain them. Weak
+log-normal priors keep what the data determine poorly near values measured on soft
+tissue. The profile's coefficients follow by nonnegative least squares in the metric
+of K.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), section 5.4.1. See docs/method.md, Depth map.
@@ -41,11 +41,11 @@ PRIOR = {"surface_length": (0.03, 0.3), "deviation": (0.4, 0.5), "noise": (0.15,
 #: Most frames that are looked at: evidence costs their number cubed [–]
 MOST_FRAMES = 150
 
-#: A frame whose force is smaller tells nothing [N]
+#: Frames with a smaller force are left out [N]
 LEAST_FORCE = 0.1
 
-#: Forces are not taken for more exact than this part of their size: the covariance
-#: could not be factorised [–]
+#: Least noise as a share of the forces: with less the covariance could not be
+#: factorised [–]
 LEAST_NOISE = 1e-4
 
 #: Rounds of the profile and the covariance that depends on it
@@ -86,8 +86,7 @@ def estimate_depth_map(
         scene: With measured forces.
         rows: Force rows, (3T, V); the scene's N by default (with drag: N − μ F).
         exponents: Of the profile.
-        depth_length: Matérn length along the depth, which forces tell too little of
-            [m].
+        depth_length: Matérn length along the depth, which forces hardly determine [m].
 
     Raises:
         InputError: No force is measured in contact, or all point outwards.

@@ -14,8 +14,8 @@ import numpy as np
 from ttus_opt.errors import InputError
 from ttus_opt.voxmap.grid import CylindricalGrid
 
-#: Least and largest relative standard deviation: a tenth of a percent is far below what
-#: forces tell, beyond a hundredfold the profile says nothing [–]
+#: Least and largest relative standard deviation: forces do not resolve a tenth of a
+#: percent, and beyond a factor of a hundred the profile means nothing [–]
 DEVIATIONS = (1e-3, 100.0)
 
 #: Least length over the grid's spacing: neighbours are correlated by less than 1 % [–]

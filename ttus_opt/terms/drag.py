@@ -288,9 +288,9 @@ class Viscous(DragModel):
     def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
         """The coefficients of patches that are slid on, and their mean.
 
-        A coefficient may plausibly be as large as makes drag as large as the contact
-        force, at the speed of sliding or the deadband, whichever is faster. The mean
-        is borne where the patches are.
+        The largest plausible coefficient makes drag as large as the contact force at
+        the speed of sliding, or at the deadband if that is faster. The mean is
+        identified where the patches are.
         """
         n, own = self.sectors * self.bands, self.region[self.moving]
         included = sorted(set(own.tolist()) - self.excluded)

@@ -1,8 +1,8 @@
 """A first estimate of drag with the shape of the Laplace field alone.
 
 With p₁ the Laplace field of boundary value 1, forces s (N − μ F) p₁ and torques are
-linear in (s, s μ): a least squares problem of two unknowns tells μ, the boundary
-scale with drag in view, and whether drag acts at the contact or through the probe's
+linear in (s, s μ). A least squares problem of two unknowns gives μ, the boundary
+scale with drag included, and whether drag acts at the contact or through the probe's
 reference point.
 """
 
@@ -18,7 +18,7 @@ from ttus_opt.scene import Scene
 
 @dataclass(frozen=True)
 class DragEstimate:
-    """What the Laplace field's shape tells of drag.
+    """Drag as estimated with the shape of the Laplace field.
 
     Attributes:
         friction_coefficient: μ, not negative [–].

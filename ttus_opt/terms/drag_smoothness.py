@@ -1,8 +1,8 @@
 """Prior of the drag field q, ‖L q − m b‖².
 
-Measurements tell q only where the probe slid. Where friction is the same everywhere
-q = μ p, which satisfies L q = μ b as p satisfies L p = b: between, q is what a mean
-friction coefficient m makes of p, and m is found with it.
+Measurements determine q only where the probe slid. Where friction is the same
+everywhere q = μ p, which satisfies L q = μ b as p satisfies L p = b. Elsewhere q
+therefore follows a mean friction coefficient m times p, and m is found with it.
 
 See docs/method.md, Friction.
 """
@@ -56,7 +56,7 @@ class DragSmoothnessTerm(Term):
         return {MEAN_FRICTION: float(values["m"][0]) if self.has_mean else 0.0}
 
     def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
-        """m, as far from 0 as drag that is as large as the normal force."""
+        """m; 1 from neutral, drag is as large as the normal force."""
         return {MEAN_FRICTION: Fitted({"m": np.ones(1)}, 1.0)} if self.has_mean else {}
 
     def with_neutral(self, names: Collection[str]) -> Self:

@@ -1,4 +1,4 @@
-"""The most probable few numbers, where a prior and an evidence speak of them."""
+"""The mode of a posterior over a few numbers, from their prior and evidence."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def posterior_mode(
 ) -> PosteriorMode:
     """Maximise log evidence − ½ |steps|² by the simplex of Nelder and Mead.
 
-    Evidence through a factorisation has no cheap gradient and is smooth; a tenth of a
-    unit of its logarithm is all that decides between two settings.
+    Evidence through a factorisation is smooth but has no cheap gradient, and
+    differences below a tenth of a unit of its logarithm decide nothing.
 
     Args:
         log_evidence: Of steps away from the prior's medians, shape (n,).

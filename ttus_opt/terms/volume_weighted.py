@@ -3,7 +3,7 @@
 Eq. 10 sums squares of Δr² ∇²p over voxels: with every step halved that sum is half
 as large (2⁻⁴ each, 2³ times as many), so that λ means something else on every grid.
 Here each free row is weighted by its voxel's volume, ℓ = 1 cm being the unit of
-length. Boundary values are no part of the integral: they belong into a constraint.
+length. Boundary values are not part of the integral: they belong in a constraint.
 
 See docs/method.md, The shelf.
 """

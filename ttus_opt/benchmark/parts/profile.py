@@ -22,8 +22,8 @@ from ttus_opt.problem import formulation as shelf
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
 
-#: Functions are told that take this part of the fit [–]
-TOLD = 0.05
+#: Functions are listed that take this share of the fit [–]
+LISTED = 0.05
 
 #: KKT tolerance of the fit, as the solvers' rows have it
 TOLERANCE = 1e-6
@@ -40,7 +40,7 @@ class ProfilePart(Part):
         "One fit of eq. 10 by `structured` once its files are read, from assembly to "
         "an answer verified, under Python's own profiler; compilation is done before. "
         "*Total* is a function with all it calls, *own* without. Functions are listed "
-        f"that take {TOLD:.0%} and more, those of other packages by their own time. "
+        f"that take {LISTED:.0%} and more, those of other packages by their own time. "
         "Profiling costs something itself: the first row also says what the same fit "
         "took without."
     )
@@ -106,7 +106,7 @@ def _fit(read: Scene, case: CaseSpec, time_limit: float) -> Scene:
     """Assemble and fit; the scene with what it keeps.
 
     Raises:
-        InputError: The fit was not solved: its profile is of no use.
+        InputError: The fit was not solved, so that its profile is meaningless.
     """
     made = Scene.assemble(
         read.voxmap,
@@ -134,7 +134,7 @@ def _rows(profiler: cProfile.Profile) -> list[Row]:
         if name.endswith(">"):  # a comprehension: its function is there
             continue
         counted = entry.totaltime if ours else entry.inlinetime
-        if TOLD * whole <= counted and entry.totaltime <= whole:
+        if LISTED * whole <= counted and entry.totaltime <= whole:
             rows.append(
                 {
                     "function": name,

@@ -30,7 +30,7 @@ from ttus_opt.solvers.base import Request
 #: Measurements folded in, and after how many the field is compared with the batch's
 UPDATES, COMPARED = 1200, 400
 
-#: Updates in each window that is told apart
+#: Updates in the first and in the last window that are reported
 WINDOW = 50
 
 #: How many times the batch fits are timed

@@ -2,9 +2,10 @@
 
 A probe slides at constant depth on a cylinder whose field depends on depth alone. The
 force should not change; what it changes by, peak to peak over mean, is the voxels
-showing through. The cylinder stands off the grid's axis and leans, because on one that
-does not, layers are skins and trilinear values are exact. Skin and field have the same
-step. Pressure-field contact with fine meshes shows 0.07 %, with coarse ones 6.5 %.
+showing through. The cylinder stands off the grid's axis and leans: on one that does
+not, layers are parallel to the surface and trilinear values exact. Surface and field
+have the same step. Pressure-field contact shows 0.07 % with fine meshes and 6.5 % with
+coarse ones.
 """
 
 from __future__ import annotations
