@@ -17,6 +17,9 @@ from ttus_opt.voxmap.field import PotentialField
 #: Blue to red through white; the sign also shows in the contour lines.
 _COLOURS = "RdBu_r"
 
+
+_UNITS = {"voxel-mean": "N", "trilinear": "N/cm²", "contact-size": "N/cm²"}
+
 #: Colours tell values apart up to this depth below and height above the skin [m].
 _SKIN_DEPTH = 0.025
 
@@ -68,7 +71,7 @@ def potential_slices(
             axes[0, column].set_title(title)
             _enlarge(axes[0, column], axes[1, column], spot)
             bar = figure.colorbar(mesh, ax=axes[:, column], location="bottom")
-            bar.set_label(f"{'Δ' * is_change}p [{after.unit}]")
+            bar.set_label(f"{'Δ' * is_change}p [{_UNITS[after.sampling]}]")
             bar.set_ticks([share * limit for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
         for ax in axes[:, 0]:
             ax.set_ylabel("y [cm]")
@@ -111,7 +114,7 @@ def field_slice(field: PotentialField, z: float | None = None) -> Figure:
         axes.set_title(f"Potential at z = {100 * grid.z[k]:.1f} cm")
         axes.set(xlabel="x [cm]", ylabel="y [cm]")
         bar = figure.colorbar(mesh, ax=axes)
-        bar.set_label(f"p [{field.unit}]")
+        bar.set_label(f"p [{_UNITS[field.sampling]}]")
         bar.set_ticks([share * limit for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
     return figure
 
