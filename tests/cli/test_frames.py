@@ -12,9 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.cli.conftest import Run, refused
 from ttus_opt import example
-from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
-from ttus_opt.cli.sources import seen, sources, warn_of_another_probe
-from ttus_opt.errors import FileError, TtusWarning
 from ttus_opt.probe.rigid_motion import inverse
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
@@ -163,24 +160,6 @@ def test_a_field_knows_where_it_came_from(run: Run, tmp_path: Path) -> None:
     text = run(evaluate_words(field, Path(both)).replace("--json", "")).out
     assert "renamed.csv: seen, the field was fitted to it" in text
     assert "unseen.csv" not in text
-
-
-def test_a_probes_file_that_changed_is_told(tmp_path: Path) -> None:
-    mesh, recordings = tmp_path / "probe.stl", RecordingOptions([tmp_path / "a.csv"])
-    mesh.write_bytes(b"solid one")
-    recordings.trajectory[0].write_bytes(b"t,px")
-    probe = ProbeOptions(str(mesh))
-    kept = sources(mesh, probe, recordings, {})
-    warn_of_another_probe(kept, probe, recordings)  # nothing to say
-    mesh.write_bytes(b"solid two")
-    with pytest.warns(TtusWarning, match="fitted with another file probe.stl"):
-        warn_of_another_probe(kept, probe, recordings)
-    mesh.write_bytes(b"solid one")
-    for key in ("hashes", "conventions", "recordings"):
-        damaged = {**kept, key: "[1]"}
-        with pytest.raises(FileError, match=f"{key} are damaged"):
-            warn_of_another_probe(damaged, probe, recordings)
-            seen(damaged, recordings.trajectory)
 
 
 @pytest.mark.slow

@@ -37,6 +37,19 @@ def test_drag_that_comes_with_an_update_is_told_too(scene: Scene) -> None:
         assert renderer.render(*pose).drag == "left out"
 
 
+def test_drag_that_an_update_takes_away_is_told_until_it_is_gone(scene: Scene) -> None:
+    renderer, pose = Renderer(pressing(scene, DRAG), scene.shell), deepest_pose(scene)
+    renderer.render(*pose, TWIST)
+    renderer.update(pressing(scene))
+    told = [(renderer.render(*pose, TWIST).drag, renderer.blend.progress)]
+    while told[-1][1] < 1.0 and len(told) < 10_000:
+        told.append((renderer.render(*pose, TWIST).drag, renderer.blend.progress))
+    assert len(told) > 10 and told[-1][1] == 1.0
+    assert {drag for drag, _ in told} == {"given"}
+    assert renderer.render(*pose, TWIST).drag == "none"
+    assert repr(renderer).endswith("drag: >")
+
+
 @pytest.mark.parametrize(
     ("motion", "word"),
     [

@@ -26,10 +26,13 @@ from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import reduced
 from ttus_opt.solvers.dual.working_set import WorkingSet
+from ttus_opt.terms.base import Term
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
-def limited(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> Program:
+def limited(
+    scene: Scene, seed: int, hard: bool, weight: float = 1.0, *more: Term
+) -> Program:
     """Random bounds on every voxel and links along all spokes of the inside."""
     rng = np.random.default_rng(seed)
     V = scene.n_voxels
@@ -39,7 +42,10 @@ def limited(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> Program
     constraints: list[Constraint] = [Within(scene, lower, upper), Monotone(scene, 4.0)]
     if hard:
         constraints.append(HardBoundary(scene))
-    return eq10(scene, weight, *constraints).compile()
+    declared = eq10(scene, weight, *constraints)
+    for term in more:
+        declared = declared + term
+    return declared.compile()
 
 
 def blocks(limits: SpokeLimits, links: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -1,0 +1,154 @@
+"""One run of a solver: its row against dense algebra, and what is no answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.benchmark.tiny import TINY
+from ttus_opt.benchmark import solver_run
+from ttus_opt.benchmark.cases import with_new_values
+from ttus_opt.benchmark.progress import KEPT, Progress
+from ttus_opt.benchmark.row import Row, RunSpec
+from ttus_opt.problem.formulation import load
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
+from ttus_opt.solvers.closed_form import ClosedForm
+
+CASE = replace(TINY, shape=(6, 9, 6), n_poses=5, n_points=200)
+
+
+def spec_of(time_limit: float = 60.0, **options: Any) -> RunSpec:
+    asked = {
+        "formulation": "eq10",
+        "options": {"force_weight": 0.3, "torque_weight": 0.1},
+        "solver": "closed_form",
+        "tolerance": 1e-6,
+        "repeat": 1,
+    }
+    return RunSpec("solvers", CASE, asked | options, time_limit)
+
+
+def minimiser(program: Program) -> np.ndarray:
+    """By dense algebra."""
+    roots = [np.sqrt(term.weight) for term in program.terms]
+    pairs = list(zip(roots, program.terms, strict=True))
+    M = np.vstack([w * term.matrix.toarray() for w, term in pairs])
+    t = np.concatenate([w * term.target for w, term in pairs])
+    return np.linalg.lstsq(M, t)[0]
+
+
+def measured(folder: Path, spec: RunSpec) -> Row:
+    return solver_run.measured(spec, Progress(folder))
+
+
+def test_a_row_tells_of_the_minimiser_and_of_every_repeat(tmp_path: Path) -> None:
+    spec = spec_of(repeat=3)
+    row = measured(tmp_path, spec)
+    program = load("eq10", CASE.build(), **spec.options["options"]).compile()
+    p = minimiser(program)
+    assert (row["status"], row["taken"], row["poses"]) == ("solved", "closed_form", 5)
+    assert row["objective"] == pytest.approx(program.objective(p), rel=1e-9)
+    kept = np.load(tmp_path / KEPT / solver_run.FIELDS / row["field_file"])
+    np.testing.assert_allclose(kept, p, atol=1e-8 * np.abs(p).max())
+    assert row["field_file"] == f"tiny-eq10-closed_form-{spec.key[-12:]}.npy"
+    assert row["active_limits"] == 0
+    for name in ("first", "again"):
+        each = row["seconds_each"][name]
+        assert len(each) == 3 and min(each) > 0.0
+        assert row[f"seconds_{name}"] == sorted(each)[1]
+
+
+class Failing(ClosedForm):
+    """Gives up from some solve of the case on; its stand-in has other poses.
+
+    Attributes:
+        seen: Measured forces of every solve of the case, shape (3 T,) [N].
+    """
+
+    name = "failing"
+
+    def __init__(self, after: int) -> None:
+        self._left = after
+        self.seen: list[np.ndarray] = []
+
+    def prepare(self, program: Program, request: Request) -> Prepared:
+        return _Failing(self, super().prepare(program, request), program)
+
+    def solved(self, forces: np.ndarray) -> bool:
+        """Whether to solve once more."""
+        if len(forces) == 3 * CASE.n_poses:
+            self.seen.append(forces)
+            self._left -= 1
+        return self._left >= 0
+
+
+class _Failing(Prepared):
+    def __init__(self, owner: Failing, real: Prepared, program: Program) -> None:
+        self._owner, self._real = owner, real
+        self.update(program)
+
+    def update(self, program: Program) -> None:
+        self._forces = next(t.target for t in program.terms if t.name == "force")
+        self._real.update(program)
+
+    def solve(self) -> Candidate:
+        if self._owner.solved(self._forces):
+            return self._real.solve()
+        return Candidate(None, claim=Claim.GAVE_UP, detail="had\n  enough")
+
+
+def failing(monkeypatch: pytest.MonkeyPatch, after: int) -> Failing:
+    solver = Failing(after)
+    monkeypatch.setattr(solver_run, "solver_of", lambda options: solver)
+    return solver
+
+
+def test_the_same_program_is_solved_again_with_other_values(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    solver = failing(monkeypatch, 100)
+    row = measured(tmp_path, spec_of(repeat=2))
+    own, other = CASE.build().f, with_new_values(CASE.build(), seed=1).f
+    assert not np.allclose(own, other)
+    np.testing.assert_array_equal(solver.seen, [own, other] * 2)
+    program = load("eq10", CASE.build(), **spec_of().options["options"]).compile()
+    best = program.objective(minimiser(program))
+    assert row["objective"] == pytest.approx(best, rel=1e-9)  # of the first one
+
+
+def test_no_answer_is_a_row_without_figures(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    failing(monkeypatch, 0)
+    row = measured(tmp_path, spec_of(repeat=3))
+    assert (row["status"], row["detail"]) == ("failed", "had enough")
+    assert len(row["seconds_each"]["first"]) == 1  # no repeat
+    assert not {"field_file", "seconds_again", "active_limits"} & set(row)
+    assert not list(tmp_path.rglob("*.npy"))
+
+
+def test_what_fails_on_other_values_only_says_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    failing(monkeypatch, 1)
+    row = measured(tmp_path, spec_of())
+    assert row["status"] == "solved"
+    assert row["detail"].startswith("solved first, then ")
+    assert row["detail"].endswith(" on other values")
+    assert "seconds_again" not in row
+
+
+def test_an_answer_after_its_time_is_none(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A solver that looks at no clock; nor is there a second round."""
+    failing(monkeypatch, 100)
+    row = measured(tmp_path, spec_of(1e-9, repeat=3))
+    assert row["status"] == "time limit"
+    assert row["detail"].startswith("solved after ")
+    assert len(row["seconds_each"]["first"]) == 1

@@ -1,0 +1,238 @@
+"""The method of multipliers with Newton steps by dense algebra, against enumeration."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from tests.solvers.problems import program, rows, term
+from ttus_opt.arrays import Array
+from ttus_opt.problem.kkt import kkt_residuals
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.proximal.method_of_multipliers import (
+    MethodOfMultipliers,
+    Options,
+)
+from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows
+from ttus_opt.solvers.proximal.problem import PenalisedProblem
+from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.terms.penalties.base import Slope
+from ttus_opt.terms.penalties.squares import Squares
+
+WEIGHT = 3.0
+
+
+class Dense:
+    """Newton steps by dense algebra, of the length a test wants."""
+
+    rtol = 1e-6
+
+    def __init__(
+        self, problem: PenalisedProblem, blocks: list[PenalisedRows], size: float = 1.0
+    ) -> None:
+        self._free, self._blocks, self._size = ~problem.fixed, blocks, size
+        self.asked: list[float] = []
+
+    def step(
+        self,
+        gradient: Array,
+        slopes: list[Slope],
+        rtol: float,
+        deadline: float | None,
+    ) -> tuple[Array, int]:
+        self.asked.append(rtol)
+        n, free = len(gradient), self._free
+        H = np.zeros((n, n))
+        for block, slope in zip(self._blocks, slopes, strict=True):
+            M = block.matrix.toarray()
+            H += M.T @ np.column_stack([slope.times(e) for e in np.eye(len(M))]) @ M
+        d = np.zeros(n)
+        d[free] = np.linalg.lstsq(H[np.ix_(free, free)], -gradient[free])[0]
+        return self._size * d, 3
+
+
+def anchored(problem: PenalisedProblem, weight: float) -> PenalisedRows:
+    """½ w ‖x − x̄‖², as its solver sets it up."""
+    n = len(problem.fixed)
+    one = sp.csr_array(sp.eye_array(n, format="csr"))
+    return PenalisedRows("anchor", one, np.zeros(n), weight, Squares(), exact=True)
+
+
+def method_of(
+    what: Program,
+    *,
+    anchor: float = 0.0,
+    size: float = 1.0,
+    request: Request | None = None,
+    options: Options | None = None,
+) -> tuple[MethodOfMultipliers, Dense]:
+    problem = PenalisedProblem.of(what)
+    for block in problem.bent:
+        block.sigma = 1.0
+    own = anchored(problem, anchor) if anchor else None
+    blocks = [*problem.blocks, *([own] if own else [])]
+    system = Dense(problem, blocks, size)
+    asked = request or Request(1e-9)
+    return MethodOfMultipliers(problem, blocks, own, system, asked, options), system
+
+
+def lasso(seed: int, shape: tuple[int, int] = (9, 5)) -> Program:
+    """‖A x − b‖² + w Σ |x|."""
+    rng = np.random.default_rng(seed)
+    n = shape[1]
+    return program(
+        [
+            term(rng.normal(size=shape), rng.normal(size=shape[0])),
+            term(np.eye(n), np.zeros(n), WEIGHT, Absolute(), name="bent"),
+        ]
+    )
+
+
+def enumerated(what: Program) -> Array:
+    """The minimiser of a lasso: of all sign patterns the one that is consistent."""
+    A, b = what.terms[0].matrix.toarray(), what.terms[0].target
+    best, least = np.zeros(A.shape[1]), what.objective(np.zeros(A.shape[1]))
+    for signs in itertools.product([-1.0, 0.0, 1.0], repeat=A.shape[1]):
+        s = np.array(signs)
+        on = s != 0.0
+        x = np.zeros(len(s))
+        normal = A[:, on].T @ A[:, on]
+        x[on] = np.linalg.solve(normal, A[:, on].T @ b - WEIGHT / 2.0 * s[on])
+        if what.objective(x) < least:
+            best, least = x, what.objective(x)
+    return best
+
+
+def verified(what: Program, found: Candidate, tolerance: float = 1e-9) -> Array:
+    assert found.claim is Claim.DONE and found.x is not None
+    assert kkt_residuals(what, found.x, found.duals).worst_relative <= tolerance
+    return found.x
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_lasso_is_that_of_all_sign_patterns(seed: int) -> None:
+    what = lasso(seed)
+    expected = enumerated(what)
+    assert 0 < np.count_nonzero(expected) < 5
+    method, _ = method_of(what)
+    x = verified(what, method.solve(np.zeros(5)))
+    np.testing.assert_allclose(x, expected, atol=1e-7)
+    assert method.steps == 3 * method.newton_steps > 0
+
+
+def test_steps_that_fall_short_get_there_all_the_same() -> None:
+    what = lasso(1)
+    expected = enumerated(what)
+    method, system = method_of(what, size=0.4)
+    x = verified(what, method.solve(np.zeros(5)))
+    np.testing.assert_allclose(x, expected, atol=1e-7)
+    # rounds that did not get there ask for more exact steps, within limits
+    assert min(system.asked) < system.rtol == max(system.asked)
+    assert min(system.asked) >= 1e-9
+
+
+def test_steps_that_go_too_far_are_cut() -> None:
+    what = lasso(2)
+    method, _ = method_of(what, size=5.0)
+    x = verified(what, method.solve(np.ones(5)))
+    np.testing.assert_allclose(x, enumerated(what), atol=1e-7)
+
+
+def test_given_values_stay_and_their_multipliers_balance() -> None:
+    """With x₀ = ½ given the rest is a lasso of the other columns."""
+    rng = np.random.default_rng(5)
+    A, b = rng.normal(size=(9, 4)), rng.normal(size=9)
+    what = program(
+        [
+            term(A, b),
+            term(np.eye(4)[1:], np.zeros(3), WEIGHT, Absolute(), name="bent"),
+        ],
+        [rows("given", np.eye(4)[:1], [0.5], [0.5])],
+    )
+    left = program(
+        [
+            term(A[:, 1:], b - 0.5 * A[:, 0]),
+            term(np.eye(3), np.zeros(3), WEIGHT, Absolute(), name="bent"),
+        ]
+    )
+    method, _ = method_of(what)
+    found = method.solve(np.array([0.5, 0.0, 0.0, 0.0]))
+    x = verified(what, found)
+    assert x[0] == 0.5
+    np.testing.assert_allclose(x[1:], enumerated(left), atol=1e-7)
+    balance = -2.0 * A[:, 0] @ (A @ x - b)
+    np.testing.assert_allclose(found.duals.rows["given"], [balance], rtol=1e-6)
+
+
+def test_the_anchor_leaves_what_nothing_determines_where_it_was() -> None:
+    """|x₀ + x₁ − 4| alone: from (3, −1) the proximal point moves along (1, 1)."""
+    what = program([term([[1.0, 1.0]], [4.0], 1.0, Absolute(), name="bent")])
+    method, _ = method_of(what, anchor=0.5)
+    x = verified(what, method.solve(np.array([3.0, -1.0])))
+    np.testing.assert_allclose(x, [4.0, 0.0], atol=1e-6)
+
+
+def test_limits_hold_with_their_multipliers() -> None:
+    """‖x − (2, 2)‖² with x₀ + x₁ ≤ 2: (1, 1), multiplier 2."""
+    what = program(
+        [term(np.eye(2), [2.0, 2.0])], [rows("cap", [[1.0, 1.0]], [-np.inf], [2.0])]
+    )
+    method, _ = method_of(what)
+    found = method.solve(np.zeros(2))
+    np.testing.assert_allclose(verified(what, found), [1.0, 1.0], atol=1e-8)
+    np.testing.assert_allclose(found.duals.rows["cap"], [2.0], atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("change", "claim"),
+    [
+        (lambda: {"request": Request(1e-9, 1e-9)}, Claim.TIME_LIMIT),
+        (lambda: {"options": Options(rounds=2, newton_steps=1)}, Claim.GAVE_UP),
+    ],
+    ids=["time", "rounds"],
+)
+def test_an_end_before_the_tolerance_is_told(
+    change: Callable[[], dict[str, object]], claim: Claim
+) -> None:
+    what = lasso(0)
+    method, _ = method_of(what, **change())  # type: ignore[arg-type]
+    found = method.solve(np.full(5, 10.0))
+    assert found.claim is claim
+    assert found.x is not None
+    assert what.objective(found.x) < what.objective(np.full(5, 10.0))
+    assert kkt_residuals(what, found.x, found.duals).worst_relative > 1e-9
+
+
+def test_the_best_point_on_the_way_is_the_answer() -> None:
+    """A system that points nowhere after some steps cannot take it away."""
+
+    class Failing(Dense):
+        def step(self, *given: object) -> tuple[Array, int]:  # type: ignore[override]
+            d, spent = super().step(*given)  # type: ignore[arg-type]
+            return (d if len(self.asked) < 4 else np.full_like(d, np.nan)), spent
+
+    what = lasso(3)
+    problem = PenalisedProblem.of(what)
+    for block in problem.bent:
+        block.sigma = 1e-2
+    system = Failing(problem, list(problem.blocks))
+    method = MethodOfMultipliers(
+        problem, list(problem.blocks), None, system, Request(1e-9)
+    )
+    found = method.solve(np.full(5, 10.0))
+    assert found.claim is Claim.GAVE_UP
+    assert found.x is not None and np.isfinite(found.x).all()
+    assert what.objective(found.x) < what.objective(np.full(5, 10.0))
+
+
+def test_parameters_shrink_after_a_round_that_failed_and_wait_to_grow() -> None:
+    options = Options(growth=2.0, retreat=1.5, patience=2)
+    method, _ = method_of(lasso(0), options=options)
+    assert method._growth(False, 5) == (1.0 / 1.5, 0)
+    assert method._growth(True, 0) == (1.0, 1)
+    assert method._growth(True, 1) == (2.0, 2)
