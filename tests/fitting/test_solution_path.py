@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,9 +9,8 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
-from ttus_opt.errors import FileError, InputError, TtusWarning
+from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting import path_solvers
-from ttus_opt.fitting.path_dataset import best_weights
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.solution import Solution, Status
@@ -60,33 +58,8 @@ def test_every_point_is_a_fit(path: Any) -> None:
             ("held_out_torque_angle_error", errors.torque_angle_error_deg),
         ):
             assert float(held[name]) == pytest.approx(figure, rel=1e-5), name
-
-
-def test_everything_has_a_unit_and_says_where_it_is_from(path: Any) -> None:
-    assert all("units" in variable.attrs for variable in path.variables.values())
-    np.testing.assert_array_equal(path["torque_weight"], path["force_weight"])
-    assert path["torque_weight"].dims == ("force_weight",)
     assert path.attrs["solver"] == "structured"
-    assert "eq10" in path.attrs["formulation"]
     assert path.attrs["points_done"] == path.attrs["points"] == len(WEIGHTS)
-
-
-def test_a_file_gives_it_back(path: Any, tmp_path: Path) -> None:
-    tt.write_solution_path(path, tmp_path / "path.nc")
-    again = tt.read_solution_path(tmp_path / "path.nc")
-    assert again.drop_attrs().equals(path.drop_attrs())
-    assert again["force_residual"].attrs == path["force_residual"].attrs
-    assert again.attrs["formulation"] == path.attrs["formulation"]
-    with pytest.raises(FileError, match="damaged"):
-        tt.write_solution_path(path.drop_vars("objective"), tmp_path / "part.nc")
-        tt.read_solution_path(tmp_path / "part.nc")
-
-
-def test_the_best_weights_are_those_of_the_smallest_error(path: Any) -> None:
-    error = path["held_out_force_magnitude_error"].to_numpy()[:, 0]
-    best = WEIGHTS[error.argmin()]
-    assert best_weights(path) == {"force": best, "torque": best}
-    assert best_weights(path.drop_dims("held_out")) == {}
 
 
 @pytest.mark.slow
