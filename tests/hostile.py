@@ -42,9 +42,16 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
 def only_our_errors(
     sources: Sequence[Path], read: Callable[[Path], object], n: int
 ) -> None:
-    """Read n mutations; their number and the seed are told where one misbehaves."""
+    """Read n mutations; their number and the seed are told where one misbehaves.
+
+    A file as it is must be read: else its name alone, or its place, is refused.
+    """
     rng = np.random.default_rng(SEED)
     contents = [source.read_bytes() for source in sources]
+    for source, content in zip(sources, contents, strict=True):
+        sound = source.with_name(f"mutated{source.suffix}")
+        sound.write_bytes(content)
+        read(sound)
     for number in range(n):
         chosen = int(rng.integers(len(sources)))
         file = sources[chosen].with_name(f"mutated{sources[chosen].suffix}")

@@ -65,4 +65,6 @@ time.sleep(60)
 def test_where_nothing_can_be_locked_nobody_waits(tmp_path: Path) -> None:
     claims = Claims()
     claims.take(tmp_path / "no such folder" / "code")
+    assert not claims._held
     claims.release()
+    assert not list(tmp_path.iterdir())

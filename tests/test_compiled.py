@@ -234,12 +234,12 @@ def test_a_claim_ends_with_a_compilation_that_fails(load: Load) -> None:
 
 
 def test_a_stopwatch_tells_compiling_apart(load: Load) -> None:
-    caller, watch = load(), kept.Stopwatch()
-    begun = time.perf_counter()
+    caller, begun = load(), time.perf_counter()
+    watch = kept.Stopwatch()
     caller.twice(0)
     whole, first = time.perf_counter() - begun, watch.compile
     assert 0.0 < first < whole
-    assert watch.seconds < time.perf_counter() - begun - first + 0.01
+    assert watch.seconds <= time.perf_counter() - begun - first
     caller.twice(0)
     assert watch.compile == first
     kept_code = load()
@@ -294,7 +294,7 @@ def test_a_chosen_folder_that_others_may_write_to_is_not_used(
     owner = os.getuid()
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)  # now it is another's
     if owner != 0:  # the administrator's is trusted
-        with pytest.warns(RuntimeWarning):
+        with pytest.warns(RuntimeWarning, match="others may write to it"):
             choose()
     else:
         assert choose() == folder

@@ -49,12 +49,10 @@ def started(words: list[str], folder: Path) -> subprocess.Popen[str]:
     )
 
 
-def interrupted(process: subprocess.Popen[str], *, terminal: bool) -> float:
-    """Interrupt as `kill -INT` or a terminal does; seconds until it has ended."""
-    start = time.perf_counter()
+def interrupted(process: subprocess.Popen[str], *, terminal: bool) -> None:
+    """Interrupt as `kill -INT` or a terminal does, and wait until it has ended."""
     (os.killpg if terminal else os.kill)(process.pid, signal.SIGINT)
     process.wait(60.0)
-    return time.perf_counter() - start
 
 
 def deaf_at_work(command: str, files: Path, folder: Path) -> subprocess.Popen[str]:
@@ -138,7 +136,7 @@ def test_every_solver_on_a_large_grid(solver: str, tmp_path: Path) -> None:
     if process.poll() is not None:
         assert process.returncode == 0, process.communicate()  # it was quicker
         return
-    assert interrupted(process, terminal=False) < 2.0
+    interrupted(process, terminal=False)
     assert process.returncode == 130
     process.communicate()
     if (tmp_path / "f.nc").exists():  # solved before, interrupted in its last stage

@@ -174,9 +174,14 @@ def test_unusable_poses(rotation: np.ndarray, position: np.ndarray, word: str) -
 
 def test_a_rotation_read_from_a_file_is_precise_enough() -> None:
     """Quaternions with seven digits, as files carry them."""
-    quaternion = np.round(Rotation.random(20, rng=RNG).as_quat(), 7)
-    rotation = Rotation.from_quat(quaternion).as_matrix().round(7)
-    contact_rows(VOXMAP, SHELL, rotation, np.zeros((20, 3)))
+    exact = Rotation.from_matrix(POSES.rotation)
+    rotation = Rotation.from_quat(exact.as_quat().round(7)).as_matrix().round(7)
+    off = np.abs(rotation @ np.swapaxes(rotation, 1, 2) - np.eye(3)).max()
+    assert off > 1e-8  # not quite orthonormal
+    found = contact_rows(VOXMAP, SHELL, rotation, POSES.position)
+    expected = contact_rows(VOXMAP, SHELL, POSES.rotation, POSES.position)
+    np.testing.assert_array_equal(found.contact_points, expected.contact_points)
+    assert abs(found.N - expected.N).max() < 1e-3 * abs(expected.N).max()
 
 
 def test_unknown_sampling() -> None:

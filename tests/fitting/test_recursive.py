@@ -365,5 +365,5 @@ def test_measurements_are_checked(argument: int, value: Array, message: str) -> 
     ("factor", "window"), [(None, None), (0.5, 3), (0.0, None), (1.5, None), (None, -1)]
 )
 def test_forget_wants_one_sound_value(factor: float | None, window: int | None) -> None:
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=r"factor|window"):
         RecursiveFit(small_scene(), **WEIGHTS).forget(factor, window=window)

@@ -154,6 +154,6 @@ def test_two_threads_that_render_at_once_are_told(scene: Scene, call: str) -> No
     renderer._set_motion = meanwhile  # type: ignore[method-assign,assignment]
     frame()
     assert told == [True]
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="NaN"):
         renderer.render(np.full((3, 3), np.nan), pose[1])
     frame()  # a frame that was refused gives its turn back
