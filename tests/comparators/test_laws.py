@@ -168,7 +168,7 @@ def test_bad_input_is_told_in_one_line(name: str) -> None:
     with pytest.raises(InputError, match="not fitted yet"):
         made.wrenches(press)
     for pose in ((R, at * np.nan), (R * np.nan, at), (2.0 * R, at), (R, at[:2])):
-        with pytest.raises(InputError, match=r"NaN|orthonormal|\(3,\)"):
+        with pytest.raises(InputError, match=r"NaN|finite|orthonormal|\(3,\)"):
             fitted(name).render(*pose)
     with pytest.raises(InputError, match="twist"):
         fitted(name).render(R, at, np.array([0.0, np.nan, 0.0, 0.0, 0.0, 0.0]))

@@ -92,7 +92,9 @@ def test_points_in_a_common_basis_are_the_dense_minimisers(
     assert not singly
 
 
-def test_where_limits_hold_a_point_is_fitted_alone(singly: list[Formulation]) -> None:
+def test_where_limits_hold_a_point_is_fitted_alone(
+    singly: list[Formulation], asked: list[float]
+) -> None:
     declared = signed()
     solve = in_basis(declared)
     assert not solve.common
@@ -100,12 +102,14 @@ def test_where_limits_hold_a_point_is_fitted_alone(singly: list[Formulation]) ->
     for weight in (1e-6, 100.0):
         own = weighted(declared, weight, weight)
         p = exact(own.compile())
+        asked.clear()
         found = solve(own)
         assert found.status is Status.SOLVED
         slack = min(float(s.min()) for s in found.slacks.values())
         assert slack >= -1e-9 * np.abs(p).max()
         held.append(own in singly)
         if held[-1]:
+            assert len(asked) == 1  # more accuracy would not make limits hold
             alone = tt.Fitter(own, solver="clarabel").solve()
             assert found.objective == pytest.approx(alone.objective, rel=1e-6)
         else:
@@ -133,9 +137,10 @@ def test_what_the_basis_cannot_reach_is_fitted_alone(
     assert singly == [own]
 
 
-def test_out_of_time_it_says_so() -> None:
+def test_out_of_time_it_says_so(singly: list[Formulation]) -> None:
     own = weighted(eq10(), 1.0, 0.1)
     assert in_basis(own, Request(1e-8, 1e-9))(own).status is Status.TIME_LIMIT
+    assert not singly
 
 
 def test_the_cheapest_way_is_chosen() -> None:
