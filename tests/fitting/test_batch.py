@@ -22,6 +22,8 @@ from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.terms.base import AffineRows
 from ttus_opt.terms.force import ForceTerm
 from ttus_opt.terms.laplace import LaplaceTerm
+from ttus_opt.terms.penalties.absolute import Absolute
+from ttus_opt.terms.penalties.base import Penalty
 from ttus_opt.terms.sparse_sources import SparseSourcesTerm
 
 SCENE = small_scene("trilinear")
@@ -141,8 +143,11 @@ def test_no_claim_takes_what_is_not_finite_for_an_answer() -> None:
             assert solution.kkt.worst_relative == np.inf
 
 
-def test_a_solvers_doubt_counts_where_nothing_is_proved() -> None:
-    """Absolute values and a few measurements: no sum of squares bounds the gap."""
+def test_a_solvers_doubt_counts_where_nothing_is_proved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Few squares, and a penalty that does not state its gauge: nothing bounds."""
+    monkeypatch.setattr(Absolute, "gauge", Penalty.gauge)
     declared = load("sparse_sources", SCENE, force_weight=0.1)
     fitter = Fitter(declared, solver="clarabel")
     answer = fitter._prepared.solve()

@@ -108,3 +108,24 @@ def test_a_split_has_the_penalty_as_its_least_value(phi: Penalty) -> None:
         else:
             least = linprog(price, A_eq=[[1.0, -1.0]], b_eq=[r]).fun
         assert least == pytest.approx(phi.value(np.array([r])), abs=1e-6)
+
+
+@each_penalty
+def test_the_gauge_says_how_much_too_long_a_multiplier_is(phi: Penalty) -> None:
+    for _ in range(10):
+        g = 4.0 * RNG.normal(size=12)
+        t = phi.gauge(g)
+        if not np.isfinite(t):
+            assert phi.gauge(np.zeros(12)) == t  # not stated
+            return
+        at, beyond = g / t, g / (0.999 * t)
+        np.testing.assert_allclose(phi.admissible(at), at, rtol=1e-12)
+        assert np.abs(phi.admissible(beyond) - beyond).max() > 0.0
+
+
+@each_penalty
+def test_no_residual_of_a_value_is_longer(phi: Penalty) -> None:
+    """Of one that is all in one place as of one that is spread."""
+    alone = np.eye(1, 12).reshape(-1)
+    for r in (*RNG.normal(size=(10, 12)), alone, 1e3 * alone, 1e-3 * alone):
+        assert np.linalg.norm(r) <= phi.farthest(phi.value(r)) * (1.0 + 1e-12)

@@ -77,23 +77,14 @@ def judge(known: Exact, x: np.ndarray) -> Solution:
     )
 
 
-def assert_law(
-    found: Solution, known: Solution, what: str, *, customary: bool = False
-) -> None:
-    """SOLVED means: the objective and every parameter are those of the optimum.
-
-    With ``customary`` as loosely as ``problem.kkt`` says where squares do not determine
-    the answer: by the objective of nothing fitted, a hundred times as strictly.
-    """
+def assert_law(found: Solution, known: Solution, what: str) -> None:
+    """SOLVED means: the objective and every parameter are those of the optimum."""
     if found.status is not Status.SOLVED:
         return
     nothing = found.program.objective(np.zeros(found.program.n_variables))
     assert known.kkt is not None
-    assert found.kkt is not None
     # an objective that is zero at the optimum is judged by the distance from it
-    no_bound = customary and found.kkt.distance is None
-    strict = TOLERANCE / 100.0 if no_bound else (TOLERANCE / 100.0) ** 2
-    least = max(TOLERANCE * known.objective, strict * nothing)
+    least = max(TOLERANCE * known.objective, (TOLERANCE / 100.0) ** 2 * nothing)
     above = found.objective - known.objective
     assert above <= 1.01 * least + known.kkt.gap, (what, found.kkt)
     for name, value in known.parameters.items():

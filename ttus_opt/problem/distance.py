@@ -162,7 +162,7 @@ def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_
     for name, part in program.variables.items():
         if part.stop - part.start != len(laplace.free):
             continue
-        own = [_field(term, name, part, fixed[part], laplace) for term in squares]
+        own = [field_of(term, name, part, fixed[part], laplace) for term in squares]
         determined = [one for one in own if one is not None]
         if not determined:
             return []
@@ -170,10 +170,18 @@ def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_
     return found
 
 
-def _field(
+def field_of(
     term: ProgramTerm, name: str, part: slice, fixed: Mask, laplace: LaplaceSystem
 ) -> _Field | None:
-    """A field whose term determines it and can be inverted; None otherwise."""
+    """A field whose term determines it and can be inverted; None otherwise.
+
+    Args:
+        term: The term.
+        name: The field's name.
+        part: Where it lies in x.
+        fixed: Its voxels whose values are given, shape (V,).
+        laplace: The scene's L.
+    """
     known, rows = known_covariance(term.tags), term.laplace_rows
     compliance = np.ones(len(fixed))
     if known is not None and name == "p" and not fixed.any():

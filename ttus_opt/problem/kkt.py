@@ -17,9 +17,10 @@ into the set of φ's subgradients; it adds w Mᵀg to r and w (φ(r) + φ*(g) �
 the gap (Fenchel), which vanish together exactly where g is a subgradient of φ at r.
 
 Gap: Σ |y| · slack + Fenchel + ½ rᵀP⁻¹r, a bound by weak duality
-(`ttus_opt.problem.distance`). Where squares do not determine x, or where that cannot
-be told, |rᵀx| of every block of variables stands for the last summand, which is
-customary and no bound.
+(`ttus_opt.problem.distance`). Where squares do not determine x the other penalties'
+multipliers absorb r, which gives another bound (`ttus_opt.problem.absorption`). Where
+there is neither, |rᵀx| of every block of variables stands for the last summand, which
+is customary and no bound.
 
 Relative figures, each by the worst block (the field, each parameter, each second
 field) or member, so that none hides behind a larger one: ``primal`` over the member's
@@ -27,8 +28,7 @@ largest limit or value, no less than a thousandth of what cancels in its rows; `
 in the Euclidean norm over the largest of the block's summands that should cancel;
 ``gap`` over the objective f(x), constant included. An objective that is zero but for
 rounding has no relative gap; there the distance √gap is judged, a hundred times as
-strictly, over √f of nothing fitted (x = 0 but for what equalities hold), and where
-squares do not determine x the gap over that f.
+strictly, over √f of nothing fitted (x = 0 but for what equalities hold).
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from ttus_opt.arrays import Array, Mask
+from ttus_opt.problem.absorption import absorbed
 from ttus_opt.problem.distance import energy, held_by_equalities
 from ttus_opt.problem.gradient_blocks import (
     ROUNDING,
@@ -105,7 +106,7 @@ class KKT:
             variables [–].
         gap_relative: ``gap`` over the objective [–].
         distance: Bound on (Σ w ‖M (x − x*)‖²)^½ over the sums of squares, the unit of
-            the objective's root; None where they do not determine x.
+            the objective's root; None where ``gap`` is no bound.
     """
 
     primal: float
@@ -171,8 +172,8 @@ def kkt_residuals(
 
 def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KKT:
     blocks = GradientBlocks(program)
-    gap = _of_terms(program, x, duals, blocks)
-    gap += _of_bounds(program, x, duals, blocks)
+    multipliers = _of_terms(program, x, duals, blocks)
+    gap = _of_bounds(program, x, duals, blocks)
     gap += _of_rows(program, x, duals, blocks)
     gap += _of_cones(program, x, duals, blocks)
     largest = float(np.abs(x).max(initial=0.0))
@@ -184,7 +185,8 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
     # with nothing fitted: equalities keep what they hold, all else is zero
     objective, scale = program.objective(x), program.objective(np.where(fixed, x, 0.0))
     enough = CLOSE_ENOUGH * tolerance * objective
-    missing, is_bound = _below(program, x, blocks.gradient, fixed, enough)
+    point = _Point(program, x, multipliers, blocks.gradient, fixed)
+    missing, is_bound = point.below(enough)
     gap += missing
     return KKT(
         violation,
@@ -192,27 +194,27 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
         gap,
         relative,
         blocks.worst(largest),
-        _relative_gap(gap, objective, scale, is_bound),
+        _relative_gap(gap, objective, scale),
         float(np.sqrt(gap)) if is_bound else None,
     )
 
 
 def _of_terms(
     program: Program, x: Array, duals: Duals, blocks: GradientBlocks
-) -> float:
-    """Add the objective's gradient; the part of other penalties in the gap."""
-    gap = 0.0
+) -> dict[str, Array]:
+    """Add the objective's gradient; the multipliers of other penalties, by name."""
     for summand in quadratic_summands(program, x):
         blocks.add(summand)
+    found = {}
     for term in program.terms:
         if term.penalty.quadratic:
             continue
-        r, penalty = term.residual(x), term.penalty
-        g = penalty.admissible(duals.terms.get(term.name, penalty.subgradient(r)))
-        blocks.add(term.weight * (term.matrix.T @ g))
-        missing = penalty.value(r) + penalty.conjugate(g) - float(g @ r)
-        gap += term.weight * max(missing, 0.0)
-    return gap
+        g = duals.terms.get(term.name)
+        if g is None:
+            g = term.penalty.subgradient(term.residual(x))
+        found[term.name] = term.penalty.admissible(g)
+        blocks.add(term.weight * (term.matrix.T @ found[term.name]))
+    return found
 
 
 def _of_bounds(
@@ -274,17 +276,51 @@ def _in_cones(cone: ProgramCones, x: Array) -> _Member:
     return _Member(s, nearest, nearest)
 
 
-def _below(
-    program: Program, x: Array, r: Array, fixed: Mask, enough: float
-) -> tuple[float, bool]:
-    """What the dual residual r leaves open of the objective, and whether it bounds."""
-    bound = energy(program, r, fixed, enough)
-    if bound is not None:
-        # what equalities hold cannot move but by their own violation
-        held = sum(_held(c, x, r, fixed) for c in program.constraints)
-        return bound + held, True
-    shares = [abs(float(r[part] @ x[part])) for part in program.variables.values()]
-    return sum(shares), False
+@dataclass(frozen=True)
+class _Point:
+    """A candidate, and what is left of the Lagrangian's gradient there.
+
+    Attributes:
+        program: The program.
+        x: Shape (n,).
+        multipliers: g of other penalties, by name.
+        gradient: r, shape (n,).
+        fixed: Variables that equalities hold, shape (n,).
+    """
+
+    program: Program
+    x: Array
+    multipliers: Mapping[str, Array]
+    gradient: Array
+    fixed: Mask
+
+    def below(self, enough: float) -> tuple[float, bool]:
+        """What r and other penalties leave of the objective, and whether it bounds."""
+        program, x, r = self.program, self.x, self.gradient
+        bound = energy(program, r, self.fixed, enough)
+        if bound is not None:
+            return bound + self._fenchel() + self._held_off(r), True
+        found = absorbed(program, x, self.multipliers, r, self.fixed, enough)
+        if found is not None:
+            return found.gap + self._held_off(r - found.taken), True
+        parts = program.variables.values()
+        shares = sum(abs(float(r[part] @ x[part])) for part in parts)
+        return shares + self._fenchel(), False
+
+    def _held_off(self, r: Array) -> float:
+        """What equalities hold cannot move but by their own violation."""
+        held = (_held(c, self.x, r, self.fixed) for c in self.program.constraints)
+        return sum(held)
+
+    def _fenchel(self) -> float:
+        """Σ w (φ(r) + φ*(g) − gᵀr)."""
+        gap = 0.0
+        for term in self.program.terms:
+            if not term.penalty.quadratic:
+                r, g = term.residual(self.x), self.multipliers[term.name]
+                missing = term.penalty.value(r) + term.penalty.conjugate(g)
+                gap += term.weight * max(missing - float(g @ r), 0.0)
+        return gap
 
 
 def _held(constraint: ProgramConstraint, x: Array, r: Array, fixed: Mask) -> float:
@@ -299,13 +335,12 @@ def _held(constraint: ProgramConstraint, x: Array, r: Array, fixed: Mask) -> flo
     return float(np.abs(r[column] / entry * off).sum())
 
 
-def _relative_gap(gap: float, objective: float, scale: float, squares: bool) -> float:
+def _relative_gap(gap: float, objective: float, scale: float) -> float:
     """The gap over the objective, or strictly over that of nothing fitted."""
     if gap == 0.0:
         return 0.0
     by_objective = gap / max(abs(objective), TINY)
-    share = gap / max(abs(scale), TINY)
-    by_distance = STRICTER * (math.sqrt(share) if squares else share)
+    by_distance = STRICTER * math.sqrt(gap / max(abs(scale), TINY))
     return _least_of(by_objective, by_distance)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.reduction import Reduction
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
 
 #: Most times the tolerance is tightened
@@ -99,11 +100,11 @@ class Verified(Prepared):
     def _residual(self, candidate: Candidate) -> float:
         if candidate.x is None:
             return np.inf
+        # of what was declared, by which the answer is judged
+        declared = self._program.declared or self._program
+        point = Reduction(declared, self._program).restore(candidate.x, candidate.duals)
         kkt = kkt_residuals(
-            self._program,
-            candidate.x,
-            candidate.duals,
-            tolerance=self._request.tolerance,
+            declared, point.x, point.duals, tolerance=self._request.tolerance
         )
         return kkt.worst_relative
 

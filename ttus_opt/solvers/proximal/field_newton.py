@@ -14,15 +14,14 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array
+from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.solvers.primal.flexible import Map, flexible_conjugate_gradients
 from ttus_opt.solvers.primal.normal_product import add_normal_product
 from ttus_opt.solvers.primal.wide_term import WideTerm
 from ttus_opt.solvers.proximal.field_preconditioner import (
-    NeighbourRows,
     WithFewRows,
     by_differences,
     by_laplace,
-    by_network,
 )
 from ttus_opt.solvers.proximal.penalised_rows import (
     Between,

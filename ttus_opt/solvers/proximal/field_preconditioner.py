@@ -6,7 +6,7 @@ as if no row had bent (rows with a kink are few):
 - where squares of Laplace's rows determine the field by (L − X)ᵀΩ⁻¹(L − X), X matched
   to the other rows (`ttus_opt.solvers.primal.matching`);
 - otherwise, where it is differences of neighbours, as the network of conductances that
-  it then is, rows that have bent cut;
+  it then is, rows that have bent cut (`ttus_opt.laplace.network`);
 - otherwise by R^½ (A + R ε)⁻¹ R^½ over the strength of differences of neighbours, whose
   graph has A's conductances but for the volume of a voxel R; ε is the anchor.
 
@@ -17,24 +17,20 @@ conjugate directions are kept while P and weights stay.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.laplace.system import LaplaceSystem
-from ttus_opt.multigrid.coarsening import Added, conductances
+from ttus_opt.multigrid.coarsening import Added
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.primal.approximate_system import ApproximateLaplace
 from ttus_opt.solvers.primal.flexible import Map
 from ttus_opt.solvers.primal.matching import matched_root
 from ttus_opt.solvers.primal.wide_term import WideTerm
-from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
-
-#: Part of the diagonal that is of differences, where it is a network [–]
-DIFFERENCES = 0.9
 
 #: Part of the residual of S's system that may be left [–], and most directions
 LEFT, MOST = 0.1, 400
@@ -64,92 +60,6 @@ def by_differences(
 
     def apply(v: Array) -> Array:
         return np.where(free, root * cycle.solve(root * v).x / strength, v / alone)
-
-    return apply
-
-
-@dataclass(frozen=True)
-class NeighbourRows:
-    """Those rows of a matrix that are differences of neighbours.
-
-    Attributes:
-        rows: Which they are, shape (k,).
-        places: Direction times V plus the first of the two voxels, shape (k,).
-        squares: Their entries' squares, shape (k,).
-    """
-
-    rows: IntArray = field(repr=False)
-    places: IntArray = field(repr=False)
-    squares: Array = field(repr=False)
-
-    @classmethod
-    def of(cls, matrix: sp.csr_array, grid: CylindricalGrid) -> NeighbourRows:
-        """Find them."""
-        two = np.flatnonzero(np.diff(matrix.indptr) == 2)
-        at = matrix.indptr[two][:, None] + np.arange(2)
-        columns, values = matrix.indices[at], matrix.data[at]
-        one, other = columns.min(axis=1), columns.max(axis=1)
-        apart = np.subtract(nodes_of(other, grid.shape), nodes_of(one, grid.shape))
-        opposed = values[:, 0] == -values[:, 1]
-        places = np.full(len(two), -1)
-        for axis in range(3):
-            unit = (np.arange(3) == axis)[:, None]
-            # where the circle closes, the first is the last one
-            closing = (apart == unit * (grid.shape[axis] - 1)).all(axis=0)
-            if axis == 1:
-                places[opposed & closing] = (
-                    axis * grid.n_voxels + other[opposed & closing]
-                )
-            next_ = opposed & (apart == unit).all(axis=0)
-            places[next_] = axis * grid.n_voxels + one[next_]
-        found = places >= 0
-        return cls(two[found], places[found], values[found, 0] ** 2)
-
-    def links(self, slope: Array, n_voxels: int) -> Array:
-        """Conductances to the next voxel in r, θ and z, shape (3, V).
-
-        Args:
-            slope: Of all rows, shape (m,).
-            n_voxels: V.
-        """
-        strength = self.squares * slope[self.rows]
-        summed = np.bincount(self.places, strength, 3 * n_voxels)
-        return np.asarray(summed.reshape(3, n_voxels))
-
-
-def by_network(
-    laplace: LaplaceSystem, links: Array, diagonal: Array, fixed: Mask
-) -> Map | None:
-    """P⁻¹ of differences of neighbours as they are; None where there is more to it.
-
-    Args:
-        laplace: Whose grid it is.
-        links: Conductances to the next voxel in r, θ and z, shape (3, V).
-        diagonal: Of all rows over the voxels, shape (V,).
-        fixed: Voxels whose values are given, shape (V,).
-    """
-    grid, free = laplace.operator_grid, laplace.free & ~fixed
-    around = np.zeros(grid.n_voxels)
-    for axis, link in enumerate(links):
-        before = np.roll(grid.unflatten(link), 1, axis).reshape(-1)
-        around += link + before
-    if not around[free].sum() > DIFFERENCES * diagonal[free].sum():
-        return None
-    rest, strength = np.maximum(diagonal - around, 0.0), float(around[free].mean())
-    own = conductances(grid)
-    more = (
-        grid.unflatten(link / strength) - along[:, None, None]
-        for link, along in zip(links, own, strict=True)
-    )
-    cycle = OneCycle(grid, free, Added(grid.unflatten(rest / strength), tuple(more)))
-    others = np.flatnonzero(~free)
-    alone = np.where(diagonal > 0.0, diagonal, 1.0)[others]
-
-    def apply(v: Array) -> Array:
-        out = cycle.solve(v).x
-        out /= strength
-        out[others] = v[others] / alone
-        return out
 
     return apply
 

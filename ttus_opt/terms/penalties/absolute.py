@@ -41,6 +41,14 @@ class Absolute(Penalty):
         """0 between −1 and 1."""
         return 0.0
 
+    def gauge(self, g: Array) -> float:
+        """The largest |g|."""
+        return float(np.abs(g).max(initial=0.0))
+
+    def farthest(self, value: float) -> float:
+        """Its own value, in one residual."""
+        return value
+
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
         """Σ |r|."""
         return cp.norm1(r)

@@ -12,6 +12,7 @@ A new penalty is a class in a file of its own.
 from __future__ import annotations
 
 import abc
+import math
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -99,6 +100,22 @@ class Penalty(abc.ABC):
     @abc.abstractmethod
     def conjugate(self, g: Array) -> float:
         """Evaluate φ*(g) of an admissible multiplier."""
+
+    def gauge(self, g: Array) -> float:
+        """The least t ≥ 0 for which g is t times an admissible multiplier.
+
+        With `farthest` it lets the verdict bound the gap where squares do not determine
+        the answer (`ttus_opt.problem.absorption`), for penalties that are nowhere
+        negative.
+
+        Returns:
+            t; infinite where the penalty does not state it.
+        """
+        return math.inf
+
+    def farthest(self, value: float) -> float:
+        """A bound of ‖r‖ over all r with φ(r) ≤ value; infinite where not stated."""
+        return math.inf
 
     @abc.abstractmethod
     def in_cvxpy(self, r: Any, cp: Any) -> Any:

@@ -50,6 +50,14 @@ class Groups(Penalty):
         """0 where no group is longer than 1."""
         return 0.0
 
+    def gauge(self, g: Array) -> float:
+        """The longest group."""
+        return float(self._lengths(g).max(initial=0.0))
+
+    def farthest(self, value: float) -> float:
+        """Its own value, in one group."""
+        return value
+
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
         """Σ ‖r_g‖."""
         groups = cp.reshape(r, (r.size // self.size, self.size), order="C")

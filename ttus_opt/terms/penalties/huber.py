@@ -50,6 +50,14 @@ class Huber(Penalty):
         """‖g‖²/4."""
         return float(g @ g) / 4.0
 
+    def gauge(self, g: Array) -> float:
+        """The largest |g| over 2δ."""
+        return float(np.abs(g).max(initial=0.0)) / (2.0 * self.threshold)
+
+    def farthest(self, value: float) -> float:
+        """By Fenchel's inequality of 2δ r/‖r‖: φ(r) ≥ 2δ‖r‖ − δ²."""
+        return 0.5 * (value / self.threshold + self.threshold)
+
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
         """Σ huber(r; δ)."""
         return cp.sum(cp.huber(r, self.threshold))

@@ -1,4 +1,4 @@
-"""What preconditions Newton's matrix, against that matrix itself."""
+"""Networks of conductances, against their matrix itself."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import scipy.sparse as sp
 
 from tests.conftest import small_scene
 from ttus_opt.arrays import Array
-from ttus_opt.solvers.proximal.field_preconditioner import NeighbourRows, by_network
+from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.terms.total_variation import difference_rows
 
 SCENE = small_scene("trilinear")

@@ -1,0 +1,345 @@
+"""A bound where squares do not determine x: other penalties' multipliers absorb r.
+
+Penalties φ ≥ 0 that are no squares (absolute values, groups, Huber's) have multipliers
+g in the set G of all subgradients. The gradient r of the Lagrangian is shared out,
+
+    (Σ_k M_kᵀM_k + θ P) d ≈ r,    s_k = M_k d,    r = Σ_k M_kᵀs_k + θ P d + ρ,
+
+so that w_k g′_k = w_k g_k − s_k leaves θ P d + ρ of it. Where g′ is not in G it is in
+t G with a t > 1, and t φ(r) + t φ*(g′/t) ≥ g′ᵀr, Fenchel's inequality of g′/t. At the
+optimum Σ w φ ≤ f* ≤ f(x), hence with r_k = M_k x − t_k
+
+    f(x) − f* ≤ complementarity + Σ_k w_k (φ(r_k) + t_k φ*(g′_k/t_k) − g′_kᵀr_k)
+                + max_k (t_k − 1) f(x) + ½ θ² dᵀP d + ρᵀ(x − x*).
+
+The summands have signs: what clipping g to G takes from the second it gives to r, and
+both cancel here. The last is at most the product of ρ's length in the inverse of the
+matrix above and that of x − x* in the matrix itself, as neither x nor x* has an
+objective above f(x).
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.errors import NumericalError
+from ttus_opt.laplace.network import NeighbourRows, by_network
+from ttus_opt.problem.distance import CLOSE, RTOL, field_of
+from ttus_opt.problem.members import ProgramTerm
+from ttus_opt.problem.program import Program
+from ttus_opt.terms.penalties.linear import Linear
+
+_Map = Callable[[Array], Array]
+
+#: Most steps of conjugate gradients without squares (θ = 0), and with them
+STEPS, STEPS_BESIDE = 40, 200
+
+#: The largest diagonal entry of θ P over the others' mean [–]
+SHARE = 1e-3
+
+#: Up to how many variables the matrix is factorised
+SMALL = 3000
+
+#: A length by the preconditioner, and what the length itself may be over it [–]
+GENEROUS = 3.0
+
+
+@dataclass(frozen=True)
+class Absorbed:
+    """What became of a dual residual.
+
+    Attributes:
+        gap: All summands of the bound but complementarity.
+        taken: Σ Mᵀs, what multipliers have taken of r, shape (n,).
+        is_close: Whether what is left of r no longer counts.
+    """
+
+    gap: float
+    taken: Array = field(repr=False)
+    is_close: bool
+
+
+def absorbed(
+    program: Program,
+    x: Array,
+    multipliers: Mapping[str, Array],
+    residual: Array,
+    fixed: Mask,
+    enough: float,
+) -> Absorbed | None:
+    """The bound of the module's docstring.
+
+    Args:
+        program: The program.
+        x: A candidate, shape (n,).
+        multipliers: g of the terms that are neither squares nor linear, by name.
+        residual: r, the gradient of the Lagrangian, shape (n,).
+        fixed: Variables that equalities hold, shape (n,).
+        enough: A bound as close as this to what is certain need not come closer.
+
+    Returns:
+        The bound; None where there is no such penalty, one that does not state its
+        gauge, or a linear one, whose value is not bounded below.
+    """
+    terms = [t for t in program.terms if t.weight > 0.0 and not t.penalty.quadratic]
+    if not terms or any(isinstance(t.penalty, Linear) for t in program.terms):
+        return None
+    r = np.where(fixed, 0.0, residual)
+    rows = _Rows(program, x, multipliers, terms)
+    found: Absorbed | None = None
+    try:
+        for theta, most in ((0.0, STEPS), (_theta(program, terms), STEPS_BESIDE)):
+            new = rows.bound(r, _Matrix(program, terms, fixed, theta), most, enough)
+            if found is None or new.gap < found.gap:
+                found = new
+            if new.is_close:
+                break
+    except NumericalError:  # of the multigrid: what cannot be solved bounds nothing
+        return None
+    return found if found is not None and np.isfinite(found.gap) else None
+
+
+class _Rows:
+    """Residuals and multipliers of the penalties, and the bound that they give."""
+
+    def __init__(
+        self,
+        program: Program,
+        x: Array,
+        multipliers: Mapping[str, Array],
+        terms: list[ProgramTerm],
+    ) -> None:
+        self._program, self._terms = program, terms
+        self._objective = program.objective(x)
+        self._residuals = [t.residual(x) for t in terms]
+        self._g = [multipliers[t.name] for t in terms]
+        self._values = [
+            t.penalty.value(r) for t, r in zip(terms, self._residuals, strict=True)
+        ]
+
+    def bound(self, r: Array, matrix: _Matrix, most: int, enough: float) -> Absorbed:
+        """Conjugate gradients until what is left no longer counts."""
+        apart, best = self._apart(matrix.theta), math.inf
+        taken, close = np.zeros_like(r), False
+        for step in matrix.steps(r, most):
+            left = math.sqrt(step.rho) * GENEROUS * apart if step.rho else 0.0
+            own = self._fenchel(step.shares)
+            if matrix.theta:
+                own += 0.5 * step.d @ matrix.squares(step.d) * matrix.theta
+            total = max(own, 0.0) + left
+            if total < best:
+                best, taken = total, matrix.adjoint(step.shares)
+            close = left <= max(enough, CLOSE * own)
+            if close or not np.isfinite(total):
+                break
+        return Absorbed(best, taken, close)
+
+    def _fenchel(self, shares: list[Array]) -> float:
+        """The summands of the bound that multipliers decide."""
+        missing, excess = 0.0, 0.0
+        for k, (term, s) in enumerate(zip(self._terms, shares, strict=True)):
+            penalty, g = term.penalty, self._g[k] - s / term.weight
+            t = max(penalty.gauge(g), 1.0)
+            if not math.isfinite(t):
+                return math.inf
+            own = self._values[k] + t * penalty.conjugate(g / t)
+            missing += term.weight * (own - float(g @ self._residuals[k]))
+            excess = max(excess, t - 1.0)
+        return missing + excess * self._objective
+
+    def _apart(self, theta: float) -> float:
+        """A bound of the length of x − x* in Σ MᵀM + θ P."""
+        f = self._objective
+        square = 8.0 * theta * f  # ½ eᵀP e ≤ (√f + √f)²
+        for term, r in zip(self._terms, self._residuals, strict=True):
+            farthest = term.penalty.farthest(f / term.weight)
+            square += (float(np.linalg.norm(r)) + farthest) ** 2
+        return math.sqrt(square)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Where conjugate gradients are.
+
+    Attributes:
+        d: Shape (n,).
+        shares: M_k d by term.
+        rho: The square of what is left of r, in the preconditioner.
+    """
+
+    d: Array
+    shares: list[Array]
+    rho: float
+
+
+class _Matrix:
+    """Σ MᵀM + θ P over the variables that are free."""
+
+    def __init__(
+        self, program: Program, terms: list[ProgramTerm], fixed: Mask, theta: float
+    ) -> None:
+        self._program, self._terms, self._fixed = program, terms, fixed
+        self.theta = theta
+        diagonal = _diagonal(program, terms, theta)
+        self._inverse = np.where(
+            fixed | (diagonal <= 0.0), 0.0, 1.0 / np.where(diagonal > 0, diagonal, 1.0)
+        )
+        self._precondition = self._preconditioner()
+
+    def squares(self, d: Array) -> Array:
+        """Θ P d, shape (n,)."""
+        return self.theta * self._program.curvature_times(d)
+
+    def adjoint(self, shares: list[Array]) -> Array:
+        """Σ Mᵀs, shape (n,)."""
+        out = np.zeros(len(self._fixed))
+        for term, s in zip(self._terms, shares, strict=True):
+            out += term.matrix.T @ s
+        return out
+
+    def steps(self, r: Array, most: int) -> Iterator[_Step]:
+        """Conjugate gradients from zero."""
+        d, shares = np.zeros_like(r), [np.zeros(len(t.target)) for t in self._terms]
+        z = self._precondition(r)
+        rho, direction = float(r @ z), z
+        for _ in range(most):
+            if not (np.isfinite(rho) and rho >= 0.0):
+                return
+            yield _Step(d, shares, rho)
+            images = [t.matrix @ direction for t in self._terms]
+            image = self.adjoint(images)
+            if self.theta:
+                image += self.squares(direction)
+            image[self._fixed] = 0.0
+            curvature = float(direction @ image)
+            if not curvature > 0.0:
+                return
+            alpha = rho / curvature
+            d, rest = d + alpha * direction, r - alpha * image
+            shares = [s + alpha * v for s, v in zip(shares, images, strict=True)]
+            z = self._precondition(rest)
+            before, rho = rho, float(rest @ z)
+            # a preconditioner need not be quite linear (Polak and Ribière's rule)
+            direction = z + (float(z @ (rest - r)) / before) * direction
+            r = rest
+
+    def _preconditioner(self) -> _Map:
+        """About the inverse: factors, L, a network, or else the diagonal."""
+        if len(self._fixed) <= SMALL:
+            return self._factorised()
+        fields = [
+            (part, solve)
+            for name, part in self._program.variables.items()
+            if (solve := self._of_field(name, part)) is not None
+        ]
+
+        inverse, fixed = self._inverse, self._fixed  # no circle with ``self``
+
+        def precondition(v: Array) -> Array:
+            z = inverse * v
+            for part, solve in fields:
+                z[part] = np.where(fixed[part], 0.0, solve(v[part]))
+            return z
+
+        return precondition
+
+    def _of_field(self, name: str, part: slice) -> _Map | None:
+        """What solves for a field's part, if anything but the diagonal does."""
+        laplace = self._program.laplace
+        fixed = self._fixed[part]
+        if laplace is None or len(fixed) != len(laplace.free):
+            return None
+        for term in self._terms:
+            own = field_of(term, name, slice(0, len(fixed)), fixed, laplace)
+            if own is not None:
+                return partial(_by_laplace, own.inverse, 2.0 * term.weight)
+        for term in self._terms:
+            solve = _network(term, self._program, part, fixed)
+            if solve is not None:
+                return solve
+        return None
+
+    def _factorised(self) -> _Map:
+        """Exactly, but for what rounding is; for few variables."""
+        free = np.flatnonzero(~self._fixed)
+        roots = [(1.0, t) for t in self._terms]
+        roots += [(self.theta * 2.0 * t.weight, t) for t in _squares(self._program)]
+        n = len(self._fixed)
+        H = sp.csr_array((n, n))
+        for root, term in roots:
+            if root:
+                H = H + root * (term.matrix.T @ term.matrix)
+        own = sp.csc_array(sp.csr_array(H)[free][:, free])
+        tiny = n * np.finfo(float).eps * float(own.diagonal().max(initial=0.0))
+        factors = splu(own + sp.csc_array(sp.eye_array(len(free)) * (tiny or 1.0)))
+
+        def solve(v: Array) -> Array:
+            z = np.zeros_like(v)
+            z[free] = factors.solve(v[free])
+            return z
+
+        return solve
+
+
+def _by_laplace(
+    inverse: Callable[[Array, float], Array], twice: float, v: Array
+) -> Array:
+    """(MᵀM)⁻¹ v, from the inverse of 2 w MᵀM."""
+    return twice * inverse(v, RTOL)
+
+
+def _squares(program: Program) -> list[ProgramTerm]:
+    return [t for t in program.terms if t.is_squares and t.weight > 0.0]
+
+
+def _column_squares(term: ProgramTerm) -> Array:
+    """Σ of the squares of every column's entries, shape (n,)."""
+    M = term.matrix
+    return np.bincount(M.indices, M.data**2, minlength=M.shape[1])
+
+
+def _diagonal(program: Program, terms: list[ProgramTerm], theta: float) -> Array:
+    """The diagonal of Σ MᵀM + θ P, shape (n,)."""
+    out = np.sum([_column_squares(t) for t in terms], axis=0)
+    if theta:
+        for t in _squares(program):
+            out += 2.0 * theta * t.weight * _column_squares(t)
+    return np.asarray(out)
+
+
+def _theta(program: Program, terms: list[ProgramTerm]) -> float:
+    """Θ at which squares weigh little beside the other rows; 1 where none are."""
+    own = _diagonal(program, terms, 0.0)
+    both = [2.0 * t.weight * _column_squares(t) for t in _squares(program)]
+    largest = float(np.sum(both, axis=0).max(initial=0.0)) if both else 0.0
+    mean = float(own.mean())
+    return SHARE * mean / largest if largest and mean else 1.0
+
+
+#: Networks of rows by identity and fixed voxels: they live as long as the rows
+_networks: dict[tuple[int, int], _Map | None] = {}
+
+
+def _network(
+    term: ProgramTerm, program: Program, part: slice, fixed: Mask
+) -> _Map | None:
+    """Differences of neighbours as a network; kept as long as the rows live."""
+    key = id(term.matrix), hash(fixed.tobytes())
+    if key not in _networks:
+        laplace, matrix = program.laplace, term.matrix[:, part]
+        grid = laplace.grid
+        rows = NeighbourRows.of(matrix, grid)
+        links = rows.links(np.ones(matrix.shape[0]), grid.n_voxels)
+        diagonal = _column_squares(term)[part]
+        _networks[key] = by_network(laplace, links, diagonal, fixed)
+        weakref.finalize(term.matrix, _networks.pop, key, None)
+    return _networks[key]
