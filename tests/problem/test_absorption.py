@@ -98,7 +98,6 @@ def test_a_bound_on_an_exact_answer_is_small(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """By factors as by conjugate gradients with L, a network or the diagonal."""
-    program, found = answer(name)
     kkt = residuals(name)
     assert kkt.is_bound
     assert kkt.gap_relative <= 1e-8
