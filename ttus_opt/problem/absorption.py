@@ -15,7 +15,7 @@ optimum Σ w φ ≤ f* ≤ f(x), hence with r_k = M_k x − t_k
 The summands have signs: what clipping g to G takes from the second it gives to r, and
 both cancel here. The last is at most the product of ρ's length in the inverse of the
 matrix above and that of x − x* in the matrix itself, as neither x nor x* has an
-objective above f(x).
+objective above f(x). θ = 0 is tried first, then one at which squares take their part.
 """
 
 from __future__ import annotations
@@ -43,8 +43,11 @@ _Map = Callable[[Array], Array]
 #: Most steps of conjugate gradients without squares (θ = 0), and with them
 STEPS, STEPS_BESIDE = 40, 200
 
-#: The largest diagonal entry of θ P over the others' mean [–]
-SHARE = 1e-3
+#: What is left of r is followed down to this part of the gap asked for [–]
+CLOSE_ENOUGH = 1e-2
+
+#: Squares are tried beside where they may take off this factor [–]
+HOPEFUL = 1e3
 
 #: Up to how many variables the matrix is factorised
 SMALL = 3000
@@ -74,7 +77,7 @@ def absorbed(
     multipliers: Mapping[str, Array],
     residual: Array,
     fixed: Mask,
-    enough: float,
+    goal: float,
 ) -> Absorbed | None:
     """The bound of the module's docstring.
 
@@ -84,7 +87,7 @@ def absorbed(
         multipliers: g of the terms that are neither squares nor linear, by name.
         residual: r, the gradient of the Lagrangian, shape (n,).
         fixed: Variables that equalities hold, shape (n,).
-        enough: A bound as close as this to what is certain need not come closer.
+        goal: The gap that is asked for: what is left of r need be no further below.
 
     Returns:
         The bound; None where there is no such penalty, one that does not state its
@@ -94,18 +97,17 @@ def absorbed(
     if not terms or any(isinstance(t.penalty, Linear) for t in program.terms):
         return None
     r = np.where(fixed, 0.0, residual)
-    rows = _Rows(program, x, multipliers, terms)
-    found: Absorbed | None = None
+    rows, enough = _Rows(program, x, multipliers, terms), CLOSE_ENOUGH * goal
     try:
-        for theta, most in ((0.0, STEPS), (_theta(program, terms), STEPS_BESIDE)):
-            new = rows.bound(r, _Matrix(program, terms, fixed, theta), most, enough)
-            if found is None or new.gap < found.gap:
-                found = new
-            if new.is_close:
-                break
+        found = rows.bound(r, _Matrix(program, terms, fixed, 0.0), STEPS, enough)
+        hopeless = found.is_close and not found.gap < HOPEFUL * goal
+        if found.gap > goal and not hopeless:
+            beside = _Matrix(program, terms, fixed, rows.theta)
+            new = rows.bound(r, beside, STEPS_BESIDE, enough)
+            found = min(found, new, key=lambda one: one.gap)
     except NumericalError:  # of the multigrid: what cannot be solved bounds nothing
         return None
-    return found if found is not None and np.isfinite(found.gap) else None
+    return found if np.isfinite(found.gap) else None
 
 
 class _Rows:
@@ -126,6 +128,13 @@ class _Rows:
             t.penalty.value(r) for t, r in zip(terms, self._residuals, strict=True)
         ]
 
+    @property
+    def theta(self) -> float:
+        """Θ at which squares and rows bend alike where residuals are as they are."""
+        terms = zip(self._terms, self._values, strict=True)
+        mean = max(value / len(t.target) / t.weight for t, value in terms)
+        return float(mean) or 1.0
+
     def bound(self, r: Array, matrix: _Matrix, most: int, enough: float) -> Absorbed:
         """Conjugate gradients until what is left no longer counts."""
         apart, best = self._apart(matrix.theta), math.inf
@@ -134,7 +143,7 @@ class _Rows:
             left = math.sqrt(step.rho) * GENEROUS * apart if step.rho else 0.0
             own = self._fenchel(step.shares)
             if matrix.theta:
-                own += 0.5 * step.d @ matrix.squares(step.d) * matrix.theta
+                own += 0.5 * matrix.theta * float(step.d @ matrix.squares(step.d))
             total = max(own, 0.0) + left
             if total < best:
                 best, taken = total, matrix.adjoint(step.shares)
@@ -314,15 +323,6 @@ def _diagonal(program: Program, terms: list[ProgramTerm], theta: float) -> Array
         for t in _squares(program):
             out += 2.0 * theta * t.weight * _column_squares(t)
     return np.asarray(out)
-
-
-def _theta(program: Program, terms: list[ProgramTerm]) -> float:
-    """Θ at which squares weigh little beside the other rows; 1 where none are."""
-    own = _diagonal(program, terms, 0.0)
-    both = [2.0 * t.weight * _column_squares(t) for t in _squares(program)]
-    largest = float(np.sum(both, axis=0).max(initial=0.0)) if both else 0.0
-    mean = float(own.mean())
-    return SHARE * mean / largest if largest and mean else 1.0
 
 
 #: Networks of rows by identity and fixed voxels: they live as long as the rows

@@ -40,7 +40,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 
 from ttus_opt.arrays import Array, Mask
-from ttus_opt.problem.absorption import absorbed
+from ttus_opt.problem.absorption import CLOSE_ENOUGH, absorbed
 from ttus_opt.problem.distance import energy, held_by_equalities
 from ttus_opt.problem.gradient_blocks import (
     ROUNDING,
@@ -135,9 +135,6 @@ class KKT:
 #: Of an answer that has no residuals
 NOT_FINITE = KKT(*([float("inf")] * 6))
 
-#: The gap is followed down to this part of the tolerance [–]
-CLOSE_ENOUGH = 1e-2
-
 #: Rows whose values are a smaller part of their summands cancel: theirs is no size [–]
 CANCELLED = 1e-3
 
@@ -184,9 +181,8 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
     fixed = held_by_equalities(program)
     # with nothing fitted: equalities keep what they hold, all else is zero
     objective, scale = program.objective(x), program.objective(np.where(fixed, x, 0.0))
-    enough = CLOSE_ENOUGH * tolerance * objective
     point = _Point(program, x, multipliers, blocks.gradient, fixed)
-    missing, is_bound = point.below(enough)
+    missing, is_bound = point.below(tolerance * objective)
     gap += missing
     return KKT(
         violation,
@@ -294,13 +290,17 @@ class _Point:
     gradient: Array
     fixed: Mask
 
-    def below(self, enough: float) -> tuple[float, bool]:
-        """What r and other penalties leave of the objective, and whether it bounds."""
+    def below(self, goal: float) -> tuple[float, bool]:
+        """What r and other penalties leave of the objective, and whether it bounds.
+
+        Args:
+            goal: The gap that is asked for: far below it the bound need not be close.
+        """
         program, x, r = self.program, self.x, self.gradient
-        bound = energy(program, r, self.fixed, enough)
+        bound = energy(program, r, self.fixed, CLOSE_ENOUGH * goal)
         if bound is not None:
             return bound + self._fenchel() + self._held_off(r), True
-        found = absorbed(program, x, self.multipliers, r, self.fixed, enough)
+        found = absorbed(program, x, self.multipliers, r, self.fixed, goal)
         if found is not None:
             return found.gap + self._held_off(r - found.taken), True
         parts = program.variables.values()

@@ -161,8 +161,7 @@ class _Loaded(Prepared):
         exchange = SourceExchange(laplace, D, t, charge, laplace.solve(side))
         x = np.where(problem.fixed, problem.values, exchange.run(EXCESS, deadline))
         force = D.T @ (D @ x - t)
-        eta = -laplace.solve_adjoint(force)
-        y = {own.name: eta[free] / scale}
+        y = {own.name: exchange.slope()[free] / scale}
         multipliers = [y.get(b.name, np.zeros(len(b.target))) for b in problem.blocks]
         gradient = force + own.adjoint(multipliers[problem.blocks.index(own)])
         duals = problem.duals(multipliers, gradient)

@@ -21,6 +21,7 @@ import time
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.linalg import solve_triangular
 from scipy.ndimage import maximum_filter
 
 from ttus_opt.arrays import Array, IntArray
@@ -34,6 +35,9 @@ EXCESS = 1e-7
 
 #: Pivots below this part of the largest are left out of the active set's systems [–]
 DEPENDENT = 1e-13
+
+#: Steps of refinement by factors
+REFINEMENTS = 3
 
 
 class SourceExchange:
@@ -80,7 +84,7 @@ class SourceExchange:
             The field, shape (V,).
         """
         for _ in range(EXCHANGES):
-            slope = self._slope()
+            slope = self.slope()
             wanted = self._wanted(slope, excess)
             late = deadline is not None and time.perf_counter() > deadline
             if not len(wanted) or late:
@@ -99,8 +103,12 @@ class SourceExchange:
         self.solves += 1
         return np.asarray(self._base + self._laplace.solve(u))
 
-    def _slope(self) -> Array:
-        """Multiplier η of every Laplace row, shape (V,)."""
+    def slope(self) -> Array:
+        """Multiplier η of every Laplace row, shape (V,).
+
+        From the columns, not from the field: where charges are small the measured rows
+        nearly hold, and their misfit at the field is the rounding of its solve.
+        """
         rest = self._left - self._columns @ self._sizes
         self.solves += 1
         return self._laplace.solve_adjoint(self._rows.T @ rest)
@@ -141,6 +149,29 @@ class SourceExchange:
         gram = self._columns.T @ self._columns
         side = self._columns.T @ self._left - self._charge[self._at]
         self._sizes = nonnegative_minimum(gram, side, self._sizes)
+        self._refine()
+
+    def _refine(self) -> None:
+        """Newton steps of the sources that there are, by factors of their columns.
+
+        Products of columns square their condition: |η| at the sources would be c only
+        to the root of what rounding leaves.
+        """
+        at = np.flatnonzero(self._sizes > 0.0)
+        columns, charge = self._columns[:, at], self._charge[self._at[at]]
+        scale = np.linalg.norm(columns, axis=0)
+        R = np.linalg.qr(columns / scale, mode="r")
+        if len(R) < len(at) or not (np.abs(np.diagonal(R)) > DEPENDENT).all():
+            return
+        for _ in range(REFINEMENTS):
+            sizes = self._sizes[at]
+            slope = (columns.T @ (self._left - columns @ sizes) - charge) / scale
+            sizes = (
+                sizes + solve_triangular(R, solve_triangular(R, slope, trans=1)) / scale
+            )
+            if not (sizes > 0.0).all():
+                return
+            self._sizes[at] = sizes
 
 
 def nonnegative_minimum(gram: Array, side: Array, start: Array) -> Array:
