@@ -313,7 +313,7 @@ def _squares(program: Program) -> list[ProgramTerm]:
 def _column_squares(term: ProgramTerm) -> Array:
     """Σ of the squares of every column's entries, shape (n,)."""
     M = term.matrix
-    return np.bincount(M.indices, M.data**2, minlength=M.shape[1])
+    return np.asarray(np.bincount(M.indices, M.data**2, M.shape[1]), dtype=float)
 
 
 def _diagonal(program: Program, terms: list[ProgramTerm], theta: float) -> Array:

@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ttus_opt.problem.kkt import CLOSE_ENOUGH, STRICTER, Duals, kkt_residuals
+from ttus_opt.problem.absorption import CLOSE_ENOUGH
+from ttus_opt.problem.kkt import STRICTER, Duals, kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import (
     Candidate,
