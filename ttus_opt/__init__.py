@@ -7,7 +7,6 @@ packages, a notebook never waits for what it does not touch.
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -105,6 +104,8 @@ def __getattr__(name: str) -> Any:
 
 
 def _version() -> str:
+    import importlib.metadata
+
     try:
         return importlib.metadata.version("ttus-opt")
     except importlib.metadata.PackageNotFoundError:  # run from its source

@@ -10,9 +10,8 @@ from __future__ import annotations
 import contextlib
 import datetime
 import hashlib
-import importlib.metadata
+import numbers
 import os
-import platform
 import secrets
 import shutil
 import warnings
@@ -20,14 +19,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.interrupts import signals_deferred as signals_deferred
 
 if TYPE_CHECKING:
+    import numpy as np
     import xarray as xr
+    from numpy.typing import NDArray
 
 #: Longest value of a file that an error shows [characters]
 LONGEST_VALUE = 40
@@ -175,6 +173,9 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 def provenance() -> dict[str, str]:
     """Who wrote a file and when, as netCDF attributes."""
+    import importlib.metadata
+    import platform
+
     try:
         version = importlib.metadata.version("ttus-opt")
     except importlib.metadata.PackageNotFoundError:  # run from a plain checkout
@@ -260,9 +261,9 @@ def read_dataset(
     if found != kind:
         raise FileError(f"{file} holds {found}, expected a {kind}: wrong file?")
     given = dataset.attrs.get("ttus_opt_version")
-    if not isinstance(given, int | np.integer):
+    if not isinstance(given, numbers.Integral):
         raise FileError(f"{file} does not say which version of a {kind} it is")
-    if given != version:
+    if (given := int(given)) != version:
         raise FileError(
             f"{file} is {kind} version {given}, this ttus_opt reads version "
             f"{version}: {'update ttus_opt' if given > version else 'write it again'}"
@@ -369,6 +370,8 @@ def mask(name: str, values: NDArray[Any]) -> NDArray[np.bool_]:
     Raises:
         InputError: Something else than 0 and 1 is in it.
     """
+    import numpy as np
+
     if not np.isin(values, (0, 1)).all():
         raise InputError(f"{name} must hold 0 and 1 only")
     return np.asarray(values, dtype=bool)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib.metadata
 import signal
 import sys
 import threading
@@ -70,6 +69,8 @@ for module in (
 
 def _version(asked: bool) -> None:
     if asked:
+        import importlib.metadata
+
         typer.echo(f"ttus-opt {importlib.metadata.version('ttus-opt')}")
         raise typer.Exit
 

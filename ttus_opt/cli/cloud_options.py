@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
-from ttus_opt.arrays import Array
 from ttus_opt.cli.options import numbers
 from ttus_opt.errors import GeometryError, InputError
 
 if TYPE_CHECKING:
+    from ttus_opt.arrays import Array
     from ttus_opt.scan.frame import Axis
 
 
@@ -198,6 +197,8 @@ class AxisOptions:
 
     def _given(self, cloud: Array, origin: str, direction: str) -> Axis:
         """The frame of an origin and a direction; the front is off the support."""
+        import numpy as np
+
         from ttus_opt.scan.frame import Axis
         from ttus_opt.scan.supporting_plane import find_supporting_plane
 

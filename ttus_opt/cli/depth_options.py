@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
 from ttus_opt.cli.cloud_options import CloudOptions
@@ -108,6 +108,8 @@ class DepthOptions:
             FileError: A file does not hold what it should.
             InputError: Options or files that do not go together.
         """
+        import numpy as np
+
         from ttus_opt.sensors.depth_noise import noise_model
         from ttus_opt.sensors.stitching import read_camera_poses, stitch
 
@@ -155,7 +157,7 @@ class DepthOptions:
 
         shift, degrees = numbers(self.pose_std, 2, "--pose-std")
         try:
-            return PoseDoubt(shift, float(np.deg2rad(degrees)))
+            return PoseDoubt(shift, math.radians(degrees))
         except InputError as error:
             raise InputError(f"--pose-std: {error}") from error
 
@@ -171,7 +173,7 @@ def stitched_facts(found: Stitched) -> dict[str, Any]:
             {
                 "scan": r.scan + 1,
                 "shift_m": r.shift,
-                "turn_degrees": float(np.rad2deg(r.turn)),
+                "turn_degrees": math.degrees(r.turn),
                 "overlap": r.overlap,
                 "residual_before_m": r.residual_before,
                 "residual_m": r.residual,
@@ -192,7 +194,7 @@ def stitched_lines(found: Stitched) -> list[str]:
     ]
     return lines + [
         f"scan {r.scan + 1}: camera moved by {1e3 * r.shift:.1f} mm and "
-        f"{np.rad2deg(r.turn):.2f}°, {100 * r.overlap:.0f} % overlap, residual "
+        f"{math.degrees(r.turn):.2f}°, {100 * r.overlap:.0f} % overlap, residual "
         f"{1e3 * r.residual_before:.2f} → {1e3 * r.residual:.2f} mm"
         for r in found.refinements
     ]

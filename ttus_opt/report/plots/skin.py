@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ttus_opt.arrays import Array
 from ttus_opt.report.plots.canvas import look, new_figure
@@ -129,18 +130,17 @@ def _draw_in_space(axes: Any, surface: Surface) -> None:
     # seen skin is dark and filled skin light, the wall seen from inside darkest
     shade = np.where(seen[..., None], [0.80, 0.58, 0.40], [0.93, 0.93, 0.93])
     shade = np.where((normal @ eye < 0)[..., None], [0.35, 0.35, 0.35], shade)
-    axes.plot_surface(
-        x,
-        y,
-        z,
-        facecolors=np.clip(shade * bright[..., None], 0.0, 1.0),
-        rcount=len(x),
-        ccount=x.shape[1],
-        shade=False,
-        linewidth=0,
+    # plot_surface does the same patch by patch, in Python
+    corners = [placed[:-1, :-1], placed[:-1, 1:], placed[1:, 1:], placed[1:, :-1]]
+    skin = Poly3DCollection(
+        np.stack(corners, axis=2).reshape(-1, 4, 3),
+        facecolors=np.clip(shade * bright[..., None], 0.0, 1.0).reshape(-1, 3),
+        edgecolors="none",
         antialiased=False,
         rasterized=True,
     )
+    axes.add_collection3d(skin, autolim=False)
+    axes.auto_scale_xyz(x, y, z)
     axes.set_box_aspect([float(np.ptp(c)) for c in (x, y, z)], zoom=1.15)
     axes.view_init(elev=elevation, azim=azimuth)
     axes.set_axis_off()

@@ -31,31 +31,44 @@ Kept = NDArray[np.floating[Any]]
 DEPENDENT = 1e-12
 
 
-# Products with all directions are compiled here, on one core: a threaded BLAS that
-# waits for a busy core takes ten times as long for vectors as short as these.
+# Products with all directions run on one core: a threaded BLAS that waits for a busy
+# core takes ten times as long for vectors as short as these. Those in single precision,
+# which NumPy would convert, are compiled; in double precision there are few.
+
+
+def _products(rows: Kept, vector: Array) -> Array:
+    """Rows @ vector."""
+    if rows.dtype == vector.dtype:
+        return np.asarray(np.einsum("kn,n->k", rows, vector))
+    out = np.empty(len(rows))
+    _set_products(out, rows, vector)
+    return out
+
+
+def _combination(parts: Array, rows: Kept) -> Array:
+    """Parts @ rows."""
+    if rows.dtype == parts.dtype:
+        return np.asarray(np.einsum("k,kn->n", parts, rows))
+    out = np.zeros(rows.shape[1])
+    _add_combination(out, parts, rows)
+    return out
 
 
 @compiled(nogil=True, fastmath={"contract", "reassoc"})
-def _products(rows: Kept, vector: Array) -> Array:
-    """Rows @ vector (compiled)."""
-    out = np.zeros(len(rows))
+def _set_products(out: Array, rows: Kept, vector: Array) -> None:
     for k in range(len(rows)):
         row, total = rows[k], 0.0
         for n in range(row.size):
             total += row[n] * vector[n]
         out[k] = total
-    return out
 
 
 @compiled(nogil=True, fastmath={"contract", "reassoc"})
-def _combination(parts: Array, rows: Kept) -> Array:
-    """Parts @ rows (compiled)."""
-    out = np.zeros(rows.shape[1])
+def _add_combination(out: Array, parts: Array, rows: Kept) -> None:
     for k in range(len(rows)):
         row, part = rows[k], parts[k]
         for n in range(row.size):
             out[n] += part * row[n]
-    return out
 
 
 class DualOperator(Protocol):
