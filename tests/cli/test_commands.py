@@ -323,12 +323,21 @@ def test_module_runs_as_a_process(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_rendering_path_loads_no_modelling_package() -> None:
-    code = (
-        "import sys, ttus_opt; ttus_opt.Renderer; ttus_opt.PotentialField; "
-        "print([m for m in ('cvxpy', 'qpsolvers', 'cv2', 'matplotlib') "
-        "if m in sys.modules])"
-    )
+@pytest.mark.parametrize(
+    ("used", "unwanted"),
+    [
+        (
+            "import ttus_opt; ttus_opt.Renderer; ttus_opt.PotentialField",
+            ("cvxpy", "qpsolvers", "cv2", "matplotlib"),
+        ),
+        # what is typed is answered at once
+        ("import ttus_opt.cli.app", ("numpy", "numba", "scipy", "xarray")),
+    ],
+)
+def test_nothing_is_loaded_that_is_not_used(
+    used: str, unwanted: tuple[str, ...]
+) -> None:
+    code = f"import sys; {used}; print([m for m in {unwanted} if m in sys.modules])"
     told = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
