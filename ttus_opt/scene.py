@@ -28,6 +28,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.extraction import extract_surface
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.sector import Sector
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Largest boundary value: far above any stiffness, far below overflow [N or N/cm²]
@@ -252,6 +253,7 @@ class ScenePlan:
         outer: p_out; where p_in is fitted the ratio p_out / p_in.
         sampling: ``trilinear`` or ``voxel-mean``.
         boundary: ``subvoxel`` or ``staircase``, as for `Voxmap.from_surface`.
+        sector: Angles between which the grid lies [rad]; None for the full turn.
     """
 
     shape: Sequence[int] = (48, 120, 60)
@@ -261,6 +263,7 @@ class ScenePlan:
     outer: float = 1.0
     sampling: str = "trilinear"
     boundary: str = "subvoxel"
+    sector: Sector | None = None
 
     def build(
         self,
@@ -293,6 +296,7 @@ class ScenePlan:
             r_inner=self.r_inner,
             r_outer=self.r_outer,
             boundary=self.boundary,
+            sector=self.sector,
         )
         return Scene.assemble(
             voxmap,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -15,6 +16,7 @@ from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
     from ttus_opt.scene import ScenePlan
+    from ttus_opt.voxmap.sector import Sector
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,14 @@ class SceneOptions:
     shape: Annotated[str, typer.Option(help="Voxels in r, θ, z: n_r,n_theta,n_z.")] = (
         "48,120,60"
     )
+    sector: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FROM,TO",
+            help="Lay the grid over this part of θ alone [deg], with zero flux at its "
+            "sides: what was not seen is not needed. One spoke parts the circle.",
+        ),
+    ] = None
     r_inner: Annotated[
         float, typer.Option(help="Radius of the innermost layer [m].")
     ] = 0.03
@@ -117,7 +127,7 @@ class SceneOptions:
         """How the scene is built.
 
         Raises:
-            InputError: Invalid counts, or an inner value that is no number.
+            InputError: Invalid counts, an inner value that is no number, or no sector.
         """
         from ttus_opt.scene import ScenePlan
 
@@ -129,6 +139,7 @@ class SceneOptions:
             self.outer,
             self.sampling or ScenePlan.sampling,
             self.boundary or ScenePlan.boundary,
+            sector_of(self.sector),
         )
 
 
@@ -144,6 +155,25 @@ def boundary_value(text: str) -> float | Literal["fit"]:
         return float(text)
     except ValueError:
         raise InputError(f"--inner takes a number or fit, got {text!r}") from None
+
+
+def sector_of(text: str | None) -> Sector | None:
+    """Value of ``--sector`` [rad].
+
+    Raises:
+        InputError: It is not two angles, or they leave no part of the turn.
+    """
+    from ttus_opt.voxmap.sector import checked_sector
+
+    if text is None:
+        return None
+    try:
+        low, high = (math.radians(float(part)) for part in text.split(","))
+    except ValueError:
+        raise InputError(
+            f"--sector takes two angles in degrees, FROM,TO, got {text!r}"
+        ) from None
+    return checked_sector((low, high))
 
 
 def further_options(pairs: Sequence[str]) -> dict[str, Any]:

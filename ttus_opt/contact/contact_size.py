@@ -58,6 +58,7 @@ def _factors(
     shape = places.shape[:2]
     r, theta, z = (v.reshape(shape) for v in cylindrical(places.reshape(-1, 3)))
     inside = (z >= grid.z_min) & (z <= grid.z_max) & (r <= grid.r_outer)
+    inside &= grid.in_sector(theta)
     depth = np.where(inside, voxmap.surface.radius_at(theta, z) - r, 0.0)
     weight = np.maximum(depth, 0.0) * shell.areas
     total = weight.sum(axis=1)

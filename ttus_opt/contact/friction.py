@@ -33,6 +33,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import (
     ContactRows,
+    beside,
     checked_poses,
     rotated,
     shell_arrays,
@@ -310,7 +311,7 @@ def _patches(
             x, y, z = rotated(R, points[m, 0], points[m, 1], points[m, 2])
             x, y, z = x + at[0], y + at[1], z + at[2]
             square = x * x + y * y
-            if not within(square, z, limits):
+            if not within(square, z, limits) or beside(x, y, limits):
                 continue
             cell = radius_cell(turn_angle(x, y), z, n_theta, n_z, layout)
             R_here = radius_between(cell[0], cell[1], cell[2], cell[3], flat)

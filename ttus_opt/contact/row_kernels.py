@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
-from ttus_opt.cylindrical import turn_angle
+from ttus_opt.cylindrical import TURN, turn_angle
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.depth_sampling import nearest_voxel, spoke_samples, spoke_table
-from ttus_opt.voxmap.grid import GridLimits
+from ttus_opt.voxmap.grid import GridLimits, around
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Area to which the trilinear sampling refers, A₀ = 1 cm² [m²]
@@ -68,6 +68,13 @@ def within(radius_squared: float, z: float, limits: GridLimits) -> bool:
     beyond = radius_squared > limits.r_outer * limits.r_outer
     # no branch, for loops of vector instructions
     return not (beyond | (z < limits.z_min) | (z > limits.z_max))
+
+
+@compiled(inline="always")
+def beside(x: float, y: float, limits: GridLimits) -> bool:
+    """Whether a place lies outside the sector that the grid covers (compiled)."""
+    # of a full turn no angle is taken
+    return limits.width < TURN and around(turn_angle(x, y), limits) > limits.width
 
 
 class VoxmapArrays(NamedTuple):
@@ -329,7 +336,7 @@ def pose_rows(
             x, y, z = rotated(R, point[0], point[1], point[2])
             x, y, z = x + at[0], y + at[1], z + at[2]
             square = x * x + y * y
-            if not within(square, z, v.limits):
+            if not within(square, z, v.limits) or beside(x, y, v.limits):
                 continue
             in_grid = True
             if square >= v.highest:

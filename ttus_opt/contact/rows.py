@@ -13,7 +13,7 @@ ways, all linear in p (docs/method.md, Contact rows):
 `ttus_opt.voxmap.depth_sampling` defines what a point samples; the rows here and the
 frames of `ttus_opt.haptic.renderer` are both made from it, so that ``render(pose) ==
 N(pose) p``. Beyond the inner layer the field continues with that layer's values. Points
-outside the patient, or beyond the grid's ends along z, sample nothing.
+outside the patient, or beyond the grid's ends along z or in θ, sample nothing.
 """
 
 from __future__ import annotations
@@ -29,6 +29,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.contact.contact_size import size_factors
 from ttus_opt.contact.row_kernels import REFERENCE_AREA as REFERENCE_AREA
 from ttus_opt.contact.row_kernels import Rows, Scratch, VoxmapArrays, pose_rows
+from ttus_opt.contact.row_kernels import beside as beside
 from ttus_opt.contact.row_kernels import rotated as rotated
 from ttus_opt.contact.row_kernels import shell_arrays as shell_arrays
 from ttus_opt.contact.row_kernels import within as within

@@ -67,6 +67,7 @@ def doubt_map(
         wrenches_along(field, doubt.scene.shell, presses).force, axis=1
     )
     relative = std / np.maximum(force, LEAST_FORCE)
+    relative[force == 0.0] = relative.max()  # beside the sector nothing is known
     return DoubtMap(theta, z, relative.reshape(n, len(z)))
 
 

@@ -175,6 +175,7 @@ def coarser(scene: Scene) -> Scene:
         ratio,
         scene.sampling,
         scene.voxmap.boundary,
+        scene.voxmap.grid.sector,
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", TtusWarning)  # said of the scene itself

@@ -24,16 +24,16 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.compiled import compiled
 from ttus_opt.contact.contact_size import REFERENCE_LENGTH
-from ttus_opt.contact.rows import rotated, within
+from ttus_opt.contact.rows import beside, rotated, within
 from ttus_opt.contact.shell_blocks import Tiles
-from ttus_opt.cylindrical import turn_angle
+from ttus_opt.cylindrical import TURN, turn_angle
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cell
 from ttus_opt.voxmap.depth_sampling import corner_sample, nearest_voxel, spoke_cell
-from ttus_opt.voxmap.grid import GridLimits
+from ttus_opt.voxmap.grid import GridLimits, around
 
 #: Place of ℓ₀ in `FrameData.limits`
-LENGTH = 7
+LENGTH = 11
 
 
 @compiled(error_model="numpy", nogil=True)
@@ -71,6 +71,8 @@ def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
         _place(R, at, points, low, high, place)
         _find_nodes(high - low, s.nodes, layout, place, node)
         met += _find_depths(high - low, place, node, s.radius, limits)
+        if limits.width < TURN:
+            met -= _leave_out(high - low, place, limits)
         contact, deeper = _keep(low, high - low, contact, s)
         beyond += deeper
     if not s.trilinear:
@@ -83,7 +85,7 @@ def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
 @compiled(inline="always")
 def _extent(a: Array) -> GridLimits:
     """A grid's limits by name (compiled)."""
-    return GridLimits(a[0], a[1], a[2], a[3], a[4], a[5], a[6])
+    return GridLimits(a[0], a[1], a[2], a[3], a[4], a[5], a[6], a[7], a[8], a[9], a[10])
 
 
 @compiled(inline="always")
@@ -180,6 +182,22 @@ def _find_depths(
 
 
 @compiled(error_model="numpy", nogil=True)
+def _leave_out(size: int, place: Array, limits: GridLimits) -> int:
+    """Set the depth of points beside the grid's sector to −1 (compiled).
+
+    Returns:
+        How many of those within the grid's other limits there are.
+    """
+    squares, thetas, heights, depths = place[0], place[1], place[2], place[6]
+    met = 0
+    for m in range(size):
+        if around(thetas[m], limits) > limits.width:
+            met += 1 if within(squares[m], heights[m], limits) else 0
+            depths[m] = -1.0
+    return met
+
+
+@compiled(error_model="numpy", nogil=True)
 def _keep(low: int, size: int, contact: int, s: FrameData) -> tuple[int, int]:
     """Append the points inside the patient, without a branch (compiled).
 
@@ -263,7 +281,7 @@ def _meets_grid(R: Array, at: Array, s: FrameData) -> bool:
         for m in range(start[b], start[b + 1]):
             x, y, z = rotated(R, points[0, m], points[1, m], points[2, m])
             x, y, z = x + at[0], y + at[1], z + at[2]
-            if within(x * x + y * y, z, limits):
+            if within(x * x + y * y, z, limits) and not beside(x, y, limits):
                 return True
     return False
 

@@ -35,7 +35,7 @@ class FrameData(NamedTuple):
         start: First point of each block, shape (B + 1,).
         spheres: Bounding spheres, x, y, z, radius apart, shape (4, B) [m].
         limits: `CylindricalGrid.kernel_limits`, an array as tuples of numbers are slow
-            to pass, then ℓ₀ of `contact_size`, 0 where size does not count, shape (8,).
+            to pass, then ℓ₀ of `contact_size`, 0 where size does not count, (12,).
         shape: Voxel counts, shape (3,).
         radius: Of the surface's nodes, flat [m].
         nodes: Their counts over θ and z, shape (2,).

@@ -142,7 +142,7 @@ class LaplaceSystem(BlockSolves):
             return grid
         limits = grid.r_inner, grid.r_outer, grid.z_min, grid.z_max
         stretches = np.sqrt(k_r / k_theta), np.sqrt(k_r / k_z)
-        return VariantGrid(*limits, grid.shape, *map(float, stretches))
+        return VariantGrid(*limits, grid.shape, grid.sector, *map(float, stretches))
 
     @cached_property
     def radii(self) -> Array:

@@ -84,6 +84,11 @@ def encode_field(
             f"surface of the message from {surface.z[0]:.6g} to {surface.z[-1]:.6g}: "
             "encode the surface that the field was fitted to"
         )
+    if of.sector is not None:
+        raise InputError(
+            "a field over a sector of θ cannot be sent yet: save it as a file, or fit "
+            "the full turn"
+        )
     grid = Grid(*of.shape, of.r_inner, of.r_outer)
     if of.n_voxels > MOST_VOXELS:
         raise InputError(

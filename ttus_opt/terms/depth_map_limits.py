@@ -50,8 +50,7 @@ def check_depth_map(
 
 def surface_lengths(grid: CylindricalGrid) -> tuple[float, float]:
     """A quarter of the innermost layer's spacing, to the outermost's extent [m]."""
-    around = 2.0 * np.pi / grid.shape[1]
-    least = LEAST_SPACINGS * min(around * grid.r_inner, grid.z_step)
+    least = LEAST_SPACINGS * min(grid.theta_step * grid.r_inner, grid.z_step)
     return least, max(2.0 * np.pi * grid.r_outer, grid.z_max - grid.z_min)
 
 

@@ -50,7 +50,10 @@ class LaplaceFreeSurfaceTerm(Term):
         """L and b with the surface layer's rows scaled by √skin."""
         scene = self.scene
         scale = np.ones(scene.n_voxels)
-        layer = free_surface_layer(scene.voxmap.on_surface).reshape(-1)
+        layer = free_surface_layer(scene.voxmap.on_surface)
+        if scene.voxmap.grid.wall is not None:
+            layer[:, scene.voxmap.grid.wall] = False
+        layer = layer.reshape(-1)
         scale[layer] = math.sqrt(self.skin)
         rows = sp.csr_array(sp.diags_array(scale) @ scene.L)
         rows.eliminate_zeros()

@@ -59,17 +59,23 @@ class MaternFactor:
         return cls(volumes, stiffness, kappa, 1.0 / np.sqrt(4.0 * kappa**3))
 
     @classmethod
-    def on_surface(cls, points: Array, length: float) -> MaternFactor:
-        """Matérn 1, (κd) K₁(κd), on a closed tube of quadrilaterals.
+    def on_surface(
+        cls, points: Array, length: float, *, is_open: bool = False
+    ) -> MaternFactor:
+        """Matérn 1, (κd) K₁(κd), on a tube of quadrilaterals.
 
         Its range √8/κ is that of a Matérn 3/2 of the length ℓ: κ = √2/ℓ.
 
         Args:
             points: Nodes around (periodic) and along, shape (n_theta, n_z, 3) [m].
             length: ℓ [m].
+            is_open: Whether the last line of nodes along stands apart from those
+                beside it, and the tube is cut open there.
         """
         n_theta, n_z, _ = points.shape
         around = np.linalg.norm(np.roll(points, -1, 0) - points, axis=-1)
+        if is_open:
+            around[-1] = around[0]  # the wall is as far from both its neighbours
         along = np.linalg.norm(np.diff(points, axis=1), axis=-1)
         width = (around + np.roll(around, 1, 0)) / 2.0  # of a node, around
         padded = np.pad(along, ((0, 0), (1, 1)))
@@ -78,6 +84,8 @@ class MaternFactor:
         heads = np.concatenate([node.ravel(), node[:, :-1].ravel()])
         tails = np.concatenate([np.roll(node, -1, 0).ravel(), node[:, 1:].ravel()])
         across_around = (height + np.roll(height, -1, 0)) / 2.0 / around
+        if is_open:
+            across_around[-2:] = 0.0
         across_along = (width[:, :-1] + width[:, 1:]) / 2.0 / along
         links = np.concatenate([across_around.ravel(), across_along.ravel()])
         kappa = np.sqrt(2.0) / length
@@ -156,7 +164,9 @@ class SeparableCovariance:
         points = np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=-1)
         return cls(
             MaternFactor.along_line(grid.shape[0], grid.r_step, depth_length),
-            MaternFactor.on_surface(points, surface_length),
+            MaternFactor.on_surface(
+                points, surface_length, is_open=grid.wall is not None
+            ),
             scale,
         )
 

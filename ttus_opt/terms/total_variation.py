@@ -62,7 +62,7 @@ def difference_rows(grid: CylindricalGrid) -> sp.csr_array:
 
     Returns:
         Rows 3v, 3v+1, 3v+2 of voxel v, shape (3V, V) [–]; empty where there is no
-        next voxel. θ wraps around.
+        next voxel. θ wraps around, but for a sector's sides.
     """
     n_r, _, n_z = grid.shape
     index = np.arange(grid.n_voxels).reshape(grid.shape)
@@ -79,6 +79,8 @@ def difference_rows(grid: CylindricalGrid) -> sp.csr_array:
         there = np.ones(shape, dtype=bool)
         if axis == 0:
             there[n_r - 1] = False
+        if axis == 1 and grid.wall is not None:
+            there[:, grid.wall - 1 :] = False
         if axis == 2:
             there[:, :, n_z - 1] = False
         row = 3 * index[there] + axis

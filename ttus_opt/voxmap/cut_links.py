@@ -11,6 +11,8 @@ R. Fedkiw, L.-T. Cheng, M. Kang, J. Comput. Phys. 176, 2002, 205-227). The voxel
 layer being the nearest to the surface, |φ_a| > ½: along r a link is ½ to 1½ steps long
 and no factor is large, however near to the surface a centre lies. Second order in the
 field, and as the factor belongs to the link, the operator stays symmetric.
+
+Links to the wall of a sector have the factor 0: nothing flows through its sides.
 """
 
 from __future__ import annotations
@@ -55,13 +57,16 @@ class CutLinks:
         return cls(nothing, nothing, nothing, np.zeros(0))
 
     @classmethod
-    def of(cls, region: NDArray[np.int8], place: Array) -> CutLinks:
+    def of(
+        cls, region: NDArray[np.int8], place: Array, wall: int | None = None
+    ) -> CutLinks:
         """Find the links around a surface layer, those between Dirichlet voxels too.
 
         Args:
             region: Above, at and below zero inside, on and outside the surface layer,
                 shape (n_r, n_theta, n_z).
             place: Of the surface, (R − r_inner)/Δr, shape (n_theta, n_z) [layers].
+            wall: Spoke through whose links nothing flows; it is in the layer.
         """
         shape = region.shape
         layer = np.nonzero(region == 0)
@@ -83,6 +88,7 @@ class CutLinks:
                 own = side * np.maximum(side * own, LEAST_DEPTH)
                 # outside a wall may lean over: then nothing flows
                 factor = np.maximum(1.0 - other / own, 0.0)
+                factor[b[1] == wall] = 0.0
                 links = (
                     np.ravel_multi_index(a, shape),
                     np.ravel_multi_index(b, shape),
@@ -94,3 +100,12 @@ class CutLinks:
             np.concatenate, zip(*found, strict=True)
         )
         return cls(voxels, neighbours, axes, factors, misplaced)
+
+    def only(self, kept: NDArray[np.bool_]) -> CutLinks:
+        """Some of the links, shape (k,)."""
+        return CutLinks(
+            self.voxels[kept],
+            self.neighbours[kept],
+            self.axes[kept],
+            self.factors[kept],
+        )

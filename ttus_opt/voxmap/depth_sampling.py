@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
-from ttus_opt.voxmap.grid import GridLimits, flat_index
+from ttus_opt.voxmap.grid import GridLimits, flat_index, spoke_place
 from ttus_opt.voxmap.voxmap import Voxmap, surface_layer
 
 
@@ -61,8 +61,8 @@ def spoke_cell(
     Returns:
         j, the next j, and k of the cell's corner, then its local (θ, z) in [0, 1].
     """
-    v = theta * limits.per_theta
-    j = min(int(v), n_theta - 1)
+    v = spoke_place(theta, limits)
+    j = min(int(v), int(limits.last_cell))
     j_next = 0 if j + 1 == n_theta else j + 1
     w = (z - limits.z_min) * limits.per_z
     k = min(int(w), n_z - 2)
@@ -107,7 +107,7 @@ def nearest_voxel(
 ) -> tuple[int, bool]:
     """Flat index of the voxel a point lies in, and whether it samples it (compiled)."""
     i = max(int((r - limits.r_inner) * limits.per_r + 0.5), 0)
-    j = int(theta * limits.per_theta + 0.5)
+    j = int(spoke_place(theta, limits) + 0.5)
     if j >= shape[1]:
         j -= shape[1]
     k = int((z - limits.z_min) * limits.per_z + 0.5)

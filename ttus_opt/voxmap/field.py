@@ -112,8 +112,11 @@ class PotentialField:
         x, y = across[None, :], across[::-1, None]
         layer = np.rint((np.hypot(x, y) - grid.r_inner) / grid.r_step).astype(int)
         n_r, n_theta, n_z = grid.shape
-        spoke = np.rint(np.arctan2(y, x) / TURN * n_theta).astype(int) % n_theta
-        inside = (layer >= 0) & (layer < n_r)
+        angle = np.arctan2(y, x)
+        face = grid.theta[0] - 0.5 * grid.theta_step
+        turned = ((angle - face) % TURN / grid.theta_step).astype(int)
+        spoke = np.minimum(turned, n_theta - 1)  # beside a sector any one
+        inside = (layer >= 0) & (layer < n_r) & grid.in_sector(angle)
         values = self.values[np.clip(layer, 0, n_r - 1), spoke, n_z // 2]
         return np.where(inside, values, 0.0)
 
@@ -143,7 +146,8 @@ class PotentialField:
             ``potential`` and ``region`` over (r, theta, z) and the surface over
             (surface_theta, surface_z), with units and coordinates on every variable;
             ``doubt`` over (doubt_theta, doubt_z) where it is known; the rest as
-            attributes.
+            attributes. Over a sector the attribute ``sector`` says from where to where
+            [rad], and the last angle is the wall beyond it, without a field.
         """
         import xarray as xr
 
@@ -177,6 +181,7 @@ class PotentialField:
                 "parameters": json.dumps(dict(self.parameters)),
                 "provenance": json.dumps(dict(self.provenance)),
                 "standard_errors": json.dumps(dict(self.standard_errors)),
+                **_sector_attributes(grid),
                 **surface.axis.attributes(),
             },
         )
@@ -210,7 +215,10 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         )
     values = io.array_of(data, "potential", DIMS, FIELD_UNIT[sampling])
     r_inner, r_outer, z_min, z_max = json.loads(io.text_of(data.attrs, "grid_limits"))
-    grid = CylindricalGrid(r_inner, r_outer, z_min, z_max, values.shape)
+    sector = json.loads(io.text_of(data.attrs, "sector", "null"))
+    grid = CylindricalGrid(
+        r_inner, r_outer, z_min, z_max, values.shape, sector and tuple(sector)
+    )
     for name, units in zip(DIMS, ("m", "rad", "m"), strict=True):
         centres = io.array_of(data, name, (name,), units)
         if not np.allclose(centres, getattr(grid, name), rtol=0.0, atol=1e-9):
@@ -235,6 +243,11 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         _by_name("standard_errors", data.attrs),
         DoubtMap.of_file(data),
     )
+
+
+def _sector_attributes(grid: CylindricalGrid) -> dict[str, str]:
+    """What a file says of a sector; nothing where the grid covers the full turn."""
+    return {} if grid.sector is None else {"sector": json.dumps(list(grid.sector))}
 
 
 def _by_name(attribute: str, attributes: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,6 +3,12 @@
 Voxel values have shape (n_r, n_theta, n_z) and are flattened in C order. This
 module is the only place that knows it; the compiled kernels take the strides from
 here (`flat_index`).
+
+A grid covers the full turn, or a sector of θ with zero flux at its two sides. Spokes of
+a sector lie at the middle of equal parts, so that its sides are faces of voxels. Its
+last spoke is none of them: it is a wall, which parts the circle that all neighbours
+in θ are taken on. Its voxels are fixed, and their links conduct nothing
+(`ttus_opt.voxmap.cut_links`).
 """
 
 from __future__ import annotations
@@ -17,7 +23,9 @@ from numpy.typing import NDArray
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
+from ttus_opt.cylindrical import TURN
 from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.voxmap.sector import Sector, checked_sector, holds, told
 
 #: Bytes a fit by the structured solver takes per voxel (L, the multigrid, a
 #: dozen vectors): 420 measured on case L with 400 poses, voxel-mean
@@ -38,6 +46,10 @@ class GridLimits(NamedTuple):
         z_min: Height of the first slice [m].
         per_z: Slices per metre.
         z_max: Height of the last slice [m].
+        theta_0: Where the grid begins, in [0, 2π) [rad].
+        width: Angle that it covers [rad].
+        shift: From there to the first spoke, in spokes.
+        last_cell: Number of the last pair of neighbouring spokes.
     """
 
     r_inner: float
@@ -47,6 +59,10 @@ class GridLimits(NamedTuple):
     z_min: float
     per_z: float
     z_max: float
+    theta_0: float
+    width: float
+    shift: float
+    last_cell: float
 
 
 @dataclass(frozen=True)
@@ -58,7 +74,9 @@ class CylindricalGrid:
         r_outer: Radius of the outermost layer of centres [m].
         z_min: Height of the first slice [m].
         z_max: Height of the last slice [m].
-        shape: Counts (n_r, n_theta, n_z) [–].
+        shape: Counts (n_r, n_theta, n_z); of a sector the wall counts as a spoke [–].
+        sector: Angles from and to which the grid reaches, with zero flux at both [rad];
+            None for the full turn.
     """
 
     r_inner: float
@@ -66,12 +84,13 @@ class CylindricalGrid:
     z_min: float
     z_max: float
     shape: tuple[int, int, int]
+    sector: Sector | None = None
 
     def __post_init__(self) -> None:
         """Validate the grid.
 
         Raises:
-            InputError: Too few layers, or limits that are not finite.
+            InputError: Too few layers, limits that are not finite, or no sector.
             GeometryError: Limits out of order, or the first layer on the axis.
         """
         minima = {"n_r": 4, "n_theta": 4, "n_z": 3}
@@ -85,6 +104,7 @@ class CylindricalGrid:
                     f"{name} must be a whole number of at least {least}, at most "
                     f"{MOST_LAYERS:,}, got {io.shortened(count)}"
                 )
+        checked_sector(self.sector)
         limits = (self.r_inner, self.r_outer, self.z_min, self.z_max)
         if not all(math.isfinite(v) for v in limits):
             raise InputError(f"grid limits must be finite [m], got {limits}")
@@ -114,9 +134,10 @@ class CylindricalGrid:
     @property
     def extent(self) -> str:
         """Counts and where they lie, to be read."""
+        sector = "" if self.sector is None else f"θ {told(self.sector)}, "
         return (
             f"{self.sizes}, r {100 * self.r_inner:.1f} to {100 * self.r_outer:.1f} cm, "
-            f"z {100 * self.z_min:.1f} to {100 * self.z_max:.1f} cm"
+            f"{sector}z {100 * self.z_min:.1f} to {100 * self.z_max:.1f} cm"
         )
 
     @property
@@ -132,7 +153,14 @@ class CylindricalGrid:
     @property
     def theta_step(self) -> float:
         """Angular step Δθ [rad]."""
-        return 2.0 * math.pi / self.shape[1]
+        if self.sector is None:
+            return TURN / self.shape[1]
+        return (self.sector[1] - self.sector[0]) / (self.shape[1] - 1)
+
+    @property
+    def wall(self) -> int | None:
+        """The spoke that parts the circle, the last one; None in a full turn."""
+        return None if self.sector is None else self.shape[1] - 1
 
     @property
     def z_step(self) -> float:
@@ -147,7 +175,16 @@ class CylindricalGrid:
     @property
     def theta(self) -> Array:
         """Angles of the spokes, shape (n_theta,) [rad]."""
-        return self.theta_step * np.arange(self.shape[1], dtype=float)
+        if self.sector is None:
+            return self.theta_step * np.arange(self.shape[1], dtype=float)
+        middles = 0.5 + np.arange(self.shape[1], dtype=float)
+        return self.sector[0] + self.theta_step * middles
+
+    def in_sector(self, theta: Array) -> NDArray[np.bool_]:
+        """Whether angles lie in the sector, any shape [rad]; all do in a full turn."""
+        if self.sector is None:
+            return np.ones(np.shape(theta), dtype=bool)
+        return holds(self.sector, theta)
 
     @property
     def z(self) -> Array:
@@ -196,7 +233,16 @@ class CylindricalGrid:
             float(self.z_min),
             1.0 / self.z_step,
             float(self.z_max),
+            *self._limits_around,
         )
+
+    @property
+    def _limits_around(self) -> tuple[float, float, float, float]:
+        """The last four of `GridLimits`."""
+        if self.sector is None:
+            return 0.0, TURN, 0.0, self.shape[1] - 1.0
+        low, high = self.sector
+        return low % TURN, high - low, 0.5, self.shape[1] - 3.0
 
 
 def nodes_of(
@@ -215,3 +261,25 @@ def nodes_of(
 def flat_index(i: int, j: int, k: int, n_theta: int, n_z: int) -> int:
     """Flat index of voxel (i, j, k): C order (compiled)."""
     return (i * n_theta + j) * n_z + k
+
+
+@compiled(inline="always")
+def around(theta: float, limits: GridLimits) -> float:
+    """Angle from where the grid begins, in [0, 2π) (compiled) [rad].
+
+    Args:
+        theta: In [0, 2π) [rad].
+        limits: `CylindricalGrid.kernel_limits`.
+    """
+    u = theta - limits.theta_0
+    return u + TURN if u < 0.0 else u
+
+
+@compiled(inline="always")
+def spoke_place(theta: float, limits: GridLimits) -> float:
+    """Where an angle lies among the spokes: 0 at the first (compiled).
+
+    Beyond the outermost spokes of a sector it stays on them: nothing flows there.
+    """
+    place = around(theta, limits) * limits.per_theta - limits.shift
+    return min(max(place, 0.0), limits.last_cell + 1.0)

@@ -10,6 +10,9 @@ exactly that layer. There are two ways to close it, and two meanings of its valu
   surface cuts the links to it (`ttus_opt.voxmap.cut_links`).
 - ``staircase`` (the paper): of each pair that would touch, the voxel nearer to the
   surface joins the layer. Its value is that of the field at the voxels' centres.
+
+Over a sector of θ the wall (`ttus_opt.voxmap.grid`) belongs to the layer as a whole: it
+is fixed, and couples nothing.
 """
 
 from __future__ import annotations
@@ -28,7 +31,13 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.cut_links import CutLinks
-from ttus_opt.voxmap.grid import BYTES_PER_VOXEL, CylindricalGrid
+from ttus_opt.voxmap.grid import BYTES_PER_VOXEL, CylindricalGrid, nodes_of
+from ttus_opt.voxmap.sector import (
+    Sector,
+    check_seen,
+    checked_sector,
+    largest_radius,
+)
 
 #: How far the grid reaches beyond the largest surface radius by default [m]
 OUTER_MARGIN = 0.02
@@ -86,6 +95,7 @@ class Voxmap:
         r_outer: float | None = None,
         memory_limit: float | None = None,
         boundary: str = "subvoxel",
+        sector: Sector | None = None,
     ) -> Voxmap:
         """Lay a grid over a surface and classify its voxels.
 
@@ -98,32 +108,36 @@ class Voxmap:
             memory_limit: Most memory a fit on this grid may take; by default what
                 the machine has free [bytes].
             boundary: ``subvoxel``, or ``staircase`` as in the paper.
+            sector: Angles from and to which the grid reaches, with zero flux at both
+                [rad]; None for the full turn. One spoke of ``shape`` parts the circle.
 
         Returns:
             The voxmap.
 
         Raises:
             InputError: A count is too small or no whole number, an unknown boundary,
-                or the grid would not fit in memory (the estimate is told before
-                anything is allocated).
+                no sector or one in which the skin was not seen, or the grid would not
+                fit in memory (the estimate is told before anything is allocated).
             GeometryError: The surface does not lie between the two layers.
         """
         checked_boundary(boundary)
         counts = tuple(shape)
         if len(counts) != 3 or any(int(n) != n for n in counts):
             raise InputError(f"shape must be three whole numbers, got {tuple(shape)}")
-        outer = float(surface.radius.max()) + OUTER_MARGIN
+        check_seen(surface, checked_sector(sector))
+        outer = largest_radius(surface, sector) + OUTER_MARGIN
         grid = CylindricalGrid(
             float(r_inner),
             outer if r_outer is None else float(r_outer),
             float(surface.z[0]),
             float(surface.z[-1]),
             (int(counts[0]), int(counts[1]), int(counts[2])),
+            sector,
         )
         check_memory(grid, memory_limit)
         theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
         radius = surface.radius_at(theta, z)
-        _check_radius(radius, grid)
+        _check_radius(radius[: grid.wall], grid)
         classify = _thickened if boundary == "staircase" else _enclosed
         return cls(grid, surface, classify(grid, radius), boundary)
 
@@ -154,10 +168,17 @@ class Voxmap:
 
     @cached_property
     def cut_links(self) -> CutLinks:
-        """Links to the surface layer that the surface cuts; none in a staircase."""
-        if self.boundary == "staircase":
+        """Links to the surface layer that the surface cuts, and those to a wall.
+
+        In a staircase the surface cuts none.
+        """
+        wall, is_staircase = self.grid.wall, self.boundary == "staircase"
+        if is_staircase and wall is None:
             return CutLinks.none()
-        return CutLinks.of(self.region, self.surface_place)
+        links = CutLinks.of(self.region, self.surface_place, wall)
+        if is_staircase:
+            return links.only(nodes_of(links.neighbours, self.grid.shape)[1] == wall)
+        return links
 
 
 def checked_boundary(boundary: str) -> str:
@@ -228,9 +249,10 @@ def surface_layer(grid: CylindricalGrid, radius: Array) -> NDArray[np.int64]:
 def _layers(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:
     """Region of every voxel by its own spoke alone; radii at (θ_j, z_k) [m]."""
     index = np.arange(grid.shape[0])[:, None, None]
-    return np.asarray(
-        np.sign(surface_layer(grid, radius)[None] - index).astype(np.int8)
-    )
+    region = np.sign(surface_layer(grid, radius)[None] - index).astype(np.int8)
+    if grid.wall is not None:
+        region[:, grid.wall] = SURFACE
+    return np.asarray(region)
 
 
 def _enclosed(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:

@@ -124,6 +124,7 @@ def colour_limit(field: PotentialField, k: int) -> float:
     grid = field.voxmap.grid
     skin = field.voxmap.surface.radius_at(grid.theta, np.full(grid.shape[1], grid.z[k]))
     near = np.abs(grid.r[:, None] - skin) < _SKIN_DEPTH
+    near &= grid.in_sector(grid.theta)
     return round_up(float(np.percentile(np.abs(field.values[:, :, k][near]), 90)))
 
 
@@ -169,6 +170,9 @@ def draw_slice(
     grid = field.voxmap.grid
     theta = np.append(grid.theta, 2.0 * np.pi)
     closed = np.concatenate([values, values[:, :1]], axis=1)
+    if grid.sector is not None:  # as far as the sides, where nothing changes
+        closed = np.pad(values[:, :-1], ((0, 0), (1, 1)), mode="edge")
+        theta = np.concatenate([grid.sector[:1], grid.theta[:-1], grid.sector[1:]])
     x = 100.0 * grid.r[:, None] * np.cos(theta)
     y = 100.0 * grid.r[:, None] * np.sin(theta)
     bands = limit * np.linspace(-1.0, 1.0, 21)

@@ -1,0 +1,101 @@
+"""A sector of θ: two angles, and whether the skin was seen between them.
+
+An organ, or a belly seen from the front, needs no back: a grid over the sector that was
+seen asks for no skin that was not. Nothing flows through its sides, as if the body went
+on beyond each as its mirror image.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ttus_opt import io
+from ttus_opt.arrays import Array
+from ttus_opt.cylindrical import TURN
+from ttus_opt.errors import InputError
+from ttus_opt.scan.surface import Surface
+
+#: From and to [rad]
+Sector = tuple[float, float]
+
+
+def checked_sector(sector: Sector | None) -> Sector | None:
+    """A sector, or a sentence.
+
+    Raises:
+        InputError: No two finite angles, or none that leave a part of the turn.
+    """
+    if sector is None:
+        return None
+    if len(sector) != 2 or not all(abs(v) <= 2.0 * TURN for v in sector):
+        raise InputError(
+            "a sector is two angles between -720° and 720°, got "
+            f"{io.shortened([float(v) for v in np.degrees(sector)])}"
+        )
+    low, high = float(sector[0]), float(sector[1])
+    if not 0.0 < high - low < TURN:
+        raise InputError(
+            "a sector goes from an angle to a larger one, by less than a full turn, "
+            f"got {told(sector)}: across 0° write -60,60, for the whole leave it out"
+        )
+    return low, high
+
+
+def told(sector: Sector) -> str:
+    """A sector in degrees, to be read.
+
+    >>> told((0.0, 3.14159265))
+    '0° to 180°'
+    """
+    low, high = np.degrees(sector)
+    return f"{low:.4g}° to {high:.4g}°"
+
+
+def holds(sector: Sector, theta: Array) -> NDArray[np.bool_]:
+    """Whether angles lie in a sector, any shape [rad]."""
+    low, high = sector
+    return np.asarray((np.asarray(theta) - low) % TURN <= high - low)
+
+
+def check_seen(surface: Surface, sector: Sector | None) -> None:
+    """Refuse a sector with angles at which the scan saw nothing.
+
+    A hole at some heights of an angle is filled, as in the full turn.
+
+    Raises:
+        InputError: There are such angles.
+    """
+    if sector is None:
+        return
+    inside, seen = holds(sector, surface.theta), surface.observed.any(axis=1)
+    unseen = int((inside & ~seen).sum())
+    if unseen:
+        known = _longest(seen, surface.theta)
+        advice = "scan it" if known is None else f"choose one within {told(known)}"
+        raise InputError(
+            f"the scan saw no skin at {unseen} of {int(inside.sum())} angles of the "
+            f"sector {told(sector)}: {advice}"
+        )
+
+
+def largest_radius(surface: Surface, sector: Sector | None) -> float:
+    """The largest radius of the surface in a sector, or all around [m]."""
+    if sector is None:
+        return float(surface.radius.max())
+    nodes = surface.theta[holds(sector, surface.theta)]
+    angles = np.concatenate([sector, nodes])
+    return float(surface.radius_at(angles[:, None], surface.z).max())
+
+
+def _longest(seen: NDArray[np.bool_], theta: Array) -> Sector | None:
+    """The longest run of angles that were seen, around the circle; None for none."""
+    if not seen.any():
+        return None
+    n = len(seen)
+    gaps = np.flatnonzero(~seen)
+    runs = np.diff(gaps, append=gaps[0] + n) - 1
+    first = int(gaps[runs.argmax()]) + 1
+    step = TURN / n
+    low = float(theta[0]) + step * (first % n)
+    return low, low + step * (int(runs.max()) - 1)
