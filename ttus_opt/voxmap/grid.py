@@ -282,4 +282,5 @@ def spoke_place(theta: float, limits: GridLimits) -> float:
     Beyond the outermost spokes of a sector it stays on them: nothing flows there.
     """
     place = around(theta, limits) * limits.per_theta - limits.shift
-    return min(max(place, 0.0), limits.last_cell + 1.0)
+    kept: float = min(max(place, 0.0), limits.last_cell + 1.0)
+    return kept

@@ -68,7 +68,8 @@ def check_seen(surface: Surface, sector: Sector | None) -> None:
     """
     if sector is None:
         return
-    inside, seen = holds(sector, surface.theta), surface.observed.any(axis=1)
+    inside = holds(sector, surface.theta)
+    seen = np.asarray(surface.observed.any(axis=1))
     unseen = int((inside & ~seen).sum())
     if unseen:
         known = _longest(seen, surface.theta)
