@@ -8,6 +8,8 @@ from ttus_opt.errors import GeometryError, InputError
 from ttus_opt.phantom import CoulombDrag, EllipsoidProbe, Motion, press
 from ttus_opt.phantom.example_data import PROBE, poses
 
+REST = Motion(np.zeros(3), np.zeros(3))
+
 
 @pytest.fixture(scope="module")
 def pose():
@@ -108,7 +110,7 @@ def test_no_drag_at_rest_nor_within_the_deadband(coarse_patch, pose):
     smooth = press(coarse_patch, PROBE, *pose)
     drag = CoulombDrag(0.25, deadband=1e-3)
     slow = Motion(np.array([0.0, 0.0, 0.9e-3]), np.zeros(3))
-    for motion in (None, Motion.rest(), slow):
+    for motion in (None, REST, slow):
         rough = press(coarse_patch, PROBE, *pose, motion=motion, drag=drag)
         assert np.array_equal(rough.force, smooth.force)
     fast = Motion(np.array([0.0, 0.0, 1e-2]), np.zeros(3))
@@ -153,7 +155,7 @@ def test_damping_never_pulls_and_rest_has_none(coarse_patch, pose):
     away = Motion(np.array([0.0, 1.0, 0.0]), np.zeros(3))
     contact = press(coarse_patch, PROBE, *pose, motion=away, damping=10.0)
     assert not contact.force.any()
-    slow = press(coarse_patch, PROBE, *pose, motion=Motion.rest(), damping=10.0)
+    slow = press(coarse_patch, PROBE, *pose, motion=REST, damping=10.0)
     assert np.array_equal(slow.force, press(coarse_patch, PROBE, *pose).force)
     with pytest.raises(InputError, match="damping"):
         press(coarse_patch, PROBE, *pose, damping=-1.0)

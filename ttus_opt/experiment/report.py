@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,6 @@ from ttus_opt.report.document import (
     Block,
     Heading,
     Items,
-    Picture,
     Table,
     Text,
     write_html,
@@ -46,7 +44,7 @@ def write_reports(folder: Path, result: ExperimentResult) -> None:
         FileError: The folder cannot be written to.
     """
     best = best_setting(result)
-    blocks = [*summary(result), *_after_summary(draw(folder, result, best))]
+    blocks = [*summary(result), Heading("Figures"), *draw(folder, result, best)]
     write_markdown(folder / "report.md", blocks)
     write_html(folder / "report.html", TITLE, blocks)
 
@@ -77,14 +75,14 @@ def summary(result: ExperimentResult) -> list[Block]:
     best = best_setting(result)
     blocks: list[Block] = [Heading(TITLE, 1), *_what_was_done(result)]
     blocks += [tables.recordings_table(result)]
-    blocks += [Heading("Counterparts of the paper's tables I to IV"), _about_paper()]
+    blocks += [Heading("Counterparts of the paper's tables I to IV"), _ABOUT_PAPER]
     for name, table in tables.paper_tables(result, best).items():
         blocks += [Heading(name, 3), table]
-    blocks += [Heading("Torque without → with its term"), _about_torque()]
+    blocks += [Heading("Torque without → with its term"), _ABOUT_TORQUE]
     blocks += [tables.torque_table(result)]
-    blocks += [Heading("How much the boundary value matters"), _about_boundary()]
+    blocks += [Heading("How much the boundary value matters"), _ABOUT_BOUNDARY]
     blocks += [tables.boundary_table(result)]
-    blocks += [Heading("Formulations on new trajectories"), _about_aims()]
+    blocks += [Heading("Formulations on new trajectories"), _ABOUT_AIMS]
     for against, told in (
         ("true", "Against true wrenches at true poses, the error of the model alone:"),
         (
@@ -148,31 +146,28 @@ def _what_was_done(result: ExperimentResult) -> list[Block]:
     ]
 
 
-def _about_paper() -> Text:
-    return Text(
-        "Mean errors against the measured wrenches, without (Laplace only) and with "
-        "measured forces. The paper's boundary value is its own choice for its "
-        "patients, who were not these: the third column has the one number that suits "
-        "these measurements best. The paper's averages over three people, recomputed "
-        f"from its cells: {100 * paper.GAIN_FORCE:.0f} %, {paper.GAIN_ANGLE_DEG:g}° "
-        f"and {100 * paper.GAIN_ANGLE:.0f} % reproduce; its "
-        f"{paper.PRINTED_GAIN_FORCE_N:g} N does not, its cells give "
-        f"{paper.GAIN_FORCE_N:g} N."
-    )
+_ABOUT_PAPER = Text(
+    "Mean errors against the measured wrenches, without (Laplace only) and with "
+    "measured forces. The paper's boundary value is its own choice for its "
+    "patients, who were not these: the third column has the one number that suits "
+    "these measurements best. The paper's averages over three people, recomputed "
+    f"from its cells: {100 * paper.GAIN_FORCE:.0f} %, {paper.GAIN_ANGLE_DEG:g}° "
+    f"and {100 * paper.GAIN_ANGLE:.0f} % reproduce; its "
+    f"{paper.PRINTED_GAIN_FORCE_N:g} N does not, its cells give "
+    f"{paper.GAIN_FORCE_N:g} N."
+)
 
 
-def _about_torque() -> Text:
-    return Text(
-        "Eq. 10 fitted to forces alone → to forces and torques, which the paper leaves "
-        "to future work. Means of press and sweep."
-    )
+_ABOUT_TORQUE = Text(
+    "Eq. 10 fitted to forces alone → to forces and torques, which the paper leaves "
+    "to future work. Means of press and sweep."
+)
 
 
-def _about_boundary() -> Text:
-    return Text(
-        "Mean magnitude error [N] on new trajectories while the value of the inner "
-        "layer runs over a decade: before (Laplace alone) and after fitting eq. 10."
-    )
+_ABOUT_BOUNDARY = Text(
+    "Mean magnitude error [N] on new trajectories while the value of the inner "
+    "layer runs over a decade: before (Laplace alone) and after fitting eq. 10."
+)
 
 
 def _about_rivals(result: ExperimentResult) -> Text:
@@ -185,14 +180,13 @@ def _about_rivals(result: ExperimentResult) -> Text:
     )
 
 
-def _about_aims() -> Text:
-    return Text(
-        "Means over the new trajectories of all patients. *Told apart*: share of "
-        "frames whose force is off by more than 7 % and 0.36 N, or by 18°. Aims: "
-        "median magnitude error ≤ 7 % or 0.36 N, mean angle ≤ "
-        f"{AIM_ANGLE:g}°, torque magnitude ≤ {100 * AIM_TORQUE:g} %, torque angle ≤ "
-        f"{AIM_TORQUE_ANGLE:g}°; *each aim met*: on how many recordings, in this order."
-    )
+_ABOUT_AIMS = Text(
+    "Means over the new trajectories of all patients. *Told apart*: share of "
+    "frames whose force is off by more than 7 % and 0.36 N, or by 18°. Aims: "
+    "median magnitude error ≤ 7 % or 0.36 N, mean angle ≤ "
+    f"{AIM_ANGLE:g}°, torque magnitude ≤ {100 * AIM_TORQUE:g} %, torque angle ≤ "
+    f"{AIM_TORQUE_ANGLE:g}°; *each aim met*: on how many recordings, in this order."
+)
 
 
 def _aims(result: ExperimentResult, best: str) -> list[Block]:
@@ -227,7 +221,3 @@ def _cells(score: Score) -> list[str]:
         f"{score.torque_angle_error_deg:.0f}° {met['torque angle']}",
         f"{100 * score.share_told_apart:.0f} %",
     ]
-
-
-def _after_summary(pictures: Sequence[Picture]) -> list[Block]:
-    return [Heading("Figures"), *pictures]

@@ -101,11 +101,6 @@ class LowRankKernel:
         arrays = (self._C, self._E, self._N, self._residual, self.pivots, self.others)
         return sum(a.nbytes for a in arrays)
 
-    @property
-    def largest_residual(self) -> float:
-        """Largest residual variance of a row."""
-        return float(self._residual.max(initial=0.0))
-
     def coordinates(self, cross: Array) -> Array:
         """Coordinates of rows in the columns held, shape (m, k); O(k²) per row.
 
@@ -290,13 +285,6 @@ class LowRankKernel:
         self._N *= factor
         self._residual *= factor**2
         self._refresh()
-
-    def dense(self) -> Array:
-        """R with all its zeros, shape (n, k)."""
-        out = np.zeros((len(self), self.rank))
-        out[self.pivots] = triangle.unpacked(self._C, self.rank)
-        out[self.others] = self._coefficients.T
-        return out
 
     @property
     def _coefficients(self) -> Array:

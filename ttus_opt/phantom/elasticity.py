@@ -198,15 +198,12 @@ def _assemble(body: ElasticBody) -> tuple[Any, sp.csr_array]:
 
     element = skfem.ElementVector(skfem.ElementHex1())
     full = skfem.Basis(body.mesh, element, intorder=3)
-    reduced = skfem.Basis(body.mesh, element, quadrature=_centre_rule())
+    # one point in the centre of the unit cube, with its weight
+    centre = np.full((3, 1), 0.5), np.ones(1)
+    reduced = skfem.Basis(body.mesh, element, quadrature=centre)
     # The modulus is evaluated once here: a form is called for every pair of shapes.
     stiffness = sum(
         form.assemble(basis, young=body.young(np.asarray(basis.global_coordinates())))
         for form, basis in ((shear, full), (volume, reduced))
     )
     return full, sp.csr_array(stiffness)
-
-
-def _centre_rule() -> tuple[Array, Array]:
-    """One-point quadrature of the unit cube: points (3, 1), weights (1,)."""
-    return np.full((3, 1), 0.5), np.ones(1)

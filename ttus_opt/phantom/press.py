@@ -68,11 +68,6 @@ class Motion:
     velocity: Array
     angular_velocity: Array
 
-    @classmethod
-    def rest(cls) -> Motion:
-        """No motion."""
-        return cls(np.zeros(3), np.zeros(3))
-
 
 @dataclass(frozen=True)
 class Contact:

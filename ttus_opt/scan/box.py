@@ -11,26 +11,6 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 
 
-def cropped(cloud: Array, box: Sequence[float]) -> Array:
-    """The points of a scan inside a box.
-
-    Args:
-        cloud: Scan, shape (n, 3) [m].
-        box: As of `inside`.
-
-    Returns:
-        Those points, in their order, shape (m, 3) [m].
-
-    Raises:
-        InputError: As of `inside`.
-
-    Examples:
-        >>> cropped(np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), [-1, 1, -1, 1, -1, 1])
-        array([[0., 0., 0.]])
-    """
-    return np.asarray(cloud[inside(cloud, box)])
-
-
 def inside(cloud: Array, box: Sequence[float]) -> NDArray[np.bool_]:
     """Which points of a scan are inside a box.
 
@@ -40,11 +20,15 @@ def inside(cloud: Array, box: Sequence[float]) -> NDArray[np.bool_]:
             where a side is open.
 
     Returns:
-        Shape (n,).
+        A mask, shape (n,).
 
     Raises:
         InputError: No six numbers, a lower limit that is not below the upper, or no
             point inside; the message tells where the points are.
+
+    Examples:
+        >>> inside(np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), [-1, 1, -1, 1, -1, 1])
+        array([ True, False])
     """
     limits = np.asarray(box, dtype=np.float64)
     if limits.shape != (6,) or np.isnan(limits).any():

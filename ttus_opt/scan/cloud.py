@@ -18,7 +18,7 @@ import numpy as np
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
-from ttus_opt.scan.box import cropped
+from ttus_opt.scan.box import inside
 from ttus_opt.scan.pcd import read_pcd
 from ttus_opt.scan.xyz import read_xyz
 
@@ -77,7 +77,7 @@ def read_cloud(
         )
     points = points[finite] * UNITS[unit or "m"]
     if box is not None:
-        points = cropped(points, box)
+        points = points[inside(points, box)]
     _check_extent(file, float(np.ptp(points, axis=0).max()) / UNITS[unit or "m"], unit)
     return np.ascontiguousarray(points)
 
