@@ -21,7 +21,8 @@ def gram(n: int, rank: int, rng: np.random.Generator, scale: float = 1.0) -> Arr
 
 def dense(kernel: LowRankKernel) -> Array:
     """R with all its zeros, shape (n, k)."""
-    return np.stack([kernel.times(column) for column in np.eye(kernel.rank)], axis=1)
+    columns = [kernel.times(column) for column in np.eye(kernel.rank)]
+    return np.array(columns).reshape(kernel.rank, len(kernel)).T
 
 
 def extend(
