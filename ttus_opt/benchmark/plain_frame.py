@@ -82,10 +82,10 @@ def plain_samples(
     return inside, np.stack(voxels, axis=1), np.stack(shares, axis=1)
 
 
-def _skin_of(
+def _surface_of(
     voxmap: Voxmap, j: NDArray[np.int64], k: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Radius of the skin on spokes [m], and the layer below the skin's."""
+    """Radius of the surface on spokes [m], and the layer below the surface's."""
     grid = voxmap.grid
     radius = voxmap.surface.radius_at(grid.theta[j], grid.z[k])
     return radius, surface_layer(grid, radius) - 1
@@ -96,14 +96,14 @@ def _along_spoke(
 ) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array]]:
     """Two layers on spokes (m,) and their shares, at depths (m,) [m]."""
     grid = voxmap.grid
-    radius, last = _skin_of(voxmap, j, k)
+    radius, last = _surface_of(voxmap, j, k)
     place = np.maximum(radius - depth, grid.r_inner)
     near = place >= grid.r[last]
     lower = np.minimum(((place - grid.r_inner) / grid.r_step).astype(int), last)
     upper = np.where(near, last, lower + 1)
     share = np.where(near, 0.0, (place - grid.r[lower]) / grid.r_step)
-    to_skin = (radius - place) / (radius - grid.r[last])
-    return (lower, upper), (np.where(near, to_skin, 1.0 - share), share)
+    to_surface = (radius - place) / (radius - grid.r[last])
+    return (lower, upper), (np.where(near, to_surface, 1.0 - share), share)
 
 
 def _voxel_means(
@@ -114,8 +114,8 @@ def _voxel_means(
     u = np.maximum((r - grid.r_inner) / grid.r_step, 0.0)
     i, j, k = (np.floor(x + 0.5).astype(int) for x in (u, v, w))
     j %= grid.shape[1]
-    radius, last = _skin_of(voxmap, j, k)
-    face = grid.r[last] + grid.r_step / 2  # the inner face of the skin's layer
+    radius, last = _surface_of(voxmap, j, k)
+    face = grid.r[last] + grid.r_step / 2  # the inner face of the surface layer
     samples = (i <= last) & (radius - depth < face)
     voxel = np.ravel_multi_index((i, j, k), grid.shape)
     _, place = np.unique(voxel, return_inverse=True)

@@ -92,32 +92,32 @@ def evaluate(
     for recording in told:
         if recording["seen"]:
             typer.echo(f"{recording['name']}: seen, the field was fitted to it")
-    typer.echo(
+    each_own = [line for one in each for line in one.lines]
+    typer.echo("\n".join([*_lines(errors, recorded.has_torque), *each_own]))
+
+
+def _lines(errors: Errors, has_torque: bool) -> list[str]:
+    """Errors of force and torque over all recordings."""
+    lines = [
         f"force   {errors.force_magnitude_error_N:.3f} N mean, "
         f"{errors.force_magnitude_rmse_N:.3f} N rmse, "
         f"{errors.force_angle_error_deg:.1f}° over {errors.frames_in_contact} of "
         f"{errors.frames} frames in contact"
-    )
+    ]
     if not math.isnan(errors.share_told_apart):
-        typer.echo(
+        lines.append(
             f"felt    {100 * errors.share_told_apart:.1f} % of the frames in contact "
             "could be told from the measured ones (by more than 7 % and 0.36 N, or 18°)"
         )
-    if not recorded.has_torque:
-        typer.echo("torque  not measured")
-    else:
-        _tell_torque(errors)
-    for line in (line for one in each for line in one.lines):
-        typer.echo(line)
-
-
-def _tell_torque(errors: Errors) -> None:
-    typer.echo(
+    if not has_torque:
+        return [*lines, "torque  not measured"]
+    torque = (
         f"torque  {1e3 * errors.torque_magnitude_error_Nm:.1f} mN m mean, "
         f"{1e3 * errors.torque_magnitude_rmse_Nm:.1f} mN m rmse, "
         f"{errors.torque_angle_error_deg:.1f}° over {errors.frames_with_torque} "
         "frames with a torque"
     )
+    return [*lines, torque]
 
 
 def warn_off_grid(in_grid: NDArray[np.bool_]) -> None:

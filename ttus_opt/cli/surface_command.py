@@ -56,7 +56,7 @@ def surface(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Extract the patient's skin from a depth scan.
+    """Extract the patient's surface from a depth scan.
 
     The patient's frame, which recordings and fields share, has x to the right, y to the
     front and z to the head; the surface file says where it lies in the scan.

@@ -29,19 +29,21 @@ NEAR = 0.1
 FEW, MANY = 0.2, 0.6
 
 
-def share_near_skin(trajectory: Trajectory, shell: PointShell, skin: Surface) -> float:
+def share_near_skin(
+    trajectory: Trajectory, shell: PointShell, surface: Surface
+) -> float:
     """Share of frames whose probe is near the skin.
 
     Args:
         trajectory: Patient frame.
         shell: The probe.
-        skin: The patient.
+        surface: The patient's.
     """
     points = trajectory.position + trajectory.rotation @ np.asarray(shell.reference)
     radius = np.hypot(points[:, 0], points[:, 1])
     angle, z = np.arctan2(points[:, 1], points[:, 0]), points[:, 2]
-    near = np.abs(radius - skin.radius_at(angle, z)) < NEAR
-    near &= (z > skin.z[0] - NEAR) & (z < skin.z[-1] + NEAR)
+    near = np.abs(radius - surface.radius_at(angle, z)) < NEAR
+    near &= (z > surface.z[0] - NEAR) & (z < surface.z[-1] + NEAR)
     return float(near.mean())
 
 
@@ -49,7 +51,7 @@ def warn_of_another_frame(
     as_written: Trajectory,
     read: Trajectory,
     shell: PointShell,
-    skin: Surface,
+    surface: Surface,
     told: Conventions,
 ) -> None:
     """Say when recordings lie on the skin in another frame than the one told.
@@ -58,16 +60,16 @@ def warn_of_another_frame(
         as_written: With the file's numbers taken at their word.
         read: By what was told.
         shell: The probe.
-        skin: The patient.
+        surface: The patient's.
         told: How they were read.
     """
-    own = share_near_skin(read, shell, skin)
+    own = share_near_skin(read, shell, surface)
     if own >= FEW:
         return
-    place: Array = skin.axis.scan_to_patient
+    place: Array = surface.axis.scan_to_patient
     poses = replace(as_written, force=None, torque=None)
     for other, where, remedy in _others(told):
-        share = share_near_skin(other.read(poses, np.zeros(3), place), shell, skin)
+        share = share_near_skin(other.read(poses, np.zeros(3), place), shell, surface)
         if share > MANY:
             warnings.warn(
                 f"the recordings lie beside the skin in the {told.frame}'s frame, and "

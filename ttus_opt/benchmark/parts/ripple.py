@@ -152,13 +152,13 @@ def cylinder_field(sampling: str, voxel: float) -> PotentialField:
 
     Args:
         sampling: ``voxel-mean`` or ``trilinear``.
-        voxel: Step in r, z, and in θ at the skin, of skin and field [m].
+        voxel: Step in r, z, and in θ at the surface, of surface and field [m].
     """
     n_theta = round(2.0 * math.pi * RADIUS / voxel)
     n_z = math.ceil(2.0 * HALF / voxel) + 1
     z: Array = np.linspace(-HALF, -HALF + (n_z - 1) * voxel, n_z)
     theta: Array = np.linspace(0.0, 2.0 * math.pi, n_theta, endpoint=False)
-    radius = _skin_radius(theta[:, None], z)
+    radius = _surface_radius(theta[:, None], z)
     n_r = math.ceil((float(radius.max()) + voxel - INNER) / voxel) + 1
     grid = CylindricalGrid(
         INNER,
@@ -176,7 +176,7 @@ def cylinder_field(sampling: str, voxel: float) -> PotentialField:
     return PotentialField(Voxmap(grid, surface, region), values, sampling)
 
 
-def _skin_radius(theta: Array, z: Array) -> Array:
+def _surface_radius(theta: Array, z: Array) -> Array:
     """Where a ray from the grid's axis leaves the cylinder [m]."""
     s, c = math.sin(LEAN), math.cos(LEAN)
     # (c (R cos θ − x0) − s z)² + (R sin θ)² = RADIUS², for R

@@ -11,5 +11,5 @@ from ttus_opt.report.plots.poses import pose_picture as pose_picture
 from ttus_opt.report.plots.potential import field_slice as field_slice
 from ttus_opt.report.plots.potential import potential_slices as potential_slices
 from ttus_opt.report.plots.residuals import residual_histogram as residual_histogram
-from ttus_opt.report.plots.skin import surface_picture as surface_picture
+from ttus_opt.report.plots.surface import surface_picture as surface_picture
 from ttus_opt.report.plots.weights import weight_path as weight_path

@@ -11,7 +11,7 @@ from ttus_opt.report.metrics import Evaluation
 from ttus_opt.report.plots.canvas import look, new_figure
 from ttus_opt.report.plots.forces import draw_magnitude
 from ttus_opt.report.plots.potential import colour_limit, draw_slice
-from ttus_opt.report.plots.skin import draw_section
+from ttus_opt.report.plots.surface import draw_section
 from ttus_opt.voxmap.field import PotentialField
 
 
