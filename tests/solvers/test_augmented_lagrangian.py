@@ -1,4 +1,4 @@
-"""Penalties that are no squares: known answers, and interior points on small scenes."""
+"""Penalties other than squares: known answers, and interior points on small scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of the solvers' rows: sections of the report, tables on the terminal."""
+"""The solvers' rows in words: sections of the report, tables on the terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one rendering of one recording is judged by, and the aims it is held against."""
+"""How one rendering of one recording is judged, and the aims it is compared with."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Are recordings in the frame that was told? The skin says so.
+"""Are recordings in the frame that was stated? The skin tells.
 
-A probe that measures is near the skin. Recordings that are read in the patient's frame
-and were written in the scan's lie somewhere else, as a rule, and near the skin when
-they are carried over.
+A probe that measures is near the skin. Recordings written in the scan's frame but read
+as in the patient's usually lie somewhere else, and near the skin once they are
+carried over.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the posterior of a Gaussian prior and measured rows has to tell of itself.
+"""Posterior of a Gaussian prior and measured rows: covariance, draws, noise scale.
 
 With σ² = 1, C the prior's covariance, D the measured rows times their weights' roots
 and BᵀB = D C Dᵀ, (1 + D C Dᵀ)⁻¹ = 1 − XᵀX with X = L⁻¹B, L Lᵀ = 1 + BBᵀ: all that is

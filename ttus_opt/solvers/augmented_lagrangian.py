@@ -1,10 +1,10 @@
-"""Penalties that are no squares, as they are: the method of multipliers.
+"""Penalties other than squares, not smoothed: the method of multipliers.
 
 Absolute values, Huber's, groups, total variation on any sparse rows, beside squares and
 limits. Where all rows but a few are Laplace's the Newton steps go through the dual, as
 those of `structured`; otherwise through conjugate gradients over the field.
 
-See docs/method.md, Penalties that are no squares.
+See docs/method.md, Penalties other than squares.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""About the inverse of a sparse positive definite matrix nobody knows anything of.
+"""Approximate inverse of any sparse positive definite matrix.
 
-Either a factor or algebraic multigrid. Which of them an estimate decides: ordered by
+A factor or algebraic multigrid, as an estimate of the factor decides: ordered by
 Cuthill and McKee's rule in reverse, the matrix has an envelope of widths βᵢ, within
 which a factor needs Σ β numbers and Σ β² operations (A. George, J. Liu, Computer
 Solution of Large Sparse Positive Definite Systems, 1981). Rows that tie voxels along

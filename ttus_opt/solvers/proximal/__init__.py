@@ -1,4 +1,4 @@
-"""Method of multipliers with semismooth Newton steps: penalties that are no squares.
+"""Method of multipliers with semismooth Newton steps: penalties other than squares.
 
-See docs/method.md, Penalties that are no squares.
+See docs/method.md, Penalties other than squares.
 """
