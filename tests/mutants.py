@@ -93,7 +93,10 @@ TARGETS = (
     Target("fitting/recursive.py", ("fitting/test_recursive.py",)),
     Target("fitting/dual_recursion.py", ("fitting/test_dual_recursion.py",)),
     Target("fitting/low_rank_kernel.py", ("fitting/test_low_rank_kernel.py",)),
-    Target("fitting/pivots.py", ("fitting/test_low_rank_kernel.py",)),
+    Target(
+        "fitting/pivots.py",
+        ("fitting/test_pivots.py", "fitting/test_low_rank_kernel.py"),
+    ),
     Target("fitting/parabola.py", ("fitting/test_parabola.py",)),
     Target(
         "fitting/packed_triangle.py",
@@ -141,8 +144,8 @@ TARGETS = (
         ),
     ),
     Target("solvers/dual/solver.py", ("solvers/dual/test_solver.py",)),
-    Target("laplace/system.py", ("laplace/test_system.py",)),
-    Target("laplace/stencil.py", ("laplace/test_system.py",)),
+    Target("laplace/system.py", ("laplace/test_system.py", "laplace/test_stencil.py")),
+    Target("laplace/stencil.py", ("laplace/test_stencil.py", "laplace/test_system.py")),
     Target("fitting/sanity.py", ("fitting/test_sanity.py",)),
     Target("probe/conventions.py", ("probe/test_conventions.py",)),
     Target("probe/text_table.py", ("probe/test_text_table.py",)),
