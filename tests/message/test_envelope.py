@@ -47,7 +47,7 @@ def test_every_byte_counts() -> None:
         (sealed(b"", SURFACE, VERSION + 1), "update ttus_opt"),
         (sealed(b"", SURFACE, 0), "encode it again"),
         (sealed(b"", 99), "unknown kind 99"),
-        (b"TTUM" + struct.pack("<BBI", 1, 1, 2**32 - 1) + bytes(20), "at most"),
+        (b"TTUM" + struct.pack("<BBI", VERSION, 1, 2**32 - 1) + bytes(20), "at most"),
         ("TTUM", "bytes, got str"),
     ],
 )

@@ -54,10 +54,14 @@ class Grid(NamedTuple):
     r_outer: float
 
 
-def _scheme(grid: Grid) -> Scheme:
-    """Heights first, angles last; from the third level on finer, as that pays."""
-    shape = (grid.n_r, grid.n_theta, grid.n_z)
-    return Scheme(shape, (False, True, False), (2, 0, 1), (1, 1, 2, 8))
+def _scheme(region: NDArray[np.int8]) -> Scheme:
+    """Heights first, angles last; from the third level on finer, as that pays.
+
+    Inside, layer and outside are predicted apart: the surface cuts their links, and the
+    field has a kink there.
+    """
+    shape = region.shape
+    return Scheme(shape, (False, True, False), (2, 0, 1), (1, 1, 2, 8), region)
 
 
 def encode_field(
@@ -104,7 +108,7 @@ def encode_field(
     scales = np.linalg.lstsq(np.stack(laplace, axis=1), values, rcond=None)[0]
     rest = values - scales[0] * laplace[0] - scales[1] * laplace[1]
     try:
-        passes, _ = differences(of.unflatten(rest), bound, _scheme(grid))
+        passes, _ = differences(of.unflatten(rest), bound, _scheme(sent.region))
     except OverflowError as error:
         raise InputError(
             f"max_error {bound:g} is too small for this field: choose a larger one"
@@ -165,7 +169,7 @@ def decode_field(
     laid = _laid_over(surface, grid, BOUNDARIES[where])
     voxmap = Voxmap(laid.grid, surface, _region(laid, moved), laid.boundary)
     laplace = _laplace_fields(voxmap)
-    rest = restored(sent, bound, _scheme(grid))
+    rest = restored(sent, bound, _scheme(voxmap.region))
     values = inner * laplace[0] + outer * laplace[1] + laid.grid.flatten(rest)
     return PotentialField(
         voxmap,

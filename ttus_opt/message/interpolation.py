@@ -8,6 +8,8 @@ interpolation, ICDE 2021.
 
 All of it is arithmetic of whole numbers: sender and receiver agree to the last bit,
 whatever machine they run on.
+
+Of an array with a kink at a surface, nodes on the other side of it predict nothing.
 """
 
 from __future__ import annotations
@@ -15,10 +17,11 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fractions import Fraction
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 
@@ -28,14 +31,18 @@ PARTS = 256
 #: Denominator of the weights of interpolation
 WEIGHT = 4096
 
-#: Nodes a prediction is made from
-STENCIL = 4
+#: Nodes a prediction is made from, and how many of them where all lie on one side of
+#: the node: more would magnify their rounding
+STENCIL, STENCIL_BEYOND = 4, 2
 
 #: A quantum in units of the error bound: half a quantum, and half a part of rounding
 QUANTUM = 2 * PARTS / (PARTS + 1)
 
 #: Of a difference, so that it fits 32 bits
 LARGEST = 2**31 - 1
+
+#: Of an array, per axis
+_Indices = tuple[IntArray, ...]
 
 
 @dataclass(frozen=True)
@@ -49,12 +56,15 @@ class Scheme:
         divisors: Parts of a quantum that differences are rounded to, finest level
             first, then the next coarser one, the last for all beyond; what is
             predicted from finer values needs fewer differences.
+        sides: On which side of a surface every node lies, of the array's shape; only
+            nodes of its own side predict one. None where there is no surface.
     """
 
     shape: tuple[int, ...]
     periodic: tuple[bool, ...]
     axes: tuple[int, ...]
     divisors: tuple[int, ...] = (1,)
+    sides: NDArray[np.int8] | None = field(default=None, repr=False, compare=False)
 
     @property
     def size(self) -> int:
@@ -75,10 +85,10 @@ class Scheme:
                 new = np.arange(step, n, 2 * step)
                 if len(new) == 0:
                     continue
-                nodes, weights = _stencils(n, step, self.periodic[axis])
-                target = [*known[:axis], new, *known[axis + 1 :]]
-                source = _Source(axis, tuple(known), nodes, weights)
-                yield _Pass(tuple(target), source, self._parts(level))
+                stencils = _stencils(n, step, self.periodic[axis])
+                target = (*known[:axis], new, *known[axis + 1 :])
+                source = _Source(axis, tuple(known), stencils)
+                yield _Pass(target, source, self._parts(level))
                 known[axis] = np.arange(0, n, step)
             step //= 2
             level -= 1
@@ -89,33 +99,59 @@ class Scheme:
 
 
 @dataclass(frozen=True)
+class _Stencils:
+    """From what new nodes along an axis are predicted.
+
+    Attributes:
+        nodes: Indices along the axis, shape (new, count).
+        kind: Row of ``weights`` of every new node, shape (new,).
+        weights: Per kind and per subset of the nodes that may be used, bit i for node
+            i, shape (kinds, 2**count, count) [1/`WEIGHT`].
+    """
+
+    nodes: IntArray
+    kind: IntArray
+    weights: IntArray
+
+
+@dataclass(frozen=True)
 class _Source:
     """From what a pass predicts, along one axis.
 
     Attributes:
         axis: The axis.
         known: Indices known so far, per axis.
-        nodes: Indices along the axis, shape (new, 4).
-        weights: Their weights [1/`WEIGHT`], same shape.
+        stencils: Which of them, and their weights.
     """
 
     axis: int
     known: tuple[IntArray, ...]
-    nodes: IntArray
-    weights: IntArray
+    stencils: _Stencils
 
-    def predicted(self, values: IntArray) -> IntArray:
-        """New nodes from known ones, rounded."""
+    def predicted(
+        self, values: IntArray, sides: NDArray[np.int8] | None, target: _Indices
+    ) -> IntArray:
+        """New nodes from known ones, rounded; 0 where none may be used."""
+        nodes = self.stencils.nodes.T
+        usable: IntArray | int = (1 << len(nodes)) - 1
+        if sides is not None:
+            own = sides[np.ix_(*target)]
+            usable = np.zeros(own.shape, np.int64)
+            for bit, node in enumerate(nodes):
+                usable |= (sides[self._there(node)] == own).astype(np.int64) << bit
+        shape = [1] * values.ndim
+        shape[self.axis] = -1
+        weights = self.stencils.weights[self.stencils.kind.reshape(shape), usable]
+        total = np.full([len(indices) for indices in target], WEIGHT // 2)
+        for number, node in enumerate(nodes):
+            total += values[self._there(node)] * weights[..., number]
+        return np.asarray(total // WEIGHT)
+
+    def _there(self, node: IntArray) -> tuple[IntArray, ...]:
+        """Indices of known nodes, moved along the axis."""
         across = [*self.known]
-        total: IntArray | None = None
-        for node, weight in zip(self.nodes.T, self.weights.T, strict=True):
-            across[self.axis] = node
-            shape = [1] * values.ndim
-            shape[self.axis] = -1
-            part = values[np.ix_(*across)] * weight.reshape(shape)
-            total = part if total is None else total + part
-        assert total is not None
-        return np.asarray((total + WEIGHT // 2) // WEIGHT)
+        across[self.axis] = node
+        return np.ix_(*across)
 
 
 @dataclass(frozen=True)
@@ -128,13 +164,19 @@ class _Pass:
         parts: Parts of a quantum in one difference.
     """
 
-    target: tuple[IntArray, ...]
+    target: _Indices
     source: _Source | None
     parts: int
 
+    def predicted(self, values: IntArray, sides: NDArray[np.int8] | None) -> IntArray:
+        """The nodes, from what is known."""
+        if self.source is None:
+            return np.zeros([len(indices) for indices in self.target], np.int64)
+        return self.source.predicted(values, sides, self.target)
+
 
 @functools.lru_cache(maxsize=256)
-def _stencils(n: int, step: int, periodic: bool) -> tuple[IntArray, IntArray]:
+def _stencils(n: int, step: int, periodic: bool) -> _Stencils:
     """Nodes and weights of cubic interpolation, exact for cubic polynomials.
 
     Args:
@@ -143,23 +185,37 @@ def _stencils(n: int, step: int, periodic: bool) -> tuple[IntArray, IntArray]:
         periodic: Whether the axis closes.
 
     Returns:
-        Indices and weights [1/`WEIGHT`], shape (new, 4) each; fewer columns where
-        fewer are known.
+        At most four nodes each; fewer where fewer are known.
     """
     known, new = np.arange(0, n, 2 * step), np.arange(step, n, 2 * step)
     around = np.concatenate([known - n, known, known + n]) if periodic else known
     count = min(STENCIL, len(around))
     nodes = np.empty((len(new), count), np.int64)
-    weights = np.empty((len(new), count), np.int64)
-    kept: dict[tuple[int, ...], list[int]] = {}
+    kinds: dict[tuple[int, ...], int] = {}
+    kind = np.empty(len(new), np.int64)
     for row, index in enumerate(new):
         first = int(np.searchsorted(around, index)) - count // 2
         chosen = around[max(0, min(first, len(around) - count)) :][:count]
         offsets = tuple(int(v) for v in chosen - index)
-        if offsets not in kept:
-            kept[offsets] = _lagrange(offsets)
-        nodes[row], weights[row] = chosen % n, kept[offsets]
-    return nodes, weights
+        nodes[row], kind[row] = chosen % n, kinds.setdefault(offsets, len(kinds))
+    return _Stencils(nodes, kind, np.array([_weights(each) for each in kinds]))
+
+
+def _weights(offsets: Sequence[int]) -> IntArray:
+    """Weights of nodes for the value at 0, per subset (2**count, count) [1/`WEIGHT`].
+
+    Args:
+        offsets: Of the nodes, shape (count,).
+    """
+    count = len(offsets)
+    out = np.zeros((1 << count, count), np.int64)
+    for subset in range(1, 1 << count):
+        chosen = [i for i in range(count) if subset >> i & 1]
+        if offsets[chosen[0]] > 0 or offsets[chosen[-1]] < 0:
+            chosen.sort(key=lambda i: abs(offsets[i]))
+            chosen = chosen[:STENCIL_BEYOND]
+        out[subset, chosen] = _lagrange([offsets[i] for i in chosen])
+    return out
 
 
 def _lagrange(offsets: Sequence[int]) -> list[int]:
@@ -197,7 +253,7 @@ def differences(
     exact = np.rint(values / part).astype(np.int64)
     sent: list[IntArray] = []
 
-    def told(target: tuple[IntArray, ...], predicted: IntArray, parts: int) -> IntArray:
+    def told(target: _Indices, predicted: IntArray, parts: int) -> IntArray:
         rest = exact[np.ix_(*target)] - predicted
         sent.append((rest + parts // 2) // parts)
         return sent[-1]
@@ -218,7 +274,7 @@ def restored(sent: IntArray, max_error: float, scheme: Scheme) -> Array:
     """
     at = 0
 
-    def told(target: tuple[IntArray, ...], predicted: IntArray, parts: int) -> IntArray:
+    def told(target: _Indices, predicted: IntArray, parts: int) -> IntArray:
         nonlocal at
         shape = tuple(len(indices) for indices in target)
         here = sent[at : at + math.prod(shape)].reshape(shape)
@@ -229,8 +285,7 @@ def restored(sent: IntArray, max_error: float, scheme: Scheme) -> Array:
 
 
 def _refined(
-    scheme: Scheme,
-    told: Callable[[tuple[IntArray, ...], IntArray, int], IntArray],
+    scheme: Scheme, told: Callable[[_Indices, IntArray, int], IntArray]
 ) -> IntArray:
     """Values [parts] built up pass by pass.
 
@@ -241,12 +296,7 @@ def _refined(
     """
     values = np.zeros(scheme.shape, np.int64)
     for step in scheme.passes():
-        shape = tuple(len(indices) for indices in step.target)
-        predicted = (
-            np.zeros(shape, np.int64)
-            if step.source is None
-            else step.source.predicted(values)
-        )
+        predicted = step.predicted(values, scheme.sides)
         found = predicted + step.parts * told(step.target, predicted, step.parts)
         values[np.ix_(*step.target)] = found
     return values
