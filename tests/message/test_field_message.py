@@ -60,12 +60,13 @@ def test_a_bound_of_ones_own() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("weight", [1e-2, 1e-1])
+@pytest.mark.parametrize("weight", [None, 1e-2])
 @pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
-def test_size_and_force_of_case_M(weight: float) -> None:
+def test_size_and_force_of_case_M(weight: float | None) -> None:
     """A field of 345,600 voxels takes 3 kB, and 0.02 N at 0.25 mm and 0.005 N/cm²."""
     cloud = tt.read_cloud(example.path("scan.ply"), unit="m")
-    base = encode(tt.extract_surface(cloud, axis=tt.Axis.from_cloud(cloud)))
+    frame = tt.Surface.load(example.path("surface.nc")).axis  # of the recordings
+    base = encode(tt.extract_surface(cloud, axis=frame))
     surface = decode(base)  # what both sides have
     assert isinstance(surface, tt.Surface)
     shell = tt.PointShell.ellipsoid((0.030, 0.0125, 0.018))
@@ -80,9 +81,12 @@ def test_size_and_force_of_case_M(weight: float) -> None:
         inner="fit",
         sampling="trilinear",
     )
-    field = tt.fit(scene, "eq10", force_weight=weight, torque_weight=weight).field
+    if weight is None:  # by marginal likelihood, as usual
+        field = tt.fit(scene, "eq10", weights="auto").field
+    else:
+        field = tt.fit(scene, "eq10", force_weight=weight, torque_weight=weight).field
     message = encode(field, base=base)
-    assert len(message) <= 3000
+    assert len(message) <= (3000 if weight is None else 1200)
     received = decode(message, base=base)
     assert isinstance(received, PotentialField)
     assert np.abs(received.values - field.values).max() <= 0.005 * (1 + 1e-6)
@@ -95,7 +99,9 @@ def test_size_and_force_of_case_M(weight: float) -> None:
     effect = [
         np.linalg.norm(b.force - a.force) for b, a in wrenches if b.contact_points
     ]
-    assert np.mean(effect) < 0.036  # a tenth of what a person feels
+    print(f"{len(message)} bytes, {np.mean(effect):.3f} N, {np.max(effect):.3f} N")
+    assert np.mean(effect) < 0.02
+    assert len(effect) > 100
 
 
 def test_messages_in_the_wrong_places() -> None:

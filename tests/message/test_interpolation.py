@@ -9,6 +9,7 @@ from ttus_opt.message.interpolation import (
     WEIGHT,
     Scheme,
     _lagrange,
+    _weights,
     differences,
     restored,
 )
@@ -19,6 +20,12 @@ SCHEMES = [
     Scheme((2, 5), (True, False), (1, 0)),
     Scheme((12, 9), (True, False), (1, 0), (1, 2)),
     Scheme((5, 6, 3), (False, True, False), (2, 0, 1), (1, 1, 2, 8)),
+    Scheme(
+        (5, 6, 3),
+        (False, True, False),
+        (2, 0, 1),
+        sides=np.random.default_rng(0).integers(-1, 2, (5, 6, 3)).astype(np.int8),
+    ),
 ]
 
 
@@ -45,6 +52,48 @@ def test_the_weights_are_those_of_the_textbook() -> None:
     sixteenths = [WEIGHT // 16 * part for part in (-1, 9, 9, -1)]
     assert _lagrange((-3, -1, 1, 3)) == sixteenths
     assert _lagrange((-1, 1)) == [WEIGHT // 2, WEIGHT // 2]
+
+
+def test_the_weights_of_what_may_be_used() -> None:
+    """Bit i stands for node i; beyond the nodes a straight line through the nearest."""
+    quarter = WEIGHT // 4
+    table = _weights((-3, -1, 1, 3))
+    assert table[0b1111].tolist() == _lagrange((-3, -1, 1, 3))
+    assert table[0b0110].tolist() == [0, 2 * quarter, 2 * quarter, 0]
+    assert table[0b1101].tolist() == [
+        quarter // 2,
+        0,
+        4 * quarter + quarter // 2,
+        -quarter,
+    ]
+    assert table[0b1100].tolist() == [0, 0, 6 * quarter, -2 * quarter]
+    assert table[0b0001].tolist() == [WEIGHT, 0, 0, 0]
+    assert not table[0].any()
+
+
+def test_nodes_of_another_side_predict_nothing() -> None:
+    """Whatever lies beyond the surface, the same is sent of this side."""
+    rng = np.random.default_rng(1)
+    r, theta = np.meshgrid(np.arange(12), np.arange(16), indexing="ij")
+    sides = np.where(r < 6.5 + 2 * np.cos(theta), 1, -1).astype(np.int8)
+    scheme = Scheme((12, 16), (False, True), (0, 1), (1, 2), sides)
+    own = np.sin(r / 4.0) * np.cos(theta * np.pi / 8)
+    place = np.arange(own.size).reshape(own.shape)
+    order = np.concatenate(
+        [place[np.ix_(*step.target)].reshape(-1) for step in scheme.passes()]
+    )
+    inside = (sides == 1).reshape(-1)[order]
+    sent = []
+    for beyond in (0.0, 50.0, rng.normal(0.0, 9.0, own.shape)):
+        values = np.where(sides == 1, own, beyond)
+        sent.append(np.concatenate(differences(values, 1e-3, scheme)[0]))
+    np.testing.assert_array_equal(sent[0][inside], sent[1][inside])
+    np.testing.assert_array_equal(sent[0][inside], sent[2][inside])
+    across = Scheme((12, 16), (False, True), (0, 1), (1, 2))
+    kink = np.where(sides == 1, own, 0.0)
+    assert np.count_nonzero(sent[0]) < 0.8 * np.count_nonzero(
+        np.concatenate(differences(kink, 1e-3, across)[0])
+    )
 
 
 def test_a_cubic_is_predicted_without_differences() -> None:

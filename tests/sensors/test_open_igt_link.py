@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import socket
 import threading
 import time
@@ -15,7 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hostile import SEED, mutated
-from ttus_opt.errors import InputError, TtusError
+from ttus_opt.errors import InputError, TtusError, TtusWarning
 from ttus_opt.sensors import open_igt_link as igt
 
 pyigtl = pytest.importorskip("pyigtl", reason="needs ttus-opt[live]")
@@ -169,14 +168,27 @@ def test_mutations(kind: str, n: int) -> None:
     assert taken > n / 4
 
 
-def test_a_server_that_sends_nonsense() -> None:
-    """What came before the connection broke is kept."""
+class Nonsense:
+    def pack(self) -> bytes:
+        return b"\xff" * 58
 
-    class Nonsense:
-        def pack(self) -> bytes:
-            return b"\xff" * 58
 
+def test_a_server_that_sends_nonsense(capfd: pytest.CaptureFixture[str]) -> None:
+    """What came before is kept, and one line says what happened: no traceback."""
     sent = [*(transform(i) for i in range(5)), Nonsense()]
-    with serving(sent) as port, contextlib.redirect_stderr(io.StringIO()):
-        found = igt.record("127.0.0.1", port, seconds=0.3)
+    with (
+        serving(sent) as port,
+        pytest.warns(
+            TtusWarning, match="no OpenIGTLink message .* after 5 messages"
+        ) as told,
+    ):
+        found = igt.record("127.0.0.1", port, seconds=30.0)
     assert len(found.trajectory()) == 5
+    assert "\n" not in str(told[0].message)
+    with (
+        serving([Nonsense()]) as port,
+        pytest.raises(InputError, match="another server or port") as error,
+    ):
+        igt.record("127.0.0.1", port, seconds=30.0)
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr() == ("", "")

@@ -78,6 +78,9 @@ def test_the_example_is_understood(recording: Path) -> None:
         ("scan.depth", ["depth_0.png"], "has 2 entries for 1 depth images"),
         ("scan.depth_kind", "w", "must be z or range"),
         ("scan.intrinsics", 5, "must be a file or a list of files"),
+        ("scan.rays", "camera.json", "scan.rays and intrinsics say the same"),
+        ("scan.axis_from", "no.csv", "scan.axis_from is no.csv, which is not in"),
+        ("scan.axis_depth", 0.1, "axis_depth is for axis_from"),
         ("scan.unit", "ft", "must be m or cm or mm"),
         ("probe", "probe.stl", "probe is probe.stl, which is not in"),
     ],
@@ -91,6 +94,21 @@ def test_what_it_may_not_say(recording: Path, key: str, value: Any, words: str) 
     with pytest.raises(TtusError, match=words) as told:
         read_description(recording)
     assert "\n" not in str(told.value)
+
+
+def test_what_is_said_of_the_frame_goes_together(recording: Path) -> None:
+    changed(recording, "scan.axis_from", "camera.json")
+    for key, value, words in (
+        ("scan.head", [0, 0, 1], "scan.head says where the frame is, and so does"),
+        ("scan.probe_axes", ["z", "up"], "must be two of x, -x, y, -y, z, -z"),
+        ("scan.probe_axes", "z", "must be two of"),
+        ("scan.probe_axes", [["z"], "y"], "must be two of"),
+        ("scan.axis_depth", "deep", "must be a finite number"),
+    ):
+        changed(recording, key, value)
+        with pytest.raises(FileError, match=words):
+            read_description(recording)
+        changed(recording, key, None)
 
 
 def test_no_description(tmp_path: Path) -> None:

@@ -159,7 +159,7 @@ class AxisOptions:
             GeometryError: The scan shows no body.
         """
         from ttus_opt.scan.frame import Axis
-        from ttus_opt.scan.surface import Surface
+        from ttus_opt.sensors.probe_axis import read_axis
 
         given = self.axis_origin is not None or self.axis_direction is not None
         lying = self.head is not None or self.flip_axis or self.prone
@@ -168,9 +168,8 @@ class AxisOptions:
                 raise InputError(
                     "give either --axis-from or where the axis lies, not both"
                 )
-            if self.axis_from.suffix.lower() == ".csv":
-                return self._of_probe(cloud, self.axis_from)
-            return Surface.load(self.axis_from).axis
+            held: Any = tuple(word.strip() for word in self.probe_axes.split(","))
+            return read_axis(self.axis_from, cloud, held=held, depth=self.axis_depth)
         if self.head is not None and self.flip_axis:
             raise InputError("give either --head or --flip-axis, not both")
         if not given:
@@ -185,15 +184,6 @@ class AxisOptions:
         if self.head is not None:
             raise InputError("--axis-direction points to the head: leave --head out")
         return self._given(cloud, self.axis_origin, self.axis_direction)
-
-    def _of_probe(self, cloud: Array, poses: Path) -> Axis:
-        """The frame of a probe held above the sternum."""
-        from ttus_opt.probe.trajectory import read_trajectory
-        from ttus_opt.sensors.probe_axis import axis_from_probe
-
-        held: Any = tuple(word.strip() for word in self.probe_axes.split(","))
-        found = read_trajectory(poses)
-        return axis_from_probe(found, cloud, held=held, depth=self.axis_depth)
 
     def _given(self, cloud: Array, origin: str, direction: str) -> Axis:
         """The frame of an origin and a direction; the front is off the support."""

@@ -55,13 +55,13 @@ class Grid(NamedTuple):
 
 
 def _scheme(region: NDArray[np.int8]) -> Scheme:
-    """Heights first, angles last; from the third level on finer, as that pays.
+    """Heights first, radii last; from the third level on finer, as that pays.
 
     Inside, layer and outside are predicted apart: the surface cuts their links, and the
     field has a kink there.
     """
-    shape = region.shape
-    return Scheme(shape, (False, True, False), (2, 0, 1), (1, 1, 2, 8), region)
+    closed = (False, True, False)
+    return Scheme(region.shape, closed, (2, 1, 0), (1, 1, 2, 6), region)
 
 
 def encode_field(

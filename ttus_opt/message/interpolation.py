@@ -9,7 +9,7 @@ interpolation, ICDE 2021.
 All of it is arithmetic of whole numbers: sender and receiver agree to the last bit,
 whatever machine they run on.
 
-Of an array with a kink at a surface, nodes on the other side of it predict nothing.
+An array with a kink at a surface is predicted on either side by itself.
 """
 
 from __future__ import annotations
@@ -56,8 +56,10 @@ class Scheme:
         divisors: Parts of a quantum that differences are rounded to, finest level
             first, then the next coarser one, the last for all beyond; what is
             predicted from finer values needs fewer differences.
-        sides: On which side of a surface every node lies, of the array's shape; only
-            nodes of its own side predict one. None where there is no surface.
+        sides: On which side of a surface every node lies, of the array's shape; a node
+            is predicted from those of its own side. Where positive, the array is 0 on
+            the surface, and so is the nearest node beyond it. None where there is no
+            surface.
     """
 
     shape: tuple[int, ...]
@@ -133,19 +135,31 @@ class _Source:
     ) -> IntArray:
         """New nodes from known ones, rounded; 0 where none may be used."""
         nodes = self.stencils.nodes.T
+        known = [values[self._there(node)] for node in nodes]
         usable: IntArray | int = (1 << len(nodes)) - 1
         if sides is not None:
-            own = sides[np.ix_(*target)]
-            usable = np.zeros(own.shape, np.int64)
-            for bit, node in enumerate(nodes):
-                usable |= (sides[self._there(node)] == own).astype(np.int64) << bit
+            known, usable = self._on_one_side(known, sides, target)
         shape = [1] * values.ndim
         shape[self.axis] = -1
         weights = self.stencils.weights[self.stencils.kind.reshape(shape), usable]
         total = np.full([len(indices) for indices in target], WEIGHT // 2)
-        for number, node in enumerate(nodes):
-            total += values[self._there(node)] * weights[..., number]
+        for number, part in enumerate(known):
+            total += part * weights[..., number]
         return np.asarray(total // WEIGHT)
+
+    def _on_one_side(
+        self, known: list[IntArray], sides: NDArray[np.int8], target: _Indices
+    ) -> tuple[list[IntArray], IntArray]:
+        """Values of nodes, 0 on other sides, and which predict: bit i for node i."""
+        own = sides[np.ix_(*target)]
+        usable = np.zeros(own.shape, np.int64)
+        seen = []
+        for bit, node in enumerate(self.stencils.nodes.T):
+            same = sides[self._there(node)] == own
+            seen.append(np.where(same, known[bit], 0))
+            nearest = len(known) // 2 - 1 <= bit <= len(known) // 2
+            usable |= (same | (own > 0) if nearest else same).astype(np.int64) << bit
+        return seen, usable
 
     def _there(self, node: IntArray) -> tuple[IntArray, ...]:
         """Indices of known nodes, moved along the axis."""

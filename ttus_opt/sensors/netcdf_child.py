@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -17,14 +18,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-#: Numbers of one variable at most
-MOST_NUMBERS = 100_000_000
+#: Numbers of one variable at most, and per byte of the file: more than compression
+#: holds are a damaged size, and would be filled in
+MOST_NUMBERS, MOST_PER_BYTE = 100_000_000, 200
 
 #: Labels of a coordinate at most; longer texts are nothing a stream needs
 MOST_LABELS = 100
 
-#: Longest reading [s], and most memory of the process [byte]
-PATIENCE, MEMORY = 300.0, 8 * 2**30
+#: Longest reading [s]
+PATIENCE = 300.0
+
+#: Most memory of the process, and how much of it whatever the file, and per byte of it
+#: [byte]: damaged counts are refused by their size, which else take the library minutes
+MEMORY, MEMORY_AT_LEAST, MEMORY_PER_BYTE = 8 * 2**30, 2 * 2**30, 5_000
+
+#: Nothing is computed there: threads would take address space
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 class Variable(NamedTuple):
@@ -53,7 +62,11 @@ def read_apart(file: Path) -> dict[str, Variable]:
     command = [sys.executable, "-P", __file__, str(file)]
     try:
         done = subprocess.run(
-            command, capture_output=True, timeout=PATIENCE, check=False
+            command,
+            capture_output=True,
+            timeout=PATIENCE,
+            check=False,
+            env={**os.environ, **ONE_THREAD},
         )
     except subprocess.TimeoutExpired as error:
         raise ValueError("reading takes for ever") from error
@@ -67,10 +80,11 @@ def packed(file: str) -> bytes:
     import netCDF4
 
     arrays: dict[str, NDArray[Any]] = {}
+    most = min(MOST_NUMBERS, MOST_PER_BYTE * Path(file).stat().st_size)
     told: list[dict[str, Any]] = []
     with netCDF4.Dataset(file) as opened:
         for number, (name, variable) in enumerate(opened.variables.items()):
-            if variable.size > MOST_NUMBERS:
+            if variable.size > most:
                 raise ValueError(f"{name} is too long")
             values = np.ma.asarray(variable[...])
             labels = None
@@ -114,15 +128,16 @@ def unpacked(content: bytes) -> dict[str, Variable]:
     return out
 
 
-def _limit_memory() -> None:
+def limit_memory(file: str) -> None:
     """So that a damaged size does not take the machine's."""
     try:
         import resource
     except ImportError:  # not on Windows
         return
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    most = MEMORY_AT_LEAST + MEMORY_PER_BYTE * Path(file).stat().st_size
+    resource.setrlimit(resource.RLIMIT_AS, (min(most, MEMORY), MEMORY))
 
 
 if __name__ == "__main__":
-    _limit_memory()
+    limit_memory(sys.argv[1])
     sys.stdout.buffer.write(packed(sys.argv[1]))

@@ -12,6 +12,7 @@ import socket
 import struct
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.optional import load
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.streams import WrenchStream
@@ -48,12 +49,15 @@ class Received:
         poses: Times [s] and matrices (4, 4) [–, mm].
         readings: Times [s] and numbers.
         others: Types of messages that are neither, by device.
+        count: Of all messages.
+        broken: Why what came after them could not be read; None while it can.
     """
 
     poses: dict[str, list[tuple[float, Array]]] = field(default_factory=dict)
     readings: dict[str, list[tuple[float, Array]]] = field(default_factory=dict)
     others: dict[str, str] = field(default_factory=dict)
     count: int = 0
+    broken: str | None = None
 
     def take(self, message: Any) -> None:
         """Keep a message."""
@@ -130,10 +134,11 @@ def record(
         progress: Called with the number of messages, many times a second.
 
     Returns:
-        What came. An interrupt (Ctrl-C) ends the recording and nothing is lost.
+        What came. An interrupt (Ctrl-C) ends the recording and nothing is lost; so does
+        what is no message, with a warning.
 
     Raises:
-        InputError: Nobody listens there, nothing is sent, or numbers that are none.
+        InputError: Nobody listens there, nothing is sent, or no OpenIGTLink.
         MissingPackageError: pyigtl is not installed.
     """
     if not (1 <= port <= 65535 and 0.0 < patience < np.inf):
@@ -148,24 +153,55 @@ def record(
         raise InputError(
             f"nobody listens at {host}:{port}: check host, port and server"
         ) from error
-    with _listening(igtl, connection, received):
-        begun: float | None = None
-        asked = time.monotonic()
-        with contextlib.suppress(KeyboardInterrupt):
-            lasts = np.inf if seconds is None else seconds
-            while begun is None or time.monotonic() - begun < lasts:
-                time.sleep(PAUSE)
-                if received.count > MOST_MESSAGES:
-                    break
-                if begun is None and received.count:
-                    begun = time.monotonic()
-                if begun is None and time.monotonic() - asked > patience:
-                    break
-                if progress is not None:
-                    progress(received.count)
-    if received.count == 0:
-        raise InputError(f"{host}:{port} sends nothing: is the server recording?")
+    lasts = np.inf if seconds is None else seconds
+    listening = _listening(igtl, connection, received)
+    with listening, contextlib.suppress(KeyboardInterrupt):
+        _wait(received, lasts, patience, progress)
+    _check(received, f"{host}:{port}")
     return received
+
+
+def _wait(
+    received: Received,
+    lasts: float,
+    patience: float,
+    progress: Callable[[int], None] | None,
+) -> None:
+    """Until the time is over, nothing comes, or nothing more can be read."""
+    begun: float | None = None
+    asked = time.monotonic()
+    while begun is None or time.monotonic() - begun < lasts:
+        time.sleep(PAUSE)
+        if received.count > MOST_MESSAGES or received.broken is not None:
+            break
+        if begun is None and received.count:
+            begun = time.monotonic()
+        if begun is None and time.monotonic() - asked > patience:
+            break
+        if progress is not None:
+            progress(received.count)
+
+
+def _check(received: Received, server: str) -> None:
+    """Warn of a recording that broke off.
+
+    Raises:
+        InputError: Nothing came.
+    """
+    what = f"{server} sent what is no OpenIGTLink message ({received.broken})"
+    if received.count == 0:
+        raise InputError(
+            f"{server} sends nothing: is the server recording?"
+            if received.broken is None
+            else f"{what}: another server or port?"
+        )
+    if received.broken is not None:
+        warnings.warn(
+            f"{what} after {received.count} messages, where the recording ends: what "
+            "came before is kept",
+            TtusWarning,
+            stacklevel=3,
+        )
 
 
 @contextlib.contextmanager
@@ -181,7 +217,18 @@ def _listening(
         def __setitem__(self, device: str, message: Any) -> None:
             received.take(message)
 
-    client = igtl.OpenIGTLinkClient(*connection.getpeername()[:2], start_now=False)
+    class Client(igtl.OpenIGTLinkClient):
+        """Stops at what it cannot read; pyigtl prints its own traceback and goes on."""
+
+        def _receive_message_from_socket(self, ssocket: socket.socket) -> bool:
+            try:
+                return bool(super()._receive_message_from_socket(ssocket))
+            except Exception as error:  # struct.error, KeyError, UnicodeError, …
+                received.broken = f"{type(error).__name__}: {error}".splitlines()[0]
+                self.communication_thread_stop_requested = True
+                return False
+
+    client = Client(*connection.getpeername()[:2], start_now=False)
     client.incoming_messages = Messages()
     connection.settimeout(PAUSE)
     client.socket, client._connected = connection, True

@@ -12,14 +12,18 @@ frame that is found in the scan; or a stated depth below the skin.
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
-from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
+from ttus_opt.scan.surface import Surface
 
 #: How the phantoms' probes are held: z into the patient, y to the feet
 USUAL = ("z", "-y")
@@ -83,6 +87,32 @@ def axis_from_probe(
     z = rotation @ head
     turn = np.stack([np.cross(-inward, z), -inward, z], axis=1)
     return Axis(at + (skin + depth) * inward, turn, plane)
+
+
+def read_axis(
+    path: str | os.PathLike[str],
+    cloud: Array,
+    *,
+    held: tuple[str, str] = USUAL,
+    depth: float | None = None,
+) -> Axis:
+    """The patient frame of a surface file, or of a probe's recorded poses.
+
+    Args:
+        path: A surface (.nc), or poses of a probe held above the sternum (.csv), frame
+            of the scan.
+        cloud: As of `axis_from_probe`, which has the poses.
+        held: The same.
+        depth: The same.
+
+    Raises:
+        FileError: Neither of both.
+        InputError: As of `axis_from_probe`.
+        GeometryError: The same.
+    """
+    if Path(path).suffix.lower() != ".csv":
+        return Surface.load(path).axis
+    return axis_from_probe(read_trajectory(path), cloud, held=held, depth=depth)
 
 
 def _axes(held: tuple[str, str]) -> tuple[Array, Array]:

@@ -19,11 +19,11 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.fitting.weight_choice import has_weights, is_weight
 from ttus_opt.probe.pose import from_quaternions
-from ttus_opt.scan.cloud import UNITS
 from ttus_opt.sensors.clock import LARGEST_OFFSET
 from ttus_opt.sensors.column_map import column_map, read_column_map
 from ttus_opt.sensors.force_sensor import ForceSensor
 from ttus_opt.sensors.mapping_file import read_mapping
+from ttus_opt.session.scan_description import Scan, read_scan
 from ttus_opt.session.section import Section
 
 #: Names of the description in a folder, in this order
@@ -43,46 +43,6 @@ PARTS = (
 )
 FRAMES = ("tracker", "scan", "patient")
 CLOCKS = ("gravity", "contact", "offset")
-
-
-@dataclass(frozen=True)
-class Camera:
-    """One that took a depth image.
-
-    Attributes:
-        intrinsics: File.
-        depth_kind: ``z`` or ``range``.
-        to_scan: Motion from camera to scan, shape (4, 4).
-    """
-
-    intrinsics: Path
-    depth_kind: str
-    to_scan: Array = field(repr=False)
-
-
-@dataclass(frozen=True)
-class Scan:
-    """Where the patient's skin comes from.
-
-    Attributes:
-        files: A cloud, a surface (.nc), or depth images.
-        cameras: Of depth images, one each; none for a cloud or surface.
-        noise: Noise model of the cameras; None where it is not known.
-        refine: Whether the cameras' poses are refined by what they share.
-        unit: Of the coordinates or depths; None for the usual one.
-        head: Direction to the head in the scan, shape (3,); None to find it.
-        prone: Whether the patient lies on the front.
-        nodes: Spokes and slices of the surface.
-    """
-
-    files: tuple[Path, ...]
-    cameras: tuple[Camera, ...]
-    noise: str | None
-    refine: bool
-    unit: str | None
-    head: tuple[float, ...] | None
-    prone: bool
-    nodes: tuple[int, ...]
 
 
 @dataclass(frozen=True)
@@ -256,7 +216,7 @@ def read_description(path: str | os.PathLike[str]) -> Description:
         whole.text("title", file.parent.resolve().name or "Session"),
         _probe(whole),
         whole.text("probe_unit", "mm"),
-        _scan(whole.section("scan")),
+        read_scan(whole.section("scan")),
         tracker,
         force,
         _clock(whole.section("clock"), free is not None),
@@ -288,49 +248,6 @@ def _found(path: Path) -> Path:
 def _probe(whole: Section) -> str:
     spec = whole.text("probe")
     return spec if ":" in spec else str(whole.path("probe"))
-
-
-def _scan(part: Section) -> Scan:
-    kinds = ("cloud", "surface", "depth")
-    of_cameras = ("intrinsics", "camera_to_scan", "depth_kind", "noise", "refine")
-    part.require_known((*kinds, *of_cameras, "unit", "head", "prone", "nodes"))
-    given = [kind for kind in kinds if kind in part]
-    if len(given) != 1:
-        raise part.fail(
-            "", f"needs one of {', '.join(kinds)}, got {len(given)} of them"
-        )
-    files = part.paths(given[0])
-    if given[0] != "depth":
-        for key in of_cameras:
-            if key in part:
-                raise part.fail(key, f"is for depth images, {given[0]} is given")
-        if len(files) > 1:
-            raise part.fail(given[0], "is one file, got a list")
-    return Scan(
-        files,
-        _cameras(part, len(files)) if given[0] == "depth" else (),
-        part.text("noise") if "noise" in part else None,
-        part.flag("refine"),
-        part.choice("unit", tuple(UNITS)) if "unit" in part else None,
-        part.numbers("head", 3) if "head" in part else None,
-        part.flag("prone"),
-        part.whole("nodes", 2, (180, 60)),
-    )
-
-
-def _cameras(part: Section, count: int) -> tuple[Camera, ...]:
-    """A camera for every depth image; intrinsics are one file for all, or one each."""
-    files = part.paths("intrinsics")
-    motions = part.motions("camera_to_scan")
-    if len(files) == 1:
-        files *= count
-    for key, n in (("intrinsics", len(files)), ("camera_to_scan", len(motions))):
-        if n != count:
-            raise part.fail(key, f"has {n} entries for {count} depth images")
-    kind = part.choice("depth_kind", ("z", "range"), "z")
-    return tuple(
-        Camera(file, kind, motion) for file, motion in zip(files, motions, strict=True)
-    )
 
 
 def _stream(part: Section) -> Stream:

@@ -12,8 +12,10 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.sensors.depth import DepthCloud, read_depth_image
 from ttus_opt.sensors.depth_noise import noise_model
 from ttus_opt.sensors.intrinsics import read_intrinsics
+from ttus_opt.sensors.probe_axis import read_axis
 from ttus_opt.sensors.stitching import PoseDoubt, stitch
-from ttus_opt.session.description import Scan
+from ttus_opt.sensors.unprojection import read_unprojection
+from ttus_opt.session.scan_description import Scan
 
 
 class Skin(NamedTuple):
@@ -37,7 +39,7 @@ def find_skin(scan: Scan) -> Skin:
     Raises:
         FileError: The file is no cloud or surface.
         InputError: A unit or counts that cannot be used.
-        GeometryError: The cloud shows no body.
+        GeometryError: The cloud shows no body, or none below the held probe.
     """
     std = None
     if scan.cameras:
@@ -47,10 +49,24 @@ def find_skin(scan: Scan) -> Skin:
         return Skin(Surface.load(scan.files[0]), None)
     else:
         cloud = read_cloud(scan.files[0], unit=scan.unit or "m")  # type: ignore[arg-type]  # checked before
-    axis = Axis.from_cloud(cloud, head=scan.head, prone=scan.prone)
+    axis = _frame(scan, cloud)
     n_theta, n_z = scan.nodes
     surface = extract_surface(cloud, axis=axis, n_theta=n_theta, n_z=n_z, point_std=std)
     return Skin(surface, cloud)
+
+
+def _frame(scan: Scan, cloud: Array) -> Axis:
+    """The patient's frame, as stated or found in the scan.
+
+    Raises:
+        FileError: The file that states it cannot be read.
+        InputError: The held probe moved, or a depth that is none.
+        GeometryError: No body, or none below the probe.
+    """
+    stated = scan.axis
+    if stated is None:
+        return Axis.from_cloud(cloud, head=scan.head, prone=scan.prone)
+    return read_axis(stated.file, cloud, held=stated.held, depth=stated.depth)
 
 
 def _depth_cloud(scan: Scan) -> DepthCloud:
@@ -64,7 +80,7 @@ def _depth_cloud(scan: Scan) -> DepthCloud:
     images = [
         read_depth_image(
             file,
-            read_intrinsics(camera.intrinsics),
+            (read_unprojection if camera.has_rays else read_intrinsics)(camera.lens),
             depth_kind=camera.depth_kind,  # type: ignore[arg-type]  # checked before
             unit=scan.unit,
         )
