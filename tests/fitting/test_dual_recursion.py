@@ -210,6 +210,40 @@ def test_solves_that_fail_leave_what_is_held(
     assert system.forecast(problem.blocks[3]).schur.shape == (HEIGHT, HEIGHT)
 
 
+def test_rows_that_are_nearly_known_need_no_columns(coarse: Scene) -> None:
+    """Those that differ by 1e-4 have 1e-8 of their variance left, in their noise."""
+    problem = Problem(coarse, 3, 11, 1.0)
+    rng = np.random.default_rng(11)
+    first = problem.blocks[0]
+    for s, apart in ((1, 1e-4), (2, 0.5)):
+        values = first.values * (1.0 + apart * rng.normal(size=first.values.shape))
+        problem.blocks[s] = Block(first.voxels, values)
+        problem.D[s] = 0.0
+        problem.D[s][:, first.voxels] = values.T
+    system, ranks = problem.start(), []
+    for s in range(3):
+        problem.fold(system, [s])
+        ranks.append(system.rank)
+        assert close(system.field(), problem.dense(list(range(s + 1)))[1])
+    assert ranks == [HEIGHT, HEIGHT, 2 * HEIGHT]
+
+
+def test_a_factor_that_is_not_positive_is_made_anew(
+    coarse: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = Problem(coarse, 4, 12, 1.0)
+    system = problem.start()
+    problem.fold(system, list(range(4)))
+    spoilt, rebuild = system._kernel, system._rebuild
+    monkeypatch.setattr(spoilt, "solve", lambda residual: -residual, raising=False)
+    rebuilt: list[bool] = []
+    monkeypatch.setattr(
+        system, "_rebuild", lambda: (rebuilt.append(True), rebuild())[1]
+    )
+    assert close(system.field(), problem.dense(list(range(4)))[1])
+    assert rebuilt == [True]
+
+
 def test_memory_holds_no_dense_columns() -> None:
     scene = small_scene(shape=(12, 40, 24), n_poses=2)
     problem = Problem(scene, 20, 5, 1.0)
@@ -247,7 +281,7 @@ def test_a_field_that_does_not_converge_is_an_error(
 
 def test_refusals(coarse: Scene) -> None:
     system = Problem(coarse, 1, 8, 1.0).start()
-    with pytest.raises(InputError, match="not within"):
-        system.remove(0, 1)
+    with pytest.raises(InputError, match="blocks 2 to 5 are not within 0 to 0"):
+        system.remove(2, 3)
     with pytest.raises(InputError, match="fading factor"):
         system.fade(0.0)

@@ -26,13 +26,10 @@ from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualSolver
 from ttus_opt.solvers.dual.subproblem import reduced
 from ttus_opt.solvers.dual.working_set import WorkingSet
-from ttus_opt.terms.base import Term
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
-def limited(
-    scene: Scene, seed: int, hard: bool, weight: float = 1.0, *more: Term
-) -> Program:
+def random_limits(scene: Scene, seed: int, hard: bool) -> list[Constraint]:
     """Random bounds on every voxel and links along all spokes of the inside."""
     rng = np.random.default_rng(seed)
     V = scene.n_voxels
@@ -42,10 +39,12 @@ def limited(
     constraints: list[Constraint] = [Within(scene, lower, upper), Monotone(scene, 4.0)]
     if hard:
         constraints.append(HardBoundary(scene))
-    declared = eq10(scene, weight, *constraints)
-    for term in more:
-        declared = declared + term
-    return declared.compile()
+    return constraints
+
+
+def limited(scene: Scene, seed: int, hard: bool, weight: float = 1.0) -> Program:
+    """Eq. 10 under random limits."""
+    return eq10(scene, weight, *random_limits(scene, seed, hard)).compile()
 
 
 def blocks(limits: SpokeLimits, links: NDArray[np.bool_]) -> NDArray[np.int64]:

@@ -9,16 +9,18 @@ import pytest
 
 from tests.solvers.dual.test_subproblem import (
     eliminated,
-    limited,
+    random_limits,
     random_working_set,
 )
 from tests.solvers.dual.user_limits import contested
 from tests.solvers.own_terms import AlongZ, DepthWeighted
 from ttus_opt.arrays import Array
+from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.working_set import WorkingSet
+from ttus_opt.solvers.normal_equations import NormalEquations
 from ttus_opt.solvers.primal.limited_sum import LimitedSum
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.split import Split
@@ -29,15 +31,18 @@ FEW = 100
 
 
 @functools.cache
-def made(own: type[Term], hard: bool) -> tuple[Program, LimitedSum]:
+def made(
+    own: type[Term], hard: bool, prior: str = "eq10"
+) -> tuple[Program, LimitedSum]:
     scene = contested(1, (6, 9, 5), n_poses=5)
-    program = limited(scene, 1, hard, 1.0, own(scene, 3.0))
+    declared = shelf.load(prior, scene, force_weight=1.0, torque_weight=1.0)
+    limits = random_limits(scene, 1, hard)
+    program = (declared + own(scene, 3.0)).with_constraints(*limits).compile()
     split = Split.of(program, FEW)
     assert len(split.wide) == 1
-    limits = SpokeLimits.of(program)
-    options = PrimalOptions(few_rows=FEW)
-    root = split.root()
-    return program, LimitedSum(program, limits, split, root, options, DualOptions())
+    options, root = PrimalOptions(few_rows=FEW), split.root()
+    spokes = SpokeLimits.of(program)
+    return program, LimitedSum(program, spokes, split, root, options, DualOptions())
 
 
 def solved(
@@ -68,6 +73,16 @@ def test_equals_eliminated_least_squares(
     deeper = np.flatnonzero(active.links)
     fall = found[deeper] - found[deeper + problem.limits.stride]
     np.testing.assert_allclose(fall, problem.limits.least[deeper], atol=1e-10)
+
+
+def test_soft_values_may_have_weights_of_their_own() -> None:
+    program, problem = made(AlongZ, False, "free_surface")
+    assert not NormalEquations().refusal(program)
+    assert np.ptp(problem.split.few.system.compliance) > 0.0
+    active = random_working_set(problem.limits, 3, 0.1, 0.3)
+    expected = eliminated(program, problem.limits, active)
+    found = solved(problem, active, 1e-11)
+    assert np.linalg.norm(found - expected) <= 1e-7 * np.linalg.norm(expected)
 
 
 def test_from_the_last_field_it_takes_fewer_steps_to_the_same() -> None:
