@@ -194,6 +194,14 @@ def test_refuses_what_it_cannot_take(scene: Scene, name: str) -> None:
         STRUCTURED.prepare(declared, TIGHT)
 
 
+def test_takes_as_many_unknowns_beside_the_field_as_it_says() -> None:
+    scene = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
+    for sectors, told in ((64, ""), (65, "it takes 64 unknowns beside the field")):
+        declared = formulation.load("viscous_drag", scene, sectors=sectors)
+        assert STRUCTURED.refusal(declared.compile()).startswith(told)
+        assert bool(STRUCTURED.refusal(declared.compile())) == bool(told)
+
+
 def test_never_forms_q() -> None:
     """Peak size: nothing with more entries than L and the measured rows have."""
     scene = small_scene("trilinear", (16, 32, 20), n_poses=40)

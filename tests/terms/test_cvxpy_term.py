@@ -88,7 +88,8 @@ def test_another_weight_is_brought_into_form_once() -> None:
     heavier.compile()
     assert len(calls) == 1
     assert heavier.terms[-1].weight == 0.1
-    assert "tv" in str(declared) or "norm" in str(declared)
+    assert "+ 0.05 · " in str(declared) and "[edge: 1 rows]" in str(declared)
+    assert "+ 0.1 · " in str(heavier)
 
 
 @pytest.mark.parametrize(

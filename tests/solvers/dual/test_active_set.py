@@ -6,15 +6,18 @@ import time
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from tests.solvers.dual.user_limits import contested, eq10
+from ttus_opt.arrays import Array
 from ttus_opt.constraints.sign import Sign
+from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
-from ttus_opt.solvers.dual.solver import DualSolver
-from ttus_opt.solvers.dual.subproblem import LimitedField
+from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
+from ttus_opt.solvers.dual.subproblem import LimitedField, Subproblem
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 SCENE = contested(0)
@@ -76,3 +79,24 @@ def test_violations_that_may_remain_settle_it_after_some_working_sets() -> None:
         assert at.solve(at.active, 1e-8).count > 0
         settled.append(at.settled)
     assert settled == [False, False, True, True]
+
+
+def test_solves_are_as_exact_as_their_working_set_is_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """At the accuracy asked for to rounding, before it as far as that needs."""
+    asked: list[Accuracy] = []
+    plain = Subproblem.solve
+
+    def noted(self: Subproblem, accuracy: Accuracy, last: Array | None) -> DualAnswer:
+        asked.append(accuracy)
+        return plain(self, accuracy, last)
+
+    monkeypatch.setattr(Subproblem, "solve", noted)
+    at = iteration(Accuracy(1e-8))
+    for rtol in (1e-3, 1e-8):
+        at.solve(at.active, rtol)
+    assert [a.rtol for a in asked] == [1e-3, 1e-8]
+    share = at.problem.options.field_accuracy
+    assert [a.field_rtol for a in asked] == [share * 1e-3, RTOL]
+    assert share * 1e-3 > RTOL

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
 from tests.solvers.dual.user_limits import contested, eq10
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
+from ttus_opt.solvers.dual import solver as solver_module
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
@@ -40,6 +43,57 @@ def test_refinement_makes_up_for_inexact_products() -> None:
 
     assert error(1) > 1e-6
     assert error(8) <= 1e-8
+
+
+@pytest.fixture
+def taken(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Steps of every run of conjugate gradients."""
+    counts: list[int] = []
+    plain = solver_module.conjugate_gradients
+
+    def counted(*given: Any) -> tuple[Array, int]:
+        found = plain(*given)
+        counts.append(found[1])
+        return found
+
+    monkeypatch.setattr(solver_module, "conjugate_gradients", counted)
+    return counts
+
+
+def test_steps_are_those_of_all_refinements(taken: list[int]) -> None:
+    data = data_of(1.0)
+    s = data.system
+    system = Inexact(s.laplace, s.compliance, s.rows, s.root_weights)
+    answer = DualSolver(system).solve(data.b, data.t, Accuracy(1e-9))
+    assert len(taken) > 1
+    assert answer.steps == sum(taken) > 0
+
+
+def test_out_of_time_there_is_one_refinement(taken: list[int]) -> None:
+    data = data_of(1.0)
+    late = Accuracy(1e-9, deadline=0.0)
+    answer = DualSolver(data.system).solve(data.b, data.t, late)
+    assert answer.late and len(taken) == 1
+
+
+def test_a_guess_near_the_answer_saves_steps_and_changes_nothing(
+    taken: list[int],
+) -> None:
+    """Also where an unknown beside the field has a value that is given."""
+    data = data_of(1.0)
+    rng = np.random.default_rng(3)
+    E, reach = rng.normal(size=(len(data.t), 2)), np.array([1e-3, np.inf])
+    beside = LinearParameters(E, -reach, reach)
+    cold = DualSolver(data.system, beside).solve(data.b, data.t, Accuracy(1e-9))
+    assert abs(cold.c[0]) == reach[0]
+    guess = cold.p * (1.0 + 1e-6 * rng.normal(size=len(cold.p)))
+    taken.clear()
+    warm = DualSolver(data.system, beside).solve(
+        data.b, data.t, Accuracy(1e-9), guess, near=cold.c
+    )
+    assert 0 < sum(taken) < cold.steps
+    np.testing.assert_allclose(warm.c, cold.c, rtol=1e-6)
+    np.testing.assert_allclose(warm.p, cold.p, atol=1e-7 * np.abs(cold.p).max())
 
 
 def dense(data: DualData, beside: LinearParameters) -> Array:
