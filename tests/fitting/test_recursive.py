@@ -321,6 +321,38 @@ def test_capacity_is_a_limit() -> None:
     assert fold(fit, scene.trajectory, [first])[0].accepted
 
 
+def test_forces_alone_and_the_noise_they_tell_by_dense_algebra() -> None:
+    """1/√λ times the root mean square of whitened innovations: the least objective."""
+    scene, weight = small_scene("trilinear", shape=(7, 12, 7), n_poses=4), 0.3
+    fit = RecursiveFit(
+        scene,
+        force_weight=weight,
+        torque_weight=0.0,
+        noise_std=0.2,
+        outlier_level=None,
+        fold_scene=False,
+    )
+    both = RecursiveFit(scene, **WEIGHTS, fold_scene=False)
+    told = scene.trajectory
+    assert told.force is not None
+    for k in range(4):
+        pose = told.rotation[k], told.position[k]
+        fit.update(*pose, told.force[k])
+        with pytest.raises(InputError, match=r"needs torque \(3,\)"):
+            both.update(*pose, told.force[k])
+    touching = np.repeat(scene.rows.contact_points > 0, 3)
+    D, t = scene.N.toarray()[touching], scene.f[touching]
+    M = np.vstack([scene.L.toarray(), np.sqrt(weight) * D])
+    side = np.concatenate([scene.b, np.sqrt(weight) * t])
+    p = np.linalg.lstsq(M, side)[0]
+    np.testing.assert_allclose(
+        fit.field.values.reshape(-1), p, atol=1e-7 * np.abs(p).max()
+    )
+    least = float(np.sum((M @ p - side) ** 2))
+    expected = np.sqrt(least / len(t) / weight)
+    assert fit.estimated_noise_std == pytest.approx(expected, rel=1e-5)
+
+
 @pytest.mark.parametrize(
     ("option", "message"),
     [

@@ -11,6 +11,7 @@ from scipy.sparse.linalg import spsolve
 
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, small_scene, torso
+from tests.solvers.dual.user_limits import Rows, contested
 from ttus_opt.benchmark import reference_cases
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone
@@ -23,6 +24,7 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.options import Accuracy
+from ttus_opt.terms.tikhonov import TikhonovTerm
 from ttus_opt.voxmap.voxmap import Voxmap
 
 STRUCTURED = registry.solvers()["structured"]
@@ -192,6 +194,27 @@ def test_refuses_what_it_cannot_take(scene: Scene, name: str) -> None:
     declared = formulation.load(name, scene).compile()
     with pytest.raises(tt.TtusError, match="structured cannot take this problem"):
         STRUCTURED.prepare(declared, TIGHT)
+
+
+def test_says_what_it_cannot_take() -> None:
+    scene = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
+    alone = formulation.Formulation([TikhonovTerm(scene)])
+    assert STRUCTURED.refusal(alone.compile()) == "it needs a Laplace term"
+    rows = Rows(scene, sp.csr_array(scene.N), scene.f - 1.0, scene.f + 1.0)
+    limited = formulation.load("eq10", scene).with_constraints(rows)
+    told = STRUCTURED.refusal(limited.compile())
+    assert "bounds and growth along spokes" in told
+
+
+def test_limits_hold_at_clarabels_minimiser() -> None:
+    scene = contested(1, (6, 9, 6), scale=-3.0)
+    declared = formulation.load("eq10_sign", scene, force_weight=1.0).compile()
+    found = solved(declared)
+    assert found.claim is Claim.DONE
+    assert kkt_residuals(declared, found.x, found.duals).worst_relative < 1e-8
+    reference = registry.solvers()["clarabel"].prepare(declared, TIGHT).solve()
+    assert relative(found.x, reference.x) < 1e-5
+    assert "0 active limits" not in found.detail
 
 
 def test_takes_as_many_unknowns_beside_the_field_as_it_says() -> None:
