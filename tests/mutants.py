@@ -88,7 +88,7 @@ TARGETS = (
     Target("report/metrics.py", ("report/test_metrics.py",)),
     Target("problem/kkt.py", ("problem/test_kkt.py",)),
     Target("fitting/batch.py", ("fitting/test_batch.py", "fitting/test_tuning.py")),
-    Target("fitting/verdict.py", ("fitting/test_batch.py",)),
+    Target("fitting/verdict.py", ("fitting/test_verdict.py", "fitting/test_batch.py")),
     Target("problem/gradient_blocks.py", ("problem/test_kkt.py",)),
     Target("fitting/recursive.py", ("fitting/test_recursive.py",)),
     Target("fitting/dual_recursion.py", ("fitting/test_dual_recursion.py",)),
@@ -125,7 +125,10 @@ TARGETS = (
     Target("contact/friction.py", ("contact/test_friction.py",)),
     Target("scan/contour_filter.py", ("scan/test_contour_filter.py",)),
     Target("contact/rows.py", ("contact/test_rows.py",)),
-    Target("contact/row_kernels.py", ("contact/test_rows.py",)),
+    Target(
+        "contact/row_kernels.py",
+        ("contact/test_row_kernels.py", "contact/test_rows.py"),
+    ),
     Target("probe/point_shell.py", ("probe/test_point_shell.py",)),
     Target("probe/orientation.py", ("probe/test_orientation.py",)),
     Target("solvers/structured.py", ("solvers/test_structured.py",)),
@@ -134,7 +137,11 @@ TARGETS = (
         ("solvers/dual/test_primal_dual_active_set.py",),
     ),
     Target(
-        "solvers/dual/active_set.py", ("solvers/dual/test_primal_dual_active_set.py",)
+        "solvers/dual/active_set.py",
+        (
+            "solvers/dual/test_active_set.py",
+            "solvers/dual/test_primal_dual_active_set.py",
+        ),
     ),
     Target(
         "solvers/dual/optimality.py",
