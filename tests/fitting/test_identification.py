@@ -17,6 +17,7 @@ from ttus_opt.fitting.identification import noise_variance
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.formulation import load
 from ttus_opt.scene import Scene
+from ttus_opt.solvers.dual.limited import Limited
 from ttus_opt.voxmap.field import PotentialField
 
 SMALL = (8, 18, 9)
@@ -389,3 +390,17 @@ def test_forces_that_are_all_zero_do_not_trouble_it(name: str) -> None:
     assert told == NEUTRAL[name]
     for parameter in solution.not_identified:
         assert solution.parameters[parameter] == 0.0
+
+
+@pytest.mark.slow
+def test_a_standard_error_is_that_of_a_cold_start(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Only the way to the fits with pseudo-measurements is shorter."""
+    scene = noisy(made(viscous=False), 1e-3, np.random.default_rng(1))
+    warm = tt.fit(scene, "coulomb_drag", acts_at="contact", **WEIGHTS)
+    monkeypatch.setattr(Limited, "_begin", lambda *_: None)
+    cold = tt.fit(scene, "coulomb_drag", acts_at="contact", **WEIGHTS)
+    assert set(warm.standard_errors) == set(cold.standard_errors)
+    for name, error in cold.standard_errors.items():
+        assert warm.standard_errors[name] == pytest.approx(error, rel=1e-4)

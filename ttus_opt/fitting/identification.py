@@ -40,7 +40,7 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.problem.reduction import reduce
+from ttus_opt.problem.reduction import Point, reduce
 from ttus_opt.problem.solution import Solution, Status
 from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
@@ -215,6 +215,7 @@ class _PseudoMeasurements:
         assert x is not None
         self._variance, self._request = variance, request
         self._solver = solver or solution.solver
+        self._near = Point(x, solution.duals)
         self._rows = _stacked(program, fitted.values())
         self._at = self._rows @ x
         spans = np.array([one.span for one in fitted.values()])
@@ -313,6 +314,8 @@ class _PseudoMeasurements:
         reduction = reduce(program)
         if prepared is None:
             prepared = backend.prepare(reduction.program, self._request)
+            near = reduction.lift(self._near.x, self._near.duals)
+            prepared.start_at(near.x, near.duals)
         else:
             prepared.update(reduction.program)
         candidate = prepared.solve()

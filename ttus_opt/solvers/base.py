@@ -113,6 +113,15 @@ class Prepared(abc.ABC):
     def solve(self) -> Candidate:
         """Solve what is loaded."""
 
+    def start_at(self, x: Array, duals: Duals) -> None:
+        """Begin the next solve at a point near its answer; here of no use.
+
+        Args:
+            x: All variables, shape (n,).
+            duals: Multipliers there, signs as in `ttus_opt.problem.kkt`.
+        """
+        del x, duals
+
 
 class Solver(abc.ABC):
     """A backend.

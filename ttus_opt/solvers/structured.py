@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ttus_opt.arrays import Array
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import (
@@ -116,6 +117,13 @@ class _LoadedPair(Limited):
         self._program, self._pair = program, FieldPair.of(program, self._options)
         program.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
 
+    def start_at(self, x: Array, duals: Duals) -> None:
+        """Begin with the limits that have multipliers at a point."""
+        pair = self._pair
+        held = None if duals.bounds is None else duals.bounds[pair.places] * pair.units
+        links = {name: at for name, (at, _) in pair.links.items()}
+        self._begin(x[pair.places] / pair.units, held, links, duals)
+
     def solve(self) -> Candidate:
         """Solve the duals of working sets."""
         return self._contradiction(self._pair.limits) or self._tightened(self._limited)
@@ -146,6 +154,12 @@ class _Loaded(Limited):
             self._solver = DualSolver(system, beside, self._options)
         else:
             self._solver.adopt(system, beside)
+
+    def start_at(self, x: Array, duals: Duals) -> None:
+        """Begin with the limits that have multipliers at a point."""
+        p, held = x[: len(self._data.b)], duals.bounds
+        links = {name: at for name, (at, _, _) in self._limits.links.items()}
+        self._begin(p, None if held is None else held[: len(p)], links, duals)
 
     def solve(self) -> Candidate:
         """Solve the dual, or where there are limits the duals of working sets."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -25,10 +27,16 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import NoSolutionError, Status
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import Violations
 from ttus_opt.solvers.dual.options import DualOptions
-from ttus_opt.solvers.dual.primal_dual_active_set import _Safeguard, _strong
+from ttus_opt.solvers.dual.primal_dual_active_set import (
+    _Choice,
+    _near_worst,
+    _Safeguard,
+    _strong,
+)
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.registry import solvers
@@ -587,3 +595,43 @@ def test_what_joins_is_a_share_of_the_worst_around() -> None:
     }
     for size, expected in joins.items():
         assert _strong(size * profile, options).reshape(-1).tolist() == expected
+
+
+def test_a_start_at_the_answer_needs_no_working_set_but_its_own() -> None:
+    scene = contested(2, scale=-3.0)
+    program = eq10(scene, 1.0, *limits_of(scene, "sign, some slope")).compile()
+    cold = solved(program)
+    assert cold.x is not None
+    warm = Structured().prepare(program, Request(TOLERANCE, 60.0))
+    warm.start_at(cold.x, cold.duals)
+    found = warm.solve()
+    assert found.x is not None
+    np.testing.assert_allclose(found.x, cold.x, atol=1e-5 * np.abs(cold.x).max())
+    assert working_sets(found) == 2 < working_sets(cold)
+
+
+def test_bounds_near_the_peaks_join_as_long_as_signs_stay_right() -> None:
+    shape, n = (7, 14, 8), 7 * 14 * 8
+    problem = SimpleNamespace(
+        options=DualOptions(), shape=shape, alone=False, links_hold_slopes=True
+    )
+    choice = _Choice(cast(LimitedProblem, problem))
+    sizes = np.zeros(shape)
+    sizes[3, 4:9, 4] = [0.5, 0.8, 1.0, 0.7, 0.05]  # a peak, and its flanks
+    none = np.full(n, -np.inf)
+    found = Violations(sizes.reshape(-1), np.ones(n, np.int8), none)
+    active = WorkingSet.empty(n)
+    joined = [int((choice.many(found, active).bounds > 0).sum()) for _ in range(4)]
+    assert joined == [1, 2, 3, 4]  # at shares of 1, 0.75, 0.56 and 0.42
+    active.bounds[np.flatnonzero(sizes == 0.8)] = -1  # two in four are wrong now
+    active.bounds[np.flatnonzero(sizes == 0.7)] = -1
+    kept = choice.many(found, active)
+    assert sorted(kept.bounds[kept.bounds > 0]) == [0.7, 0.8, 1.0]
+    assert sorted(choice.peaks(found, active).bounds)[-3:] == [0.7, 0.8, 1.0]
+
+
+def test_far_from_the_worst_none_joins_but_peaks() -> None:
+    sizes = np.zeros((1, 24, 8, 4))
+    sizes[0, 2, 2, 2], sizes[0, 20, 2, 2], sizes[0, 20, 3, 2] = 1.0, 0.09, 0.08
+    near = _near_worst(sizes, 0.5, DualOptions())
+    assert np.argwhere(near).tolist() == [[0, 2, 2, 2]]

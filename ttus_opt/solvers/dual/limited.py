@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.problem.kkt import Duals, kkt_residuals
 from ttus_opt.problem.program import Program
@@ -32,6 +32,29 @@ class Limited(Prepared):
         self._request, self._options = request, options
         self._last: tuple[Array, WorkingSet] | None = None
         self.update(program)
+
+    def _begin(
+        self,
+        p: Array,
+        bounds: Array | None,
+        links: Mapping[str, IntArray],
+        duals: Duals,
+    ) -> None:
+        """Begin with the limits that have multipliers.
+
+        Args:
+            p: The field in the limits' units, shape (V,).
+            bounds: Multipliers of its bounds, positive at upper ones; None for none.
+            links: By a constraint's name, the voxels of its links.
+            duals: With multipliers of these.
+        """
+        active = WorkingSet.empty(len(p))
+        if bounds is not None:
+            active.bounds[:] = np.sign(bounds)
+        for name, at in links.items():
+            if name in duals.rows:
+                active.links[at] |= duals.rows[name] != 0.0
+        self._last = p, active
 
     def _contradiction(self, limits: SpokeLimits) -> Candidate | None:
         """What to answer where limits leave nothing."""

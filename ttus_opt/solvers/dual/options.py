@@ -60,6 +60,9 @@ class DualOptions:
         share: An order constraint along spokes joins the working set where it is
             violated by this share of the worst in its neighbourhood; by less where
             the worst of all, relative, is below a tenth [–].
+        bound_share: A bound joins with the peaks of the violation where it is violated
+            by a share of the worst in its neighbourhood: of 1 at first, of this at
+            least, as long as few wrong signs follow [–].
         neighbourhood: How many voxels to each side are compared [–].
     """
 
@@ -83,6 +86,7 @@ class DualOptions:
     patience: int = _option(5, 0, 10_000, 0, 10_000)
     progress: float = _option(0.8, 0.1, 1.0, 1.0)
     share: float = _option(0.3, 0.01, 1.0, 0.1, 1.0)
+    bound_share: float = _option(0.4, 0.01, 1.0, 0.7, 1.0)
     neighbourhood: int = _option(4, 1, 16, 1)
 
     def __post_init__(self) -> None:

@@ -6,9 +6,11 @@ and Pires, Comput. Oper. Res. 21, 1994; Bergounioux, Ito and Kunisch, SIAM J. Co
 Optim. 37, 1999). Which of the violated limits join it depends on what they hold:
 
 - a value: where a prior of second order holds a field, few points of contact hold a
-  whole region away from its bound. Only the peaks of the violation join, as in Remez'
+  whole region away from its bound. The peaks of the violation join, as in Remez'
   algorithm. With all of a region the active regions shrink by one voxel at a time, in
-  50 working sets and more; with peaks it takes 10 to 20;
+  50 working sets and more; with peaks it takes 10 to 20. Where few of those that joined
+  have the wrong sign in the end, as of a second field that lies on its bound all over
+  a patch of skin, what comes near the peaks in size joins too: half as many;
 - a value of a voxel that a row of its own draws to another (a soft boundary value): all
   that are violated join, as what is held there holds no region. With peaks of a free
   surface it takes three times as many working sets;
@@ -35,6 +37,14 @@ from ttus_opt.solvers.dual.optimality import Violations
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
+#: Wrong signs over the bounds that joined last: above the one only larger violations
+#: join from then on, by the factor after it, below the other smaller ones as well [–]
+MANY_WRONG, STRICTER = 0.25, 0.7
+FEW_WRONG, LAXER = 0.1, 0.75
+
+#: Below this part of the worst violation of all none joins but peaks [–]
+FAR = 0.1
+
 
 def primal_dual_active_set(
     problem: LimitedProblem,
@@ -58,7 +68,7 @@ def primal_dual_active_set(
     """
     options = problem.options
     iteration = ActiveSetIteration(problem, limits, start, tolerance, accuracy)
-    progress, safeguard = _Progress(options), _Safeguard()
+    progress, safeguard, choice = _Progress(options), _Safeguard(), _Choice(problem)
     rtol = options.loosest_subproblem
     found = iteration.solve(iteration.active, rtol)
     while not iteration.over:
@@ -67,13 +77,13 @@ def primal_dual_active_set(
             rtol = accuracy.rtol
         elif progress.stalled:
             height = problem.objective(iteration.p)
-            chosen = _chosen(found, active, problem)
+            chosen = choice.peaks(found, active)
             active = safeguard.following(iteration.limits, active, chosen, height)
         else:
             progress.note(found, active)
             rtol = max(options.subproblem_accuracy * found.worst, accuracy.rtol)
             rtol = min(rtol, options.loosest_subproblem)
-            chosen = _chosen(found, active, problem)
+            chosen = choice.many(found, active)
             active = chosen.pivoted(iteration.limits, active)
         found = iteration.solve(active, rtol)
     return iteration
@@ -136,30 +146,73 @@ class _Safeguard:
         return self._last[1].pivoted(limits, self._last[0])
 
 
-def _chosen(
-    found: Violations, active: WorkingSet, problem: LimitedProblem
-) -> Violations:
+class _Choice:
     """The KKT violations to mend: all wrong signs, and some violated limits."""
-    bounds, links = (
-        np.maximum(size, 0.0).reshape(-1, *problem.shape)
-        for size in (found.bounds, found.links)
-    )
-    if problem.links_hold_slopes:
-        joining = _strong(links, problem.options)
-    else:
-        joining = _peak(links)
-    return found.among(
-        (active.bounds != 0) | problem.alone | _peak(bounds).reshape(-1),
-        active.links | joining.reshape(-1),
-    )
+
+    def __init__(self, problem: LimitedProblem) -> None:
+        self._problem, self._options = problem, problem.options
+        self._share, self._joined = 1.0, 0
+
+    def peaks(self, found: Violations, active: WorkingSet) -> Violations:
+        """Of violated bounds the peaks alone."""
+        return self._among(found, active, self._peaks(found))
+
+    def many(self, found: Violations, active: WorkingSet) -> Violations:
+        """With the peaks what comes near them in size, as far as that went well."""
+        open_ = active.bounds == 0
+        self._learn(np.count_nonzero(~open_ & (found.bounds > 0.0)))
+        joining = self._peaks(found)
+        if self._share < 1.0:
+            sizes = np.where(open_, np.maximum(found.bounds, 0.0), 0.0)
+            fields = sizes.reshape(-1, *self._problem.shape)
+            joining |= _near_worst(fields, self._share, self._options).reshape(-1)
+        self._joined = np.count_nonzero(joining & open_)
+        return self._among(found, active, joining)
+
+    def _learn(self, wrong: int) -> None:
+        """Ask for a smaller share where few signs are wrong for what has joined."""
+        if wrong > MANY_WRONG * self._joined:
+            self._share = min(1.0, self._share / STRICTER)
+        elif wrong < FEW_WRONG * self._joined:
+            self._share = max(self._options.bound_share, LAXER * self._share)
+
+    def _peaks(self, found: Violations) -> Mask:
+        """Violated bounds, and wrong signs, that none of their neighbours exceeds."""
+        sizes = np.maximum(found.bounds, 0.0).reshape(-1, *self._problem.shape)
+        return _peak(sizes).reshape(-1)
+
+    def _among(self, found: Violations, active: WorkingSet, bounds: Mask) -> Violations:
+        """Wrong signs, these violated bounds, and the links that join."""
+        problem = self._problem
+        links = np.maximum(found.links, 0.0).reshape(-1, *problem.shape)
+        if problem.links_hold_slopes:
+            joining = _strong(links, self._options)
+        else:
+            joining = _peak(links)
+        return found.among(
+            (active.bounds != 0) | problem.alone | bounds,
+            active.links | joining.reshape(-1),
+        )
+
+
+def _near_worst(values: Array, share: float, options: DualOptions) -> Mask:
+    """Where sizes, (fields, n_r, n_θ, n_z), are a share of the worst around."""
+    worst = _worst_around(values, options)
+    return np.asarray((values > FAR * values.max()) & (values >= share * worst))
 
 
 def _strong(values: Array, options: DualOptions) -> Mask:
     """Where sizes, shape (fields, n_r, n_θ, n_z), are a share of the worst around."""
     share = options.share * min(1.0, 10.0 * float(values.max()))
-    size = (1, *[2 * options.neighbourhood + 1] * 3)
-    worst = maximum_filter(values, size, mode=("nearest", "nearest", "wrap", "nearest"))
+    worst = _worst_around(values, options)
     return np.asarray((values > 0.0) & (values >= share * worst))
+
+
+def _worst_around(values: Array, options: DualOptions) -> Array:
+    """The largest size in the neighbourhood, (fields, n_r, n_θ, n_z)."""
+    size = (1, *[2 * options.neighbourhood + 1] * 3)
+    mode = ("nearest", "nearest", "wrap", "nearest")
+    return np.asarray(maximum_filter(values, size, mode=mode))
 
 
 def _peak(values: Array) -> Mask:
