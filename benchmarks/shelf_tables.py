@@ -47,12 +47,23 @@ SHORT += ("total_variation",)
 
 
 def read(folders: Iterable[Path]) -> list[Row]:
-    """Rows of all folders, the last of each question."""
+    """Rows of all folders, the last of each question, with eq. 10's of its folder."""
     found: dict[str, Row] = {}
     for folder in folders:
+        own: dict[str, Row] = {}
         for line in (folder / "rows.jsonl").read_text("utf-8").splitlines():
-            for row in json.loads(line):
-                found[row["key"]] = row
+            own |= {row["key"]: row for row in json.loads(line)}
+        base = {
+            (row["case"], row["solver"]): row["cpu_first"]
+            for row in own.values()
+            if row["formulation"] == BASE and solved(row)
+        }
+        for key, row in own.items():
+            ratio_to = base.get((row["case"], row["solver"]))
+            if row["formulation"] != BASE:  # of which the first is the table's
+                found[key] = row | {"cpu_base": ratio_to}
+            else:
+                found.setdefault(key, row)
     return list(found.values())
 
 
@@ -88,10 +99,10 @@ def cpu(row: Row | None) -> str:
 
 
 def times(row: Row | None, base: Row | None) -> float:
-    """CPU time over eq. 10's; NaN without either."""
+    """CPU time over eq. 10's, where it is known of the same folder; NaN without."""
     if row is None or base is None or not (solved(row) and solved(base)):
         return math.nan
-    return float(row["cpu_first"] / base["cpu_first"])
+    return float(row["cpu_first"] / (row.get("cpu_base") or base["cpu_first"]))
 
 
 def factor(value: float) -> str:

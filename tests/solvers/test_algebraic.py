@@ -20,6 +20,7 @@ from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Status
 from ttus_opt.scene import Scene
+from ttus_opt.solvers import algebraic
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.primal import sparse_inverse
 from ttus_opt.solvers.primal.sparse_inverse import Estimate, SparseInverse
@@ -78,6 +79,24 @@ def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     chosen = request.param == "a factor"
     monkeypatch.setattr(Estimate, "by_factor", property(lambda self: chosen))
     return str(request.param)
+
+
+@pytest.mark.parametrize("weight", [1e-4, 1e2])
+def test_differences_between_given_values_are_a_network(
+    weight: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(algebraic, "NETWORK", 0)
+    program = declared(SCENE, "differences", weight).compile()
+    found = solved(program)
+    assert found.x is not None
+    assert found.detail.startswith("the grid's multigrid")
+    assert found.iterations < 60
+    expected = direct_answer(program)
+    apart = np.linalg.norm(found.x - expected) / np.linalg.norm(expected)
+    assert apart <= 1e-7
+    soft = Formulation([Differences(SCENE), Ridge(SCENE, 0.1)]).compile()
+    beside = solved(soft)  # its boundary values move: not of the grid's free voxels
+    assert not beside.detail.startswith("the grid's multigrid")
 
 
 @pytest.mark.parametrize("case", ["differences", "ridge", "graph", "sum"])

@@ -1,9 +1,10 @@
-"""Any sum of squares without a Laplace term: a factor or algebraic multigrid.
+"""Any sum of squares without a Laplace term: a factor or a multigrid.
 
 Conjugate gradients on the normal equations of what is not given, with the matrix of all
 short rows inverted about (`primal.sparse_inverse`) and few long ones, those of
-measurements, by their Schur complement. The geometric multigrid knows nothing of such a
-prior; with a Laplace term `normal_equations` is the better way.
+measurements, by their Schur complement. Differences of neighbours between given
+boundary values are a network of conductances, which the grid's own multigrid knows;
+with a Laplace term `normal_equations` is the better way.
 
 See docs/method.md, section 10.10.
 """
@@ -17,7 +18,8 @@ from functools import partial
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
@@ -32,17 +34,20 @@ from ttus_opt.solvers.verified import Verified
 #: Entries of a long row, on average: its square would fill the matrix [–]
 LONG = 64
 
+#: Voxels from which on a network is looked for before a factor is thought of [–]
+NETWORK = 30_000
+
 #: Most steps of conjugate gradients of a round, most rounds of a solve, each from a
 #: residual computed anew, and the part of a residual that a round leaves at best [–]
 STEPS, ROUNDS, ROUND = 500, 6, 1e-6
 
 
 class Algebraic(Solver):
-    """Conjugate gradients over a factor or pyamg, chosen by an estimate."""
+    """Conjugate gradients over a factor, the grid's multigrid or pyamg."""
 
     name = "algebraic"
     summary = (
-        "any sum of squares without a Laplace term: a factor, or pyamg under "
+        "any sum of squares without a Laplace term: a factor or a multigrid under "
         "conjugate gradients"
     )
     capabilities = Capabilities(
@@ -101,20 +106,12 @@ class _Loaded(Verified):
         moving = np.flatnonzero(~self._problem.fixed)
         short = [t for t in terms if not _is_long(t)] or list(terms)
         long = [t for t in terms if not any(t is k for k in short)]
-        Q = _gram([_scaled(t)[:, moving] for t in short], len(moving))
         rows = [_scaled(t)[:, moving] for t in long]
         empty = sp.csr_array((0, len(moving)))
         few = sp.csr_array(sp.vstack([empty, *rows]))
-        # what no short row touches has the long ones' diagonal, or is left alone
-        alone = Q.diagonal() == 0.0
-        own = np.bincount(few.indices, few.data**2, len(moving))
-        Q = sp.csr_array(
-            Q + sp.diags_array(np.where(alone, np.where(own > 0.0, own, 1.0), 0.0))
-        )
-        self._missing = needs_missing(Q)
-        if self._missing:
+        inverse = self._network(short, moving) or self._sparse(short, few, moving)
+        if inverse is None:
             return
-        inverse = SparseInverse.of(Q)
         apply: Map = WithFewRows(inverse.apply, few) if few.nnz else inverse.apply
 
         def precondition(v: Array) -> Array:
@@ -123,6 +120,59 @@ class _Loaded(Verified):
             return z
 
         self._made = terms, precondition, inverse.told
+
+    def _network(
+        self, short: list[ProgramTerm], moving: IntArray
+    ) -> SparseInverse | None:
+        """By the grid's own multigrid, where short rows are differences of neighbours.
+
+        Args:
+            short: Terms of short rows.
+            moving: Variables without a given value.
+        """
+        program, fixed = self._problem.program, self._problem.fixed
+        laplace, n = program.laplace, len(fixed)
+        if laplace is None or n != len(laplace.free) or n < NETWORK:
+            return None
+        links, diagonal = np.zeros((3, n)), np.zeros(n)
+        for term in short:
+            matrix, slope = term.matrix, np.full(len(term.target), 2.0 * term.weight)
+            links += NeighbourRows.of(matrix, laplace.grid).links(slope, n)
+            size = 2.0 * term.weight * matrix.data**2
+            diagonal += np.bincount(matrix.indices, size, n)
+        free = laplace.free & ~fixed
+        if (~laplace.free & ~fixed).any() or not (diagonal[free] > 0.0).all():
+            return None
+        cycle = by_network(laplace, links, diagonal, fixed)
+        if cycle is None:
+            return None
+
+        def apply(v: Array) -> Array:
+            whole = np.zeros(n)
+            whole[moving] = v
+            return np.asarray(cycle(whole)[moving])
+
+        return SparseInverse(apply, "the grid's multigrid")
+
+    def _sparse(
+        self, short: list[ProgramTerm], few: sp.csr_array, moving: IntArray
+    ) -> SparseInverse | None:
+        """By a factor or algebraic multigrid; None where pyamg is missing.
+
+        Args:
+            short: Terms of short rows.
+            few: The others' rows over what moves, shape (m, k).
+            moving: Variables without a given value, shape (k,).
+        """
+        Q = _gram([_scaled(t)[:, moving] for t in short], len(moving))
+        # what no short row touches has the long ones' diagonal, or is left alone
+        alone = Q.diagonal() == 0.0
+        own = np.bincount(few.indices, few.data**2, len(moving))
+        Q = sp.csr_array(
+            Q + sp.diags_array(np.where(alone, np.where(own > 0.0, own, 1.0), 0.0))
+        )
+        self._missing = needs_missing(Q)
+        return None if self._missing else SparseInverse.of(Q)
 
     def _attempt(self, eps: float, seconds: float | None) -> Candidate:
         """Rounds of conjugate gradients from the last answer."""

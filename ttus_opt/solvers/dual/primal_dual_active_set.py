@@ -160,13 +160,13 @@ class _Choice:
     def many(self, found: Violations, active: WorkingSet) -> Violations:
         """With the peaks what comes near them in size, as far as that went well."""
         open_ = active.bounds == 0
-        self._learn(np.count_nonzero(~open_ & (found.bounds > 0.0)))
+        self._learn(int(np.count_nonzero(~open_ & (found.bounds > 0.0))))
         joining = self._peaks(found)
         if self._share < 1.0:
             sizes = np.where(open_, np.maximum(found.bounds, 0.0), 0.0)
             fields = sizes.reshape(-1, *self._problem.shape)
             joining |= _near_worst(fields, self._share, self._options).reshape(-1)
-        self._joined = np.count_nonzero(joining & open_)
+        self._joined = int(np.count_nonzero(joining & open_))
         return self._among(found, active, joining)
 
     def _learn(self, wrong: int) -> None:
@@ -211,8 +211,8 @@ def _strong(values: Array, options: DualOptions) -> Mask:
 def _worst_around(values: Array, options: DualOptions) -> Array:
     """The largest size in the neighbourhood, (fields, n_r, n_θ, n_z)."""
     size = (1, *[2 * options.neighbourhood + 1] * 3)
-    mode = ("nearest", "nearest", "wrap", "nearest")
-    return np.asarray(maximum_filter(values, size, mode=mode))
+    worst = maximum_filter(values, size, mode=("nearest", "nearest", "wrap", "nearest"))
+    return np.asarray(worst)
 
 
 def _peak(values: Array) -> Mask:

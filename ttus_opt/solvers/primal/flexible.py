@@ -43,7 +43,7 @@ def flexible_conjugate_gradients(
     """Solve H d = side from zero.
 
     Args:
-        product: H times a vector.
+        product: H times a vector, as a new one.
         side: Right-hand side, shape (n,).
         precondition: About H⁻¹ times a vector.
         rtol: Relative residual to reach [–].
@@ -53,7 +53,7 @@ def flexible_conjugate_gradients(
     d, rest = np.zeros_like(side), side.copy()
     first = now = math.sqrt(inner_product(side, side))
     z = precondition(rest)
-    direction, steps = z, 0
+    direction, steps = z.copy(), 0
     energy = inner_product(rest, z)
     while now > rtol * first and steps < most:
         if deadline is not None and time.perf_counter() > deadline:
@@ -64,13 +64,15 @@ def flexible_conjugate_gradients(
             break
         alpha = energy / curvature
         d += alpha * direction
-        before, rest = rest, rest - alpha * image
+        image *= -alpha  # by what the residual changes
+        rest += image
         now = math.sqrt(inner_product(rest, rest))
         z = precondition(rest)
-        beta = inner_product(z, rest - before) / energy
+        beta = inner_product(z, image) / energy
         energy = inner_product(rest, z)
         if not energy > 0.0:
             break
-        direction = z + max(beta, 0.0) * direction
+        direction *= max(beta, 0.0)
+        direction += z
         steps += 1
     return Step(d, steps)

@@ -205,7 +205,9 @@ class FieldNewton:
         """H v on the variables that are free."""
         out = np.zeros_like(v)
         for rows, slope in zip(self._blocks, slopes, strict=True):
-            if slope.along is None and self._is_wide(rows):
+            if rows is self._anchor:  # of single variables, all of them
+                out += slope.factor * v
+            elif slope.along is None and self._is_wide(rows):
                 add_normal_product(out, rows.matrix, slope.factor, v)
             else:
                 out += rows.matrix.T @ slope.times(rows.matrix @ v)

@@ -33,7 +33,7 @@ from ttus_opt.solvers.primal.matching import matched_root
 from ttus_opt.solvers.primal.wide_term import WideTerm
 
 #: Part of the residual of S's system that may be left [–], and most directions
-LEFT, MOST = 0.1, 400
+LEFT, MOST = 0.3, 400
 
 
 def by_differences(
