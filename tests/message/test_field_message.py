@@ -16,7 +16,7 @@ from ttus_opt.errors import InputError, TtusError
 from ttus_opt.message import decode, encode
 from ttus_opt.message.envelope import FIELD, LONGEST
 from ttus_opt.voxmap.field import PotentialField
-from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE
+from ttus_opt.voxmap.voxmap import INSIDE, OUTSIDE, Voxmap
 
 pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
 
@@ -124,6 +124,14 @@ def test_a_surface_of_other_heights_is_told() -> None:
     longer = encode(replace(surface, z=surface.z * 1.1))
     with pytest.raises(InputError, match="encode the surface that the field"):
         encode(fitted(), base=longer)
+
+
+def test_a_field_over_a_sector_is_not_sent() -> None:
+    surface = fitted().voxmap.surface
+    voxmap = Voxmap.from_surface(surface, shape=(8, 12, 6), sector=(0.0, 2.0))
+    field = PotentialField(voxmap, np.zeros(voxmap.grid.shape), "trilinear")
+    with pytest.raises(InputError, match="full turn"):
+        encode(field, base=sent()[0])
 
 
 @pytest.mark.parametrize("bound", [0.0, -1.0, np.nan, np.inf])

@@ -73,13 +73,13 @@ class LaplacePosterior:
         """
         sweep = WeightSweep(data, field_rtol=RTOL, voxels=voxels)
         sweep.complete(root, MISSING)
-        fields, images, n = sweep.fields, sweep.images, len(sweep)
+        images, n = sweep.images, len(sweep)
+        fields = sweep.take_fields(more=int(scale))
         own, base = root[sweep.told], None
         if scale:
             base = SCALE_DEVIATION * sweep.base
             image = np.asarray(data.system.rows[sweep.told] @ base)
-            kept = base if voxels is None else base[voxels]
-            fields = np.concatenate([fields, kept[None]])
+            fields[n] = base if voxels is None else base[voxels]
             images = np.concatenate([images, image[None]])
         measured = MeasuredRows.of(images * own, own * sweep.misfit)
         gram = measured.weighted @ measured.weighted.T

@@ -161,10 +161,21 @@ class WeightSweep:
         """The prior's mean p₀, shape (V,)."""
         return self._base
 
-    @property
-    def fields(self) -> Array:
-        """The response fields where they are kept, shape (k, n)."""
-        return np.concatenate([self._fields[0][:0], *self._fields])[: len(self)]
+    def take_fields(self, more: int = 0) -> Array:
+        """Hand over the response fields where they are kept, shape (k + more, n).
+
+        They take most of the memory there is and are in it once: the basis keeps its
+        images alone.
+
+        Args:
+            more: Further rows, to be written to [–].
+        """
+        n = len(self._base[self._voxels])
+        out = np.empty((len(self) + more, n))
+        for start in range(0, len(self), BLOCK):
+            block = self._fields.pop(0)
+            out[start : min(start + BLOCK, len(self))] = block[: len(self) - start]
+        return out
 
     def complete(self, root_weights: Array, missing: float = 0.5) -> bool:
         """Add response fields until the basis holds C for these weights and smaller.
