@@ -36,6 +36,25 @@ def test_the_fit_is_that_of_dense_algebra(scene: Scene) -> None:
     assert np.abs(p[:, -1]).max() < 1e-9
 
 
+def test_a_press_on_the_front_is_fitted_as_on_the_full_turn() -> None:
+    """Presses within 40° of the middle of a sector of 165° do not feel its sides."""
+    poses = presses(torso(), 30, np.random.default_rng(1))
+    angle = np.arctan2(poses.position[:, 1], poses.position[:, 0])
+    front = poses.select(np.abs(angle - 0.5 * np.pi) < np.radians(40.0))
+    told, unseen = front.select(slice(0, None, 2)), front.select(slice(1, None, 2))
+    forces = []
+    for n, sector in ((24, None), (12, (np.radians(7.5), np.radians(172.5)))):
+        voxmap = Voxmap.from_surface(
+            torso(), shape=(10, n, 9), r_outer=0.15, sector=sector
+        )
+        scene = Scene.assemble(voxmap, ellipsoid(), told, inner=2.0, outer=1.5)
+        field = tt.fit(scene, "eq10", force_weight=1.0, torque_weight=1.0).field
+        forces.append(tt.evaluate(field, ellipsoid(), unseen).rendered_force)
+    whole, part = forces
+    np.testing.assert_allclose(part, whole, rtol=0, atol=0.01 * np.abs(whole).max())
+    assert np.abs(part - whole).max() > 0.0
+
+
 def test_differences_stay_within_the_sector(scene: Scene) -> None:
     grid = scene.voxmap.grid
     D = difference_rows(grid)
