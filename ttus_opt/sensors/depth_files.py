@@ -30,6 +30,9 @@ LARGEST_FILE, LARGEST_IMAGE = 400_000_000, 30_000_000
 #: Sides of an image smaller than this show no body [pixel]
 LEAST_SIDE = 16
 
+#: Level at which OpenCV's log says nothing
+SILENT = 0
+
 #: First bytes of a PNG
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -115,8 +118,10 @@ def _decoded(file: Path) -> NDArray[Any]:
     content = np.fromfile(file, np.uint8)
     if file.suffix.lower() == ".png":
         _check_png(file, content.tobytes())
-    said = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    # OpenCV 4.10 has the functions of its log at the top
+    log = getattr(cv2.utils, "logging", cv2)
+    said = log.getLogLevel()
+    log.setLogLevel(SILENT)
     try:
         image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
     except (cv2.error, MemoryError) as error:
@@ -124,7 +129,7 @@ def _decoded(file: Path) -> NDArray[Any]:
             f"{file} is no image that OpenCV reads: damaged? export it again"
         ) from error
     finally:
-        cv2.utils.logging.setLogLevel(said)
+        log.setLogLevel(said)
     if image is None:
         raise FileError(
             f"{file} is no image that OpenCV reads: damaged? export it again"

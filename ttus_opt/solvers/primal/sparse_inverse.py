@@ -115,8 +115,11 @@ def _cycle(Q: sp.csr_array) -> Callable[[Array], Array]:
     """One V-cycle of smoothed aggregation (Vaněk, Mandel and Brezina 1996)."""
     pyamg = load("pyamg", "reference")
     sweep = ("gauss_seidel", {"sweep": "symmetric"})
+    # its kernels take 32-bit indices only
+    indices, indptr = (index.astype(np.int32) for index in (Q.indices, Q.indptr))
+    own = sp.csr_matrix((Q.data, indices, indptr), shape=Q.shape)
     levels = pyamg.smoothed_aggregation_solver(
-        sp.csr_matrix(Q), presmoother=sweep, postsmoother=sweep, max_coarse=500
+        own, presmoother=sweep, postsmoother=sweep, max_coarse=500
     )
     operator = levels.aspreconditioner(cycle="V")
     return lambda v: np.asarray(operator.matvec(v))
