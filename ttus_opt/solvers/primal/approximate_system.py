@@ -19,10 +19,14 @@ from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.square_system import RTOL, BlockSolves, SquareSystem
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.system import DualSystem
+from ttus_opt.solvers.primal.unseen_fields import UnseenFields, joined
 from ttus_opt.solvers.primal.wide_term import WideTerm
 
 #: Rows among fixed voxels that weigh less are left out [–]
 LIGHT = 0.3
+
+#: Most voxels that rows may join for all of them to be eliminated
+FEW_JOINED = 1000
 
 
 @dataclass(frozen=True)
@@ -90,8 +94,7 @@ class FixedBlock:
         rows = []
         for term in wide:
             M = term.matrix
-            touching = sp.csr_array(abs(M)) @ soft.astype(float) > 0.0
-            rows.append(np.sqrt(term.weight) * M[np.flatnonzero(touching)])
+            rows.append(np.sqrt(term.weight) * M[_beside(M, soft)])
         own = sp.csr_array(sp.vstack([sp.csr_array((0, len(free))), *rows]))
         heavy = np.bincount(own.indices, own.data**2, len(free)) * compliance
         if not heavy[at].max(initial=0.0) > LIGHT:
@@ -111,15 +114,29 @@ class FixedBlock:
         return cls(at, factor.solve, len(both))
 
 
+def _beside(M: sp.csr_array, soft: Mask) -> IntArray:
+    """Rows that tie soft voxels to others, all the way where that is not far.
+
+    Free voxels between two soft ones may be many: where rows join few voxels, as those
+    along a direction do, all of these are eliminated.
+    """
+    sets = joined([M])
+    small = np.bincount(sets).max() <= FEW_JOINED
+    reached = np.isin(sets, np.unique(sets[soft])) if small else soft
+    return np.flatnonzero(sp.csr_array(abs(M)) @ reached.astype(float) > 0.0)
+
+
 @dataclass(frozen=True)
 class ApproximateSystem(DualSystem):
     """A dual system whose L has approximate solves.
 
     Attributes:
         fixed: Ω at fixed voxels where it is not diagonal; None where it is.
+        unseen: Fields that are solved for apart; None for none.
     """
 
     fixed: FixedBlock | None = None
+    unseen: UnseenFields | None = None
 
     @classmethod
     def of(
@@ -127,15 +144,21 @@ class ApproximateSystem(DualSystem):
         exact: DualSystem,
         approximate: ApproximateLaplace,
         wide: Sequence[WideTerm],
+        unseen: UnseenFields | None = None,
     ) -> ApproximateSystem:
         """The rows of an exact system, with approximate solves and wide terms."""
         compliance = exact.compliance
         fixed = FixedBlock.of(wide, approximate.free, compliance)
         rows = exact.rows, exact.root_weights, exact.n_measured
-        return cls(approximate, compliance, *rows, fixed)
+        return cls(approximate, compliance, *rows, fixed, unseen)
 
     def prior(self, r: Array) -> Array:
         """P⁻¹r, shape (V,)."""
+        if self.unseen is not None:
+            return self.unseen.beside(self._of_laplace, r)
+        return self._of_laplace(r)
+
+    def _of_laplace(self, r: Array) -> Array:
         slope = self.laplace.solve_adjoint(r)
         middle = self.compliance * slope
         if self.fixed is not None:

@@ -18,6 +18,7 @@ from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split
+from ttus_opt.solvers.primal.unseen_fields import UnseenFields
 from ttus_opt.solvers.primal.wide_term import WideTerm
 
 #: Relative residual of the solve behind a bound [–]
@@ -111,11 +112,13 @@ def preconditioner(
         options: Of the method.
         dual: Of the dual.
     """
-    laplace, root = split.operator, split.root()
+    laplace = split.operator
+    unseen = UnseenFields.of(split.prior, split.wide, split.moving)
+    root = split.root(unseen is not None)
     grid, grounds = laplace.operator_grid, laplace.grounds
     cycle = OneCycle(grid, laplace.free, root.added, grounds=grounds)
     approximate = ApproximateLaplace.of(laplace, cycle, root.coupling)
-    system = ApproximateSystem.of(split.few.system, approximate, split.wide)
+    system = ApproximateSystem.of(split.few.system, approximate, split.wide, unseen)
     return ConstraintPreconditioner(
         system, split.few.columns[:, free], options.inner, dual
     )

@@ -171,6 +171,7 @@ def matched_root(
     free: Mask,
     radii: Array,
     compliance: Array,
+    unseen: bool = False,
 ) -> Root:
     """X of the wide terms.
 
@@ -180,9 +181,10 @@ def matched_root(
         free: Voxels with a Laplace row, shape (V,).
         radii: What turns a row of A into one of L, shape (V,) [m].
         compliance: Ω, shape (V,) [–].
+        unseen: Whether fields that heavy terms do not see are solved for apart.
     """
     V = grid.n_voxels
-    roots = (_root(term, grid, free, compliance) for term in wide)
+    roots = (_root(term, grid, free, compliance, unseen) for term in wide)
     parts = [part for part in roots if part is not None]
     if not parts:
         return Root(None, sp.csr_array((V, V)))
@@ -232,7 +234,7 @@ def _links(
 
 
 def _root(
-    term: WideTerm, grid: CylindricalGrid, free: Mask, compliance: Array
+    term: WideTerm, grid: CylindricalGrid, free: Mask, compliance: Array, unseen: bool
 ) -> Array | None:
     """Of one term c and d at every voxel, shape (4, V); None where it is nowhere."""
     stencil = _Stencil.of(term, grid)
@@ -250,7 +252,7 @@ def _root(
     most, held = np.inf, np.count_nonzero(~free & (compliance > 0.0))
     acting, every = np.count_nonzero(free & (strength > 0.0)), np.count_nonzero(free)
     blind = stencil.symbol(np.zeros((1, 3)))[0] < ROUNDING
-    if held and blind and acting > 0.5 * every:
+    if held and blind and acting > 0.5 * every and not unseen:
         # all over the field, it does not see constants, which soft values alone hold,
         # and X would hold them at every voxel
         most = float(np.sqrt(held / every))

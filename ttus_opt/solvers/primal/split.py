@@ -65,11 +65,15 @@ class Split:
         assert isinstance(laplace, LaplaceSystem)
         return laplace
 
-    def root(self) -> Root:
-        """A root of the wide terms."""
+    def root(self, unseen: bool = False) -> Root:
+        """A root of the wide terms.
+
+        Args:
+            unseen: Whether fields that heavy ones do not see are solved for apart.
+        """
         laplace, compliance = self.operator, self.few.system.compliance
-        grid = laplace.operator_grid
-        return matched_root(self.wide, grid, laplace.free, laplace.radii, compliance)
+        grid, own = laplace.operator_grid, (laplace.free, laplace.radii)
+        return matched_root(self.wide, grid, *own, compliance, unseen)
 
     @property
     def given(self) -> Array:

@@ -1,0 +1,127 @@
+"""Fields that heavy differences do not see: constants on what their rows join.
+
+Rows whose entries sum to zero leave a field open that is constant on every set of
+voxels that they join: lines along z for differences along z, all voxels for those along
+all directions. The root X of the multigrid's family (`solvers.primal.matching`) is no
+such sum of differences: close for waves it is far too stiff for constants. These fields
+E are solved for exactly, by a factor of EᵀP E, what they leave by B ≈ P⁻¹ (J. M. Tang
+and others, J. Sci. Comput. 39, 2009, the balancing method):
+
+    P⁻¹ ≈ Q + (I − Q P) B (I − P Q),    Q = E (EᵀP E)⁻¹ Eᵀ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+from scipy.sparse.linalg import splu
+
+from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.solvers.primal.wide_term import WideTerm
+
+#: Weight of a term over the prior's from which on it is heavy [–]
+HEAVY = 30.0
+
+#: Most sets of voxels: they are factorised
+MOST_SETS = 30_000
+
+#: Part of the longest entry up to which the sum of a row's is zero [–]
+ROUNDING = 1e-9
+
+_Map = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class UnseenFields:
+    """E with P E and a factor.
+
+    Attributes:
+        fields: E, shape (V, k).
+        images: P E, shape (V, k).
+        solve: (EᵀP E)⁻¹.
+    """
+
+    fields: sp.csr_array = field(repr=False)
+    images: sp.csr_array = field(repr=False)
+    solve: _Map = field(repr=False)
+
+    @classmethod
+    def of(
+        cls, prior: WideTerm, wide: Sequence[WideTerm], moving: Mask
+    ) -> UnseenFields | None:
+        """Those of heavy terms together.
+
+        Args:
+            prior: The Laplace term.
+            wide: The wide terms.
+            moving: Voxels whose value is not given, shape (V,).
+
+        Returns:
+            None where no term is heavy, or not all heavy ones are differences, or they
+            join nothing, or too little.
+        """
+        heavy = [t for t in wide if t.weight * _largest_square(t) > HEAVY]
+        if not heavy or not all(_is_of_differences(t) for t in heavy):
+            return None
+        sets = _indicators(joined([t.matrix for t in heavy]), moving)
+        if sets is None or sets.shape[1] > MOST_SETS:
+            return None
+        images = sp.csr_array((len(moving), sets.shape[1]))
+        for t in (prior, *wide):
+            images = images + t.weight * (t.matrix.T @ (t.matrix @ sets))
+        images = sp.csr_array(sp.diags_array(moving.astype(float)) @ images)
+        images.eliminate_zeros()
+        small = sp.csc_array(sets.T @ images)
+        factor = splu(
+            small,
+            permc_spec="MMD_AT_PLUS_A",
+            diag_pivot_thresh=0.0,
+            options={"SymmetricMode": True},
+        )
+        return cls(sets, images, factor.solve)
+
+    def beside(self, prior: _Map, r: Array) -> Array:
+        """P⁻¹r of both, from B.
+
+        Args:
+            prior: B.
+            r: Shape (V,).
+        """
+        own = self.solve(self.fields.T @ r)
+        z = prior(r - self.images @ own)
+        own = own - self.solve(self.images.T @ z)
+        return np.asarray(z + self.fields @ own)
+
+
+def _largest_square(term: WideTerm) -> float:
+    return float((term.matrix.data**2).max(initial=0.0))
+
+
+def _is_of_differences(term: WideTerm) -> bool:
+    M = term.matrix
+    largest = float(np.abs(M.data).max(initial=0.0))
+    return bool((np.abs(M.sum(axis=1)) <= ROUNDING * largest).all())
+
+
+def joined(matrices: Sequence[sp.csr_array]) -> IntArray:
+    """Number of the set that rows join every column's voxel to, shape (V,)."""
+    pattern = sp.csr_array(sp.vstack([abs(M) for M in matrices]))
+    m = pattern.shape[0]
+    graph = sp.block_array([[None, pattern], [pattern.T, None]], format="csr")
+    return np.asarray(connected_components(graph, directed=False)[1][m:])
+
+
+def _indicators(label: IntArray, moving: Mask) -> sp.csr_array | None:
+    """E of sets, those of one voxel and of given values left out; None without any."""
+    kept = np.bincount(label) > 1
+    kept[label[~moving]] = False
+    if not kept.any():
+        return None
+    at = np.flatnonzero(kept[label])
+    places = at, (np.cumsum(kept) - 1)[label[at]]
+    shape = len(moving), int(kept.sum())
+    return sp.csr_array(sp.coo_array((np.ones(len(at)), places), shape=shape))
