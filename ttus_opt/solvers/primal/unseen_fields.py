@@ -112,7 +112,8 @@ def joined(matrices: Sequence[sp.csr_array]) -> IntArray:
     pattern = sp.csr_array(sp.vstack([abs(M) for M in matrices]))
     m = pattern.shape[0]
     graph = sp.block_array([[None, pattern], [pattern.T, None]], format="csr")
-    return np.asarray(connected_components(graph, directed=False)[1][m:])
+    _, label = connected_components(graph.astype(float), directed=False)
+    return np.asarray(label[m:], dtype=np.int64)
 
 
 def _indicators(label: IntArray, moving: Mask) -> sp.csr_array | None:
