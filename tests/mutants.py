@@ -151,6 +151,7 @@ TARGETS = (
         ),
     ),
     Target("solvers/dual/solver.py", ("solvers/dual/test_solver.py",)),
+    Target("laplace/boundary_scale.py", ("laplace/test_boundary_scale.py",)),
     Target("laplace/system.py", ("laplace/test_system.py", "laplace/test_stencil.py")),
     Target("laplace/stencil.py", ("laplace/test_stencil.py", "laplace/test_system.py")),
     Target("fitting/sanity.py", ("fitting/test_sanity.py",)),

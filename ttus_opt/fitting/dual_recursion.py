@@ -219,9 +219,8 @@ class DualRecursion:
         self._D.keep(np.delete(np.arange(held), slice(start, start + count)))
         self._d0 = np.delete(self._d0, rows)
         if not self._stale:
-            self._replace(
-                self._kernel.remove(rows.start, rows.stop - rows.start, self._tolerance)
-            )
+            number = self.height * count
+            self._replace(self._kernel.remove(rows.start, number, self._tolerance))
         self._reset_field()
 
     def fade(self, factor: float) -> None:
@@ -269,8 +268,7 @@ class DualRecursion:
         """Refine the last field; the relative residual reached.
 
         Conjugate gradients preconditioned by I + R Rᵀ, flexible because the solves are
-        inexact: Notay,
-        SIAM J. Sci. Comput. 22 (2000) 1444-1460.
+        inexact: Notay, SIAM J. Sci. Comput. 22 (2000) 1444-1460.
         """
         laplace = self._laplace
         if self._shift is None:
