@@ -1,4 +1,4 @@
-"""Compiled functions: numba with a cache that old code cannot haunt.
+"""Compiled functions: numba with a cache that never runs outdated code.
 
 numba keeps machine code under the content of the file a function stands in, yet links
 in functions of other files: after an upgrade that changes only those, it would go on
