@@ -76,7 +76,7 @@ def test_a_scale_the_forces_do_not_bear_is_one_and_said() -> None:
 
 
 def test_pulling_forces_are_refused_by_inner_fit() -> None:
-    pulled = replace(TRAJECTORY, force=-TRAJECTORY.force)
+    pulled = replace(TRAJECTORY, force=-1e-3 * TRAJECTORY.force)  # slightly, too
     with pytest.raises(InputError, match="force ON the probe"):
         Scene.assemble(VOXMAP, SHELL, pulled, inner="fit")
 
