@@ -69,6 +69,7 @@ def test_the_weights_of_what_may_be_used() -> None:
     assert table[0b1100].tolist() == [0, 0, 6 * quarter, -2 * quarter]
     assert table[0b0001].tolist() == [WEIGHT, 0, 0, 0]
     assert not table[0].any()
+    assert _weights((1, 3, 5))[0b111].tolist() == [6 * quarter, -2 * quarter, 0]
 
 
 def test_nodes_of_another_side_predict_nothing() -> None:
@@ -94,6 +95,18 @@ def test_nodes_of_another_side_predict_nothing() -> None:
     assert np.count_nonzero(sent[0]) < 0.8 * np.count_nonzero(
         np.concatenate(differences(kink, 1e-3, across)[0])
     )
+
+
+def test_inside_the_array_is_known_on_the_surface() -> None:
+    r = np.arange(17.0)
+    sides = np.where(r < 12, 1, 0).astype(np.int8)
+    values = np.where(r < 12, (12.0 - r) ** 2, 99.0)
+    last = [
+        differences(values, 1e-3, Scheme((17,), (False,), (0,), sides=own))[0][-1]
+        for own in (sides, -sides)
+    ]
+    assert not last[0].any()
+    assert last[1].any()  # otherwise a straight line through two nodes
 
 
 def test_a_cubic_is_predicted_without_differences() -> None:

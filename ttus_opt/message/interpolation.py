@@ -58,8 +58,8 @@ class Scheme:
             predicted from finer values needs fewer differences.
         sides: On which side of a surface every node lies, of the array's shape; a node
             is predicted from those of its own side. Where positive, the array is 0 on
-            the surface, and so is the nearest node beyond it. None where there is no
-            surface.
+            the surface, and so the middle two of four nodes count where they lie
+            beyond it. None where there is no surface.
     """
 
     shape: tuple[int, ...]

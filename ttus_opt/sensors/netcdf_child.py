@@ -30,7 +30,7 @@ PATIENCE = 300.0
 
 #: Most memory of the process, and how much of it whatever the file, and per byte of it
 #: [byte]: damaged counts are refused by their size, which else take the library minutes
-MEMORY, MEMORY_AT_LEAST, MEMORY_PER_BYTE = 8 * 2**30, 2 * 2**30, 5_000
+MEMORY, MEMORY_AT_LEAST, MEMORY_PER_BYTE = 8 * 2**30, 2**30, 5_000
 
 #: Nothing is computed there: threads would take address space
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
