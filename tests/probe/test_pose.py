@@ -63,6 +63,7 @@ def test_a_rigid_transform_is_a_whole_pose() -> None:
         ((TURN.as_quat(), AT, "wzyx"), "got 'wzyx'"),
         ((R, AT, "wxyz"), r"of a quaternion \(4,\)"),
         ((1.02 * TURN.as_quat(), AT, "xyzw"), "length 1.02, expected 1"),
+        ((1e300 * TURN.as_quat(), AT, "xyzw"), "length inf, expected 1"),
         ((np.full(4, np.nan), AT, "xyzw"), "length nan"),
         ((np.zeros(4), AT, "xyzw"), "length 0"),
     ],

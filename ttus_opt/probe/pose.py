@@ -173,7 +173,8 @@ def from_quaternions(quaternions: Array, order: QuaternionOrder | None) -> Array
         raise InputError(
             f"a quaternion needs order='wxyz' or order='xyzw' (ROS), got {order!r}"
         )
-    length = np.linalg.norm(quaternions, axis=1)
+    with np.errstate(over="ignore"):  # of damaged numbers
+        length = np.linalg.norm(quaternions, axis=1)
     if not (np.abs(length - 1.0) <= QUATERNION_TOLERANCE).all():
         worst = length[np.argmax(np.abs(length - 1.0))]
         raise InputError(
