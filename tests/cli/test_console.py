@@ -58,6 +58,15 @@ def test_what_a_terminal_would_carry_out_is_not_printed() -> None:
     assert told == "cannot read \ufffd[2J\ufffda.csv\ufffd: no such file"
 
 
+def shown_until(capsys: pytest.CaptureFixture[str], words: str) -> str:
+    """What the bar's thread has written once it has written these words."""
+    shown, until = "", time.monotonic() + 30.0
+    while words not in shown and time.monotonic() < until:
+        time.sleep(0.01)
+        shown += capsys.readouterr().err
+    return shown
+
+
 def test_stages_are_shown_only_for_long_work(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -68,9 +77,9 @@ def test_stages_are_shown_only_for_long_work(
     pytest.importorskip("tqdm")  # which the bar would load during the first part
     with console.Stages(2) as begin:
         begin("first part")
-        time.sleep(0.3)
+        shown = shown_until(capsys, "first part")
         begin("second part")
-    shown = capsys.readouterr().err
+    shown += capsys.readouterr().err
     assert "first part" in shown
     assert "2/2" in shown
 
@@ -81,8 +90,8 @@ def test_a_failure_leaves_the_bar_where_it_was(
     monkeypatch.setattr(console, "PATIENCE", 0.02)
     with pytest.raises(ValueError, match="broken"), console.Stages(3) as begin:
         begin("first part")
-        time.sleep(0.3)
+        shown = shown_until(capsys, "0/3")
         raise ValueError("broken")
-    shown = capsys.readouterr().err
+    shown += capsys.readouterr().err
     assert "0/3" in shown
     assert "3/3" not in shown
