@@ -124,7 +124,7 @@ TARGETS = (
     ),
     Target("contact/friction.py", ("contact/test_friction.py",)),
     Target("scan/contour_filter.py", ("scan/test_contour_filter.py",)),
-    Target("contact/rows.py", ("contact/test_rows.py",)),
+    Target("contact/rows.py", ("contact/test_rows.py", "contact/test_contact_size.py")),
     Target(
         "contact/row_kernels.py",
         ("contact/test_row_kernels.py", "contact/test_rows.py"),
