@@ -127,7 +127,11 @@ TARGETS = (
     Target("contact/rows.py", ("contact/test_rows.py", "contact/test_contact_size.py")),
     Target(
         "contact/row_kernels.py",
-        ("contact/test_row_kernels.py", "contact/test_rows.py"),
+        (
+            "contact/test_row_kernels.py",
+            "contact/test_rows.py",
+            "voxmap/test_sector.py",
+        ),
     ),
     Target("probe/point_shell.py", ("probe/test_point_shell.py",)),
     Target("probe/orientation.py", ("probe/test_orientation.py",)),
