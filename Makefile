@@ -6,8 +6,9 @@ TESTFLAGS ?=
 # Tests run side by side, one process a core (slow ones, which may be large, on two).
 PARALLEL ?= -n auto --maxprocesses 4 --dist worksteal
 # Bytecode is kept, also where the environment says not to: without it each process
-# compiles every module and rewrites every assertion again.
-PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest
+# compiles every module and rewrites every assertion again. Without nbmake, which loads
+# Jupyter, each process starts a second sooner.
+PYTEST = PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -p no:nbmake
 # make mutants MUTANTS="metrics kkt" SAMPLE=50
 MUTANTS ?=
 SAMPLE ?= 20

@@ -12,8 +12,12 @@ from ttus_opt.errors import TtusError
 
 SEED = 20261122
 
-#: How many mutations: a few each time, many with the slow tests
-NUMBERS = [pytest.param(60), pytest.param(10_000, marks=pytest.mark.slow)]
+#: How many mutations: a few each time, 2,000 with the slow tests, 10,000 with the long
+NUMBERS = [
+    pytest.param(60),
+    pytest.param(2_000, marks=pytest.mark.slow),
+    pytest.param(10_000, marks=[pytest.mark.slow, pytest.mark.long]),
+]
 
 
 def mutated(content: bytes, rng: np.random.Generator) -> bytes:

@@ -81,6 +81,7 @@ def test_no_two_recordings_are_the_same():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_bundled_recordings_can_be_made_again():
     patch = skin_compliance(torso_body(TORSO))
     for name in RECORDINGS:

@@ -291,9 +291,16 @@ def test_a_window_slides_with_the_solves_of_the_multigrid(
     assert held.fit._system._kernel._residual.max() < 1e-4
 
 
+#: All windows with all weights when long; when slow, each of them at least once
+WINDOWS = [
+    pytest.param(weight, window, marks=[] if i % 3 == j else pytest.mark.long)
+    for i, weight in enumerate(WEIGHTS)
+    for j, window in enumerate((20, 200, 400))
+]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("window", [20, 200, 400])
-@pytest.mark.parametrize("weight", WEIGHTS)
+@pytest.mark.parametrize(("weight", "window"), WINDOWS)
 def test_thousands_of_updates(weight: float, window: int) -> None:
     """20,000 in all; each fit forgets what it held several times over."""
     slide(Held(weight, quick()), 1700, window, 100, fading=True)

@@ -43,6 +43,7 @@ def test_force_converges_to_hertz_with_refinement():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_resolved_contact_is_within_one_per_cent_of_hertz():
     assert np.abs(hertz_error(1.5e-3)).max() < 0.01
 

@@ -238,11 +238,20 @@ def test_never_forms_q() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "sampling", [pytest.param("voxel-mean", marks=pytest.mark.long), "trilinear"]
+    ("sampling", "shape"),
+    [
+        ("trilinear", (16, 48, 20)),
+        *(
+            pytest.param(sampling, (24, 72, 30), marks=pytest.mark.long)
+            for sampling in ("voxel-mean", "trilinear")
+        ),
+    ],
 )
-def test_case_s_equals_the_closed_form(sampling: str) -> None:
-    """24×72×30 with 200 poses, against SuperLU on Q; about a minute each."""
-    scene = small_scene(sampling, (24, 72, 30), n_poses=200)
+def test_200_poses_equal_the_closed_form(
+    sampling: str, shape: tuple[int, int, int]
+) -> None:
+    """Against SuperLU on Q, which takes minutes on case S."""
+    scene = small_scene(sampling, shape, n_poses=200)
     loaded = program(scene, 1e-2)
     reference = registry.solvers()["closed_form"].prepare(loaded, TIGHT).solve()
     assert relative(solved(loaded).x, reference.x) < 1e-8
@@ -263,7 +272,10 @@ def test_a_weight_beyond_single_precision_is_no_crash() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "name"),
-    [("noise", "coulomb_drag"), ("reversed", "eq10_sign_monotone")],
+    [
+        pytest.param("noise", "coulomb_drag", marks=pytest.mark.long),
+        ("reversed", "eq10_sign_monotone"),
+    ],
 )
 def test_contested_limits_of_a_third_of_a_million_voxels(how: str, name: str) -> None:
     """Weights 1e4 times too large, voxel-mean rows: K at its largest; a minute each."""
