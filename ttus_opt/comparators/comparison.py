@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from scipy.signal import savgol_filter
 
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import RendersWrenches, WrenchSource
@@ -169,6 +168,8 @@ def ripple(comparator: WrenchSource, recording: Trajectory) -> float:
         Root mean square of the short waves over the mean force [–]; NaN where the
         comparator gives no force there.
     """
+    from scipy.signal import savgol_filter
+
     force = np.linalg.norm(comparator.wrenches(slow_slide(recording))[:, :3], axis=1)
     mean = float(force.mean())
     if mean == 0.0:

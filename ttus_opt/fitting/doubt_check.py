@@ -6,7 +6,6 @@ from dataclasses import asdict, dataclass
 from typing import Protocol
 
 import numpy as np
-import scipy.stats
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
@@ -96,6 +95,8 @@ def check_doubt(
 
 def _against(error: Array, std: Array, noise: float) -> tuple[float, float]:
     """Coverage, and rank correlation of sizes."""
+    from scipy.stats import spearmanr
+
     within = np.abs(error) <= NORMAL * np.sqrt(std**2 + noise**2)
     sizes = np.linalg.norm(error, axis=1), np.linalg.norm(std, axis=1)
-    return float(within.mean()), float(scipy.stats.spearmanr(*sizes).statistic)
+    return float(within.mean()), float(spearmanr(*sizes).statistic)

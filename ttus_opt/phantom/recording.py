@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.arrays import Array
@@ -131,6 +130,8 @@ def add_pose_noise(
 
 def _correlated(white: Array, time: Array, correlation: float) -> Array:
     """A stationary first-order Gauss–Markov process of unit variance, (T, k)."""
+    from scipy.signal import lfilter
+
     if correlation == 0.0 or len(white) < 2:
         return white
     kept = np.exp(-(time[1] - time[0]) / correlation)
