@@ -58,12 +58,17 @@ def read(folders: Iterable[Path]) -> list[Row]:
             for row in own.values()
             if row["formulation"] == BASE and solved(row)
         }
+        known = {
+            (row["case"], row["solver"])
+            for row in found.values()
+            if row["formulation"] == BASE
+        }
         for key, row in own.items():
-            ratio_to = base.get((row["case"], row["solver"]))
-            if row["formulation"] != BASE:  # of which the first is the table's
-                found[key] = row | {"cpu_base": ratio_to}
-            else:
-                found.setdefault(key, row)
+            place = row["case"], row["solver"]
+            if row["formulation"] != BASE:
+                found[key] = row | {"cpu_base": base.get(place)}
+            elif place not in known:  # the first one is the table's
+                found[key] = row
     return list(found.values())
 
 

@@ -115,3 +115,17 @@ def test_every_row_of_the_readme_is_measured() -> None:
     assert [rows.begins(row) for row in rows.readme_rows()] == list(rows.ROWS)
     with pytest.raises(KeyError, match="put it into ROWS"):
         rows.begins("a new row")
+
+
+def test_a_later_folders_ratio_is_to_its_own_eq10(tmp_path: Path) -> None:
+    earlier = [answer("eq10", 0.1), answer("tikhonov", 0.3)]
+    later = [answer("eq10", 0.2), answer("tikhonov", 0.4)]
+    for name, rows in (("a", earlier), ("b", later)):
+        (tmp_path / name).mkdir()
+        told = [row | {"key": f"{name} {n}"} for n, row in enumerate(rows)]
+        (tmp_path / name / "rows.jsonl").write_text(json.dumps(told) + "\n")
+    found = TABLES.read([tmp_path / "a", tmp_path / "b"])
+    own = TABLES.by(found, "S")
+    assert own["eq10"]["cpu_first"] == 0.1
+    assert own["tikhonov"]["cpu_first"] == 0.4
+    assert TABLES.times(own["tikhonov"], own["eq10"]) == pytest.approx(2.0)
