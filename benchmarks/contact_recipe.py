@@ -5,7 +5,9 @@
 Forces of presses follow from contact mechanics, not from a field: a sphere on a
 half-space (Hertz 1881), a flat square punch on it (Johnson, Contact Mechanics, 1985,
 §3.8), and a thin layer on a rigid base, whose pressure is its modulus over its
-thickness times the depth (ibid., §5.8), the thickness constant or a wave as of ribs.
+thickness times the depth (ibid., §5.8), the thickness constant or a wave as of ribs,
+integrated over the contact. The body is a cylinder, as the grid is; the flat probe
+follows its curve, so that relative to the body it is flat.
 Half of the places are fitted, with noise, half are predicted: mean error of the
 force's magnitude over its mean, in percent. No option is set for any of the models.
 """
@@ -23,6 +25,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ttus_opt import comparators
+from ttus_opt.arrays import Array
 from ttus_opt.errors import TtusError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -51,17 +54,32 @@ GRID = {"shape": (20, 90, 30), "r_inner": 0.12}
 
 def probes() -> dict[str, tuple[PointShell, float, float]]:
     """Shell, half its thickness along the press [m], deepest press [m], by name."""
+    box = PointShell.box((0.02, 0.02, 0.02), 1500)
     return {
         "round": (PointShell.sphere(0.02, 1500), 0.02, 0.006),
-        "flat": (PointShell.box((0.02, 0.02, 0.02), 1500), 0.01, 0.004),
+        "flat": (bent(box, 0.01), 0.01, 0.004),
         "sharp": (PointShell.sphere(0.00315, 800), 0.00315, 0.002),
     }
 
 
-def stiffness(body: str, z: float) -> float:
-    """Pressure over depth of a layer at a height [Pa/m]."""
+def bent(box: PointShell, half: float) -> PointShell:
+    """A box that is pressed along -x, its face bent to follow the body's.
+
+    Args:
+        box: Around the origin.
+        half: Half its thickness [m].
+    """
+    x, y, z = box.points.T
+    angle, radius = y / BODY, BODY + half + x
+    points = [radius * np.cos(angle) - BODY - half, radius * np.sin(angle), z]
+    normals = Rotation.from_euler("z", angle[:, None]).apply(box.normals)
+    return replace(box, points=np.stack(points, axis=1), normals=normals)
+
+
+def stiffness(body: str, z: Array) -> Array:
+    """Pressure over depth of a layer at heights [Pa/m]."""
     length, share = RIBS
-    wave = share * math.sin(2.0 * math.pi * z / length) if body == "ribbed" else 0.0
+    wave = share * np.sin(2.0 * np.pi * z / length) if body == "ribbed" else 0.0 * z
     return LAYER / (THICKNESS * (1.0 + wave))
 
 
@@ -72,8 +90,15 @@ def force(body: str, probe: str, depth: float, z: float) -> float:
         if probe == "flat":  # a square punch is as stiff as a round one, to 1.2 %
             return 2.0 * HALF_SPACE * 1.012 * math.sqrt(size**2 / math.pi) * depth
         return 4.0 / 3.0 * HALF_SPACE * math.sqrt(size * depth) * depth
-    volume = size**2 * depth if probe == "flat" else math.pi * size * depth**2
-    return stiffness(body, z) * volume
+    # a strip of the contact at every height: its width times its mean depth
+    half = size / 2.0 if probe == "flat" else math.sqrt(2.0 * size * depth)
+    u = half * np.linspace(-1.0, 1.0, 401)
+    if probe == "flat":
+        strip = np.full_like(u, size * depth)
+    else:
+        left = np.maximum(depth - u**2 / (2.0 * size), 0.0)
+        strip = 4.0 / 3.0 * np.sqrt(2.0 * size) * left**1.5
+    return float(np.trapezoid(stiffness(body, z + u) * strip, u))
 
 
 def recording(body: str, probe: str, rng: np.random.Generator) -> Trajectory:

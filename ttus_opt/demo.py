@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -151,7 +151,7 @@ def run(
     begin("choosing weights")
     choice = choose_weights(scene, "eq10")
     begin("with forces and torques")
-    after = fit(choice.scene, choice.formulation)
+    after = replace(fit(choice.scene, choice.formulation), chosen=choice.lines)
     begin("evaluating")
     fields = before.field, after.field
     comparisons = tuple(
@@ -235,9 +235,10 @@ def _facts(scene: Scene, result: DemoResult) -> dict[str, str]:
         "the 95th percentile",
         "Grid": f"{shape} = {scene.n_voxels:,} voxels, trilinear sampling",
         "Fit": f"{after.formulation} with λ_f = {after.weights['force']:.2g}, "
-        f"λ_τ = {after.weights['torque']:.2g}, chosen from the recordings, and ℓ = "
+        f"λ_τ = {after.weights['torque']:.2g} and ℓ = "
         f"{1e3 * scene.torque_length:.1f} mm to {len(scene.trajectory)} poses "
         f"({', '.join(FITTED)}), by {after.solver}",
+        "Chosen": "; ".join(after.chosen),
         "Check": "worst relative KKT residual "
         + ("unknown" if kkt is None else f"{kkt.worst_relative:.1e}"),
         "Identified": ", ".join(after.identified),

@@ -68,10 +68,22 @@ def test_other_criteria_choose_multiples_of_the_weights() -> None:
 
 
 def test_of_two_formulations_the_likelier_is_taken() -> None:
-    found = tune(drawn(), ["coulomb_global", "eq10"], compare=False)
+    found = tune(drawn(), ["eq10", "coulomb_global"], compare=False)
     assert found.formulation.name == "eq10"  # nothing slides
+    assert found.simpler is not None and found.simpler.simpler is None
+    assert found.simpler.formulation.name == "coulomb_global"  # it comes after
     assert set(found.candidates) == {"eq10", "coulomb_global"}
     assert found.log_marginal == max(found.candidates.values())
+
+
+def test_forces_alone_are_tuned() -> None:
+    own = drawn()
+    silent = replace(own.trajectory, torque=None)
+    scene = Scene.assemble(own.voxmap, own.shell, silent, inner="fit")
+    found = tune(scene, "eq10", compare=False)
+    assert found.weights.keys() == {"force"} == found.weight_factors.keys()
+    assert found.noise == pytest.approx(NOISE, rel=0.7)
+    assert 0.2 < found.weights["force"] / tuned().weights["force"] < 5.0
 
 
 @pytest.mark.slow
@@ -96,7 +108,6 @@ def test_a_coarse_grid_finds_nearly_the_same(monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ({"formulation": "depth_map"}, "cannot be tuned"),
         ({"formulation": "coulomb_drag"}, "cannot be tuned"),
         ({"force_weight": 1.0}, "chooses force_weight"),
         ({"weights": "evidence"}, 'takes "auto"'),

@@ -16,8 +16,14 @@ from tests.fitting.test_tuning import drawn, tuned
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting import weight_choice
 from ttus_opt.fitting.hyperparameters import Hyperparameter
+from ttus_opt.fitting.left_out import LeftOut
 from ttus_opt.fitting.tuning import Tuning
-from ttus_opt.fitting.weight_choice import WeightChoice, choose_weights, has_weights
+from ttus_opt.fitting.weight_choice import (
+    WeightChoice,
+    choose_weights,
+    has_choice,
+    has_weights,
+)
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 
@@ -35,7 +41,8 @@ def refused(scene: Scene, told: str) -> WeightChoice:
     assert choice.tuning is None and choice.scene is scene
     assert weights(choice) == OWN
     assert choice.as_dict()["by"] == "formulation"
-    assert choice.reason in choice.as_dict()["reason"] and not choice.lines
+    assert choice.reason in choice.as_dict()["reason"]
+    assert choice.lines == tuple(map(str, choice.checks))
     return choice
 
 
@@ -112,6 +119,68 @@ def test_what_the_evidence_does_not_bear(
     refused(drawn(), told)
 
 
+def off_by(factor: float, one: LeftOut) -> LeftOut:
+    return replace(one, errors=factor * one.errors)
+
+
+def test_weights_that_predict_presses_left_out_no_better_are_not_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    worse = replace(tuned(), left_out=off_by(3.0, tuned().left_out))
+    monkeypatch.setattr(weight_choice, "tune", lambda *_, **__: worse)
+    choice = refused(drawn(), "no better than eq10 with its own weights.*are used")
+    (told,) = choice.as_dict()["held_out"]
+    assert told["made"] and not told["holds"]
+    assert told["richer_error"] > told["simpler_error"]
+
+
+def test_drag_that_predicts_presses_left_out_no_better_is_not_used(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rich = replace(
+        tuned(),
+        formulation=tuned().formulation.named("coulomb_global"),
+        left_out=replace(off_by(1.1, tuned().left_out), model="coulomb_global"),
+        simpler=tuned(),
+    )
+    monkeypatch.setattr(weight_choice, "tune", lambda *_, **__: rich)
+    with pytest.warns(TtusWarning, match="coulomb_global predicts.*eq10 is used"):
+        choice = choose_weights(drawn())
+    assert choice.formulation is tuned().formulation
+    assert [check.holds for check in choice.checks] == [False, True]
+    assert "no better than eq10 with the weights chosen" in choice.lines[-2]
+
+
+@pytest.mark.parametrize("factor", [1.0, 0.5])
+def test_a_depth_map_stays_where_it_predicts_better(
+    factor: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    better = replace(tuned(), left_out=off_by(factor, tuned().left_out))
+    monkeypatch.setattr(weight_choice, "tune", lambda *_, **__: better)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        solution = tt.fit(drawn(), "depth_map", weights="auto")
+    expected = "depth_map" if factor == 1.0 else "eq10"
+    assert solution.formulation == expected
+    assert [str(one.message).endswith("eq10 is used") for one in told] == (
+        [] if factor == 1.0 else [True]
+    )
+    assert any("depth_map predicts presses left" in line for line in solution.chosen)
+    assert "depth_map predicts presses left" in solution.summary()
+
+
+def test_two_presses_leave_the_weights_unchecked() -> None:
+    scene = drawn()
+    kept = scene.trajectory.select(np.arange(len(scene.trajectory)) < 10)
+    few = Scene.assemble(scene.voxmap, scene.shell, kept, inner="fit")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(weight_choice, "LEAST_FRAMES", 8)
+        choice = choose_weights(few, "eq10")
+    (check,) = choice.checks
+    assert check.presses == 2 and not check.made and choice.tuning is not None
+    assert choice.lines[-1].endswith("2 of them are fewer than 3")
+
+
 @pytest.mark.slow
 def test_forces_without_noise_end_at_the_bound() -> None:
     scene = drawn()
@@ -168,6 +237,8 @@ def test_weights_that_were_given_are_nothing_to_choose(tmp_path) -> None:  # typ
     assert has_weights("eq10") and has_weights("coulomb_global")
     assert not has_weights("laplace_only")
     assert not has_weights("depth_map")  # chooses its own
+    assert has_choice("depth_map") and has_choice("eq10")
+    assert not has_choice("laplace_only")
     own = tmp_path / "own.py"
     own.write_text("def build(scene, strength: float = 1.0): ...\n", encoding="utf-8")
     assert not has_weights(own)

@@ -68,8 +68,9 @@ def fit(
         str | None,
         typer.Option(
             help="auto: weights and boundary scale by marginal likelihood, as "
-            "ttus-opt tune finds them; own: the formulation's, 0.01. By default auto "
-            "where no weight is given.",
+            "ttus-opt tune finds them, if presses left out are predicted better by "
+            "them; own: the formulation's, 0.01. By default auto where no weight is "
+            "given.",
         ),
     ] = None,
     paper: Annotated[
@@ -163,6 +164,7 @@ def fit(
             tolerance=problem.tolerance,
             time_limit=time_limit,
         )
+        solution = replace(solution, chosen=choice.lines)
         report = None
         if solution.verified_field is not None:
             found = solution.field
@@ -185,7 +187,7 @@ def fit(
     solution.field  # noqa: B018  raises what is wrong when nothing was verified
     if not json:
         assert report is not None
-        lines = [*solved_lines(solution, output), *choice.lines, *report.lines]
+        lines = [*solved_lines(solution, output), *solution.chosen, *report.lines]
         typer.echo("\n".join([*lines, *how_read(recorded, conventions)]))
     if report is not None and report.mistake is not None:
         warnings.warn(str(report.mistake), TtusWarning, stacklevel=2)
@@ -208,7 +210,7 @@ def _by_data(
     Raises:
         InputError: Another word than auto or own, or auto and a weight beside it.
     """
-    from ttus_opt.fitting.weight_choice import has_weights, is_weight
+    from ttus_opt.fitting.weight_choice import has_choice, is_weight
 
     if weights not in (None, "auto", "own"):
         raise InputError(f"--weights takes auto or own, got {weights!r}")
@@ -218,7 +220,7 @@ def _by_data(
         raise InputError(f"--weights auto chooses --{told}: give one or the other")
     if weights is not None:
         return weights == "auto"
-    return not given and (formulation is None or has_weights(formulation))
+    return not given and (formulation is None or has_choice(formulation))
 
 
 def _choice(

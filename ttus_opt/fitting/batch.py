@@ -51,7 +51,9 @@ def fit(
         time_limit: Most seconds the solver may take, each time it is called [s].
         weights: "auto" chooses weights and boundary scale by their marginal likelihood
             (`ttus_opt.tune`), or takes the formulation's own with a `TtusWarning`
-            where the recordings do not bear it; None takes the formulation's own.
+            where the recordings do not bear it, or presses left out are predicted no
+            better; so does a depth map give way to eq. 10. None takes the
+            formulation's own.
         options: The formulation's own (``force_weight``, ``torque_weight``, …).
 
     Returns: The solution; its ``field`` is there only when its residuals, computed
@@ -80,7 +82,8 @@ def fit(
             time_limit=time_limit,
         )
         spent = (found.timings.search or 0.0) + choosing
-        return replace(found, timings=replace(found.timings, search=spent))
+        timings = replace(found.timings, search=spent)
+        return replace(found, timings=timings, chosen=choice.lines)
     watch = Stopwatch()
     declared = shelf.load(formulation, scene, **options)
     if declared.scene is not scene:

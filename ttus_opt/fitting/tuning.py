@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.hyperparameters import Hyperparameter
+from ttus_opt.fitting.left_out import LeftOut
 from ttus_opt.fitting.marginal_likelihood import Evidence, MeasuredSeries
 from ttus_opt.fitting.tuning_candidate import (
     SIGNAL_TO_NOISE,
@@ -72,6 +73,9 @@ class Tuning:
         candidates: ``log_marginal`` of all formulations that were tried, by name [–].
         shape: Voxels of the grid it was tuned on.
         seconds: It took [s].
+        left_out: Errors on presses left out in turn.
+        own_left_out: The same with the formulation's own weights and boundary scale.
+        simpler: Likeliest of the formulations named after this one, if there is any.
     """
 
     formulation: Formulation
@@ -86,6 +90,9 @@ class Tuning:
     candidates: Mapping[str, float]
     shape: tuple[int, ...]
     seconds: float = field(compare=False)
+    left_out: LeftOut = field(compare=False, repr=False)
+    own_left_out: LeftOut = field(compare=False, repr=False)
+    simpler: Tuning | None = field(default=None, compare=False, repr=False)
 
     @property
     def not_determined(self) -> tuple[str, ...]:
@@ -124,8 +131,9 @@ def tune(
 
     Args:
         scene: With measured wrenches.
-        formulations: One, or several of which the most likely is taken; none with a
-            coefficient that the data do not bear where there is another.
+        formulations: One, or several, richer ones first, of which the most likely is
+            taken; none with a coefficient that the data do not bear where there is
+            another.
         vary: Options to choose, with the range over which they may lie; None for
             those of `VARIED`. Several are chosen one after the other.
         compare: Whether to look at other criteria, too.
@@ -150,18 +158,15 @@ def tune(
     for one in formulations:
         begin(f"tuning {one.name if isinstance(one, Formulation) else one}")
         tried.append(candidate(one, scene, small, vary, options, kept))
+    found = _finished(tried, compare)
+    return replace(found, seconds=time.perf_counter() - start)
+
+
+def _finished(tried: Sequence[Candidate], compare: bool) -> Tuning:
+    """What is told of the likeliest formulation."""
     borne = [each for each in tried if each.bears_coefficient] or tried
     best = max(borne, key=lambda each: each.log_marginal)
-    found = _finished(best, compare)
-    return replace(
-        found,
-        candidates={one.declared.name: one.log_marginal for one in tried},
-        seconds=time.perf_counter() - start,
-    )
-
-
-def _finished(best: Candidate, compare: bool) -> Tuning:
-    """What is told of the likeliest formulation."""
+    after = tried[[one is best for one in tried].index(True) + 1 :]
     rows, values, evidence = best.rows, best.values, best.evidence()
     series = best.series.at(values.coefficient)
     at = values.weights, values.correlation_time
@@ -173,7 +178,11 @@ def _finished(best: Candidate, compare: bool) -> Tuning:
     final = dict(zip(rows.terms, map(float, grid * independent), strict=True))
     scene, scale = _scaled(best, evidence)
     declared = best.declared if best.build is None else best.build(scene)
-    judge = _Judge(series, evidence.scale)
+    name, frames = declared.name, rows.declared.scene.rows.contact_points
+    judge = _Judge(series, evidence.scale, np.flatnonzero(frames > 0))
+    own = {t.name: t.weight for t in best.declared.terms if t.measures}
+    own_weights = np.array([own[term] for term in rows.terms]) / grid
+    known = replace(judge, series=best.reaching(own_weights), scale=1.0)
     force = rows.terms.index("force") if "force" in rows.terms else 0
     return Tuning(
         declared.with_weights(**final),
@@ -185,9 +194,12 @@ def _finished(best: Candidate, compare: bool) -> Tuning:
         best.log_marginal,
         judge(independent)["left_out_force_error"],
         judge.others(independent, grid) if compare else (),
-        {},
+        {one.declared.name: one.log_marginal for one in tried},
         tuple(map(int, rows.declared.scene.voxmap.grid.shape)),
         0.0,
+        judge.left_out(f"{name} with the weights chosen", independent),
+        known.left_out(f"{name} with its own weights", own_weights),
+        _finished(after, False) if after else None,
     )
 
 
@@ -220,24 +232,40 @@ class _Judge:
     Attributes:
         series: All frames in contact.
         scale: Of the boundary values.
+        frames: Which ones these are of the trajectory, shape (frames,) [–].
     """
 
     series: MeasuredSeries = field(repr=False)
     scale: float
+    frames: IntArray = field(repr=False)
 
     def __call__(self, weights: Array) -> dict[str, float]:
         """All criteria for weights by term."""
-        series = self.series
-        k, n = len(series.images), 3 * series.frames
+        criteria, at = self._criteria, self._at(weights)
+        return criteria.values(*at)
+
+    def left_out(self, model: str, weights: Array) -> LeftOut:
+        """Errors on presses left out in turn, of a model in words."""
+        predicted = self._criteria.left_out(*self._at(weights))
+        error = self._criteria.force.reshape(-1, 3) - predicted
+        return LeftOut(model, self.frames, np.linalg.norm(error, axis=1))
+
+    @property
+    def _criteria(self) -> Criteria:
+        series, n = self.series, 3 * self.series.frames
         force = series.terms.index("force") if "force" in series.terms else 0
-        criteria = Criteria(
+        return Criteria(
             np.tile(np.repeat(series.press, 3), len(series.terms)),
             np.arange(force * n, (force + 1) * n),
             series.target[force].reshape(-1),
         )
+
+    def _at(self, weights: Array) -> tuple[Array, Array, Array]:
+        """Images, misfit and roots of the weights, as `Criteria` takes them."""
+        series = self.series
         misfit = (series.target - self.scale * series.base).reshape(-1)
-        root = np.repeat(np.sqrt(weights), n)
-        return criteria.values(series.images.reshape(k, -1), misfit, root)
+        root = np.repeat(np.sqrt(weights), 3 * series.frames)
+        return series.images.reshape(len(series.images), -1), misfit, root
 
     def others(self, weights: Array, grid: float) -> tuple[Comparison, ...]:
         """What the others choose, among multiples of the weights."""

@@ -99,6 +99,7 @@ class Candidate:
         variance: Mean prior variance of that one's first term [–].
         series: Its frames in contact, by the basis.
         maximum: Of the hyperparameters that the evidence has.
+        largest: Weight that the basis holds for [–].
         varied: Options that were chosen.
     """
 
@@ -108,6 +109,7 @@ class Candidate:
     variance: float
     series: MeasuredSeries
     maximum: Maximum
+    largest: float
     varied: tuple[Hyperparameter, ...] = ()
 
     @property
@@ -131,6 +133,13 @@ class Candidate:
         """The likeliest hyperparameters."""
         found = np.array([h.value for h in self.maximum.found])
         return Values.of(found, len(self.rows.terms), self.variance)
+
+    def reaching(self, weights: Array) -> MeasuredSeries:
+        """The series at its coefficient, by a basis that holds for these weights."""
+        most, series = float(max(weights)), self.series
+        if most > self.largest * (1.0 + ROUNDING):
+            series = self.rows.series(most)
+        return series.at(self.values.coefficient)
 
     def evidence(self) -> Evidence:
         """At the likeliest hyperparameters, with the boundary scale to use."""
@@ -262,7 +271,8 @@ def _tuned(
     variance, signal, n = rows.variance(), FIRST_SIGNAL, len(rows.terms)
     free_scale = build is not None and _fits_scale(whole.scene)
     for _ in range(1 + ENLARGEMENTS):
-        series = kept(rows, signal / variance)
+        largest = signal / variance
+        series = kept(rows, largest)
         seen = thinned(series)
 
         def log_density(found: Array, seen: MeasuredSeries = seen) -> float:
@@ -276,14 +286,14 @@ def _tuned(
 
         maximum = maximise(log_density, _priors(rows))
         values = np.array([h.value for h in maximum.found])
-        if values[0] * max(1.0, *values[1:n]) < signal:
+        if values[0] * max((1.0, *values[1:n])) < signal:
             break
         signal *= LARGER
     else:  # beyond any basis
         first, *others = maximum.found
         found = (replace(first, at_bound=True), *others)
         maximum = replace(maximum, found=found)
-    return Candidate(build, whole, rows, variance, series, maximum)
+    return Candidate(build, whole, rows, variance, series, maximum, largest)
 
 
 def thinned(series: MeasuredSeries) -> MeasuredSeries:

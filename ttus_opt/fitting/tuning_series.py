@@ -198,7 +198,7 @@ def _compiled(declared: Formulation) -> tuple[Program, list[ProgramTerm]]:
         and laplace_prior(program) is not None
         and program.n_variables == len(program.laplace.free)
         and all(len(term.target) == 3 * frames for term in measured)
-        and len(program.terms) == len(names) + 1
+        and sum(len(term.target) > 0 for term in program.terms) == len(names) + 1
     )
     if not usual:
         raise InputError(

@@ -2,8 +2,10 @@
 
 `tune` finds the likeliest weights of whatever it is given. Here stands what it needs to
 be trusted without a look: enough frames at more than one place, a weight that the
-recordings determine, and no hyperparameter at its bound. Otherwise a `TtusWarning` says
-which of these is missing, and the formulation's own weights are used.
+recordings determine, no hyperparameter at its bound, and presses left out in turn that
+the richer model predicts better than the simpler one: drag than none, a depth map than
+eq. 10, the weights chosen than the formulation's own. Otherwise a `TtusWarning` says
+which of these is missing, and the simpler one is used.
 """
 
 from __future__ import annotations
@@ -19,18 +21,23 @@ import numpy as np
 
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.contact_spread import SPOT, contact_spread
+from ttus_opt.fitting.left_out import Check, left_out_of
 from ttus_opt.fitting.tuning import CANDIDATES, Tuning, tune
 from ttus_opt.fitting.tuning_candidate import SIGNAL_TO_NOISE
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
+from ttus_opt.terms.depth_map import DepthMapTerm
 
 #: Fewer frames in contact than this tell nothing of three or four hyperparameters [–]
 LEAST_FRAMES = 12
 
-#: What is fitted where nothing is asked for and nothing can be chosen
-USUAL = "eq10"
+#: Formulations that choose their weights and are checked against eq. 10
+DEPTH_MAPS = ("depth_map", "depth_map_coulomb")
+
+#: What is fitted where nothing is asked for and nothing can be chosen; with drag
+USUAL, DRAG = "eq10", "coulomb_global"
 
 
 @dataclass(frozen=True)
@@ -42,18 +49,26 @@ class WeightChoice:
         formulation: With the weights as found, or its own.
         tuning: How they were found; None where they are the formulation's own.
         reason: Why these are used; empty where weights were found, or not looked for.
+        checks: The richer model beside the simpler one, by presses left out.
     """
 
     scene: Scene = field(repr=False)
     formulation: Formulation
     tuning: Tuning | None = field(default=None, repr=False)
     reason: str = ""
+    checks: tuple[Check, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """What was chosen and how sure that is, for JSON."""
         weights = {t.name: t.weight for t in self.formulation.terms if t.measures}
+        checks = [each.as_dict() for each in self.checks]
         if self.tuning is None:
-            return {"by": "formulation", "weights": weights, "reason": self.reason}
+            return {
+                "by": "formulation",
+                "weights": weights,
+                "reason": self.reason,
+                "held_out": checks,
+            }
         return {
             "by": "marginal likelihood",
             "reason": "",
@@ -64,6 +79,7 @@ class WeightChoice:
             "noise_N": self.tuning.noise,
             "left_out_force_error_N": self.tuning.left_out_force_error,
             "log_marginal": dict(self.tuning.candidates),
+            "held_out": checks,
             "tuned_on": list(self.tuning.shape),
             "seconds": self.tuning.seconds,
         }
@@ -71,8 +87,9 @@ class WeightChoice:
     @property
     def lines(self) -> tuple[str, ...]:
         """The same in words."""
+        checked = tuple(map(str, self.checks))
         if self.tuning is None:
-            return ()
+            return checked
         factors = self.tuning.weight_factors
         told = ", ".join(
             f"{name} {weight:.3g} (×/÷ {factors[name]:.2f})"
@@ -85,7 +102,7 @@ class WeightChoice:
         if self.tuning.not_determined:
             names = ", ".join(self.tuning.not_determined)
             lines.append(f"not determined by the recordings, prior value kept: {names}")
-        return tuple(lines)
+        return (*lines, *checked)
 
 
 def has_weights(formulation: str | Path | Formulation) -> bool:
@@ -98,6 +115,11 @@ def has_weights(formulation: str | Path | Formulation) -> bool:
     usual = (shelf.option_defaults(formulation) or {}).items()
     values = [value for name, value in usual if is_weight(name)]
     return bool(values) and None not in values
+
+
+def has_choice(formulation: str | Path) -> bool:
+    """Whether `choose_weights` is made for it: it has weights, or is a depth map."""
+    return formulation in DEPTH_MAPS or has_weights(formulation)
 
 
 def is_weight(option: str) -> bool:
@@ -132,29 +154,88 @@ def choose_weights(
     given = [name for name in options if is_weight(name)]
     if given:
         raise InputError(f'weights="auto" chooses {given[0]}: give one or the other')
-    asked = CANDIDATES if formulation is None else (formulation,)
     usual = USUAL if formulation is None else formulation
     own = shelf.load(usual, scene, **options)  # tells what is wrong with it
     reason = _too_little(scene)
-    if not reason:
-        try:
-            tuned = tune(scene, asked, compare=False, progress=progress, **options)
-        except InputError as error:
-            if strict:
-                raise
-            reason = str(error)
-        else:
-            reason = _doubt(tuned)
-            if not reason:
-                return WeightChoice(tuned.scene, tuned.formulation, tuned)
+    if reason:
+        return _own(scene, own, reason)
+    depth_map = any(isinstance(term, DepthMapTerm) for term in own.terms)
+    try:
+        if depth_map:
+            return _depth_map_or_simpler(scene, own, options, progress)
+        asked = CANDIDATES if formulation is None else (formulation,)
+        found = tune(scene, asked, compare=False, progress=progress, **options)
+    except InputError as error:
+        if strict:
+            raise
+        return _own(scene, own, str(error))
+    reason = _doubt(found)
+    if reason:
+        return _own(scene, own, reason)
+    found, checks = _simplest(scene, found)
+    if checks[-1].holds:
+        return WeightChoice(found.scene, found.formulation, found, checks=checks)
+    if formulation is None:
+        own = shelf.load(found.formulation.name, scene, **options)
+    return _own(scene, own, str(checks[-1]), checks)
+
+
+def _own(
+    scene: Scene, own: Formulation, reason: str, checks: tuple[Check, ...] = ()
+) -> WeightChoice:
+    """A formulation with its own weights, and a warning that says why."""
     weights = (f"{t.name} {t.weight:g}" for t in own.terms if t.measures)
     warnings.warn(
         f"weights were not chosen from the recordings: {reason}; those of "
         f"{own.name} are used ({', '.join(weights)})",
         TtusWarning,
-        stacklevel=2,
+        stacklevel=3,
     )
-    return WeightChoice(scene, own, reason=reason)
+    return WeightChoice(scene, own, reason=reason, checks=checks)
+
+
+def _simplest(scene: Scene, found: Tuning) -> tuple[Tuning, tuple[Check, ...]]:
+    """The richest that predicts presses left out better than the next simpler one.
+
+    Returns:
+        It, and the checks on the way; the last one is that of its weights, beside
+        the formulation's own.
+    """
+    press, checks = presses(scene), []
+    while found.simpler is not None:
+        checks.append(Check.between(found.left_out, found.simpler.left_out, press))
+        if checks[-1].holds:
+            break
+        _warn_of_simpler(checks[-1], found.simpler.formulation.name)
+        found = found.simpler
+    checks.append(Check.between(found.left_out, found.own_left_out, press))
+    return found, tuple(checks)
+
+
+def _depth_map_or_simpler(
+    scene: Scene,
+    own: Formulation,
+    options: Mapping[str, Any],
+    progress: Callable[[str], None] | None,
+) -> WeightChoice:
+    """A depth map, or eq. 10 where that predicts presses left out as well."""
+    name = USUAL if own.search is None else DRAG
+    found = tune(scene, name, compare=False, progress=progress, **options)
+    doubtful = bool(_doubt(found))
+    simpler = found.own_left_out if doubtful else found.left_out
+    check = Check.between(left_out_of(own), simpler, presses(scene))
+    if check.holds:
+        return WeightChoice(scene, own, checks=(check,))
+    _warn_of_simpler(check, name)
+    if doubtful:
+        return WeightChoice(
+            scene, shelf.load(name, scene), reason=str(check), checks=(check,)
+        )
+    return WeightChoice(found.scene, found.formulation, found, checks=(check,))
+
+
+def _warn_of_simpler(check: Check, name: str) -> None:
+    warnings.warn(f"{check}: {name} is used", TtusWarning, stacklevel=4)
 
 
 def _too_little(scene: Scene) -> str:

@@ -37,6 +37,10 @@ TOLD = {
 }
 
 
+#: Least root of a weight that is divided by [–]
+LEAST_ROOT = 1e-12
+
+
 @dataclass(frozen=True)
 class Criteria:
     """Rows of a problem as the criteria see them.
@@ -62,36 +66,71 @@ class Criteria:
         m = len(misfit)
         if m == 0:
             return dict.fromkeys(TOLD, np.nan)
-        weighted = images * root
-        gram = weighted @ weighted.T
-        gram[np.diag_indices_from(gram)] += 1.0
-        lower = np.linalg.cholesky(gram)
-        half = scipy.linalg.solve_triangular(lower, weighted, lower=True)
-        rest = root * misfit - half.T @ (half @ (root * misfit))
+        lower, half, rest = _factorised(images, misfit, root)
         size = float(rest @ (root * misfit))
         determinant = 2.0 * float(np.log(np.diag(lower)).sum() - np.log(root).sum())
         trace = m - float((half**2).sum())
         evidence = -0.5 * (m * np.log(2.0 * np.pi * size / m) + determinant + m)
         scale = np.exp(2.0 * np.log(root).mean())
         gcv = m * float(rest @ rest) / trace**2 / scale
-        left_out = self._left_out(half, rest, root)
+        left_out = self._magnitude_error(half, rest, root)
         return dict(zip(TOLD, (float(evidence), gcv, left_out), strict=True))
 
-    def _left_out(self, half: Array, rest: Array, root: Array) -> float:
+    def left_out(self, images: Array, misfit: Array, root: Array) -> Array:
+        """Force that all other presses predict for every frame, (f/3, 3) [N].
+
+        With one press that is the prior's.
+
+        Args:
+            images: As of `values`.
+            misfit: As of `values`.
+            root: As of `values`; a force without weight counts as next to nothing.
+        """
+        root = np.maximum(root, LEAST_ROOT)
+        _, half, rest = _factorised(images, misfit, root)
+        return self._predicted(half, rest, root)
+
+    def _predicted(self, half: Array, rest: Array, root: Array) -> Array:
+        error = left_out_errors(half, rest, self.press) / root
+        return (self.force - error[self.force_rows]).reshape(-1, 3)
+
+    def _magnitude_error(self, half: Array, rest: Array, root: Array) -> float:
         """Mean | ‖f‖ - ‖f̂‖ | over frames of presses left out; NaN with one press."""
-        presses = np.unique(self.press)
-        if len(presses) < 2 or not len(self.force):
+        if len(np.unique(self.press)) < 2 or not len(self.force):
             return np.nan
-        error = np.empty_like(rest)
-        for press in presses:
-            at = np.flatnonzero(self.press == press)
-            error[at] = _without(half[:, at], rest[at]) / root[at]
-        predicted = (self.force - error[self.force_rows]).reshape(-1, 3)
+        predicted = self._predicted(half, rest, root)
         lengths = (
             np.linalg.norm(v.reshape(-1, 3), axis=1) for v in (self.force, predicted)
         )
         measured, told = lengths
         return float(np.abs(measured - told).mean())
+
+
+def _factorised(
+    images: Array, misfit: Array, root: Array
+) -> tuple[Array, Array, Array]:
+    """Factor of 1 + BBᵀ, X with R = 1 - XᵀX, and R W d."""
+    weighted = images * root
+    gram = weighted @ weighted.T
+    gram[np.diag_indices_from(gram)] += 1.0
+    lower: Array = np.linalg.cholesky(gram)
+    half = scipy.linalg.solve_triangular(lower, weighted, lower=True)
+    return lower, half, root * misfit - half.T @ (half @ (root * misfit))
+
+
+def left_out_errors(half: Array, rest: Array, press: IntArray) -> Array:
+    """Weighted errors of what all other presses predict for every row, shape (m,).
+
+    Args:
+        half: X with R = 1 - XᵀX, shape (k, m).
+        rest: R W d, shape (m,).
+        press: Which press a row belongs to, shape (m,) [–].
+    """
+    error = np.empty_like(rest)
+    for number in np.unique(press):
+        at = np.flatnonzero(press == number)
+        error[at] = _without(half[:, at], rest[at])
+    return error
 
 
 def _without(half: Array, rest: Array) -> Array:

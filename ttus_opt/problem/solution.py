@@ -130,6 +130,8 @@ class Solution:
             or why it has no standard error.
         compressed: How many rows terms have and how many the solver got instead, with
             the same least squares, by name; see `ttus_opt.problem.compression`.
+        chosen: How its weights, or it instead of a richer formulation, were chosen from
+            the recordings, in words; empty where nothing was chosen.
     """
 
     status: Status
@@ -153,6 +155,7 @@ class Solution:
     not_identified: Mapping[str, str] = field(default_factory=dict)
     remarks: Mapping[str, str] = field(default_factory=dict)
     compressed: Mapping[str, tuple[int, int]] = field(default_factory=dict)
+    chosen: tuple[str, ...] = ()
 
     @property
     def field(self) -> PotentialField:
@@ -214,7 +217,7 @@ class Solution:
         lines = [self._verdict, f"  {self.status.value}", f"  {self._effort}"]
         lines += [f"  {name}: cost {cost:.4g}" for name, cost in self.costs.items()]
         lines += [f"  {name}: {told}" for name, told in self._limits_told()]
-        lines += [f"  {line}" for line in self.identified]
+        lines += [f"  {line}" for line in (*self.identified, *self.chosen)]
         return "\n".join(lines)
 
     def __repr__(self) -> str:
@@ -225,7 +228,7 @@ class Solution:
         """The summary as a table, for notebooks."""
         rows = [["term", name, f"cost {cost:.4g}"] for name, cost in self.costs.items()]
         rows += [["limits", name, told] for name, told in self._limits_told()]
-        lines = [self.status.value, self._effort, *self.identified]
+        lines = [self.status.value, self._effort, *self.identified, *self.chosen]
         return page(self._verdict, lines, table(["", "name", ""], rows))
 
     @property

@@ -17,7 +17,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
-from ttus_opt.fitting.weight_choice import has_weights, is_weight
+from ttus_opt.fitting.weight_choice import has_choice, is_weight
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.sensors.clock import LARGEST_OFFSET
 from ttus_opt.sensors.column_map import column_map, read_column_map
@@ -375,7 +375,7 @@ def _fit(part: Section) -> FitPlan:
     options = {name: told.number(name) for name in told.values}
     given = [name for name in options if is_weight(name)]
     try:
-        can = not given and (formulation is None or has_weights(formulation))
+        can = not given and (formulation is None or has_choice(formulation))
     except InputError as error:
         raise part.fail("formulation", f"cannot be used: {error}") from error
     weights = part.choice("weights", ("auto", "own"), "auto" if can else "own")

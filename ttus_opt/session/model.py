@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from ttus_opt.fitting.batch import fit
@@ -58,6 +58,7 @@ def fit_model(
     before = fit(scene, "laplace_only")
     choice = _weights(session.fit, scene)
     after = fit(choice.scene, choice.formulation, solver=session.fit.solver)
+    after = replace(after, chosen=choice.lines)
     for solution in (before, after):
         _ = solution.field  # raises where it failed its own check
     return Model(before, after, choice)
