@@ -1,0 +1,95 @@
+"""One recipe for any probe and body: formulation, sampling and weights by the data.
+
+Which contact law holds differs: what is deep beside the probe feels its size, a thin
+layer does not; pressure grows with depth at one rate here and another there. So eq. 10
+with its likeliest weights and a depth map, each in both samplings and with drag where
+the recordings show it, predict every press from all others (`left_out`), and the one
+with the smallest error is fitted. Nothing is tuned by hand. See docs/method.md,
+"Tuning".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+from ttus_opt.fitting.left_out import Check, LeftOut, left_out_of
+from ttus_opt.fitting.tuning import tune
+from ttus_opt.fitting.weight_choice import DRAG, WeightChoice, choose_weights
+from ttus_opt.fitting.weight_criteria import presses
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.scene import BOUNDARY_SCALE, Scene
+
+#: What is tried
+SAMPLINGS = ("trilinear", "contact-size")
+
+
+def choose_recipe(
+    scene: Scene, *, progress: Callable[[str], None] | None = None
+) -> WeightChoice:
+    """Choose formulation, sampling, weights and boundary scale by presses left out.
+
+    Args:
+        scene: Patient, probe and measurements.
+        progress: Called with what begins.
+
+    Returns:
+        What to fit. Where the recordings bear no weights, or there are fewer than
+        three presses, what `choose_weights` gives, and why.
+    """
+    best = choose_weights(scene, progress=progress)
+    if best.tuning is None:
+        return best
+    press, checks = presses(scene), best.checks
+    left_out = _named(best.tuning.left_out, scene)
+    for other, own in _others(scene, best.formulation.name, progress):
+        check = Check.between(other, left_out, press)
+        checks = (*checks, check)
+        if not check.made:
+            break
+        if check.holds:
+            best, left_out = own, other
+    return replace(best, checks=checks)
+
+
+def _others(
+    scene: Scene, name: str, progress: Callable[[str], None] | None
+) -> Iterator[tuple[LeftOut, WeightChoice]]:
+    """What is tried beside a formulation tuned in the scene's own sampling."""
+    begin = progress or (lambda _: None)
+    depth_map = "depth_map_coulomb" if name == DRAG else "depth_map"
+    for sampling in SAMPLINGS:
+        place = scene
+        if sampling != scene.sampling:
+            place = resampled(scene, sampling)
+            found = tune(place, name, compare=False, progress=progress)
+            choice = WeightChoice(found.scene, found.formulation, found)
+            yield _named(found.left_out, place), choice
+        begin(f"{depth_map}, {sampling} sampling")
+        declared = shelf.load(depth_map, place)
+        yield _named(left_out_of(declared), place), WeightChoice(place, declared)
+
+
+def resampled(scene: Scene, sampling: str) -> Scene:
+    """The scene in another sampling; a boundary scale that was fitted is fitted again.
+
+    Args:
+        scene: Patient, probe and measurements.
+        sampling: Its name.
+
+    Raises:
+        InputError: An unknown sampling.
+    """
+    fitted = BOUNDARY_SCALE in scene.parameters
+    return Scene.assemble(
+        scene.voxmap,
+        scene.shell,
+        scene.trajectory,
+        inner="fit" if fitted else scene.inner,
+        outer=scene.outer / scene.inner if fitted else scene.outer,
+        sampling=sampling,
+    )
+
+
+def _named(left_out: LeftOut, scene: Scene) -> LeftOut:
+    return replace(left_out, model=f"{left_out.model} ({scene.sampling})")
