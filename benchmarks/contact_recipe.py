@@ -1,6 +1,6 @@
 """One recipe on flat, round and sharp probes over half-space, layer and ribbed layer.
 
-    python benchmarks/contact_recipe.py --models depth_map,tuned,stiffness_map
+    python benchmarks/contact_recipe.py --models recipe,depth_map,stiffness_map
 
 Forces of presses follow from contact mechanics, not from a field: a sphere on a
 half-space (Hertz 1881), a flat square punch on it (Johnson, Contact Mechanics, 1985,
@@ -26,10 +26,15 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt import comparators
 from ttus_opt.arrays import Array
+from ttus_opt.comparators.field_model import FieldModel
 from ttus_opt.errors import TtusError
+from ttus_opt.fitting.batch import fit
+from ttus_opt.fitting.recipe import choose_recipe
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.problem.solution import Solution
 from ttus_opt.scan.surface import Surface
+from ttus_opt.scene import Scene
 
 #: Radius and height of the body; it is flat on the scale of a contact [m]
 BODY, HEIGHT = 0.15, 0.2
@@ -50,6 +55,17 @@ RIBS = 0.035, 0.5
 NOISE = 0.02, 0.03, 2e-3
 
 GRID = {"shape": (20, 90, 30), "r_inner": 0.12}
+
+
+class Recipe(FieldModel):
+    """Formulation, sampling and weights by presses left out."""
+
+    name = "recipe"
+
+    def _solved(self, scene: Scene) -> Solution:
+        choice = choose_recipe(scene)
+        sys.stderr.write(f"{choice.formulation.name}, {choice.scene.sampling}\n")
+        return fit(choice.scene, choice.formulation)
 
 
 def probes() -> dict[str, tuple[PointShell, float, float]]:
@@ -137,7 +153,7 @@ def error(model: str, body: str, probe: str, sampling: str, seed: int) -> float:
     told = noisy(whole.select(np.arange(half)), rng)
     unseen = whole.select(np.arange(half, 2 * half))
     surface = Surface.from_radius(np.full((90, 31), BODY), np.linspace(0, HEIGHT, 31))
-    kind = comparators.kind(model)
+    kind = Recipe if model == "recipe" else comparators.kind(model)
     grid = GRID if hasattr(kind, "formulation") else {}
     made = kind(surface=surface, shell=probes()[probe][0], **grid)
     if grid:
@@ -153,7 +169,7 @@ def error(model: str, body: str, probe: str, sampling: str, seed: int) -> float:
 def main() -> None:
     """Print a row per probe and body."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--models", default="depth_map,tuned,stiffness_map")
+    parser.add_argument("--models", default="recipe,depth_map,stiffness_map")
     parser.add_argument("--probes", default="round,flat,sharp")
     parser.add_argument("--bodies", default="half-space,layer,ribbed")
     parser.add_argument("--sampling", default="trilinear", help="of the fields")

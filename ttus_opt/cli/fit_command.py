@@ -69,8 +69,8 @@ def fit(
         typer.Option(
             help="auto: weights and boundary scale by marginal likelihood, as "
             "ttus-opt tune finds them, if presses left out are predicted better by "
-            "them; own: the formulation's, 0.01. By default auto where no weight is "
-            "given.",
+            "them; recipe: formulation and sampling as well, by presses left out; own: "
+            "the formulation's, 0.01. By default auto where no weight is given.",
         ),
     ] = None,
     paper: Annotated[
@@ -208,18 +208,23 @@ def _by_data(
     """Whether weights are chosen from the recordings.
 
     Raises:
-        InputError: Another word than auto or own, or auto and a weight beside it.
+        InputError: Another word, auto and a weight beside it, or recipe and a
+            formulation or option.
     """
     from ttus_opt.fitting.weight_choice import has_choice, is_weight
 
-    if weights not in (None, "auto", "own"):
-        raise InputError(f"--weights takes auto or own, got {weights!r}")
+    if weights not in (None, "auto", "own", "recipe"):
+        raise InputError(f"--weights takes auto, recipe or own, got {weights!r}")
+    if weights == "recipe" and (formulation is not None or options):
+        raise InputError(
+            "--weights recipe chooses the formulation and its options: give neither"
+        )
     given = [name for name in options if is_weight(name)]
     if weights == "auto" and given:
         told = given[0].replace("_", "-")
         raise InputError(f"--weights auto chooses --{told}: give one or the other")
     if weights is not None:
-        return weights == "auto"
+        return weights != "own"
     return not given and (formulation is None or has_choice(formulation))
 
 
@@ -235,6 +240,10 @@ def _choice(
 
     if weights == "own":
         return WeightChoice(scene, load(problem.name, scene, **options))
+    if weights == "recipe":
+        from ttus_opt.fitting.recipe import choose_recipe
+
+        return choose_recipe(scene)
     strict = weights is not None
     return choose_weights(scene, problem.formulation, options, strict=strict)
 

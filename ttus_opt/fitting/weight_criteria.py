@@ -113,7 +113,7 @@ def _factorised(
     weighted = images * root
     gram = weighted @ weighted.T
     gram[np.diag_indices_from(gram)] += 1.0
-    lower: Array = np.linalg.cholesky(gram)
+    lower = np.asarray(np.linalg.cholesky(gram), dtype=np.float64)
     half = scipy.linalg.solve_triangular(lower, weighted, lower=True)
     return lower, half, root * misfit - half.T @ (half @ (root * misfit))
 
