@@ -12,7 +12,6 @@ from tests.fitting.test_tuning import drawn, tuned
 from ttus_opt.fitting import recipe
 from ttus_opt.fitting.left_out import Check, LeftOut
 from ttus_opt.fitting.recipe import choose_recipe, resampled
-from ttus_opt.fitting.tuning import Tuning
 from ttus_opt.fitting.weight_choice import WeightChoice
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
@@ -35,23 +34,17 @@ def test_the_smallest_error_on_presses_left_out_is_fitted(
             tuned().left_out, model=name, errors=np.full(len(touching), size)
         )
 
-    def tune(scene: Scene, name: str, **_: object) -> Tuning:
-        declared = tt.load_formulation(name, scene)
-        return replace(
-            tuned(), scene=scene, formulation=declared, left_out=left_out(name, scene)
-        )
-
-    def chosen(scene: Scene, **_: object) -> WeightChoice:
-        found = tune(scene, "eq10")
-        check = Check.between(found.left_out, found.own_left_out, presses)
-        return WeightChoice(scene, found.formulation, found, checks=(check,))
+    def chosen(scene: Scene, *_: object, **__: object) -> WeightChoice:
+        own = left_out("eq10", scene)
+        check = Check.between(own, own, presses)
+        declared = tt.load_formulation("eq10", scene)
+        return WeightChoice(scene, declared, checks=(check,), left_out=own)
 
     def depth_map(declared: Formulation) -> LeftOut:
         return left_out(declared.name, declared.scene)
 
     touching, presses = tuned().left_out.frames, np.arange(15) // 5
     monkeypatch.setattr(recipe, "choose_weights", chosen)
-    monkeypatch.setattr(recipe, "tune", tune)
     monkeypatch.setattr(recipe, "left_out_of", depth_map)
     choice = choose_recipe(drawn())
     assert (choice.formulation.name, choice.scene.sampling) == best

@@ -2,10 +2,9 @@
 
 Which contact law holds differs: what is deep beside the probe feels its size, a thin
 layer does not; pressure grows with depth at one rate here and another there. So eq. 10
-with its likeliest weights and a depth map, each in both samplings and with drag where
-the recordings show it, predict every press from all others (`left_out`), and the one
-with the smallest error is fitted. Nothing is tuned by hand. See docs/method.md,
-"Tuning".
+and a depth map, each in both samplings and with drag where the recordings show it,
+predict every press from all others (`left_out`), and the one with the smallest error is
+fitted. Nothing is tuned by hand. See docs/method.md, "Tuning".
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from ttus_opt.fitting.left_out import Check, LeftOut, left_out_of
-from ttus_opt.fitting.tuning import tune
 from ttus_opt.fitting.weight_choice import DRAG, WeightChoice, choose_weights
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem import formulation as shelf
@@ -38,10 +36,10 @@ def choose_recipe(
         three presses, what `choose_weights` gives, and why.
     """
     best = choose_weights(scene, progress=progress)
-    if best.tuning is None:
+    if best.left_out is None:
         return best
     press, checks = presses(scene), best.checks
-    left_out = _named(best.tuning.left_out, scene)
+    left_out = _named(best.left_out, scene)
     for other, own in _others(scene, best.formulation.name, progress):
         check = Check.between(other, left_out, press)
         checks = (*checks, check)
@@ -62,9 +60,9 @@ def _others(
         place = scene
         if sampling != scene.sampling:
             place = resampled(scene, sampling)
-            found = tune(place, name, compare=False, progress=progress)
-            choice = WeightChoice(found.scene, found.formulation, found)
-            yield _named(found.left_out, place), choice
+            choice = choose_weights(place, name, progress=progress)
+            if choice.left_out is not None:
+                yield _named(choice.left_out, place), choice
         begin(f"{depth_map}, {sampling} sampling")
         declared = shelf.load(depth_map, place)
         yield _named(left_out_of(declared), place), WeightChoice(place, declared)

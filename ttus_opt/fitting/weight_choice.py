@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy as np
 
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.contact_spread import SPOT, contact_spread
-from ttus_opt.fitting.left_out import Check, left_out_of
+from ttus_opt.fitting.left_out import Check, LeftOut, left_out_of
 from ttus_opt.fitting.tuning import CANDIDATES, Tuning, tune
 from ttus_opt.fitting.tuning_candidate import SIGNAL_TO_NOISE
 from ttus_opt.fitting.weight_criteria import presses
@@ -50,6 +50,7 @@ class WeightChoice:
         tuning: How they were found; None where they are the formulation's own.
         reason: Why these are used; empty where weights were found, or not looked for.
         checks: The richer model beside the simpler one, by presses left out.
+        left_out: Its errors on these; None where they were not looked at.
     """
 
     scene: Scene = field(repr=False)
@@ -57,6 +58,7 @@ class WeightChoice:
     tuning: Tuning | None = field(default=None, repr=False)
     reason: str = ""
     checks: tuple[Check, ...] = ()
+    left_out: LeftOut | None = field(default=None, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
         """What was chosen and how sure that is, for JSON."""
@@ -174,10 +176,12 @@ def choose_weights(
         return _own(scene, own, reason)
     found, checks = _simplest(scene, found)
     if checks[-1].holds:
-        return WeightChoice(found.scene, found.formulation, found, checks=checks)
+        choice = WeightChoice(found.scene, found.formulation, found, checks=checks)
+        return replace(choice, left_out=found.left_out)
     if formulation is None:
         own = shelf.load(found.formulation.name, scene, **options)
-    return _own(scene, own, str(checks[-1]), checks)
+    choice = _own(scene, own, str(checks[-1]), checks)
+    return replace(choice, left_out=found.own_left_out)
 
 
 def _own(
