@@ -104,5 +104,6 @@ def test_the_command_ends_below_what_can_be_felt(
     assert not stop.value.code
     for row in json.loads(capsys.readouterr().out)["errors"]:
         # docs/method.md, section 15: a person feels about 0.36 N and 18° of direction
-        assert row["after"]["force_magnitude_error_N"] < 0.36
+        # a hand feels 0.36 N; with the formulation's own weights a sweep has 0.24 N
+        assert row["after"]["force_magnitude_error_N"] < 0.18
         assert row["after"]["force_angle_error_deg"] < 18.0

@@ -74,16 +74,21 @@ def test_every_press_is_one_witness() -> None:
     rich = model("rich", [0, 1, 2, 3, 5, 8], [1.0, 2.0, 3.0, 5.0, 1.0, 9.0])
     plain = model("plain", [0, 1, 2, 3, 5, 6], [2.0, 2.0, 2.0, 6.0, 3.0, 0.0])
     check = Check.between(rich, plain, PRESS)
-    assert check.presses == 3 and check.made and check.holds
+    assert check.presses == 3 and check.made and check.holds and check.better
     assert check.richer_error == pytest.approx((2.0 + 5.0 + 1.0) / 3.0)
     assert check.simpler_error == pytest.approx((2.0 + 6.0 + 3.0) / 3.0)
     # differences 0, -1, -2: deviation 1, over the root of three
     assert check.difference_error == pytest.approx(1.0 / np.sqrt(3.0))
     assert "rich predicts presses left out better than plain" in str(check)
     swapped = Check.between(plain, rich, PRESS)
-    assert not swapped.holds and "no better than rich" in str(swapped)
-    assert not Check.between(rich, replace(rich, model="plain"), PRESS).holds
+    assert not swapped.holds and "worse than rich" in str(swapped)
+    same = Check.between(rich, replace(rich, model="plain"), PRESS)
+    assert same.holds and not same.better and "about as well as plain" in str(same)
     assert swapped.as_dict()["holds"] is False
+    # worse by 1/3 N, which three presses scatter more than
+    other = Check.between(rich, model("other", [0, 3, 5], [3.0, 1.0, 1.0]), PRESS)
+    assert other.richer_error > other.simpler_error and other.holds
+    assert other.difference_error > other.richer_error - other.simpler_error
 
 
 def test_two_presses_bear_no_check() -> None:

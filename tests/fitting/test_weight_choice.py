@@ -123,18 +123,18 @@ def off_by(factor: float, one: LeftOut) -> LeftOut:
     return replace(one, errors=factor * one.errors)
 
 
-def test_weights_that_predict_presses_left_out_no_better_are_not_used(
+def test_weights_that_predict_presses_left_out_worse_are_not_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     worse = replace(tuned(), left_out=off_by(3.0, tuned().left_out))
     monkeypatch.setattr(weight_choice, "tune", lambda *_, **__: worse)
-    choice = refused(drawn(), "no better than eq10 with its own weights.*are used")
+    choice = refused(drawn(), "worse than eq10 with its own weights.*are used")
     (told,) = choice.as_dict()["held_out"]
     assert told["made"] and not told["holds"]
     assert told["richer_error"] > told["simpler_error"]
 
 
-def test_drag_that_predicts_presses_left_out_no_better_is_not_used(
+def test_drag_that_predicts_presses_left_out_worse_is_not_used(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     rich = replace(
@@ -148,7 +148,7 @@ def test_drag_that_predicts_presses_left_out_no_better_is_not_used(
         choice = choose_weights(drawn())
     assert choice.formulation is tuned().formulation
     assert [check.holds for check in choice.checks] == [False, True]
-    assert "no better than eq10 with the weights chosen" in choice.lines[-2]
+    assert "worse than eq10 with the weights chosen" in choice.lines[-2]
 
 
 @pytest.mark.parametrize("factor", [1.0, 0.5])

@@ -68,9 +68,9 @@ def fit(
         str | None,
         typer.Option(
             help="auto: weights and boundary scale by marginal likelihood, as "
-            "ttus-opt tune finds them, if presses left out are predicted better by "
-            "them; recipe: formulation and sampling as well, by presses left out; own: "
-            "the formulation's, 0.01. By default auto where no weight is given.",
+            "ttus-opt tune finds them, unless they predict presses left out worse than "
+            "its own; recipe: formulation and sampling as well, by presses left out; "
+            "own: the formulation's, 0.01. By default auto where no weight is given.",
         ),
     ] = None,
     paper: Annotated[

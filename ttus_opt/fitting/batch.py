@@ -51,8 +51,8 @@ def fit(
         time_limit: Most seconds the solver may take, each time it is called [s].
         weights: "auto" chooses weights and boundary scale by their marginal likelihood
             (`ttus_opt.tune`), or takes the formulation's own with a `TtusWarning`
-            where the recordings do not bear it, or presses left out are predicted no
-            better; so does a depth map give way to eq. 10. None takes the
+            where the recordings do not bear it, or presses left out are predicted
+            worse; so does a depth map give way to eq. 10. None takes the
             formulation's own.
         options: The formulation's own (``force_weight``, ``torque_weight``, …).
 

@@ -1,9 +1,11 @@
-"""Does a richer model predict presses that it has not seen better than a simpler one?
+"""Does a richer model predict presses that it has not seen worse than a simpler one?
 
 All hyperparameters given, what every press but one says of that one is a closed form
 (`weight_criteria.left_out_errors`), so that no fit is made again. Frames of one press
-are alike: a press is one witness, by the mean length of f - f̂ over its frames. See
-docs/method.md, "Tuning".
+are alike: a press is one witness, by the mean length of f - f̂ over its frames. The
+richer model was chosen for its evidence, which counts its freedom already; so it gives
+way only where it is worse by more than the presses scatter. See docs/method.md,
+"Tuning".
 """
 
 from __future__ import annotations
@@ -95,8 +97,17 @@ class Check:
 
     @property
     def holds(self) -> bool:
-        """Whether the richer one stays: it predicts better, or nobody can say."""
-        return not self.made or self.richer_error < self.simpler_error
+        """Whether the richer one stays: not worse by more than a standard error."""
+        return not self.made or self._excess <= self.difference_error
+
+    @property
+    def better(self) -> bool:
+        """Whether the richer one has the smaller error."""
+        return self.made and self._excess < 0.0
+
+    @property
+    def _excess(self) -> float:
+        return self.richer_error - self.simpler_error
 
     def __str__(self) -> str:
         if not self.made:
@@ -104,9 +115,11 @@ class Check:
                 f"{self.richer} could not be checked by presses left out: "
                 f"{self.presses} of them are fewer than {LEAST_PRESSES}"
             )
-        what = "better" if self.holds else "no better"
+        what = "better than" if self.better else "worse than"
+        if self.holds and not self.better:
+            what = "about as well as"
         return (
-            f"{self.richer} predicts presses left out {what} than {self.simpler} "
+            f"{self.richer} predicts presses left out {what} {self.simpler} "
             f"({self.richer_error:.3f} N, {self.simpler_error:.3f} N, their "
             f"difference ± {self.difference_error:.2g} N over {self.presses} presses)"
         )

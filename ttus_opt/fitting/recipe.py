@@ -45,7 +45,7 @@ def choose_recipe(
         checks = (*checks, check)
         if not check.made:
             break
-        if check.holds:
+        if check.better:
             best, left_out = own, other
     return replace(best, checks=checks)
 

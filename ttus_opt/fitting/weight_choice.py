@@ -3,9 +3,9 @@
 `tune` finds the likeliest weights of whatever it is given. Here stands what it needs to
 be trusted without a look: enough frames at more than one place, a weight that the
 recordings determine, no hyperparameter at its bound, and presses left out in turn that
-the richer model predicts better than the simpler one: drag than none, a depth map than
-eq. 10, the weights chosen than the formulation's own. Otherwise a `TtusWarning` says
-which of these is missing, and the simpler one is used.
+the richer model predicts no worse than the simpler one: drag than none, a depth map
+than eq. 10, the weights chosen than the formulation's own. Otherwise a `TtusWarning`
+says which of these is missing, and the simpler one is used.
 """
 
 from __future__ import annotations
@@ -199,7 +199,7 @@ def _own(
 
 
 def _simplest(scene: Scene, found: Tuning) -> tuple[Tuning, tuple[Check, ...]]:
-    """The richest that predicts presses left out better than the next simpler one.
+    """The richest that predicts presses left out no worse than the next simpler one.
 
     Returns:
         It, and the checks on the way; the last one is that of its weights, beside
@@ -222,7 +222,7 @@ def _depth_map_or_simpler(
     options: Mapping[str, Any],
     progress: Callable[[str], None] | None,
 ) -> WeightChoice:
-    """A depth map, or eq. 10 where that predicts presses left out as well."""
+    """A depth map, or eq. 10 where that predicts presses left out better."""
     name = USUAL if own.search is None else DRAG
     found = tune(scene, name, compare=False, progress=progress, **options)
     doubtful = bool(_doubt(found))
