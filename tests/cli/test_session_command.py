@@ -17,7 +17,8 @@ def test_a_session(run: Run, tmp_path: Path, output: Path) -> None:
     recording = copied(tmp_path)
     answer = run(f"session {recording} -o {output} --json")
     assert answer.status == 0, answer.err
-    assert answer.errors == []
+    # a recording this short does not bear weights of its own, which is told
+    assert all("weights were not chosen" in line for line in answer.errors)
     told = json.loads(answer.out)
     assert told["complete"] == list(STEPS)
     assert told["clock"]["offset_s"] == pytest.approx(0.83, abs=0.003)

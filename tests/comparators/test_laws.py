@@ -18,6 +18,11 @@ from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 
+# a recording this short, on so coarse a grid, does not bear weights of its own
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:weights were not chosen:ttus_opt.errors.TtusWarning"
+)
+
 NAMES = list(available())
 #: Their fits or frames take long
 LONG = {"depth_map", "depth_map_coulomb", "eq10", "proxy_six_dof", "tuned"}

@@ -21,6 +21,11 @@ from ttus_opt.session.results import STEPS, complete_steps
 from ttus_opt.session.synthetic import Truth, calibrated, perfect, write_recording
 from ttus_opt.voxmap.field import PotentialField
 
+# a recording this short, on so coarse a grid, does not bear weights of its own
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:weights were not chosen:ttus_opt.errors.TtusWarning"
+)
+
 
 def forces_unseen(result: SessionResult) -> float:
     """Mean magnitude error on motion that was not fitted [N]."""

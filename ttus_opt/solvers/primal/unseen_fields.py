@@ -1,8 +1,7 @@
 """Fields that heavy differences do not see: constants on what their rows join.
 
 Rows whose entries sum to zero leave a field open that is constant on every set of
-voxels that they join: lines along z for differences along z, all voxels for those along
-all directions. The root X of the multigrid's family (`solvers.primal.matching`) is no
+voxels that they join, such as lines along z for differences along z. The root X of the multigrid's family (`solvers.primal.matching`) is no
 such sum of differences: close for waves it is far too stiff for constants. These fields
 E are solved for exactly, by a factor of EᵀP E, what they leave by B ≈ P⁻¹ (J. M. Tang
 and others, J. Sci. Comput. 39, 2009, the balancing method):
@@ -28,6 +27,10 @@ HEAVY = 30.0
 
 #: Most sets of voxels: they are factorised
 MOST_SETS = 30_000
+
+#: A set of more than this part of all voxels leaves nearly constant fields as close to
+#: unseen as the constant, which solving for it alone does not help [–]
+LARGEST_SHARE = 0.5
 
 #: Part of the longest entry up to which the sum of a row's is zero [–]
 ROUNDING = 1e-9
@@ -62,7 +65,7 @@ class UnseenFields:
 
         Returns:
             None where no term is heavy, or not all heavy ones are differences, or they
-            join nothing, or too little.
+            join nothing, or nearly all voxels.
         """
         heavy = [t for t in wide if t.weight * _largest_square(t) > HEAVY]
         if not heavy or not all(_is_of_differences(t) for t in heavy):
@@ -117,10 +120,14 @@ def joined(matrices: Sequence[sp.csr_array]) -> IntArray:
 
 
 def _indicators(label: IntArray, moving: Mask) -> sp.csr_array | None:
-    """E of sets, those of one voxel and of given values left out; None without any."""
-    kept = np.bincount(label) > 1
+    """E of sets, those of one voxel and of given values left out.
+
+    None without any, or where one holds nearly all voxels.
+    """
+    sizes = np.bincount(label)
+    kept = sizes > 1
     kept[label[~moving]] = False
-    if not kept.any():
+    if not kept.any() or sizes[kept].max() > LARGEST_SHARE * len(label):
         return None
     at = np.flatnonzero(kept[label])
     places = at, (np.cumsum(kept) - 1)[label[at]]
