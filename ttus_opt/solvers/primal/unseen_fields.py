@@ -1,10 +1,11 @@
 """Fields that heavy differences do not see: constants on what their rows join.
 
 Rows whose entries sum to zero leave a field open that is constant on every set of
-voxels that they join, such as lines along z for differences along z. The root X of the multigrid's family (`solvers.primal.matching`) is no
-such sum of differences: close for waves it is far too stiff for constants. These fields
-E are solved for exactly, by a factor of EᵀP E, what they leave by B ≈ P⁻¹ (J. M. Tang
-and others, J. Sci. Comput. 39, 2009, the balancing method):
+voxels that they join, such as lines along z for differences along z. The root X of the
+multigrid's family (`solvers.primal.matching`) is no such sum of differences: close for
+waves it is far too stiff for constants. These fields E are solved for exactly, by a
+factor of EᵀP E, what they leave by B ≈ P⁻¹ (J. M. Tang and others, J. Sci. Comput. 39,
+2009, the balancing method):
 
     P⁻¹ ≈ Q + (I − Q P) B (I − P Q),    Q = E (EᵀP E)⁻¹ Eᵀ.
 """
