@@ -132,7 +132,7 @@ def test_without_rosbags_the_extra_is_named(
     [
         20,
         pytest.param(200, marks=pytest.mark.slow),
-        pytest.param(1500, marks=[pytest.mark.slow, pytest.mark.long]),
+        pytest.param(3000, marks=[pytest.mark.slow, pytest.mark.long]),
     ],
 )
 @pytest.mark.parametrize("kind", KINDS)
