@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import ClassVar, Protocol, Self
+from functools import cached_property
+from typing import ClassVar, NotRequired, Protocol, Self, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ttus_opt.arrays import Array
+from ttus_opt.comparators.contact_geometry import ContactGeometry
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.renderer import Wrench
@@ -50,6 +52,14 @@ class RendersWrenches(WrenchSource, Protocol):
         """The wrench on the probe in one pose and motion."""
 
 
+class Given(TypedDict):
+    """What every comparator is made from; `Comparator` says what each is."""
+
+    surface: Surface
+    shell: PointShell
+    cloud: NotRequired[Array | None]
+
+
 class Comparator(ABC):
     """A way to render forces, checked at its door: subclasses see sound input only.
 
@@ -72,16 +82,19 @@ class Comparator(ABC):
     turns: ClassVar[bool] = True
     on_surface: ClassVar[bool] = True
 
-    def __init__(
-        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
-    ) -> None:
-        self.surface, self.shell = surface, shell
-        self.cloud = _checked_cloud(surface, cloud)
+    def __init__(self, **given: Unpack[Given]) -> None:
+        self.surface, self.shell = given["surface"], given["shell"]
+        self.cloud = _checked_cloud(self.surface, given.get("cloud"))
         self.fitted = False
 
     def __repr__(self) -> str:
         state = "fitted" if self.fitted or not self.needs_fit else "not fitted"
         return f"<{self.name}: {state}>"
+
+    @cached_property
+    def geometry(self) -> ContactGeometry:
+        """Probe and surface as a spline."""
+        return ContactGeometry(self.surface, self.shell)
 
     def fit(self, trajectories: Trajectory | Sequence[Trajectory]) -> Self:
         """Find the parameters from recordings.
@@ -207,12 +220,7 @@ class OneStiffness(Comparator):
     """
 
     stiffness_unit: ClassVar[str] = "N/m³"
-
-    def __init__(
-        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
-    ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
-        self.stiffness = 1.0
+    stiffness: float = 1.0
 
     def parameters(self) -> dict[str, float]:
         """The stiffness."""

@@ -16,15 +16,15 @@ the simplest patient. Points that were not seen are filled in and count less
 
 from __future__ import annotations
 
+from typing import Unpack
+
 import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.arrays import Array
-from ttus_opt.comparators.base import OneStiffness
+from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.comparators.contact_geometry import wrench_of
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
 
 #: Most surface points that the ellipsoid is fitted to [–]
 MOST_POINTS = 5000
@@ -47,10 +47,8 @@ class EllipsoidTorso(OneStiffness):
     summary = "the torso as one ellipsoid, fitted stiffness (Yeung and others 2025)"
     on_surface = False
 
-    def __init__(
-        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
-    ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
+    def __init__(self, **given: Unpack[Given]) -> None:
+        super().__init__(**given)
         self.centre, self.semi_axes, self.axes = fitted_ellipsoid(self.cloud)
 
     def depth(self, points: Array) -> Array:

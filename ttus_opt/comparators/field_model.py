@@ -7,18 +7,16 @@ Grid, sampling and boundary scale are the package's defaults; the wrench is that
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.comparators.base import Comparator
+from ttus_opt.comparators.base import Comparator, Given
 from ttus_opt.fitting.batch import fit
 from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
-from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene, ScenePlan
 
 
@@ -38,13 +36,11 @@ class FieldModel(Comparator):
     def __init__(
         self,
         *,
-        surface: Surface,
-        shell: PointShell,
-        cloud: Array | None = None,
         shape: Sequence[int] = (48, 120, 60),
         r_inner: float = 0.03,
+        **given: Unpack[Given],
     ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        super().__init__(**given)
         self.plan = ScenePlan(shape=shape, r_inner=r_inner, inner="fit")
         self.solution: Solution | None = None
 

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Protocol, Self
+from typing import Protocol, Self, Unpack
 
 import numpy as np
 
 from ttus_opt.arrays import Array
+from ttus_opt.comparators.base import Given
 from ttus_opt.comparators.patch_grid import PatchGrid
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.errors import InputError
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
 
 #: Forgetting factor: a recording of 400 frames keeps two thirds of its first one [–]
 FORGETTING = 0.999
@@ -48,18 +47,13 @@ class PatchLaw(PatchModel):
     """
 
     def __init__(
-        self,
-        *,
-        surface: Surface,
-        shell: PointShell,
-        cloud: Array | None = None,
-        forgetting: float = FORGETTING,
+        self, *, forgetting: float = FORGETTING, **given: Unpack[Given]
     ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        super().__init__(**given)
         if not (math.isfinite(forgetting) and 0.0 < forgetting <= 1.0):
             raise InputError(f"forgetting must be in (0, 1], got {forgetting}")
         self.forgetting = forgetting
-        self.patches = PatchGrid(surface)
+        self.patches = PatchGrid(self.surface)
         self.per_patch = np.zeros((self.patches.n_patches, 0))
 
     def _fit_law(self, samples: list[Sample]) -> None:

@@ -14,11 +14,9 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import LEAST_FORCE, Comparator
-from ttus_opt.comparators.contact_geometry import ContactGeometry, Patch, Touch
+from ttus_opt.comparators.contact_geometry import Patch, Touch
 from ttus_opt.errors import InputError
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scan.surface import Surface
 
 #: Depths are in units of this: K h^n is then a force at 10 mm, whatever n [m]
 DEPTH_UNIT = 0.01
@@ -65,17 +63,7 @@ class Sample:
 
 
 class PatchModel(Comparator):
-    """A law of depth, rate and place.
-
-    Attributes:
-        geometry: Probe and surface.
-    """
-
-    def __init__(
-        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
-    ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
-        self.geometry = ContactGeometry(surface, shell)
+    """A law of depth, rate and place."""
 
     def contact(self, touch: Touch, at: Array, twist: Array) -> Contact:
         """Depth, rate and place of a touch of at least one point."""

@@ -19,17 +19,16 @@ surface, the same for all. Thresholds: 10 % for stiffness, 20 % or 0.05 for fric
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, Unpack
 
 import numpy as np
 
 from ttus_opt.arrays import Array
+from ttus_opt.comparators.base import Given
 from ttus_opt.comparators.contact_geometry import wrench_of
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
 from ttus_opt.errors import InputError
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
 
 #: Just noticeable differences, as parts of the value, and least one of friction [–]
 STIFFNESS_JND, FRICTION_JND, LEAST_FRICTION_JND = 0.10, 0.20, 0.05
@@ -74,14 +73,9 @@ class PerceptualUpdates(PatchModel):
     summary = "stiffness and friction sent when a hand could tell (Xu and others 2014)"
 
     def __init__(
-        self,
-        *,
-        surface: Surface,
-        shell: PointShell,
-        cloud: Array | None = None,
-        stiffness_jnd: float = STIFFNESS_JND,
+        self, *, stiffness_jnd: float = STIFFNESS_JND, **given: Unpack[Given]
     ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        super().__init__(**given)
         if not (math.isfinite(stiffness_jnd) and stiffness_jnd >= 0.0):
             raise InputError(f"stiffness_jnd must not be negative, got {stiffness_jnd}")
         self.stiffness_jnd = stiffness_jnd

@@ -18,16 +18,15 @@ IROS 2019, 8238–8245. The probe is the convex hull of its shell.
 from __future__ import annotations
 
 import math
+from typing import Unpack
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from ttus_opt.arrays import Array, IntArray
-from ttus_opt.comparators.base import OneStiffness
-from ttus_opt.comparators.contact_geometry import SmoothSurface
+from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
 
 #: Steps towards equal pressure
 STEPS = 3
@@ -43,23 +42,15 @@ class PressureField(OneStiffness):
     name = "pressure_field"
     summary = "equal-pressure surface, traction integrated (Elandt and others 2019)"
 
-    def __init__(
-        self,
-        *,
-        surface: Surface,
-        shell: PointShell,
-        cloud: Array | None = None,
-        ratio: float = math.inf,
-    ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
+    def __init__(self, *, ratio: float = math.inf, **given: Unpack[Given]) -> None:
+        super().__init__(**given)
         if not ratio > 1.0:
             raise InputError(
                 f"the probe must be stiffer than the tissue, ratio > 1, got {ratio}"
             )
         self.ratio = ratio
-        self.smooth = SmoothSurface(surface)
-        self._arm = shell.points - shell.reference
-        self._faces = _hull_faces(shell)
+        self._arm = self.shell.points - self.shell.reference
+        self._faces = _hull_faces(self.shell)
 
     def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
         arm, depth = self._contact_surface(R, at)
@@ -72,7 +63,7 @@ class PressureField(OneStiffness):
         """Vertices from the shell's reference, and their depth in the patient [m]."""
         reference = R @ self.shell.reference + at
         arm, inward = self._arm @ R.T, self.shell.normals @ R.T
-        depth, normals = self.smooth.depth(reference + arm)
+        depth, normals = self.geometry.surface.depth(reference + arm)
         if math.isinf(self.ratio):
             return arm, depth
         shift, moved = np.zeros(len(depth)), arm
@@ -81,7 +72,7 @@ class PressureField(OneStiffness):
             cosine = np.einsum("mi,mi->m", normals, inward)
             shift = shift + (depth - self.ratio * shift) / (self.ratio + cosine)
             moved = arm + shift[:, None] * inward
-            depth, normals = self.smooth.depth(reference + moved)
+            depth, normals = self.geometry.surface.depth(reference + moved)
         return moved, depth
 
 

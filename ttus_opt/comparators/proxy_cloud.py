@@ -20,17 +20,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Unpack
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ttus_opt.arrays import Array
-from ttus_opt.comparators.base import OneStiffness
+from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.comparators.contact_geometry import ContactGeometry
 from ttus_opt.errors import InputError
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.scan.surface import Surface
 
 #: Steps of the proxy: it moves by less than 0.01 mm in the last
 STEPS = 8
@@ -57,13 +56,11 @@ class ProxyCloud(OneStiffness):
     def __init__(
         self,
         *,
-        surface: Surface,
-        shell: PointShell,
-        cloud: Array | None = None,
         tip: Sequence[float] | None = None,
         radius: float | None = None,
+        **given: Unpack[Given],
     ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
+        super().__init__(**given)
         self.tip = None if tip is None else np.asarray(tip, dtype=float)
         if self.tip is not None and self.tip.shape != (3,):
             raise InputError(f"tip must be a point (3,) [m], got {self.tip.shape}")
@@ -74,7 +71,7 @@ class ProxyCloud(OneStiffness):
 
     def _fit(self, recording: Trajectory, force: Array) -> None:
         if self.tip is None:
-            self.tip = mean_tip(ContactGeometry(self.surface, self.shell), recording)
+            self.tip = mean_tip(self.geometry, recording)
         super()._fit(recording, force)
 
     def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:

@@ -27,9 +27,6 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import OneStiffness
-from ttus_opt.comparators.contact_geometry import ContactGeometry
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
 
 #: Linearisations: the last moves the proxy by less than 0.1 mm
 STEPS = 4
@@ -51,15 +48,8 @@ class ProxySixDof(OneStiffness):
     summary = "6-DOF proxy, constrained acceleration (Ortega 2007; Rydén 2013)"
     stiffness_unit = "N/m"
 
-    def __init__(
-        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
-    ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
-        self.geometry = ContactGeometry(surface, shell)
-        self._length = shell.rms_radius
-
     def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
-        geometry, length = self.geometry, self._length
+        geometry, length = self.geometry, self.shell.rms_radius
         first = geometry.touch(R, at)
         if not len(first):
             return np.zeros(6), 0

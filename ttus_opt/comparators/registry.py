@@ -65,8 +65,7 @@ def create(
         InputError: Unknown name or option, or a cloud that cannot be used.
     """
     made = kind(name)
-    common = {"self", "surface", "shell", "cloud"}
-    own = set(inspect.signature(made.__init__).parameters) - common
+    own = set(inspect.signature(made.__init__).parameters) - {"self", "given"}
     unknown = sorted(options.keys() - own)
     if unknown:
         raise InputError(

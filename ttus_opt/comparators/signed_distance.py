@@ -17,9 +17,6 @@ from __future__ import annotations
 
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import OneStiffness
-from ttus_opt.comparators.contact_geometry import ContactGeometry
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
 
 
 class SignedDistance(OneStiffness):
@@ -27,12 +24,6 @@ class SignedDistance(OneStiffness):
 
     name = "signed_distance"
     summary = "point shell in a signed distance field, penalty (Xu, Barbič 2017)"
-
-    def __init__(
-        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
-    ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
-        self.geometry = ContactGeometry(surface, shell)
 
     def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
         touch = self.geometry.touch(R, at)

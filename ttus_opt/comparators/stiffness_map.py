@@ -27,8 +27,6 @@ from scipy.spatial.distance import cdist
 
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
-from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.scan.surface import Surface
 from ttus_opt.terms.posterior_mode import posterior_mode
 
 #: Median and logarithmic deviation of the priors of a, ℓ [m], σ and σ_n [N]
@@ -106,13 +104,8 @@ class StiffnessMap(PatchModel):
     name = "stiffness_map"
     summary = "power law, stiffness kriged over the surface, by evidence"
 
-    def __init__(
-        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
-    ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
-        self.law: PowerLaw | None = None
-        self.mean_stiffness = 0.0
-        self._places, self._weights = np.zeros((0, 3)), np.zeros(0)
+    law: PowerLaw | None = None
+    mean_stiffness = 0.0
 
     def parameters(self) -> dict[str, float]:
         """Mean stiffness, exponent, length, deviation and noise."""

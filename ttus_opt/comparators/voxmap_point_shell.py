@@ -17,15 +17,15 @@ point crosses a voxel's face, by up to k times the voxel's edge, as in the sourc
 from __future__ import annotations
 
 import math
+from typing import Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
-from ttus_opt.comparators.base import OneStiffness
+from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.comparators.contact_geometry import wrench_of
 from ttus_opt.errors import InputError
-from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 
 #: Edge of a voxel [m]
@@ -52,19 +52,12 @@ class VoxmapPointShell(OneStiffness):
     continuous = False
     turns = False  # voxels lie along the patient's axes
 
-    def __init__(
-        self,
-        *,
-        surface: Surface,
-        shell: PointShell,
-        cloud: Array | None = None,
-        edge: float = EDGE,
-    ) -> None:
-        super().__init__(surface=surface, shell=shell, cloud=cloud)
+    def __init__(self, *, edge: float = EDGE, **given: Unpack[Given]) -> None:
+        super().__init__(**given)
         if not (math.isfinite(edge) and edge > 0.0):
             raise InputError(f"the edge of a voxel must be positive [m], got {edge}")
         self.edge = edge
-        self.corner, self.voxels = _voxelised(surface, edge)
+        self.corner, self.voxels = _voxelised(self.surface, edge)
         self._plane = _nearest_surface_voxel(self.voxels)
 
     def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
