@@ -11,6 +11,7 @@ from tests.haptic.test_renderer import random_field
 from tests.pressing import DRAG, TWIST, deepest_pose, pressing
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.blend import BlendLaw
+from ttus_opt.haptic.field_swap import swapped
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
@@ -104,12 +105,13 @@ def test_frames_give_way_to_an_update(scene: Scene) -> None:
     assert renderer.blend.progress > 0.0
 
 
-def test_updates_come_one_after_the_other(scene: Scene) -> None:
+def test_updates_come_one_after_the_other(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A second update still waiting keeps its claim when the first one ends."""
     field = pressing(scene)
     renderer, claims = Renderer(field, scene.shell), []
     threads = [threading.Thread(target=renderer.update, args=(field,)) for _ in "ab"]
-    swapped = renderer._swapped
 
     def watched(*arguments: object) -> object:
         if not claims:
@@ -121,7 +123,7 @@ def test_updates_come_one_after_the_other(scene: Scene) -> None:
             claims.append(renderer._waiting)
         return swapped(*arguments)  # type: ignore[arg-type]
 
-    renderer._swapped = watched  # type: ignore[method-assign,assignment]
+    monkeypatch.setattr("ttus_opt.haptic.renderer.swapped", watched)
     threads[0].start()
     threads[0].join(10.0)
     threads[1].join(10.0)

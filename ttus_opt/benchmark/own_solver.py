@@ -73,11 +73,7 @@ def version(path: Path) -> dict[str, str]:
 
 
 def _pickled(solver: Solver) -> str:
-    """The object as text.
-
-    Raises:
-        InputError: Its class is not importable, or it holds what cannot travel.
-    """
+    """The object as text; `InputError` where it or its class cannot travel."""
     name = type(solver).__qualname__
     if type(solver).__module__ == "__main__" or "<locals>" in name:
         raise InputError(

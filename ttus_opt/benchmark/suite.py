@@ -166,12 +166,7 @@ class Suite:
 
     @contextlib.contextmanager
     def _executor(self) -> Iterator[Executor]:
-        """Threads that wait for processes, or a dask cluster.
-
-        Raises:
-            MissingPackageError: dask is not installed.
-            InputError: No scheduler answers.
-        """
+        """Threads that wait for processes, or a dask cluster if it answers."""
         if not self.dask:
             with ThreadPoolExecutor(self.jobs) as executor:
                 yield executor

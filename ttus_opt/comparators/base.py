@@ -179,11 +179,7 @@ class Comparator(ABC):
         return {}
 
     def _require_contact(self, recording: Trajectory, force: Array) -> None:
-        """Refuse recordings that are somewhere else than the patient.
-
-        Raises:
-            InputError: No frame has a shell point below the surface.
-        """
+        """Refuse recordings in which no shell point is ever below the surface."""
         local = self.shell.points
         for t in np.argsort(-np.linalg.norm(force, axis=1)):
             r, theta, z = cylindrical(

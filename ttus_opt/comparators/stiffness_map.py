@@ -27,6 +27,7 @@ from scipy.spatial.distance import cdist
 
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
+from ttus_opt.terms.matern import matern as of_distances
 from ttus_opt.terms.posterior_mode import posterior_mode
 
 #: Median and logarithmic deviation of the priors of a, ℓ [m], σ and σ_n [N]
@@ -164,12 +165,5 @@ def chosen_law(data: Palpation) -> PowerLaw:
 
 
 def matern(places: Array, others: Array, length: float) -> Array:
-    """Matérn 3/2, (1 + √3 d/ℓ) exp(−√3 d/ℓ), shape (n, m).
-
-    Args:
-        places: Shape (n, 3) [m].
-        others: Shape (m, 3) [m].
-        length: ℓ [m].
-    """
-    scaled = np.sqrt(3.0) / length * cdist(places, others)
-    return np.asarray((1.0 + scaled) * np.exp(-scaled))
+    """Matérn 3/2 of places, shapes (n, 3) and (m, 3), and length ℓ [m]: (n, m)."""
+    return of_distances(cdist(places, others), length)

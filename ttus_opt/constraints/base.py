@@ -86,11 +86,7 @@ def _uniform_cones(owner: str, rows: ConeRows) -> ConeRows:
 
 
 def _check_sides(owner: str, lower: Array, upper: Array) -> None:
-    """Validate infinite limits.
-
-    Raises:
-        InputError: A limit is infinite on the side where nothing obeys it.
-    """
+    """Refuse limits that are infinite on the side where nothing obeys them."""
     for name, wrong in (("lower", lower == np.inf), ("upper", upper == -np.inf)):
         if wrong.any():
             raise InputError(

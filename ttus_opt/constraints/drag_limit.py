@@ -44,11 +44,7 @@ class DragLimit(Constraint):
     formula = "q ≤ μ_max p inside, q ≥ μ_max p outside"
 
     def __post_init__(self) -> None:
-        """Validate the coefficient.
-
-        Raises:
-            InputError: Friction has no such coefficient μ_max.
-        """
+        """Validate the coefficient μ_max."""
         check_coefficient(self.largest)
 
     def rows(self) -> LinearRows:

@@ -29,11 +29,7 @@ class MeanFriction(Constraint):
     formula = "0 ≤ m ≤ μ_max"
 
     def __post_init__(self) -> None:
-        """Validate the coefficient.
-
-        Raises:
-            InputError: μ_max is not positive.
-        """
+        """Refuse a μ_max that is not positive."""
         check_coefficient(self.largest)
 
     def rows(self) -> Bounds:

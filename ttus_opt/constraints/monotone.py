@@ -40,11 +40,7 @@ class Monotone(Constraint):
         return f"p_deeper − p_shallower ≥ {least} along spokes, inside"
 
     def __post_init__(self) -> None:
-        """Validate the slope.
-
-        Raises:
-            InputError: The slope is negative or not finite.
-        """
+        """Refuse a slope that is negative or not finite."""
         if not (math.isfinite(self.least_slope) and self.least_slope >= 0.0):
             raise InputError(
                 f"least_slope must not be negative [unit/m], got {self.least_slope}"

@@ -81,11 +81,7 @@ class BlendLaw:
     capacity: float = 0.01
 
     def __post_init__(self) -> None:
-        """Validate the law.
-
-        Raises:
-            InputError: A rate or time that is not positive, an energy below zero.
-        """
+        """Refuse a rate or time that is not positive, and an energy below zero."""
         for name in ("force_rate", "frame_seconds"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):

@@ -80,17 +80,9 @@ class CFunction:
     @property
     def call(self) -> Any:
         """The function for ctypes, to try it from Python."""
-        pointer = ctypes.POINTER(ctypes.c_double)
-        prototype = ctypes.CFUNCTYPE(
-            ctypes.c_int32,
-            ctypes.c_void_p,
-            pointer,
-            pointer,
-            pointer,
-            ctypes.c_double,
-            pointer,
-        )
-        return prototype(self.function)
+        reals, real = ctypes.POINTER(ctypes.c_double), ctypes.c_double
+        arguments = ctypes.c_void_p, reals, reals, reals, real, reals
+        return ctypes.CFUNCTYPE(ctypes.c_int32, *arguments)(self.function)
 
 
 class Context:
@@ -104,11 +96,7 @@ class Context:
 
     def __init__(self, data: FrameData, limits: FrameLimits, pair: FieldPair) -> None:
         own = data.with_own_scratch()
-        self._arrays = (  # kept alive
-            *own[1:],
-            *FrameBuffers.empty(),
-            *limits,
-        )
+        self._arrays = *own[1:], *FrameBuffers.empty(), *limits  # kept alive
         head = np.zeros(ARRAYS, dtype=np.int64)
         head[TRILINEAR] = own.trilinear
         self.words: IntArray = np.concatenate([head, table_of(self._arrays)])

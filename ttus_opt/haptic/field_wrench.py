@@ -17,7 +17,9 @@ measurements by are the same function, linear in what it seeks.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +31,39 @@ from ttus_opt.haptic.drag import DragLaw, drag_of
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
+
+#: The field has no drag; or its drag is of the twist that was given, of a twist
+#: estimated from poses and times, or left out because the motion is not known
+DragSource = Literal["none", "given", "estimated", "left out"]
+
+
+@dataclass(frozen=True, slots=True)
+class Wrench:
+    """What the probe feels in one pose.
+
+    Attributes:
+        force: Force on the probe, patient axes, shape (3,) [N].
+        torque: Torque about the shell's reference point, patient axes, (3,) [N·m].
+        contact_points: Shell points inside the patient [–].
+        in_grid: False when no shell point lies within the grid; the wrench is zero.
+        beyond_inner: Points in contact beyond the inner layer, where the field
+            continues with that layer's values [–].
+        drag: Whether friction's drag is in the wrench: ``none`` for a field without,
+            ``given`` and ``estimated`` by where the twist is from, ``left out`` for
+            a field with drag and an unknown motion.
+        saturated: Whether the force was cut to the renderer's limit.
+        force_std: Standard deviation of the force as a `DoubtMap` has it; NaN for a
+            renderer without one [N].
+    """
+
+    force: Array
+    torque: Array
+    contact_points: int
+    in_grid: bool
+    beyond_inner: int = 0
+    drag: DragSource = "none"
+    saturated: bool = False
+    force_std: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,11 @@ from ttus_opt.voxmap.voxmap import Voxmap
 RUN = 8
 
 
+#: Arrays of `FrameData` that a frame writes
+SCRATCH = ("place", "near", "node", "touched", "depth", "spot", "voxel", "share")
+SCRATCH += ("sampled", "hits")
+
+
 class FrameData(NamedTuple):
     """Input and scratch of the compiled passes, for one thread.
 
@@ -128,15 +133,5 @@ class FrameData(NamedTuple):
 
     def with_own_scratch(self) -> FrameData:
         """The same probe and surface for another thread."""
-        return self._replace(
-            place=np.empty_like(self.place),
-            near=np.empty_like(self.near),
-            node=np.empty_like(self.node),
-            touched=np.empty_like(self.touched),
-            depth=np.empty_like(self.depth),
-            spot=np.empty_like(self.spot),
-            voxel=np.empty_like(self.voxel),
-            share=np.empty_like(self.share),
-            sampled=np.empty_like(self.sampled),
-            hits=np.zeros_like(self.hits),
-        )
+        own = {name: np.zeros_like(getattr(self, name)) for name in SCRATCH}
+        return self._replace(**own)

@@ -52,11 +52,7 @@ class MotionFilter:
     gap: float = 0.25
 
     def __post_init__(self) -> None:
-        """Validate the filter.
-
-        Raises:
-            InputError: A value that is not finite, or not positive.
-        """
+        """Refuse a value that is not positive and finite."""
         for name in ("play", "seconds", "gap"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):

@@ -13,25 +13,30 @@ from __future__ import annotations
 import math
 import threading
 import warnings
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ttus_opt.arrays import Array, IntArray
-from ttus_opt.contact.friction import FRICTION, VISCOUS
+from ttus_opt.arrays import Array
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.haptic.blend import (
     PROGRESS,
-    SEEN,
     BlendLaw,
     BlendState,
     opened_ledger,
     settled_ledger,
 )
-from ttus_opt.haptic.drag import DragLaw, patch_weights
+from ttus_opt.haptic.drag import patch_weights
+from ttus_opt.haptic.field_swap import (
+    RenderedField,
+    RenderedFields,
+    require_alike,
+    swapped,
+)
+from ttus_opt.haptic.field_wrench import DragSource
+from ttus_opt.haptic.field_wrench import Wrench as Wrench
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import TIME, MotionFilter
 from ttus_opt.haptic.tables import frame_table, render_tables, table_of
@@ -40,7 +45,6 @@ from ttus_opt.haptic.wrench import (
     BAD_TWIST,
     TWIST,
     WRENCH,
-    FieldPair,
     FrameBuffers,
     FrameLimits,
     mixed,
@@ -53,61 +57,6 @@ from ttus_opt.voxmap.field import PotentialField
 
 if TYPE_CHECKING:
     from ttus_opt.haptic.c_interface import CFunction, Context
-
-#: The field has no drag; or its drag is of the twist that was given, of a twist
-#: estimated from poses and times, or left out because the motion is not known
-DragSource = Literal["none", "given", "estimated", "left out"]
-
-
-@dataclass(frozen=True, slots=True)
-class Wrench:
-    """What the probe feels in one pose.
-
-    Attributes:
-        force: Force on the probe, patient axes, shape (3,) [N].
-        torque: Torque about the shell's reference point, patient axes, (3,) [N·m].
-        contact_points: Shell points inside the patient [–].
-        in_grid: False when no shell point lies within the grid; the wrench is zero.
-        beyond_inner: Points in contact beyond the inner layer, where the field
-            continues with that layer's values [–].
-        drag: Whether friction's drag is in the wrench: ``none`` for a field without,
-            ``given`` and ``estimated`` by where the twist is from, ``left out`` for
-            a field with drag and an unknown motion.
-        saturated: Whether the force was cut to the renderer's limit.
-        force_std: Standard deviation of the force as a `DoubtMap` has it; NaN for a
-            renderer without one [N].
-    """
-
-    force: Array
-    torque: Array
-    contact_points: int
-    in_grid: bool
-    beyond_inner: int = 0
-    drag: DragSource = "none"
-    saturated: bool = False
-    force_std: float = math.nan
-
-
-@dataclass(frozen=True, slots=True)
-class _Fields:
-    """The fields of a frame, replaced together, with the names of their drag."""
-
-    pair: FieldPair
-    table: IntArray  # addresses of the pair's arrays
-    current_drag: str
-    target_drag: str
-
-    @classmethod
-    def of(cls, pair: FieldPair, current_drag: str, target_drag: str) -> _Fields:
-        """A pair with its table."""
-        return cls(pair, table_of(pair), current_drag, target_drag)
-
-    @property
-    def drag(self) -> str:
-        """Names of the coefficients that drag at present; empty without any."""
-        if self.target_drag or not self.current_drag:
-            return self.target_drag
-        return "" if self.pair.ledger[PROGRESS] == 1.0 else self.current_drag
 
 
 class Renderer:
@@ -170,12 +119,8 @@ class Renderer:
             *motion.kernel_numbers(shell.rms_radius),
         )
         self._limits = FrameLimits(np.array(numbers), np.ascontiguousarray(weights))
-        values, drag = _flat(field), DragLaw.of(field.parameters, field.voxmap.grid)
-        ledger = settled_ledger(blend.reserve)
-        name = _drag_name(field, drag)
-        self._fields = _Fields.of(
-            FieldPair(values, values, drag.numbers, drag.numbers, ledger), name, name
-        )
+        only = RenderedField.of(field)
+        self._fields = RenderedFields.of(only, only, settled_ledger(blend.reserve))
         # a pose is copied here: whatever its layout, it compiles nothing new
         self._buffers = FrameBuffers.empty()
         self._table = frame_table(self._data, self._buffers, self._limits)
@@ -196,20 +141,15 @@ class Renderer:
 
         It works on scratch of its own, so that another thread may render meanwhile.
         """
-        data, pair, weights = (
-            self._data.with_own_scratch(),
-            self._fields.pair,
-            self._limits.weights,
-        )
-        amid = settled_ledger(0.0)
+        data, amid = self._data.with_own_scratch(), settled_ledger(0.0)
         amid[PROGRESS] = 0.5
-        pair = pair._replace(ledger=amid)
+        pair = self._fields.pair._replace(ledger=amid)
         buffers = FrameBuffers.empty()
         table = frame_table(data, buffers, self._limits)
         render_tables(table, table_of(pair), data.trilinear, math.nan, True)
         opened_ledger(amid, pair.current, pair.target, data)
         mixed(pair.current[:4], pair.target[:4], 0.5)
-        mixed_drag(amid, pair, pair.current, data, weights)
+        mixed_drag(amid, pair, pair.current, data, self._limits.weights)
 
     def render(
         self,
@@ -300,11 +240,7 @@ class Renderer:
         return contact_points if in_grid else -1
 
     def _take_turn(self) -> None:
-        """Take the buffers for a frame, without waiting for them.
-
-        Raises:
-            InputError: Another thread has them.
-        """
+        """Take the buffers, or `InputError`: another thread has them."""
         if not self._turn.acquire(blocking=False):
             raise InputError(
                 "two threads render with one Renderer at once: give each a Renderer "
@@ -405,41 +341,20 @@ class Renderer:
             InputError: It is for another grid, surface or sampling, or has unusable
                 drag parameters.
         """
-        self._require_alike(field)
-        drag = DragLaw.of(field.parameters, field.voxmap.grid)
-        values, data = _flat(field), self._data.with_own_scratch()
+        require_alike(self._field, field)
+        new, data = RenderedField.of(field), self._data.with_own_scratch()
         with self._updates:
             self._waiting = True
             try:
                 with self._ledger_lock:
                     if self._c:
                         self._c.pause()
-                    self._fields = self._swapped(
-                        values, drag.numbers, _drag_name(field, drag), data
-                    )
+                    weights = self._limits.weights
+                    self._fields = swapped(self._fields, new, data, weights)
                     if self._c:
                         self._c.resume(self._fields.pair)
             finally:
                 self._waiting = False
-
-    def _swapped(
-        self, values: Array, drag: Array, name: str, data: FrameData
-    ) -> _Fields:
-        """The fields after an update; only with the ledger's lock held."""
-        now, old_name = self._fields.pair, self._fields.drag
-        if now.ledger[SEEN] == 0.0:
-            return _Fields.of(
-                FieldPair(values, values, drag, drag, now.ledger), name, name
-            )
-        share = float(now.ledger[PROGRESS])
-        current, old_drag = now.target, now.target_drag
-        if share < 1.0:
-            current = mixed(now.current, now.target, share)
-            old_drag = mixed_drag(now.ledger, now, current, data, self._limits.weights)
-        ledger = opened_ledger(now.ledger, current, values, data)
-        return _Fields.of(
-            FieldPair(current, values, old_drag, drag, ledger), old_name, name
-        )
 
     def c_function(self) -> CFunction:
         """The frame for a loop in C or C++ (`ttus_opt.haptic.c_interface`).
@@ -459,39 +374,14 @@ class Renderer:
                 self._c = Context(self._data, self._limits, self._fields.pair)
         return CFunction(frame_address(), self._c.words.ctypes.data, self)
 
-    def _require_alike(self, new: PotentialField) -> None:
-        old = self._field
-        for name, same in (
-            ("sampling", new.sampling == old.sampling),
-            ("grid", new.voxmap.grid == old.voxmap.grid),
-            (
-                "surface",
-                new.voxmap.surface is old.voxmap.surface
-                or np.array_equal(new.voxmap.surface.radius, old.voxmap.surface.radius),
-            ),
-        ):
-            if not same:
-                raise InputError(
-                    f"an update must keep the field's {name}: make a new Renderer"
-                )
-
     @property
     def blend(self) -> BlendState:
         """Where the last update's swap stands."""
         return BlendState.of(self._fields.pair.ledger)
 
 
-def _flat(field: PotentialField) -> Array:
-    """A copy of the field's values, flat."""
-    return np.array(field.values, dtype=np.float64, order="C").reshape(-1)
-
-
 def _map_of(doubt: DoubtMap | bool | None, field: PotentialField) -> DoubtMap | None:
-    """The map that is meant.
-
-    Raises:
-        InputError: The field has none.
-    """
+    """The map that is meant, or `InputError` where the field has none."""
     if not isinstance(doubt, bool):
         return doubt
     if doubt and field.doubt is None:
@@ -500,10 +390,3 @@ def _map_of(doubt: DoubtMap | bool | None, field: PotentialField) -> DoubtMap | 
             "or give the map of ttus_opt.fitting.skin_doubt.doubt_map"
         )
     return field.doubt if doubt else None
-
-
-def _drag_name(field: PotentialField, drag: DragLaw) -> str:
-    """Names of a field's coefficients of drag; empty when it has none."""
-    if not drag.active:
-        return ""
-    return ", ".join(n for n in (FRICTION, VISCOUS) if n in field.parameters)

@@ -139,11 +139,7 @@ def _measured(
     noise: float,
     dropout: float,
 ) -> Array:
-    """Noisy distances along a camera's rays, NaN without a measurement [m].
-
-    Raises:
-        InputError: The camera sees nothing.
-    """
+    """Noisy distances along a camera's rays, NaN without a measurement [m]."""
     eye, rays = np.asarray(view.eye), view.rays()
     far = 2.0 * float(np.linalg.norm(eye - np.asarray(view.target)))
     distance = np.minimum(_to_skin(setup, eye, rays, far), _to_table(setup, eye, rays))

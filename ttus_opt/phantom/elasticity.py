@@ -16,7 +16,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -59,12 +59,7 @@ class ElasticBody:
     rim: NDArray[np.bool_] = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Validate the body: its answer must be unique.
-
-        Raises:
-            InputError: Poisson's ratio out of range, nothing held, or shapes that
-                disagree.
-        """
+        """Validate ratio, shapes and what is held: the answer must be unique."""
         if not 0.0 <= self.poisson < 0.5:
             raise InputError(
                 f"Poisson's ratio must be in [0, 0.5), got {self.poisson}: use 0.45 "
@@ -106,13 +101,7 @@ class SkinPatch:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Store the patch as ``.npz``, replacing only on success."""
         with io.replacing(path) as temporary, temporary.open("wb") as file:
-            np.savez(
-                file,
-                points=self.points,
-                normals=self.normals,
-                rim=self.rim,
-                compliance=self.compliance,
-            )
+            np.savez(file, **vars(self))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> SkinPatch:
@@ -124,12 +113,7 @@ class SkinPatch:
         file = io.existing_file(path, "compliance")
         try:
             with file.open("rb") as stream, np.load(stream) as stored:
-                return cls(
-                    stored["points"],
-                    stored["normals"],
-                    stored["rim"],
-                    stored["compliance"],
-                )
+                return cls(**{own.name: stored[own.name] for own in fields(cls)})
         except (OSError, ValueError, TypeError, *DAMAGED) as error:
             raise FileError(
                 f"{file} is not a stored compliance: delete it and compute it again"
@@ -161,13 +145,8 @@ def skin_compliance(
     )
     k = len(body.patch)
     rows = np.asarray(basis.nodal_dofs)[:, body.patch].T.reshape(-1)
-    inward = sp.csr_array(
-        (
-            -body.normals.reshape(-1),
-            (rows, np.repeat(np.arange(k), 3)),
-        ),
-        shape=(stiffness.shape[0], k),
-    )[free].tocsc()
+    entries = -body.normals.reshape(-1), (rows, np.repeat(np.arange(k), 3))
+    inward = sp.csr_array(entries, shape=(stiffness.shape[0], k))[free].tocsc()
     compliance: Array = np.empty((k, k))
     for start in range(0, k, BATCH):
         loads = inward[:, start : start + BATCH].toarray()

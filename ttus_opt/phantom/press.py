@@ -44,11 +44,7 @@ class CoulombDrag:
     deadband: float = 5e-4
 
     def __post_init__(self) -> None:
-        """Validate the numbers.
-
-        Raises:
-            InputError: A negative coefficient or deadband.
-        """
+        """Refuse a negative coefficient or deadband."""
         if not (self.coefficient >= 0.0 and self.deadband >= 0.0):
             raise InputError(
                 "drag coefficient and deadband must not be negative, got "

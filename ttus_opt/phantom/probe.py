@@ -41,11 +41,7 @@ class EllipsoidProbe:
     semi_axes: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        """Validate the semi-axes.
-
-        Raises:
-            InputError: Not three positive finite lengths.
-        """
+        """Refuse semi-axes other than three positive finite lengths."""
         good = all(math.isfinite(a) and a > 0.0 for a in self.semi_axes)
         if len(self.semi_axes) != 3 or not good:
             raise InputError(

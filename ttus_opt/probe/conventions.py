@@ -181,11 +181,7 @@ class Conventions:
         return matrix[:3, :3]
 
     def _to_patient(self, frame: str, scan_to_patient: Array | None) -> list[Array]:
-        """Rigid motions from a frame to the patient's, one after the other.
-
-        Raises:
-            InputError: The scan's is needed and not given.
-        """
+        """Rigid motions from a frame to the patient's, one after the other."""
         if frame == "patient":
             return []
         if scan_to_patient is None:

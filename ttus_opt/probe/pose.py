@@ -41,11 +41,11 @@ QUATERNION_TOLERANCE = 0.01
 
 
 class Pose(NamedTuple):
-    """Where the probe is.
+    """Where the probe is, once or at T times.
 
     Attributes:
-        rotation: Probe to patient, shape (3, 3) [–].
-        position: Of the probe frame's origin, patient frame, shape (3,) [m].
+        rotation: Probe to patient, shape (3, 3) or (T, 3, 3) [–].
+        position: Of the probe frame's origin, patient frame, (3,) or (T, 3) [m].
     """
 
     rotation: Array
@@ -100,23 +100,11 @@ def pose_of(
     return Pose(matrix, at)
 
 
-class Poses(NamedTuple):
-    """Where the probe is at T times.
-
-    Attributes:
-        rotation: Probe to patient, shape (T, 3, 3) [–].
-        position: Shape (T, 3) [m].
-    """
-
-    rotation: Array
-    position: Array
-
-
 def poses_of(
     positions: ArrayLike | None,
     orientations: PoseLike,
     order: QuaternionOrder | None = None,
-) -> Poses:
+) -> Pose:
     """Poses from any of their forms.
 
     Args:
@@ -142,7 +130,7 @@ def poses_of(
     elif matrices.ndim == 3 and matrices.shape[1:] == (4, 4) and positions is None:
         for matrix in matrices:
             pose_of(matrix)  # its last row
-        return Poses(matrices[:, :3, :3], matrices[:, :3, 3])
+        return Pose(matrices[:, :3, :3], matrices[:, :3, 3])
     at = np.asarray(np.nan if positions is None else positions, dtype=np.float64)
     if matrices.shape[1:] != (3, 3) or at.shape != (len(matrices), 3):
         told = "no positions" if positions is None else f"positions {at.shape}"
@@ -151,7 +139,7 @@ def poses_of(
             "(T, 4), and positions (T, 3) [m]; or matrices (T, 4, 4) alone; got "
             f"orientations {matrices.shape} and {told}"
         )
-    return Poses(matrices, at)
+    return Pose(matrices, at)
 
 
 def from_quaternions(quaternions: Array, order: QuaternionOrder | None) -> Array:
@@ -235,11 +223,7 @@ def _off(matrices: Array) -> Array:
 
 
 def _refuse(bad: NDArray[np.bool_], error: Array, why: str) -> None:
-    """Raise for the first bad matrix.
-
-    Raises:
-        InputError: One is bad.
-    """
+    """Raise `InputError` for the first bad matrix."""
     if np.any(bad):
         first = int(np.argmax(bad))
         frame = f"frame {first}: " if np.ndim(bad) else ""

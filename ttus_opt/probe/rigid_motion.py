@@ -110,11 +110,7 @@ def read_rigid_motion(told: str | os.PathLike[str]) -> Array:
 
 
 def _from_file(name: str) -> Array:
-    """The motion of a file.
-
-    Raises:
-        FileError: It holds none.
-    """
+    """The motion of a file, or `FileError` where it holds none."""
     file = io.existing_file(Path(name), "rigid motion")
     if file.stat().st_size > LARGEST_FILE:
         raise FileError(f"{file} is too large for a matrix (4, 4): wrong file?")
@@ -135,11 +131,7 @@ def _from_file(name: str) -> Array:
 
 
 def _numbers(text: str) -> Array:
-    """The numbers of a text, JSON or separated by commas, semicolons or blanks.
-
-    Raises:
-        ValueError: There are others, or none.
-    """
+    """Numbers, JSON or apart by commas, semicolons or blanks; else `ValueError`."""
     if text.lstrip().startswith("["):
         return np.array(json.loads(text), dtype=np.float64)
     lines = [line.partition("#")[0] for line in text.splitlines()]
@@ -150,11 +142,7 @@ def _numbers(text: str) -> Array:
 
 
 def _motion(values: Array) -> Array:
-    """The motion that numbers stand for.
-
-    Raises:
-        InputError: Neither 7 nor 16 of them, or no rigid motion.
-    """
+    """The motion that 7 or 16 numbers stand for, or `InputError`."""
     if values.size == 16:
         return rigid_motion(values.reshape(4, 4))
     if values.size != 7:

@@ -11,7 +11,8 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -109,10 +110,8 @@ class Trajectory:
             "torque": (n, 3),
             "segment": (n,),
         }
-        for name, shape in shapes.items():
-            value = getattr(self, name)
-            if value is None:
-                continue
+        for name, value in self._arrays().items():
+            shape = shapes[name]
             if value.shape != shape:
                 raise InputError(
                     f"trajectory {name} must have shape {shape}, got {value.shape}"
@@ -264,6 +263,11 @@ class Trajectory:
         """Velocity, then angular velocity, as `Renderer.render` takes it, (T, 6)."""
         return np.concatenate([self.velocity(), self.angular_velocity()], axis=1)
 
+    def _arrays(self) -> dict[str, Any]:
+        """What there is of every frame, by name."""
+        told = {own.name: getattr(self, own.name) for own in fields(self)}
+        return {name: values for name, values in told.items() if values is not None}
+
     def _segments(self) -> list[slice]:
         cuts = np.flatnonzero(np.diff(self.segment)) + 1
         edges = [0, *cuts.tolist(), len(self)]
@@ -288,14 +292,7 @@ class Trajectory:
                 )
             if not frames.any():
                 raise InputError("the mask leaves no frame: select at least one")
-        return Trajectory(
-            self.time[frames],
-            self.position[frames],
-            self.rotation[frames],
-            None if self.force is None else self.force[frames],
-            None if self.torque is None else self.torque[frames],
-            self.segment[frames],
-        )
+        return Trajectory(**{name: a[frames] for name, a in self._arrays().items()})
 
     @classmethod
     def concatenate(cls, parts: Sequence[Trajectory]) -> Trajectory:
@@ -321,16 +318,11 @@ class Trajectory:
             _, own = np.unique(part.segment, return_inverse=True)
             numbers.append(own.reshape(-1).astype(np.int64) + first)
             first += int(own.max()) + 1
-        force = [p.force for p in parts if p.force is not None]
-        torque = [p.torque for p in parts if p.torque is not None]
-        return cls(
-            np.concatenate([p.time for p in parts]),
-            np.concatenate([p.position for p in parts]),
-            np.concatenate([p.rotation for p in parts]),
-            np.concatenate(force) if force else None,
-            np.concatenate(torque) if torque else None,
-            np.concatenate(numbers),
-        )
+        joined = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in parts[0]._arrays()
+        }
+        return cls(**joined | {"segment": np.concatenate(numbers)})
 
     def save(self, path: str | os.PathLike[str], *, digits: int = 17) -> None:
         """Write the CSV, replacing ``path`` only when the writing succeeded.

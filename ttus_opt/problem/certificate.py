@@ -11,6 +11,8 @@ section 5.8):
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -95,8 +97,6 @@ def falling_ray(program: Program, *, time_limit: float | None = None) -> Array |
     linear = [t for t in program.terms if isinstance(t.penalty, Linear) and t.weight]
     if not linear:  # sums of squares, lengths and sizes are never negative
         return None
-    from scipy.optimize import linprog
-
     n = program.n_variables
     slope = np.sum(
         [t.weight * (t.matrix.T @ np.ones(len(t.target))) for t in linear], 0
@@ -106,26 +106,43 @@ def falling_ray(program: Program, *, time_limit: float | None = None) -> Array |
     for c in program.constraints:
         down += [c.matrix[np.isfinite(c.upper)], -c.matrix[np.isfinite(c.lower)]]
     low, high = program.box
-    limits = (
-        np.where(np.isfinite(low), 0.0, -1.0),
-        np.where(np.isfinite(high), 0.0, 1.0),
-    )
-    box = np.stack(limits, axis=1)
-    above = sp.csc_array(sp.vstack(down))
-    equal = sp.csc_array(sp.vstack([sp.csr_array((0, n)), *still]))
-    answer = linprog(  # type: ignore[call-overload]  # it does take sparse rows
-        slope,
-        A_ub=above,
-        b_ub=np.zeros(above.shape[0]),
-        A_eq=equal,
-        b_eq=np.zeros(equal.shape[0]),
-        bounds=box,
-        method="highs",
-        options={} if time_limit is None else {"time_limit": time_limit},
-    )
+    box = np.where(np.isfinite(low), 0.0, -1.0), np.where(np.isfinite(high), 0.0, 1.0)
+    above, equal = sp.vstack(down), sp.vstack([sp.csr_array((0, n)), *still])
+    none, zero = np.zeros(above.shape[0]), np.zeros(equal.shape[0])
+    answer = linear_program(slope, (above, none), (equal, zero), box, time_limit)
     if answer.x is None or not falls_for_ever(program, answer.x):
         return None
     return np.asarray(answer.x)
+
+
+def linear_program(
+    cost: Array,
+    above: tuple[Any, Array],
+    equal: tuple[Any, Array],
+    box: tuple[Array, Array],
+    time_limit: float | None,
+) -> Any:
+    """Minimise a linear cost by HiGHS; what SciPy says of it.
+
+    Args:
+        cost: Shape (n,).
+        above: Sparse rows, shape (m, n), and what they are at most, shape (m,).
+        equal: Sparse rows and what they are, likewise.
+        box: Lower and upper bounds, shape (n,) each.
+        time_limit: Most seconds; None for no limit [s].
+    """
+    from scipy.optimize import linprog
+
+    return linprog(  # type: ignore[call-overload]  # it does take sparse rows
+        cost,
+        sp.csc_array(above[0]),
+        above[1],
+        sp.csc_array(equal[0]),
+        equal[1],
+        np.stack(box, axis=1),
+        method="highs",
+        options={} if time_limit is None else {"time_limit": time_limit},
+    )
 
 
 def _reach(matrix: sp.csr_array) -> float:

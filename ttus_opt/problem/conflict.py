@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
-from ttus_opt.problem.certificate import contradicts
+from ttus_opt.problem.certificate import contradicts, linear_program
 from ttus_opt.problem.kkt import Duals, bound_duals
 from ttus_opt.problem.members import ProgramBounds
 from ttus_opt.problem.program import Program
@@ -65,8 +65,6 @@ def _holds(bound: ProgramBounds, crossed: NDArray[np.bool_], program: Program) -
 def _elastic(
     program: Program, lower: Array, upper: Array, time_limit: float | None
 ) -> tuple[str, ...]:
-    from scipy.optimize import linprog
-
     A = sp.csr_array(sp.vstack([c.matrix for c in program.constraints]))
     low = np.concatenate([c.lower for c in program.constraints])
     high = np.concatenate([c.upper for c in program.constraints])
@@ -76,22 +74,12 @@ def _elastic(
     equal = low == high
     above, below = ~equal & np.isfinite(high), ~equal & np.isfinite(low)
     cost = np.concatenate([np.zeros(n), np.ones(2 * m)])
-    box = np.stack(
-        [
-            np.concatenate([lower, np.zeros(2 * m)]),
-            np.concatenate([upper, np.full(2 * m, np.inf)]),
-        ],
-        axis=1,
-    )
-    answer = linprog(  # type: ignore[call-overload]  # it does take sparse rows
+    answer = linear_program(
         cost,
-        A_ub=sp.csc_array(sp.vstack([full[above], -full[below]])),
-        b_ub=np.concatenate([high[above], -low[below]]),
-        A_eq=sp.csc_array(full[equal]),
-        b_eq=low[equal],
-        bounds=box,
-        method="highs",
-        options={} if time_limit is None else {"time_limit": time_limit},
+        (sp.vstack([full[above], -full[below]]), np.append(high[above], -low[below])),
+        (full[equal], low[equal]),
+        (np.append(lower, np.zeros(2 * m)), np.append(upper, np.full(2 * m, np.inf))),
+        time_limit,
     )
     finite = np.concatenate([low[np.isfinite(low)], high[np.isfinite(high)], [0.0]])
     if answer.x is None or answer.fun <= FEASIBLE * max(np.abs(finite).max(), 1e-300):

@@ -48,12 +48,7 @@ class Search:
     neutral: float | None = None
 
     def __post_init__(self) -> None:
-        """Validate the range.
-
-        Raises:
-            InputError: The limits are not finite or out of order, or the neutral
-                value is not between them.
-        """
+        """Validate finite limits in order, with the neutral value between them."""
         if not (math.isfinite(self.low) and self.low < self.high < math.inf):
             raise InputError(
                 f"{self.parameter} needs a range low < high, got {self.low} to "
@@ -331,11 +326,7 @@ class Formulation:
 
 
 def _placed(terms: Iterable[Term | Unplaced]) -> tuple[Term, ...]:
-    """The terms, all of them over a scene.
-
-    Raises:
-        InputError: There is no term, or no term that has a scene.
-    """
+    """The terms, all of them over a scene; at least one must have one."""
     given = tuple(terms)
     if not given:
         raise InputError("a formulation needs at least one term")

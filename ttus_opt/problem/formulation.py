@@ -127,11 +127,7 @@ def option_defaults(formulation: str | Path) -> dict[str, Any] | None:
 
 
 def _check_option(what: str, parameter: inspect.Parameter, value: Any) -> None:
-    """Validate the kind of an option by its default and its annotation.
-
-    Raises:
-        InputError: A word for a number, a part for a count, NaN, or the like.
-    """
+    """Refuse an option of another kind than its default and annotation say."""
     usual = parameter.default
     such = "" if usual is None else f" such as {usual}"
     if usual is None and (value is None or not _says_number(parameter.annotation)):

@@ -49,7 +49,7 @@ from ttus_opt.problem.gradient_blocks import (
     largest_of,
     quadratic_summands,
 )
-from ttus_opt.problem.members import ProgramCones, ProgramConstraint
+from ttus_opt.problem.members import ProgramConstraint
 from ttus_opt.problem.program import Program
 
 
@@ -231,7 +231,8 @@ def _of_rows(program: Program, x: Array, duals: Duals, blocks: GradientBlocks) -
     """Add the multipliers of linear rows; their part of the gap."""
     gap = 0.0
     for constraint in program.constraints:
-        y, stray = _multiplier(constraint, duals)
+        y = duals.rows.get(constraint.name, np.zeros(len(constraint.lower)))
+        y, stray = _present(y, constraint.lower, constraint.upper)
         blocks.add(constraint.matrix.T @ y)
         blocks.add_stray(constraint.matrix.T @ stray)
         value = constraint.matrix @ x
@@ -261,15 +262,10 @@ def _members(program: Program, x: Array) -> Iterator[_Member]:
         entries = np.abs(c.matrix.data * x[c.matrix.indices])
         size = CANCELLED * float(entries.max(initial=0.0))
         yield _Member(c.matrix @ x, c.lower, c.upper, size)
-    for cone in program.cones:
-        yield _in_cones(cone, x)
-
-
-def _in_cones(cone: ProgramCones, x: Array) -> _Member:
-    """Values of cone rows, whose limits are the nearest point of the cones."""
-    s = cone.value(x)
-    nearest = cone.projected(s)
-    return _Member(s, nearest, nearest)
+    for cone in program.cones:  # its rows' limits are the nearest point of the cones
+        s = cone.value(x)
+        nearest = cone.projected(s)
+        yield _Member(s, nearest, nearest)
 
 
 @dataclass(frozen=True)
@@ -341,7 +337,8 @@ def _relative_gap(gap: float, objective: float, scale: float) -> float:
         return 0.0
     by_objective = gap / max(abs(objective), TINY)
     by_distance = STRICTER * math.sqrt(gap / max(abs(scale), TINY))
-    return _least_of(by_objective, by_distance)
+    either = by_objective + by_distance  # Python's ``min`` lets NaN pass
+    return float("inf") if math.isnan(either) else min(by_objective, by_distance)
 
 
 @dataclass(frozen=True)
@@ -371,20 +368,9 @@ class _Member:
         violation = self.violation
         if not violation:
             return 0.0
-        return violation / largest_of(self._span, self.least, least, TINY)
-
-    @property
-    def _span(self) -> float:
-        sizes = [
-            float(np.abs(part[np.isfinite(part)]).max(initial=0.0))
-            for part in (self.value, self.lower, self.upper)
-        ]
-        return max(sizes)
-
-
-def _multiplier(constraint: ProgramConstraint, duals: Duals) -> tuple[Array, Array]:
-    y = duals.rows.get(constraint.name, np.zeros(len(constraint.lower)))
-    return _present(y, constraint.lower, constraint.upper)
+        sizes = np.abs([self.value, self.lower, self.upper])
+        span = float(sizes[np.isfinite(sizes)].max(initial=0.0))
+        return violation / largest_of(span, self.least, least, TINY)
 
 
 def _present(dual: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
@@ -398,7 +384,3 @@ def _complementarity(dual: Array, lower: Array, upper: Array, value: Array) -> f
     limit = np.where(dual > 0.0, upper, lower)
     limit = np.where(dual == 0.0, value, limit)
     return float(np.abs(dual * (limit - value)).sum())
-
-
-def _least_of(*values: float) -> float:
-    return float("inf") if any(np.isnan(v) for v in values) else min(values)

@@ -349,11 +349,7 @@ class Program:
 def _sizes(
     scene: Scene, terms: Iterable[Term], held: Iterable[tuple[str, _Held]]
 ) -> dict[str, int]:
-    """Entries of every variable, the field p first.
-
-    Raises:
-        InputError: Two members give a variable different sizes.
-    """
+    """Entries of every variable, the field p first; members must agree on them."""
     sizes = {"p": scene.n_voxels}
     members: list[tuple[str, AffineRows | _Held]] = [
         *((term.name, term.assembled) for term in terms),

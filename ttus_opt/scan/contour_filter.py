@@ -59,11 +59,7 @@ class ContourModel:
     slope_angle: float = 0.35
 
     def __post_init__(self) -> None:
-        """Validate the model.
-
-        Raises:
-            InputError: A value that is not positive and finite.
-        """
+        """Refuse a value that is not positive and finite."""
         for name in ("depth_noise", "slope_std", "slope_angle"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0):

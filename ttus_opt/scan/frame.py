@@ -39,12 +39,7 @@ class Axis:
     )
 
     def __post_init__(self) -> None:
-        """Validate the frame.
-
-        Raises:
-            InputError: Wrong shapes, an origin that is not finite, or a matrix that is
-                not a rotation.
-        """
+        """Validate shapes, a finite origin and a rotation matrix."""
         if self.origin.shape != (3,) or self.rotation.shape != (3, 3):
             raise InputError(
                 "an axis needs origin (3,) [m] and rotation (3, 3), got "

@@ -112,11 +112,7 @@ def _preamble(lines: Sequence[_Line]) -> tuple[list[str], int | None, list[_Line
 
 
 def _columns(file: Path, names: Sequence[str], width: int) -> list[int]:
-    """Places of x, y and z.
-
-    Raises:
-        FileError: They cannot be told.
-    """
+    """Places of x, y and z, or `FileError` where they cannot be told."""
     if names:
         if not {"x", "y", "z"} <= set(names):
             raise FileError(

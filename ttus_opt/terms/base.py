@@ -74,11 +74,7 @@ class Term(Member):
     measures: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        """Validate the weight.
-
-        Raises:
-            InputError: The weight is negative or not finite.
-        """
+        """Refuse a weight that is negative or not finite."""
         if not (math.isfinite(self.weight) and self.weight >= 0.0):
             raise InputError(
                 f"{self.name} weight must be finite and not negative, got "

@@ -140,11 +140,7 @@ class CvxpyRows(Term):
 
     @cached_property
     def _stated(self) -> tuple[Any, dict[str, Any]]:
-        """The expression and its variables by name.
-
-        Raises:
-            InputError: It is no convex real scalar, or needs integers.
-        """
+        """The expression, checked, and its variables by name."""
         import cvxpy as cp
 
         shape = self.scene.voxmap.grid.shape
@@ -209,11 +205,7 @@ class CvxpyRows(Term):
         )
 
     def _refuse_other_cones(self, data: Mapping[str, Any]) -> None:
-        """Refuse what this package does not verify, by name.
-
-        Raises:
-            InputError: There are exponential, power or semidefinite cones, or bounds.
-        """
+        """Refuse cones and bounds that this package does not verify, by name."""
         dims = data["dims"]
         others = {
             "exponential": dims.exp,

@@ -75,11 +75,7 @@ class DepthMapTerm(Term):
         )
 
     def __post_init__(self) -> None:
-        """Validate weight, deviation and lengths.
-
-        Raises:
-            InputError: One of them is not usable.
-        """
+        """Validate weight, deviation and lengths."""
         super().__post_init__()
         check_depth_map(
             self.scene.voxmap.grid,

@@ -33,6 +33,7 @@ from ttus_opt.terms.depth_profile import (
     powers_of,
     voxel_depths,
 )
+from ttus_opt.terms.matern import matern
 from ttus_opt.terms.posterior_mode import posterior_mode
 
 #: Median and logarithmic standard deviation of the priors
@@ -174,7 +175,7 @@ class _Problem:
         Raises:
             InputError: No profile that grows with depth explains the forces.
         """
-        prior = _matern(self.along, length) * _matern(self.down, depth_length)
+        prior = matern(self.along, length) * matern(self.down, depth_length)
         prior *= deviation**2
         shares = self.rows @ self.powers
         c, _ = scipy.optimize.nnls(shares, self.force)
@@ -196,9 +197,3 @@ class _Problem:
             misfit = white[:, -1] - white[:, :-1] @ c
         normaliser = float(np.log(np.diag(factor)).sum())
         return -0.5 * float(misfit @ misfit) - normaliser, c
-
-
-def _matern(distance: Array, length: float) -> Array:
-    """Matérn 3/2, (1 + √3 d/ℓ) exp(−√3 d/ℓ)."""
-    scaled = np.sqrt(3.0) / length * distance
-    return np.asarray((1.0 + scaled) * np.exp(-scaled))

@@ -32,12 +32,7 @@ class DepthProfile:
     coefficients: tuple[float, ...]
 
     def __post_init__(self) -> None:
-        """Validate exponents and coefficients.
-
-        Raises:
-            InputError: They do not fit together, a power is not positive, or no
-                coefficient is.
-        """
+        """Validate exponents and coefficients: a sum of powers that is not zero."""
         powers, parts = self.exponents, self.coefficients
         if len(powers) != len(parts) or not powers:
             raise InputError(

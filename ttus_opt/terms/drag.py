@@ -135,11 +135,7 @@ class GlobalCoulomb(DragModel):
         return f"{self.coefficient:.4g} F p"
 
     def __post_init__(self) -> None:
-        """Validate the coefficient.
-
-        Raises:
-            InputError: μ is negative or not finite.
-        """
+        """Refuse a μ that is negative or not finite."""
         if not (math.isfinite(self.coefficient) and self.coefficient >= 0.0):
             raise InputError(
                 f"friction_coefficient must not be negative, got {self.coefficient}"

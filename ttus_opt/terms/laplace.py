@@ -33,11 +33,7 @@ class LaplaceTerm(Term):
         return f"‖L p − {factor}b‖²"
 
     def __post_init__(self) -> None:
-        """Validate weight and factor.
-
-        Raises:
-            InputError: The weight or the factor is not usable.
-        """
+        """Validate weight and factor."""
         super().__post_init__()
         if not (math.isfinite(self.factor) and self.factor > 0.0):
             raise InputError(f"factor on b must be positive, got {self.factor}")

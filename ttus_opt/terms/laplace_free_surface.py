@@ -37,11 +37,7 @@ class LaplaceFreeSurfaceTerm(Term):
     formula = "‖L p − b‖² without the surface's rows"
 
     def __post_init__(self) -> None:
-        """Validate weight and share.
-
-        Raises:
-            InputError: The weight or the layer's share is not usable.
-        """
+        """Validate weight and the layer's share."""
         super().__post_init__()
         if not (math.isfinite(self.skin) and 0.0 <= self.skin <= 1.0):
             raise InputError(f"skin must lie between 0 and 1, got {self.skin}")

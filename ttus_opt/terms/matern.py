@@ -26,6 +26,12 @@ from ttus_opt.voxmap.voxmap import Voxmap
 AT_ONCE = 256
 
 
+def matern(distance: Array, length: float) -> Array:
+    """Matérn 3/2, (1 + √3 d/ℓ) exp(−√3 d/ℓ), of distances of any shape."""
+    scaled = np.sqrt(3.0) / length * distance
+    return np.asarray((1.0 + scaled) * np.exp(-scaled))
+
+
 @dataclass(frozen=True)
 class MaternFactor:
     """(κ² C + G) τ / √C: white noise from a field of unit variance.

@@ -36,11 +36,7 @@ class RobustForceTerm(Term):
         return f"Σ huber(N p − f; {self.limit:g} N)"
 
     def __post_init__(self) -> None:
-        """Validate weight and limit.
-
-        Raises:
-            InputError: The weight or the limit is not usable.
-        """
+        """Validate weight and limit."""
         super().__post_init__()
         if not (math.isfinite(self.limit) and self.limit > 0.0):
             raise InputError(

@@ -30,11 +30,7 @@ class TikhonovTerm(Term):
     formula = "‖p − p_ref‖² over free voxels"
 
     def __post_init__(self) -> None:
-        """Validate weight and reference.
-
-        Raises:
-            InputError: The weight or the reference is not usable.
-        """
+        """Validate weight and reference."""
         super().__post_init__()
         if self.reference not in REFERENCES:
             raise InputError(

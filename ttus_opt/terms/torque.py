@@ -40,11 +40,7 @@ class TorqueTerm(Term):
     measures = True
 
     def __post_init__(self) -> None:
-        """Validate weight and length.
-
-        Raises:
-            InputError: The weight or the length is not usable.
-        """
+        """Validate weight and length."""
         super().__post_init__()
         low, high = LENGTHS
         if self.length is not None and not low <= self.length <= high:

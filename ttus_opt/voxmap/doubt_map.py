@@ -41,12 +41,7 @@ class DoubtMap:
     relative: Array = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Validate the map.
-
-        Raises:
-            InputError: Shapes that do not fit, or values that are negative or no
-                numbers.
-        """
+        """Validate shapes, and values that are finite and not negative."""
         shape = len(self.theta), len(self.z)
         if self.relative.shape != shape or len(self.z) < 2 or not len(self.theta):
             raise InputError(

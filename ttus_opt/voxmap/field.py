@@ -70,12 +70,7 @@ class PotentialField:
     doubt: DoubtMap | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Validate the values.
-
-        Raises:
-            InputError: Wrong shape, a value or parameter that is not finite, unknown
-                sampling.
-        """
+        """Validate shape, sampling, and that values and parameters are finite."""
         if self.values.shape != self.voxmap.grid.shape:
             raise InputError(
                 f"field values must have shape {self.voxmap.grid.shape}, got "
@@ -251,11 +246,7 @@ def _sector_attributes(grid: CylindricalGrid) -> dict[str, str]:
 
 
 def _by_name(attribute: str, attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """What an attribute has by name; nothing where it is not there.
-
-    Raises:
-        InputError: It is no JSON object.
-    """
+    """What an attribute, a JSON object, has by name; nothing where it is absent."""
     text = io.text_of(attributes, attribute, "{}")
     found = json.loads(text)
     if not isinstance(found, dict):

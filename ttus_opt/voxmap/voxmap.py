@@ -65,11 +65,7 @@ class Voxmap:
     boundary: str = "staircase"
 
     def __post_init__(self) -> None:
-        """Validate boundary and regions.
-
-        Raises:
-            InputError: Another shape, a value that names no region, or no boundary.
-        """
+        """Validate boundary, and regions by shape and value."""
         checked_boundary(self.boundary)
         if self.region.shape != self.grid.shape:
             raise InputError(

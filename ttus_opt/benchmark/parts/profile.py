@@ -103,11 +103,7 @@ def _file(case: str) -> str:
 
 
 def _fit(read: Scene, case: CaseSpec, time_limit: float) -> Scene:
-    """Assemble and fit; the scene with what it keeps.
-
-    Raises:
-        InputError: The fit was not solved, so that its profile is meaningless.
-    """
+    """Assemble and fit; `InputError` where nothing was solved: no profile then."""
     made = Scene.assemble(
         read.voxmap,
         read.shell,

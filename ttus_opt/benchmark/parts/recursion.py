@@ -129,11 +129,7 @@ def with_measurements(scene: Scene, trajectory: Trajectory) -> Scene:
 
 
 def _touching(scene: Scene, count: int) -> Trajectory:
-    """As many measurements in contact as asked for, the recordings' own first.
-
-    Raises:
-        InputError: No frame touches the patient.
-    """
+    """As many measurements in contact as asked for, the recordings' own first."""
     own = _in_contact(scene)
     if len(own) == 0:
         raise InputError("no pose touches the patient: give recordings in contact")

@@ -224,11 +224,7 @@ def _small_scene(case: CaseSpec) -> Scene:
 
 
 def _accepted(formulation: str, settings: Settings, small: Scene) -> dict[str, Any]:
-    """Weights where the formulation has them, and what was asked for.
-
-    Raises:
-        InputError: The formulation is unknown, or has no such option.
-    """
+    """Weights where the formulation has them, and what was asked for."""
     known = {info.name: info.options for info in shelf.available()}
     weights: Mapping[str, float] = dict.fromkeys(
         ("force_weight", "torque_weight"), settings.weight

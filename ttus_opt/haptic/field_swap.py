@@ -1,0 +1,118 @@
+"""The fields that a renderer holds: the one in force, the one to come, and their drag.
+
+They are replaced together (`swapped`), so that a frame never sees half of an update.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.contact.friction import FRICTION, VISCOUS
+from ttus_opt.errors import InputError
+from ttus_opt.haptic.blend import PROGRESS, SEEN, opened_ledger
+from ttus_opt.haptic.drag import DragLaw
+from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.haptic.tables import table_of
+from ttus_opt.haptic.wrench import FieldPair, mixed, mixed_drag
+from ttus_opt.voxmap.field import PotentialField
+
+
+class RenderedField(NamedTuple):
+    """A field as frames read it.
+
+    Attributes:
+        values: A copy, flat, shape (V,).
+        drag: `DragLaw.numbers`.
+        coefficients: Names of its coefficients of drag; empty when it has none.
+    """
+
+    values: Array
+    drag: Array
+    coefficients: str
+
+    @classmethod
+    def of(cls, field: PotentialField) -> RenderedField:
+        """Copy a field.
+
+        Raises:
+            InputError: Its drag parameters are not usable.
+        """
+        values = np.array(field.values, dtype=np.float64, order="C").reshape(-1)
+        law = DragLaw.of(field.parameters, field.voxmap.grid)
+        names = [n for n in (FRICTION, VISCOUS) if law.active and n in field.parameters]
+        return cls(values, law.numbers, ", ".join(names))
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedFields:
+    """The fields of a frame, with the names of their drag."""
+
+    pair: FieldPair
+    table: IntArray  # addresses of the pair's arrays
+    current_drag: str
+    target_drag: str
+
+    @classmethod
+    def of(
+        cls, current: RenderedField, target: RenderedField, ledger: Array
+    ) -> RenderedFields:
+        """Two fields, or the same twice, and where the swap between them stands."""
+        pair = FieldPair(
+            current.values, target.values, current.drag, target.drag, ledger
+        )
+        return cls(pair, table_of(pair), current.coefficients, target.coefficients)
+
+    @property
+    def drag(self) -> str:
+        """Names of the coefficients that drag at present; empty without any."""
+        if self.target_drag or not self.current_drag:
+            return self.target_drag
+        return "" if self.pair.ledger[PROGRESS] == 1.0 else self.current_drag
+
+
+def swapped(
+    fields: RenderedFields, new: RenderedField, data: FrameData, weights: Array
+) -> RenderedFields:
+    """The fields after an update: a swap that begins where the last one stands.
+
+    Args:
+        fields: Those so far; no frame may write their ledger meanwhile.
+        new: The field to come.
+        data: Probe and surface, with scratch of its own.
+        weights: `drag.patch_weights` in block order, shape (M, 7).
+    """
+    now = fields.pair
+    if now.ledger[SEEN] == 0.0:
+        return RenderedFields.of(new, new, now.ledger)
+    share = float(now.ledger[PROGRESS])
+    values, drag = now.target, now.target_drag
+    if share < 1.0:
+        values = mixed(now.current, now.target, share)
+        drag = mixed_drag(now.ledger, now, values, data, weights)
+    old = RenderedField(values, drag, fields.drag)
+    return RenderedFields.of(
+        old, new, opened_ledger(now.ledger, values, new.values, data)
+    )
+
+
+def require_alike(old: PotentialField, new: PotentialField) -> None:
+    """Refuse a field on another grid or surface, or of another sampling.
+
+    Raises:
+        InputError: It is not alike.
+    """
+    own, other = old.voxmap.surface, new.voxmap.surface
+    alike = {
+        "sampling": new.sampling == old.sampling,
+        "grid": new.voxmap.grid == old.voxmap.grid,
+        "surface": other is own or np.array_equal(other.radius, own.radius),
+    }
+    for name, same in alike.items():
+        if not same:
+            raise InputError(
+                f"an update must keep the field's {name}: make a new Renderer"
+            )
