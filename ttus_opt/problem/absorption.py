@@ -310,18 +310,12 @@ def _squares(program: Program) -> list[ProgramTerm]:
     return [t for t in program.terms if t.is_squares and t.weight > 0.0]
 
 
-def _column_squares(term: ProgramTerm) -> Array:
-    """Σ of the squares of every column's entries, shape (n,)."""
-    M = term.matrix
-    return np.asarray(np.bincount(M.indices, M.data**2, M.shape[1]), dtype=float)
-
-
 def _diagonal(program: Program, terms: list[ProgramTerm], theta: float) -> Array:
     """The diagonal of Σ MᵀM + θ P, shape (n,)."""
-    out = np.sum([_column_squares(t) for t in terms], axis=0)
+    out = np.sum([t.column_squares() for t in terms], axis=0)
     if theta:
         for t in _squares(program):
-            out += 2.0 * theta * t.weight * _column_squares(t)
+            out += 2.0 * theta * t.weight * t.column_squares()
     return np.asarray(out)
 
 
@@ -339,7 +333,7 @@ def _network(
         grid = laplace.grid
         rows = NeighbourRows.of(matrix, grid)
         links = rows.links(np.ones(matrix.shape[0]), grid.n_voxels)
-        diagonal = _column_squares(term)[part]
+        diagonal = term.column_squares()[part]
         _networks[key] = by_network(laplace, links, diagonal, fixed)
         weakref.finalize(term.matrix, _networks.pop, key, None)
     return _networks[key]

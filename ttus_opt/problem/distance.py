@@ -95,7 +95,7 @@ def energy(
             first = 0.5 * (1.0 + CLOSE) * sum(f.square(r, CLOSE**2) for f in fields)
             if first <= enough:
                 return first
-            return _by_steps(squares, fields, fixed, r, enough)
+            return _by_steps(program, fields, fixed, r, enough)
         if fields and len(r) - held <= MOST:
             return _beside_parameters(squares, fields, r)
         return _by_solving(program, squares, fixed, r)
@@ -210,11 +210,7 @@ def _holds(
 
 
 def _by_steps(
-    squares: list[ProgramTerm],
-    fields: list[_Field],
-    fixed: Mask,
-    r: Array,
-    enough: float,
+    program: Program, fields: list[_Field], fixed: Mask, r: Array, enough: float
 ) -> float | None:
     """Fields only: conjugate gradients until what is summed up comes close."""
 
@@ -224,7 +220,7 @@ def _by_steps(
             out[one.part] = one.inverse(values, RTOL)
         return out
 
-    for known, rho in _steps(squares, fixed, r, precondition):
+    for known, rho in _steps(program, fixed, r, precondition):
         if 0.5 * (known + rho) <= enough or rho <= CLOSE * known:
             return 0.5 * (known + rho)
     return None
@@ -236,8 +232,7 @@ def _by_solving(
     """Conjugate gradients until nothing is left, with what preconditioner there is."""
     diagonal = np.zeros(len(r))
     for term in squares:
-        own = np.asarray(term.matrix.multiply(term.matrix).sum(axis=0))
-        diagonal += 2.0 * term.weight * own.reshape(-1)
+        diagonal += 2.0 * term.weight * term.column_squares()
     if r[diagonal == 0.0].any():  # no square determines these, and r is not zero there
         return None
     laplace = program.laplace
@@ -254,7 +249,7 @@ def _by_solving(
         return np.where(diagonal > 0.0, values / np.maximum(diagonal, _TINY), 0.0)
 
     first = None
-    for known, rho in _steps(squares, fixed, r, precondition):
+    for known, rho in _steps(program, fixed, r, precondition):
         first = rho if first is None else first
         if rho <= NOTHING * first:
             return 0.5 * known * (1.0 + CLOSE)
@@ -262,7 +257,7 @@ def _by_solving(
 
 
 def _steps(
-    squares: list[ProgramTerm], fixed: Mask, r: Array, precondition: _Map
+    program: Program, fixed: Mask, r: Array, precondition: _Map
 ) -> Iterator[tuple[float, float]]:
     """Conjugate gradients on P e = r: what is summed up of rᵀP⁻¹r, and ρ, each step."""
     z = np.where(fixed, 0.0, precondition(r))
@@ -271,9 +266,7 @@ def _steps(
         if not (np.isfinite(rho) and rho >= 0.0):
             return
         yield known, rho
-        image = np.zeros_like(r)
-        for term in squares:
-            image += 2.0 * term.weight * (term.matrix.T @ (term.matrix @ direction))
+        image = program.curvature_times(direction)
         image[fixed] = 0.0
         curvature = float(direction @ image)
         if not curvature > 0.0:

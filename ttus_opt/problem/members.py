@@ -57,6 +57,11 @@ class ProgramTerm:
         """M x - t, shape (m,)."""
         return np.asarray(self.matrix @ x - self.target)
 
+    def column_squares(self) -> Array:
+        """Σ of the squares of every column's entries, shape (n,)."""
+        M = self.matrix
+        return np.asarray(np.bincount(M.indices, M.data**2, M.shape[1]), dtype=float)
+
     def cost(self, x: Array) -> float:
         """Weighted penalty w φ(M x - t)."""
         return self.weight * self.penalty.value(self.residual(x))

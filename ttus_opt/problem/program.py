@@ -253,7 +253,7 @@ class Program:
         """P x of the squares, shape (n,)."""
         curved = np.zeros(self.n_variables)
         for term in self.terms:
-            if term.is_squares:
+            if term.is_squares and term.weight:
                 curved += 2.0 * term.weight * (term.matrix.T @ (term.matrix @ x))
         return curved
 

@@ -19,7 +19,7 @@ from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.scan.box import inside
-from ttus_opt.scan.pcd import read_pcd
+from ttus_opt.scan.pcd import read_pcd, truncated
 from ttus_opt.scan.xyz import read_xyz
 
 Unit = Literal["m", "cm", "mm"]
@@ -152,10 +152,7 @@ def _read_ply(file: Path) -> Array:
             f"announces {announced} points, truncated or damaged? export it again"
         ) from error
     if len(points) != announced:
-        raise FileError(
-            f"{file} is truncated: its header announces {announced} points, it holds "
-            f"{len(points)}: record or copy it again"
-        )
+        raise truncated(file, announced, len(points))
     return points
 
 

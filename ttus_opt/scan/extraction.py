@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError
@@ -73,10 +72,9 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
     _check(cloud, n_theta, n_z, spoke_distance, slice_distance)
     _check_std(point_std, len(cloud))
     plane = axis.supporting_plane(cloud) if support == "find" else support
-    points, body = _body_points(cloud, axis, plane)
+    points, std = _body_points(cloud, point_std, axis, plane)
     z = _heights(points, z_range, n_z)
     theta: Array = np.arange(n_theta, dtype=np.float64) * (2.0 * np.pi / n_theta)
-    std = None if point_std is None else point_std[body]
     reach = (spoke_distance, slice_distance)
     contour = _contours(points, std, theta, z, reach, model)
     _check_seen(contour)
@@ -110,8 +108,7 @@ def followed(
     """
     _check(cloud, len(theta), len(z), SPOKE_DISTANCE, None)
     _check_std(point_std, len(cloud))
-    points, body = _body_points(cloud, axis, plane)
-    std = None if point_std is None else point_std[body]
+    points, std = _body_points(cloud, point_std, axis, plane)
     return _contours(points, std, theta, z, (SPOKE_DISTANCE, None), model)
 
 
@@ -209,13 +206,9 @@ def _check_std(point_std: Array | None, n: int) -> None:
 
 
 def _body_points(
-    cloud: Array, axis: Axis, plane: SupportingPlane | None
-) -> tuple[Array, NDArray[np.int64]]:
-    """Points of the body, without support and strays.
-
-    Returns:
-        In the patient frame, shape (m, 3) [m]; and their place in the cloud, (m,).
-    """
+    cloud: Array, std: Array | None, axis: Axis, plane: SupportingPlane | None
+) -> tuple[Array, Array | None]:
+    """Points without support and strays, patient frame, and their deviations [m]."""
     index = np.arange(len(cloud)) if plane is None else plane.above(cloud).nonzero()[0]
     points = axis.to_patient(cloud[index])
     near = np.hypot(points[:, 0], points[:, 1]) < _LARGEST_RADIUS
@@ -227,7 +220,7 @@ def _body_points(
             "meets the axis, check axis and unit"
         )
     kept = ~stray(points)
-    return points[kept], index[kept]
+    return points[kept], None if std is None else std[index[kept]]
 
 
 def _heights(points: Array, z_range: tuple[float, float] | None, n_z: int) -> Array:

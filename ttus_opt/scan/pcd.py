@@ -38,14 +38,8 @@ class _Header:
     @property
     def record(self) -> np.dtype[np.void]:
         """One point as a structured type; padding fields ("_") get unique names."""
-        return np.dtype(
-            [
-                (f"{m}", code, (count,))
-                for m, (code, count) in enumerate(
-                    zip(self.types, self.counts, strict=True)
-                )
-            ]
-        )
+        values = enumerate(zip(self.types, self.counts, strict=True))
+        return np.dtype([(f"{m}", code, (count,)) for m, (code, count) in values])
 
     @property
     def xyz(self) -> list[int]:
@@ -116,7 +110,7 @@ def _read_header(path: Path) -> _Header:
             "export it again"
         ) from error
     if n_points > len(raw):  # before anything of that size is made
-        raise _truncated(path, n_points, 0)
+        raise truncated(path, n_points, 0)
     if not {"x", "y", "z"} <= set(fields):
         raise FileError(
             f"{path} has the fields {' '.join(fields)}, expected x, y and z among them"
@@ -129,7 +123,8 @@ def _read_header(path: Path) -> _Header:
     return _Header(fields, types, counts, n_points, encoding, raw[start:])
 
 
-def _truncated(path: Path, expected: int, found: int) -> FileError:
+def truncated(path: Path, expected: int, found: int) -> FileError:
+    """What to raise for a file that holds fewer points than its header announces."""
     return FileError(
         f"{path} is truncated: its header announces {expected} points, it holds "
         f"{found}: record or copy it again"
@@ -139,7 +134,7 @@ def _truncated(path: Path, expected: int, found: int) -> FileError:
 def _ascii(header: _Header, path: Path) -> Array:
     lines = [line for line in header.body.decode("latin-1").splitlines() if line]
     if len(lines) < header.n_points:
-        raise _truncated(path, header.n_points, len(lines))
+        raise truncated(path, header.n_points, len(lines))
     ends = np.cumsum(header.counts)
     columns = [int(ends[m]) - header.counts[m] for m in header.xyz]
     points = np.empty((header.n_points, 3))
@@ -163,7 +158,7 @@ def _binary(header: _Header, path: Path) -> Array:
     record = header.record
     available = len(header.body) // max(record.itemsize, 1)
     if available < header.n_points:
-        raise _truncated(path, header.n_points, available)
+        raise truncated(path, header.n_points, available)
     table = np.frombuffer(header.body, dtype=record, count=header.n_points)
     return np.stack(
         [table[f"{m}"][:, 0].astype(np.float64) for m in header.xyz], axis=1
@@ -172,7 +167,7 @@ def _binary(header: _Header, path: Path) -> Array:
 
 def _compressed(header: _Header, path: Path) -> Array:
     if len(header.body) < 8:
-        raise _truncated(path, header.n_points, 0)
+        raise truncated(path, header.n_points, 0)
     packed_size, size = np.frombuffer(header.body, "<u4", 2).tolist()
     packed = header.body[8 : 8 + packed_size]
     expected = header.n_points * header.record.itemsize

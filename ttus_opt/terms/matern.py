@@ -184,7 +184,18 @@ class SeparableCovariance:
 
     def columns(self, voxels: IntArray) -> VoxelColumns:
         """Its columns at some voxels, in factored form."""
-        return VoxelColumns.of(self, voxels)
+        n_spokes = len(self.surface.volumes)
+        layers, layer = np.unique(voxels // n_spokes, return_inverse=True)
+        spokes, spoke = np.unique(voxels % n_spokes, return_inverse=True)
+        radial, surface = (
+            self.radial.covariance(layers),
+            self.surface.covariance(spokes),
+        )
+        own = self.scale[voxels]
+        among = radial[layers][np.ix_(layer, layer)]
+        among *= surface[spokes][np.ix_(spoke, spoke)]
+        among *= own[:, None] * own
+        return VoxelColumns(voxels, self.scale, radial, surface, layer, spoke, among)
 
     def times(self, values: Array) -> Array:
         """Covariance @ values, shape (V,)."""
@@ -253,20 +264,6 @@ class VoxelColumns:
     layer: IntArray = field(repr=False)
     spoke: IntArray = field(repr=False)
     among: Array = field(repr=False)
-
-    @classmethod
-    def of(cls, covariance: SeparableCovariance, voxels: IntArray) -> VoxelColumns:
-        """Assemble them."""
-        n_spokes = len(covariance.surface.volumes)
-        layers, layer = np.unique(voxels // n_spokes, return_inverse=True)
-        spokes, spoke = np.unique(voxels % n_spokes, return_inverse=True)
-        radial = covariance.radial.covariance(layers)
-        surface = covariance.surface.covariance(spokes)
-        own = covariance.scale[voxels]
-        among = radial[layers][np.ix_(layer, layer)]
-        among *= surface[spokes][np.ix_(spoke, spoke)]
-        among *= own[:, None] * own
-        return cls(voxels, covariance.scale, radial, surface, layer, spoke, among)
 
     def of_rows(self, rows: sp.csr_array) -> Array:
         """Few rows of a field, shape (k, V), @ the columns: shape (k, n)."""
