@@ -24,8 +24,10 @@ RUN = 8
 
 
 #: Arrays of `FrameData` that a frame writes
-SCRATCH = ("place", "near", "node", "touched", "depth", "spot", "voxel", "share")
-SCRATCH += ("sampled", "hits")
+SCRATCH = (
+    *("place", "near", "node", "touched", "depth"),
+    *("spot", "voxel", "share", "sampled", "hits"),
+)
 
 
 class FrameData(NamedTuple):
