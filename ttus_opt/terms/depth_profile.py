@@ -71,7 +71,5 @@ def powers_of(depth: Array, exponents: tuple[float, ...]) -> Array:
 
 def voxel_depths(voxmap: Voxmap) -> Array:
     """How far every voxel lies below the surface along its spoke, (V,) [m]."""
-    grid = voxmap.grid
-    theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
-    radius = voxmap.surface.radius_at(theta, z)
-    return np.asarray((radius[None] - grid.r[:, None, None]).ravel())
+    depth = voxmap.spoke_radius - voxmap.grid.r[:, None, None]
+    return np.asarray(depth.ravel())

@@ -166,7 +166,7 @@ class SeparableCovariance:
         """
         grid = voxmap.grid
         theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
-        radius = voxmap.surface.radius_at(theta, z)
+        radius = voxmap.spoke_radius
         points = np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=-1)
         return cls(
             MaternFactor.along_line(grid.shape[0], grid.r_step, depth_length),

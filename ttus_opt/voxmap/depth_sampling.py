@@ -44,10 +44,8 @@ def spoke_table(voxmap: Voxmap) -> Array:
         Per spoke, in C order of (j, k): the surface's place, (R_jk − r_inner)/Δr; the
         outermost sampled layer a; and 1 / (place − a). Shape (n_θ·n_z, 3) [layers].
     """
-    grid = voxmap.grid
-    radius = voxmap.surface.radius_at(grid.theta[:, None], grid.z)
-    place = (radius - grid.r_inner) / grid.r_step
-    outermost = surface_layer(grid, radius) - 1.0
+    place = voxmap.surface_place
+    outermost = surface_layer(voxmap.grid, voxmap.spoke_radius) - 1.0
     table = np.stack([place, outermost, 1.0 / (place - outermost)], axis=-1)
     return np.ascontiguousarray(table.reshape(-1, 3))
 

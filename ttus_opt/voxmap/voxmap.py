@@ -156,11 +156,14 @@ class Voxmap:
         return fixed
 
     @cached_property
+    def spoke_radius(self) -> Array:
+        """The surface's radius on every spoke of the grid, (n_theta, n_z) [m]."""
+        return self.surface.radius_at(self.grid.theta[:, None], self.grid.z)
+
+    @property
     def surface_place(self) -> Array:
         """(R − r_inner)/Δr on every spoke of the grid, (n_theta, n_z) [layers]."""
-        grid = self.grid
-        radius = self.surface.radius_at(grid.theta[:, None], grid.z)
-        return np.asarray((radius - grid.r_inner) / grid.r_step)
+        return (self.spoke_radius - self.grid.r_inner) / self.grid.r_step
 
     @cached_property
     def cut_links(self) -> CutLinks:
