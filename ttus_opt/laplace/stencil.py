@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array, IntArray
-from ttus_opt.compiled import compiled
 from ttus_opt.voxmap.cut_links import CutLinks
-from ttus_opt.voxmap.grid import CylindricalGrid, flat_index, nodes_of
+from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
+
+#: A free voxel and its neighbours [–]
+NEIGHBOURHOOD = 7
 
 
 class Stencil(NamedTuple):
@@ -91,83 +93,47 @@ def operator(
         ]
     )
     V = grid.n_voxels
-    nnz = 7 * V - 6 * int(np.count_nonzero(fixed))
+    nnz = NEIGHBOURHOOD * V - (NEIGHBOURHOOD - 1) * int(np.count_nonzero(fixed))
     kind = np.dtype(np.int32 if nnz <= np.iinfo(np.int32).max else np.int64)
-    indptr, indices = np.zeros(V + 1, kind), np.empty(nnz, kind)
-    data = np.empty(nnz)
-    _fill_rows(fixed, offsets, weights, indptr, indices, data)
+    indptr, indices, data = np.zeros(V + 1, kind), np.empty(nnz, kind), np.empty(nnz)
+    np.cumsum(np.where(fixed, 1, NEIGHBOURHOOD), dtype=kind, out=indptr[1:])
+    spoke = np.ones(grid.shape[1], np.int64)
+    spoke[0], spoke[-1] = 0, 2
+    for i, held in enumerate(fixed):  # by layers, whose arrays stay in the cache
+        rows = slice(i * ring, (i + 1) * ring)
+        kept = np.ones((*held.shape, NEIGHBOURHOOD), bool)
+        kept[held, 1:] = False
+        columns = np.arange(rows.start, rows.stop, dtype=kind).reshape(*held.shape, 1)
+        columns = columns + np.where(
+            held[..., None], 0, offsets.astype(kind)[spoke][:, None]
+        )
+        values = np.where(held[..., None], 1.0, weights[:, :, i][spoke][:, None])
+        part = slice(indptr[rows.start], indptr[rows.stop])
+        indices[part], data[part] = columns[kept], values[kept]
     L = sp.csr_array((data, indices, indptr), shape=(V, V))
     L.has_sorted_indices = True
     return L
 
 
-@compiled()
 def change_links(
-    voxels: IntArray,
-    neighbours: IntArray,
-    change: Array,
-    indptr: NDArray[np.int32] | NDArray[np.int64],
-    indices: NDArray[np.int32] | NDArray[np.int64],
-    data: Array,
+    voxels: IntArray, neighbours: IntArray, change: Array, L: sp.csr_array
 ) -> None:
-    """Change the weights of links in the rows of L (compiled).
+    """Change the weights of links in the rows of L.
 
     Args:
         voxels: Whose rows, shape (k,); identity rows stay as they are.
         neighbours: The columns, shape (k,).
         change: What is added to a link's weight and taken off the diagonal, shape (k,).
-        indptr: Of L in CSR, shape (V + 1,).
-        indices: Shape (nnz,).
-        data: Changed, shape (nnz,).
+        L: Changed.
     """
-    for n in range(voxels.size):
-        start, end = indptr[voxels[n]], indptr[voxels[n] + 1]
-        if end - start == 1:
-            continue
-        for at in range(start, end):
-            if indices[at] == neighbours[n]:
-                data[at] += change[n]
-            elif indices[at] == voxels[n]:
-                data[at] -= change[n]
-
-
-@compiled()
-def _fill_rows(
-    fixed: NDArray[np.bool_],
-    offsets: IntArray,
-    weights: Array,
-    indptr: NDArray[np.int32] | NDArray[np.int64],
-    indices: NDArray[np.int32] | NDArray[np.int64],
-    data: Array,
-) -> None:
-    """Rows of L in CSR, from seven entries per kind of spoke and layer (compiled).
-
-    Args:
-        fixed: Dirichlet voxels, shape (n_r, n_theta, n_z).
-        offsets: From a voxel's index to the columns, on the first spoke, those
-            between and the last one, shape (3, 7).
-        weights: Their entries in every layer, shape (3, 7, n_r).
-        indptr: Out, shape (V + 1,).
-        indices: Out, shape (nnz,).
-        data: Out, shape (nnz,).
-    """
-    n_r, n_theta, n_z = fixed.shape
-    at = 0
-    for i in range(n_r):
-        for j in range(n_theta):
-            kind = 0 if j == 0 else (2 if j == n_theta - 1 else 1)
-            for k in range(n_z):
-                v = flat_index(i, j, k, n_theta, n_z)
-                if fixed[i, j, k]:
-                    indices[at] = v
-                    data[at] = 1.0
-                    at += 1
-                else:
-                    for e in range(7):
-                        indices[at + e] = v + offsets[kind, e]
-                        data[at + e] = weights[kind, e, i]
-                    at += 7
-                indptr[v + 1] = at
+    free = np.diff(L.indptr)[voxels] > 1
+    own, change = voxels[free, None], change[free]
+    entries = L.indptr[own] + np.arange(NEIGHBOURHOOD)
+    columns = L.indices[entries]
+    linked = columns == neighbours[free, None]
+    # a link has one entry of its own, while a voxel may have several links
+    L.data[entries[linked]] += change
+    np.subtract.at(L.data, entries[columns == own], change)
 
 
 def polar_ends(

@@ -88,9 +88,7 @@ class LaplaceSystem(BlockSolves):
         L = operator(grid, fixed, stencil)
         links = voxmap.cut_links
         change = (links.factors - 1.0) * stencil.of_links(links, grid.shape)
-        change_links(
-            links.voxels, links.neighbours, change, L.indptr, L.indices, L.data
-        )
+        change_links(links.voxels, links.neighbours, change, L)
         inner = np.zeros(grid.shape)
         outer = np.zeros(grid.shape)
         inner[0] = 1.0

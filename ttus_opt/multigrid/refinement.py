@@ -25,10 +25,8 @@ class Operator(NamedTuple):
 
     Attributes:
         free: Unknown voxels, shape (V,).
-        r: Conductances to the next layer, shape (n_r,) [m].
-        t: Conductances to the next spoke, shape (n_r,) [m].
-        z: Conductances to the next slice, shape (n_r,) [m].
-        own: What else the diagonal has, shape (n_r,) [m].
+        layers: Per layer the conductances to the layers before and after, to the next
+            spoke and to the next slice, and the diagonal, shape (n_r, 5) [m].
         cut: Voxels with other grounds than an even grid's, ascending, shape (k,).
         cut_grounds: What their diagonal has more for it, shape (k,) [m].
         cut_layers: Where each layer's begin among them, shape (n_r + 1,).
@@ -38,10 +36,7 @@ class Operator(NamedTuple):
     """
 
     free: NDArray[np.bool_]
-    r: Array
-    t: Array
-    z: Array
-    own: Array
+    layers: Array
     cut: IntArray
     cut_grounds: Array
     cut_layers: IntArray
@@ -69,14 +64,16 @@ class Operator(NamedTuple):
         """
         n_r = len(conductances[0])
         own = np.zeros(n_r) if own is None else own
+        r, t, z = conductances
+        before = np.roll(r, 1)  # nobody reads the first layer's
+        diagonal = before + r + 2.0 * t + 2.0 * z + own
         if grounds is None:
             grounds = Grounds(np.zeros(0, np.int64), np.zeros((0, 3)))
         cut = grounds.where(free)
         starts = np.arange(n_r + 1) * (sizes[0] * sizes[1])
         return cls(
             free,
-            *conductances,
-            own,
+            np.stack([before, r, t, z, diagonal], axis=1),
             cut.voxels,
             cut.changes.sum(axis=1),
             np.searchsorted(cut.voxels, starts),
@@ -95,17 +92,28 @@ class _Starts(NamedTuple):
     after: np.uint64
 
 
+class _Weights(NamedTuple):
+    """A row of `Operator.layers`."""
+
+    inner: float
+    outer: float
+    theta: float
+    z: float
+    diagonal: float
+
+
 @compiled(inner=True, nogil=True, fastmath=FAST)
 def _row_operate(
-    out: Array, x: Array, at: _Starts, i: int, a: Operator, count: np.uint64
+    out: Array, x: Array, at: _Starts, by: _Weights, count: np.uint64
 ) -> None:
-    """A x in a row of voxels of layer i (compiled)."""
-    r_in, r_out, t, z = a.r[i - 1], a.r[i], a.t[i], a.z[i]
-    diagonal, one = r_in + r_out + 2.0 * t + 2.0 * z + a.own[i], np.uint64(1)
+    """A x in a row of voxels of one layer (compiled)."""
+    one = np.uint64(1)
     for n in range(count):
-        value = diagonal * x[at.own + n] - r_in * x[at.inner + n]
-        value -= r_out * x[at.outer + n] + t * (x[at.before + n] + x[at.after + n])
-        out[at.out + n] = value - z * (x[at.own + n - one] + x[at.own + n + one])
+        own = at.own + n
+        value = by.diagonal * x[own] - by.inner * x[at.inner + n]
+        value -= by.outer * x[at.outer + n]
+        value -= by.theta * (x[at.before + n] + x[at.after + n])
+        out[at.out + n] = value - by.z * (x[own - one] + x[own + one])
 
 
 @compiled(inner=True, nogil=True)
@@ -119,22 +127,25 @@ def _layer(out: Array, start: int, x: Array, i: int, a: Operator) -> None:
         i: Neither the first nor the last layer.
         a: The operator.
     """
-    n_z, ring = a.n_z, a.n_theta * a.n_z
+    n_z, ring, by = a.n_z, a.n_theta * a.n_z, a.layers
     layer = flat_index(i, 0, 0, a.n_theta, n_z)
-    # the spokes next to the seam on their own
-    for low, high in ((0, n_z), (n_z, ring - n_z), (ring - n_z, ring)):
+    weights = _Weights(by[i, 0], by[i, 1], by[i, 2], by[i, 3], by[i, 4])
+    for part in range(3):  # the spokes next to the seam on their own
+        low = 0 if part == 0 else (n_z if part == 1 else ring - n_z)
+        high = n_z if part == 0 else (ring - n_z if part == 1 else ring)
         own = layer + low
         at = _Starts(
             np.uint64(start + low),
             np.uint64(own),
             np.uint64(own - ring),
             np.uint64(own + ring),
-            np.uint64(own - n_z if low > 0 else layer + ring - n_z),
-            np.uint64(own + n_z if high < ring else layer),
+            np.uint64(own - n_z if part else layer + ring - n_z),
+            np.uint64(layer if part == 2 else own + n_z),
         )
-        _row_operate(out, x, at, i, a, np.uint64(high - low))
+        _row_operate(out, x, at, weights, np.uint64(high - low))
+    cut, grounds = a.cut, a.cut_grounds
     for n in range(a.cut_layers[i], a.cut_layers[i + 1]):
-        out[start + a.cut[n] - layer] += a.cut_grounds[n] * x[a.cut[n]]
+        out[start + cut[n] - layer] += grounds[n] * x[cut[n]]
 
 
 @compiled(nogil=True)
@@ -146,23 +157,10 @@ def operate(out: Array, x: Array, a: Operator) -> None:
         x: Values, zero at fixed voxels, shape (V,).
         a: The operator.
     """
-    for i in range(1, a.r.size - 1):
+    for i in range(1, len(a.layers) - 1):
         _layer(out, flat_index(i, 0, 0, a.n_theta, a.n_z), x, i, a)
     for n in range(out.size):
         out[n] = out[n] if a.free[n] else 0.0
-
-
-@compiled(inner=True, nogil=True, fastmath=FAST)
-def _row_residual(
-    line: Array, b: Array, free: NDArray[np.bool_], start: int, known: float
-) -> float:
-    """Turn A x of a layer into b - known · A x; returns its square (compiled)."""
-    total, first = 0.0, np.uint64(start)
-    for k in range(np.uint64(line.size)):
-        value = b[first + k] - known * line[k] if free[first + k] else 0.0
-        line[k] = value
-        total += value * value
-    return total
 
 
 def residual(
@@ -182,12 +180,14 @@ def residual(
         Sum of the squared residuals, unscaled.
     """
     layer = np.zeros(a.n_theta * a.n_z)  # here: to compile it takes half a second
-    return float(_set_residual(out, layer, x, b, a, scale, is_zero))
+    flat, width = out.reshape(-1, copy=False), out.shape[2]
+    return float(_set_residual(flat, width, layer, x, b, a, scale, is_zero))
 
 
-@compiled(nogil=True)
+@compiled(nogil=True, fastmath=FAST)
 def _set_residual(
     out: Single,
+    width: int,
     layer: Array,
     x: Array,
     b: Array,
@@ -196,27 +196,30 @@ def _set_residual(
     is_zero: bool,
 ) -> float:
     """`residual`, in whose scratch space layers lie one by one (compiled)."""
-    total = 0.0
-    for i in range(1, a.r.size - 1):
+    n_r, total, free = len(a.layers), 0.0, a.free
+    known = 0.0 if is_zero else 1.0
+    for i in range(1, n_r - 1):
         if not is_zero:
             _layer(layer, 0, x, i, a)
-        start = flat_index(i, 0, 0, a.n_theta, a.n_z)
-        total += _row_residual(layer, b, a.free, start, 0.0 if is_zero else 1.0)
-        for j in range(a.n_theta):
-            for odd in range(2):
-                m = (j + 1) * a.pitch + 1 + odd
-                row, place = out[m & 1, i], np.uint64(m >> 1)
-                first = np.uint64(j * a.n_z + 1 + odd)
-                for n in range(np.uint64((a.n_z - 1 - odd) // 2)):
-                    row[place + n] = scale * layer[first + n + n]
+        start = np.uint64(flat_index(i, 0, 0, a.n_theta, a.n_z))
+        for n in range(np.uint64(layer.size)):
+            value = b[start + n] - known * layer[n] if free[start + n] else 0.0
+            layer[n] = value
+            total += value * value
+        for half in range(2 * a.n_theta):  # of each spoke the odd slices, then the even
+            j, odd = half >> 1, half & 1
+            m = (j + 1) * a.pitch + 1 + odd
+            place = np.uint64(((m & 1) * n_r + i) * width + (m >> 1))
+            first = np.uint64(j * a.n_z + 1 + odd)
+            for n in range(np.uint64((a.n_z - 1 - odd) // 2)):
+                out[place + n] = scale * layer[first + n + n]
     return total
 
 
-@compiled(nogil=True, fastmath=FAST)
 def add(
     x: Array, correction: Single, scale: float, n_theta: int, n_z: int, pitch: int
 ) -> float:
-    """Correct x by scale · correction; returns the sum of the new x² (compiled).
+    """Correct x by scale · correction; returns the sum of the new x².
 
     Args:
         x: Values, shape (V,).
@@ -226,16 +229,32 @@ def add(
         n_z: Slices [–].
         pitch: Of the red-black order [–].
     """
-    total = 0.0
-    for i in range(1, correction.shape[1] - 1):
-        for j in range(n_theta):
-            own = flat_index(i, j, 0, n_theta, n_z)
-            for odd in range(2):
-                m = (j + 1) * pitch + 1 + odd
-                row, place = correction[m & 1, i], np.uint64(m >> 1)
-                first = np.uint64(own + 1 + odd)
-                for n in range(np.uint64((n_z - 1 - odd) // 2)):
-                    value = x[first + n + n] + scale * row[place + n]
-                    x[first + n + n] = value
-                    total += value * value
+    _, n_r, width = correction.shape
+    flat = correction.reshape(-1, copy=False)
+    return float(add_flat(x, flat, scale, n_r, n_theta, n_z, (pitch, width)))
+
+
+@compiled(nogil=True, fastmath=FAST)
+def add_flat(
+    x: Array,
+    correction: Single,
+    scale: float,
+    n_r: int,
+    n_theta: int,
+    n_z: int,
+    order: tuple[int, int],
+) -> float:
+    """`add`, the correction flat, with pitch and width of its order (compiled)."""
+    total, (pitch, width) = 0.0, order
+    for i in range(1, n_r - 1):
+        layer = flat_index(i, 0, 0, n_theta, n_z)
+        for half in range(2 * n_theta):
+            j, odd = half >> 1, half & 1
+            m = (j + 1) * pitch + 1 + odd
+            place = np.uint64(((m & 1) * n_r + i) * width + (m >> 1))
+            first = np.uint64(layer + j * n_z + 1 + odd)
+            for n in range(np.uint64((n_z - 1 - odd) // 2)):
+                value = x[first + n + n] + scale * correction[place + n]
+                x[first + n + n] = value
+                total += value * value
     return total

@@ -78,9 +78,8 @@ def radius_between(here: int, after: int, a: float, b: float, radius: Array) -> 
     return (1.0 - a) * first + a * second
 
 
-@compiled()
 def radii_at(theta: Array, z: Array, radius: Array, layout: RadiusLayout) -> Array:
-    """Radii at places (compiled).
+    """Radii at places.
 
     Args:
         theta: Angles in [0, 2π), shape (n,) [rad].
@@ -91,9 +90,21 @@ def radii_at(theta: Array, z: Array, radius: Array, layout: RadiusLayout) -> Arr
     Returns:
         Shape (n,) [m].
     """
-    (n_theta, n_z), flat = radius.shape, radius.reshape(-1)
     out = np.empty(theta.size)
-    for m in range(theta.size):
-        here, after, a, b = radius_cell(theta[m], z[m], n_theta, n_z, layout)
-        out[m] = radius_between(here, after, a, b, flat)
+    _set_radii(out, theta, z, radius.reshape(-1), radius.shape, layout)
     return out
+
+
+@compiled()
+def _set_radii(
+    out: Array,
+    theta: Array,
+    z: Array,
+    radius: Array,
+    nodes: tuple[int, int],
+    layout: RadiusLayout,
+) -> None:
+    """`radii_at`, the radii flat (compiled); no array is made here."""
+    for m in range(out.size):
+        here, after, a, b = radius_cell(theta[m], z[m], nodes[0], nodes[1], layout)
+        out[m] = radius_between(here, after, a, b, radius)
