@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import importlib
 import io
 import os
@@ -16,6 +17,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from numba.core import event
 
 import ttus_opt.compiled as kept
 from tests.conftest import some
@@ -400,3 +402,23 @@ def test_every_compiled_function_has_one_stamp_in_all_processes() -> None:
         exec(STAMPS, {})
     assert other == here.getvalue().splitlines()
     assert len(other) > 100
+
+
+def test_garbage_is_left_alone_while_compiling_and_not_after() -> None:
+    class Watch(event.Listener):
+        def on_start(self, _: event.Event) -> None:
+            collected.append(gc.isenabled())
+
+        def on_end(self, _: event.Event) -> None:
+            pass
+
+    def wrong(x: int) -> int:
+        return x + "none"  # type: ignore[operator, no-any-return]
+
+    collected: list[bool] = []
+    with event.install_listener("numba:run_pass", Watch()):
+        assert numba.njit(lambda x: x + 1)(1) == 2
+        with pytest.raises(numba.TypingError):
+            numba.njit(wrong)(1)
+    assert collected and not any(collected)
+    assert gc.isenabled()

@@ -229,29 +229,33 @@ def _sort(keys: NDArray[np.int32], order: NDArray[np.int64], count: int) -> None
 
 
 @compiled(inner=True, forceinline=True)
-def _depth(r: float, theta: float, z: float, v: VoxmapArrays) -> float:
-    """How far a place is below the surface (compiled) [m]."""
-    here, after, a, b = radius_cell(theta, z, v.nodes[0], v.nodes[1], v.layout)
-    depth: float = radius_between(here, after, a, b, v.radius) - r
-    return depth
+def _skin(
+    theta: float, z: float, nodes: tuple[int, int], layout: RadiusLayout, radius: Array
+) -> float:
+    """Radius of the surface at a place (compiled) [m]."""
+    here, after, a, b = radius_cell(theta, z, nodes[0], nodes[1], layout)
+    skin: float = radius_between(here, after, a, b, radius)
+    return skin
 
 
 @compiled(inner=True, forceinline=True)
 def _sample(
     trilinear: bool,
     place: tuple[float, float, float, float],
-    v: VoxmapArrays,
-    scratch: Scratch,
+    limits: GridLimits,
+    shape: NDArray[np.int64],
+    spokes: Array,
+    voxels: NDArray[np.int64],
+    shares: Array,
 ) -> int:
     """Voxels and shares of a point at (r, θ, z) and a depth; how many (compiled)."""
     r, theta, z, depth = place
-    voxels, shares = scratch.voxels, scratch.shares
     if trilinear:
         count: int = spoke_samples(
-            theta, z, depth, v.limits, v.shape, v.spokes, voxels, shares
+            theta, z, depth, limits, shape, spokes, voxels, shares
         )
         return count
-    voxels[0], sampled = nearest_voxel(r, theta, z, depth, v.limits, v.shape, v.spokes)
+    voxels[0], sampled = nearest_voxel(r, theta, z, depth, limits, shape, spokes)
     shares[0] = 1.0
     return 1 if sampled else 0
 
@@ -259,12 +263,14 @@ def _sample(
 @compiled(inner=True, forceinline=True)
 def _set_own(own: Array, R: Array, shell: ShellArrays, m: int) -> None:
     """Set (n̂, r×n̂) of shell point m, patient axes (compiled)."""
-    normal, point, reference = shell.normals[m], shell.points[m], shell.reference
-    nx, ny, nz = rotated(R, normal[0], normal[1], normal[2])
-    lx, ly, lz = rotated(
-        R, point[0] - reference[0], point[1] - reference[1], point[2] - reference[2]
-    )
-    own[0], own[1], own[2] = nx, ny, nz
+    a, b, c = shell.normals[m, 0], shell.normals[m, 1], shell.normals[m, 2]
+    x = shell.points[m, 0] - shell.reference[0]
+    y = shell.points[m, 1] - shell.reference[1]
+    z = shell.points[m, 2] - shell.reference[2]
+    for axis in range(3):
+        own[axis] = R[axis, 0] * a + R[axis, 1] * b + R[axis, 2] * c
+        own[3 + axis] = R[axis, 0] * x + R[axis, 1] * y + R[axis, 2] * z
+    nx, ny, nz, lx, ly, lz = own[0], own[1], own[2], own[3], own[4], own[5]
     own[3] = ly * nz - lz * ny
     own[4] = lz * nx - lx * nz
     own[5] = lx * ny - ly * nx
@@ -327,27 +333,39 @@ def pose_rows(
     Returns:
         The pose for which there was no room, or the number of poses.
     """
+    voxels, shares = scratch.voxels, scratch.shares
     for t in range(first, len(position)):
         R, at = rotation[t], position[t]
         count = int(np.int64(0))  # a literal would be a type of its own to numba
         in_grid, in_contact, beyond = False, 0, 0
         for m in range(len(shell.points)):
-            point = shell.points[m]
-            x, y, z = rotated(R, point[0], point[1], point[2])
+            x, y, z = rotated(
+                R, shell.points[m, 0], shell.points[m, 1], shell.points[m, 2]
+            )
             x, y, z = x + at[0], y + at[1], z + at[2]
             square = x * x + y * y
-            if not within(square, z, v.limits) or beside(x, y, v.limits):
+            if not within(square, z, v.limits):
+                continue
+            is_far, is_sector = square >= v.highest, v.limits.width < TURN
+            if is_far and not is_sector:  # no angle is taken
+                in_grid = True
+                continue
+            theta = turn_angle(x, y)
+            if is_sector and around(theta, v.limits) > v.limits.width:
                 continue
             in_grid = True
-            if square >= v.highest:
+            if is_far:
                 continue
-            r, theta = math.sqrt(square), turn_angle(x, y)
-            depth = _depth(r, theta, z, v)
+            r = math.sqrt(square)
+            depth = _skin(theta, z, v.nodes, v.layout, v.radius) - r
             if depth <= 0.0:
                 continue
             in_contact += 1
             beyond += 1 if r < v.limits.r_inner else 0
-            n_samples = _sample(trilinear, (r, theta, z, depth), v, scratch)
+            place = (r, theta, z, depth)
+            n_samples = _sample(
+                trilinear, place, v.limits, v.shape, v.spokes, voxels, shares
+            )
             if n_samples:
                 _set_own(scratch.own, R, shell, m)
                 weight = shell.areas[m] if trilinear else 1.0

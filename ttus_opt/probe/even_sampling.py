@@ -178,11 +178,8 @@ def _farthest(chosen: IntArray, distance: Array, points: Array, normals: Array) 
         distance[current] = -1.0
         farthest = -1.0
         for m in range(n):
-            d = (
-                (points[m, 0] - x) ** 2
-                + (points[m, 1] - y) ** 2
-                + (points[m, 2] - z) ** 2
-            )
+            dx, dy, dz = points[m, 0] - x, points[m, 1] - y, points[m, 2] - z
+            d = dx * dx + dy * dy + dz * dz
             if d < distance[m]:
                 cosine = normals[m, 0] * a + normals[m, 1] * b + normals[m, 2] * c
                 if cosine > SAME_SHEET:
