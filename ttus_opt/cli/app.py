@@ -13,26 +13,25 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from ttus_opt.cli import (
-    benchmark_command,
-    compensate_command,
-    demo_command,
-    evaluate_command,
-    experiment_command,
-    fit_command,
-    list_commands,
-    message_commands,
-    path_command,
-    record_command,
-    register_command,
-    render_command,
-    session_command,
-    surface_command,
-    synchronise_command,
-    tune_command,
-    warm_up_command,
-)
+from ttus_opt.cli.benchmark_command import benchmark
+from ttus_opt.cli.command import add_command
+from ttus_opt.cli.compensate_command import compensate
 from ttus_opt.cli.console import as_options, one_line, warnings_in_one_line
+from ttus_opt.cli.demo_command import demo
+from ttus_opt.cli.evaluate_command import evaluate
+from ttus_opt.cli.experiment_command import experiment
+from ttus_opt.cli.fit_command import fit
+from ttus_opt.cli.list_commands import formulations, solvers
+from ttus_opt.cli.message_commands import decode, encode
+from ttus_opt.cli.path_command import path
+from ttus_opt.cli.record_command import record
+from ttus_opt.cli.register_command import board, hand_eye, markers
+from ttus_opt.cli.render_command import render
+from ttus_opt.cli.session_command import session
+from ttus_opt.cli.surface_command import surface
+from ttus_opt.cli.synchronise_command import synchronise
+from ttus_opt.cli.tune_command import tune
+from ttus_opt.cli.warm_up_command import warm_up
 from ttus_opt.errors import TtusError
 
 BAD_INPUT, INTERRUPTED, TERMINATED = 2, 130, 143
@@ -45,26 +44,22 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for module in (
-    demo_command,
-    record_command,
-    register_command,
-    synchronise_command,
-    compensate_command,
-    surface_command,
-    fit_command,
-    tune_command,
-    path_command,
-    evaluate_command,
-    session_command,
-    experiment_command,
-    render_command,
-    message_commands,
-    benchmark_command,
-    list_commands,
-    warm_up_command,
+# in the order in which help lists them
+for function in (
+    *(demo, record, synchronise, compensate, surface, fit, tune, path, evaluate),
+    *(session, experiment, render, encode, decode, benchmark, solvers, formulations),
+    warm_up,
 ):
-    module.register(app)
+    add_command(app, function)
+cameras = typer.Typer(
+    help="Find markers in a photo; find where a camera is from pairs of poses.",
+    epilog="Example: ttus-opt register hand-eye pairs.json --camera fixed "
+    "-o camera_to_base.json",
+    rich_markup_mode=None,
+)
+for finder in (board, markers, hand_eye):
+    add_command(cameras, finder)
+app.add_typer(cameras, name="register")
 
 
 def _version(asked: bool) -> None:

@@ -12,17 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ttus_opt.cli.console import print_json
-from ttus_opt.cli.options import Json, listed, whole_numbers
+from ttus_opt.cli.options import listed, whole_numbers
 from ttus_opt.cli.scene_options import boundary_value
 from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
     from ttus_opt.benchmark import CaseSpec, Row, RunSpec, Suite
 
-EXAMPLE = (
-    "ttus-opt benchmark --case S --formulations eq10,eq10_sign "
-    "--solvers structured,closed_form,clarabel,osqp --time-limit 300 -o results"
-)
 
 #: A run's part of the bar is half full after this time [s]
 HALF = 30.0
@@ -30,137 +26,76 @@ HALF = 30.0
 #: Name of a case that is a user's own
 OWN = "user"
 
-Case = Annotated[
-    str,
-    typer.Option(
-        help="S, M, L, XL, several separated by commas, or all, which leaves out XL; "
-        "not with a scene of your own."
-    ),
-]
-Formulations = Annotated[
-    str, typer.Option(help="Names or paths, separated by commas, or all.")
-]
-Solvers = Annotated[
-    str,
-    typer.Option(
-        help="Names, or paths of your own files, separated by commas; auto is what a "
-        "fit takes, all stands for those installed, closed forms up to 100,000 voxels "
-        "only."
-    ),
-]
-ClosedForm = Annotated[
-    str,
-    typer.Option(
-        help="Reference of the first table: closed_form, closed_form_pardiso, …, none, "
-        "or auto: closed_form on cases of up to 100,000 voxels (S), none on larger "
-        "ones, where it would pass the time limit."
-    ),
-]
-Repeat = Annotated[int, typer.Option(help="Times each is measured.")]
-TimeLimit = Annotated[
-    float,
-    typer.Option(
-        help="Most seconds of one solve, set-up included; a run may take twice that to "
-        "tell how far it came."
-    ),
-]
-Tolerance = Annotated[
-    float, typer.Option(help="Largest relative residual of a solution.")
-]
-Output = Annotated[
-    Path, typer.Option("-o", "--output", help="Folder; a second call goes on there.")
-]
-SurfaceFile = Annotated[
-    str | None, typer.Option(help="Surface file of your own scene.")
-]
-OwnProbe = Annotated[str | None, typer.Option(help="Its probe.")]
-Recordings = Annotated[
-    list[str] | None,
-    typer.Option(metavar="PATH", help="Its recordings; may be repeated."),
-]
-Shape = Annotated[str, typer.Option(help="Its voxels in r, θ, z.")]
-InnerRadius = Annotated[float, typer.Option(help="Its innermost radius [m].")]
-Inner = Annotated[str, typer.Option(help="Its value on the inner layer, or fit.")]
-Sampling = Annotated[
-    str,
-    typer.Option(help="Sampling of any scene: trilinear, voxel-mean or contact-size."),
-]
-Boundary = Annotated[
-    str, typer.Option(help="Where p = 0 stands in any scene: subvoxel or staircase.")
-]
-Perturb = Annotated[
-    str,
-    typer.Option(
-        help="Perturb the measured wrenches, so that limits become active: noise (with "
-        "--weight 1 and more) or reversed (a fifth; with --weight 100)."
-    ),
-]
-Contest = Annotated[str, typer.Option(hidden=True)]
-Weight = Annotated[
-    float,
-    typer.Option(help="Weight of force and torque rows; not of --parts' own fits."),
-]
-Jobs = Annotated[int, typer.Option(help="Runs at a time; times compare with one only.")]
-Dask = Annotated[str, typer.Option(help="Address of a dask scheduler, host:port.")]
-MemoryLimit = Annotated[
-    float | None,
-    typer.Option(help="Most GiB of one run; by default 80 % of what is free."),
-]
-Memory = Annotated[
-    bool,
-    typer.Option(
-        "--memory",
-        help="Show the peak memory of each stage; that of the whole process is in "
-        "every row anyway.",
-    ),
-]
-Export = Annotated[
-    Path | None,
-    typer.Option(help="Write the problems as .mat and .npz here, run nothing."),
-]
-Parts = Annotated[
-    str,
-    typer.Option(
-        help="What is measured: solvers, assembly, profile, recursion, rendering, "
-        "ripple, separated by commas, or all. All but solvers run one at a time."
-    ),
-]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("benchmark", epilog=f"Example: {EXAMPLE}")(benchmark)
-
 
 def benchmark(
-    case: Case = "S",
-    formulations: Formulations = "eq10",
-    solvers: Solvers = "all",
-    closed_form: ClosedForm = "auto",
-    repeat: Repeat = 1,
-    time_limit: TimeLimit = 600.0,
-    tolerance: Tolerance = 1e-6,
-    output: Output = Path("benchmark-results"),
-    surface: SurfaceFile = None,
-    probe: OwnProbe = None,
-    trajectory: Recordings = None,
-    shape: Shape = "48,120,60",
-    r_inner: InnerRadius = 0.03,
-    inner: Inner = "fit",
-    sampling: Sampling = "trilinear",
-    boundary: Boundary = "subvoxel",
-    perturb: Perturb = "",
-    contest: Contest = "",
-    weight: Weight = 1e-2,
-    jobs: Jobs = 1,
-    dask: Dask = "",
-    memory_limit: MemoryLimit = None,
-    memory: Memory = False,
-    export: Export = None,
-    parts: Parts = "solvers",
-    json: Json = False,
+    case: str = "S",
+    formulations: str = "eq10",
+    solvers: str = "all",
+    closed_form: str = "auto",
+    repeat: int = 1,
+    time_limit: float = 600.0,
+    tolerance: float = 1e-6,
+    output: Path = Path("benchmark-results"),
+    surface: str | None = None,
+    probe: str | None = None,
+    trajectory: Annotated[list[str] | None, typer.Option(metavar="PATH")] = None,
+    shape: str = "48,120,60",
+    r_inner: float = 0.03,
+    inner: str = "fit",
+    sampling: str = "trilinear",
+    boundary: str = "subvoxel",
+    perturb: str = "",
+    contest: Annotated[str, typer.Option(hidden=True)] = "",
+    weight: float = 1e-2,
+    jobs: int = 1,
+    dask: str = "",
+    memory_limit: float | None = None,
+    memory: bool = False,
+    export: Path | None = None,
+    parts: str = "solvers",
+    json: bool = False,
 ) -> None:
-    """Compare solvers by time, memory and verified residual, one process a run."""
+    """Compare solvers by time, memory and verified residual, one process a run.
+
+    Args:
+        case: S, M, L, XL, several separated by commas, or all, which leaves out XL; not
+            with a scene of your own.
+        formulations: Names or paths, separated by commas, or all.
+        solvers: Names, or paths of your own files, separated by commas; auto is what a
+            fit takes, all stands for those installed, closed forms up to 100,000 voxels
+            only.
+        closed_form: Reference of the first table: closed_form, closed_form_pardiso, …,
+            none, or auto: closed_form on cases of up to 100,000 voxels (S), none on
+            larger ones, where it would pass the time limit.
+        repeat: Times each is measured.
+        time_limit: Most seconds of one solve, set-up included; a run may take twice
+            that to tell how far it came.
+        tolerance: Largest relative residual of a solution.
+        output: Folder; a second call goes on there.
+        surface: Surface file of your own scene.
+        probe: Its probe.
+        trajectory: Its recordings; may be repeated.
+        shape: Its voxels in r, θ, z.
+        r_inner: Its innermost radius [m].
+        inner: Its value on the inner layer, or fit.
+        sampling: Sampling of any scene: trilinear, voxel-mean or contact-size.
+        boundary: Where p = 0 stands in any scene: subvoxel or staircase.
+        perturb: Perturb the measured wrenches, so that limits become active: noise
+            (with --weight 1 and more) or reversed (a fifth; with --weight 100).
+        weight: Weight of force and torque rows; not of --parts' own fits.
+        jobs: Runs at a time; times compare with one only.
+        dask: Address of a dask scheduler, host:port.
+        memory_limit: Most GiB of one run; by default 80 % of what is free.
+        memory: Show the peak memory of each stage; that of the whole process is in
+            every row anyway.
+        export: Write the problems as .mat and .npz here, run nothing.
+        parts: What is measured: solvers, assembly, profile, recursion, rendering,
+            ripple, separated by commas, or all. All but solvers run one at a time.
+
+    Example:
+        ttus-opt benchmark --case S --formulations eq10,eq10_sign --solvers
+        structured,closed_form,clarabel,osqp --time-limit 300 -o results
+    """
     from ttus_opt.benchmark import Settings, Suite
     from ttus_opt.benchmark.machine import describe
     from ttus_opt.benchmark.parts.registry import chosen

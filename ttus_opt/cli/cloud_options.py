@@ -18,32 +18,23 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class CloudOptions:
-    """The scan, as typed."""
+    """The scan, as typed.
 
-    scans: Annotated[
-        list[Path],
-        typer.Argument(
-            help="Cloud: PLY, PCD, XYZ, CSV, TXT, PTS or NPY; or one or more depth "
-            "images: PNG, TIFF or NPY."
-        ),
-    ]
-    unit: Annotated[
-        str | None,
-        typer.Option(
-            help="Unit of the scan's coordinates: m, cm, mm. By default m; depths in "
-            "whole numbers are mm."
-        ),
-    ] = None
-    drop_nan: Annotated[
-        bool, typer.Option("--drop-nan", help="Leave out points that are NaN.")
-    ] = False
+    Attributes:
+        scans: Cloud: PLY, PCD, XYZ, CSV, TXT, PTS or NPY; or one or more depth images:
+            PNG, TIFF or NPY.
+        unit: Unit of the scan's coordinates: m, cm, mm. By default m; depths in whole
+            numbers are mm.
+        drop_nan: Leave out points that are NaN.
+        box: Read only the points inside, in the scan's frame [m]; inf and -inf leave a
+            side open.
+    """
+
+    scans: Annotated[list[Path], typer.Argument()]
+    unit: str | None = None
+    drop_nan: bool = False
     box: Annotated[
-        str | None,
-        typer.Option(
-            metavar="xmin,xmax,ymin,ymax,zmin,zmax",
-            help="Read only the points inside, in the scan's frame [m]; inf and -inf "
-            "leave a side open.",
-        ),
+        str | None, typer.Option(metavar="xmin,xmax,ymin,ymax,zmin,zmax")
     ] = None
 
     def read(self) -> Array:
@@ -79,62 +70,34 @@ class CloudOptions:
 
 @dataclass(frozen=True)
 class AxisOptions:
-    """Where the patient's frame lies in the scan, as typed."""
+    """Where the patient's frame lies in the scan, as typed.
 
-    head: Annotated[
-        str | None,
-        typer.Option(
-            metavar="x,y,z",
-            help="Direction to the head in the scan; by default the end where the "
-            "trunk is deeper.",
-        ),
-    ] = None
-    flip_axis: Annotated[
-        bool,
-        typer.Option("--flip-axis", help="The head is at the other end than found."),
-    ] = False
-    prone: Annotated[
-        bool, typer.Option("--prone", help="The patient lies on the front.")
-    ] = False
-    axis_origin: Annotated[
-        str | None,
-        typer.Option(help="A point inside the body, x,y,z in the scan [m]."),
-    ] = None
-    axis_direction: Annotated[
-        str | None,
-        typer.Option(
-            help="Along the body to the head, x,y,z in the scan; with --axis-origin."
-        ),
-    ] = None
-    axis_from: Annotated[
-        Path | None,
-        typer.Option(
-            help="Take the patient frame of this surface file (.nc), or of a probe "
-            "held above the sternum: its poses in the scan's frame (.csv)."
-        ),
-    ] = None
-    probe_axes: Annotated[
-        str,
-        typer.Option(
-            metavar="INTO,HEAD",
-            help="With poses: the probe's axes into the patient and to the head, of x, "
-            "-x, y, -y, z, -z.",
-        ),
-    ] = "z,-y"
-    axis_depth: Annotated[
-        float | None,
-        typer.Option(
-            help="With poses: the origin so deep below the skin [m]; by default "
-            "half-way to the plane the body lies on."
-        ),
-    ] = None
-    support: Annotated[
-        bool,
-        typer.Option(
-            "--support/--no-support",
-            help="Find the plane the body lies on and leave it out.",
-        ),
-    ] = True
+    Attributes:
+        head: Direction to the head in the scan; by default the end where the trunk is
+            deeper.
+        flip_axis: The head is at the other end than found.
+        prone: The patient lies on the front.
+        axis_origin: A point inside the body, x,y,z in the scan [m].
+        axis_direction: Along the body to the head, x,y,z in the scan; with
+            --axis-origin.
+        axis_from: Take the patient frame of this surface file (.nc), or of a probe held
+            above the sternum: its poses in the scan's frame (.csv).
+        probe_axes: With poses: the probe's axes into the patient and to the head, of x,
+            -x, y, -y, z, -z.
+        axis_depth: With poses: the origin so deep below the skin [m]; by default
+            half-way to the plane the body lies on.
+        support: Find the plane the body lies on and leave it out.
+    """
+
+    head: Annotated[str | None, typer.Option(metavar="x,y,z")] = None
+    flip_axis: bool = False
+    prone: bool = False
+    axis_origin: str | None = None
+    axis_direction: str | None = None
+    axis_from: Path | None = None
+    probe_axes: Annotated[str, typer.Option(metavar="INTO,HEAD")] = "z,-y"
+    axis_depth: float | None = None
+    support: Annotated[bool, typer.Option("--support/--no-support")] = True
 
     @property
     def are_given(self) -> bool:

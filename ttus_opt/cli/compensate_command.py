@@ -9,65 +9,48 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ttus_opt.cli.console import print_json
-from ttus_opt.cli.option_groups import grouped
-from ttus_opt.cli.options import Force, Json, check_outputs, numbers
+from ttus_opt.cli.options import check_outputs, numbers
 from ttus_opt.cli.recording_options import ProbeOptions
 
 if TYPE_CHECKING:
     from ttus_opt.sensors.force_sensor import ForceSensor
 
-EXAMPLE = (
-    "ttus-opt compensate press_raw.csv --free free.csv --down 0,0,-1 --axes 0,0,0,1 "
-    "--point 0,0,0.08 --sign on-probe --probe ellipsoid:0.030,0.0125,0.018 -o press.csv"
-)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("compensate", epilog=f"Example: {EXAMPLE}")(grouped(compensate))
-
 
 def compensate(
-    recording: Annotated[
-        Path,
-        typer.Argument(help="Trajectory CSV with raw readings, axes of the sensor."),
-    ],
-    free: Annotated[
-        Path, typer.Option(help="The same of the probe tilted in free air.")
-    ],
-    down: Annotated[
-        str, typer.Option(help="Direction of gravity in the frame of the poses, x,y,z.")
-    ],
-    axes: Annotated[
-        str, typer.Option(help="Sensor's axes in the probe's, quaternion x,y,z,w.")
-    ],
-    point: Annotated[
-        str,
-        typer.Option(help="What torques are measured about, probe frame, x,y,z [m]."),
-    ],
-    sign: Annotated[
-        str,
-        typer.Option(help="on-probe: force on the probe; by-probe: what it exerts."),
-    ],
+    recording: Annotated[Path, typer.Argument()],
+    free: Path,
+    down: str,
+    axes: str,
+    point: str,
+    sign: str,
     probe: ProbeOptions,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Trajectory CSV, contact wrenches.")
-    ],
-    model: Annotated[
-        Path | None,
-        typer.Option(help="Write statements, bias, mass and centre here (JSON)."),
-    ] = None,
-    inertia: Annotated[
-        bool, typer.Option("--inertia", help="Take off the load's inertia too.")
-    ] = False,
-    force: Force = False,
-    json: Json = False,
+    output: Path,
+    model: Path | None = None,
+    inertia: bool = False,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Take bias, weight and inertia off the readings of a force sensor.
 
     Axes, reference point and sign of the sensor are three statements; what the free
     poses say of them is checked. The output has the force on the probe and the torque
     about the point shell's reference point, axes of the frame of the poses.
+
+    Args:
+        recording: Trajectory CSV with raw readings, axes of the sensor.
+        free: The same of the probe tilted in free air.
+        down: Direction of gravity in the frame of the poses, x,y,z.
+        axes: Sensor's axes in the probe's, quaternion x,y,z,w.
+        point: What torques are measured about, probe frame, x,y,z [m].
+        sign: on-probe: force on the probe; by-probe: what it exerts.
+        output: Trajectory CSV, contact wrenches.
+        model: Write statements, bias, mass and centre here (JSON).
+        inertia: Take off the load's inertia too.
+
+    Example:
+        ttus-opt compensate press_raw.csv --free free.csv --down 0,0,-1 --axes 0,0,0,1
+        --point 0,0,0.08 --sign on-probe --probe ellipsoid:0.030,0.0125,0.018 -o
+        press.csv
     """
     from ttus_opt import io
     from ttus_opt.probe.trajectory import read_trajectory

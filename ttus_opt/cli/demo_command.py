@@ -3,29 +3,27 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import Json, whole_numbers
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("demo", epilog="Example: ttus-opt demo -o demo")(demo)
+from ttus_opt.cli.options import whole_numbers
 
 
 def demo(
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Folder for pictures and report.")
-    ] = Path("demo"),
-    shape: Annotated[
-        str, typer.Option(help="Voxels in r, θ, z: n_r,n_theta,n_z.")
-    ] = "48,120,60",
-    json: Json = False,
+    output: Path = Path("demo"),
+    shape: str = "48,120,60",
+    json: bool = False,
 ) -> None:
-    """Scan to surface to field to errors, on the bundled example, with pictures."""
+    """Scan to surface to field to errors, on the bundled example, with pictures.
+
+    Args:
+        output: Folder for pictures and report.
+        shape: Voxels in r, θ, z: n_r,n_theta,n_z.
+
+    Example:
+        ttus-opt demo -o demo
+    """
     from ttus_opt import demo as pipeline
     from ttus_opt.report import tables as report
 

@@ -23,57 +23,30 @@ IMAGES = (".png", ".tif", ".tiff")
 
 @dataclass(frozen=True)
 class DepthOptions:
-    """How depth images were taken, as typed."""
+    """How depth images were taken, as typed.
 
-    intrinsics: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Camera of depth images: JSON or YAML as OpenCV and ROS write it; one "
-            "for all, or repeated for each."
-        ),
-    ] = None
-    rays: Annotated[
-        Path | None,
-        typer.Option(
-            help="Instead: table of the pixels' directions, NPY (h, w, 3) or (h, w, 2)."
-        ),
-    ] = None
-    depth_kind: Annotated[
-        str,
-        typer.Option(help="z along the optical axis, or range along the ray."),
-    ] = "z"
-    noise: Annotated[
-        str | None,
-        typer.Option(
-            help="structured-light, stereo:BASELINE[,DISPARITY_STD] [m, pixel] or "
-            "time-of-flight:STD [m]: every point's deviation for the contour filter."
-        ),
-    ] = None
-    poses: Annotated[
-        Path | None,
-        typer.Option(
-            help="Camera to scan, a line t,px,py,pz,qw,qx,qy,qz for each image."
-        ),
-    ] = None
-    pose_quaternion: Annotated[
-        str,
-        typer.Option(
-            help="Order of qw,qx,qy,qz as they stand: wxyz, or xyzw under those names."
-        ),
-    ] = "wxyz"
-    refine: Annotated[
-        bool,
-        typer.Option(
-            "--refine", help="Refine the poses by GICP (extra sensors: small_gicp)."
-        ),
-    ] = False
-    pose_std: Annotated[
-        str,
-        typer.Option(
-            metavar="METRES,DEGREES",
-            help="How well poses were measured, for --refine.",
-        ),
-    ] = "0.005,0.5"
+    Attributes:
+        intrinsics: Camera of depth images: JSON or YAML as OpenCV and ROS write it; one
+            for all, or repeated for each.
+        rays: Instead: table of the pixels' directions, NPY (h, w, 3) or (h, w, 2).
+        depth_kind: z along the optical axis, or range along the ray.
+        noise: structured-light, stereo:BASELINE[,DISPARITY_STD] [m, pixel] or
+            time-of-flight:STD [m]: every point's deviation for the contour filter.
+        poses: Camera to scan, a line t,px,py,pz,qw,qx,qy,qz for each image.
+        pose_quaternion: Order of qw,qx,qy,qz as they stand: wxyz, or xyzw under those
+            names.
+        refine: Refine the poses by GICP (extra sensors: small_gicp).
+        pose_std: How well poses were measured, for --refine.
+    """
+
+    intrinsics: list[Path] | None = None
+    rays: Path | None = None
+    depth_kind: str = "z"
+    noise: str | None = None
+    poses: Path | None = None
+    pose_quaternion: str = "wxyz"
+    refine: bool = False
+    pose_std: Annotated[str, typer.Option(metavar="METRES,DEGREES")] = "0.005,0.5"
 
     @property
     def files(self) -> list[Path]:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.option_groups import grouped
-from ttus_opt.cli.options import Field, Force, Json, check_outputs
+from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.sources import seen, warn_of_another_probe
 from ttus_opt.errors import TtusWarning
@@ -22,36 +21,28 @@ if TYPE_CHECKING:
 
     from ttus_opt.report.metrics import Errors
 
-EXAMPLE = (
-    "ttus-opt evaluate --field field.nc --probe ellipsoid:0.030,0.0125,0.018 "
-    "--trajectory press_test.csv --json"
-)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("evaluate", epilog=f"Example: {EXAMPLE}")(grouped(evaluate))
-
 
 def evaluate(
-    field: Field,
+    field: Path,
     probe: ProbeOptions,
     recordings: RecordingOptions,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw measured and rendered force here.")
-    ] = None,
-    doubt: Annotated[
-        bool,
-        typer.Option(
-            "--doubt",
-            help="Compare errors with the doubt that fit --doubt keeps in the field "
-            "file, for every recording.",
-        ),
-    ] = False,
-    force: Force = False,
-    json: Json = False,
+    picture: Path | None = None,
+    doubt: bool = False,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
-    """Compare rendered with measured force and torque."""
+    """Compare rendered with measured force and torque.
+
+    Args:
+        field: Field file (.nc).
+        picture: Draw measured and rendered force here.
+        doubt: Compare errors with the doubt that fit --doubt keeps in the field file,
+            for every recording.
+
+    Example:
+        ttus-opt evaluate --field field.nc --probe ellipsoid:0.030,0.0125,0.018
+        --trajectory press_test.csv --json
+    """
     from ttus_opt.cli.recording_lines import recording_lines
     from ttus_opt.fitting.saved_doubt import read_doubt
     from ttus_opt.report import metrics

@@ -7,14 +7,13 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.fit_report import how_read, solved_lines, summary
-from ttus_opt.cli.option_groups import grouped
-from ttus_opt.cli.options import Force, Json, check_outputs
+from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.cli.sources import sources
@@ -30,11 +29,6 @@ if TYPE_CHECKING:
     from ttus_opt.scene import Scene, ScenePlan
     from ttus_opt.voxmap.field import PotentialField
 
-EXAMPLE = (
-    "ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
-    "--trajectory press_fit.csv -o field.nc"
-)
-
 
 #: Potential in double precision and region of a field file [byte]
 BYTES_PER_VOXEL = 9
@@ -43,82 +37,55 @@ BYTES_PER_VOXEL = 9
 LARGEST_FILE = 2**31
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("fit", epilog=f"Example: {EXAMPLE}")(grouped(fit))
-
-
 def fit(
     context: typer.Context,
-    surface: Annotated[Path, typer.Option(help="Surface file (.nc).")],
+    surface: Path,
     probe: ProbeOptions,
     recordings: RecordingOptions,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Field file (.nc).")],
+    output: Path,
     problem: ProblemOptions,
     grid: SceneOptions,
-    force_weight: Annotated[
-        float | None,
-        typer.Option(help="λ_f; then no weight is chosen from the recordings."),
-    ] = None,
-    torque_weight: Annotated[
-        float | None,
-        typer.Option(help="λ_τ; then no weight is chosen from the recordings."),
-    ] = None,
-    weights: Annotated[
-        str | None,
-        typer.Option(
-            help="auto: weights and boundary scale by marginal likelihood, as "
-            "ttus-opt tune finds them, unless they predict presses left out worse than "
-            "its own; recipe: formulation and sampling as well, by presses left out; "
-            "own: the formulation's, 0.01. By default auto where no weight is given.",
-        ),
-    ] = None,
-    paper: Annotated[
-        bool,
-        typer.Option(
-            "--paper",
-            help="The paper's choices where nothing else is said: --inner 1 "
-            "--sampling voxel-mean --boundary staircase --force-weight 1e-4 "
-            "--torque-weight 1e-4.",
-        ),
-    ] = False,
-    every: Annotated[
-        int, typer.Option(help="Take every so many frames of a recording only.")
-    ] = 1,
-    rate: Annotated[
-        float | None,
-        typer.Option(help="Take at most so many frames a second of a recording [Hz]."),
-    ] = None,
-    torque_length: Annotated[
-        float | None,
-        typer.Option(help="ℓ that makes torque a force [m]; by default the probe's."),
-    ] = None,
-    time_limit: Annotated[
-        float | None, typer.Option(help="Most seconds the solver may take.")
-    ] = None,
-    picture: Annotated[
-        Path | None,
-        typer.Option(help="Draw the probe on the skin with measured forces here."),
-    ] = None,
-    doubt: Annotated[
-        bool,
-        typer.Option(
-            "--doubt",
-            help="Keep in the field file how sure the field is, for ttus-opt evaluate "
-            "--doubt and for frames.",
-        ),
-    ] = False,
-    doubt_picture: Annotated[
-        Path | None,
-        typer.Option(
-            help="Draw where this patient was measured and where the model only "
-            "guesses here; --doubt with it."
-        ),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
+    force_weight: float | None = None,
+    torque_weight: float | None = None,
+    weights: str | None = None,
+    paper: bool = False,
+    every: int = 1,
+    rate: float | None = None,
+    torque_length: float | None = None,
+    time_limit: float | None = None,
+    picture: Path | None = None,
+    doubt: bool = False,
+    doubt_picture: Path | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
-    """Fit a potential field to measured forces and torques."""
+    """Fit a potential field to measured forces and torques.
+
+    Args:
+        surface: Surface file (.nc).
+        output: Field file (.nc).
+        force_weight: λ_f; then no weight is chosen from the recordings.
+        torque_weight: λ_τ; then no weight is chosen from the recordings.
+        weights: auto: weights and boundary scale by marginal likelihood, as ttus-opt
+            tune finds them, unless they predict presses left out worse than its own;
+            recipe: formulation and sampling as well, by presses left out; own: the
+            formulation's, 0.01. By default auto where no weight is given.
+        paper: The paper's choices where nothing else is said: --inner 1 --sampling
+            voxel-mean --boundary staircase --force-weight 1e-4 --torque-weight 1e-4.
+        every: Take every so many frames of a recording only.
+        rate: Take at most so many frames a second of a recording [Hz].
+        torque_length: ℓ that makes torque a force [m]; by default the probe's.
+        time_limit: Most seconds the solver may take.
+        picture: Draw the probe on the skin with measured forces here.
+        doubt: Keep in the field file how sure the field is, for ttus-opt evaluate
+            --doubt and for frames.
+        doubt_picture: Draw where this patient was measured and where the model only
+            guesses here; --doubt with it.
+
+    Example:
+        ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
+        --trajectory press_fit.csv -o field.nc
+    """
     from ttus_opt.fitting.batch import fit as fit_scene
     from ttus_opt.fitting.sanity import check_recordings
     from ttus_opt.probe.thinning import thinned

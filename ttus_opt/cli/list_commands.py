@@ -7,22 +7,17 @@ from typing import TYPE_CHECKING
 import typer
 
 from ttus_opt.cli.console import print_json
-from ttus_opt.cli.options import Json
 
 if TYPE_CHECKING:
     from ttus_opt.solvers.base import Solver
 
 
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command("solvers", epilog="Example: ttus-opt solvers --json")(solvers)
-    app.command("formulations", epilog="Example: ttus-opt formulations --json")(
-        formulations
-    )
+def solvers(json: bool = False) -> None:
+    """List the solvers, installed or not, and what each can take.
 
-
-def solvers(json: Json = False) -> None:
-    """List the solvers, installed or not, and what each can take."""
+    Example:
+        ttus-opt solvers --json
+    """
     from ttus_opt.report.tables import table
     from ttus_opt.solvers import registry
 
@@ -50,8 +45,12 @@ def solvers(json: Json = False) -> None:
     )
 
 
-def formulations(json: Json = False) -> None:
-    """List the formulations that come with the package, and their options."""
+def formulations(json: bool = False) -> None:
+    """List the formulations that come with the package, and their options.
+
+    Example:
+        ttus-opt formulations --json
+    """
     from ttus_opt.problem import formulation
     from ttus_opt.report.tables import table
 

@@ -8,50 +8,37 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import Force, Json, check_outputs
+from ttus_opt.cli.options import check_outputs
 
 if TYPE_CHECKING:
     from ttus_opt.scan.surface import Surface
     from ttus_opt.voxmap.field import PotentialField
 
-ENCODE = "ttus-opt encode field.nc --base surface.msg -o field.msg"
-DECODE = "ttus-opt decode field.msg --base surface.msg -o field.nc"
-
-Bases = Annotated[
-    list[Path] | None,
-    typer.Option(
-        "--base",
-        help="Message it builds on; may be repeated: a surface and its changes in "
-        "their order.",
-    ),
-]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    app.command("encode", epilog=f"Example: {ENCODE}")(encode)
-    app.command("decode", epilog=f"Example: {DECODE}")(decode)
-
 
 def encode(
-    file: Annotated[Path, typer.Argument(help="Surface or field file (.nc).")],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Message file.")],
-    base: Bases = None,
-    max_error: Annotated[
-        float | None,
-        typer.Option(
-            help="Largest error of a radius [m], by default 0.00025, or of the "
-            "potential [its unit], by default 0.005."
-        ),
-    ] = None,
-    force: Force = False,
-    json: Json = False,
+    file: Annotated[Path, typer.Argument()],
+    output: Path,
+    base: list[Path] | None = None,
+    max_error: float | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Write a surface or a field as a short message.
 
     A field is sent as what it adds to the Laplace field of its surface: give the
     surface's message as --base. A surface with --base is sent as what changed. Needs
     the extra `sensors`.
+
+    Args:
+        file: Surface or field file (.nc).
+        output: Message file.
+        base: Message it builds on; may be repeated: a surface and its changes in their
+            order.
+        max_error: Largest error of a radius [m], by default 0.00025, or of the
+            potential [its unit], by default 0.005.
+
+    Example:
+        ttus-opt encode field.nc --base surface.msg -o field.msg
     """
     from ttus_opt.message.codec import decode as decoded
     from ttus_opt.message.codec import encode as encoded
@@ -86,21 +73,27 @@ def encode(
 
 
 def decode(
-    file: Annotated[Path, typer.Argument(help="Message file.")],
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Surface or field file (.nc).")
-    ],
-    base: Bases = None,
-    max_voxels: Annotated[
-        int, typer.Option(help="Fields of more voxels are refused.")
-    ] = 2_500_000,
-    force: Force = False,
-    json: Json = False,
+    file: Annotated[Path, typer.Argument()],
+    output: Path,
+    base: list[Path] | None = None,
+    max_voxels: int = 2_500_000,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Write what a message holds as a surface or field file.
 
     Damaged and hostile messages are refused before anything is allocated. Needs the
     extra `sensors`.
+
+    Args:
+        file: Message file.
+        output: Surface or field file (.nc).
+        base: Message it builds on; may be repeated: a surface and its changes in their
+            order.
+        max_voxels: Fields of more voxels are refused.
+
+    Example:
+        ttus-opt decode field.msg --base surface.msg -o field.nc
     """
     from ttus_opt.message.codec import decode as decoded
 

@@ -5,18 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from ttus_opt import io
 from ttus_opt.errors import FileError, InputError
-
-Json = Annotated[bool, typer.Option("--json", help="JSON on stdout, for machines.")]
-Field = Annotated[Path, typer.Option("--field", help="Field file (.nc).")]
-Force = Annotated[
-    bool, typer.Option("--force", help="Let an output replace one of the inputs.")
-]
 
 
 def numbers(text: str, count: int, option: str) -> tuple[float, ...]:

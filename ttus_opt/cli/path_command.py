@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.option_groups import grouped
-from ttus_opt.cli.options import Force, Json, check_outputs
+from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.errors import InputError
@@ -23,12 +22,6 @@ if TYPE_CHECKING:
 
     from ttus_opt.arrays import Array
 
-EXAMPLE = (
-    "ttus-opt path --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
-    "--trajectory press_fit.csv --held-out press_test.csv "
-    "--weight force,torque=1e-4:1e2:25 -o path.nc "
-    "--picture path.png"
-)
 
 #: Status of a path that was interrupted; what was done is written
 INTERRUPTED = 130
@@ -37,50 +30,38 @@ INTERRUPTED = 130
 MOST = 10_000
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("path", epilog=f"Example: {EXAMPLE}")(grouped(path))
-
-
 def path(
-    surface: Annotated[Path, typer.Option(help="Surface file (.nc).")],
+    surface: Path,
     probe: ProbeOptions,
     recordings: RecordingOptions,
-    weight: Annotated[
-        list[str],
-        typer.Option(
-            metavar="TERM[,TERM]=LOW:HIGH:COUNT",
-            help="Weights of a term, or common to several, evenly spread over the "
-            "logarithm, or as a list 1e-4,1e-2; a second one makes a grid.",
-        ),
-    ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Path file (.nc).")],
+    weight: Annotated[list[str], typer.Option(metavar="TERM[,TERM]=LOW:HIGH:COUNT")],
+    output: Path,
     problem: ProblemOptions,
     grid: SceneOptions,
-    held_out: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="PATH",
-            help="Trajectory CSV on which every point is judged; may be repeated.",
-        ),
-    ] = None,
-    fields: Annotated[
-        bool, typer.Option("--fields", help="Keep the potential of every point.")
-    ] = False,
-    criteria: Annotated[
-        bool,
-        typer.Option(
-            "--criteria",
-            help="Add evidence, cross-validation and errors on presses left out.",
-        ),
-    ] = False,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw L-curve and held-out errors here.")
-    ] = None,
-    force: Force = False,
-    json: Json = False,
+    held_out: Annotated[list[Path] | None, typer.Option(metavar="PATH")] = None,
+    fields: bool = False,
+    criteria: bool = False,
+    picture: Path | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
-    """Solve for many weights at the cost of few, and say what each is worth."""
+    """Solve for many weights at the cost of few, and say what each is worth.
+
+    Args:
+        surface: Surface file (.nc).
+        weight: Weights of a term, or common to several, evenly spread over the
+            logarithm, or as a list 1e-4,1e-2; a second one makes a grid.
+        output: Path file (.nc).
+        held_out: Trajectory CSV on which every point is judged; may be repeated.
+        fields: Keep the potential of every point.
+        criteria: Add evidence, cross-validation and errors on presses left out.
+        picture: Draw L-curve and held-out errors here.
+
+    Example:
+        ttus-opt path --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
+        --trajectory press_fit.csv --held-out press_test.csv --weight
+        force,torque=1e-4:1e2:25 -o path.nc --picture path.png
+    """
     from ttus_opt.fitting.path_dataset import best_weights, write_solution_path
     from ttus_opt.fitting.solution_path import solution_path
     from ttus_opt.scan.surface import Surface

@@ -9,41 +9,33 @@ from typing import Annotated
 import typer
 
 from ttus_opt.cli.console import print_json
-from ttus_opt.cli.options import Json, check_outputs
+from ttus_opt.cli.options import check_outputs
 from ttus_opt.errors import InputError
-
-EXAMPLE = "ttus-opt record localhost:18944 --poses tracker.csv --seconds 60"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("record", epilog=f"Example: {EXAMPLE}")(record)
 
 
 def record(
-    server: Annotated[str, typer.Argument(help="HOST or HOST:PORT of the server.")],
-    poses: Annotated[
-        Path | None, typer.Option(help="Write TRANSFORM messages here (CSV).")
-    ] = None,
-    wrenches: Annotated[
-        Path | None, typer.Option(help="Write SENSOR messages here (CSV).")
-    ] = None,
-    pose_device: Annotated[
-        str | None, typer.Option(help="Of the poses, where several send some.")
-    ] = None,
-    sensor: Annotated[
-        str | None,
-        typer.Option("--wrench-device", help="The same of the forces."),
-    ] = None,
-    seconds: Annotated[
-        float | None,
-        typer.Option(help="For how long from the first message; else until Ctrl-C."),
-    ] = None,
-    json: Json = False,
+    server: Annotated[str, typer.Argument()],
+    poses: Path | None = None,
+    wrenches: Path | None = None,
+    pose_device: str | None = None,
+    sensor: Annotated[str | None, typer.Option("--wrench-device")] = None,
+    seconds: float | None = None,
+    json: bool = False,
 ) -> None:
     """Record a tracker's poses and a force sensor's readings over OpenIGTLink.
 
     The files are written at the end, also when it comes by Ctrl-C.
+
+    Args:
+        server: HOST or HOST:PORT of the server.
+        poses: Write TRANSFORM messages here (CSV).
+        wrenches: Write SENSOR messages here (CSV).
+        pose_device: Of the poses, where several send some.
+        sensor: The same of the forces.
+        seconds: For how long from the first message; else until Ctrl-C.
+
+    Example:
+        ttus-opt record localhost:18944 --poses tracker.csv --seconds 60
     """
     import numpy as np
 

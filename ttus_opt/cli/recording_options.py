@@ -23,23 +23,20 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ProbeOptions:
-    """The probe, as typed."""
+    """The probe, as typed.
 
-    probe: Annotated[
-        str,
-        typer.Option(
-            "--probe",
-            help="ellipsoid:a,b,c (semi-axes), sphere:r, box:a,b,c (edges) in metres, "
-            "or a mesh file (STL, PLY, OBJ).",
-        ),
-    ]
-    points: Annotated[int, typer.Option(help="Points of the probe's shell.")] = 1500
-    probe_unit: Annotated[
-        str, typer.Option(help="Unit of a mesh file: m, cm, mm, in.")
-    ] = "mm"
-    probe_surface: Annotated[
-        str, typer.Option(help="What to keep of a mesh: outer, all, hull.")
-    ] = "outer"
+    Attributes:
+        probe: ellipsoid:a,b,c (semi-axes), sphere:r, box:a,b,c (edges) in metres, or a
+            mesh file (STL, PLY, OBJ).
+        points: Points of the probe's shell.
+        probe_unit: Unit of a mesh file: m, cm, mm, in.
+        probe_surface: What to keep of a mesh: outer, all, hull.
+    """
+
+    probe: str
+    points: int = 1500
+    probe_unit: str = "mm"
+    probe_surface: str = "outer"
 
     @property
     def name(self) -> str:
@@ -67,70 +64,37 @@ class ProbeOptions:
 
 @dataclass(frozen=True)
 class RecordingOptions:
-    """Recordings and how they are written, as typed."""
+    """Recordings and how they are written, as typed.
 
-    trajectory: Annotated[
-        list[Path],
-        typer.Option(
-            "--trajectory", metavar="PATH", help="Trajectory CSV; may be repeated."
-        ),
-    ]
-    columns: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME=COLUMN,…|FILE",
-            help="Names of the file's columns by ours, for instance px=tip_x, or a "
-            "YAML file of them; ROS's names are known.",
-        ),
-    ] = ""
-    quaternion: Annotated[
-        str,
-        typer.Option(
-            help="Order of qw,qx,qy,qz as they stand: wxyz, or xyzw under those names."
-        ),
-    ] = "wxyz"
-    frame: Annotated[
-        str,
-        typer.Option(
-            help="Frame of the poses: patient (of the surface file), scan (of the "
-            "cloud it was extracted from) or base (of the robot or tracker). By "
-            "default patient, or base with --base-to-scan."
-        ),
-    ] = ""
-    base_to_scan: Annotated[
-        str,
-        typer.Option(
-            metavar="FILE|x,y,z,qx,qy,qz,qw",
-            help="Rigid motion from base to scan [m]: a 4x4 matrix in a text, CSV, "
-            "JSON or NPY file, or seven numbers.",
-        ),
-    ] = ""
-    wrench_frame: Annotated[
-        str,
-        typer.Option(
-            help="Axes of measured wrenches: patient, scan, base or tool; by default "
-            "those of the poses' frame."
-        ),
-    ] = ""
-    flip_wrench: Annotated[
-        bool,
-        typer.Option(
-            "--flip-wrench", help="Wrenches are those of the probe on the skin."
-        ),
-    ] = False
-    torque_unit: Annotated[
-        str, typer.Option(help="Unit of measured torques: Nm or Nmm.")
-    ] = "Nm"
-    torque_about: Annotated[
-        str,
-        typer.Option(
-            help="What torques are about: centroid (of the probe's area), origin (of "
-            "the pose, as CAD and ROS have it) or x,y,z in the probe's frame [m]."
-        ),
-    ] = "centroid"
-    wrench_delay: Annotated[
-        float, typer.Option(help="By how much wrenches lag behind poses [s].")
-    ] = 0.0
+    Attributes:
+        trajectory: Trajectory CSV; may be repeated.
+        columns: Names of the file's columns by ours, for instance px=tip_x, or a YAML
+            file of them; ROS's names are known.
+        quaternion: Order of qw,qx,qy,qz as they stand: wxyz, or xyzw under those names.
+        frame: Frame of the poses: patient (of the surface file), scan (of the cloud it
+            was extracted from) or base (of the robot or tracker). By default patient,
+            or base with --base-to-scan.
+        base_to_scan: Rigid motion from base to scan [m]: a 4x4 matrix in a text, CSV,
+            JSON or NPY file, or seven numbers.
+        wrench_frame: Axes of measured wrenches: patient, scan, base or tool; by default
+            those of the poses' frame.
+        flip_wrench: Wrenches are those of the probe on the skin.
+        torque_unit: Unit of measured torques: Nm or Nmm.
+        torque_about: What torques are about: centroid (of the probe's area), origin (of
+            the pose, as CAD and ROS have it) or x,y,z in the probe's frame [m].
+        wrench_delay: By how much wrenches lag behind poses [s].
+    """
+
+    trajectory: Annotated[list[Path], typer.Option(metavar="PATH")]
+    columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = ""
+    quaternion: str = "wxyz"
+    frame: str = ""
+    base_to_scan: Annotated[str, typer.Option(metavar="FILE|x,y,z,qx,qy,qz,qw")] = ""
+    wrench_frame: str = ""
+    flip_wrench: bool = False
+    torque_unit: str = "Nm"
+    torque_about: str = "centroid"
+    wrench_delay: float = 0.0
 
     @property
     def files(self) -> list[Path | str]:

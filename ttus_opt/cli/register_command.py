@@ -8,65 +8,41 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import Force, Json, check_outputs
+from ttus_opt.cli.options import check_outputs
 
 if TYPE_CHECKING:
     from ttus_opt.arrays import Array
     from ttus_opt.sensors.marker_pose import MarkerPose
 
-BOARD = (
-    "ttus-opt register board photo.png --intrinsics camera.yaml --dictionary 4X4_250 "
-    "--columns 3 --rows 4 --marker 0.0256 --gap 0.0066 -o board_to_camera.json"
-)
-MARKERS = (
-    "ttus-opt register markers photo.png --intrinsics camera.yaml --dictionary "
-    "APRILTAG_36H11 --marker 0.065"
-)
-HAND_EYE = "ttus-opt register hand-eye pairs.json --camera fixed -o camera_to_base.json"
-
-Image = Annotated[Path, typer.Argument(help="Photo, PNG or JPEG.")]
-Camera = Annotated[
-    Path,
-    typer.Option(
-        "--intrinsics", help="Camera matrix and distortion, JSON or YAML (OpenCV, ROS)."
-    ),
-]
-Dictionary = Annotated[
-    str, typer.Option(help="OpenCV's name: 4X4_250, APRILTAG_36H11, …")
-]
-Side = Annotated[float, typer.Option(help="Side of a marker [m].")]
-Output = Annotated[
-    Path | None,
-    typer.Option("-o", "--output", help="Write the motion here, a matrix as JSON."),
-]
-
-
-def register(app: typer.Typer) -> None:
-    """Add the commands."""
-    group = typer.Typer(
-        help="Find markers in a photo; find where a camera is from pairs of poses.",
-        epilog=f"Example: {HAND_EYE}",
-        rich_markup_mode=None,
-    )
-    group.command("board", epilog=f"Example: {BOARD}")(board)
-    group.command("markers", epilog=f"Example: {MARKERS}")(markers)
-    group.command("hand-eye", epilog=f"Example: {HAND_EYE}")(hand_eye)
-    app.add_typer(group, name="register")
-
 
 def board(
-    image: Image,
-    intrinsics: Camera,
-    dictionary: Dictionary,
-    columns: Annotated[int, typer.Option(help="Markers in a row.")],
-    rows: Annotated[int, typer.Option(help="Rows of markers.")],
-    marker: Side,
-    gap: Annotated[float, typer.Option(help="Between two markers [m].")],
-    output: Output = None,
-    force: Force = False,
-    json: Json = False,
+    image: Annotated[Path, typer.Argument()],
+    intrinsics: Path,
+    dictionary: str,
+    columns: int,
+    rows: int,
+    marker: float,
+    gap: float,
+    output: Path | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
-    """Where a board of ArUco or AprilTag markers lies in front of the camera."""
+    """Where a board of ArUco or AprilTag markers lies in front of the camera.
+
+    Args:
+        image: Photo, PNG or JPEG.
+        intrinsics: Camera matrix and distortion, JSON or YAML (OpenCV, ROS).
+        dictionary: OpenCV's name: 4X4_250, APRILTAG_36H11, …
+        columns: Markers in a row.
+        rows: Rows of markers.
+        marker: Side of a marker [m].
+        gap: Between two markers [m].
+        output: Write the motion here, a matrix as JSON.
+
+    Example:
+        ttus-opt register board photo.png --intrinsics camera.yaml --dictionary 4X4_250
+        --columns 3 --rows 4 --marker 0.0256 --gap 0.0066 -o board_to_camera.json
+    """
     from ttus_opt.sensors.intrinsics import read_intrinsics
     from ttus_opt.sensors.marker_pose import Board, board_pose, read_image
 
@@ -82,13 +58,24 @@ def board(
 
 
 def markers(
-    image: Image,
-    intrinsics: Camera,
-    dictionary: Dictionary,
-    marker: Side,
-    json: Json = False,
+    image: Annotated[Path, typer.Argument()],
+    intrinsics: Path,
+    dictionary: str,
+    marker: float,
+    json: bool = False,
 ) -> None:
-    """Where single ArUco or AprilTag markers lie in front of the camera."""
+    """Where single ArUco or AprilTag markers lie in front of the camera.
+
+    Args:
+        image: Photo, PNG or JPEG.
+        intrinsics: Camera matrix and distortion, JSON or YAML (OpenCV, ROS).
+        dictionary: OpenCV's name: 4X4_250, APRILTAG_36H11, …
+        marker: Side of a marker [m].
+
+    Example:
+        ttus-opt register markers photo.png --intrinsics camera.yaml --dictionary
+        APRILTAG_36H11 --marker 0.065
+    """
     from ttus_opt.sensors.intrinsics import read_intrinsics
     from ttus_opt.sensors.marker_pose import marker_poses, read_image
 
@@ -102,34 +89,30 @@ def markers(
 
 
 def hand_eye(
-    pairs: Annotated[
-        Path,
-        typer.Argument(
-            help="Pairs of poses, JSON or NPY (n, 2, 4, 4): marker to camera, hand to "
-            "base [m]."
-        ),
-    ],
-    camera: Annotated[
-        str,
-        typer.Option(
-            help="fixed: it stands still and the hand holds the marker; moving: the "
-            "hand holds it."
-        ),
-    ],
-    output: Output = None,
-    largest_gap: Annotated[
-        float, typer.Option(help="Loops that close worse are refused [m].")
-    ] = 0.010,
-    largest_twist: Annotated[
-        float, typer.Option(help="The same of angles [degrees].")
-    ] = 1.0,
-    force: Force = False,
-    json: Json = False,
+    pairs: Annotated[Path, typer.Argument()],
+    camera: str,
+    output: Path | None = None,
+    largest_gap: float = 0.010,
+    largest_twist: float = 1.0,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Where a camera is, from pairs of poses: seven solvers compared, loops checked.
 
     The motion found is camera to base (fixed) or camera to hand (moving). A tracker is
     a camera here, and whatever carries its target a hand.
+
+    Args:
+        pairs: Pairs of poses, JSON or NPY (n, 2, 4, 4): marker to camera, hand to base
+            [m].
+        camera: fixed: it stands still and the hand holds the marker; moving: the hand
+            holds it.
+        output: Write the motion here, a matrix as JSON.
+        largest_gap: Loops that close worse are refused [m].
+        largest_twist: The same of angles [degrees].
+
+    Example:
+        ttus-opt register hand-eye pairs.json --camera fixed -o camera_to_base.json
     """
     import numpy as np
 

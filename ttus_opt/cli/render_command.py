@@ -5,46 +5,39 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.evaluate_command import warn_beyond, warn_off_grid
-from ttus_opt.cli.option_groups import grouped
-from ttus_opt.cli.options import Field, Force, Json, check_outputs
+from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.sources import warn_of_another_probe
 
-EXAMPLE = (
-    "ttus-opt render --field field.nc --probe ellipsoid:0.030,0.0125,0.018 "
-    "--trajectory poses.csv -o rendered.csv"
-)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("render", epilog=f"Example: {EXAMPLE}")(grouped(render))
-
 
 def render(
-    field: Field,
+    field: Path,
     probe: ProbeOptions,
     recordings: RecordingOptions,
-    output: Annotated[
-        Path, typer.Option("-o", "--output", help="Trajectory CSV with wrenches.")
-    ],
-    force_limit: Annotated[
-        float | None, typer.Option(help="Cut larger forces to this [N].")
-    ] = None,
-    force: Force = False,
-    json: Json = False,
+    output: Path,
+    force_limit: float | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Render force and torque for every pose of a trajectory.
 
     A field that was fitted with friction drags as the trajectory's motion tells: the
     wrenches are those that `ttus-opt evaluate` judges. They are written in the frame of
     the recordings, with quaternions w, x, y, z.
+
+    Args:
+        field: Field file (.nc).
+        output: Trajectory CSV with wrenches.
+        force_limit: Cut larger forces to this [N].
+
+    Example:
+        ttus-opt render --field field.nc --probe ellipsoid:0.030,0.0125,0.018
+        --trajectory poses.csv -o rendered.csv
     """
     import numpy as np
 

@@ -21,32 +21,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ProblemOptions:
-    """What is solved and by what, as typed."""
+    """What is solved and by what, as typed.
 
-    formulation: Annotated[
-        str | None,
-        typer.Option(
-            help="A formulation's name, or the path of your own file. By default eq10; "
-            "where fit chooses the weights, coulomb_global if the recordings show drag."
-        ),
-    ] = None
-    solver: Annotated[
-        str,
-        typer.Option(
-            help="A solver's name, the path of your own file, or auto; see "
-            "ttus-opt solvers."
-        ),
-    ] = "auto"
-    option: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE",
-            help="A further option of the formulation; may be repeated.",
-        ),
-    ] = None
-    tolerance: Annotated[
-        float, typer.Option(help="Largest relative residual of a solution.")
-    ] = 1e-6
+    Attributes:
+        formulation: A formulation's name, or the path of your own file. By default
+            eq10; where fit chooses the weights, coulomb_global if the recordings show
+            drag.
+        solver: A solver's name, the path of your own file, or auto; see ttus-opt
+            solvers.
+        option: A further option of the formulation; may be repeated.
+        tolerance: Largest relative residual of a solution.
+    """
+
+    formulation: str | None = None
+    solver: str = "auto"
+    option: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None
+    tolerance: float = 1e-6
 
     @property
     def name(self) -> str:
@@ -65,51 +55,31 @@ class ProblemOptions:
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """Grid, boundary, its values and sampling, as typed."""
+    """Grid, boundary, its values and sampling, as typed.
 
-    shape: Annotated[str, typer.Option(help="Voxels in r, θ, z: n_r,n_theta,n_z.")] = (
-        "48,120,60"
-    )
-    sector: Annotated[
-        str | None,
-        typer.Option(
-            metavar="FROM,TO",
-            help="Lay the grid over this part of θ alone [deg], with zero flux at its "
-            "sides: what was not seen is not needed. One spoke parts the circle.",
-        ),
-    ] = None
-    r_inner: Annotated[
-        float, typer.Option(help="Radius of the innermost layer [m].")
-    ] = 0.03
-    r_outer: Annotated[
-        float | None,
-        typer.Option(help="Radius of the outermost layer [m]; by default 2 cm beyond."),
-    ] = None
-    inner: Annotated[
-        str | None,
-        typer.Option(
-            help="Value on the inner layer, or fit: scaled to the forces, which is the "
-            "default where there are any."
-        ),
-    ] = None
-    outer: Annotated[
-        float,
-        typer.Option(help="Minus the outer layer's value; a ratio where that is fit."),
-    ] = 1.0
-    sampling: Annotated[
-        str | None,
-        typer.Option(
-            help="How contact samples p: trilinear, the default, voxel-mean, or "
-            "contact-size, trilinear times 10 mm over the length of the patch."
-        ),
-    ] = None
-    boundary: Annotated[
-        str | None,
-        typer.Option(
-            help="Where p = 0 stands: subvoxel, at the true radius, the default, or "
-            "staircase, on the voxels nearest to it."
-        ),
-    ] = None
+    Attributes:
+        shape: Voxels in r, θ, z: n_r,n_theta,n_z.
+        sector: Lay the grid over this part of θ alone [deg], with zero flux at its
+            sides: what was not seen is not needed. One spoke parts the circle.
+        r_inner: Radius of the innermost layer [m].
+        r_outer: Radius of the outermost layer [m]; by default 2 cm beyond.
+        inner: Value on the inner layer, or fit: scaled to the forces, which is the
+            default where there are any.
+        outer: Minus the outer layer's value; a ratio where that is fit.
+        sampling: How contact samples p: trilinear, the default, voxel-mean, or
+            contact-size, trilinear times 10 mm over the length of the patch.
+        boundary: Where p = 0 stands: subvoxel, at the true radius, the default, or
+            staircase, on the voxels nearest to it.
+    """
+
+    shape: str = "48,120,60"
+    sector: Annotated[str | None, typer.Option(metavar="FROM,TO")] = None
+    r_inner: float = 0.03
+    r_outer: float | None = None
+    inner: str | None = None
+    outer: float = 1.0
+    sampling: str | None = None
+    boundary: str | None = None
 
     def as_in_the_paper(self) -> Self:
         """With the paper's boundary, its value and sampling where none are given."""

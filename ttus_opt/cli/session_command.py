@@ -8,39 +8,26 @@ from typing import Annotated
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import Json
 from ttus_opt.errors import InputError
-
-EXAMPLE = "ttus-opt session recording -o results"
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("session", epilog=f"Example: {EXAMPLE}")(session)
 
 
 def session(
-    folder: Annotated[
-        Path,
-        typer.Argument(
-            help="Folder with a session.yaml that says what is where, or that file."
-        ),
-    ],
-    output: Annotated[
-        Path | None,
-        typer.Option("-o", "--output", help="Folder of the results."),
-    ] = None,
-    example: Annotated[
-        bool,
-        typer.Option(
-            "--example", help="Write a synthetic recording into FOLDER instead."
-        ),
-    ] = False,
-    json: Json = False,
+    folder: Annotated[Path, typer.Argument()],
+    output: Path | None = None,
+    example: bool = False,
+    json: bool = False,
 ) -> None:
     """From a recording folder to surface, trajectories, field, errors and a report.
 
     Every step writes its files when it is complete; session.json says which are.
+
+    Args:
+        folder: Folder with a session.yaml that says what is where, or that file.
+        output: Folder of the results.
+        example: Write a synthetic recording into FOLDER instead.
+
+    Example:
+        ttus-opt session recording -o results
     """
     if example:
         _write_example(folder, output, json)

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
 from ttus_opt.cli.cloud_options import AxisOptions, CloudOptions
 from ttus_opt.cli.console import Stages, print_json
 from ttus_opt.cli.depth_options import DepthOptions, stitched_facts, stitched_lines
-from ttus_opt.cli.option_groups import grouped
-from ttus_opt.cli.options import Force, Json, check_outputs, numbers
+from ttus_opt.cli.options import check_outputs, numbers
 from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,47 +18,39 @@ if TYPE_CHECKING:
     from ttus_opt.scan.surface import Surface
     from ttus_opt.sensors.stitching import Stitched
 
-EXAMPLE = (
-    "ttus-opt surface scan.pcd --unit m --box -0.5,0.5,-0.6,0.6,0.5,1.5 "
-    "-o surface.nc --picture surface.png; of depth images: ttus-opt surface front.png "
-    "left.png --intrinsics camera.json --poses poses.csv --noise stereo:0.05 --refine "
-    "-o surface.nc"
-)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("surface", epilog=f"Example: {EXAMPLE}")(grouped(surface))
-
 
 def surface(
     cloud: CloudOptions,
     depth: DepthOptions,
     axis: AxisOptions,
-    output: Annotated[Path, typer.Option("-o", "--output", help="Surface file (.nc).")],
-    n_theta: Annotated[int, typer.Option(help="Spokes over the full turn.")] = 180,
-    n_z: Annotated[int, typer.Option(help="Slices along the body.")] = 60,
-    z_range: Annotated[
-        str | None,
-        typer.Option(help="First and last height in the patient frame, a,b [m]."),
-    ] = None,
-    update: Annotated[
-        Path | None,
-        typer.Option(
-            help="Update this surface file by the scan: its frame and grid, what the "
-            "scan does not see kept."
-        ),
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw the surface and its observed part here.")
-    ] = None,
-    force: Force = False,
-    json: Json = False,
+    output: Path,
+    n_theta: int = 180,
+    n_z: int = 60,
+    z_range: str | None = None,
+    update: Path | None = None,
+    picture: Path | None = None,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Extract the patient's surface from a depth scan.
 
     The patient's frame, which recordings and fields share, has x to the right, y to the
     front and z to the head; the surface file says where it lies in the scan.
+
+    Args:
+        output: Surface file (.nc).
+        n_theta: Spokes over the full turn.
+        n_z: Slices along the body.
+        z_range: First and last height in the patient frame, a,b [m].
+        update: Update this surface file by the scan: its frame and grid, what the scan
+            does not see kept.
+        picture: Draw the surface and its observed part here.
+
+    Example:
+        ttus-opt surface scan.pcd --unit m --box -0.5,0.5,-0.6,0.6,0.5,1.5 -o surface.nc
+        --picture surface.png; of depth images: ttus-opt surface front.png left.png
+        --intrinsics camera.json --poses poses.csv --noise stereo:0.05 --refine -o
+        surface.nc
     """
     if picture is not None:
         from ttus_opt.report import plots

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ttus_opt.cli.console import print_json
-from ttus_opt.cli.options import Force, Json, check_outputs
+from ttus_opt.cli.options import check_outputs
 from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -16,81 +16,49 @@ if TYPE_CHECKING:
     from ttus_opt.sensors.clock import Offset
     from ttus_opt.sensors.streams import WrenchStream
 
-EXAMPLE = (
-    "ttus-opt synchronise tracker.mha --wrenches sensor.csv --by contact --surface "
-    "surface.nc -o recording.csv"
-)
-
-
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("synchronise", epilog=f"Example: {EXAMPLE}")(synchronise)
-
 
 def synchronise(
-    poses: Annotated[
-        Path,
-        typer.Argument(
-            help="Trajectory CSV, netCDF, PLUS sequence (.mha), or ROS recording "
-            "(.bag, .mcap, folder)."
-        ),
-    ],
-    wrenches: Annotated[
-        Path,
-        typer.Option(
-            help="Table t,fx,fy,fz[,tx,ty,tz] on its own clock, netCDF, or ROS "
-            "recording."
-        ),
-    ],
-    output: Annotated[Path, typer.Option("-o", "--output", help="Trajectory CSV.")],
-    by: Annotated[
-        str | None,
-        typer.Option(
-            help="contact: onset in the forces and in the poses (needs --surface); "
-            "angular-speed: of the poses that the wrenches' file has too."
-        ),
-    ] = None,
-    offset: Annotated[
-        float | None,
-        typer.Option(help="Known offset, added to the wrenches' times [s]."),
-    ] = None,
-    surface: Annotated[
-        Path | None, typer.Option(help="Surface file (.nc), in the poses' frame.")
-    ] = None,
-    transform: Annotated[
-        str | None, typer.Option(help="Of a .mha with several, as ProbeToTracker.")
-    ] = None,
-    columns: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME=COLUMN,…|FILE",
-            help="Names of the files' columns by ours, or a YAML file of them.",
-        ),
-    ] = "",
-    pose_topic: Annotated[
-        str | None, typer.Option(help="Of a ROS recording with several.")
-    ] = None,
-    wrench_topic: Annotated[str | None, typer.Option(help="The same of wrenches.")] = (
-        None
-    ),
-    together: Annotated[
-        bool,
-        typer.Option(
-            "--together", help="Both recordings began at about the same time."
-        ),
-    ] = False,
-    largest_offset: Annotated[
-        float, typer.Option(help="How far offsets are looked for [s].")
-    ] = 5.0,
-    largest_gap: Annotated[
-        float, typer.Option(help="Longer gaps are not bridged [s].")
-    ] = 0.1,
-    force: Force = False,
-    json: Json = False,
+    poses: Annotated[Path, typer.Argument()],
+    wrenches: Path,
+    output: Path,
+    by: str | None = None,
+    offset: float | None = None,
+    surface: Path | None = None,
+    transform: str | None = None,
+    columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = "",
+    pose_topic: str | None = None,
+    wrench_topic: str | None = (None),
+    together: bool = False,
+    largest_offset: float = 5.0,
+    largest_gap: float = 0.1,
+    force: bool = False,
+    json: bool = False,
 ) -> None:
     """Put wrenches on the instants of poses, the offset of both clocks found.
 
     Frames without wrenches are left out; a new segment begins after them.
+
+    Args:
+        poses: Trajectory CSV, netCDF, PLUS sequence (.mha), or ROS recording (.bag,
+            .mcap, folder).
+        wrenches: Table t,fx,fy,fz[,tx,ty,tz] on its own clock, netCDF, or ROS
+            recording.
+        output: Trajectory CSV.
+        by: contact: onset in the forces and in the poses (needs --surface);
+            angular-speed: of the poses that the wrenches' file has too.
+        offset: Known offset, added to the wrenches' times [s].
+        surface: Surface file (.nc), in the poses' frame.
+        transform: Of a .mha with several, as ProbeToTracker.
+        columns: Names of the files' columns by ours, or a YAML file of them.
+        pose_topic: Of a ROS recording with several.
+        wrench_topic: The same of wrenches.
+        together: Both recordings began at about the same time.
+        largest_offset: How far offsets are looked for [s].
+        largest_gap: Longer gaps are not bridged [s].
+
+    Example:
+        ttus-opt synchronise tracker.mha --wrenches sensor.csv --by contact --surface
+        surface.nc -o recording.csv
     """
     from ttus_opt.sensors.column_map import read_column_map
     from ttus_opt.sensors.stream_files import read_poses, read_wrenches

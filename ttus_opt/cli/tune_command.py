@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.option_groups import grouped
-from ttus_opt.cli.options import Json
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_options import SceneOptions, further_options
 
@@ -18,10 +16,6 @@ if TYPE_CHECKING:
     from ttus_opt.fitting.hyperparameters import Hyperparameter
     from ttus_opt.fitting.tuning import Tuning
 
-EXAMPLE = (
-    "ttus-opt tune --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018 "
-    "--trajectory press_fit.csv --trajectory sweep_fit.csv"
-)
 
 #: What is compared unless something is asked for: eq. 10 without drag and with it
 CANDIDATES = ("eq10", "coulomb_global")
@@ -33,33 +27,27 @@ CRITERIA = {
 }
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("tune", epilog=f"Example: {EXAMPLE}")(grouped(tune))
-
-
 def tune(
-    surface: Annotated[Path, typer.Option(help="Surface file (.nc).")],
+    surface: Path,
     probe: ProbeOptions,
     recordings: RecordingOptions,
     grid: SceneOptions,
-    formulation: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="A formulation's name, or the path of your own file; of several the "
-            "likeliest is taken. By default eq10 and coulomb_global.",
-        ),
-    ] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="KEY=VALUE",
-            help="An option of the formulations, which then stays; may be repeated.",
-        ),
-    ] = None,
-    json: Json = False,
+    formulation: list[str] | None = None,
+    option: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None,
+    json: bool = False,
 ) -> None:
-    """Choose weights, boundary scale and friction from the recordings alone."""
+    """Choose weights, boundary scale and friction from the recordings alone.
+
+    Args:
+        surface: Surface file (.nc).
+        formulation: A formulation's name, or the path of your own file; of several the
+            likeliest is taken. By default eq10 and coulomb_global.
+        option: An option of the formulations, which then stays; may be repeated.
+
+    Example:
+        ttus-opt tune --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
+        --trajectory press_fit.csv --trajectory sweep_fit.csv
+    """
     from ttus_opt.fitting.tuning import tune as tune_scene
     from ttus_opt.scan.surface import Surface
 

@@ -5,16 +5,14 @@ from __future__ import annotations
 import typer
 
 from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import Json
 
 
-def register(app: typer.Typer) -> None:
-    """Add the command."""
-    app.command("warm-up", epilog="Example: ttus-opt warm-up")(warm_up)
+def warm_up(json: bool = False) -> None:
+    """Compile everything ahead, so that nothing compiles when it is needed.
 
-
-def warm_up(json: Json = False) -> None:
-    """Compile everything ahead, so that nothing compiles when it is needed."""
+    Example:
+        ttus-opt warm-up
+    """
     from ttus_opt import compiled
     from ttus_opt import warm_up as ahead
 

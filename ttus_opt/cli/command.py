@@ -1,0 +1,100 @@
+"""A plain function as a command: options by its signature, words by its docstring.
+
+A parameter is the option of its name, and a truth value a flag, unless an `Annotated`
+with typer's own words says otherwise. What an option does stands under ``Args:``, how
+the command is called under ``Example:``. A parameter that is a group, a frozen
+dataclass, has the group's options in its place, described under ``Attributes:``.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import functools
+import inspect
+import re
+import typing
+from collections.abc import Callable
+from typing import Annotated, Any
+
+import typer
+
+#: Options that say the same in every command
+COMMON = {
+    "force": "Let an output replace one of the inputs.",
+    "json": "JSON on stdout, for machines.",
+}
+
+
+def add_command(app: typer.Typer, function: Callable[..., None]) -> None:
+    """Make a function a command of its name.
+
+    Args:
+        app: Gets the command.
+        function: What it does. Its parameters are options and groups of options.
+    """
+    signature = inspect.signature(function, eval_str=True)
+    about, words, example = _words(function)
+    groups: dict[str, Any] = {}
+    parameters: list[inspect.Parameter] = []
+    for name, parameter in signature.parameters.items():
+        if dataclasses.is_dataclass(parameter.annotation):
+            groups[name] = parameter.annotation
+            parameters += _of_group(groups[name])
+        else:
+            parameters.append(_option(name, parameter.annotation, parameter, words))
+
+    @functools.wraps(function)
+    def run(**given: Any) -> None:
+        for name, group in groups.items():
+            own = {f.name: given.pop(f.name) for f in dataclasses.fields(group)}
+            given[name] = group(**own)
+        function(**given)
+
+    own = signature.replace(parameters=parameters)
+    run.__signature__ = own  # type: ignore[attr-defined]  # typer's way
+    name = function.__name__.replace("_", "-")
+    app.command(name, help=about, epilog=f"Example: {example}")(run)
+
+
+def _of_group(group: Any) -> list[inspect.Parameter]:
+    """A group's fields as parameters of a command."""
+    hints = typing.get_type_hints(group, include_extras=True)
+    words = _words(group)[1]
+    return [
+        _option(name, hints[name], parameter, words)
+        for name, parameter in inspect.signature(group).parameters.items()
+    ]
+
+
+def _option(
+    name: str, annotation: Any, parameter: inspect.Parameter, words: dict[str, str]
+) -> inspect.Parameter:
+    """A parameter as typer takes it."""
+    if annotation is not typer.Context:
+        kind, told = annotation, typer.Option()
+        if typing.get_origin(annotation) is Annotated:
+            kind, told = typing.get_args(annotation)
+        elif kind is bool:
+            told = typer.Option(f"--{name.replace('_', '-')}")  # and no --no-…
+        elif name == "output":
+            told = typer.Option("-o", "--output")
+        told = copy.copy(told)
+        told.help = words.get(name)
+        annotation = Annotated[kind, told]
+    return parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=annotation)
+
+
+def _words(documented: object) -> tuple[str, dict[str, str], str]:
+    """What it is about, what its parameters are by name, and an example call."""
+    about, *rest = re.split(
+        r"\n\n(?=(?:Args|Attributes|Example):\n)", inspect.getdoc(documented) or ""
+    )
+    sections = {}
+    for section in rest:
+        title, _, text = section.partition(":\n")
+        sections[title] = inspect.cleandoc(text)
+    listed = sections.get("Args", "") + sections.get("Attributes", "")
+    entries = (entry.partition(":") for entry in re.split(r"\n(?=\S)", listed))
+    words = {name: " ".join(text.split()) for name, _, text in entries}
+    return about, COMMON | words, " ".join(sections.get("Example", "").split())
