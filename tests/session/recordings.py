@@ -9,7 +9,12 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from ttus_opt.session.synthetic import write_recording
+import numpy as np
+
+from ttus_opt.probe.rigid_motion import inverse
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.session import synthetic
+from ttus_opt.session.synthetic import Truth, write_recording
 
 #: Of each of the example's recordings [s]
 SECONDS = 5.0
@@ -49,3 +54,38 @@ def changed(recording: Path, key: str, value: Any) -> None:
     else:
         at[last] = value
     rewrite(recording, content)
+
+
+def perfect(seconds: float = 20.0) -> dict[str, Trajectory]:
+    """The recordings as perfect devices have them, frame of the example's surface."""
+    names = synthetic.RECORDINGS
+    return {name: synthetic.recording(name, seconds) for name in names}
+
+
+def calibrated(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
+    """The recordings as perfect calibration has them, with the tracker's noise.
+
+    In the frame of the example's surface, at the tracker's times.
+
+    Args:
+        seconds: As of `write_recording`.
+        seed: The same.
+    """
+    truth = Truth()
+    _, _, tilts, noise, _ = np.random.default_rng(seed).spawn(5)
+    moved, stretches = synthetic._motion_of_all(seconds, tilts)
+    tracked = synthetic._tracked(moved, truth, noise)
+    to_patient = inverse(synthetic._patient_to_scan()) @ truth.tracker_to_scan
+    poses = to_patient @ synthetic._matrices(tracked) @ inverse(truth.target_to_probe)
+    known = synthetic._at(moved, tracked.time)
+    seen = Trajectory(
+        tracked.time,
+        poses[:, :3, 3].copy(),
+        poses[:, :3, :3].copy(),
+        known.force,
+        known.torque,
+    )
+    return {
+        name: seen.select((seen.time >= start) & (seen.time <= end))
+        for name, (start, end) in stretches.items()
+    }

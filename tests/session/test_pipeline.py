@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.session.recordings import SECONDS, changed, copied, described, made
+from tests.session.recordings import (
+    SECONDS,
+    calibrated,
+    changed,
+    copied,
+    described,
+    made,
+    perfect,
+)
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.phantom.example_data import frame
 from ttus_opt.probe.point_shell import PointShell
@@ -18,7 +26,7 @@ from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.session.model import fit_model, judge
 from ttus_opt.session.pipeline import SessionResult, run_session
 from ttus_opt.session.results import STEPS, complete_steps
-from ttus_opt.session.synthetic import Truth, calibrated, perfect, write_recording
+from ttus_opt.session.synthetic import Truth, write_recording
 from ttus_opt.voxmap.field import PotentialField
 
 # a recording this short, on so coarse a grid, does not bear weights of its own

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ttus_opt.cli.console import print_json
-from ttus_opt.cli.options import listed, whole_numbers
+from ttus_opt.cli.console import tell
+from ttus_opt.cli.options import listed, voxel_counts
 from ttus_opt.cli.scene_options import boundary_value
 from ttus_opt.errors import InputError
 
@@ -154,13 +154,12 @@ def _cases(
         raise InputError(
             "a scene of your own needs --surface, --probe and --trajectory together"
         )
-    n_r, n_theta, n_z = whole_numbers(shape, 3, "--shape")
     own = CaseSpec(
         OWN,
         surface,
         probe,
         tuple(trajectory),
-        (n_r, n_theta, n_z),
+        voxel_counts(shape),
         r_inner=r_inner,
         inner=boundary_value(inner),
         sampling=sampling,
@@ -225,14 +224,13 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
         command=shlex.join(["ttus-opt", *sys.argv[1:]]),
         machine=machine,
     )
-    if json:
-        rows = {parts()[name].key or name: told for name, told in found.items()}
-        print_json({**rows, "report": str(report)})
-        return
-    for name, own in found.items():
-        if own:
-            typer.echo(f"{parts()[name].text(own, suite.settings)}\n")
-    typer.echo(str(report))
+    rows = {parts()[name].key or name: told for name, told in found.items()}
+    texts = [
+        f"{parts()[name].text(own, suite.settings)}\n"
+        for name, own in found.items()
+        if own
+    ]
+    tell({**rows, "report": str(report)}, *texts, str(report), json=json)
 
 
 def _export(suite: Suite, folder: Path, json: bool) -> None:
@@ -256,7 +254,4 @@ def _export(suite: Suite, folder: Path, json: bool) -> None:
     for name, spec in runs.items():
         program = declared(spec, spec.scene_case.build()).compile()
         written += map(str, export_program(program, folder, name))
-    if json:
-        print_json({"files": written})
-    else:
-        typer.echo("\n".join(written))
+    tell({"files": written}, *written, json=json)

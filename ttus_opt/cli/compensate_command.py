@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ttus_opt.cli.console import print_json
+from ttus_opt.cli.console import tell
 from ttus_opt.cli.options import check_outputs, numbers
 from ttus_opt.cli.recording_options import ProbeOptions
 
@@ -57,8 +57,7 @@ def compensate(
     from ttus_opt.sensors.tool_load import identify_load
     from ttus_opt.sensors.wrench_compensation import compensated
 
-    inputs: list[Path | str] = [recording, free, probe.probe]
-    check_outputs([output, model], inputs, force=force)
+    check_outputs([output, model], [recording, free, probe.probe], force=force)
     sensor = _sensor(axes, point, sign)
     direction = numbers(down, 3, "--down")
     raw, still = read_trajectory(recording), read_trajectory(free)
@@ -77,17 +76,15 @@ def compensate(
     clean.save(output)
     if model is not None:
         io.write_text(model, json_module.dumps(told, indent=2) + "\n")
-    if json:
-        print_json(told)
-        return
     centre = ", ".join(f"{1e3 * v:.1f}" for v in load.centre)
-    typer.echo(
+    lines = [
         f"{output}: {len(clean)} frames; load {load.mass:.4g} ± {load.mass_std:.2g} "
         f"kg, centre of mass ({centre}) mm from the point, sensor axes; free air "
         f"leaves {load.force_residual:.2g} N and {1e3 * load.torque_residual:.2g} mN m"
-    )
+    ]
     if not load.handedness_told:
-        typer.echo("the free poses do not tell a left-handed sensor")
+        lines.append("the free poses do not tell a left-handed sensor")
+    tell(told, *lines, json=json)
 
 
 def _sensor(axes: str, point: str, sign: str) -> ForceSensor:

@@ -69,6 +69,14 @@ def print_json(content: Mapping[str, Any]) -> None:
     typer.echo(json.dumps(plain(content), indent=2, ensure_ascii=False))
 
 
+def tell(facts: Mapping[str, Any], *lines: str, json: bool) -> None:
+    """Say what was done: facts for machines, lines for people."""
+    if json:
+        print_json(facts)
+    elif lines:
+        typer.echo("\n".join(lines))
+
+
 @contextlib.contextmanager
 def warnings_in_one_line() -> Iterator[None]:
     """Print this package's warnings as ``warning: …`` on stderr, each once."""

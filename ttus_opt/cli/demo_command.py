@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
-
-from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import whole_numbers
+from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.options import voxel_counts
 
 
 def demo(
@@ -25,13 +23,9 @@ def demo(
         ttus-opt demo -o demo
     """
     from ttus_opt import demo as pipeline
-    from ttus_opt.report import tables as report
+    from ttus_opt.report.tables import error_table
 
-    n_r, n_theta, n_z = whole_numbers(shape, 3, "--shape")
     with Stages(pipeline.N_STAGES) as begin:
-        result = pipeline.run(output, shape=(n_r, n_theta, n_z), progress=begin)
-    if json:
-        print_json(result.as_dict())
-        return
-    typer.echo(report.error_table(result.comparisons))
-    typer.echo(f"\n{result.seconds:.0f} s; pictures, fields and report.md in {output}/")
+        result = pipeline.run(output, shape=voxel_counts(shape), progress=begin)
+    told = f"\n{result.seconds:.0f} s; pictures, fields and report.md in {output}/"
+    tell(result.as_dict(), error_table(result.comparisons), told, json=json)

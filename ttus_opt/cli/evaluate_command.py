@@ -7,9 +7,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
-from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.sources import seen, warn_of_another_probe
@@ -49,12 +47,9 @@ def evaluate(
     from ttus_opt.report.hysteresis import hysteresis_share
     from ttus_opt.voxmap.field import PotentialField
 
-    if picture is not None:
-        from ttus_opt.report import plots
-
-        plots.require_picture_suffix(picture)
-    inputs: list[Path | str] = [field, probe.probe, *recordings.files]
-    check_outputs([picture], inputs, force=force)
+    check_outputs(
+        [], [field, probe.probe, *recordings.files], force=force, pictures=[picture]
+    )
     with Stages(2 if picture is None else 3) as begin:
         begin("reading field and recordings")
         as_written = recordings.as_written()
@@ -66,25 +61,26 @@ def evaluate(
         stated = read_doubt(field, shell) if doubt else None
         begin("rendering")
         found = metrics.evaluate(potential, shell, recorded)
-        warn_off_grid(found.in_grid)
-        warn_beyond(found.beyond_inner)
-        names = [path.name for path in recordings.trajectory]
-        each = recording_lines(potential, shell, recorded, names, stated)
+        warn_of_poses(found.in_grid, found.beyond_inner)
+        each = recording_lines(potential, shell, recorded, recordings.names, stated)
         if picture is not None:
+            from ttus_opt.report import plots
+
             begin("drawing")
             plots.save_picture(plots.force_over_time({"rendered": found}), picture)
     errors = found.errors
     lost = hysteresis_share(recorded, shell, errors.force_threshold_N)
-    if json:
-        more = {"hysteresis_share": lost, "recordings": told}
-        by_recording = [one.as_dict() for one in each]
-        print_json({**errors.as_dict(), **more, "by_recording": by_recording})
-        return
-    for recording in told:
-        if recording["seen"]:
-            typer.echo(f"{recording['name']}: seen, the field was fitted to it")
+    facts = {
+        **errors.as_dict(),
+        "hysteresis_share": lost,
+        "recordings": told,
+        "by_recording": [one.as_dict() for one in each],
+    }
+    known = [
+        f"{r['name']}: seen, the field was fitted to it" for r in told if r["seen"]
+    ]
     each_own = [line for one in each for line in one.lines]
-    typer.echo("\n".join([*_lines(errors, recorded.has_torque), *each_own]))
+    tell(facts, *known, *_lines(errors, recorded.has_torque), *each_own, json=json)
 
 
 def _lines(errors: Errors, has_torque: bool) -> list[str]:
@@ -111,8 +107,8 @@ def _lines(errors: Errors, has_torque: bool) -> list[str]:
     return [*lines, torque]
 
 
-def warn_off_grid(in_grid: NDArray[np.bool_]) -> None:
-    """Say when poses lie outside the field's grid, where nothing is rendered."""
+def warn_of_poses(in_grid: NDArray[np.bool_], beyond: NDArray[np.int64]) -> None:
+    """Say when poses lie off the field's grid, or below its innermost layer."""
     off = int(in_grid.size - in_grid.sum())
     if off:
         warnings.warn(
@@ -121,14 +117,10 @@ def warn_off_grid(in_grid: NDArray[np.bool_]) -> None:
             TtusWarning,
             stacklevel=2,
         )
-
-
-def warn_beyond(beyond_inner: NDArray[np.int64]) -> None:
-    """Say when poses reach below the field's innermost layer."""
-    deep = int((beyond_inner > 0).sum())
+    deep = int((beyond > 0).sum())
     if deep:
         warnings.warn(
-            f"{deep} of {beyond_inner.size} poses reach below the field's innermost "
+            f"{deep} of {beyond.size} poses reach below the field's innermost "
             "layer, where it continues with that layer's values: fit with a smaller "
             "--r-inner",
             TtusWarning,

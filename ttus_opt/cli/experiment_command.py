@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import typer
-
-from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.options import listed, whole_numbers
+from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.options import listed, voxel_counts
 
 
 def experiment(
@@ -51,9 +49,8 @@ def experiment(
     from ttus_opt.experiment.report import summary
     from ttus_opt.report.document import markdown
 
-    n_r, n_theta, n_z = whole_numbers(shape, 3, "--shape")
     plan = Plan(
-        (n_r, n_theta, n_z),
+        voxel_counts(shape),
         listed(formulations),
         weight,
         resolution,
@@ -67,8 +64,7 @@ def experiment(
     )
     with Stages(n_stages(plan)) as begin:
         result = run(output, plan, progress=begin)
-    if json:
-        print_json({**result.as_dict(), "report": str(output / "report.md")})
-        return
-    typer.echo("\n\n".join(map(markdown, summary(result))))
-    typer.echo(f"\nreport.md, report.html, results.json and figures in {output}/")
+    facts = {**result.as_dict(), "report": str(output / "report.md")}
+    text = "" if json else "\n\n".join(map(markdown, summary(result)))
+    where = f"\nreport.md, report.html, results.json and figures in {output}/"
+    tell(facts, text, where, json=json)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.fit_report import how_read, solved_lines, summary
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
@@ -37,6 +37,85 @@ BYTES_PER_VOXEL = 9
 LARGEST_FILE = 2**31
 
 
+@dataclass(frozen=True)
+class WeightOptions:
+    """Where weights come from, as typed.
+
+    Attributes:
+        force_weight: λ_f; then no weight is chosen from the recordings.
+        torque_weight: λ_τ; then no weight is chosen from the recordings.
+        weights: auto: weights and boundary scale by marginal likelihood, as ttus-opt
+            tune finds them, unless they predict presses left out worse than its own;
+            recipe: formulation and sampling as well, by presses left out; own: the
+            formulation's, 0.01. By default auto where no weight is given.
+        paper: The paper's choices where nothing else is said: --inner 1 --sampling
+            voxel-mean --boundary staircase --force-weight 1e-4 --torque-weight 1e-4.
+    """
+
+    force_weight: float | None = None
+    torque_weight: float | None = None
+    weights: str | None = None
+    paper: bool = False
+
+    def options(
+        self, problem: ProblemOptions, torque_length: float | None
+    ) -> dict[str, Any]:
+        """Options of the formulation that were given, or are the paper's."""
+        named = {
+            "force_weight": self.force_weight,
+            "torque_weight": self.torque_weight,
+            "torque_length": torque_length,
+        }
+        given = {name: value for name, value in named.items() if value is not None}
+        given |= problem.further
+        if not self.paper:
+            return given
+        from ttus_opt.paper import WEIGHTS
+        from ttus_opt.problem.formulation import option_names
+
+        known = option_names(problem.name)
+        usual = {n: w for n, w in WEIGHTS.items() if known is None or n in known}
+        return usual | given
+
+    def by_data(self, formulation: str | None, options: Mapping[str, Any]) -> bool:
+        """Whether weights are chosen from the recordings.
+
+        Raises:
+            InputError: Another word, auto and a weight beside it, or recipe and a
+                formulation or option.
+        """
+        from ttus_opt.fitting.weight_choice import has_choice, is_weight
+
+        if self.weights not in (None, "auto", "own", "recipe"):
+            raise InputError(
+                f"--weights takes auto, recipe or own, got {self.weights!r}"
+            )
+        if self.weights == "recipe" and (formulation is not None or options):
+            raise InputError(
+                "--weights recipe chooses the formulation and its options: give neither"
+            )
+        given = [name for name in options if is_weight(name)]
+        if self.weights == "auto" and given:
+            told = given[0].replace("_", "-")
+            raise InputError(f"--weights auto chooses --{told}: give one or the other")
+        if self.weights is not None:
+            return self.weights != "own"
+        return not given and (formulation is None or has_choice(formulation))
+
+    def choice(
+        self, scene: Scene, problem: ProblemOptions, options: Mapping[str, Any]
+    ) -> WeightChoice:
+        """What is fitted, with the weights of the recordings."""
+        if self.weights == "recipe":
+            from ttus_opt.fitting.recipe import choose_recipe
+
+            return choose_recipe(scene)
+        from ttus_opt.fitting.weight_choice import choose_weights
+
+        strict = self.weights is not None
+        return choose_weights(scene, problem.formulation, options, strict=strict)
+
+
 def fit(
     context: typer.Context,
     surface: Path,
@@ -45,10 +124,7 @@ def fit(
     output: Path,
     problem: ProblemOptions,
     grid: SceneOptions,
-    force_weight: float | None = None,
-    torque_weight: float | None = None,
-    weights: str | None = None,
-    paper: bool = False,
+    weighting: WeightOptions,
     every: int = 1,
     rate: float | None = None,
     torque_length: float | None = None,
@@ -64,14 +140,6 @@ def fit(
     Args:
         surface: Surface file (.nc).
         output: Field file (.nc).
-        force_weight: λ_f; then no weight is chosen from the recordings.
-        torque_weight: λ_τ; then no weight is chosen from the recordings.
-        weights: auto: weights and boundary scale by marginal likelihood, as ttus-opt
-            tune finds them, unless they predict presses left out worse than its own;
-            recipe: formulation and sampling as well, by presses left out; own: the
-            formulation's, 0.01. By default auto where no weight is given.
-        paper: The paper's choices where nothing else is said: --inner 1 --sampling
-            voxel-mean --boundary staircase --force-weight 1e-4 --torque-weight 1e-4.
         every: Take every so many frames of a recording only.
         rate: Take at most so many frames a second of a recording [Hz].
         torque_length: ℓ that makes torque a force [m]; by default the probe's.
@@ -86,27 +154,27 @@ def fit(
         ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
         --trajectory press_fit.csv -o field.nc
     """
-    from ttus_opt.fitting.batch import fit as fit_scene
     from ttus_opt.fitting.sanity import check_recordings
+    from ttus_opt.fitting.weight_choice import WeightChoice
     from ttus_opt.probe.thinning import thinned
+    from ttus_opt.problem.formulation import load
     from ttus_opt.scan.surface import Surface
 
-    options = _options(
-        problem,
-        paper,
-        force_weight=force_weight,
-        torque_weight=torque_weight,
-        torque_length=torque_length,
-    )
-    if paper:
+    options = weighting.options(problem, torque_length)
+    if weighting.paper:
         grid = grid.as_in_the_paper()
-    by_data = _by_data(weights, problem.formulation, options)
+    by_data = weighting.by_data(problem.formulation, options)
     conventions, plan = recordings.conventions, grid.plan
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(plan.shape), LARGEST_FILE)
-    inputs: list[Path | str] = [surface, probe.probe, *recordings.files]
-    check_outputs([output, picture, doubt_picture], inputs, force=force, size=size)
-    _check_pictures(picture, doubt_picture)
+    pictures = [picture, doubt_picture]
+    check_outputs(
+        [output],
+        [surface, probe.probe, *recordings.files],
+        force=force,
+        pictures=pictures,
+        size=size,
+    )
     with Stages(5 + by_data + (picture is not None)) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
@@ -115,23 +183,16 @@ def fit(
         recorded = recordings.read(as_written, shell, patient)
         if picture is not None:  # before the fit: it may tell why there is none
             begin("drawing")
-            _draw_poses(
-                patient, shell, recorded, _names(recordings.trajectory), picture
-            )
+            _draw_poses(patient, shell, recorded, recordings.names, picture)
         begin("assembling (first run compiles)")
         scene = _built(plan, (patient, shell, recorded), (as_written, conventions))
         if by_data:
             begin("choosing weights")
-        choice = _choice(scene, problem, options, weights if by_data else "own")
+            choice = weighting.choice(scene, problem, options)
+        else:
+            choice = WeightChoice(scene, load(problem.name, scene, **options))
         begin("solving")
-        solution = fit_scene(
-            choice.scene,
-            choice.formulation,
-            solver=problem.solver,
-            tolerance=problem.tolerance,
-            time_limit=time_limit,
-        )
-        solution = replace(solution, chosen=choice.lines)
+        solution = _solved(choice, problem, time_limit)
         report = None
         if solution.verified_field is not None:
             found = solution.field
@@ -142,77 +203,33 @@ def fit(
                 *(solution, choice.scene, output, (doubt, doubt_picture)),
             )
             begin("checking the recordings")
+            names = recordings.names
             report = check_recordings(
-                choice.scene,
-                found,
-                _names(recordings.trajectory),
-                written=as_written,
-                told=conventions,
+                choice.scene, found, names, written=as_written, told=conventions
             )
-    if json:
-        print_json(summary(solution, output, choice, report))
-    solution.field  # noqa: B018  raises what is wrong when nothing was verified
-    if not json:
-        assert report is not None
+    lines: list[str] = []
+    if report is not None:
         lines = [*solved_lines(solution, output), *solution.chosen, *report.lines]
-        typer.echo("\n".join([*lines, *how_read(recorded, conventions)]))
+        lines += how_read(recorded, conventions)
+    tell(summary(solution, output, choice, report), *lines, json=json)
+    solution.field  # noqa: B018  raises what is wrong when nothing was verified
     if report is not None and report.mistake is not None:
         warnings.warn(str(report.mistake), TtusWarning, stacklevel=2)
 
 
-def _options(
-    problem: ProblemOptions, paper: bool, **given: float | None
-) -> dict[str, Any]:
-    """Options of the formulation that were given, or are the paper's."""
-    options = {name: value for name, value in given.items() if value is not None}
-    options |= problem.further
-    return {**_weights_of_the_paper(problem.name), **options} if paper else options
+def _solved(
+    choice: WeightChoice, problem: ProblemOptions, time_limit: float | None
+) -> Solution:
+    from ttus_opt.fitting.batch import fit as fit_scene
 
-
-def _by_data(
-    weights: str | None, formulation: str | None, options: Mapping[str, Any]
-) -> bool:
-    """Whether weights are chosen from the recordings.
-
-    Raises:
-        InputError: Another word, auto and a weight beside it, or recipe and a
-            formulation or option.
-    """
-    from ttus_opt.fitting.weight_choice import has_choice, is_weight
-
-    if weights not in (None, "auto", "own", "recipe"):
-        raise InputError(f"--weights takes auto, recipe or own, got {weights!r}")
-    if weights == "recipe" and (formulation is not None or options):
-        raise InputError(
-            "--weights recipe chooses the formulation and its options: give neither"
-        )
-    given = [name for name in options if is_weight(name)]
-    if weights == "auto" and given:
-        told = given[0].replace("_", "-")
-        raise InputError(f"--weights auto chooses --{told}: give one or the other")
-    if weights is not None:
-        return weights != "own"
-    return not given and (formulation is None or has_choice(formulation))
-
-
-def _choice(
-    scene: Scene,
-    problem: ProblemOptions,
-    options: Mapping[str, Any],
-    weights: str | None,
-) -> WeightChoice:
-    """What is fitted: with weights of its own, or with those of the recordings."""
-    from ttus_opt.fitting.weight_choice import WeightChoice, choose_weights
-    from ttus_opt.problem.formulation import load
-
-    if weights == "own":
-        return WeightChoice(scene, load(problem.name, scene, **options))
-    if weights == "recipe":
-        from ttus_opt.fitting.recipe import choose_recipe
-
-        return choose_recipe(scene)
-    strict = weights is not None
-    return choose_weights(scene, problem.formulation, options, strict=strict)
+    solution = fit_scene(
+        choice.scene,
+        choice.formulation,
+        solver=problem.solver,
+        tolerance=problem.tolerance,
+        time_limit=time_limit,
+    )
+    return replace(solution, chosen=choice.lines)
 
 
 def _built(
@@ -249,19 +266,6 @@ def _built(
         raise InputError(f"{error}; {mistake}") from error
     warn_of_one_spot(built)
     return built
-
-
-def _names(paths: Sequence[Path]) -> list[str]:
-    return [path.name for path in paths]
-
-
-def _check_pictures(*pictures: Path | None) -> None:
-    """Check their names before the work."""
-    for picture in pictures:
-        if picture is not None:
-            from ttus_opt.report.plots.canvas import require_picture_suffix
-
-            require_picture_suffix(picture)
 
 
 def _write(
@@ -310,12 +314,3 @@ def _draw_poses(
     n_recordings = len(set(recorded.segment.tolist()))
     own = names if len(names) == n_recordings else ()
     plots.save_picture(plots.pose_picture(patient, shell, recorded, own), picture)
-
-
-def _weights_of_the_paper(formulation: str) -> dict[str, Any]:
-    """The paper's weights, of those that a formulation has."""
-    from ttus_opt.paper import WEIGHTS
-    from ttus_opt.problem.formulation import option_names
-
-    known = option_names(formulation)
-    return {n: w for n, w in WEIGHTS.items() if known is None or n in known}

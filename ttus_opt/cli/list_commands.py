@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
-
-from ttus_opt.cli.console import print_json
+from ttus_opt.cli.console import tell
 
 if TYPE_CHECKING:
     from ttus_opt.solvers.base import Solver
@@ -21,28 +19,24 @@ def solvers(json: bool = False) -> None:
     from ttus_opt.report.tables import table
     from ttus_opt.solvers import registry
 
-    known = registry.solvers()
-    if json:
-        order = registry.estimating()
-        rows = [_solver(solver) for solver in known.values()]
-        print_json({"solvers": rows, "auto_tries": order})
-        return
+    known, order = registry.solvers(), registry.estimating()
+    facts = {"solvers": [_solver(s) for s in known.values()], "auto_tries": order}
     header = ["solver", "installed", "takes", "a re-solve keeps", "about"]
     body = [
         [
             name,
-            _installed(solver),
+            "yes" if solver.installed else f"no: pip install {solver.pip_name}",
             ", ".join(_takes(solver)),
             solver.capabilities.keeps or "nothing",
             solver.summary,
         ]
         for name, solver in known.items()
     ]
-    typer.echo(table(header, body))
-    typer.echo(
+    auto = (
         "\nauto takes, of those that are installed and take the problem, the one that "
-        f"estimates the least time: {', '.join(registry.estimating())}"
+        f"estimates the least time: {', '.join(order)}"
     )
+    tell(facts, table(header, body), auto, json=json)
 
 
 def formulations(json: bool = False) -> None:
@@ -55,15 +49,11 @@ def formulations(json: bool = False) -> None:
     from ttus_opt.report.tables import table
 
     known = formulation.available()
-    if json:
-        rows = [
-            {"name": f.name, "summary": f.summary, "options": f.options} for f in known
-        ]
-        print_json({"formulations": rows})
-        return
+    rows = [{"name": f.name, "summary": f.summary, "options": f.options} for f in known]
     body = [[f.name, f.summary, ", ".join(map(str, f.options)) or "–"] for f in known]
-    typer.echo(table(["formulation", "about", "options"], body))
-    typer.echo("\nA file of your own with build(scene, **options) goes by its path.")
+    listed = table(["formulation", "about", "options"], body)
+    own = "\nA file of your own with build(scene, **options) goes by its path."
+    tell({"formulations": rows}, listed, own, json=json)
 
 
 def _takes(solver: Solver) -> list[str]:
@@ -77,10 +67,6 @@ def _takes(solver: Solver) -> list[str]:
     }
     listed = [what for what, able in takes.items() if able]
     return listed if can.any_terms else ["Laplace and measured rows", *listed]
-
-
-def _installed(solver: Solver) -> str:
-    return "yes" if solver.installed else f"no: pip install {solver.pip_name}"
 
 
 def _solver(solver: Solver) -> dict[str, object]:

@@ -7,8 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ttus_opt.cli.console import Stages, print_json
+from ttus_opt import io
+from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
+from ttus_opt.errors import FileError
 
 if TYPE_CHECKING:
     from ttus_opt.scan.surface import Surface
@@ -54,22 +56,21 @@ def encode(
         begin("checking what will be decoded")
         size = max(_size(what), 1)
         error = _error(what, decoded(message, base=before, max_voxels=size))
-        _write(output, message)
+        with io.signals_deferred(), io.replacing(output) as temporary:
+            temporary.write_bytes(message)
     told = {
         "output": str(output),
         "holds": _name(what),
         "bytes": len(message),
         "largest_error": error,
     }
-    if json:
-        print_json(told)
-        return
     unit = "mm" if _size(what) == 0 else "of the potential"
     factor = 1e3 if _size(what) == 0 else 1.0
-    typer.echo(
+    line = (
         f"{output}: {_name(what)} in {len(message):,} bytes, largest error "
         f"{factor * error:.3g} {unit}"
     )
+    tell(told, line, json=json)
 
 
 def decode(
@@ -107,15 +108,11 @@ def decode(
         begin("writing")
         what.save(output)
     told = {"output": str(output), "holds": _name(what), "bytes": len(message)}
-    if json:
-        print_json(told)
-        return
-    typer.echo(f"{output}: {_name(what)} from {len(message):,} bytes")
+    tell(told, f"{output}: {_name(what)} from {len(message):,} bytes", json=json)
 
 
 def _read(file: Path) -> Surface | PotentialField:
     """A surface or a field file, whichever it is."""
-    from ttus_opt import io
     from ttus_opt.scan.surface import Surface
     from ttus_opt.voxmap.field import PotentialField
 
@@ -130,8 +127,6 @@ def _bytes(file: Path) -> bytes:
     Raises:
         FileError: The file is missing, empty or cannot be read.
     """
-    from ttus_opt import io
-    from ttus_opt.errors import FileError
     from ttus_opt.message.envelope import LONGEST
 
     path = io.existing_file(file, "message")
@@ -140,13 +135,6 @@ def _bytes(file: Path) -> bytes:
             return stream.read(LONGEST + 1)
     except OSError as error:
         raise FileError(f"cannot read {path}: {error.strerror or error}") from error
-
-
-def _write(output: Path, message: bytes) -> None:
-    from ttus_opt import io
-
-    with io.signals_deferred(), io.replacing(output) as temporary:
-        temporary.write_bytes(message)
 
 
 def _size(what: Any) -> int:

@@ -38,16 +38,17 @@ def numbers(text: str, count: int, option: str) -> tuple[float, ...]:
     return values
 
 
-def whole_numbers(text: str, count: int, option: str) -> tuple[int, ...]:
-    """Whole numbers separated by commas; see `numbers`.
+def voxel_counts(text: str) -> tuple[int, int, int]:
+    """Voxels in r, θ and z, as ``--shape`` gives them.
 
     Raises:
         InputError: Another count, or numbers with a fraction.
     """
-    values = numbers(text, count, option)
+    values = numbers(text, 3, "--shape")
     if any(not v.is_integer() for v in values):
-        raise InputError(f"{option} takes whole numbers, got {text!r}")
-    return tuple(int(v) for v in values)
+        raise InputError(f"--shape takes whole numbers, got {text!r}")
+    n_r, n_theta, n_z = map(int, values)
+    return n_r, n_theta, n_z
 
 
 def listed(text: str) -> tuple[str, ...]:
@@ -64,6 +65,7 @@ def check_outputs(
     inputs: Sequence[Path | str],
     *,
     force: bool,
+    pictures: Sequence[Path | None] = (),
     size: int = 0,
 ) -> None:
     """Check every output before work begins.
@@ -72,12 +74,19 @@ def check_outputs(
         outputs: Files that will be written; None where an option was not given.
         inputs: Files that are read; a probe may also be a primitive's description.
         force: Allow an output to replace an input.
+        pictures: As of ``outputs``, which will be pictures.
         size: Bytes the largest takes, about.
 
     Raises:
         FileError: One cannot be written, replaces an input, or two are the same.
+        InputError: A picture whose name ends otherwise.
     """
-    given = [output for output in outputs if output is not None]
+    for picture in pictures:
+        if picture is not None:
+            from ttus_opt.report.plots.canvas import require_picture_suffix
+
+            require_picture_suffix(picture)
+    given = [output for output in (*outputs, *pictures) if output is not None]
     for output in given:
         try:
             io.check_output(output, inputs=inputs, force=force, size=size)

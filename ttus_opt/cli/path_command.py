@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
@@ -68,30 +68,26 @@ def path(
 
     weights, options, plan = read_weights(weight), problem.further, grid.plan
     others = held_out or []
-    extras = {"potential": fields, "criteria": criteria}
-    if picture is not None:
-        from ttus_opt.report import plots
-
-        plots.require_picture_suffix(picture)
+    extras = ["potential"] * fields + ["criteria"] * criteria
     size = math.prod(len(values) for values in weights.values())
     bytes_needed = 8 * size * math.prod(plan.shape) if fields else 0
-    inputs: list[Path | str] = [
-        surface,
-        probe.probe,
-        *recordings.files,
-        *others,
-    ]
-    check_outputs([output, picture], inputs, force=force, size=bytes_needed)
+    pictures = [picture]
+    check_outputs(
+        [output],
+        [surface, probe.probe, *recordings.files, *others],
+        force=force,
+        pictures=pictures,
+        size=bytes_needed,
+    )
     with Stages(2) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
         shell = probe.read()
         recorded = recordings.read(recordings.as_written(), shell, patient)
-        apart = [replace(recordings, trajectory=[one]) for one in others]
-        unseen = {
-            one.trajectory[0].name: one.read(one.as_written(), shell, patient)
-            for one in apart
-        }
+        unseen = {}
+        for file in others:
+            one = replace(recordings, trajectory=[file])
+            unseen[file.name] = one.read(one.as_written(), shell, patient)
         if len(unseen) < len(others):
             raise InputError("--held-out names two files of one name: rename one")
         begin("assembling (first run compiles)")
@@ -103,13 +99,13 @@ def path(
         held_out=unseen,
         solver=problem.solver,
         tolerance=problem.tolerance,
-        extras=[name for name, asked in extras.items() if asked],
+        extras=extras,
         progress=True,
         **options,
     )
     found.attrs |= {
         "probe": probe.name,
-        "trajectories": ", ".join(one.name for one in recordings.trajectory),
+        "trajectories": ", ".join(recordings.names),
         "conventions": json_module.dumps(asdict(recordings.conventions)),
     }
     found = _with_names(found, [one.stem for one in recordings.trajectory])
@@ -119,10 +115,7 @@ def path(
 
         plots.save_picture(plots.weight_path(found), picture)
     best = best_weights(found)
-    if json:
-        print_json(_summary(found, best, output))
-    else:
-        _tell(found, best, output)
+    tell(_summary(found, best, output), *_lines(found, best, output), json=json)
     if found.attrs["points_done"] < found.attrs["points"]:
         raise typer.Exit(INTERRUPTED)
 
@@ -214,19 +207,19 @@ def _solved(found: xr.Dataset) -> int:
     return int((found["status"] == 0).sum())
 
 
-def _tell(found: xr.Dataset, best: dict[str, float], output: Path) -> None:
-    typer.echo(
+def _lines(found: xr.Dataset, best: dict[str, float], output: Path) -> list[str]:
+    solved = (
         f"{output}: {_solved(found)} of {found.attrs['points']} points solved by "
         f"{found.attrs['solver']}, KKT at most "
         f"{float(found['kkt_residual'].max()):.1e}, "
         f"{float(found['seconds'].sum()):.1f} s"
     )
     if not best:
-        return
+        return [solved]
     names = {f"{name}_weight": value for name, value in best.items()}
     where = {dim: names[str(dim)] for dim in found["status"].dims}
     at = found.sel(where, method="nearest")
-    typer.echo(
+    least = (
         "smallest held-out error at "
         + ", ".join(f"{name} weight {value:.3g}" for name, value in best.items())
         + f": force {float(at['held_out_force_magnitude_error'].mean()):.3f} N, "
@@ -234,3 +227,4 @@ def _tell(found: xr.Dataset, best: dict[str, float], output: Path) -> None:
         f"{float(at['held_out_torque_magnitude_error'].mean()):.1f} mN m, "
         f"{float(at['held_out_torque_angle_error'].mean()):.1f}°"
     )
+    return [solved, least]

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ttus_opt.cli.console import print_json
+from ttus_opt.cli.console import tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.errors import InputError
 
@@ -69,10 +69,7 @@ def record(
         lines.append(f"{file}: {frames} frames, {np.ptp(stream.time):.1f} s")
     if failed:
         raise InputError("; ".join([*failed, *(f"written {line}" for line in lines)]))
-    if json:
-        print_json(told)
-        return
-    typer.echo("\n".join(lines))
+    tell(told, *lines, json=json)
 
 
 def _counter() -> Callable[[int], None] | None:

@@ -97,6 +97,11 @@ class RecordingOptions:
     wrench_delay: float = 0.0
 
     @property
+    def names(self) -> list[str]:
+        """Of the files."""
+        return [path.name for path in self.trajectory]
+
+    @property
     def files(self) -> list[Path | str]:
         """What is read, for the check of outputs."""
         motion = self.base_to_scan

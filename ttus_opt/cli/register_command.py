@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
 
 if TYPE_CHECKING:
@@ -51,10 +51,8 @@ def board(
     camera = read_intrinsics(intrinsics)
     found = board_pose(read_image(image), grid, camera)
     _write(output, found.pose)
-    if json:
-        print_json({"output": _name(output), "board_to_camera": _facts(found)})
-        return
-    typer.echo(f"board to camera: {_sentence(found)}")
+    facts = {"output": output and str(output), "board_to_camera": _facts(found)}
+    tell(facts, f"board to camera: {_sentence(found)}", json=json)
 
 
 def markers(
@@ -81,11 +79,9 @@ def markers(
 
     camera = read_intrinsics(intrinsics)
     found = marker_poses(read_image(image), marker, dictionary, camera)
-    if json:
-        print_json({"markers_to_camera": [_facts(pose) for pose in found]})
-        return
-    for pose in found:
-        typer.echo(f"marker {pose.markers[0]} to camera: {_sentence(pose)}")
+    facts = {"markers_to_camera": [_facts(pose) for pose in found]}
+    lines = [f"marker {p.markers[0]} to camera: {_sentence(p)}" for p in found]
+    tell(facts, *lines, json=json)
 
 
 def hand_eye(
@@ -131,41 +127,31 @@ def hand_eye(
         )
     _write(output, found.camera)
     name = "camera_to_base" if camera == "fixed" else "camera_to_hand"
-    solvers: dict[str, Any] = {
-        solver: {
-            "position": None if one.camera is None else one.camera[:3, 3],
-            "loop_m": one.loop.gap,
-            "loop_degrees": np.rad2deg(one.loop.twist),
-        }
-        for solver, one in found.candidates.items()
-    }
-    if json:
-        print_json(
-            {
-                "output": _name(output),
-                name: found.camera,
-                "pairs": found.pairs,
-                "solver": found.solver,
-                "loop_m": found.loop.gap,
-                "loop_worst_m": found.loop.worst,
-                "loop_degrees": np.rad2deg(found.loop.twist),
-                "spread_m": found.spread,
-                "solvers": solvers,
-            }
-        )
-        return
+    solvers, lines = {}, []
     for solver, one in found.candidates.items():
+        gap, turn = one.loop.gap, np.rad2deg(one.loop.twist)
+        position = None if one.camera is None else one.camera[:3, 3]
+        solvers[solver] = {"position": position, "loop_m": gap, "loop_degrees": turn}
         place = "no answer" if one.camera is None else _place(one.camera)
-        typer.echo(
-            f"{solver:<11} {place}, loop {1e3 * one.loop.gap:.2f} mm "
-            f"{np.rad2deg(one.loop.twist):.3f}°"
-        )
-    typer.echo(
+        lines.append(f"{solver:<11} {place}, loop {1e3 * gap:.2f} mm {turn:.3f}°")
+    facts = {
+        "output": output and str(output),
+        name: found.camera,
+        "pairs": found.pairs,
+        "solver": found.solver,
+        "loop_m": found.loop.gap,
+        "loop_worst_m": found.loop.worst,
+        "loop_degrees": np.rad2deg(found.loop.twist),
+        "spread_m": found.spread,
+        "solvers": solvers,
+    }
+    lines.append(
         f"{name.replace('_', ' ')} by {found.solver}: {found.pairs} pairs, loops close "
         f"to {1e3 * found.loop.gap:.2f} mm and {np.rad2deg(found.loop.twist):.3f}° on "
         f"average, solvers differ by {1e3 * found.spread:.2f} mm; read as marker to "
         "camera and hand to base"
     )
+    tell(facts, *lines, json=json)
 
 
 def _place(pose: Array) -> str:
@@ -192,10 +178,6 @@ def _facts(found: MarkerPose) -> dict[str, Any]:
         "residual_pixels": found.residual,
         "other_residual_pixels": found.other_residual,
     }
-
-
-def _name(output: Path | None) -> str | None:
-    return None if output is None else str(output)
 
 
 def _write(output: Path | None, motion: Array) -> None:

@@ -6,10 +6,8 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-import typer
-
-from ttus_opt.cli.console import Stages, print_json
-from ttus_opt.cli.evaluate_command import warn_beyond, warn_off_grid
+from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.evaluate_command import warn_of_poses
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.sources import warn_of_another_probe
@@ -45,8 +43,7 @@ def render(
     from ttus_opt.voxmap.field import PotentialField
 
     conventions = recordings.conventions
-    inputs: list[Path | str] = [field, probe.probe, *recordings.files]
-    check_outputs([output], inputs, force=force)
+    check_outputs([output], [field, probe.probe, *recordings.files], force=force)
     with Stages(3) as begin:
         begin("reading field and poses")
         as_written = recordings.as_written()
@@ -60,8 +57,10 @@ def render(
         start = time.perf_counter()
         wrenches = [renderer.render(*frame) for frame in frames]
         seconds = time.perf_counter() - start
-        warn_off_grid(np.array([w.in_grid for w in wrenches]))
-        warn_beyond(np.array([w.beyond_inner for w in wrenches]))
+        warn_of_poses(
+            np.array([w.in_grid for w in wrenches]),
+            np.array([w.beyond_inner for w in wrenches]),
+        )
         begin("writing")
         rendered = replace(
             poses,
@@ -78,11 +77,9 @@ def render(
         "frames_saturated": sum(w.saturated for w in wrenches),
         "seconds_per_frame": seconds / len(poses),
     }
-    if json:
-        print_json(told)
-        return
-    typer.echo(
+    line = (
         f"{output}: {told['frames']} frames, {told['frames_touching']} touching, "
         + (f"{told['frames_saturated']} saturated, " if force_limit else "")
         + f"{1e6 * seconds / len(poses):.0f} µs per frame"
     )
+    tell(told, line, json=json)

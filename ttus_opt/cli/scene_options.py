@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import typer
 
-from ttus_opt.cli.options import whole_numbers
+from ttus_opt.cli.options import voxel_counts
 from ttus_opt.errors import InputError
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ class SceneOptions:
         from ttus_opt.scene import ScenePlan
 
         return ScenePlan(
-            whole_numbers(self.shape, 3, "--shape"),
+            voxel_counts(self.shape),
             self.r_inner,
             self.r_outer,
             None if self.inner is None else boundary_value(self.inner),

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.console import Stages, tell
 from ttus_opt.errors import InputError
 
 
@@ -53,13 +53,10 @@ def session(
         told = ", ".join(done) or "nothing"
         typer.echo(f"complete in {output}: {told}", err=True)
         raise
-    if json:
-        print_json(
-            {"output": str(output), **result.as_dict(), "report": f"{output}/report.md"}
-        )
-        return
-    typer.echo("\n\n".join(map(markdown, summary(result)[2:])))
-    typer.echo(f"\nreport.md, report.html, session.json and all steps in {output}/")
+    facts = {"output": str(output), **result.told, "report": f"{output}/report.md"}
+    text = "\n\n".join(map(markdown, summary(result)[2:]))
+    where = f"\nreport.md, report.html, session.json and all steps in {output}/"
+    tell(facts, text, where, json=json)
 
 
 def _write_example(folder: Path, output: Path | None, json: bool) -> None:
@@ -70,7 +67,5 @@ def _write_example(folder: Path, output: Path | None, json: bool) -> None:
     with Stages(1) as begin:
         begin("making the recording")
         truth = write_recording(folder)
-    if json:
-        print_json({"folder": str(folder), "truth": truth.as_dict()})
-        return
-    typer.echo(f"{folder}: a synthetic recording; ttus-opt session {folder} -o results")
+    line = f"{folder}: a synthetic recording; ttus-opt session {folder} -o results"
+    tell({"folder": str(folder), "truth": truth.as_dict()}, line, json=json)

@@ -46,7 +46,7 @@ def sources(
     return {
         "probe": probe.name,
         "surface": surface.name,
-        "trajectories": ", ".join(path.name for path in recordings.trajectory),
+        "trajectories": ", ".join(recordings.names),
         "recordings": _hashes(recordings.trajectory),
         "hashes": _hashes(files),
         "conventions": json.dumps(asdict(recordings.conventions)),

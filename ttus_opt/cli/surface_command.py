@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from ttus_opt.cli.cloud_options import AxisOptions, CloudOptions
-from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.depth_options import DepthOptions, stitched_facts, stitched_lines
 from ttus_opt.cli.options import check_outputs, numbers
 from ttus_opt.errors import InputError
@@ -52,77 +50,59 @@ def surface(
         --intrinsics camera.json --poses poses.csv --noise stereo:0.05 --refine -o
         surface.nc
     """
-    if picture is not None:
-        from ttus_opt.report import plots
+    from ttus_opt.scan.extraction import extract_surface
 
-        plots.require_picture_suffix(picture)
     inputs = [*cloud.scans, *depth.files, *(f for f in (axis.axis_from, update) if f)]
-    check_outputs([output, picture], inputs, force=force)
-    grid = _Grid(n_theta, n_z, None if z_range is None else _pair(z_range))
+    check_outputs([output], inputs, force=force, pictures=[picture])
+    heights = None if z_range is None else numbers(z_range, 2, "--z-range")
     with Stages(3 if picture is None else 4) as begin:
         begin("reading the scan")
         points, std, stitched = _read(cloud, depth)
         begin("following the contour")
         changes: dict[str, Any] = {}
         if update is None:
-            found = _extracted(points, std, axis, grid)
+            found = extract_surface(
+                points,
+                axis=axis.frame(points),
+                n_theta=n_theta,
+                n_z=n_z,
+                z_range=heights,  # type: ignore[arg-type]  # two of them
+                support="find" if axis.support else None,
+                point_std=std,
+            )
         else:
             found, changes = _updated(points, std, axis, update)
         begin("writing the surface")
         found.save(output)
         if picture is not None:
+            from ttus_opt.report import plots
+
             begin("drawing")
             plots.save_picture(plots.surface_picture(found, points), picture)
     told = _summary(found, len(points), output) | changes
     if stitched is not None:
         told |= stitched_facts(stitched)
-    if json:
-        print_json(told)
-        return
-    typer.echo(
+    lines = [
         f"{output}: {told['n_theta']} x {told['n_z']} radii, "
         f"{100 * told['observed']:.0f} % observed, "
         f"R {100 * told['radius_min_m']:.1f} to {100 * told['radius_max_m']:.1f} cm, "
         f"z {100 * told['z_min_m']:.1f} to {100 * told['z_max_m']:.1f} cm"
-    )
+    ]
     if changes:
         shares = ", ".join(
             f"{name} {100 * changes[name]:.0f} %"
             for name in ("kept", "averaged", "replaced", "added")
         )
-        typer.echo(f"of its nodes: {shares}")
-    for line in [] if stitched is None else stitched_lines(stitched):
-        typer.echo(line)
+        lines.append(f"of its nodes: {shares}")
+    if stitched is not None:
+        lines += stitched_lines(stitched)
     along = ", ".join(f"{v:.2f}" for v in found.axis.rotation[:, 2])
     guess = " by the depth of the trunk: if not, add --flip-axis"
-    typer.echo(
+    lines.append(
         "patient frame: x right, y front, z head; the head lies towards "
         f"({along}) in the scan" + (guess if axis.guesses and update is None else "")
     )
-
-
-class _Grid(NamedTuple):
-    """Spokes, slices, and the heights between which they are [m]."""
-
-    n_theta: int
-    n_z: int
-    z_range: tuple[float, float] | None
-
-
-def _extracted(
-    points: Array, std: Array | None, axis: AxisOptions, grid: _Grid
-) -> Surface:
-    from ttus_opt.scan.extraction import extract_surface
-
-    return extract_surface(
-        points,
-        axis=axis.frame(points),
-        n_theta=grid.n_theta,
-        n_z=grid.n_z,
-        z_range=grid.z_range,
-        support="find" if axis.support else None,
-        point_std=std,
-    )
+    tell(told, *lines, json=json)
 
 
 def _updated(
@@ -166,11 +146,6 @@ def _read(
         kept = inside(points, cloud.limits)
         points, std = points[kept], None if std is None else std[kept]
     return points, std, found
-
-
-def _pair(text: str) -> tuple[float, float]:
-    low, high = numbers(text, 2, "--z-range")
-    return low, high
 
 
 def _summary(found: Surface, n_points: int, output: Path) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ttus_opt.cli.console import print_json
+from ttus_opt.cli.console import tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.errors import InputError
 
@@ -90,14 +90,12 @@ def synchronise(
         "correlation": None if found is None else found.correlation,
         "rival": None if found is None else found.rival,
     }
-    if json:
-        print_json(told)
-        return
     how = "" if found is None else f", correlation {found.correlation:.3f}"
-    typer.echo(
+    line = (
         f"{output}: {len(joined)} of {len(track)} frames in {segments} segments, "
         f"wrenches moved by {offset:.4f} s{how}"
     )
+    tell(told, line, json=json)
 
 
 def _found(

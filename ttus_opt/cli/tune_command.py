@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.scene_options import SceneOptions, further_options
 
@@ -60,10 +60,7 @@ def tune(
         begin("assembling (first run compiles)")
         scene = plan.build(patient, shell, recorded)
         found = tune_scene(scene, candidates, progress=begin, **options)
-    if json:
-        print_json(_summary(found))
-    else:
-        _tell(found)
+    tell(_summary(found), *_lines(found), json=json)
 
 
 def _summary(found: Tuning) -> dict[str, Any]:
@@ -95,26 +92,27 @@ def _fit_options(found: Tuning) -> str:
     return " ".join(words)
 
 
-def _tell(found: Tuning) -> None:
+def _lines(found: Tuning) -> list[str]:
     shape = " x ".join(map(str, found.shape))
-    typer.echo(
+    less = {name: found.log_marginal - m for name, m in found.candidates.items()}
+    return [
         f"{found.formulation.name}: {_weights(found.weights)}, tuned on {shape} voxels "
-        f"in {found.seconds:.1f} s"
-    )
-    for name, log_marginal in found.candidates.items():
-        less = found.log_marginal - log_marginal
-        if less > 0.0:
-            typer.echo(f"{name}: less likely by a factor of e^{less:.1f}")
-    for one in found.hyperparameters:
-        typer.echo(_line(one))
-    typer.echo(f"error of a force component: {found.noise:.3f} N")
-    typer.echo(f"forces of presses left out: {found.left_out_force_error:.3f} N")
-    for other in found.comparisons:
-        typer.echo(
+        f"in {found.seconds:.1f} s",
+        *(
+            f"{name}: less likely by a factor of e^{factor:.1f}"
+            for name, factor in less.items()
+            if factor > 0.0
+        ),
+        *map(_line, found.hyperparameters),
+        f"error of a force component: {found.noise:.3f} N",
+        f"forces of presses left out: {found.left_out_force_error:.3f} N",
+        *(
             f"by {CRITERIA[other.criterion]}: {_weights(other.weights)}, which leaves "
             f"{other.left_out_force_error:.3f} N"
-        )
-    typer.echo(f"ttus-opt fit {_fit_options(found)}")
+            for other in found.comparisons
+        ),
+        f"ttus-opt fit {_fit_options(found)}",
+    ]
 
 
 def _weights(weights: Any) -> str:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import typer
-
-from ttus_opt.cli.console import Stages, print_json
+from ttus_opt.cli.console import Stages, tell
 
 
 def warm_up(json: bool = False) -> None:
@@ -19,8 +17,5 @@ def warm_up(json: bool = False) -> None:
     with Stages(ahead.N_STAGES) as begin:
         seconds = ahead.warm_up(begin)
     told = {"seconds": seconds, "folder": compiled.cache_folder()}
-    if json:
-        print_json(told)
-        return
     kept = f"kept in {told['folder']}" if told["folder"] else "not kept"
-    typer.echo(f"compiled in {seconds:.0f} s, {kept}")
+    tell(told, f"compiled in {seconds:.0f} s, {kept}", json=json)

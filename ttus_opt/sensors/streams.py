@@ -75,8 +75,7 @@ class WrenchStream:
             columns.append(self.torque)
             names += TORQUE
         lines = [",".join(map(repr, row)) for row in np.hstack(columns).tolist()]
-        with io.replacing(path) as temporary:
-            temporary.write_text("\n".join([",".join(names), *lines, ""]))
+        io.write_text(path, "\n".join([",".join(names), *lines, ""]))
 
 
 def read_wrench_stream(
@@ -143,16 +142,22 @@ def with_wrenches(
     cut |= (np.diff(out.time) > largest_gap) | (np.diff(out.segment) != 0)
     segment = np.concatenate([[0], np.cumsum(cut)]).astype(np.int64)
 
-    def then(values: Array) -> Array:
-        columns = [np.interp(out.time, time, column) for column in values.T]
-        return np.stack(columns, axis=1)
-
-    return replace(
-        out,
-        force=then(wrenches.force),
-        torque=None if wrenches.torque is None else then(wrenches.torque),
-        segment=segment,
+    force, torque = (
+        None if values is None else interpolated(out.time, time, values)
+        for values in (wrenches.force, wrenches.torque)
     )
+    return replace(out, force=force, torque=torque, segment=segment)
+
+
+def interpolated(at: Array, time: Array, values: Array) -> Array:
+    """Columns of values at other times, linear, shape (len(at), k).
+
+    Args:
+        at: Where to [s].
+        time: Of the values, increasing, shape (T,) [s].
+        values: Shape (T, k).
+    """
+    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 
 
 def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajectory:
@@ -182,7 +187,7 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
         )
     at = time[keep]
     turns = Slerp(poses.time, Rotation.from_matrix(poses.rotation))(at)
-    position = [np.interp(at, poses.time, column) for column in poses.position.T]
+    position = interpolated(at, poses.time, poses.position)
     # two kept times with a gap between them belong to other segments
     holes = np.flatnonzero(np.diff(poses.time) > largest_gap)
     edges = poses.time[holes]
@@ -191,7 +196,7 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
     new = (np.diff(segment) != 0) | left_out
     return Trajectory(
         at,
-        np.stack(position, axis=1),
+        position,
         turns.as_matrix(),
         segment=np.concatenate([[0], np.cumsum(new)]).astype(np.int64),
     )

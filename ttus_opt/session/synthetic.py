@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from ttus_opt.probe.pose import to_quaternions
 from ttus_opt.probe.rigid_motion import inverse
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
-from ttus_opt.sensors.streams import WrenchStream
+from ttus_opt.sensors.streams import WrenchStream, interpolated
 from ttus_opt.sensors.tool_load import GRAVITY
 
 #: The example's recordings in their order, and what they are for
@@ -168,45 +168,13 @@ def write_recording(
     return truth
 
 
-def perfect(seconds: float = 20.0) -> dict[str, Trajectory]:
-    """The recordings as perfect devices have them, frame of the example's surface.
+def recording(name: str, seconds: float) -> Trajectory:
+    """One of `RECORDINGS` as perfect devices have it, frame of the example's surface.
 
     Args:
+        name: Which.
         seconds: As of `write_recording`.
     """
-    return {name: _recording(name, seconds) for name in RECORDINGS}
-
-
-def calibrated(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
-    """The recordings as perfect calibration has them, with the tracker's noise.
-
-    In the frame of the example's surface, at the tracker's times.
-
-    Args:
-        seconds: As of `write_recording`.
-        seed: The same.
-    """
-    truth = Truth()
-    _, _, tilts, noise, _ = np.random.default_rng(seed).spawn(5)
-    moved, stretches = _motion_of_all(seconds, tilts)
-    tracked = _tracked(moved, truth, noise)
-    to_patient = inverse(_patient_to_scan()) @ truth.tracker_to_scan
-    poses = to_patient @ _matrices(tracked) @ inverse(truth.target_to_probe)
-    known = _at(moved, tracked.time)
-    seen = Trajectory(
-        tracked.time,
-        poses[:, :3, 3].copy(),
-        poses[:, :3, :3].copy(),
-        known.force,
-        known.torque,
-    )
-    return {
-        name: seen.select((seen.time >= start) & (seen.time <= end))
-        for name, (start, end) in stretches.items()
-    }
-
-
-def _recording(name: str, seconds: float) -> Trajectory:
     whole = read_trajectory(example.path(f"{name}.csv"))
     return whole.select(whole.time <= seconds)
 
@@ -218,40 +186,23 @@ def _motion_of_all(
     parts, begin = [_tilts(rng)], FREE + PAUSE
     stretches = {}
     for name in RECORDINGS:
-        own = _recording(name, seconds)
+        own = recording(name, seconds)
         length = float(own.time[-1])
         stretches[name] = (begin, begin + length)
-        parts.append(
-            Trajectory(
-                own.time + begin, own.position, own.rotation, own.force, own.torque
-            )
-        )
+        parts.append(replace(own, time=own.time + begin))
         begin += length + PAUSE
-    assert all(p.force is not None and p.torque is not None for p in parts)
-    return (
-        Trajectory(
-            np.concatenate([p.time for p in parts]),
-            np.concatenate([p.position for p in parts]),
-            np.concatenate([p.rotation for p in parts]),
-            np.concatenate([p.force for p in parts if p.force is not None]),
-            np.concatenate([p.torque for p in parts if p.torque is not None]),
-        ),
-        stretches,
-    )
+    return Trajectory.concatenate(parts), stretches
 
 
 def _tilts(rng: np.random.Generator) -> Trajectory:
     """A probe held 15 cm above the belly, from one tilt to the next every second."""
     held = np.arange(0.0, FREE + 0.5, 1.0)
-    towards = Rotation.from_euler(
-        "x", 90.0, degrees=True
-    )  # the probe's z into the skin
+    # the probe's z into the skin
+    towards = Rotation.from_euler("x", 90.0, degrees=True)
     tilts = Rotation.from_rotvec(rng.normal(0.0, 0.5, (len(held), 3))) * towards
     # at rest for half of every second
     stops = np.sort(np.concatenate([held, held[:-1] + 0.5]))
-    turns = Slerp(
-        stops, Rotation.concatenate([tilts[i // 2] for i in range(len(stops))])
-    )
+    turns = Slerp(stops, tilts[np.arange(len(stops)) // 2])
     time = np.arange(0.0, FREE, 0.05)
     place = np.tile([0.0, 0.27, 0.15], (len(time), 1))
     place += 0.02 * np.sin(np.outer(time, [0.9, 0.7, 0.5]))
@@ -261,20 +212,14 @@ def _tilts(rng: np.random.Generator) -> Trajectory:
 
 def _at(moved: Trajectory, time: Array) -> Trajectory:
     """Pose and contact at other times; slerp and straight lines."""
-
-    def then(values: Array | None) -> Array:
-        assert values is not None
-        columns = [np.interp(time, moved.time, column) for column in values.T]
-        return np.stack(columns, axis=1)
-
+    assert moved.force is not None
+    assert moved.torque is not None
     turns = Slerp(moved.time, Rotation.from_matrix(moved.rotation))(time)
-    return Trajectory(
-        time,
-        then(moved.position),
-        turns.as_matrix(),
-        then(moved.force),
-        then(moved.torque),
+    position, force, torque = (
+        interpolated(time, moved.time, values)
+        for values in (moved.position, moved.force, moved.torque)
     )
+    return Trajectory(time, position, turns.as_matrix(), force, torque)
 
 
 def _matrices(poses: Trajectory) -> Array:
@@ -410,18 +355,15 @@ def _write_scan(folder: Path, rng: np.random.Generator) -> list[list[list[float]
         poses.append((_patient_to_scan() @ pose).tolist())
     centre = (VIEWS[0].pixels - 1) / 2
     focal = centre / float(np.tan(VIEWS[0].opening))
-    _write_json(
-        folder / "camera.json",
-        {
-            "width": VIEWS[0].pixels,
-            "height": VIEWS[0].pixels,
-            "K": [focal, 0.0, centre, 0.0, focal, centre, 0.0, 0.0, 1.0],
-            "D": [],
-        },
-    )
+    camera = {
+        "width": VIEWS[0].pixels,
+        "height": VIEWS[0].pixels,
+        "K": [focal, 0.0, centre, 0.0, focal, centre, 0.0, 0.0, 1.0],
+        "D": [],
+    }
+    _write_json(folder / "camera.json", camera)
     return poses
 
 
 def _write_json(path: Path, content: object) -> None:
-    with io.replacing(path) as temporary:
-        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    io.write_text(path, json.dumps(content, indent=2) + "\n")
