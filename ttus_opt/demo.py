@@ -95,15 +95,7 @@ class DemoResult:
             "surface_error_p95_m": self.surface_error.p95,
             "surface_observed": self.surface_error.observed,
             "seconds": self.seconds,
-            "errors": [
-                {
-                    "recording": case.recording,
-                    "seen": case.seen,
-                    "before": case.before.errors.as_dict(),
-                    "after": case.after.errors.as_dict(),
-                }
-                for case in self.comparisons
-            ],
+            "errors": [case.as_dict() for case in self.comparisons],
         }
 
 

@@ -6,6 +6,7 @@ import shlex
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,7 +28,59 @@ HALF = 30.0
 OWN = "user"
 
 
+@dataclass(frozen=True)
+class OwnScene:
+    """A scene beside the reference cases, as typed.
+
+    Attributes:
+        surface: Surface file of your own scene.
+        probe: Its probe.
+        trajectory: Its recordings; may be repeated.
+        shape: Its voxels in r, θ, z.
+        r_inner: Its innermost radius [m].
+        inner: Its value on the inner layer, or fit.
+        sampling: Sampling of any scene: trilinear, voxel-mean or contact-size.
+    """
+
+    surface: str | None = None
+    probe: str | None = None
+    trajectory: Annotated[list[str] | None, typer.Option(metavar="PATH")] = None
+    shape: str = "48,120,60"
+    r_inner: float = 0.03
+    inner: str = "fit"
+    sampling: str = "trilinear"
+
+    def cases(self, names: str) -> list[CaseSpec]:
+        """The reference cases of these names, or the user's own scene.
+
+        Raises:
+            InputError: No such case, a scene half given, or invalid numbers.
+            FileError: A file is not there.
+        """
+        from ttus_opt.benchmark import CaseSpec, reference_cases
+        from ttus_opt.benchmark.cases import existing
+
+        if self.surface is None and self.probe is None and not self.trajectory:
+            return [each.sampled(self.sampling) for each in reference_cases(names)]
+        if self.surface is None or self.probe is None or not self.trajectory:
+            raise InputError(
+                "a scene of your own needs --surface, --probe and --trajectory together"
+            )
+        own = CaseSpec(
+            OWN,
+            self.surface,
+            self.probe,
+            tuple(self.trajectory),
+            voxel_counts(self.shape),
+            r_inner=self.r_inner,
+            inner=boundary_value(self.inner),
+            sampling=self.sampling,
+        )
+        return [existing(own)]
+
+
 def benchmark(
+    *,
     case: str = "S",
     formulations: str = "eq10",
     solvers: str = "all",
@@ -36,13 +89,7 @@ def benchmark(
     time_limit: float = 600.0,
     tolerance: float = 1e-6,
     output: Path = Path("benchmark-results"),
-    surface: str | None = None,
-    probe: str | None = None,
-    trajectory: Annotated[list[str] | None, typer.Option(metavar="PATH")] = None,
-    shape: str = "48,120,60",
-    r_inner: float = 0.03,
-    inner: str = "fit",
-    sampling: str = "trilinear",
+    own: OwnScene,
     boundary: str = "subvoxel",
     perturb: str = "",
     contest: Annotated[str, typer.Option(hidden=True)] = "",
@@ -72,13 +119,6 @@ def benchmark(
             that to tell how far it came.
         tolerance: Largest relative residual of a solution.
         output: Folder; a second call goes on there.
-        surface: Surface file of your own scene.
-        probe: Its probe.
-        trajectory: Its recordings; may be repeated.
-        shape: Its voxels in r, θ, z.
-        r_inner: Its innermost radius [m].
-        inner: Its value on the inner layer, or fit.
-        sampling: Sampling of any scene: trilinear, voxel-mean or contact-size.
         boundary: Where p = 0 stands in any scene: subvoxel or staircase.
         perturb: Perturb the measured wrenches, so that limits become active: noise
             (with --weight 1 and more) or reversed (a fifth; with --weight 100).
@@ -101,9 +141,7 @@ def benchmark(
     from ttus_opt.benchmark.parts.registry import chosen
 
     names, machine = chosen(parts), describe()  # its load is that at the start
-    cases = _cases(
-        case, surface, probe, trajectory or [], shape, r_inner, inner, sampling
-    )
+    cases = own.cases(case)
     settings = Settings(
         time_limit,
         listed(formulations),
@@ -127,44 +165,6 @@ def benchmark(
         _export(suite, export, json)
     else:
         _run(suite, machine, json)
-
-
-def _cases(
-    case: str,
-    surface: str | None,
-    probe: str | None,
-    trajectory: Sequence[str],
-    shape: str,
-    r_inner: float,
-    inner: str,
-    sampling: str,
-) -> list[CaseSpec]:
-    """Reference cases, or the user's own scene.
-
-    Raises:
-        InputError: No such case, a scene half given, or invalid numbers.
-        FileError: A file is not there.
-    """
-    from ttus_opt.benchmark import CaseSpec, reference_cases
-    from ttus_opt.benchmark.cases import existing
-
-    if surface is None and probe is None and not trajectory:
-        return [each.sampled(sampling) for each in reference_cases(case)]
-    if surface is None or probe is None or not trajectory:
-        raise InputError(
-            "a scene of your own needs --surface, --probe and --trajectory together"
-        )
-    own = CaseSpec(
-        OWN,
-        surface,
-        probe,
-        tuple(trajectory),
-        voxel_counts(shape),
-        r_inner=r_inner,
-        inner=boundary_value(inner),
-        sampling=sampling,
-    )
-    return [existing(own)]
 
 
 class _Watched:

@@ -36,13 +36,11 @@ def draw(folder: Path, result: ExperimentResult, best: str) -> list[Picture]:
     pictures = []
     for each in result.patients:
         pictures += _of_patient(folder, each, best)
-    path = f"{FOLDER}/boundary.png"
-    _save(boundary_picture(result), folder / path)
     caption = (
         "Error on new trajectories over a decade of boundary values, without "
         "(dashed) and with measured forces"
     )
-    return [*pictures, Picture(path, caption)]
+    return [*pictures, _saved(boundary_picture(result), folder, "boundary", caption)]
 
 
 def boundary_picture(result: ExperimentResult) -> Figure:
@@ -83,29 +81,28 @@ def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
             "with measured forces": judge.evaluation(fitted, recording, "measured"),
         }
         kind = recording.split("_")[0]
-        path = f"{FOLDER}/{name}-{kind}.png"
         figure = plots.force_over_time(pair, f"{name}: {kind}, new trajectory")
-        _save(figure, folder / path)
         caption = (
             f"{name}, {kind}, a trajectory that was not fitted: measured force, and "
             f"rendered without (Laplace alone, p_in = 1) and with measured forces"
         )
-        pictures.append(Picture(path, caption))
-    path = f"{FOLDER}/{name}-slice.png"
-    _save(plots.potential_slices(prior, eq10), folder / path)
+        pictures.append(_saved(figure, folder, f"{name}-{kind}", caption))
     caption = (
         f"{name}: potential in a slice, Laplace alone with its boundary value fitted, "
         "with measured wrenches (eq. 10), and the difference"
     )
-    return [*pictures, Picture(path, caption)]
+    figure = plots.potential_slices(prior, eq10)
+    return [*pictures, _saved(figure, folder, f"{name}-slice", caption)]
 
 
-def _save(figure: Figure, path: Path) -> None:
+def _saved(figure: Figure, folder: Path, name: str, caption: str) -> Picture:
     """Write a figure with a palette of colours: a third of the size."""
     from PIL import Image  # comes with Matplotlib
 
+    path = folder / FOLDER / f"{name}.png"
     plots.save_picture(figure, path)
     with Image.open(path) as picture:
         small = picture.convert("RGB").quantize(COLOURS)
     with io.replacing(path) as temporary:
         small.save(temporary, format="PNG", optimize=True)
+    return Picture(f"{FOLDER}/{name}.png", caption)

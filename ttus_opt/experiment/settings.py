@@ -55,17 +55,10 @@ class Setting:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, and for knowing whether a kept result is of this setting."""
-        told = {
-            "name": self.name,
-            "formulation": self.formulation,
-            "options": dict(self.options),
-            "inner": self.inner,
-            "outer": self.outer,
-            "sampling": self.sampling,
-            "boundary": self.boundary,
-        }
-        # results kept before this option existed stay valid
-        return told | ({"chooses": True} if self.chooses else {})
+        told = {**vars(self), "options": dict(self.options)}
+        if not self.chooses:
+            del told["chooses"]  # results kept before this option existed stay valid
+        return told
 
 
 #: The paper's: without and with measured forces, its boundary, values and weights

@@ -80,7 +80,7 @@ class Scheme:
             step *= 2
         level = step.bit_length() - 1
         known = [np.arange(0, n, 2 * step) for n in self.shape]
-        yield _Pass(tuple(known), None, self._parts(level + 1))
+        yield _Pass(tuple(known), self._parts(level + 1))
         while level >= 0:
             for axis in self.axes:
                 n = self.shape[axis]
@@ -89,8 +89,8 @@ class Scheme:
                     continue
                 stencils = _stencils(n, step, self.periodic[axis])
                 target = (*known[:axis], new, *known[axis + 1 :])
-                source = _Source(axis, tuple(known), stencils)
-                yield _Pass(target, source, self._parts(level))
+                parts = self._parts(level)
+                yield _Pass(target, parts, axis, tuple(known), stencils)
                 known[axis] = np.arange(0, n, step)
             step //= 2
             level -= 1
@@ -117,76 +117,61 @@ class _Stencils:
 
 
 @dataclass(frozen=True)
-class _Source:
-    """From what a pass predicts, along one axis.
+class _Pass:
+    """Nodes that come together, predicted along one axis.
 
     Attributes:
+        target: Their indices, per axis.
+        parts: Parts of a quantum in one difference.
         axis: The axis.
         known: Indices known so far, per axis.
-        stencils: Which of them, and their weights.
+        stencils: Which of them the nodes are predicted from, and their weights; None
+            for the coarsest.
     """
 
-    axis: int
-    known: tuple[IntArray, ...]
-    stencils: _Stencils
+    target: _Indices
+    parts: int
+    axis: int = 0
+    known: _Indices = ()
+    stencils: _Stencils | None = None
 
-    def predicted(
-        self, values: IntArray, sides: NDArray[np.int8] | None, target: _Indices
-    ) -> IntArray:
-        """New nodes from known ones, rounded; 0 where none may be used."""
-        nodes = self.stencils.nodes.T
-        known = [values[self._there(node)] for node in nodes]
+    def predicted(self, values: IntArray, sides: NDArray[np.int8] | None) -> IntArray:
+        """The nodes from known ones, rounded; 0 where none may be used."""
+        shape = [len(indices) for indices in self.target]
+        if self.stencils is None:
+            return np.zeros(shape, np.int64)
+        nodes = [self._there(node) for node in self.stencils.nodes.T]
+        known = [values[node] for node in nodes]
         usable: IntArray | int = (1 << len(nodes)) - 1
         if sides is not None:
-            known, usable = self._on_one_side(known, sides, target)
-        shape = [1] * values.ndim
-        shape[self.axis] = -1
-        weights = self.stencils.weights[self.stencils.kind.reshape(shape), usable]
-        total = np.full([len(indices) for indices in target], WEIGHT // 2)
+            known, usable = self._on_one_side(known, sides, nodes)
+        along = [1] * values.ndim
+        along[self.axis] = -1
+        weights = self.stencils.weights[self.stencils.kind.reshape(along), usable]
+        total = np.full(shape, WEIGHT // 2)
         for number, part in enumerate(known):
             total += part * weights[..., number]
         return np.asarray(total // WEIGHT)
 
     def _on_one_side(
-        self, known: list[IntArray], sides: NDArray[np.int8], target: _Indices
+        self, known: list[IntArray], sides: NDArray[np.int8], nodes: list[_Indices]
     ) -> tuple[list[IntArray], IntArray]:
         """Values of nodes, 0 on other sides, and which predict: bit i for node i."""
-        own = sides[np.ix_(*target)]
+        own = sides[np.ix_(*self.target)]
         usable = np.zeros(own.shape, np.int64)
         seen = []
-        for bit, node in enumerate(self.stencils.nodes.T):
-            same = sides[self._there(node)] == own
+        for bit, node in enumerate(nodes):
+            same = sides[node] == own
             seen.append(np.where(same, known[bit], 0))
             nearest = len(known) // 2 - 1 <= bit <= len(known) // 2
             usable |= (same | (own > 0) if nearest else same).astype(np.int64) << bit
         return seen, usable
 
-    def _there(self, node: IntArray) -> tuple[IntArray, ...]:
+    def _there(self, node: IntArray) -> _Indices:
         """Indices of known nodes, moved along the axis."""
         across = [*self.known]
         across[self.axis] = node
         return np.ix_(*across)
-
-
-@dataclass(frozen=True)
-class _Pass:
-    """Nodes that come together.
-
-    Attributes:
-        target: Their indices, per axis.
-        source: What they are predicted from; None for the coarsest.
-        parts: Parts of a quantum in one difference.
-    """
-
-    target: _Indices
-    source: _Source | None
-    parts: int
-
-    def predicted(self, values: IntArray, sides: NDArray[np.int8] | None) -> IntArray:
-        """The nodes, from what is known."""
-        if self.source is None:
-            return np.zeros([len(indices) for indices in self.target], np.int64)
-        return self.source.predicted(values, sides, self.target)
 
 
 @functools.lru_cache(maxsize=256)

@@ -163,14 +163,8 @@ def compare(
     torque = trajectory.torque
     if torque is None:
         torque = np.full_like(trajectory.force, np.nan)
-    errors = _errors(
-        trajectory.force,
-        rendered.force,
-        torque,
-        rendered.torque,
-        force_threshold,
-        torque_threshold,
-    )
+    measured = trajectory.force, torque
+    errors = _errors(*measured, rendered, force_threshold, torque_threshold)
     return Evaluation(
         errors,
         trajectory.time,
@@ -205,12 +199,12 @@ def angles(a: Array, b: Array) -> Array:
 
 def _errors(
     force: Array,
-    force_hat: Array,
     torque: Array,
-    torque_hat: Array,
+    rendered: FieldWrenches,
     force_threshold: float,
     torque_threshold: float,
 ) -> Errors:
+    force_hat, torque_hat = rendered.force, rendered.torque
     size, size_torque = np.linalg.norm(force, axis=1), np.linalg.norm(torque, axis=1)
     d_force = np.linalg.norm(force_hat, axis=1) - size
     d_torque = np.linalg.norm(torque_hat, axis=1) - size_torque

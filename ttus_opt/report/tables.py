@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from ttus_opt import io
 from ttus_opt.report.metrics import Errors, Evaluation
@@ -26,6 +27,15 @@ class Comparison:
     seen: bool
     before: Evaluation
     after: Evaluation
+
+    def as_dict(self) -> dict[str, Any]:
+        """Errors by name, for JSON."""
+        return {
+            "recording": self.recording,
+            "seen": self.seen,
+            "before": self.before.errors.as_dict(),
+            "after": self.after.errors.as_dict(),
+        }
 
 
 _COLUMNS: tuple[tuple[str, Callable[[Errors], float], str], ...] = (
@@ -108,33 +118,23 @@ def write_report(
         facts: What was done, a line each, by name.
         pictures: Caption by file name, in the order they are shown.
     """
-    lines = [
+    threshold = comparisons[0].after.errors.force_threshold_N
+    parts = [
         "# Report",
-        "",
-        *(f"- {name}: {what}" for name, what in facts.items()),
-        "",
+        "\n".join(f"- {name}: {what}" for name, what in facts.items()),
         "## Errors before → after fitting",
-        "",
         error_table(comparisons),
-        "",
         "Before: the Laplace prior alone, its boundary scaled to the measured forces. "
         "After: the fitted field. *Same*: the recordings it was fitted to; *new*: "
         "motion it has not seen. Force and torque are mean differences of magnitude "
         "over all frames, angles are means over the frames in contact (force above "
-        f"{_threshold(comparisons)}) where a direction exists.",
-        "",
+        f"{threshold:g} N) where a direction exists.",
         "A person feels about 0.36 N or 7 % of a force, and 18 to 26° of its "
         "direction: errors below that cannot be felt.",
-        "",
+        *(f"## {each}\n\n![{each}]({name})" for name, each in pictures.items()),
     ]
-    for name, caption in pictures.items():
-        lines += [f"## {caption}", "", f"![{caption}]({name})", ""]
-    io.write_text(path, "\n".join(lines))
+    io.write_text(path, "\n\n".join(parts) + "\n")
 
 
 def _number(value: float, form: str) -> str:
     return "–" if math.isnan(value) else format(value, form)
-
-
-def _threshold(comparisons: Sequence[Comparison]) -> str:
-    return f"{comparisons[0].after.errors.force_threshold_N:g} N"

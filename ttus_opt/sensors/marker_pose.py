@@ -142,13 +142,7 @@ def board_pose(
             pose of such a board would put them.
     """
     camera.check_image(image)
-    dictionary = _dictionary(board.dictionary)
-    corners, numbers = _detected(image, dictionary)
-    if len(numbers) == 0:
-        raise InputError(
-            f"no marker of {board.dictionary} is seen: another dictionary, or a "
-            "blurred or dark photo?"
-        )
+    corners, numbers = _detected(image, board.dictionary)
     found = _fitted(board, corners, numbers, camera)
     if found is None:
         raise InputError(
@@ -196,12 +190,7 @@ def marker_poses(
 
     camera.check_image(image)
     _check_length("marker", side)
-    corners, numbers = _detected(image, _dictionary(dictionary))
-    if len(numbers) == 0:
-        raise InputError(
-            f"no marker of {dictionary} is seen: another dictionary, or a blurred or "
-            "dark photo?"
-        )
+    corners, numbers = _detected(image, dictionary)
     half = side / 2.0
     points = half * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     found = []
@@ -262,17 +251,25 @@ def _dictionary(name: str) -> Any:
 
 
 def _detected(
-    image: NDArray[np.uint8], dictionary: Any
+    image: NDArray[np.uint8], dictionary: str
 ) -> tuple[list[Any], NDArray[np.int64]]:
-    """Corners of the markers seen, and their numbers."""
+    """Corners of the markers seen, and their numbers.
+
+    Raises:
+        InputError: None is seen, or there is no such dictionary.
+    """
     import cv2
 
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
-    detector = cv2.aruco.ArucoDetector(dictionary, settings)
+    detector = cv2.aruco.ArucoDetector(_dictionary(dictionary), settings)
     corners, numbers, _ = detector.detectMarkers(image)
-    seen = np.zeros(0) if numbers is None else np.asarray(numbers).reshape(-1)
-    return list(corners), seen.astype(np.int64)
+    if numbers is None or len(numbers) == 0:
+        raise InputError(
+            f"no marker of {dictionary} is seen: another dictionary, or a blurred or "
+            "dark photo?"
+        )
+    return list(corners), np.asarray(numbers).reshape(-1).astype(np.int64)
 
 
 def _fitted(

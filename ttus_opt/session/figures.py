@@ -35,40 +35,33 @@ def draw(
     Returns:
         The pictures, in the order they are shown.
     """
-    surface = result.skin.surface
-    figures = {
-        "surface": plots.surface_picture(surface, result.skin.cloud),
-    }
-    captions = {"surface": "Surface from the scan, seen and filled"}
+    surface, model = result.skin.surface, result.model
+    pictures = []
+
+    def add(name: str, figure: Figure, caption: str) -> None:
+        plots.save_picture(figure, path(f"figures/{name}.png"))
+        pictures.append(Picture(f"figures/{name}.png", caption))
+
+    figure = plots.surface_picture(surface, result.skin.cloud)
+    add("surface", figure, "Surface from the scan, seen and filled")
     if result.timing.first is not None:
-        figures["clock"] = clock_picture(result.timing)
-        captions["clock"] = (
+        caption = (
             "What both clocks saw, around the liveliest moment: with the offset "
             "found the curves lie on each other"
         )
-    names = list(result.recordings)
-    for name in names:
-        figures[f"poses_{name}"] = plots.pose_picture(
-            surface, shell, result.recordings[name], [name]
-        )
-        captions[f"poses_{name}"] = f"Probe and contact forces on the patient: {name}"
+        add("clock", clock_picture(result.timing), caption)
+    for name, recording in result.recordings.items():
+        figure = plots.pose_picture(surface, shell, recording, [name])
+        add(f"poses_{name}", figure, f"Probe and contact forces on the patient: {name}")
     for case in result.comparisons:
-        if case.seen:
-            continue
-        pair = {"Laplace alone": case.before, "fitted": case.after}
-        figures[f"force_{case.recording}"] = plots.force_over_time(
-            pair, f"{case.recording}: motion the field has not seen"
-        )
-        captions[f"force_{case.recording}"] = (
-            f"Measured and rendered force, {case.recording}, which was not fitted"
-        )
-    model = result.model
-    figures["potential"] = plots.potential_slices(model.before.field, model.after.field)
-    captions["potential"] = "Potential before and after fitting, and the difference"
-    pictures = []
-    for name, figure in figures.items():
-        plots.save_picture(figure, path(f"figures/{name}.png"))
-        pictures.append(Picture(f"figures/{name}.png", captions[name]))
+        if not case.seen:
+            name = case.recording
+            pair = {"Laplace alone": case.before, "fitted": case.after}
+            title = f"{name}: motion the field has not seen"
+            caption = f"Measured and rendered force, {name}, which was not fitted"
+            add(f"force_{name}", plots.force_over_time(pair, title), caption)
+    figure = plots.potential_slices(model.before.field, model.after.field)
+    add("potential", figure, "Potential before and after fitting, and the difference")
     return pictures
 
 

@@ -129,7 +129,8 @@ def _run(session: Description, shell: PointShell, results: Results) -> SessionRe
         results.tell("fit", _fit_facts(model))
     with results.step("evaluation"):
         comparisons = judge(session, model, shell, recordings)
-        results.tell("evaluation", {"errors": _error_facts(comparisons)})
+        errors = [case.as_dict() for case in comparisons]
+        results.tell("evaluation", {"errors": errors})
     with results.step("report"):
         from ttus_opt.session.report import write_reports
 
@@ -185,15 +186,3 @@ def _fit_facts(model: Model) -> dict[str, Any]:
         "standard_errors": dict(after.standard_errors),
         "not_identified": dict(after.not_identified),
     }
-
-
-def _error_facts(comparisons: tuple[Comparison, ...]) -> list[dict[str, Any]]:
-    return [
-        {
-            "recording": case.recording,
-            "seen": case.seen,
-            "before": case.before.errors.as_dict(),
-            "after": case.after.errors.as_dict(),
-        }
-        for case in comparisons
-    ]
