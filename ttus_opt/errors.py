@@ -4,6 +4,11 @@ A message says what was given, what was expected and what to do about it, in one
 line: the command line prints it as it is.
 """
 
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
 
 class TtusError(Exception):
     """Base of every error this package raises on purpose."""
@@ -35,3 +40,17 @@ class TtusWarning(UserWarning):
 
 class NumericalError(TtusError, ArithmeticError):
     """An iteration did not reach its tolerance; the message says how far it came."""
+
+
+@contextlib.contextmanager
+def located(place: object, kind: type[TtusError] = InputError) -> Iterator[None]:
+    """Put where it is before what an `InputError` says.
+
+    Args:
+        place: Such as a file.
+        kind: The error's class from here on.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise kind(f"{place}: {error}") from error

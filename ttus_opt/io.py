@@ -19,7 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.errors import FileError, InputError, located
 from ttus_opt.interrupts import signals_deferred as signals_deferred
 
 if TYPE_CHECKING:
@@ -254,10 +254,8 @@ def read_dataset(
         ) from error
     if "ttus_opt_kind" not in dataset.attrs and foreign:
         return dataset
-    try:
+    with located(file, FileError):
         found = text_of(dataset.attrs, "ttus_opt_kind", "no ttus_opt data")
-    except InputError as error:
-        raise FileError(f"{file}: {error}") from error
     if found != kind:
         raise FileError(f"{file} holds {found}, expected a {kind}: wrong file?")
     given = dataset.attrs.get("ttus_opt_version")

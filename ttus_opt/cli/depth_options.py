@@ -11,7 +11,7 @@ import typer
 
 from ttus_opt.cli.cloud_options import CloudOptions
 from ttus_opt.cli.options import numbers
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, located
 
 if TYPE_CHECKING:
     from ttus_opt.sensors.depth import DepthImage
@@ -129,10 +129,8 @@ class DepthOptions:
         from ttus_opt.sensors.stitching import PoseDoubt
 
         shift, degrees = numbers(self.pose_std, 2, "--pose-std")
-        try:
+        with located("--pose-std"):
             return PoseDoubt(shift, math.radians(degrees))
-        except InputError as error:
-            raise InputError(f"--pose-std: {error}") from error
 
 
 def stitched_facts(found: Stitched) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, located
 from ttus_opt.sensors.mapping_file import read_mapping
 
 ORDERS = ("wxyz", "xyzw")
@@ -43,10 +43,8 @@ def read_column_map(told: str | os.PathLike[str]) -> dict[str, str]:
     """
     text = os.fspath(told)
     if Path(text).suffix.lower() in (".yaml", ".yml", ".json") and "=" not in text:
-        try:
+        with located(text):
             return column_map(read_mapping(text, "column map"))
-        except InputError as error:
-            raise InputError(f"{text}: {error}") from error
     pairs = [pair.partition("=") for pair in text.split(",") if pair]
     if not all(ours and theirs for ours, _, theirs in pairs):
         raise InputError(f"--columns takes NAME=COLUMN,… or a YAML file, got {text!r}")

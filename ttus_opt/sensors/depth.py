@@ -18,7 +18,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, located
 from ttus_opt.probe.pose import PoseLike
 from ttus_opt.probe.rigid_motion import rigid_motion
 from ttus_opt.sensors.depth_files import read_depth
@@ -193,12 +193,8 @@ def read_depth_image(
     """
     depth = read_depth(path, unit)
     name = os.fspath(path)
-    try:
-        rays = (
-            Unprojection.from_intrinsics(camera, (depth.shape[0], depth.shape[1]))
-            if isinstance(camera, Intrinsics)
-            else camera
-        )
-        return DepthImage(depth, rays, depth_kind, name)
-    except InputError as error:
-        raise InputError(f"{name}: {error}") from error
+    with located(name):
+        if isinstance(camera, Intrinsics):
+            shape = depth.shape[0], depth.shape[1]
+            camera = Unprojection.from_intrinsics(camera, shape)
+        return DepthImage(depth, camera, depth_kind, name)

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, located
 from ttus_opt.probe.pose import rotations
 from ttus_opt.probe.trajectory import Trajectory
 
@@ -51,10 +51,8 @@ class ForceSensor:
         axes, point = np.asarray(self.axes, float), np.asarray(self.point, float)
         if axes.shape != (3, 3):
             raise InputError(f"axes must be a rotation (3, 3), got {axes.shape}")
-        try:
+        with located("axes of the sensor"):
             object.__setattr__(self, "axes", rotations(axes))
-        except InputError as error:
-            raise InputError(f"axes of the sensor: {error}") from error
         if point.shape != (3,) or not np.abs(point).max() < FARTHEST:
             raise InputError(
                 f"point must be x,y,z within {FARTHEST:g} m of the probe's origin, got "

@@ -27,7 +27,13 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, GeometryError, InputError, TtusWarning
+from ttus_opt.errors import (
+    FileError,
+    GeometryError,
+    InputError,
+    TtusWarning,
+    located,
+)
 from ttus_opt.probe.rigid_motion import inverse, rigid_motion
 
 Camera = Literal["fixed", "moving"]
@@ -236,10 +242,8 @@ def _checked(name: str, poses: Sequence[Array] | Array) -> Array:
         raise InputError(f"{name} contains NaN or numbers that no pose has [m]")
     out = np.empty_like(given)
     for i, pose in enumerate(given):
-        try:
+        with located(f"{name}, pose {i + 1}"):
             out[i] = rigid_motion(pose)
-        except InputError as error:
-            raise InputError(f"{name}, pose {i + 1}: {error}") from error
     return out
 
 

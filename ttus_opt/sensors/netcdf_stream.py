@@ -17,7 +17,7 @@ import numpy as np
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.errors import FileError, InputError, located
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.column_map import ORDER, ORDERS
@@ -68,7 +68,7 @@ def read_netcdf_poses(
         FileError: Missing, damaged, or without such variables, units or order.
     """
     file, data, told = _opened(path, columns)
-    try:
+    with located(file, FileError):
         time = _time(data, told)
         position = _vector(data, "position", told, "xyz")
         if not np.abs(position).max(initial=0.0) < LARGEST_POSITION:
@@ -78,8 +78,6 @@ def read_netcdf_poses(
         order = _order(data, told)
         quaternion = _vector(data, "quaternion", told, order)
         return Trajectory(time, position, from_quaternions(quaternion, order))  # type: ignore[arg-type]  # one of both
-    except InputError as error:
-        raise FileError(f"{file}: {error}") from error
 
 
 def read_netcdf_wrenches(
@@ -95,15 +93,13 @@ def read_netcdf_wrenches(
         FileError: Missing, damaged, or without such variables or units.
     """
     file, data, told = _opened(path, columns)
-    try:
+    with located(file, FileError):
         torque = None
         if told.get("torque", "torque") in data.variables:
             torque = _vector(data, "torque", told, "xyz")
         return WrenchStream(
             _time(data, told), _vector(data, "force", told, "xyz"), torque
         )
-    except InputError as error:
-        raise FileError(f"{file}: {error}") from error
 
 
 def write_netcdf_wrenches(stream: WrenchStream, path: str | os.PathLike[str]) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.errors import InputError, TtusWarning, located
 from ttus_opt.optional import load
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.streams import WrenchStream
@@ -86,11 +86,9 @@ class Received:
         matrices = np.array(values)
         if not np.abs(matrices).max() < 1e6:
             raise InputError(f"{name} sent NaN, infinity or shifts beyond a kilometre")
-        try:
-            position = MILLIMETRE * matrices[:, :3, 3]
+        position = MILLIMETRE * matrices[:, :3, 3]
+        with located(f"{name} sent no rigid motion"):
             return Trajectory(time_, position, matrices[:, :3, :3].copy())
-        except InputError as error:
-            raise InputError(f"{name} sent no rigid motion: {error}") from error
 
     def wrenches(self, device: str | None = None) -> WrenchStream:
         """Forces, and torques where there are any, of a device.
@@ -110,10 +108,8 @@ class Received:
             )
         numbers = np.array(values)
         torque = numbers[:, 3:].copy() if sizes == {6} else None
-        try:
+        with located(name):
             return WrenchStream(time_, numbers[:, :3].copy(), torque)
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from error
 
 
 def record(

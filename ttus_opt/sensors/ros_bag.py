@@ -16,7 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError, MissingPackageError, TtusWarning
+from ttus_opt.errors import (
+    FileError,
+    InputError,
+    MissingPackageError,
+    TtusWarning,
+    located,
+)
 from ttus_opt.optional import load
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.probe.trajectory import Trajectory
@@ -54,13 +60,11 @@ def read_bag_poses(
         MissingPackageError: rosbags is not installed.
     """
     rows = _read(path, topic, POSES, _pose)
-    try:
+    with located(os.fspath(path), FileError):
         if not np.abs(rows.values[:, :3]).max() < LARGEST_SHIFT:
             raise InputError(f"positions beyond {LARGEST_SHIFT:g} m: in millimetres?")
         rotation = from_quaternions(rows.values[:, 3:], "xyzw")
         return Trajectory(rows.time, rows.values[:, :3].copy(), rotation)
-    except InputError as error:
-        raise FileError(f"{os.fspath(path)}: {error}") from error
 
 
 def read_bag_wrenches(
@@ -77,12 +81,10 @@ def read_bag_wrenches(
         MissingPackageError: rosbags is not installed.
     """
     rows = _read(path, topic, WRENCHES, _wrench)
-    try:
+    with located(os.fspath(path), FileError):
         return WrenchStream(
             rows.time, rows.values[:, :3].copy(), rows.values[:, 3:].copy()
         )
-    except InputError as error:
-        raise FileError(f"{os.fspath(path)}: {error}") from error
 
 
 def _xyz(vector: Any) -> list[float]:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.errors import FileError, InputError, located
 from ttus_opt.probe.text_table import NANOSECONDS, read_text_table
 from ttus_opt.probe.trajectory import Trajectory
 
@@ -97,12 +97,9 @@ def read_wrench_stream(
     time = values[:, 0]
     if len(time) and time.min() > NANOSECONDS:
         time = 1e-9 * (time - time[0])
-    try:
-        return WrenchStream(
-            time, values[:, 1:4], values[:, 4:7] if with_torque else None
-        )
-    except InputError as error:
-        raise FileError(f"{file}: {error}") from error
+    torque = values[:, 4:7] if with_torque else None
+    with located(file, FileError):
+        return WrenchStream(time, values[:, 1:4], torque)
 
 
 def with_wrenches(

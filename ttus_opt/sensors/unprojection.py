@@ -14,7 +14,7 @@ import numpy as np
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.errors import FileError, InputError, located
 from ttus_opt.sensors.depth_files import read_array
 from ttus_opt.sensors.intrinsics import Intrinsics
 
@@ -127,10 +127,8 @@ def read_unprojection(path: str | os.PathLike[str]) -> Unprojection:
             f"{file}: most rays look along -z, expected x right, y down, z forward: "
             "negate y and z"
         )
-    try:
+    with located(file, FileError):
         return Unprojection(_unit(rows, values.shape[:2]))
-    except InputError as error:
-        raise FileError(f"{file}: {error}") from error
 
 
 def _unit(directions: Array, shape: tuple[int, ...]) -> Array:
