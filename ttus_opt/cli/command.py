@@ -13,6 +13,7 @@ import dataclasses
 import functools
 import inspect
 import re
+import textwrap
 import typing
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -93,7 +94,7 @@ def _words(documented: object) -> tuple[str, dict[str, str], str]:
     sections = {}
     for section in rest:
         title, _, text = section.partition(":\n")
-        sections[title] = inspect.cleandoc(text)
+        sections[title] = textwrap.dedent(text)
     listed = sections.get("Args", "") + sections.get("Attributes", "")
     entries = (entry.partition(":") for entry in re.split(r"\n(?=\S)", listed))
     words = {name: " ".join(text.split()) for name, _, text in entries}

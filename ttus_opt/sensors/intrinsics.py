@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
@@ -82,15 +81,7 @@ class Intrinsics:
         ):
             raise InputError("distortion coefficients must be finite")
 
-    def check_image(self, image: NDArray[np.uint8]) -> None:
-        """Validate that an image is of this camera.
-
-        Raises:
-            InputError: It has another size.
-        """
-        self.check_shape((image.shape[0], image.shape[1]))
-
-    def check_shape(self, shape: tuple[int, int]) -> None:
+    def check_shape(self, shape: tuple[int, ...]) -> None:
         """Validate that images of a height and width [pixel] are of this camera.
 
         Raises:

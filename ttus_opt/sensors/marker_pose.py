@@ -141,7 +141,7 @@ def board_pose(
         InputError: No marker of the board is seen, or the corners are not where any
             pose of such a board would put them.
     """
-    camera.check_image(image)
+    camera.check_shape(image.shape)
     corners, numbers = _detected(image, board.dictionary)
     found = _fitted(board, corners, numbers, camera)
     if found is None:
@@ -188,7 +188,7 @@ def marker_poses(
     """
     import cv2
 
-    camera.check_image(image)
+    camera.check_shape(image.shape)
     _check_length("marker", side)
     corners, numbers = _detected(image, dictionary)
     half = side / 2.0

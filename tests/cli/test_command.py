@@ -1,0 +1,82 @@
+"""Functions as commands: options by their signature, words by their docstring."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+
+from ttus_opt.cli.app import app
+from ttus_opt.cli.command import add_command
+
+
+@dataclass(frozen=True)
+class Tide:
+    """A group.
+
+    Attributes:
+        height: Of the water
+            in metres.
+    """
+
+    height: float = 1.5
+
+
+def own_command(tide: Tide, file: Path, deep: bool = False, json: bool = False) -> None:
+    """Say it.
+
+    Args:
+        file: Where: here or there.
+        deep: Dive.
+
+    Example:
+        own-command --file
+        a.txt
+    """
+    typer.echo(f"{tide.height} {file.name} {deep} {json}")
+
+
+@pytest.fixture
+def small() -> Any:
+    made = typer.Typer(add_completion=False, rich_markup_mode=None)
+    add_command(made, own_command)
+    return typer.main.get_command(made)
+
+
+def test_a_group_stands_in_its_parameters_place(
+    small: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small(["--height", "2", "--file", "x/a.txt", "--deep"], standalone_mode=False)
+    assert capsys.readouterr().out == "2.0 a.txt True False\n"
+
+
+def test_words_are_those_of_the_docstring(small: Any) -> None:
+    words = {option.name: option.help for option in small.params}
+    assert words["height"] == "Of the water in metres."
+    assert words["file"] == "Where: here or there."
+    assert words["json"] == "JSON on stdout, for machines."
+    assert small.help == "Say it."
+    assert small.epilog == "Example: own-command --file a.txt"
+    (deep,) = (option for option in small.params if option.name == "deep")
+    assert deep.opts == ["--deep"] and not deep.secondary_opts
+
+
+def commands(group: Any) -> list[Any]:
+    own = group.commands.values()
+    return [
+        c
+        for each in own
+        for c in (commands(each) if hasattr(each, "commands") else [each])
+    ]
+
+
+def test_every_option_says_what_it_does_and_every_command_has_an_example() -> None:
+    found = commands(typer.main.get_command(app))
+    assert len(found) > 20
+    for command in found:
+        assert "ttus-opt" in command.epilog
+        silent = [p.name for p in command.params if not (p.help or p.hidden)]
+        assert not silent, (command.name, silent)
