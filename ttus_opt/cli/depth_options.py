@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -136,10 +136,7 @@ class DepthOptions:
 def stitched_facts(found: Stitched) -> dict[str, Any]:
     """What was left out and how poses were refined, for machines."""
     return {
-        "dropped": [
-            {"invalid": d.invalid, "flying": d.flying, "grazing": d.grazing}
-            for d in found.cloud.dropped
-        ],
+        "dropped": [asdict(dropped) for dropped in found.cloud.dropped],
         "refinements": [
             {
                 "scan": r.scan + 1,

@@ -49,6 +49,12 @@ class BoundaryError:
         """For JSON."""
         return asdict(self)
 
+    @classmethod
+    def from_dict(cls, told: dict[str, Any]) -> BoundaryError:
+        """What `as_dict` gave; NaN is null in a file."""
+        after = told["after_N"]
+        return cls(**{**told, "after_N": float("nan") if after is None else after})
+
 
 def boundary_errors(
     fits: PatientFits, weight: float, file: Path, digest: str
@@ -64,7 +70,7 @@ def boundary_errors(
     told = {"digest": digest, "weight": weight, "factors": list(FACTORS)}
     kept = read_kept(file, told)
     if kept is not None:
-        return tuple(BoundaryError(**row) for row in kept["rows"])
+        return tuple(map(BoundaryError.from_dict, kept["rows"]))
     rows = [_at(fits, weight, factor) for factor in FACTORS]
     write_kept(file, {**told, "rows": [row.as_dict() for row in rows]})
     return tuple(rows)

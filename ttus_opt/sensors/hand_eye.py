@@ -206,10 +206,8 @@ def hand_eye(
     G = _inverses(B) if camera == "fixed" else B
     candidates = _solved(G, A)
     best = _best(candidates)
-    if best is None or not (
-        candidates[best].loop.gap <= largest_gap
-        and candidates[best].loop.twist <= largest_twist
-    ):
+    limits = largest_gap, largest_twist
+    if best is None or not _closes(candidates[best].loop, *limits):
         told = "no solver has an answer" if best is None else _told(candidates[best])
         raise InputError(
             f"the loops do not close: {told}, expected at most "
@@ -338,8 +336,8 @@ def _candidate(G: Array, A: Array, solve: Callable[[], Array]) -> Candidate:
     return Candidate(X, mean, loop)
 
 
-def _closes(loop: Loop) -> bool:
-    return loop.gap <= LARGEST_GAP and loop.twist <= LARGEST_TWIST
+def _closes(loop: Loop, gap: float = LARGEST_GAP, twist: float = LARGEST_TWIST) -> bool:
+    return loop.gap <= gap and loop.twist <= twist
 
 
 def _best(candidates: dict[str, Candidate]) -> str | None:

@@ -1,0 +1,30 @@
+"""Errors over boundary values: what is kept comes back as it was."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ttus_opt.experiment import boundary
+from ttus_opt.experiment.boundary import BoundaryError, boundary_errors
+
+
+def test_a_fit_that_failed_is_kept_as_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fits: Any = None
+    file = tmp_path / "boundary.json"
+
+    def failed(fits: Any, weight: float, factor: float) -> BoundaryError:
+        return BoundaryError("lean", factor, 2.0 * factor, 0.5, float("nan"))
+
+    monkeypatch.setattr(boundary, "_at", failed)
+    made = boundary_errors(fits, 1.0, file, "word")
+    monkeypatch.setattr(boundary, "_at", None)
+    again = boundary_errors(fits, 1.0, file, "word")
+    for one in (*made, *again):
+        assert math.isnan(one.after_N) and one.before_N == 0.5
+    assert [one.factor for one in again] == [one.factor for one in made]
