@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import filterfalse
+from itertools import cycle, filterfalse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -57,35 +57,25 @@ def save_pictures(rows: Sequence[Row], folder: Path) -> dict[str, str]:
 def _pictures(rows: Sequence[Row], inks: Inks) -> Iterator[tuple[str, str, Figure]]:
     """Name, caption and figure of what one formulation's rows show."""
     first = "first solve, set-up included [s]"
-    size = "largest size of the process [MiB]"
+
+    def taken(row: Row) -> float:
+        return float(row["seconds_first"] if solved(row) else row["time_limit"])
+
+    def size(row: Row) -> float:
+        return float(row["peak_memory_bytes"] or math.nan) / MIB
+
     with look():
-        yield (
-            "time",
-            "time against voxels; unfilled: not solved, at its time limit",
-            _against_size(
-                rows,
-                inks,
-                first,
-                lambda r: r["seconds_first"] if solved(r) else r["time_limit"],
-            ),
-        )
+        drawn = _against_size(rows, inks, first, taken)
+        told = "time against voxels; unfilled: not solved, at its time limit"
+        yield "time", told, drawn
         if any(row["peak_memory_bytes"] for row in rows):
-            yield (
-                "memory",
-                "memory against voxels; unfilled: not solved",
-                _against_size(
-                    rows,
-                    inks,
-                    size,
-                    lambda r: (r["peak_memory_bytes"] or math.nan) / MIB,
-                ),
-            )
+            drawn = _against_size(rows, inks, "largest size of the process [MiB]", size)
+            yield "memory", "memory against voxels; unfilled: not solved", drawn
         if any(worst_relative(row) is not None for row in rows):
-            yield (
-                "residual",
-                "residual against time; unfilled: above the tolerance, or out of time",
-                _residual_against_time(rows, inks, first),
+            told = (
+                "residual against time; unfilled: above the tolerance, or out of time"
             )
+            yield "residual", told, _residual_against_time(rows, inks, first)
 
 
 def _against_size(
@@ -143,11 +133,8 @@ def _residual_against_time(rows: Sequence[Row], inks: Inks, label: str) -> Figur
 
 def solver_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
     """Ink, marker and line of every solver, by name."""
+    every = zip(cycle(INKS), cycle(MARKERS), cycle(STYLES), strict=True)
     return {
-        solver: {
-            "color": INKS[n % len(INKS)],
-            "marker": MARKERS[n % len(MARKERS)],
-            "linestyle": STYLES[n % len(STYLES)],
-        }
-        for n, solver in enumerate(sorted(set(names)))
+        solver: {"color": ink, "marker": marker, "linestyle": style}
+        for solver, (ink, marker, style) in zip(sorted(set(names)), every, strict=False)
     }

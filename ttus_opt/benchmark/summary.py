@@ -66,29 +66,23 @@ def scores(rows: Sequence[Row]) -> list[Row]:
         own = [row for row in rows if row["solver"] == solver and was_run(row)]
         score = {"solver": solver, "solved": sum(map(solved, own)), "run": len(own)}
         for kind in ("first", "again"):
-            taken = [row[f"seconds_{kind}"] if solved(row) else None for row in own]
-            limits = [row["time_limit"] for row in own]
-            score[kind] = shifted_geometric_mean(
-                [
-                    limit if t is None else t
-                    for t, limit in zip(taken, limits, strict=True)
-                ]
-            )
+            score[kind] = shifted_geometric_mean([_counted(row, kind) for row in own])
         found.append(score)
     return sorted(found, key=lambda score: (-score["solved"], score["first"]))
 
 
+def _counted(row: Row, kind: str) -> float:
+    """Seconds of a solve, or the time limit where there is no answer."""
+    taken = row[f"seconds_{kind}"] if solved(row) else None
+    return float(row["time_limit"] if taken is None else taken)
+
+
 def score_table(rows: Sequence[Row]) -> str:
     """`scores` as a Markdown table."""
-    body = [
-        [
-            s["solver"],
-            f"{s['solved']}/{s['run']}",
-            seconds(s["first"]),
-            seconds(s["again"]),
-        ]
-        for s in scores(rows)
-    ]
+    body = []
+    for score in scores(rows):
+        times = seconds(score["first"]), seconds(score["again"])
+        body.append([score["solver"], f"{score['solved']}/{score['run']}", *times])
     return table(["solver", "solved", "first [s]", "again [s]"], body)
 
 

@@ -94,9 +94,7 @@ def fitted_ellipsoid(cloud: Array) -> tuple[Array, Array, Array]:
         return np.asarray(np.linalg.norm(offset, axis=1) * (1.0 - 1.0 / q) / size)
 
     start = np.concatenate([np.zeros(3), np.log(half / size), np.zeros(3)])
-    limit = np.concatenate(
-        [np.full(3, 0.5), np.full(3, np.log(LONGEST)), np.full(3, 1.5)]
-    )
-    low = np.concatenate([-limit[:3], np.full(3, np.log(0.02)), -limit[6:]])
-    found = least_squares(misfit, np.clip(start, low, limit), bounds=(low, limit))
+    low = np.repeat([-0.5, np.log(0.02), -1.5], 3)
+    high = np.repeat([0.5, np.log(LONGEST), 1.5], 3)
+    found = least_squares(misfit, np.clip(start, low, high), bounds=(low, high))
     return parts(found.x)

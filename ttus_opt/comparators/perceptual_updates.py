@@ -42,6 +42,9 @@ SLIDING = 0.003
 #: Two places nearer than this are one [m]
 NEAR = 0.003
 
+#: Beyond this from frame to frame the probe was lifted and set down elsewhere [m]
+LIFTED = 0.01
+
 #: Estimates before this many samples of a contact are not sent [–]
 SETTLED = 3.0
 
@@ -104,7 +107,7 @@ class PerceptualUpdates(PatchModel):
         before: Contact | None = None
         for sample in samples:
             contact = sample.contact
-            if before is None or _far(before, contact):
+            if before is None or np.linalg.norm(contact.place - before.place) > LIFTED:
                 # a new contact: what was learnt elsewhere is a first guess only
                 stiffness.covariance[:] = 50.0**2
                 stiffness.samples = 0.0
@@ -157,8 +160,3 @@ def _estimate(first: float, spread: float) -> RecursiveLeastSquares:
     return RecursiveLeastSquares.start(
         np.array([first]), np.array([spread]), FORGETTING
     )
-
-
-def _far(before: Contact, after: Contact) -> bool:
-    """Whether the probe was lifted and set down elsewhere."""
-    return float(np.linalg.norm(after.place - before.place)) > 0.01

@@ -21,12 +21,11 @@ import math
 from typing import Unpack
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.errors import InputError
-from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.mesh import TriangleMesh
 
 #: Steps towards equal pressure
 STEPS = 3
@@ -50,7 +49,8 @@ class PressureField(OneStiffness):
             )
         self.ratio = ratio
         self._arm = self.shell.points - self.shell.reference
-        self._faces = _hull_faces(self.shell)
+        any_face = np.arange(3)[None]
+        self._faces = TriangleMesh(self.shell.points, any_face).convex_hull().faces
 
     def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
         arm, depth = self._contact_surface(R, at)
@@ -125,14 +125,3 @@ def _one_above(corners: Array, p: Array) -> tuple[Array, Array]:
     zero = np.zeros(len(p))
     mean, moment = _linear(np.stack(ends, 1), np.stack([value, zero, zero], 1))
     return share * mean, share[:, None] * moment
-
-
-def _hull_faces(shell: PointShell) -> IntArray:
-    """Triangles of the convex hull, counter-clockwise seen from outside."""
-    hull = ConvexHull(shell.points)
-    faces = hull.simplices.astype(np.int64)
-    corners = shell.points[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inside_out = np.einsum("fi,fi->f", cross, hull.equations[:, :3]) < 0.0
-    faces[inside_out] = faces[inside_out][:, ::-1]
-    return faces

@@ -162,15 +162,12 @@ def require_plausible_extent(extent: float, given: str) -> None:
     Raises:
         GeometryError: The size is not that of a probe.
     """
-    if extent > 1.0:
+    if not 1e-3 <= extent <= 1.0:
+        small = "metres already? pass unit='m'"
+        large = "millimetres? pass unit='mm' (primitives are in metres)"
         raise GeometryError(
             f"{given} is {extent:.4g} m long, expected a probe of 1 mm to 1 m: are "
-            "these millimetres? pass unit='mm' (primitives are in metres)"
-        )
-    if extent < 1e-3:
-        raise GeometryError(
-            f"{given} is {extent:.4g} m long, expected a probe of 1 mm to 1 m: are "
-            "these metres already? pass unit='m'"
+            f"these {large if extent > 1.0 else small}"
         )
 
 

@@ -7,8 +7,6 @@ a field is one constant, which the profile is already.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from ttus_opt.errors import InputError
@@ -40,12 +38,17 @@ def check_depth_map(
     Raises:
         InputError: One of them lies outside the range in which it means something.
     """
-    if deviation is not None:
-        _check("deviation", deviation, DEVIATIONS)
-    if surface_length is not None:
-        _check("surface_length", surface_length, surface_lengths(grid))
-    if depth_length is not None:
-        _check("depth_length", depth_length, depth_lengths(grid))
+    given = {
+        "deviation": (deviation, DEVIATIONS),
+        "surface_length": (surface_length, surface_lengths(grid)),
+        "depth_length": (depth_length, depth_lengths(grid)),
+    }
+    for name, (value, (low, high)) in given.items():
+        if value is not None and not low <= value <= high:
+            where = "" if name == "deviation" else " m on this grid"
+            raise InputError(
+                f"{name} must lie between {low:.3g} and {high:.3g}{where}, got {value}"
+            )
 
 
 def surface_lengths(grid: CylindricalGrid) -> tuple[float, float]:
@@ -57,12 +60,3 @@ def surface_lengths(grid: CylindricalGrid) -> tuple[float, float]:
 def depth_lengths(grid: CylindricalGrid) -> tuple[float, float]:
     """A quarter of a layer, to all of them [m]."""
     return LEAST_SPACINGS * grid.r_step, grid.r_outer - grid.r_inner
-
-
-def _check(name: str, value: float, limits: tuple[float, float]) -> None:
-    low, high = limits
-    if not (math.isfinite(value) and low <= value <= high):
-        where = "" if name == "deviation" else " m on this grid"
-        raise InputError(
-            f"{name} must lie between {low:.3g} and {high:.3g}{where}, got {value}"
-        )

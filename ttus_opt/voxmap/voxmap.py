@@ -269,23 +269,15 @@ def _enclosed(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:
 
 def _thickened(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:
     """Regions with a layer closed by the nearer voxel of every pair."""
-    depth = (radius[None] - grid.r[:, None, None]) / grid.r_step  # [voxels]
+    distance = np.abs(radius[None] - grid.r[:, None, None]) / grid.r_step  # [voxels]
     region = _layers(grid, radius)
     closed = region.copy()
     for axis, wraps in ((1, True), (2, False)):
-        here = np.arange(grid.shape[axis])
-        if not wraps:
-            here = here[:-1]
-        there = (here + 1) % grid.shape[axis]
-        a, b = np.take(region, here, axis), np.take(region, there, axis)
-        crossing = a * b == -1
-        a_is_nearer = np.abs(np.take(depth, here, axis)) <= np.abs(
-            np.take(depth, there, axis)
-        )
-        for side, nearer in ((here, a_is_nearer), (there, ~a_is_nearer)):
-            spots = np.zeros_like(closed, dtype=bool)
-            sel: list[slice | NDArray[np.int64]] = [slice(None)] * 3
-            sel[axis] = side
-            spots[tuple(sel)] = crossing & nearer
-            closed[spots] = SURFACE
+        # ``out`` is a view: what is written there is closed
+        out, own, far = (np.moveaxis(a, axis, 0) for a in (closed, region, distance))
+        here = np.arange(len(own) if wraps else len(own) - 1)
+        there = (here + 1) % len(own)
+        crossing, first = own[here] * own[there] == -1, far[here] <= far[there]
+        for side, nearer in ((here, first), (there, ~first)):
+            out[side] = np.where(crossing & nearer, SURFACE, out[side])
     return np.asarray(closed)
