@@ -108,14 +108,12 @@ class CylindricalGrid:
         limits = (self.r_inner, self.r_outer, self.z_min, self.z_max)
         if not all(math.isfinite(v) for v in limits):
             raise InputError(f"grid limits must be finite [m], got {limits}")
-        if not self.r_outer > self.r_inner:
-            raise GeometryError(
-                f"r_outer {self.r_outer:.4g} m must exceed r_inner {self.r_inner:.4g} m"
-            )
-        if not self.z_max > self.z_min:
-            raise GeometryError(
-                f"z_max {self.z_max:.4g} m must exceed z_min {self.z_min:.4g} m"
-            )
+        for high, low in (("r_outer", "r_inner"), ("z_max", "z_min")):
+            top, bottom = getattr(self, high), getattr(self, low)
+            if not top > bottom:
+                raise GeometryError(
+                    f"{high} {top:.4g} m must exceed {low} {bottom:.4g} m"
+                )
         if self.r_inner < self.r_step / 2:
             raise GeometryError(
                 f"r_inner {self.r_inner:.4g} m is less than half a radial step "
