@@ -1,4 +1,4 @@
-"""Posterior covariance against dense algebra, draws, and fits of perturbed data."""
+"""Covariance of errors against dense algebra, draws, and fits of perturbed data."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
+import scipy.stats
 
 import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
-from tests.fitting import test_weight_criteria
+from tests.fitting import test_weight_criteria, test_wrench_noise
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.doubt import Doubt, doubt
 from ttus_opt.fitting.laplace_posterior import SCALE_DEVIATION
 from ttus_opt.fitting.weight_criteria import presses as press_numbers
+from ttus_opt.fitting.wrench_noise import MOST_SHARE, PRIORS, places
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
 from ttus_opt.scene import Scene
@@ -52,21 +54,55 @@ def wrench_rows(scene: Scene, trajectory: Trajectory) -> np.ndarray:
     return np.concatenate(parts, axis=1).reshape(6 * T, V)
 
 
-def dense_posterior(scene: Scene) -> np.ndarray:
-    """(LᵀL + Dᵀ W² D)⁻¹."""
-    L, N = scene.L.toarray(), scene.N.toarray()
-    W = scene.W.toarray() / scene.torque_length
-    return np.linalg.inv(L.T @ L + FORCE * N.T @ N + TORQUE * W.T @ W)
+def noise_of(found: Doubt) -> np.ndarray:
+    """Covariance of the errors of force and torque over ℓ, by dense algebra."""
+    scene = found.scene
+    wrench = np.hstack(
+        [
+            (M @ found.potential.values.ravel()).reshape(-1, 3)
+            for M in (scene.N, scene.W)
+        ]
+    )
+    T = len(wrench)
+    place = places(press_numbers(scene), scene.trajectory.position)
+    whole = test_wrench_noise.dense(found.noise, wrench, place)
+    order = np.arange(6 * T).reshape(T, 2, 3).transpose(1, 0, 2).ravel()
+    scale = np.repeat([1.0, 1.0 / scene.torque_length], 3 * T)
+    return np.asarray(whole[np.ix_(order, order)] * np.outer(scale, scale))
+
+
+def dense_errors(
+    C: np.ndarray, found: Doubt, weights: tuple[float, float] = (FORCE, TORQUE)
+) -> np.ndarray:
+    """(1 - G D) v C (1 - G D)ᵀ + G Σ Gᵀ.
+
+    Args:
+        C: Covariance of the field's prior.
+        found: Prior variance and noise.
+        weights: Of force and torque.
+    """
+    scene = found.scene
+    D = np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])
+    w = np.repeat(weights, len(D) // 2)
+    G = C @ D.T @ np.linalg.inv(np.diag(1.0 / w) + D @ C @ D.T)
+    left = np.eye(len(C)) - G @ D
+    return np.asarray(found.variance * left @ C @ left.T + G @ noise_of(found) @ G.T)
+
+
+def laplace_covariance(scene: Scene) -> np.ndarray:
+    """(LᵀL)⁻¹."""
+    L = scene.L.toarray()
+    return np.linalg.inv(L.T @ L)
 
 
 @pytest.mark.slow
 def test_covariance_is_that_of_dense_algebra() -> None:
     scene = three_presses()
     rows = wrench_rows(scene, unseen())
-    expected = rows @ dense_posterior(scene) @ rows.T
+    expected = rows @ dense_errors(laplace_covariance(scene), exact()) @ rows.T
     found = exact().std(unseen())
     for t in range(5):
-        block = exact().variance * expected[6 * t : 6 * t + 6, 6 * t : 6 * t + 6]
+        block = expected[6 * t : 6 * t + 6, 6 * t : 6 * t + 6]
         scale = np.sqrt(np.outer(np.diag(block), np.diag(block))) + 1e-12
         assert np.abs(found.covariance[t] - block).max() < 0.02 * scale.max()
         np.testing.assert_allclose(
@@ -83,46 +119,55 @@ def test_draws_agree_with_it() -> None:
     drawn = doubt(fitted(), three_presses(), method="samples")
     ratio = drawn.std(unseen()).force_size / exact().std(unseen()).force_size
     np.testing.assert_allclose(ratio, 1.0, atol=0.2)
-    std = np.sqrt(exact().variance * np.diag(dense_posterior(three_presses())))
+    std = np.sqrt(np.diag(dense_errors(laplace_covariance(three_presses()), exact())))
     found = exact().potential_std().reshape(-1)
     assert np.median(np.abs(found / std - 1.0)) < 0.06
 
 
 @pytest.mark.slow
-def test_scale_is_that_of_presses_left_out() -> None:
-    scene = three_presses()
-    L, number = scene.L.toarray(), press_numbers(scene)
-    D = np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])
-    t = np.concatenate([scene.f, scene.tau / scene.torque_length])
-    w = np.repeat([FORCE, TORQUE], len(t) // 2)
-    frame = np.tile(np.repeat(number, 3), 2)
+def test_prior_and_noise_are_the_likeliest() -> None:
+    found = exact()
+    scene, C = found.scene, laplace_covariance(found.scene)
     touching = np.tile(np.repeat(scene.rows.contact_points > 0, 3), 2)
-    scores = []
-    for one in np.unique(frame[touching]):
-        out = (frame == one) & touching
-        own, rest = D[out], D[~out]
-        P = np.linalg.inv(L.T @ L + rest.T @ (w[~out, None] * rest))
-        p = P @ (L.T @ scene.b + rest.T @ (w[~out] * t[~out]))
-        variance = np.diag(own @ P @ own.T) + 1.0 / w[out]
-        scores.append((t[out] - own @ p) / np.sqrt(variance))
-    expected = (np.quantile(np.abs(np.concatenate(scores)), 0.95) / 1.96) ** 2
-    assert exact().variance == pytest.approx(expected, rel=0.02)
-    assert exact().calibrated_by == "presses left out"
-    assert exact().std(unseen()).force_noise == pytest.approx(
-        np.sqrt(expected / FORCE), rel=0.02
-    )
+    D = np.vstack([scene.N.toarray(), scene.W.toarray() / scene.torque_length])[
+        touching
+    ]
+    t = np.concatenate([scene.f, scene.tau / scene.torque_length])[touching]
+    misfit = t - D @ np.linalg.solve(scene.L.toarray(), scene.b)
+
+    def log_posterior(other: Doubt) -> float:
+        """But for a constant."""
+        noise = noise_of(other)[np.ix_(touching, touching)]
+        density = scipy.stats.multivariate_normal(
+            cov=other.variance * D @ C @ D.T + noise
+        )
+        steps = [
+            np.log(getattr(other.noise, name) / median) / spread
+            for name, (median, spread) in PRIORS.items()
+        ]
+        return float(density.logpdf(misfit) - 0.5 * np.sum(np.square(steps)))
+
+    best = log_posterior(found)
+    for name in PRIORS:
+        for factor in (0.5, 2.0):
+            value = min(factor * getattr(found.noise, name), MOST_SHARE)
+            other = replace(found, noise=replace(found.noise, **{name: value}))
+            assert log_posterior(other) < best + 0.3, name
 
 
 @pytest.mark.slow
 def test_fits_of_perturbed_data_scatter_as_stated() -> None:
     scene, rng = three_presses(), np.random.default_rng(3)
     L, rows = scene.L.toarray(), wrench_rows(scene, unseen())
+    prior = np.sqrt(exact().variance)
+    factor = np.linalg.cholesky(noise_of(exact()))
     ell, errors = scene.torque_length, []
     fitter = None
     for _ in range(40):
-        p = np.linalg.solve(L, scene.b + rng.normal(size=len(scene.b)))
-        force = scene.N @ p + rng.normal(size=len(scene.f)) / np.sqrt(FORCE)
-        torque = scene.W @ p + ell * rng.normal(size=len(scene.f)) / np.sqrt(TORQUE)
+        p = np.linalg.solve(L, scene.b + prior * rng.normal(size=len(scene.b)))
+        e = factor @ rng.normal(size=len(factor))
+        force = scene.N @ p + e[: len(scene.f)]
+        torque = scene.W @ p + ell * e[len(scene.f) :]
         trajectory = replace(
             scene.trajectory, force=force.reshape(-1, 3), torque=torque.reshape(-1, 3)
         )
@@ -137,7 +182,7 @@ def test_fits_of_perturbed_data_scatter_as_stated() -> None:
         else:
             fitter.update(given)
         errors.append(rows @ (fitter.solve().candidate - p))
-    stated = exact().std(unseen()).covariance / exact().variance
+    stated = exact().std(unseen()).covariance
     found = np.mean(np.square(errors), axis=0).reshape(5, 6)
     ratio = found / np.einsum("tii->ti", stated)
     # the mean of 40 squares of a normal number is off by 22 %
@@ -151,27 +196,28 @@ def test_a_fitted_scale_is_doubted_too() -> None:
     given = own.with_boundary(own.inner, own.outer)
     weights = {"force_weight": FORCE, "torque_weight": TORQUE}
     free, fixed = (doubt(tt.fit(s, "eq10", **weights), s) for s in (own, given))
-    more, less = (d.std(unseen()).force_size / d.variance**0.5 for d in (free, fixed))
-    assert (more > less).all()
+    more = free.std(unseen()).force_size
+    assert (more > replaced(fixed, free).std(unseen()).force_size).all()
     # a column of its own with a flat prior, in dense algebra
-    L = own.L.toarray()
-    D = np.vstack([own.N.toarray(), own.W.toarray() / own.torque_length])
-    w = np.repeat([FORCE, TORQUE], len(D) // 2)
-    C = np.linalg.inv(L.T @ L)
-    p0 = SCALE_DEVIATION * np.linalg.solve(L, own.b)
-    C += np.outer(p0, p0)
-    S = np.diag(1.0 / w) + D @ C @ D.T
+    p0 = SCALE_DEVIATION * np.linalg.solve(own.L.toarray(), own.b)
+    errors = dense_errors(laplace_covariance(own) + np.outer(p0, p0), free)
     rows = wrench_rows(own, unseen())
-    cross = rows @ C @ D.T
-    expected = rows @ C @ rows.T - cross @ np.linalg.solve(S, cross.T)
-    size = np.sqrt(np.diag(expected).reshape(5, 6)[:, :3].sum(axis=1))
+    expected = np.einsum("iv,vw,iw->i", rows, errors, rows)
+    size = np.sqrt(expected.reshape(5, 6)[:, :3].sum(axis=1))
     np.testing.assert_allclose(more, size, rtol=0.03)
 
 
-def test_one_press_is_scaled_by_its_likelihood() -> None:
+def replaced(given: Doubt, other: Doubt) -> Doubt:
+    """One with the prior and the noise of another."""
+    errors = other._posterior.errors
+    return replace(given, _posterior=replace(given._posterior, errors=errors))
+
+
+def test_one_press_is_enough() -> None:
     scene = small_scene("trilinear")
     found = doubt(tt.fit(scene, "eq10"), scene)
-    assert found.calibrated_by == "likelihood" and found.variance > 0.0
+    assert found.variance > 0.0 and found.noise.force > 0.0
+    assert (found.std(scene.trajectory).force_noise > 0.0).all()
 
 
 def test_what_has_no_such_posterior_is_refused() -> None:

@@ -19,11 +19,10 @@ def test_errors_drawn_from_the_doubt_are_covered() -> None:
     rng, many = np.random.default_rng(2), presses(torso(), 60, np.random.default_rng(5))
     stated, field = exact().std(many), fitted().field
     rendered = tt.evaluate(field, exact().scene.shell, many)
-    noise = [stated.force_noise] * 3 + [stated.torque_noise] * 3
     errors = np.stack(
         [
-            rng.multivariate_normal(np.zeros(6), c + np.diag(noise) ** 2)
-            for c in stated.covariance
+            rng.multivariate_normal(np.zeros(6), c)
+            for c in stated.covariance + stated.noise
         ]
     )
     truth = replace(

@@ -31,8 +31,8 @@ def test_what_is_read_is_what_was_written(file: Path) -> None:
     told, own = found.std(unseen()), drawn.std(unseen())
     np.testing.assert_allclose(told.force, own.force, rtol=2e-3)
     np.testing.assert_allclose(told.torque, own.torque, rtol=2e-3)
-    assert told.force_noise == own.force_noise and told.known.all()
-    assert found.calibrated_by == exact().calibrated_by
+    np.testing.assert_allclose(told.noise, own.noise, rtol=1e-12)
+    assert found.noise == exact().noise and told.known.all()
     assert np.array_equal(found.potential.values, fitted().field.values)
 
 
@@ -62,14 +62,15 @@ def test_files_without_doubt_or_with_a_damaged_one_are_refused(
     with pytest.raises(InputError, match="fit again with ttus-opt fit --doubt"):
         read_doubt(tmp_path / "plain.nc", shell)
     whole = io.read_dataset(file, kind=KIND, version=VERSION)
-    short = whole.isel(doubt_voxel=slice(10))
     facts = json.loads(whole.attrs[FACTS])
+    short = whole.isel(doubt_voxel=slice(10))
     spoilt: list[dict[str, object]] = [
         {},
         *({**facts, "depth": depth} for depth in (np.nan, 1e300, 0.0)),
-        {**facts, "force_noise": -1.0},
-        {**facts, "force_noise": np.nan},
-        {**facts, "torque_noise": -1.0},
+        {**facts, "noise": {**facts["noise"], "force": -1.0}},
+        {**facts, "noise": {**facts["noise"], "share": np.nan}},
+        {**facts, "noise": {}},
+        {**facts, "noise": 0.2},
     ]
     bent = whole.copy()
     bent[DRAWS] = whole[DRAWS].assign_attrs(factor=np.nan)

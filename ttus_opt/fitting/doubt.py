@@ -1,38 +1,43 @@
 """How sure a fitted field is of the wrenches that it renders, and of itself.
 
-A quadratic fit is the mean of a Gaussian: prior p ~ N(p₀, σ² C), measured rows D of
-weights W² with noise of variance σ² W⁻². So any rows N of a field have the posterior
-covariance
+A quadratic fit takes a prior p ~ N(p₀, C), measured rows D and their weights W² for the
+estimate p₀ + C Dᵀ(W⁻² + D C Dᵀ)⁻¹(t - D p₀). How far that is from the truth depends on
+what prior and measurements really are: p ~ N(p₀, v C), and noise of covariance Σ, both
+found by marginal likelihood (`wrench_noise`). With G = C Dᵀ(W⁻² + D C Dᵀ)⁻¹ any rows N
+of the field have errors of the covariance
 
-    Cov[N p] = σ² (N C Nᵀ - N C Dᵀ(W⁻² + D C Dᵀ)⁻¹ D C Nᵀ)
+    N ((1 - G D) v C (1 - G D)ᵀ + G Σ Gᵀ) Nᵀ.
 
-(Rasmussen and Williams, 2006, eq. 2.24). C is L⁻¹Ω L⁻ᵀ where a Laplace term is the
-prior (`laplace_posterior`), or known by itself (`covariance_posterior`). Where solves
-per row cost too much, the covariance is that of fields drawn from the posterior, kept
-near the skin (`posterior_draws`).
+C is L⁻¹Ω L⁻ᵀ where a Laplace term is the prior (`laplace_posterior`), or known by
+itself (`covariance_posterior`). Where solves per row cost too much, the covariance is
+that of errors drawn, kept near the skin (`posterior_draws`).
 
-Limits are left out: the doubt is that of the Gaussian without them. σ² is such that
-95 % of the measured components lie within 1.96 standard deviations of what the field of
-all other presses predicts; with one press, the likeliest.
+Limits are left out: the doubt is that of the estimate without them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.covariance_posterior import CovariancePosterior
 from ttus_opt.fitting.laplace_posterior import LaplacePosterior
 from ttus_opt.fitting.posterior import Posterior
 from ttus_opt.fitting.posterior_draws import PosteriorDraws, skin_voxels
 from ttus_opt.fitting.weight_criteria import presses
-from ttus_opt.fitting.wrench_doubt import WrenchDoubt, wrench_rows
+from ttus_opt.fitting.wrench_doubt import WrenchDoubt, rendered, wrench_rows
+from ttus_opt.fitting.wrench_noise import (
+    ErrorModel,
+    MeasuredWrenches,
+    WrenchNoise,
+    by_frame,
+    places,
+)
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
@@ -40,6 +45,7 @@ from ttus_opt.problem.solution import Solution
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.solvers.dual.data import DualData, laplace_prior, root_weights
 from ttus_opt.terms.structure import known_covariance
+from ttus_opt.voxmap.field import PotentialField
 
 Method = Literal["exact", "samples"]
 
@@ -52,27 +58,27 @@ DRAWS = 256
 #: How far below the skin draws are kept [m]
 DEPTH = 0.03
 
+#: Which components of a wrench a measured term has
+COMPONENTS = {"force": slice(0, 3), "torque": slice(3, 6)}
+
 
 @dataclass(frozen=True)
 class Doubt:
-    """The posterior of one fit.
+    """The errors of one fit.
 
     Attributes:
         scene: Patient, probe and measurements.
-        variance: σ², of a row of weight 1 [N²].
-        method: Whether rows are solved for, or drawn fields are rendered.
-        calibrated_by: ``presses left out``, or ``likelihood`` where there is one press.
-        noise: Standard deviations of what a measured force and torque component show
-            beside the field; NaN where there is none [N, N·m].
-        parameters: Of the fit, by name.
+        potential: The fitted field.
+        method: Whether rows are solved for, or drawn errors are rendered.
+        variance: v, of the field's prior over that of the fit [–].
+        noise: What a measured wrench shows beside the field.
     """
 
     scene: Scene = field(repr=False)
-    variance: float
+    potential: PotentialField = field(repr=False)
     method: Method
-    calibrated_by: str
-    noise: tuple[float, float]
-    parameters: Mapping[str, float] = field(repr=False)
+    variance: float
+    noise: WrenchNoise
     _posterior: Posterior = field(repr=False)
     _draws: PosteriorDraws | None = field(repr=False)
 
@@ -85,13 +91,12 @@ class Doubt:
         Returns:
             NaN in frames that reach deeper than draws are kept.
         """
-        scene = self.scene
-        there = scene.voxmap, scene.shell, scene.sampling
-        rows = wrench_rows(*there, trajectory, self.parameters)
-        return WrenchDoubt(self.covariance(rows, 6), *self.noise)
+        rows = wrench_rows(self.potential, self.scene.shell, trajectory)
+        noise = self.noise.covariance(rendered(self.potential, rows))
+        return WrenchDoubt(self.covariance(rows, 6), noise)
 
     def covariance(self, rows: sp.csr_array, height: int = 1) -> Array:
-        """Posterior covariance of consecutive rows of a field.
+        """Covariance of the errors of consecutive rows of a field.
 
         Args:
             rows: N, shape (k · height, V).
@@ -110,7 +115,7 @@ class Doubt:
             )
         if self._draws is not None:
             return self._draws.covariance(rows, height)
-        return self.variance * self._posterior.covariance(rows, height)
+        return self._posterior.covariance(rows, height)
 
     def potential_std(self) -> Array:
         """Standard deviation of the field, shape (n_r, n_θ, n_z) [of the field].
@@ -118,11 +123,11 @@ class Doubt:
         By draws, whatever the method.
         """
         draws = self._posterior.draw(DRAWS)
-        std = np.sqrt(self.variance * np.mean(draws.astype(np.float64) ** 2, axis=0))
+        std = np.sqrt(np.mean(draws.astype(np.float64) ** 2, axis=0))
         return np.asarray(self.scene.voxmap.grid.unflatten(std))
 
     def draws(self, count: int = DRAWS, depth: float = DEPTH) -> PosteriorDraws:
-        """Fields drawn from the posterior around its mean, near the skin.
+        """Errors of the field drawn at random, near the skin.
 
         Args:
             count: How many; standard deviations are known to 1/√(2 count) [–].
@@ -140,7 +145,7 @@ class Doubt:
                 f"{depth} m"
             )
         voxels = skin_voxels(self.scene.voxmap, depth)
-        return _drawn(self._posterior, self.variance, count, depth, voxels)
+        return PosteriorDraws(self._posterior.draw(count, voxels), voxels, depth)
 
     def sampled(self, count: int = DRAWS, depth: float = DEPTH) -> Doubt:
         """The same by draws, that are made once.
@@ -159,7 +164,7 @@ def doubt(
     method: Method | None = None,
     depth: float = DEPTH,
 ) -> Doubt:
-    """The posterior behind a solution.
+    """How far the field of a solution may be from the truth.
 
     Args:
         solution: Of one field: a prior, Laplace's or of known covariance, and squares
@@ -201,15 +206,13 @@ def doubt(
         posterior = LaplacePosterior.of(
             DualData.of(program), root_weights(program), scale, voxels
         )
-    frame = np.concatenate([np.repeat(np.arange(frames), 3)] * len(measured))
-    told: Mask = posterior.told
-    variance, how = posterior.measured.scale_of(presses(scene)[frame[told]])
+    potential = solution.field
+    variance, noise, errors = _errors(scene, potential, prior, measured, posterior)
+    told = posterior.with_errors(errors)
     draws = None
     if voxels is not None and method == "samples":
-        draws = _drawn(posterior, variance, DRAWS, depth, voxels)
-    noise = _noise(scene, measured, variance * prior.weight)
-    parameters = dict(solution.parameters)
-    return Doubt(scene, variance, method, how, noise, parameters, posterior, draws)
+        draws = PosteriorDraws(told.draw(DRAWS, voxels), voxels, depth)
+    return Doubt(scene, potential, method, variance, noise, told, draws)
 
 
 def _prior_of(solution: Solution) -> ProgramTerm:
@@ -234,20 +237,45 @@ def _known_prior(program: Program) -> ProgramTerm | None:
     return next((t for t in known if t.weight > 0.0), None)
 
 
-def _noise(
-    scene: Scene, measured: list[ProgramTerm], variance: float
-) -> tuple[float, float]:
-    """What measured force and torque components show beside the field [N, N·m]."""
-    noise = {t.name: float(np.sqrt(variance / t.weight)) for t in measured}
-    if "torque" in noise:  # rows of torque are over a length
-        own = next(t.target for t in measured if t.name == "torque")
-        noise["torque"] *= float(np.linalg.norm(scene.tau) / np.linalg.norm(own))
-    return noise.get("force", np.nan), noise.get("torque", np.nan)
+def _errors(
+    scene: Scene,
+    potential: PotentialField,
+    prior: ProgramTerm,
+    measured: list[ProgramTerm],
+    posterior: Posterior,
+) -> tuple[float, WrenchNoise, ErrorModel]:
+    """The prior's variance, the noise, and what they are of the weighted rows.
 
-
-def _drawn(
-    posterior: Posterior, variance: float, count: int, depth: float, voxels: IntArray
-) -> PosteriorDraws:
-    values = posterior.draw(count, voxels)
-    values *= np.float32(np.sqrt(variance))
-    return PosteriorDraws(values, voxels, depth)
+    Raises:
+        InputError: A measured term that is neither force nor torque.
+    """
+    others = [t.name for t in measured if t.name not in COMPONENTS]
+    if others:
+        raise InputError(
+            f"no doubt with the term {others[0]}: the noise of forces and torques "
+            "alone is known"
+        )
+    values, frames = potential.values.reshape(-1), len(scene.trajectory)
+    wrench, scale = np.zeros((frames, 6)), np.empty(3 * len(measured))
+    for k, term in enumerate(measured):
+        unit = 1.0
+        if term.name == "torque" and np.any(term.target):  # its rows are over a length
+            unit = float(np.linalg.norm(scene.tau) / np.linalg.norm(term.target))
+        rows = unit * (term.matrix @ values)
+        wrench[:, COMPONENTS[term.name]] = rows.reshape(frames, 3)
+        scale[3 * k : 3 * k + 3] = np.sqrt(term.weight / prior.weight) / unit
+    told = np.where(posterior.told, np.cumsum(posterior.told) - 1, -1)
+    touching = scene.rows.contact_points > 0
+    at = told.reshape(len(measured), frames, 3)[:, touching]
+    at = at.transpose(1, 0, 2).reshape(len(wrench[touching]), -1)
+    own = posterior.measured
+    seen = MeasuredWrenches(
+        by_frame(own.weighted, at) / scale,
+        by_frame(own.misfit, at) / scale,
+        wrench[touching],
+        places(presses(scene)[touching], scene.trajectory.position[touching]),
+        np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),
+    )
+    likeliest = float(own.solve(own.misfit) @ own.misfit) / len(own.misfit)
+    variance, noise = seen.estimate(likeliest)
+    return variance, noise, seen.errors(variance, noise, scale, at)

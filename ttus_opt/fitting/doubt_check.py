@@ -74,15 +74,15 @@ def check_doubt(
     force = _against(
         (evaluation.rendered_force - evaluation.measured_force)[touching],
         stated.force[touching],
-        stated.force_noise,
+        stated.force_noise[touching],
     )
     torque, torque_std = (np.nan, np.nan), np.nan
-    if np.isfinite(stated.torque_noise) and trajectory.has_torque:
+    if np.isfinite(stated.torque_noise).all() and trajectory.has_torque:
         torque_std = float(np.median(stated.torque_size[touching]))
         torque = _against(
             (evaluation.rendered_torque - evaluation.measured_torque)[touching],
             stated.torque[touching],
-            stated.torque_noise,
+            stated.torque_noise[touching],
         )
     return Calibration(
         float(np.median(stated.force_size[touching])),
@@ -93,7 +93,7 @@ def check_doubt(
     )
 
 
-def _against(error: Array, std: Array, noise: float) -> tuple[float, float]:
+def _against(error: Array, std: Array, noise: Array) -> tuple[float, float]:
     """Coverage, and rank correlation of sizes."""
     from scipy.stats import spearmanr
 

@@ -3,14 +3,17 @@
 The prior is p ~ N(p₀, C), C = L⁻¹Ω L⁻ᵀ. N C Nᵀ takes one solve with Lᵀ per row. The
 rest is known by the basis of `solvers.dual.weight_sweep`: fields ψᵢ, orthonormal in the
 prior's energy, whose coefficients have the prior N(0, 1) and, with B their weighted
-images, the posterior covariance (1 + BBᵀ)⁻¹. A draw is one of the prior, corrected by
-what its own noisy measurements say of it (Matheron's rule: A. G. Journel, C. J.
-Huijbregts, Mining Geostatistics, 1978). See docs/method.md, Doubt.
+images, the estimate M⁻¹B y of y = Bᵀc + e, M = 1 + BBᵀ. Where c has the variance v
+and e the covariance Σ, the error of that estimate has v M⁻² + M⁻¹BΣBᵀM⁻¹. A draw is
+one of the prior, corrected by what its own noisy measurements say of it (Matheron's
+rule: A. G. Journel, C. J. Huijbregts, Mining Geostatistics, 1978). See docs/method.md,
+Doubt.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import scipy.linalg
@@ -18,6 +21,7 @@ import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.fitting.posterior import MeasuredRows, Single, kept_rows
+from ttus_opt.fitting.wrench_noise import ErrorModel
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep
@@ -36,18 +40,19 @@ SCALE_DEVIATION = 1e3
 
 @dataclass(frozen=True)
 class LaplacePosterior:
-    """The Gaussian of a problem, with σ² = 1.
+    """The error of a fit.
 
     Attributes:
-        system: Its dual.
+        system: Dual of its problem.
         told: Rows that say something of the field, shape (m,).
         measured: What they say.
         base: p₀ times the deviation of its scale, shape (V,); None where it is known.
         fields: ψ at ``voxels``, shape (k, n); the last one is p₀ where its scale is
             unknown.
-        inner: (1 + BBᵀ)⁻¹, shape (k, k).
+        gain: M⁻¹, shape (k, k).
         n_prior: Fields that are not p₀.
         voxels: Where the fields are kept; None for everywhere.
+        errors: The prior's variance and the rows' noise; None before they are known.
     """
 
     system: DualSystem = field(repr=False)
@@ -55,9 +60,10 @@ class LaplacePosterior:
     measured: MeasuredRows = field(repr=False)
     base: Array | None = field(repr=False)
     fields: Array = field(repr=False)
-    inner: Array = field(repr=False)
+    gain: Array = field(repr=False)
     n_prior: int
     voxels: IntArray | None = field(default=None, repr=False)
+    errors: ErrorModel | None = field(default=None, repr=False)
 
     @classmethod
     def of(
@@ -84,15 +90,30 @@ class LaplacePosterior:
         measured = MeasuredRows.of(images * own, own * sweep.misfit)
         gram = measured.weighted @ measured.weighted.T
         gram[np.diag_indices_from(gram)] += 1.0
-        inner = scipy.linalg.inv(gram)
-        return cls(data.system, sweep.told, measured, base, fields, inner, n, voxels)
+        gain = scipy.linalg.inv(gram)
+        return cls(data.system, sweep.told, measured, base, fields, gain, n, voxels)
+
+    def with_errors(self, errors: ErrorModel) -> LaplacePosterior:
+        """The same with the prior's variance and the rows' noise as they are."""
+        return replace(self, errors=errors)
+
+    @cached_property
+    def inner(self) -> Array:
+        """Covariance of the coefficients' error, shape (k, k)."""
+        assert self.errors is not None
+        noise = self.gain @ self.errors.roots(self.measured.weighted)
+        return np.asarray(
+            self.errors.variance * self.gain @ self.gain + noise @ noise.T
+        )
 
     def covariance(self, rows: sp.csr_array, height: int) -> Array:
         """Of blocks of rows, by a solve for each row that has an entry.
 
         NaN where a block touches voxels at which the basis is not kept.
         """
-        laplace, root = self.system.laplace, np.sqrt(self.system.compliance)
+        assert self.errors is not None
+        laplace = self.system.laplace
+        root = np.sqrt(self.errors.variance * self.system.compliance)
         kept, missing = rows, np.zeros(rows.shape[0] // height, dtype=bool)
         if self.voxels is not None:
             kept, missing = kept_rows(rows, self.voxels, height)
@@ -106,20 +127,22 @@ class LaplacePosterior:
             slopes = np.stack(
                 [root * laplace.solve_adjoint(load, rtol=RTOL) for load in loads]
             )
-            a = known[block]
-            rest = slopes @ slopes.T - a[:, : self.n_prior] @ a[:, : self.n_prior].T
+            a, own = known[block], known[block, : self.n_prior]
+            rest = slopes @ slopes.T - self.errors.variance * own @ own.T
             out[k] = rest + a @ self.inner @ a.T
         return out
 
     def draw(self, count: int, voxels: IntArray | None = None) -> Single:
-        """Draws of the field around its mean, shape (count, n).
+        """Draws of the fit's error, shape (count, n).
 
         Args:
             count: How many [–].
             voxels: Where, shape (n,); None for everywhere. Where the basis is not kept
                 there, a draw takes three solves instead of one.
         """
+        assert self.errors is not None
         rng, laplace = np.random.default_rng(0), self.system.laplace
+        deviation = np.sqrt(self.errors.variance)
         root, V = np.sqrt(self.system.compliance), self.system.rows.shape[1]
         rows = self.system.rows[self.told]
         weights = self.system.root_weights[self.told]
@@ -129,14 +152,15 @@ class LaplacePosterior:
             p = laplace.solve(root * rng.standard_normal(V), rtol=RTOL)
             if self.base is not None:
                 p += rng.standard_normal() * self.base
-            said = weights * (rows @ p) + rng.standard_normal(len(weights))
+            p *= deviation
+            said = weights * (rows @ p) + self.errors.draw(rng)
             out[k] = p[at] - self._told_by(said, voxels)
         return out
 
     def _told_by(self, said: Array, voxels: IntArray | None) -> Array:
         """The mean field given measurements alone, at some voxels."""
         if self.voxels is None or voxels is self.voxels:
-            told = (self.inner @ (self.measured.weighted @ said)) @ self.fields
+            told = (self.gain @ (self.measured.weighted @ said)) @ self.fields
             whole = self.voxels is None and voxels is not None
             return np.asarray(told[voxels] if whole else told)
         y = self.measured.solve(said)

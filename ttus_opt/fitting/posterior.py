@@ -1,6 +1,6 @@
-"""Posterior of a Gaussian prior and measured rows: covariance, draws, noise scale.
+"""A Gaussian prior and weighted measured rows: what the fit's error is made of.
 
-With σ² = 1, C the prior's covariance, D the measured rows times their weights' roots
+With C the prior's covariance, D the measured rows times their weights' roots
 and BᵀB = D C Dᵀ, (1 + D C Dᵀ)⁻¹ = 1 − XᵀX with X = L⁻¹B, L Lᵀ = 1 + BBᵀ: all that is
 needed of the measurements is B, with as many rows as they tell of the field.
 """
@@ -16,16 +16,16 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.fitting.wrench_noise import ErrorModel
 
 Single = NDArray[np.float32]
 
-#: Share of measured components within `NORMAL` standard deviations, of a normal
-#: distribution [–]
-COVERED, NORMAL = 0.95, 1.959964
+#: 95 % of a normal distribution lie within so many standard deviations [–]
+NORMAL = 1.959964
 
 
 class Posterior(Protocol):
-    """The Gaussian of a problem, with σ² = 1."""
+    """The error of a fit, given the errors of what it was fitted to."""
 
     @property
     def told(self) -> Mask:
@@ -35,11 +35,14 @@ class Posterior(Protocol):
     def measured(self) -> MeasuredRows:
         """What they say."""
 
+    def with_errors(self, errors: ErrorModel) -> Posterior:
+        """The same with the prior's variance and the rows' noise as they are."""
+
     def covariance(self, rows: sp.csr_array, height: int) -> Array:
         """Covariance of blocks of rows of the field, (k, height, height)."""
 
     def draw(self, count: int, voxels: IntArray | None = None) -> Single:
-        """Draws of the field around its mean, at some voxels or all, (count, n)."""
+        """Draws of the fit's error, at some voxels or all, (count, n)."""
 
 
 def kept_rows(
@@ -69,7 +72,7 @@ def kept_rows(
 
 @dataclass(frozen=True)
 class MeasuredRows:
-    """What the measurements say, with σ² = 1.
+    """What the measurements say, as weighted.
 
     Attributes:
         weighted: B, shape (k, rows).
@@ -94,27 +97,3 @@ class MeasuredRows:
     def solve(self, values: Array) -> Array:
         """(1 + BᵀB)⁻¹ values, shape (rows,)."""
         return np.asarray(values - self.half.T @ (self.half @ values))
-
-    def scale_of(self, press: IntArray) -> tuple[float, str]:
-        """σ² that covers what is predicted of every press by all others.
-
-        Args:
-            press: Which press a row belongs to, shape (rows,) [–].
-
-        Returns:
-            σ², and what it is estimated by: with one press the likelihood.
-        """
-        rest, half = self.solve(self.misfit), self.half
-        numbers = np.unique(press)
-        if len(numbers) < 2:
-            return float(rest @ self.misfit) / len(rest), "likelihood"
-        scores = np.empty_like(rest)
-        for number in numbers:
-            at = np.flatnonzero(press == number)
-            X = half[:, at]
-            left = np.eye(len(X)) - X @ X.T
-            solved = scipy.linalg.solve(left, X, assume_a="pos")
-            error = rest[at] + X.T @ (solved @ rest[at])
-            scores[at] = error / np.sqrt(1.0 + np.einsum("ki,ki->i", X, solved))
-        deviation = float(np.quantile(np.abs(scores), COVERED)) / NORMAL
-        return deviation**2, "presses left out"

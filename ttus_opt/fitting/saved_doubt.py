@@ -18,7 +18,8 @@ from ttus_opt.errors import FileError, InputError
 from ttus_opt.fitting.doubt import DEPTH, Doubt
 from ttus_opt.fitting.posterior_draws import PosteriorDraws, skin_voxels
 from ttus_opt.fitting.skin_doubt import doubt_map
-from ttus_opt.fitting.wrench_doubt import WrenchDoubt, wrench_rows
+from ttus_opt.fitting.wrench_doubt import WrenchDoubt, rendered, wrench_rows
+from ttus_opt.fitting.wrench_noise import WrenchNoise
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap import field as field_file
@@ -36,8 +37,9 @@ LARGEST = 32_767
 #: No draws are kept deeper than this [m]
 DEEPEST = 1.0
 
-#: Attribute with what else is known of the doubt
-FACTS = "doubt_facts"
+#: Attribute with what else is known of the doubt; noise as one number, of files written
+#: before, was in another
+FACTS = "doubt_noise"
 
 
 @dataclass(frozen=True)
@@ -47,17 +49,14 @@ class SavedDoubt:
     Attributes:
         potential: The fitted field.
         shell: The probe that is rendered.
-        draws: Of the posterior, near the skin.
-        noise: Standard deviations of what a measured force and torque component show
-            beside the field; NaN where there is none [N, N·m].
-        calibrated_by: As of `Doubt`.
+        draws: Of its error, near the skin.
+        noise: What a measured wrench shows beside the field.
     """
 
     potential: PotentialField
     shell: PointShell = field(repr=False)
     draws: PosteriorDraws = field(repr=False)
-    noise: tuple[float, float]
-    calibrated_by: str
+    noise: WrenchNoise
 
     def std(self, trajectory: Trajectory) -> WrenchDoubt:
         """How sure the field is of what it renders along a trajectory.
@@ -68,10 +67,9 @@ class SavedDoubt:
         Returns:
             NaN in frames that reach deeper than draws are kept.
         """
-        own = self.potential
-        there = own.voxmap, self.shell, own.sampling
-        rows = wrench_rows(*there, trajectory, own.parameters)
-        return WrenchDoubt(self.draws.covariance(rows, 6), *self.noise)
+        rows = wrench_rows(self.potential, self.shell, trajectory)
+        noise = self.noise.covariance(rendered(self.potential, rows))
+        return WrenchDoubt(self.draws.covariance(rows, 6), noise)
 
 
 def save_with_doubt(
@@ -103,13 +101,7 @@ def save_with_doubt(
     mapped = replace(fitted, doubt=doubt_map(sampled, fitted))
     factor = float(np.abs(draws.values).max(initial=0.0)) / LARGEST or 1.0
     whole = np.rint(draws.values / np.float32(factor)).astype(np.int16)
-    force, torque = doubt.noise
-    facts = {
-        "depth": draws.depth,
-        "force_noise": force,
-        "torque_noise": None if np.isnan(torque) else torque,
-        "calibrated_by": doubt.calibrated_by,
-    }
+    facts = {"depth": draws.depth, "noise": doubt.noise.as_dict()}
     told = {"units": fitted.unit, "factor": factor}
     dataset = mapped.to_xarray().assign({field_file.DRAWS: (DIMS, whole, told)})
     dataset[field_file.DRAWS].encoding.update(zlib=True, complevel=1)
@@ -137,16 +129,14 @@ def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
     data = io.read_dataset(path, kind=field_file.KIND, version=field_file.VERSION)
     if FACTS not in data.attrs or field_file.DRAWS not in data.variables:
         raise InputError(
-            f"{path} says nothing of its doubt: fit again with ttus-opt fit --doubt"
+            f"{path} says nothing of its doubt, or in an older form: fit again with "
+            "ttus-opt fit --doubt"
         )
     try:
         facts = json.loads(data.attrs[FACTS])
-        depth, torque = float(facts["depth"]), facts["torque_noise"]
-        noise = float(facts["force_noise"]), np.nan if torque is None else float(torque)
-        if not (
-            0.0 < depth < DEEPEST and min(noise[0], np.nan_to_num(noise[1])) >= 0.0
-        ):
-            raise InputError(f"depth {depth:g} m, noise {noise[0]:g} N and {torque}")
+        depth, noise = float(facts["depth"]), WrenchNoise.from_dict(facts["noise"])
+        if not 0.0 < depth < DEEPEST:
+            raise InputError(f"depth {depth:g} m")
         whole = io.array_of(data, field_file.DRAWS, DIMS, fitted.unit)
         factor = np.float32(data[field_file.DRAWS].attrs["factor"])
         if not 0.0 < factor < np.inf:
@@ -155,6 +145,6 @@ def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
         if whole.shape[1] != len(voxels) or whole.shape[0] < 2:
             raise InputError(f"draws at {whole.shape[1]} voxels, not {len(voxels)}")
         draws = PosteriorDraws(whole.astype(np.float32) * factor, voxels, depth)
-        return SavedDoubt(fitted, shell, draws, noise, str(facts["calibrated_by"]))
+        return SavedDoubt(fitted, shell, draws, noise)
     except (KeyError, InputError, TypeError, ValueError) as error:
         raise FileError(f"{path}: damaged doubt: {error}") from error

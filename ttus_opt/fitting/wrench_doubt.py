@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,24 +19,22 @@ from ttus_opt.contact.friction import (
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.voxmap.voxmap import Voxmap
+from ttus_opt.voxmap.field import PotentialField
 
 
 @dataclass(frozen=True)
 class WrenchDoubt:
-    """Posterior covariance of rendered wrenches.
+    """Covariance of the errors of rendered wrenches, and of measured ones beside.
 
     Attributes:
-        covariance: Of force [N] and torque [N·m] of every frame, shape (T, 6, 6); NaN
-            where it is not known.
-        force_noise: Standard deviation of what a measured force component shows beside
-            the field [N].
-        torque_noise: The same of a torque component; NaN without [N·m].
+        covariance: Of the error of force [N] and torque [N·m] that comes of the field,
+            of every frame, shape (T, 6, 6); NaN where it is not known.
+        noise: Of what a measured wrench shows beside, shape (T, 6, 6); NaN for torque
+            where none was measured.
     """
 
     covariance: Array = field(repr=False)
-    force_noise: float
-    torque_noise: float
+    noise: Array = field(repr=False)
 
     @property
     def known(self) -> Mask:
@@ -55,6 +52,16 @@ class WrenchDoubt:
         return np.asarray(np.sqrt(np.einsum("tii->ti", self.covariance)[:, 3:]))
 
     @property
+    def force_noise(self) -> Array:
+        """Standard deviation of what measured components show beside, (T, 3) [N]."""
+        return np.asarray(np.sqrt(np.einsum("tii->ti", self.noise)[:, :3]))
+
+    @property
+    def torque_noise(self) -> Array:
+        """The same of torque; NaN without [N·m]."""
+        return np.asarray(np.sqrt(np.einsum("tii->ti", self.noise)[:, 3:]))
+
+    @property
     def force_size(self) -> Array:
         """Standard deviation of the whole force, √ trace, shape (T,) [N]."""
         return np.asarray(np.sqrt((self.force**2).sum(axis=1)))
@@ -66,23 +73,18 @@ class WrenchDoubt:
 
 
 def wrench_rows(
-    voxmap: Voxmap,
-    shell: PointShell,
-    sampling: str,
-    trajectory: Trajectory,
-    parameters: Mapping[str, float],
+    potential: PotentialField, shell: PointShell, trajectory: Trajectory
 ) -> sp.csr_array:
     """Force and torque rows of every frame, six of a frame together, (6T, V).
 
     Args:
-        voxmap: Grid and surface.
+        potential: The field, its drag among its parameters.
         shell: The probe.
-        sampling: Of the field.
         trajectory: Poses; with drag their motion counts.
-        parameters: Of the field, its drag among them.
     """
+    voxmap, parameters = potential.voxmap, potential.parameters
     poses = trajectory.rotation, trajectory.position
-    rows = contact_rows(voxmap, shell, *poses, sampling=sampling)
+    rows = contact_rows(voxmap, shell, *poses, sampling=potential.sampling)
     N, W = rows.N, rows.W
     mu = parameters.get(FRICTION, 0.0)
     if mu:
@@ -96,3 +98,13 @@ def wrench_rows(
     frame, part = np.divmod(np.arange(6 * T), 6)
     order = np.where(part < 3, 3 * frame + part, 3 * T + 3 * frame + part - 3)
     return sp.csr_array(both[order])
+
+
+def rendered(potential: PotentialField, rows: sp.csr_array) -> Array:
+    """Force [N] and torque [N·m] of every frame, shape (T, 6).
+
+    Args:
+        potential: The field.
+        rows: As of `wrench_rows`.
+    """
+    return np.asarray(rows @ potential.values.reshape(-1)).reshape(-1, 6)

@@ -1,0 +1,148 @@
+"""The noise of measured wrenches against dense algebra and numbers drawn from it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.stats
+
+from ttus_opt.errors import InputError
+from ttus_opt.fitting.wrench_noise import (
+    ErrorModel,
+    MeasuredWrenches,
+    WrenchNoise,
+    by_frame,
+    places,
+)
+
+NOISE = WrenchNoise(0.08, 0.03, 0.06, 0.04, 0.003, 0.002)
+
+
+def crossed(vector: np.ndarray) -> np.ndarray:
+    """X with X a = a × vector."""
+    x, y, z = vector
+    return np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+
+
+def dense(noise: WrenchNoise, wrench: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Covariance of the errors of all frames, six after six, (6n, 6n)."""
+    n = len(wrench)
+    out = np.zeros((n, 6, n, 6))
+    sensor = [noise.force**2] * 3 + [noise.torque**2] * 3
+    for t in range(n):
+        out[t, :, t] += np.diag(sensor)
+        out[t, :, t] += noise.share**2 * np.outer(wrench[t], wrench[t])
+        for u in np.flatnonzero(place == place[t]):
+            out[t, :, u] += noise.place_share**2 * np.outer(wrench[t], wrench[u])
+            both = crossed(wrench[t, :3]) @ crossed(wrench[u, :3]).T
+            out[t, :3, u, :3] += noise.turn**2 * both
+            out[t, 3:, u, 3:] += noise.shift**2 * both
+    return out.reshape(6 * n, 6 * n)
+
+
+def recorded(n: int, n_places: int, k: int = 5) -> MeasuredWrenches:
+    """Wrenches, and measurements drawn with a prior variance of 0.5."""
+    rng = np.random.default_rng(4)
+    force = rng.normal((4.0, 0.0, 0.0), 1.0, (n, 3))
+    force *= rng.uniform(0.1, 2.0, (n, 1))
+    wrench = np.hstack([force, 0.01 * rng.normal(size=(n, 3))])
+    place = np.repeat(np.arange(n_places), -(-n // n_places))[:n]
+    images = rng.normal(size=(k, n, 6)) * ([0.3] * 3 + [3e-3] * 3)
+    factor = np.linalg.cholesky(dense(NOISE, wrench, place))
+    errors = (factor @ rng.normal(size=6 * n)).reshape(n, 6)
+    told = np.einsum("knh,k->nh", images, np.sqrt(0.5) * rng.normal(size=k))
+    return MeasuredWrenches(images, told + errors, wrench, place, np.arange(6))
+
+
+def test_density_is_that_of_dense_algebra() -> None:
+    given = recorded(9, 3)
+    K = given.images.reshape(5, -1)
+    covariance = dense(NOISE, given.wrench, given.place) + 0.7 * K.T @ K
+    expected = scipy.stats.multivariate_normal(cov=covariance).logpdf(
+        given.misfit.reshape(-1)
+    )
+    assert given.log_density(0.7, NOISE) == pytest.approx(expected, rel=1e-9)
+
+
+def test_forces_alone_have_the_density_of_their_block() -> None:
+    whole = recorded(9, 3)
+    given = MeasuredWrenches(
+        whole.images[..., :3],
+        whole.misfit[:, :3],
+        whole.wrench,
+        whole.place,
+        np.arange(3),
+    )
+    noise = WrenchNoise(NOISE.force, NOISE.share, NOISE.place_share, NOISE.turn)
+    force = np.tile(np.arange(6) < 3, 9)
+    covariance = dense(NOISE, whole.wrench, whole.place)[np.ix_(force, force)]
+    expected = scipy.stats.multivariate_normal(cov=covariance).logpdf(
+        given.misfit.reshape(-1)
+    )
+    assert given.log_density(1e-30, noise) == pytest.approx(expected, rel=1e-9)
+    assert np.isnan(given.estimate(1.0)[1].torque)
+    stated = noise.covariance(whole.wrench)
+    assert np.isfinite(stated[:, :3, :3]).all() and np.isnan(stated[:, 3:]).all()
+
+
+def test_a_frame_states_the_diagonal_blocks() -> None:
+    given = recorded(9, 3)
+    whole = dense(NOISE, given.wrench, given.place).reshape(9, 6, 9, 6)
+    blocks = np.einsum("titj->tij", whole)
+    np.testing.assert_allclose(NOISE.covariance(given.wrench), blocks, atol=1e-15)
+
+
+@pytest.mark.slow
+def test_what_was_drawn_is_found() -> None:
+    variance, found = recorded(150, 25, 20).estimate(1.0)
+    assert variance == pytest.approx(0.5, rel=0.7)
+    for name, value in NOISE.as_dict().items():
+        assert found.as_dict()[name] == pytest.approx(value, rel=0.4), name
+
+
+def weighted() -> tuple[MeasuredWrenches, ErrorModel, np.ndarray]:
+    """Rows by term, one of them missing, and their dense covariance."""
+    given = recorded(6, 2)
+    scale = np.array([3.0, 3.0, 3.0, 40.0, 40.0, 40.0])
+    at = np.arange(36).reshape(2, 6, 3).transpose(1, 0, 2).reshape(6, 6).copy()
+    gone = at == 35
+    at[gone] = -1
+    errors = given.errors(0.5, NOISE, scale, at)
+    told = ~gone.reshape(-1)
+    whole = dense(NOISE, given.wrench, given.place) * np.outer(*2 * [np.tile(scale, 6)])
+    order = at.reshape(-1)[told]
+    covariance = np.empty((35, 35))
+    covariance[np.ix_(order, order)] = whole[np.ix_(told, told)]
+    return given, errors, covariance
+
+
+def test_rows_have_the_products_of_dense_algebra() -> None:
+    _, errors, covariance = weighted()
+    rows = np.random.default_rng(1).normal(size=(4, 35))
+    found = errors.roots(rows)
+    np.testing.assert_allclose(found @ found.T, rows @ covariance @ rows.T, rtol=1e-10)
+    assert by_frame(rows, errors.at).shape == (4, 6, 6)
+
+
+def test_draws_have_the_covariance() -> None:
+    _, errors, covariance = weighted()
+    rng = np.random.default_rng(2)
+    draws = np.stack([errors.draw(rng) for _ in range(4000)])
+    size = np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
+    assert np.abs((draws.T @ draws / 4000 - covariance) / size).max() < 0.1
+
+
+def test_a_place_ends_with_a_press_and_where_the_probe_has_moved_on() -> None:
+    along = np.zeros((7, 3))
+    along[:, 2] = [0.0, 0.01, 0.02, 0.05, 0.06, 0.06, 0.06]
+    press = np.array([0, 0, 0, 0, 0, 4, 4])
+    assert places(press, along).tolist() == [0, 0, 0, 1, 1, 2, 2]
+
+
+def test_noise_is_read_as_it_was_written() -> None:
+    forces = WrenchNoise(0.1, 0.02, 0.03, 0.04)
+    assert WrenchNoise.from_dict(NOISE.as_dict()) == NOISE
+    assert list(forces.as_dict()) == ["force", "share", "place_share", "turn"]
+    for bad in (-1.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="noise must"):
+            WrenchNoise.from_dict({**NOISE.as_dict(), "force": bad})
