@@ -58,6 +58,9 @@ DRAWS = 256
 #: How far below the skin draws are kept [m]
 DEPTH = 0.03
 
+#: Least prior variance about which the likeliest is looked for: of exact data [–]
+LEAST_VARIANCE = 1e-12
+
 #: Which components of a wrench a measured term has
 COMPONENTS = {"force": slice(0, 3), "torque": slice(3, 6)}
 
@@ -259,14 +262,16 @@ def _errors(
     wrench, scale = np.zeros((frames, 6)), np.empty(3 * len(measured))
     for k, term in enumerate(measured):
         unit = 1.0
-        if term.name == "torque" and np.any(term.target):  # its rows are over a length
-            unit = float(np.linalg.norm(scene.tau) / np.linalg.norm(term.target))
+        if term.name == "torque":  # its rows are over a length
+            size = float(np.linalg.norm(term.target))
+            told = float(np.linalg.norm(scene.tau))
+            unit = told / size if size > 0.0 else scene.torque_length
         rows = unit * (term.matrix @ values)
         wrench[:, COMPONENTS[term.name]] = rows.reshape(frames, 3)
         scale[3 * k : 3 * k + 3] = np.sqrt(term.weight / prior.weight) / unit
-    told = np.where(posterior.told, np.cumsum(posterior.told) - 1, -1)
+    row = np.where(posterior.told, np.cumsum(posterior.told) - 1, -1)
     touching = scene.rows.contact_points > 0
-    at = told.reshape(len(measured), frames, 3)[:, touching]
+    at = row.reshape(len(measured), frames, 3)[:, touching]
     at = at.transpose(1, 0, 2).reshape(len(wrench[touching]), -1)
     own = posterior.measured
     seen = MeasuredWrenches(
@@ -277,5 +282,5 @@ def _errors(
         np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),
     )
     likeliest = float(own.solve(own.misfit) @ own.misfit) / len(own.misfit)
-    variance, noise = seen.estimate(likeliest)
+    variance, noise = seen.estimate(max(likeliest, LEAST_VARIANCE))
     return variance, noise, seen.errors(variance, noise, scale, at)

@@ -17,6 +17,7 @@ Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learn
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 
@@ -224,7 +225,7 @@ class MeasuredWrenches:
         size = float(np.log(np.diag(factor)).sum())
         size += float(np.log(np.einsum("nii->ni", lower)).sum())
         square = float(gram[-1, -1] - half @ half)
-        return -0.5 * (square + m * np.log(2.0 * np.pi)) - size
+        return -0.5 * (square + m * math.log(2.0 * math.pi)) - size
 
     def estimate(self, variance: float) -> tuple[float, WrenchNoise]:
         """The likeliest prior variance and noise.
