@@ -74,9 +74,9 @@ def angular_speed(poses: Trajectory) -> Signal:
     return Signal(poses.time, np.linalg.norm(poses.angular_velocity(), axis=1))
 
 
-def contact_of_force(time: Array, force: Array, least: float = CONTACT) -> Signal:
+def contact_of_force(time: Array, force: Array) -> Signal:
     """1 in contact and 0 off it, from forces (T, 3) [N]."""
-    return Signal(time, (np.linalg.norm(force, axis=1) > least).astype(float))
+    return Signal(time, (np.linalg.norm(force, axis=1) > CONTACT).astype(float))
 
 
 def contact_of_poses(poses: Trajectory, surface: Surface, share: float) -> Signal:

@@ -15,7 +15,7 @@ result that leaves the measured pose, and scans that do not overlap are refused.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -118,11 +118,7 @@ class Stitched:
 
 
 def read_camera_poses(
-    path: str | os.PathLike[str],
-    n: int,
-    *,
-    order: QuaternionOrder = "wxyz",
-    columns: Mapping[str, str] | None = None,
+    path: str | os.PathLike[str], n: int, *, order: QuaternionOrder = "wxyz"
 ) -> Array:
     """The poses of cameras, one for each image in its order.
 
@@ -130,7 +126,6 @@ def read_camera_poses(
         path: A trajectory's CSV: ``t,px,py,pz,qw,qx,qy,qz``, camera to scan [s, m].
         n: Number of images.
         order: Order of the four columns named ``qw,qx,qy,qz`` as they stand.
-        columns: The file's own names of columns, by these.
 
     Returns:
         Shape (n, 4, 4) [–, m].
@@ -138,7 +133,7 @@ def read_camera_poses(
     Raises:
         FileError: Missing, damaged, or another number of poses.
     """
-    read = read_trajectory_columns(path, columns)
+    read = read_trajectory_columns(path)
     found = len(read.time)
     if found != n:
         raise FileError(
