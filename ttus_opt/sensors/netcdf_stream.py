@@ -21,7 +21,7 @@ from ttus_opt.errors import FileError, InputError, located
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.column_map import ORDER, ORDERS
-from ttus_opt.sensors.netcdf_child import Variable, read_apart
+from ttus_opt.sensors.netcdf_child import read_apart
 from ttus_opt.sensors.streams import WrenchStream
 
 if TYPE_CHECKING:
@@ -128,6 +128,8 @@ def _opened(
     Raises:
         FileError: Missing, no netCDF, or names that such a file has not.
     """
+    import xarray as xr
+
     file = io.existing_file(path, "netCDF stream")
     told = columns or {}
     single = [name for name in told if name not in ("t", ORDER, *UNITS)]
@@ -137,18 +139,13 @@ def _opened(
             f"torque, not {single[0]}"
         )
     try:
-        return file, _dataset(read_apart(file)), told
+        # variables named as their dimension are its labels
+        found = {name: tuple(each) for name, each in read_apart(file).items()}
+        return file, xr.Dataset(found), told
     except Exception as error:  # damaged files raise nearly every class
         raise FileError(
             f"{file} is not a readable netCDF file: copy or record it again"
         ) from error
-
-
-def _dataset(found: Mapping[str, Variable]) -> xr.Dataset:
-    """Variables put together; those named as their dimension are its labels."""
-    import xarray as xr
-
-    return xr.Dataset({name: tuple(each) for name, each in found.items()})
 
 
 def _variable(data: xr.Dataset, name: str, told: Mapping[str, str]) -> xr.DataArray:

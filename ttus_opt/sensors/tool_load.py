@@ -149,7 +149,7 @@ def identify_load(free: Trajectory, sensor: ForceSensor, down: ArrayLike) -> Too
     of_force = _least_squares(by_force, force.reshape(-1))
     told = bool(spread[2] >= LEAST_TILT)
     _check_axes(force, u, told, sensor)
-    crossing = -_cross_matrices(u)  # h × u = −u × h
+    crossing = -np.cross(np.eye(3)[None], u[:, None, :])  # h × u = −u × h
     by_torque = np.concatenate([ones, crossing], axis=2).reshape(-1, 6)
     of_torque = _least_squares(by_torque, torque.reshape(-1))
     mass, mass_std = float(of_force.values[3]), float(of_force.std[3])
@@ -194,11 +194,6 @@ def _least_squares(matrix: Array, target: Array) -> _Fitted:
     residual = float(np.sqrt(rest @ rest / (len(target) - matrix.shape[1])))
     std = residual * np.sqrt(np.diag(np.linalg.inv(matrix.T @ matrix)))
     return _Fitted(np.asarray(values), np.asarray(std), np.asarray(rest), residual)
-
-
-def _cross_matrices(vectors: Array) -> Array:
-    """Matrices of v ×, shape (T, 3, 3)."""
-    return np.asarray(np.cross(np.eye(3)[None], vectors[:, None, :]))
 
 
 def _check_axes(force: Array, u: Array, told: bool, sensor: ForceSensor) -> None:

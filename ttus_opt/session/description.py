@@ -211,10 +211,11 @@ def read_description(path: str | os.PathLike[str]) -> Description:
             "is missing: raw readings need both the stretch in free air (free) and how "
             "the sensor is mounted (force.sensor); contact wrenches neither",
         )
+    probe = whole.text("probe")
     return Description(
         file,
         whole.text("title", file.parent.resolve().name or "Session"),
-        _probe(whole),
+        probe if ":" in probe else str(whole.path("probe")),
         whole.text("probe_unit", "mm"),
         read_scan(whole.section("scan")),
         tracker,
@@ -243,11 +244,6 @@ def _found(path: Path) -> Path:
         f"{path} has no {NAMES[0]} that says what is where: write one, or copy that of "
         "ttus-opt session DIR --example"
     )
-
-
-def _probe(whole: Section) -> str:
-    spec = whole.text("probe")
-    return spec if ":" in spec else str(whole.path("probe"))
 
 
 def _stream(part: Section) -> Stream:
