@@ -24,7 +24,6 @@ from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.problem.solution import Solution
-from ttus_opt.report import plots
 from ttus_opt.report.drawing_beside import DrawingBeside, Picture
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.report.tables import Comparison, write_report
@@ -136,8 +135,7 @@ def run(
         begin("scan to surface")
         surface = extract_surface(cloud, axis=truth.axis)
         surface.save(out / "surface.nc")
-        # drawn while the multigrid is compiled
-        plots.save_picture(plots.surface_picture(surface, cloud), out / "surface.png")
+        _draw_surface(out, surface, cloud)  # while the multigrid is compiled
         begin("assembling (first run compiles)")
         plan = ScenePlan(shape=shape, inner="fit", sampling="trilinear")
         scene = plan.build(surface, shell, [recordings[name] for name in FITTED])
@@ -186,6 +184,13 @@ def surface_error(surface: Surface, truth: Surface) -> SurfaceError:
     )
 
 
+def _draw_surface(out: Path, surface: Surface, cloud: Array) -> None:
+    from ttus_opt.report import plots
+
+    figure = plots.surface_picture(surface, cloud)
+    plots.save_picture(figure, out / "surface.png")
+
+
 def _draw(
     out: Path,
     cloud: Array,
@@ -193,6 +198,8 @@ def _draw(
     comparisons: tuple[Comparison, ...],
     beside: DrawingBeside,
 ) -> None:
+    from ttus_opt.report import plots
+
     unseen = {case.recording: case for case in comparisons if not case.seen}
     pair = {
         name: {"Laplace alone": case.before, "fitted": case.after}
