@@ -263,14 +263,12 @@ def _sample(
 @compiled(inner=True, forceinline=True)
 def _set_own(own: Array, R: Array, shell: ShellArrays, m: int) -> None:
     """Set (n̂, r×n̂) of shell point m, patient axes (compiled)."""
-    a, b, c = shell.normals[m, 0], shell.normals[m, 1], shell.normals[m, 2]
-    x = shell.points[m, 0] - shell.reference[0]
-    y = shell.points[m, 1] - shell.reference[1]
-    z = shell.points[m, 2] - shell.reference[2]
-    for axis in range(3):
-        own[axis] = R[axis, 0] * a + R[axis, 1] * b + R[axis, 2] * c
-        own[3 + axis] = R[axis, 0] * x + R[axis, 1] * y + R[axis, 2] * z
-    nx, ny, nz, lx, ly, lz = own[0], own[1], own[2], own[3], own[4], own[5]
+    normal, point, reference = shell.normals[m], shell.points[m], shell.reference
+    nx, ny, nz = rotated(R, normal[0], normal[1], normal[2])
+    lx, ly, lz = rotated(
+        R, point[0] - reference[0], point[1] - reference[1], point[2] - reference[2]
+    )
+    own[0], own[1], own[2] = nx, ny, nz
     own[3] = ly * nz - lz * ny
     own[4] = lz * nx - lx * nz
     own[5] = lx * ny - ly * nx
@@ -339,24 +337,16 @@ def pose_rows(
         count = int(np.int64(0))  # a literal would be a type of its own to numba
         in_grid, in_contact, beyond = False, 0, 0
         for m in range(len(shell.points)):
-            x, y, z = rotated(
-                R, shell.points[m, 0], shell.points[m, 1], shell.points[m, 2]
-            )
+            point = shell.points[m]
+            x, y, z = rotated(R, point[0], point[1], point[2])
             x, y, z = x + at[0], y + at[1], z + at[2]
             square = x * x + y * y
-            if not within(square, z, v.limits):
-                continue
-            is_far, is_sector = square >= v.highest, v.limits.width < TURN
-            if is_far and not is_sector:  # no angle is taken
-                in_grid = True
-                continue
-            theta = turn_angle(x, y)
-            if is_sector and around(theta, v.limits) > v.limits.width:
+            if not within(square, z, v.limits) or beside(x, y, v.limits):
                 continue
             in_grid = True
-            if is_far:
+            if square >= v.highest:
                 continue
-            r = math.sqrt(square)
+            r, theta = math.sqrt(square), turn_angle(x, y)
             depth = _skin(theta, z, v.nodes, v.layout, v.radius) - r
             if depth <= 0.0:
                 continue

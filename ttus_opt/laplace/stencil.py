@@ -97,18 +97,17 @@ def operator(
     kind = np.dtype(np.int32 if nnz <= np.iinfo(np.int32).max else np.int64)
     indptr, indices, data = np.zeros(V + 1, kind), np.empty(nnz, kind), np.empty(nnz)
     np.cumsum(np.where(fixed, 1, NEIGHBOURHOOD), dtype=kind, out=indptr[1:])
-    spoke = np.ones(grid.shape[1], np.int64)
+    spoke = np.ones(ring // row, np.int64)
     spoke[0], spoke[-1] = 0, 2
-    for i, held in enumerate(fixed):  # by layers, whose arrays stay in the cache
-        rows = slice(i * ring, (i + 1) * ring)
-        kept = np.ones((*held.shape, NEIGHBOURHOOD), bool)
-        kept[held, 1:] = False
-        columns = np.arange(rows.start, rows.stop, dtype=kind).reshape(*held.shape, 1)
-        columns = columns + np.where(
-            held[..., None], 0, offsets.astype(kind)[spoke][:, None]
-        )
-        values = np.where(held[..., None], 1.0, weights[:, :, i][spoke][:, None])
-        part = slice(indptr[rows.start], indptr[rows.stop])
+    kind_of = np.repeat(spoke, row)
+    around = (np.arange(ring)[:, None] + offsets[kind_of]).astype(kind)
+    for i, held in enumerate(fixed.reshape(-1, ring)):  # arrays that fit the cache
+        at, first = np.flatnonzero(held), i * ring
+        columns, values = around + kind.type(first), weights[:, :, i][kind_of]
+        columns[at, 0], values[at, 0] = first + at, 1.0
+        kept = np.ones(columns.shape, bool)
+        kept[at, 1:] = False
+        part = slice(indptr[first], indptr[first + ring])
         indices[part], data[part] = columns[kept], values[kept]
     L = sp.csr_array((data, indices, indptr), shape=(V, V))
     L.has_sorted_indices = True
