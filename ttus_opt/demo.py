@@ -2,7 +2,7 @@
 
 Fitted to two recordings (pushes and lines along the body), judged on both and on two
 others of the same kind. Laplace prior alone against eq. 10 with force and torque, its
-weights chosen from the fitted recordings alone.
+weights (or, by the recipe, all of it) chosen from the fitted recordings alone.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 from ttus_opt import example
 from ttus_opt.arrays import Array
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.weight_choice import choose_weights
+from ttus_opt.fitting.weight_words import AUTO, RECIPE, checked_word, choice_of
 from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory
@@ -70,7 +70,7 @@ class DemoResult:
     Attributes:
         comparisons: Errors before and after, per recording.
         before: The Laplace field's solution.
-        after: Eq. 10's.
+        after: With forces and torques.
         surface_error: How well the scan gave the surface.
         seconds: The whole run [s].
     """
@@ -103,6 +103,7 @@ def run(
     folder: str | os.PathLike[str],
     *,
     shape: tuple[int, int, int] = (48, 120, 60),
+    weights: str = AUTO,
     progress: Callable[[str], None] | None = None,
 ) -> DemoResult:
     """Run the method and write fields, pictures and report.
@@ -110,16 +111,18 @@ def run(
     Args:
         folder: Where to write; made when missing.
         shape: Voxels in r, θ and z [–].
+        weights: Of eq. 10, as of `ttus_opt.fit`; "recipe" may take another formulation.
         progress: Called with what begins, `N_STAGES` times.
 
     Returns:
         Errors and solutions.
 
     Raises:
-        InputError: A grid that cannot be used.
+        InputError: A grid or word that cannot be used.
         NoSolutionError: A fit failed its own check.
         FileError: The folder cannot be written to.
     """
+    checked_word(weights)
     start = time.perf_counter()
     begin = progress or (lambda stage: None)
     out = Path(folder)
@@ -143,7 +146,8 @@ def run(
         before = fit(scene, "laplace_only")
     with DrawingBeside() as beside:
         begin("choosing weights")
-        choice = choose_weights(scene, "eq10")
+        asked = None if weights == RECIPE else "eq10"
+        choice = choice_of(weights, scene, asked)
         begin("with forces and torques")
         after = replace(fit(choice.scene, choice.formulation), chosen=choice.lines)
         begin("evaluating")

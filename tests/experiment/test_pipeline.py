@@ -126,12 +126,16 @@ def test_weights_from_the_recordings_stand_beside_the_given_ones():
     given = experiment.Plan(formulations=("eq10", "depth_map"))
     more = plan.settings[len(given.settings) :]
     assert plan.settings[: len(given.settings)] == given.settings
-    assert [(s.name, s.chooses) for s in more] == [("eq10_auto", True)]
+    assert [(s.name, s.weights) for s in more] == [("eq10_auto", "auto")]
     assert "chooses" not in given.settings[0].as_dict()
     assert more[0].as_dict()["chooses"] and not more[0].options
     assert title("eq10_auto") == "eq. 10, weights by evidence"
-    with pytest.raises(InputError, match="given or auto"):
+    with pytest.raises(InputError, match="takes given, auto or recipe, got 'ev"):
         experiment.Plan(weights="evidence")
+    recipe = experiment.Plan(formulations=("eq10", "depth_map"), weights="recipe")
+    *same, last = recipe.settings
+    assert tuple(same) == plan.settings and last.formulation is None
+    assert last.as_dict()["chooses"] == "recipe" and title(last.name) == "by the recipe"
 
 
 def test_refuses_plans_that_cannot_be_done(tmp_path):

@@ -11,6 +11,7 @@ from ttus_opt.cli.options import voxel_counts
 def demo(
     output: Path = Path("demo"),
     shape: str = "48,120,60",
+    weights: str = "auto",
     json: bool = False,
 ) -> None:
     """Scan to surface to field to errors, on the bundled example, with pictures.
@@ -18,6 +19,8 @@ def demo(
     Args:
         output: Folder for pictures and report.
         shape: Voxels in r, θ, z: n_r,n_theta,n_z.
+        weights: auto: weights of eq. 10 by marginal likelihood; recipe: formulation and
+            sampling as well, by presses left out; own: 0.01.
 
     Example:
         ttus-opt demo -o demo
@@ -26,6 +29,8 @@ def demo(
     from ttus_opt.report.tables import error_table
 
     with Stages(pipeline.N_STAGES) as begin:
-        result = pipeline.run(output, shape=voxel_counts(shape), progress=begin)
+        result = pipeline.run(
+            output, shape=voxel_counts(shape), weights=weights, progress=begin
+        )
     told = f"\n{result.seconds:.0f} s; pictures, fields and report.md in {output}/"
     tell(result.as_dict(), error_table(result.comparisons), told, json=json)

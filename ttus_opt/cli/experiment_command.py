@@ -29,8 +29,8 @@ def experiment(
         output: Folder; a second call goes on where one stopped.
         formulations: Compared: names or paths of own files, separated by commas.
         weight: λ_f = λ_τ of formulations that do not choose their own.
-        weights: auto: these once more, with weights chosen from the recordings; given:
-            not.
+        weights: auto: these once more, with weights chosen from the recordings; recipe:
+            and what the recipe chooses (ttus-opt fit --weights); given: not.
         torso: A scan whose skin the third patient gets; else made up.
         torso_unit: Unit of that scan.
         patients: Only these: lean, stout, and scanned or average.

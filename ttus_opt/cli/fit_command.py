@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,44 +77,6 @@ class WeightOptions:
         usual = {n: w for n, w in WEIGHTS.items() if known is None or n in known}
         return usual | given
 
-    def by_data(self, formulation: str | None, options: Mapping[str, Any]) -> bool:
-        """Whether weights are chosen from the recordings.
-
-        Raises:
-            InputError: Another word, auto and a weight beside it, or recipe and a
-                formulation or option.
-        """
-        from ttus_opt.fitting.weight_choice import has_choice, is_weight
-
-        if self.weights not in (None, "auto", "own", "recipe"):
-            raise InputError(
-                f"--weights takes auto, recipe or own, got {self.weights!r}"
-            )
-        if self.weights == "recipe" and (formulation is not None or options):
-            raise InputError(
-                "--weights recipe chooses the formulation and its options: give neither"
-            )
-        given = [name for name in options if is_weight(name)]
-        if self.weights == "auto" and given:
-            told = given[0].replace("_", "-")
-            raise InputError(f"--weights auto chooses --{told}: give one or the other")
-        if self.weights is not None:
-            return self.weights != "own"
-        return not given and (formulation is None or has_choice(formulation))
-
-    def choice(
-        self, scene: Scene, problem: ProblemOptions, options: Mapping[str, Any]
-    ) -> WeightChoice:
-        """What is fitted, with the weights of the recordings."""
-        if self.weights == "recipe":
-            from ttus_opt.fitting.recipe import choose_recipe
-
-            return choose_recipe(scene)
-        from ttus_opt.fitting.weight_choice import choose_weights
-
-        strict = self.weights is not None
-        return choose_weights(scene, problem.formulation, options, strict=strict)
-
 
 def fit(
     context: typer.Context,
@@ -155,15 +117,14 @@ def fit(
         --trajectory press_fit.csv -o field.nc
     """
     from ttus_opt.fitting.sanity import check_recordings
-    from ttus_opt.fitting.weight_choice import WeightChoice
+    from ttus_opt.fitting.weight_words import OWN, choice_of, word_for
     from ttus_opt.probe.thinning import thinned
-    from ttus_opt.problem.formulation import load
     from ttus_opt.scan.surface import Surface
 
     options = weighting.options(problem, torque_length)
     if weighting.paper:
         grid = grid.as_in_the_paper()
-    by_data = weighting.by_data(problem.formulation, options)
+    word = word_for(weighting.weights, problem.formulation, options)
     conventions, plan = recordings.conventions, grid.plan
     # a grid beyond any memory is refused for that, in words of its own
     size = min(BYTES_PER_VOXEL * math.prod(plan.shape), LARGEST_FILE)
@@ -175,7 +136,7 @@ def fit(
         pictures=pictures,
         size=size,
     )
-    with Stages(5 + by_data + (picture is not None)) as begin:
+    with Stages(5 + (word != OWN) + (picture is not None)) as begin:
         begin("reading surface and recordings")
         patient = Surface.load(surface)
         as_written = thinned(recordings.as_written(), every=every, rate=rate)
@@ -186,18 +147,18 @@ def fit(
             _draw_poses(patient, shell, recorded, recordings.names, picture)
         begin("assembling (first run compiles)")
         scene = _built(plan, (patient, shell, recorded), (as_written, conventions))
-        if by_data:
+        if word != OWN:
             begin("choosing weights")
-            choice = weighting.choice(scene, problem, options)
-        else:
-            choice = WeightChoice(scene, load(problem.name, scene, **options))
+        strict = weighting.weights is not None
+        choice = choice_of(word, scene, problem.formulation, options, strict=strict)
         begin("solving")
         solution = _solved(choice, problem, time_limit)
         report = None
         if solution.verified_field is not None:
             found = solution.field
             told = sources(surface, probe, recordings, context.params)
-            begin("writing the field" + doubt * " and drawing from its posterior")
+            draws = doubt or doubt_picture is not None
+            begin("writing the field" + draws * " and drawing from its posterior")
             _write(
                 replace(found, provenance={**found.provenance, **told}),
                 *(solution, choice.scene, output, (doubt, doubt_picture)),

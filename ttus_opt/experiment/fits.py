@@ -18,9 +18,9 @@ from ttus_opt.errors import TtusWarning
 from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.recordings import Examination
 from ttus_opt.experiment.scores import Row, Score
-from ttus_opt.experiment.settings import Setting
+from ttus_opt.experiment.settings import GIVEN, Setting
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.weight_choice import choose_weights
+from ttus_opt.fitting.weight_words import choice_of
 from ttus_opt.haptic.field_wrench import FieldWrenches
 from ttus_opt.json_values import plain
 from ttus_opt.probe.point_shell import PointShell
@@ -112,10 +112,9 @@ class PatientFits:
             return Fitted(setting.name, rows, kept["facts"], self._field(setting))
         begin = time.process_time()
         scene, weights = self.scene(setting), {}
-        if setting.chooses:
-            choice = choose_weights(
-                scene, setting.formulation, setting.options, strict=False
-            )
+        if setting.weights != GIVEN:
+            word, name, options = setting.weights, setting.formulation, setting.options
+            choice = choice_of(word, scene, name, options, strict=False)
             solution = fit(choice.scene, choice.formulation)
             weights = {"weights_chosen": choice.as_dict()}
         else:
@@ -123,6 +122,7 @@ class PatientFits:
         facts: dict[str, Any] = {
             "status": solution.status.name.lower(),
             "solver": solution.solver,
+            "formulation": solution.formulation,
             "processor_seconds": round(time.process_time() - begin, 2),
             "parameters": dict(solution.parameters),
             "not_identified": dict(solution.not_identified),

@@ -21,16 +21,19 @@ from ttus_opt.experiment.rivals import Rival
 from ttus_opt.experiment.scores import Row
 from ttus_opt.experiment.settings import (
     FORMULATIONS,
+    GIVEN,
     LAPLACE,
     PAPER_WITH,
     PAPER_WITHOUT,
     WEIGHT,
+    WEIGHTS,
     Setting,
     chosen,
     compared,
     without_torque,
 )
 from ttus_opt.experiment.side_by_side import do_ahead
+from ttus_opt.fitting.weight_words import checked_word
 from ttus_opt.problem.formulation import LARGEST
 from ttus_opt.report.metrics import compare
 from ttus_opt.scan.surface import Surface
@@ -50,7 +53,8 @@ class Plan:
         formulations: Compared, names or paths.
         weight: λ_f = λ_τ of formulations that do not choose their own.
         weights: ``auto`` fits those once more, with weights chosen from the recordings
-            by marginal likelihood; ``given`` does not.
+            by marginal likelihood; ``recipe`` adds to these what the recipe chooses;
+            ``given`` does neither.
         jobs: Patients and settings at the same time.
         dask: Address of a dask scheduler for them, whose workers see the folder; ""
             for this machine.
@@ -69,7 +73,7 @@ class Plan:
     torso_unit: str = "mm"
     patients: Sequence[str] = ()
     comparators: Sequence[str] = ()
-    weights: str = "given"
+    weights: str = GIVEN
     jobs: int = 1
     dask: str = ""
 
@@ -77,13 +81,12 @@ class Plan:
         """Validate numbers and words.
 
         Raises:
-            InputError: A weight or resolution out of range, no job, another word than
-                given or auto, or a shape that is too small or would not fit in memory.
+            InputError: A weight or resolution out of range, no job, a word that is not
+                of `WEIGHTS`, or a shape that is too small or would not fit in memory.
         """
         if self.jobs < 1:
             raise InputError(f"jobs must be at least 1, got {self.jobs}")
-        if self.weights not in ("given", "auto"):
-            raise InputError(f"weights takes given or auto, got {self.weights!r}")
+        checked_word(self.weights, WEIGHTS)
         if not (0.0 < self.weight <= LARGEST and 0.3 <= self.resolution <= 10.0):
             raise InputError(
                 f"the experiment needs a weight above 0, at most {LARGEST:g}, and a "
@@ -104,7 +107,7 @@ class Plan:
         eq10 = compared(("eq10",), self.weight)
         own = (PAPER_WITHOUT, PAPER_WITH, LAPLACE, without_torque(self.weight), *eq10)
         taken = {each.name for each in own}
-        more = chosen(self.formulations) if self.weights == "auto" else ()
+        more = chosen(self.formulations, self.weights)
         return (*own, *(each for each in others if each.name not in taken), *more)
 
     @property

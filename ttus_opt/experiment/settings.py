@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from ttus_opt import paper
 from ttus_opt.errors import InputError
+from ttus_opt.fitting import weight_words
 from ttus_opt.fitting.weight_choice import has_weights
 from ttus_opt.problem.formulation import available, option_names
 
@@ -18,6 +19,10 @@ FORMULATIONS = ("eq10", "coulomb_global", "depth_map", "depth_map_coulomb")
 
 #: λ_f = λ_τ of formulations that do not choose their own
 WEIGHT = 1.0
+
+#: What `Plan.weights` takes: given weights alone, those by marginal likelihood as well,
+#: and the recipe too
+WEIGHTS = (GIVEN, AUTO, RECIPE) = ("given", weight_words.AUTO, weight_words.RECIPE)
 
 #: Ends the name of a setting whose weights are chosen from the recordings
 CHOSEN = "_auto"
@@ -29,24 +34,24 @@ class Setting:
 
     Attributes:
         name: Of files and table rows.
-        formulation: Its name, or the path of a user's own file.
+        formulation: Its name, or the path of a user's own file; None where the recipe
+            chooses it.
         options: The formulation's.
         inner: p_in, or "fit".
         outer: p_out; where p_in is fitted the ratio p_out / p_in.
         sampling: ``trilinear`` or ``voxel-mean``.
         boundary: ``subvoxel`` or ``staircase``.
-        chooses: Whether its weights are chosen from the recordings, by marginal
-            likelihood.
+        weights: How they are chosen, one of `WEIGHTS`.
     """
 
     name: str
-    formulation: str
+    formulation: str | None
     options: Mapping[str, Any] = field(default_factory=dict)
     inner: float | Literal["fit"] = "fit"
     outer: float = 1.0
     sampling: str = "trilinear"
     boundary: str = "subvoxel"
-    chooses: bool = False
+    weights: str = GIVEN
 
     @property
     def scene_key(self) -> tuple[object, ...]:
@@ -56,9 +61,9 @@ class Setting:
     def as_dict(self) -> dict[str, Any]:
         """For JSON, and for knowing whether a kept result is of this setting."""
         told = {**vars(self), "options": dict(self.options)}
-        if not self.chooses:
-            del told["chooses"]  # results kept before this option existed stay valid
-        return told
+        del told["weights"]  # results kept before there were three words stay valid
+        chosen = {AUTO: True, RECIPE: RECIPE}.get(self.weights)
+        return told | ({"chooses": chosen} if chosen else {})
 
 
 #: The paper's: without and with measured forces, its boundary, values and weights
@@ -68,6 +73,9 @@ PAPER_WITH = Setting("paper_with", "eq10", paper.WEIGHTS, **_PAPER)
 
 #: The Laplace field alone, its boundary values scaled to the measured forces
 LAPLACE = Setting("laplace_scaled", "laplace_only")
+
+#: Formulation, sampling and weights by presses left out
+BY_RECIPE = Setting("by_recipe", None, weights=RECIPE)
 
 
 def without_torque(weight: float) -> Setting:
@@ -95,17 +103,24 @@ def compared(formulations: Sequence[str], weight: float) -> tuple[Setting, ...]:
     return settings
 
 
-def chosen(formulations: Sequence[str]) -> tuple[Setting, ...]:
-    """A setting with weights from the recordings for every formulation that has some.
+def chosen(formulations: Sequence[str], weights: str) -> tuple[Setting, ...]:
+    """Settings whose weights are chosen from the recordings.
+
+    Args:
+        formulations: Names or paths of users' own files.
+        weights: One of `WEIGHTS`.
 
     Raises:
         InputError: An unknown formulation.
     """
-    return tuple(
-        Setting(f"{Path(name).stem}{CHOSEN}", name, chooses=True)
+    if weights == GIVEN:
+        return ()
+    by_evidence = tuple(
+        Setting(f"{Path(name).stem}{CHOSEN}", name, weights=AUTO)
         for name in formulations
         if has_weights(name)
     )
+    return (*by_evidence, BY_RECIPE) if weights == RECIPE else by_evidence
 
 
 def _weights(name: str, weight: float) -> Mapping[str, float]:

@@ -14,6 +14,7 @@ from ttus_opt.experiment.pipeline import ITSELF, ExperimentResult
 from ttus_opt.experiment.rivals import PREFIX
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import (
+    BY_RECIPE,
     CHOSEN,
     LAPLACE,
     PAPER_WITH,
@@ -33,6 +34,7 @@ TITLES = {
     LAPLACE.name: "Laplace, p_in fitted",
     "eq10": "eq. 10",
     "eq10_force_only": "eq. 10, forces only",
+    BY_RECIPE.name: "by the recipe",
     ITSELF: "(the phantom itself)",
 }
 

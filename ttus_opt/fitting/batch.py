@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from ttus_opt.compiled import Stopwatch
 from ttus_opt.errors import InputError
@@ -23,8 +23,14 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers import registry
 from ttus_opt.solvers.base import Prepared, Request, Solver
 
+if TYPE_CHECKING:
+    from ttus_opt.fitting.weight_words import Word
+
 #: KKT tolerance of the fits along a search; the last one has the tolerance asked for
 SEARCH_TOLERANCE = 1e-4
+
+#: What is fitted where nothing is asked for
+USUAL = "eq10"
 
 #: After these, "auto" goes on to the next solver
 _GOES_ON = (Status.INACCURATE, Status.FAILED)
@@ -32,19 +38,20 @@ _GOES_ON = (Status.INACCURATE, Status.FAILED)
 
 def fit(
     scene: Scene,
-    formulation: str | Path | Formulation = "eq10",
+    formulation: str | Path | Formulation | None = None,
     *,
     solver: str | Path | Solver = "auto",
     tolerance: float = 1e-6,
     time_limit: float | None = None,
-    weights: Literal["auto"] | None = None,
+    weights: Word | None = None,
     **options: Any,
 ) -> Solution:
     """Fit a field to a scene.
 
     Args:
         scene: Patient, probe and measurements.
-        formulation: A name, a path to a file with ``build``, or a Formulation.
+        formulation: A name, a path to a file with ``build``, or a Formulation; None
+            for eq. 10.
         solver: A solver's name, "auto", the path of a file with ``SOLVERS``, or an
             object of a class over `ttus_opt.solvers.base.Solver`.
         tolerance: Largest relative KKT residual of a solution [–].
@@ -52,8 +59,9 @@ def fit(
         weights: "auto" chooses weights and boundary scale by their marginal likelihood
             (`ttus_opt.tune`), or takes the formulation's own with a `TtusWarning`
             where the recordings do not bear it, or presses left out are predicted
-            worse; so does a depth map give way to eq. 10. None takes the
-            formulation's own.
+            worse; so does a depth map give way to eq. 10. "recipe" chooses formulation
+            and sampling as well, by presses left out: give no formulation
+            (`ttus_opt.fitting.recipe`). "own" or None takes the formulation's own.
         options: The formulation's own (``force_weight``, ``torque_weight``, …).
 
     Returns: The solution; its ``field`` is there only when its residuals, computed
@@ -66,13 +74,13 @@ def fit(
             take the problem.
         SolverUnavailableError: The solver's package is not installed.
     """
-    if weights is not None:
-        from ttus_opt.fitting.weight_choice import choose_weights
+    usual = USUAL if formulation is None else formulation
+    if weights not in (None, "own"):
+        from ttus_opt.fitting.weight_words import RECIPE, choice_of
 
-        if weights != "auto":
-            raise InputError(f'weights takes "auto" or None, got {weights!r}')
         watch = Stopwatch()
-        choice = choose_weights(scene, formulation, options)
+        asked = formulation if weights == RECIPE else usual
+        choice = choice_of(weights, scene, asked, options)
         choosing = watch.seconds
         found = fit(
             choice.scene,
@@ -85,7 +93,7 @@ def fit(
         timings = replace(found.timings, search=spent)
         return replace(found, timings=timings, chosen=choice.lines)
     watch = Stopwatch()
-    declared = shelf.load(formulation, scene, **options)
+    declared = shelf.load(usual, scene, **options)
     if declared.scene is not scene:
         raise InputError("the formulation is of another scene: build it for this one")
     request = Request(tolerance, time_limit)

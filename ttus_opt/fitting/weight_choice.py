@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.fitting.batch import USUAL
 from ttus_opt.fitting.contact_spread import SPOT, contact_spread
 from ttus_opt.fitting.left_out import Check, LeftOut, left_out_of
 from ttus_opt.fitting.tuning import CANDIDATES, Tuning, tune
@@ -36,8 +37,8 @@ LEAST_FRAMES = 12
 #: Formulations that choose their weights and are checked against eq. 10
 DEPTH_MAPS = ("depth_map", "depth_map_coulomb")
 
-#: What is fitted where nothing is asked for and nothing can be chosen; with drag
-USUAL, DRAG = "eq10", "coulomb_global"
+#: What is fitted where there is drag and nothing else is asked for
+DRAG = "coulomb_global"
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
-from ttus_opt.fitting.weight_choice import has_choice, is_weight
+from ttus_opt.fitting.weight_words import word_for
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.sensors.clock import LARGEST_OFFSET
 from ttus_opt.sensors.column_map import column_map, read_column_map
@@ -146,7 +146,7 @@ class FitPlan:
         r_inner: Radius of the innermost layer [m].
         solver: Name, or auto.
         options: The formulation's own.
-        weights: "auto", by marginal likelihood, or the formulation's "own".
+        weights: As of `ttus_opt.fit`: auto, recipe or own.
     """
 
     formulation: str | None
@@ -369,14 +369,12 @@ def _fit(part: Section) -> FitPlan:
         formulation = str(part.file.parent / formulation)
     told = part.section("options")
     options = {name: told.number(name) for name in told.values}
-    given = [name for name in options if is_weight(name)]
+    word = part.text("weights") if "weights" in part else None
     try:
-        can = not given and (formulation is None or has_choice(formulation))
+        weights = word_for(word, formulation, options)
     except InputError as error:
-        raise part.fail("formulation", f"cannot be used: {error}") from error
-    weights = part.choice("weights", ("auto", "own"), "auto" if can else "own")
-    if weights == "auto" and given:
-        raise part.fail("weights", f"chooses {given[0]} too: give one or the other")
+        key = "formulation" if word is None else "weights"
+        raise part.fail(key, f"cannot be used: {error}") from error
     return FitPlan(
         formulation,
         part.whole("shape", 3, (48, 120, 60)),

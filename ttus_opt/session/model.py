@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.weight_choice import USUAL, WeightChoice, choose_weights
+from ttus_opt.fitting.weight_choice import WeightChoice
+from ttus_opt.fitting.weight_words import choice_of
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
-from ttus_opt.problem.formulation import load
 from ttus_opt.problem.solution import Solution
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.report.tables import Comparison
 from ttus_opt.scan.surface import Surface
-from ttus_opt.scene import Scene, ScenePlan
-from ttus_opt.session.description import Description, FitPlan
+from ttus_opt.scene import ScenePlan
+from ttus_opt.session.description import Description
 
 
 @dataclass(frozen=True)
@@ -56,20 +55,13 @@ def fit_model(
     fitted = [recordings[part.name] for part in session.recordings if part.fitted]
     scene = plan.build(surface, shell, fitted)
     before = fit(scene, "laplace_only")
-    choice = _weights(session.fit, scene)
-    after = fit(choice.scene, choice.formulation, solver=session.fit.solver)
+    told = session.fit
+    choice = choice_of(told.weights, scene, told.formulation, told.options)
+    after = fit(choice.scene, choice.formulation, solver=told.solver)
     after = replace(after, chosen=choice.lines)
     for solution in (before, after):
         _ = solution.field  # raises where it failed its own check
     return Model(before, after, choice)
-
-
-def _weights(plan: FitPlan, scene: Scene) -> WeightChoice:
-    """What is fitted: with the weights of the recordings, or with its own."""
-    options: dict[str, Any] = dict(plan.options)
-    if plan.weights == "own":
-        return WeightChoice(scene, load(plan.formulation or USUAL, scene, **options))
-    return choose_weights(scene, plan.formulation, options)
 
 
 def judge(
