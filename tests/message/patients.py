@@ -13,7 +13,9 @@ from tests.conftest import small_scene, torso
 from ttus_opt.message import encode
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
+from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
 
 
 def uneven(n_theta: int = 40, n_z: int = 15) -> Surface:
@@ -45,6 +47,27 @@ def dented(surface: Surface, depth: float = 0.004) -> Surface:
 def fitted(sampling: str = "trilinear") -> PotentialField:
     field = tt.fit(small_scene(sampling), "eq10").field
     return replace(field, parameters={"boundary_scale": 2.0})
+
+
+#: Of a field that does not go around [rad]
+SECTOR = (0.2, 2.6)
+
+
+@functools.cache
+def over_a_sector() -> PotentialField:
+    full = small_scene("trilinear")
+    voxmap = Voxmap.from_surface(
+        full.voxmap.surface, shape=(15, 13, 8), r_inner=0.03, sector=SECTOR
+    )
+    there = voxmap, full.shell, full.trajectory
+    return tt.fit(Scene.assemble(*there, inner=1.0, sampling="trilinear")).field
+
+
+@functools.cache
+def sent_sector() -> tuple[bytes, bytes]:
+    """The surface's message and that of the field over a sector."""
+    surface = encode(over_a_sector().voxmap.surface)
+    return surface, encode(over_a_sector(), base=surface)
 
 
 @functools.cache

@@ -10,7 +10,7 @@ import pytest
 
 from tests.conftest import torso
 from tests.hostile import SEED, mutated
-from tests.message.patients import dented, sent, uneven
+from tests.message.patients import dented, sent, sent_sector, uneven
 from tests.message.sealing import body, sealed
 from ttus_opt.errors import TtusError
 from ttus_opt.message import decode, encode
@@ -36,11 +36,13 @@ def sound() -> list[tuple[bytes, bytes | None]]:
     whole = encode(uneven())
     small = encode(torso(8, 6))
     surface, field = sent()
+    same, sector = sent_sector()
     return [
         (whole, None),
         (small, None),
         (encode(dented(uneven()), base=whole), whole),
         (field, surface),
+        (sector, same),
     ]
 
 

@@ -37,7 +37,8 @@ def encode(
         base: Message it builds on; may be repeated: a surface and its changes in their
             order.
         max_error: Largest error of a radius [m], by default 0.00025, or of the
-            potential [its unit], by default 0.005.
+            potential [its unit], by default 0.005, or 0.01 for a
+            field whose surface was rounded after the fit.
 
     Example:
         ttus-opt encode field.nc --base surface.msg -o field.msg
@@ -147,8 +148,12 @@ def _name(what: Surface | PotentialField) -> str:
 
 
 def _error(sent: Any, received: Any) -> float:
-    """Largest difference of radii [m], or of potentials."""
+    """Largest difference of radii [m], or of potentials where contact reads them."""
     import numpy as np
 
-    name = "values" if _size(sent) else "radius"
-    return float(np.abs(getattr(sent, name) - getattr(received, name)).max())
+    if not _size(sent):
+        return float(np.abs(sent.radius - received.radius).max())
+    from ttus_opt.message.field_message import sampled
+
+    read = sampled(received.voxmap)
+    return float(np.abs(sent.values - received.values)[read].max())

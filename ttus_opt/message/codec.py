@@ -25,7 +25,8 @@ def encode(
     Args:
         what: The surface, or the field.
         max_error: Largest error of what is decoded: of a radius (0.25 mm by default)
-            [m], of a potential (0.005 by default) [its unit].
+            [m], of a potential where contact reads it (0.005 by default, 0.01 if its
+            surface was rounded after the fit) [its unit].
         base: What the receiver has: for a field the message of its surface; for a
             surface an earlier message, and only what changed is sent. With changes
             since, all messages in their order.
@@ -48,8 +49,7 @@ def encode(
             "a field is sent as what it adds to the Laplace field of its surface: give "
             "base, the surface's message"
         )
-    bound = field_message.MAX_ERROR if max_error is None else max_error
-    return field_message.encode_field(what, *_surface(base), bound)
+    return field_message.encode_field(what, *_surface(base), max_error)
 
 
 def decode(

@@ -15,7 +15,7 @@ from typing import Any, Final
 from ttus_opt.errors import InputError
 
 MARK: Final = b"TTUM"
-VERSION: Final = 2
+VERSION: Final = 3
 
 SURFACE, SURFACE_DELTA, FIELD = 1, 2, 3
 

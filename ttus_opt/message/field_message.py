@@ -2,8 +2,8 @@
 
 The receiver decodes the surface, lays the grid over it, solves Laplace's equation for
 both boundary values (docs/method.md, 17.3) and adds the difference, sent within an
-error bound. Where rounding the surface moved voxels from one region to another, they
-are named, so that both sides solve the same equation.
+error bound. If the surface was rounded after the fit, so that its Laplace field is
+another one, the bound holds where contact reads, and no bytes are spent elsewhere.
 """
 
 from __future__ import annotations
@@ -13,21 +13,26 @@ import math
 from typing import NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.message.envelope import FIELD, Reader, Writer
 from ttus_opt.message.integer_stream import read_integers, write_integers
 from ttus_opt.message.interpolation import Scheme, differences, restored
 from ttus_opt.message.surface_message import check_base, check_bound
 from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.depth_sampling import spoke_table
 from ttus_opt.voxmap.field import FIELD_UNIT, PotentialField
+from ttus_opt.voxmap.sector import Sector, checked_sector
 from ttus_opt.voxmap.voxmap import Boundary, Voxmap
 
 #: Default bound of the potential [N, or N/cm² when trilinear]
 MAX_ERROR = 0.005
+
+#: The same where the surface was rounded after the fit: by 0.25 mm, that alone changes
+#: forces by more [N, or N/cm² when trilinear]
+MAX_ERROR_ROUNDED = 0.01
 
 #: Bounds that make sense [as the potential]
 LEAST_BOUND, GREATEST_BOUND = 1e-9, 1e6
@@ -52,20 +57,35 @@ class Grid(NamedTuple):
     n_z: int
     r_inner: float
     r_outer: float
+    sector: Sector | None = None
 
 
-def _scheme(region: NDArray[np.int8]) -> Scheme:
+def _scheme(voxmap: Voxmap) -> Scheme:
     """Heights first, radii last; from the third level on finer, as that pays.
 
     Inside, layer and outside are predicted apart: the surface cuts their links, and the
-    field has a kink there.
+    field has a kink there. The wall of a sector has no field, and is not sent.
     """
-    closed = (False, True, False)
+    wall = voxmap.grid.wall
+    region = voxmap.region[:, :wall]
+    closed = (False, wall is None, False)
     return Scheme(region.shape, closed, (2, 1, 0), (1, 1, 2, 6), region)
 
 
+def sampled(voxmap: Voxmap) -> Mask:
+    """Voxels that contact reads, below the surface layer, shape ``grid.shape``."""
+    grid = voxmap.grid
+    outermost = spoke_table(voxmap)[:, 1].reshape(grid.shape[1:])
+    read = np.arange(grid.shape[0])[:, None, None] <= outermost
+    read[:, grid.shape[1] if grid.wall is None else grid.wall :] = False
+    return np.asarray(read)
+
+
 def encode_field(
-    field: PotentialField, surface: Surface, name: int, max_error: float = MAX_ERROR
+    field: PotentialField,
+    surface: Surface,
+    name: int,
+    max_error: float | None = None,
 ) -> bytes:
     """A field as a message that builds on its surface's.
 
@@ -73,42 +93,45 @@ def encode_field(
         field: The field.
         surface: Its surface as the receiver has it.
         name: Of the message that gave the surface.
-        max_error: Largest error of the potential [as the potential].
+        max_error: Largest error of the potential at voxels that contact reads; None for
+            `MAX_ERROR`, or `MAX_ERROR_ROUNDED` if the field is of a surface that was
+            rounded after the fit [as the potential].
 
     Raises:
         InputError: A bound that makes no sense, or a grid that does not begin and end
             with the surface.
         GeometryError: The surface does not fit the grid: it is another patient's.
     """
-    bound = check_bound(max_error, LEAST_BOUND, GREATEST_BOUND, field.unit)
-    of = field.voxmap.grid
+    own = field.voxmap
+    of = own.grid
     if (of.z_min, of.z_max) != (float(surface.z[0]), float(surface.z[-1])):
         raise InputError(
             f"the field's grid reaches from z {of.z_min:.6g} to {of.z_max:.6g} m, the "
             f"surface of the message from {surface.z[0]:.6g} to {surface.z[-1]:.6g}: "
             "encode the surface that the field was fitted to"
         )
-    if of.sector is not None:
-        raise InputError(
-            "a field over a sector of θ cannot be sent yet: save it as a file, or fit "
-            "the full turn"
-        )
-    grid = Grid(*of.shape, of.r_inner, of.r_outer)
+    grid = Grid(*of.shape, of.r_inner, of.r_outer, of.sector)
     if of.n_voxels > MOST_VOXELS:
         raise InputError(
             f"a field that is sent has at most {MOST_VOXELS:,} voxels, got "
             f"{of.n_voxels:,}: fit it on a coarser grid"
         )
-    laid = _laid_over(surface, grid, field.voxmap.boundary)
-    moved = (field.voxmap.region - laid.region).astype(np.int64)
-    sent = Voxmap(laid.grid, surface, field.voxmap.region, field.voxmap.boundary)
-    laplace = _laplace_fields(sent)
+    laid = _laid_over(surface, grid, own.boundary)
+    same = np.array_equal(own.surface.radius, surface.radius)
+    usual = MAX_ERROR if same else MAX_ERROR_ROUNDED
+    asked = usual if max_error is None else max_error
+    bound = check_bound(asked, LEAST_BOUND, GREATEST_BOUND, field.unit)
+    laplace = _laplace_fields(laid)
+    if not same:
+        read = of.flatten(sampled(laid))
+        pairs = zip(laplace, _laplace_fields(own), strict=True)
+        laplace = tuple(np.where(read, there, here) for there, here in pairs)
     values = of.flatten(field.values)
     # least squares for any field, whatever its formulation said of the boundary
     scales = np.linalg.lstsq(np.stack(laplace, axis=1), values, rcond=None)[0]
-    rest = values - scales[0] * laplace[0] - scales[1] * laplace[1]
+    rest = of.unflatten(values - scales[0] * laplace[0] - scales[1] * laplace[1])
     try:
-        passes, _ = differences(of.unflatten(rest), bound, _scheme(sent.region))
+        passes, _ = differences(rest[:, : of.wall], bound, _scheme(laid))
     except OverflowError as error:
         raise InputError(
             f"max_error {bound:g} is too small for this field: choose a larger one"
@@ -118,12 +141,12 @@ def encode_field(
         raise InputError("the field has more parameters than a message takes")
     writer = Writer()
     writer.number("I", name)
-    writer.number("3H2d", *grid)
-    kinds = SAMPLINGS.index(field.sampling), BOUNDARIES.index(field.voxmap.boundary)
+    writer.number("3H2d", *grid[:5])
+    kinds = SAMPLINGS.index(field.sampling), BOUNDARIES.index(own.boundary)
     writer.number("2B3d", *kinds, *scales, bound)
+    writer.number("B", grid.sector is not None)
+    writer.number(f"{len(grid.sector or ())}d", *(grid.sector or ()))
     writer.packed(told.encode())
-    # along r last: the voxels of a step of the layer are then together
-    write_integers(writer, moved.transpose(1, 2, 0).reshape(-1))
     write_integers(writer, np.concatenate(passes))
     return writer.message(FIELD)
 
@@ -162,18 +185,19 @@ def decode_field(
         raise InputError(
             "the message's boundary values are not usable: ask for it again"
         )
+    grid = grid._replace(sector=_sector(reader))
     parameters, errors = _parameters(reader.unpacked(PARAMETER_BYTES))
-    moved = read_integers(reader, size)
+    if grid.sector is not None:
+        size -= grid.n_r * grid.n_z  # of the wall
     sent = read_integers(reader, size)
     reader.end()
-    laid = _laid_over(surface, grid, BOUNDARIES[where])
-    voxmap = Voxmap(laid.grid, surface, _region(laid, moved), laid.boundary)
+    voxmap = _laid_over(surface, grid, BOUNDARIES[where])
     laplace = _laplace_fields(voxmap)
-    rest = restored(sent, bound, _scheme(voxmap.region))
-    values = inner * laplace[0] + outer * laplace[1] + laid.grid.flatten(rest)
+    values = voxmap.grid.unflatten(inner * laplace[0] + outer * laplace[1])
+    values[:, : voxmap.grid.wall] += restored(sent, bound, _scheme(voxmap))
     return PotentialField(
         voxmap,
-        laid.grid.unflatten(values),
+        values,
         SAMPLINGS[kind],
         parameters,
         {"message": f"decoded within {bound:g}"},
@@ -191,6 +215,7 @@ def _laid_over(surface: Surface, grid: Grid, boundary: str) -> Voxmap:
         r_inner=grid.r_inner,
         r_outer=grid.r_outer,
         boundary=boundary,
+        sector=grid.sector,
     )
 
 
@@ -203,30 +228,16 @@ def _laplace_fields(voxmap: Voxmap) -> tuple[Array, Array]:
     )
 
 
-def _region(laid: Voxmap, moved: NDArray[np.int64]) -> NDArray[np.int8]:
-    """Regions as the sender had them.
+def _sector(reader: Reader) -> Sector | None:
+    """The sector of the grid; None for the full turn.
 
     Raises:
-        InputError: A voxel in no region.
-        GeometryError: Inside and outside would touch.
+        InputError: No sector.
     """
-    n_r, n_theta, n_z = laid.grid.shape
-    region = moved.reshape(n_theta, n_z, n_r).transpose(2, 0, 1) + laid.region
-    if np.abs(region).max() > 1:
-        raise InputError("the message is damaged: a voxel is in no region")
-    turned = np.roll(region, -1, axis=1)
-    if any(
-        (a * b == -1).any()
-        for a, b in (
-            (region, turned),
-            (region[1:], region[:-1]),
-            (region[..., 1:], region[..., :-1]),
-        )
-    ):
-        raise GeometryError(
-            "the message's surface layer is not closed: encode the field again"
-        )
-    return np.asarray(region.astype(np.int8))
+    kind = reader.number("B")
+    if kind > 1:
+        raise InputError("the message is damaged: its sector: ask for it again")
+    return checked_sector(reader.numbers("2d")) if kind else None
 
 
 def _parameters(content: bytes) -> tuple[dict[str, float], dict[str, float]]:
