@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.fitting.posterior import MeasuredRows, Single, kept_rows
@@ -29,6 +30,9 @@ from ttus_opt.solvers.dual.weight_sweep import WeightSweep
 #: Trace of the covariance, in units of the noise, that the basis may miss: what is
 #: missed counts as unknown [–]
 MISSING = 0.2
+
+#: Draws that are corrected together: the basis is read once for all of them
+BATCH = 32
 
 #: Relative residual of the solves [–]
 RTOL = 1e-6
@@ -47,10 +51,9 @@ class LaplacePosterior:
         told: Rows that say something of the field, shape (m,).
         measured: What they say.
         base: p₀ times the deviation of its scale, shape (V,); None where it is known.
-        fields: ψ at ``voxels``, shape (k, n); the last one is p₀ where its scale is
-            unknown.
-        gain: M⁻¹, shape (k, k).
-        n_prior: Fields that are not p₀.
+        fields: ψ at ``voxels``, shape (k, n); in single precision where that is not
+            everywhere.
+        gain: M⁻¹, its last row and column of p₀ where that one's scale is unknown.
         voxels: Where the fields are kept; None for everywhere.
         errors: The prior's variance and the rows' noise; None before they are known.
     """
@@ -59,9 +62,8 @@ class LaplacePosterior:
     told: Mask = field(repr=False)
     measured: MeasuredRows = field(repr=False)
     base: Array | None = field(repr=False)
-    fields: Array = field(repr=False)
+    fields: NDArray[np.floating] = field(repr=False)
     gain: Array = field(repr=False)
-    n_prior: int
     voxels: IntArray | None = field(default=None, repr=False)
     errors: ErrorModel | None = field(default=None, repr=False)
 
@@ -79,19 +81,17 @@ class LaplacePosterior:
         """
         sweep = WeightSweep(data, field_rtol=RTOL, voxels=voxels)
         sweep.complete(root, MISSING)
-        images, n = sweep.images, len(sweep)
-        fields = sweep.take_fields(more=int(scale))
+        images, fields = sweep.images, sweep.take_fields()
         own, base = root[sweep.told], None
         if scale:
             base = SCALE_DEVIATION * sweep.base
             image = np.asarray(data.system.rows[sweep.told] @ base)
-            fields[n] = base if voxels is None else base[voxels]
             images = np.concatenate([images, image[None]])
         measured = MeasuredRows.of(images * own, own * sweep.misfit)
         gram = measured.weighted @ measured.weighted.T
         gram[np.diag_indices_from(gram)] += 1.0
         gain = scipy.linalg.inv(gram)
-        return cls(data.system, sweep.told, measured, base, fields, gain, n, voxels)
+        return cls(data.system, sweep.told, measured, base, fields, gain, voxels)
 
     def with_errors(self, errors: ErrorModel) -> LaplacePosterior:
         """The same with the prior's variance and the rows' noise as they are."""
@@ -99,7 +99,7 @@ class LaplacePosterior:
 
     @cached_property
     def inner(self) -> Array:
-        """Covariance of the coefficients' error, shape (k, k)."""
+        """Covariance of the coefficients' error, of p₀'s too, as of `gain`."""
         assert self.errors is not None
         noise = self.gain @ self.errors.roots(self.measured.weighted)
         return np.asarray(
@@ -118,6 +118,9 @@ class LaplacePosterior:
         if self.voxels is not None:
             kept, missing = kept_rows(rows, self.voxels, height)
         known = np.asarray(kept @ self.fields.T)
+        n_prior = known.shape[1]
+        if self.base is not None:
+            known = np.column_stack([known, rows @ self.base])
         out = np.zeros((rows.shape[0] // height, height, height))
         told = np.diff(rows.indptr).reshape(-1, height) > 0
         out[missing] = np.nan
@@ -127,7 +130,7 @@ class LaplacePosterior:
             slopes = np.stack(
                 [root * laplace.solve_adjoint(load, rtol=RTOL) for load in loads]
             )
-            a, own = known[block], known[block, : self.n_prior]
+            a, own = known[block], known[block, :n_prior]
             rest = slopes @ slopes.T - self.errors.variance * own @ own.T
             out[k] = rest + a @ self.inner @ a.T
         return out
@@ -147,6 +150,8 @@ class LaplacePosterior:
         rows = self.system.rows[self.told]
         weights = self.system.root_weights[self.told]
         at = slice(None) if voxels is None else voxels
+        by_basis = self.voxels is None or voxels is self.voxels
+        coefficients = np.empty((count, len(self.fields)), self.fields.dtype)
         out = np.empty((count, V if voxels is None else len(voxels)), dtype=np.float32)
         for k in range(count):
             p = laplace.solve(root * rng.standard_normal(V), rtol=RTOL)
@@ -154,15 +159,23 @@ class LaplacePosterior:
                 p += rng.standard_normal() * self.base
             p *= deviation
             said = weights * (rows @ p) + self.errors.draw(rng)
-            out[k] = p[at] - self._told_by(said, voxels)
+            if by_basis:
+                c = self.gain @ (self.measured.weighted @ said)
+                coefficients[k] = c[: len(self.fields)]
+                if self.base is not None:  # far larger than a draw: in double
+                    p -= c[-1] * self.base
+                out[k] = p[at]
+            else:
+                out[k] = p[at] - self._told_by(said, voxels)
+        if by_basis:
+            for start in range(0, count, BATCH):
+                batch = slice(start, start + BATCH)
+                told = coefficients[batch] @ self.fields
+                out[batch] -= told if self.voxels is not None else told[:, at]
         return out
 
     def _told_by(self, said: Array, voxels: IntArray | None) -> Array:
-        """The mean field given measurements alone, at some voxels."""
-        if self.voxels is None or voxels is self.voxels:
-            told = (self.gain @ (self.measured.weighted @ said)) @ self.fields
-            whole = self.voxels is None and voxels is not None
-            return np.asarray(told[voxels] if whole else told)
+        """The mean field given measurements alone, at some voxels, by two solves."""
         y = self.measured.solve(said)
         spread = np.zeros(len(self.told))
         spread[self.told] = y

@@ -17,6 +17,9 @@ from ttus_opt.fitting.posterior import Single, kept_rows
 from ttus_opt.voxmap.depth_sampling import spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
+#: Draws that are measured together
+BATCH = 32
+
 
 @dataclass(frozen=True)
 class PosteriorDraws:
@@ -44,8 +47,11 @@ class PosteriorDraws:
         """
         own, missing = kept_rows(rows, self.voxels, height)
         count = len(self.values)
-        said = np.asarray(own @ self.values.T).reshape(-1, height, count)
-        out = said @ said.transpose(0, 2, 1) / count
+        out = np.zeros((rows.shape[0] // height, height, height))
+        for start in range(0, count, BATCH):  # a batch in double precision at a time
+            some = self.values[start : start + BATCH]
+            said = np.asarray(own @ some.T).reshape(len(out), height, len(some))
+            out += said @ said.transpose(0, 2, 1) / count
         out[missing] = np.nan
         return np.asarray(out)
 

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.linalg
+from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.problem.kkt import Duals
@@ -117,11 +118,12 @@ class WeightSweep:
             data: A problem without limits and without unknowns beside the field.
             options: Of the preconditioner; None for the defaults.
             field_rtol: Relative residual of the solves behind a response field [–].
-            voxels: Where response fields are kept, shape (n,): `complete` takes no
-                more, `solve` all; None for everywhere.
+            voxels: Where response fields are kept, shape (n,), in single precision:
+                `complete` takes no more, `solve` all; None for everywhere.
         """
         self._field_rtol = field_rtol
         self._voxels = slice(None) if voxels is None else voxels
+        self._kept_as = np.float64 if voxels is None else np.float32
         assert not data.columns.shape[1]
         system = data.system
         # rows without an entry say nothing of the field
@@ -134,7 +136,7 @@ class WeightSweep:
         self._misfit: Array = data.t[self._told] / root - said
         self._multipliers = np.empty((0, len(root)))
         self._images = np.empty((0, len(root)))
-        self._fields: list[Array] = []
+        self._fields: list[NDArray[np.floating]] = []
         self._approximate: ApproximateSchur | None = None
 
     def __len__(self) -> int:
@@ -161,17 +163,13 @@ class WeightSweep:
         """The prior's mean p₀, shape (V,)."""
         return self._base
 
-    def take_fields(self, more: int = 0) -> Array:
-        """Hand over the response fields where they are kept, shape (k + more, n).
+    def take_fields(self) -> NDArray[np.floating]:
+        """Hand over the response fields where they are kept, shape (k, n).
 
         They take most of the memory there is and are in it once: the basis keeps its
         images alone.
-
-        Args:
-            more: Further rows, to be written to [–].
         """
-        n = len(self._base[self._voxels])
-        out = np.empty((len(self) + more, n))
+        out = np.empty((len(self), len(self._base[self._voxels])), self._kept_as)
         for start in range(0, len(self), BLOCK):
             block = self._fields.pop(0)
             out[start : min(start + BLOCK, len(self))] = block[: len(self) - start]
@@ -273,7 +271,7 @@ class WeightSweep:
         self._images = np.vstack([self._images, unit * image])
         at, kept = (len(self) - 1) % BLOCK, response[self._voxels]
         if at == 0:
-            self._fields.append(np.empty((BLOCK, len(kept))))
+            self._fields.append(np.empty((BLOCK, len(kept)), self._kept_as))
         self._fields[-1][at] = unit * kept
         return square
 
