@@ -124,8 +124,11 @@ def encode_field(
     laplace = _laplace_fields(laid)
     if not same:
         read = of.flatten(sampled(laid))
-        pairs = zip(laplace, _laplace_fields(own), strict=True)
-        laplace = tuple(np.where(read, there, here) for there, here in pairs)
+        before = _laplace_fields(own)
+        laplace = (
+            np.where(read, laplace[0], before[0]),
+            np.where(read, laplace[1], before[1]),
+        )
     values = of.flatten(field.values)
     # least squares for any field, whatever its formulation said of the boundary
     scales = np.linalg.lstsq(np.stack(laplace, axis=1), values, rcond=None)[0]
