@@ -224,9 +224,9 @@ class _Loaded(Prepared):
         gradient = np.sum(
             [b.adjoint(y) for b, (y, _) in zip(blocks, pairs, strict=True)], axis=0
         )
-        d, _ = system.step(
-            np.where(problem.fixed, 0.0, gradient), [s for _, s in pairs], 1e-2, None
-        )
+        multipliers, slopes = [y for y, _ in pairs], [s for _, s in pairs]
+        free = np.where(problem.fixed, 0.0, gradient)
+        d, _ = system.step(free, multipliers, slopes, 1e-2, None)
         for b in bent:
             largest = float(np.abs(b.residual(x + d)).max(initial=0.0))
             if largest > 0.0:

@@ -47,6 +47,7 @@ class Dense:
     def step(
         self,
         gradient: Array,
+        multipliers: list[Array],
         slopes: list[Slope],
         rtol: float,
         deadline: float | None,
@@ -61,6 +62,9 @@ class Dense:
         d = np.ones(n)
         d[free] = np.linalg.lstsq(H[np.ix_(free, free)], -gradient[free])[0]
         return self._size * d, 3
+
+    def taken(self, length: float) -> None:
+        """Nothing follows it."""
 
 
 def anchored(problem: PenalisedProblem, weight: float) -> PenalisedRows:

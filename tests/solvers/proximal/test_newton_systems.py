@@ -57,6 +57,11 @@ def expected(
     return d
 
 
+def none_of(problem: PenalisedProblem) -> list[Array]:
+    """No multipliers: the gradient is all there is."""
+    return [np.zeros(len(b.target)) for b in problem.blocks]
+
+
 def compared(step: Array, exact: Array) -> None:
     np.testing.assert_allclose(step, exact, atol=1e-7 * np.abs(exact).max())
 
@@ -79,8 +84,41 @@ def test_through_the_dual(name: str, bent: float) -> None:
         SCENE.laplace, problem.blocks, problem.declared, problem.fixed
     )
     gradient = gradient_of(problem)
-    step, _ = system.step(gradient, slopes, RTOL, None)
+    step, _ = system.step(gradient, none_of(problem), slopes, RTOL, None)
     compared(step, expected(problem, slopes, gradient))
+
+
+def test_heavy_rows_balance_the_others() -> None:
+    """A rough step is rough beside the step, not beside what heavy rows pull at."""
+    problem = problem_of("robust")
+    slopes = slopes_of(problem, 0, 0.0)
+    few = [k for k, rows in enumerate(problem.declared) if rows is None]
+    for k in few:
+        slopes[k] = Slope(1e8 * slopes[k].factor)
+    system = LaplaceNewton(
+        SCENE.laplace, problem.blocks, problem.declared, problem.fixed
+    )
+    rng, x = np.random.default_rng(8), np.zeros(len(problem.fixed))
+    residuals = [rng.normal(size=len(b.target)) for b in problem.blocks]
+    for k, rows in enumerate(problem.declared):
+        if rows is not None:
+            residuals[k][:] = 0.0
+    first = None
+    for _ in range(2):  # the second one mends what the first left
+        y = [
+            s.factor * (r + b.matrix @ x)
+            for b, s, r in zip(problem.blocks, slopes, residuals, strict=True)
+        ]
+        gradient = np.sum(
+            [b.adjoint(own) for b, own in zip(problem.blocks, y, strict=True)], axis=0
+        )
+        exact = expected(problem, slopes, gradient)
+        step, _ = system.step(gradient, y, slopes, 1e-4, None)
+        system.taken(1.0)
+        first = exact if first is None else first
+        np.testing.assert_allclose(step, exact, atol=1e-3 * np.abs(first).max())
+        x = x + step
+        assert gradient @ step < 0.0
 
 
 @pytest.mark.parametrize("how", ["factor", "diagonal", "multigrid"])
@@ -95,7 +133,7 @@ def test_over_the_field(name: str, how: str, monkeypatch: pytest.MonkeyPatch) ->
     system = FieldNewton(problem, None)
     system._by_multigrid = how == "multigrid"
     gradient = gradient_of(problem)
-    step, steps = system.step(gradient, slopes, RTOL, None)
+    step, steps = system.step(gradient, none_of(problem), slopes, RTOL, None)
     compared(step, expected(problem, slopes, gradient))
     assert (steps == 1) == (how == "factor")
 
@@ -109,9 +147,9 @@ def test_many_steps_ask_for_another_preconditioner(
     problem = problem_of("total_variation")
     slopes = slopes_of(problem, 2, 0.05)
     system, gradient = FieldNewton(problem, None), gradient_of(problem)
-    _, by_diagonal = system.step(gradient, slopes, 1e-6, None)
+    _, by_diagonal = system.step(gradient, none_of(problem), slopes, 1e-6, None)
     assert by_diagonal > field_newton.MANY
-    _, by_multigrid = system.step(gradient, slopes, 1e-6, None)
+    _, by_multigrid = system.step(gradient, none_of(problem), slopes, 1e-6, None)
     assert by_multigrid < by_diagonal
 
 
@@ -128,5 +166,5 @@ def test_groups_are_no_longer_stiff_along_their_length(
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     slopes[at] = Slope(factor, along.reshape(-1), 3)
     gradient = gradient_of(problem)
-    step, _ = FieldNewton(problem, None).step(gradient, slopes, RTOL, None)
+    step, _ = FieldNewton(problem, None).step(gradient, none_of(problem), slopes, RTOL, None)
     compared(step, expected(problem, slopes, gradient))

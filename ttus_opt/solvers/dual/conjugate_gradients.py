@@ -113,6 +113,20 @@ class RecycledSubspace:
         """Directions d and their images S d, shape (k, m) each."""
         return self._store[0, : self._count], self._store[1, : self._count]
 
+    @property
+    def directions(self) -> Kept:
+        """All directions, shape (k, m)."""
+        return self._kept[0]
+
+    def parts(self, y: Array) -> tuple[Array, Array]:
+        """How much of each direction is in y, shape (k,), and the rest, (m,)."""
+        d, images = self._kept
+        parts, rest = np.zeros(len(d)), y
+        for _ in range(2):  # where products are rough, d is conjugate only about
+            more = _products(images, rest)
+            parts, rest = parts + more, rest - _combination(more, d)
+        return parts, rest
+
     def adopt(self, system: DualOperator) -> None:
         """Take a system that differs by the weights of its rows; no solve is spent."""
         ratio = system.root_weights / self.system.root_weights

@@ -33,7 +33,8 @@ class DualOptions:
         loosest_product: Largest relative residual of a solve inside a product [–].
         divergence: A dual residual that has grown by this factor will not come back:
             the Schur complement is too large for a preconditioner in single precision,
-            and the best answer so far is kept [–].
+            and the best answer so far is kept. By the root of S's condition it may
+            grow, 1e5 at weights of 1e6 [–].
         max_directions: Most new directions of a dual solve, and most of the
             preconditioner [–].
         preconditioner_residual: To which part the preconditioner reduces a residual,
@@ -71,7 +72,7 @@ class DualOptions:
     tightening: float = _option(1e-3, 1e-6, 0.1, 0.1)
     refinements: int = _option(8, 1, 20, 1)
     loosest_product: float = _option(1e-6, 0.0, 1e-3, 0.0, 1e-4)
-    divergence: float = _option(1e3, 10.0, 1e300, 1e300)
+    divergence: float = _option(1e6, 10.0, 1e300, 1e300)
     max_directions: int = _option(2000, 1, 10_000)
     preconditioner_residual: float = _option(0.002, 1e-4, 0.1, 0.05)
     preconditioner_energy: float = _option(0.01, 0.0, 0.5, 0.0, 0.1)

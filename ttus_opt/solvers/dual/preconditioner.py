@@ -24,7 +24,7 @@ from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.system import DualSystem
 
 #: Directions, and directions over rows, from which on S̃ is factorised instead [–]
-MANY, SHARE = 500, 0.15
+MANY, SHARE = 150, 0.15
 
 #: Most rows of which it is: a matrix of 144 MB
 MOST_ROWS = 6000

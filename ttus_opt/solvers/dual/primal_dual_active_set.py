@@ -70,6 +70,8 @@ def primal_dual_active_set(
     iteration = ActiveSetIteration(problem, limits, start, tolerance, accuracy)
     progress, safeguard, choice = _Progress(options), _Safeguard(), _Choice(problem)
     rtol = options.loosest_subproblem
+    if accuracy.rtol < options.dual_margin * tolerance and start is not None:
+        rtol = accuracy.rtol  # the start is an answer that was not exact enough
     found = iteration.solve(iteration.active, rtol)
     while not iteration.over:
         active = iteration.active

@@ -33,12 +33,14 @@ class DualAnswer:
         c: The unknowns beside it, shape (k,).
         steps: New directions [–].
         late: Whether the deadline cut it short.
+        y: Multipliers of the rows, shape (m,); None where they are not told.
     """
 
     p: Array = field(repr=False)
     c: Array
     steps: int
     late: bool
+    y: Array | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,7 @@ class DualSolver:
             target, complement = t - E @ given, self._complement_of(free)
             if point is None:
                 y = None if misfit is None else complement.part(misfit - E @ given)
-                point = self._start(base, y, accuracy, steps)
+                point = self._start(base, y, (target, complement), accuracy, steps)
             point, rest = self._refined(point, target, complement, goal, accuracy)
             c = given.copy()
             c[free] = complement.coefficients(rest)
@@ -154,19 +156,31 @@ class DualSolver:
             following = _next_set(free, violating, c, seen)
             if following is None or accuracy.late:
                 self._free = free
-                return DualAnswer(point.p, c, point.steps, accuracy.late)
+                return DualAnswer(point.p, c, point.steps, accuracy.late, point.y)
             if (following & ~free).any():  # y has to lie across more columns
                 steps = point.steps
                 point = None
             free = following
 
     def _start(
-        self, base: Array, y: Array | None, accuracy: Accuracy, steps: int
+        self,
+        base: Array,
+        y: Array | None,
+        sought: tuple[Array, Complement],
+        accuracy: Accuracy,
+        steps: int,
     ) -> _Point:
-        """Multipliers to begin with, zero for None."""
+        """Multipliers to begin with, zero for None or where they are no better."""
+        nothing = _Point(np.zeros_like(self.system.root_weights), base, steps)
         if y is None:
-            return _Point(np.zeros_like(self.system.root_weights), base, steps)
-        return _Point(y, base + self.system.response(y, accuracy.field_rtol), steps)
+            return nothing
+        p = base + self.system.response(y, accuracy.field_rtol)
+        target, complement = sought
+        # a misfit far from the answer's is magnified by all of S
+        left = complement.part(target - self.system.measure(p) - y)
+        most = complement.part(target - self.system.measure(base))
+        closer = np.linalg.norm(left) < np.linalg.norm(most)
+        return _Point(y, p, steps) if closer else nothing
 
     def _refined(
         self,

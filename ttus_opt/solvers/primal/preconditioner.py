@@ -25,6 +25,12 @@ from ttus_opt.solvers.dual.preconditioner import schur_preconditioner
 from ttus_opt.solvers.primal.approximate_system import ApproximateSystem
 from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
 
+#: Most directions of S whose fields P⁻¹Dᵀd are kept
+MOST_FIELDS = 12
+
+#: Part of y that may lie beside the directions, as rounding leaves it [–]
+BESIDE = 1e-12
+
 #: Most rounds in which the accuracy of S's system follows the answer's energy
 ROUNDS = 3
 
@@ -53,6 +59,8 @@ class ConstraintPreconditioner:
         """
         self._system, self._inner, self._options = system, inner, options
         self._subspace = RecycledSubspace(system)
+        #: P⁻¹Dᵀd of the first directions d, shape (V,) each
+        self._fields: list[Array] = []
         schur = schur_preconditioner(system, options) if system.adjoint.nnz else np.copy
         self.complement = Complement(columns, schur)
 
@@ -69,7 +77,23 @@ class ConstraintPreconditioner:
             return Pair(z, rest.y)
         side = self.complement.part(rest.y - system.measure(z))
         y = self._multipliers(side, inner_product(rest.p, z), float(rest.y @ rest.y))
-        return Pair(z + system.response(y), y)
+        return Pair(z + self._response(y), y)
+
+    def _response(self, y: Array) -> Array:
+        """P⁻¹Dᵀy, shape (V,): where directions are few, by the fields kept of them."""
+        subspace = self._subspace
+        if len(subspace) > MOST_FIELDS:
+            self._fields = []
+            return self._system.response(y)
+        parts, beside = subspace.parts(y)
+        if np.linalg.norm(beside) > BESIDE * np.linalg.norm(y):
+            return self._system.response(y)
+        for direction in subspace.directions[len(self._fields) :]:
+            self._fields.append(self._system.response(direction))
+        out = np.zeros(self._system.adjoint.shape[0])
+        for part, own in zip(parts, self._fields, strict=True):
+            out += part * own
+        return out
 
     def _multipliers(self, side: Array, of_prior: float, of_rows: float) -> Array:
         """S⁻¹ across E, as exactly as the energy of the answer asks for.

@@ -75,11 +75,12 @@ class FieldNewton:
     def step(
         self,
         gradient: Array,
+        multipliers: Sequence[Array],
         slopes: Sequence[Slope],
         rtol: float,
         deadline: float | None,
     ) -> tuple[Array, int]:
-        """As `LaplaceNewton.step`."""
+        """As `LaplaceNewton.step`; the gradient says all."""
         side = np.where(self._fixed, 0.0, -gradient)
         if len(side) <= SMALL:
             return self._factorised(side, slopes), 1
@@ -94,6 +95,9 @@ class FieldNewton:
         if run.steps > MANY:  # a better one, or rows have bent since it was made
             self._by_multigrid, self._made = True, None
         return run.d, run.steps
+
+    def taken(self, length: float) -> None:
+        """Nothing follows the part of a step that was taken [–]."""
 
     def _preconditioner(self, slopes: Sequence[Slope]) -> Map:
         """The one in use, made again where parameters have changed much."""

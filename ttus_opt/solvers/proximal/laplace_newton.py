@@ -2,11 +2,14 @@
 
 With W the slopes of Laplace's rows and C those of the few others, a step d minimises
 
-    ½ dᵀ(Lᵀ W L + Dᵀ C D) d + gᵀ d  =  ½ Σ W (L d − h)² + ½ ‖C^½ D d‖² + const,
-    h = −W⁻¹ L⁻ᵀ g,
+    ½ dᵀ(Lᵀ W L + Dᵀ C D) d + (g + Dᵀy)ᵀ d
+        =  ½ Σ W (L d − h)² + ½ ‖C^½ D d − t‖² + const,    h = −W⁻¹ L⁻ᵀ g,
 
-which is eq. 10 with the compliance W⁻¹ and measured rows C^½ D: `DualSolver` solves it
-with as many unknowns as there are few rows.
+with t = −C^-½ y, which is eq. 10 with the compliance W⁻¹ and measured rows C^½ D:
+`DualSolver` solves it with as many unknowns as there are few rows. How much of the
+gradient is Dᵀy is free: it is that of y⁺ − v, with multipliers v that balance the other
+rows. Both parts then vanish with the step, whatever the rows weigh. With y = 0 a heavy
+row's misfit would make L⁻¹h so large that it all but cancels against the answer's y.
 """
 
 from __future__ import annotations
@@ -63,10 +66,14 @@ class LaplaceNewton:
         self._few = [k for k, rows in enumerate(declared) if rows is None]
         self._rows = [blocks[k].matrix for k in self._few]
         self._options = replace(DualOptions(), loosest_product=LOOSEST)
+        #: v of the few blocks, and where it will be after the whole of the last step
+        self._balance: list[Array] | None = None
+        self._aim: list[Array] = []
 
     def step(
         self,
         gradient: Array,
+        multipliers: Sequence[Array],
         slopes: Sequence[Slope],
         rtol: float,
         deadline: float | None,
@@ -74,7 +81,8 @@ class LaplaceNewton:
         """One step.
 
         Args:
-            gradient: g, shape (V,).
+            gradient: g + Dᵀy, shape (V,).
+            multipliers: Of every block, y⁺.
             slopes: Of every block.
             rtol: Relative residual to reach [–].
             deadline: `time.perf_counter` at which to stop; None for never [s].
@@ -84,16 +92,46 @@ class LaplaceNewton:
         """
         laplace, compliance = self._laplace, self._compliance(slopes)
         inside = INSIDE * rtol
-        slope = laplace.solve_adjoint(np.where(self._fixed, 0.0, gradient), rtol=inside)
-        h = -compliance * slope
-        rows, roots = self._roots(slopes)
+        if self._balance is None:
+            self._balance = self._first_balance(gradient, multipliers)
+        rows, roots, y = self._few_rows(multipliers, slopes)
+        rest = np.where(self._fixed, 0.0, gradient - rows.T @ y)
+        h = -compliance * laplace.solve_adjoint(rest, rtol=inside)
         if not len(roots):
             return laplace.solve(h, rtol=inside), 0
         system = DualSystem(laplace, compliance, rows, roots)
         solver = DualSolver(system, options=self._options)
         accuracy = Accuracy(rtol, inside, deadline)
-        answer = solver.solve(h, np.zeros(len(roots)), accuracy)
+        answer = solver.solve(h, -y / roots, accuracy)
+        assert answer.y is not None
+        self._aim, at = [multipliers[k].copy() for k in self._few], 0
+        change = -roots * answer.y - y
+        for aim, k in zip(self._aim, self._few, strict=True):
+            own = slopes[k].factor > 0.0
+            end = at + int(own.sum())
+            # of the dual's own multipliers: those of C D d have its residual in them
+            aim[own] += change[at:end]
+            at = end
         return answer.p, answer.steps
+
+    def taken(self, length: float) -> None:
+        """Follow the part of the last step that was taken [–]."""
+        if self._balance is not None and self._aim:
+            for v, aim in zip(self._balance, self._aim, strict=True):
+                v += length * (aim - v)
+
+    def _first_balance(
+        self, gradient: Array, multipliers: Sequence[Array]
+    ) -> list[Array]:
+        """y⁺ near the answer; zero at the Laplace field."""
+        own = [multipliers[k] for k in self._few]
+        prior = gradient - np.sum(
+            [matrix.T @ y for matrix, y in zip(self._rows, own, strict=True)], axis=0
+        )
+        near = np.linalg.norm(gradient) < np.linalg.norm(
+            np.where(self._fixed, 0.0, prior)
+        )
+        return [y.copy() if near else np.zeros_like(y) for y in own]
 
     def _compliance(self, slopes: Sequence[Slope]) -> Array:
         """1/W of every row of L; zero where the voxel's value is given."""
@@ -106,19 +144,25 @@ class LaplaceNewton:
             W[at] += scale**2 * slope.factor
         return np.where(self._fixed, 0.0, 1.0 / np.where(W > 0.0, W, 1.0))
 
-    def _roots(self, slopes: Sequence[Slope]) -> tuple[sp.csr_array, Array]:
-        """Few rows whose slope is not zero, and the roots of their slopes."""
-        matrices, roots = [], []
-        for k, matrix in zip(self._few, self._rows, strict=True):
-            slope = slopes[k]
+    def _few_rows(
+        self, multipliers: Sequence[Array], slopes: Sequence[Slope]
+    ) -> tuple[sp.csr_array, Array, Array]:
+        """Few rows whose slope is not zero, the roots of their slopes, and y⁺ − v."""
+        assert self._balance is not None
+        matrices, roots, own = [], [], []
+        for k, matrix, v in zip(self._few, self._rows, self._balance, strict=True):
+            slope, y = slopes[k], multipliers[k] - v
             bent = slope.factor > 0.0
             if slope.along is not None:
                 matrix = _across(matrix, slope)
+                y = Slope(np.ones_like(y), slope.along, slope.size).times(y)
             matrices.append(matrix[bent])
             roots.append(np.sqrt(slope.factor[bent]))
+            own.append(y[bent])
         if not matrices:
-            return sp.csr_array((0, len(self._fixed))), np.zeros(0)
-        return sp.csr_array(sp.vstack(matrices, format="csr")), np.concatenate(roots)
+            return sp.csr_array((0, len(self._fixed))), np.zeros(0), np.zeros(0)
+        stacked = sp.csr_array(sp.vstack(matrices, format="csr"))
+        return stacked, np.concatenate(roots), np.concatenate(own)
 
 
 def _across(matrix: sp.csr_array, slope: Slope) -> sp.csr_array:

@@ -46,12 +46,23 @@ class NewtonSystem(Protocol):
     def step(
         self,
         gradient: Array,
+        multipliers: list[Array],
         slopes: list[Slope],
         rtol: float,
         deadline: float | None,
     ) -> tuple[Array, int]:
-        """The step from a gradient and the slopes of all blocks; iterations spent."""
+        """The step from a gradient, and multipliers and slopes of all blocks.
 
+        Returns:
+            The step, and iterations spent.
+        """
+
+    def taken(self, length: float) -> None:
+        """Hear what part of the last step was taken [–]."""
+
+
+#: After a Newton step cut below this part of its length the next one is cautious [–]
+SHORT = 0.3
 
 #: Newton systems are solved so much more exactly after a round that did not get there,
 #: and to this relative residual at most [–]
@@ -139,6 +150,7 @@ class MethodOfMultipliers:
         self._system, self._request = system, request
         self._options = options or Options()
         self.steps = self.newton_steps = 0
+        self._length = 0.0  # of the last step; none at the start
 
     def solve(self, x: Array) -> Candidate:
         """Solve from a point on.
@@ -200,15 +212,21 @@ class MethodOfMultipliers:
         state.evaluate(blocks)
         for _ in range(self._options.newton_steps):
             gradient = np.where(fixed, 0.0, state.gradient)
-            d, spent = self._system.step(gradient, state.slopes, rtol, self._deadline)
+            given = gradient, state.multipliers, self._slopes(state)
+            d, spent = self._system.step(*given, rtol, self._deadline)
             self.steps, self.newton_steps = self.steps + spent, self.newton_steps + 1
             d = np.where(fixed, 0.0, d)
             start = inner_product(gradient, d)
             if not (np.isfinite(start) and start < 0.0):
-                return True
+                if self._length < SHORT:
+                    return True
+                self._length = 0.5 * SHORT
+                continue
             changes = [np.asarray(b.matrix @ d) for b in blocks]
             slope = partial(self._slope, state, changes)
             length, end = line_search.along(slope, start)
+            self._system.taken(length)
+            self._length = length
             state.x = state.x + length * d
             for r, change in zip(state.residuals, changes, strict=True):
                 r += length * change
@@ -219,6 +237,29 @@ class MethodOfMultipliers:
             if self._small(state):
                 return True
         return False
+
+    def _slopes(self, state: _State) -> list[Slope]:
+        """Newton's, or cautious ones of penalties that are taken as they are.
+
+        Rows beyond a kink have no slope, and where they are heavy what they pull at
+        would run far away. As squares through the slope at no residual, or through the
+        present one (reweighted least squares), they hold: no step leads uphill.
+        """
+        if self._length >= SHORT:
+            return state.slopes
+        slopes = []
+        for b, slope, r, y in zip(
+            self._blocks, state.slopes, state.residuals, state.multipliers, strict=True
+        ):
+            if b.exact and slope.along is None:
+                held = b.charged(np.zeros_like(r))[1].factor
+                if self._length > 0.0:
+                    there = y * r > 0.0
+                    secant = np.where(there, y, 1.0) / np.where(there, r, 1.0)
+                    held = np.where(there, np.minimum(secant, held), held)
+                slope = Slope(np.maximum(held, slope.factor))
+            slopes.append(slope)
+        return slopes
 
     def _small(self, state: _State) -> bool:
         """Whether the gradient is far below its summands."""
