@@ -16,6 +16,8 @@ from ttus_opt.constraints.base import Constraint
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.constraints.sign import Sign
+from ttus_opt.fitting.batch import fit
+from ttus_opt.problem import formulation
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.problem.reduction import reduce
@@ -204,3 +206,18 @@ def test_interior_points_agree_over_weights_and_limits(
     if how != "factor":
         monkeypatch.setattr(field_newton, "SMALL", 0)
     compared(terms, weight, limits)
+
+
+@pytest.mark.parametrize("weight", [1e4, 1e6])
+def test_hubers_penalty_on_heavy_forces_is_an_interior_points(weight: float) -> None:
+    """Contradictory forces beyond the kink: few Newton steps whatever they weigh."""
+    scene = small_scene("trilinear", shape=(8, 16, 10), n_poses=12)
+    weights = {"force_weight": weight, "torque_weight": weight}
+    what = formulation.load("robust", scene, **weights).compile()
+    both = reduce(what)
+    found = SOLVER.prepare(both.program, Request(1e-7, 60.0)).solve()
+    assert found.x is not None and found.iterations <= 12
+    point = both.restore(found.x, found.duals)
+    assert kkt_residuals(what, point.x, point.duals).worst_relative <= 1e-7
+    other = fit(scene, "robust", solver="clarabel", **weights)
+    assert other.objective == pytest.approx(what.objective(point.x), rel=1e-7)

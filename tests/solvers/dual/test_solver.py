@@ -96,6 +96,16 @@ def test_a_guess_near_the_answer_saves_steps_and_changes_nothing(
     np.testing.assert_allclose(warm.p, cold.p, atol=1e-7 * np.abs(cold.p).max())
 
 
+def test_a_guess_far_from_the_answer_is_dropped() -> None:
+    """Its misfit, magnified by heavy rows, would be a start far worse than none."""
+    data = data_of(1e6)
+    cold = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-6))
+    guess = cold.p + 1e-2 * np.random.default_rng(3).normal(size=len(cold.p))
+    warm = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-6), guess)
+    assert warm.steps <= cold.steps
+    np.testing.assert_array_equal(warm.p, cold.p)
+
+
 def dense(data: DualData, beside: LinearParameters) -> Array:
     """The best c between its bounds, by projected coordinate descent on EᵀS⁻¹E."""
     system = data.system

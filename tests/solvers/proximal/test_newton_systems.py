@@ -166,5 +166,7 @@ def test_groups_are_no_longer_stiff_along_their_length(
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     slopes[at] = Slope(factor, along.reshape(-1), 3)
     gradient = gradient_of(problem)
-    step, _ = FieldNewton(problem, None).step(gradient, none_of(problem), slopes, RTOL, None)
+    step, _ = FieldNewton(problem, None).step(
+        gradient, none_of(problem), slopes, RTOL, None
+    )
     compared(step, expected(problem, slopes, gradient))
