@@ -121,9 +121,12 @@ class Mistake:
     after: float
 
     def __str__(self) -> str:
+        how = f"read them with {self.mends or 'none of those options'}"
+        if self.after == self.before:
+            return f"{self.what}: {how}"
         return (
             f"{self.what}? Disagreement with the geometry {self.before:.2g} → "
-            f"{self.after:.2g}: read them with {self.mends or 'none of those options'}"
+            f"{self.after:.2g}: {how}"
         )
 
 

@@ -32,8 +32,9 @@ ROS = {
     **{f"force.{c}": f"f{c}" for c in "xyz"},
     **{f"torque.{c}": f"t{c}" for c in "xyz"},
     "time": "t",
+    "__time": "t",  # PlotJuggler's
     "timestamp": "t",
-    "header.stamp": "t",
+    "stamp": "t",
 }
 
 #: A stamp above this is in nanoseconds, as ROS writes whole numbers [s]
@@ -149,6 +150,8 @@ def known_name(name: str) -> str:
 
     >>> known_name("/robot/pose/orientation/w"), known_name("FX"), known_name("gain")
     ('qw', 'fx', 'gain')
+    >>> {known_name(name) for name in ("stamp", "__time", "field.header.stamp")}
+    {'t'}
     """
     plain = name.strip().strip('"').strip()
     dotted = plain.lower().replace("/", ".").lstrip(".")
