@@ -358,6 +358,26 @@ def array_of(
     return found.to_numpy()
 
 
+def as_numbers(name: str, values: Any) -> NDArray[np.float64]:
+    """Values of a file as numbers.
+
+    Args:
+        name: The variable or attribute, for the message.
+        values: What was read.
+
+    Raises:
+        InputError: Something else is in it, or lists of different lengths.
+    """
+    import numpy as np
+
+    try:
+        return np.array(values, dtype=np.float64)
+    except (OverflowError, TypeError, ValueError):
+        raise InputError(
+            f"{name} must hold numbers, in rows of one length: save it again"
+        ) from None
+
+
 def mask(name: str, values: NDArray[Any]) -> NDArray[np.bool_]:
     """A mask that was written as numbers.
 

@@ -139,6 +139,7 @@ def test_bad_files(tmp_path: Path) -> None:
         lambda d: d.assign(radius_std=d["radius_std"] - 1.0),
         lambda d: d.assign(observed=d["observed"] * np.nan),
         lambda d: d.assign_coords(theta=[f"{t:.3f}" for t in d["theta"].values]),
+        lambda d: d.assign(radius=d["radius"].astype(str).astype(object) + " m"),
         lambda d: d.assign_attrs(axis_origin="[NaN, 0, 0]"),
         lambda d: d.assign_attrs(axis_origin="{}"),
         lambda d: d.assign_attrs(axis_origin="[[0, 1], [2]]"),
@@ -154,6 +155,7 @@ def test_bad_files(tmp_path: Path) -> None:
         "negative deviations",
         "a mask of NaN",
         "angles as text",
+        "radii as text",
         "NaN origin",
         "no array",
         "ragged",
@@ -175,6 +177,7 @@ def test_hostile_files_are_one_line(
         Surface.load(tmp_path / "bad.nc")
     assert "bad.nc" in str(told.value)
     assert "\n" not in str(told.value)
+    assert not {"float", "array", "sequence"} & set(str(told.value).split())
 
 
 def test_no_coordinates_in_the_file(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.scan.frame_estimate import Lying, estimate_frame
@@ -146,10 +147,18 @@ class Axis:
         """
         if not {"axis_origin", "axis_rotation"} & set(attributes):
             return cls.identity()
-        for name in ("axis_origin", "axis_rotation"):
-            if not isinstance(attributes.get(name), str):
-                raise InputError(f"attribute {name} must be JSON text, like [0, 0, 0]")
         return cls(
-            np.array(json.loads(attributes["axis_origin"]), dtype=float),
-            np.array(json.loads(attributes["axis_rotation"]), dtype=float),
+            _json_numbers(attributes, "axis_origin"),
+            _json_numbers(attributes, "axis_rotation"),
         )
+
+
+def _json_numbers(attributes: Mapping[str, Any], name: str) -> Array:
+    """An attribute's array; InputError where it is none."""
+    given = attributes.get(name)
+    try:
+        if isinstance(given, str):
+            return io.as_numbers(f"attribute {name}", json.loads(given))
+    except json.JSONDecodeError:
+        pass
+    raise InputError(f"attribute {name} must be JSON text, like [0, 0, 0]")

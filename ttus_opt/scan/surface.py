@@ -221,15 +221,17 @@ class Surface:
                     f"{path}: {name} has units {units!r}, expected 'm': convert it and "
                     "state the unit"
                 )
-        radius = dataset["radius"].to_numpy().astype(float)
         std = dataset.get("radius_std")
         observed = dataset.get("observed")
         try:
+            radius = io.as_numbers("radius", dataset["radius"])
             return cls(
-                dataset["theta"].to_numpy().astype(float),
-                dataset["z"].to_numpy().astype(float),
+                io.as_numbers("theta", dataset["theta"]),
+                io.as_numbers("z", dataset["z"]),
                 radius,
-                np.zeros_like(radius) if std is None else std.to_numpy().astype(float),
+                np.zeros_like(radius)
+                if std is None
+                else io.as_numbers("radius_std", std),
                 np.ones(radius.shape, dtype=bool)
                 if observed is None
                 else io.mask("observed", observed.to_numpy()),
