@@ -57,6 +57,20 @@ class LimitedProblem(Protocol):
     def objective(self, p: Array) -> float:
         """The objective."""
 
+    def predicted(
+        self, active: WorkingSet, p: Array, signs: Multipliers
+    ) -> WorkingSet | None:
+        """The working set to which a model leads from one that is solved.
+
+        Args:
+            active: The working set.
+            p: Its minimiser, shape (V,).
+            signs: Its multipliers, as the gradient has them.
+
+        Returns:
+            The next one; None where there is no model or it changes nothing.
+        """
+
 
 class ActiveSetIteration:
     """Where the iteration stands.
@@ -66,7 +80,8 @@ class ActiveSetIteration:
         limits: Its limits, those that others imply left out.
         active: The working set to begin with, then the last one solved.
         rtol: Residual of the dual of the last working set, relative [–].
-        multipliers: Of its limits, with the right signs.
+        signs: Multipliers of its limits.
+        multipliers: The same with the right signs.
         sets: Working sets solved [–].
         steps: Directions of all their solves [–].
         late: Whether the deadline is over.
@@ -104,6 +119,7 @@ class ActiveSetIteration:
         self._acceptable = 0  # working sets with no violation but what may remain
 
     _p: Array | None
+    signs: Multipliers
     multipliers: Multipliers
 
     @property
@@ -117,6 +133,10 @@ class ActiveSetIteration:
         """Whether there is nothing more to do, or no more time or working sets."""
         enough = self.sets == self.problem.options.max_working_sets
         return self.settled or self.late or enough
+
+    def predicted(self) -> WorkingSet | None:
+        """The working set to which a model of the problem leads; None for none."""
+        return self.problem.predicted(self.active, self.p, self.signs)
 
     def solve(self, active: WorkingSet, rtol: float) -> Violations:
         """Solve a working set's subproblem.
@@ -139,7 +159,7 @@ class ActiveSetIteration:
         self.sets, self.steps = self.sets + 1, self.steps + answer.steps
         self.late = accuracy.late
         gradient = self.problem.gradient(p)
-        signs = multipliers(self.limits, active, gradient)
+        self.signs = signs = multipliers(self.limits, active, gradient)
         self.multipliers = signs.right_signs(self.limits, active)
         found = find_violations(self.limits, active, p, signs, gradient)
         acceptable = found.worst <= options.acceptable * self._tolerance

@@ -24,6 +24,7 @@ from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
 from ttus_opt.solvers.dual.optimality import Multipliers
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.pair_subproblem import PairRows, PairSubproblem
+from ttus_opt.solvers.dual.touched_limits import TouchedLimits
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
 #: Relative difference of ratios that count as one [–]
@@ -162,6 +163,30 @@ class FieldPair:
     def subproblem(self, active: WorkingSet) -> PairSubproblem:
         """The problem of a working set."""
         return PairSubproblem(self.rows, self.limits, active, self.options)
+
+    @cached_property
+    def _touched(self) -> TouchedLimits | None:
+        """Model of the limits where measured rows touch the second field."""
+        V = len(self.limits.given) // 2
+        limited = np.isfinite(self.limits.lower) & ~self.limits.given
+        return TouchedLimits.of(self.rows, limited[V:])
+
+    def predicted(
+        self, active: WorkingSet, p: Array, signs: Multipliers
+    ) -> WorkingSet | None:
+        """The next working set by `TouchedLimits`; None where that changes nothing."""
+        model, first = self._touched, self.program.laplace_term
+        if model is None or first is None:
+            return None
+        V = len(p) // 2
+        at = V + model.voxels
+        alone = ~active.links[model.voxels] & (active.bounds[at] <= 0)
+        z = -signs.bounds[at] / (2.0 * first.weight)
+        bounds = active.bounds.copy()
+        held = model.active((p - self.limits.lower)[at], z, alone)
+        bounds[at[alone]] = np.where(held[alone], -1, 0)
+        following = WorkingSet(bounds, active.links)
+        return following if following.differs(active) else None
 
     @property
     def bounds(self) -> tuple[float, float]:

@@ -81,6 +81,9 @@ def primal_dual_active_set(
             height = problem.objective(iteration.p)
             chosen = choice.peaks(found, active)
             active = safeguard.following(iteration.limits, active, chosen, height)
+        elif (predicted := iteration.predicted()) is not None:
+            progress.note(found, active)
+            active, rtol = predicted, options.loosest_subproblem
         else:
             progress.note(found, active)
             rtol = max(options.subproblem_accuracy * found.worst, accuracy.rtol)
