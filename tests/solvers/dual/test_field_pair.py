@@ -375,7 +375,8 @@ def test_a_start_at_the_answer_needs_no_working_set_but_its_own() -> None:
     assert found.x is not None
     np.testing.assert_allclose(found.x, cold.x, atol=1e-5 * np.abs(cold.x).max())
     # one solved loosely, and again to the tolerance
-    assert working_sets(found) == 2 < working_sets(cold)
+    assert working_sets(found) == 2
+    assert found.iterations < cold.iterations
 
 
 def working_sets(candidate: Candidate) -> int:

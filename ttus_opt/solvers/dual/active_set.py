@@ -6,7 +6,7 @@ solved.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.laplace.system import RTOL
@@ -57,10 +57,15 @@ class LimitedProblem(Protocol):
     def objective(self, p: Array) -> float:
         """The objective."""
 
+
+@runtime_checkable
+class PredictingProblem(Protocol):
+    """A problem with a model of how its field answers to multipliers of bounds."""
+
     def predicted(
         self, active: WorkingSet, p: Array, signs: Multipliers
     ) -> WorkingSet | None:
-        """The working set to which a model leads from one that is solved.
+        """The working set to which the model leads from one without links.
 
         Args:
             active: The working set.
@@ -134,9 +139,18 @@ class ActiveSetIteration:
         enough = self.sets == self.problem.options.max_working_sets
         return self.settled or self.late or enough
 
-    def predicted(self) -> WorkingSet | None:
-        """The working set to which a model of the problem leads; None for none."""
-        return self.problem.predicted(self.active, self.p, self.signs)
+    def predicted(self, found: Violations) -> WorkingSet | None:
+        """The working set to which a model of bounds alone leads; None for none.
+
+        Args:
+            found: The KKT violations of the last one.
+        """
+        problem = self.problem
+        if self.active.links.any() or (found.links > 0.0).any():
+            return None
+        if not isinstance(problem, PredictingProblem):
+            return None
+        return problem.predicted(self.active, self.p, self.signs)
 
     def solve(self, active: WorkingSet, rtol: float) -> Violations:
         """Solve a working set's subproblem.

@@ -178,13 +178,12 @@ class FieldPair:
         model, first = self._touched, self.program.laplace_term
         if model is None or first is None:
             return None
-        V = len(p) // 2
-        at = V + model.voxels
-        alone = ~active.links[model.voxels] & (active.bounds[at] <= 0)
+        at = len(p) // 2 + model.voxels
+        if (active.bounds[at] > 0).any():
+            return None
         z = -signs.bounds[at] / (2.0 * first.weight)
         bounds = active.bounds.copy()
-        held = model.active((p - self.limits.lower)[at], z, alone)
-        bounds[at[alone]] = np.where(held[alone], -1, 0)
+        bounds[at] = -model.active((p - self.limits.lower)[at], z).astype(np.int8)
         following = WorkingSet(bounds, active.links)
         return following if following.differs(active) else None
 

@@ -49,6 +49,8 @@ class DualOptions:
         subproblem_accuracy: Relative residual of a working set's dual over its worst
             KKT violation [–].
         loosest_subproblem: The same, at most [–].
+        predicted_subproblem: The same of a working set that a model predicts: the next
+            prediction needs no more [–].
         field_accuracy: Residual of the solves behind a field that is not the last, over
             its dual's [–].
         acceptable: Which KKT violation may remain, over the KKT tolerance: thousands of
@@ -81,6 +83,7 @@ class DualOptions:
     max_working_sets: int = _option(100, 1, 10_000)
     subproblem_accuracy: float = _option(1e-2, 0.0, 1.0, 0.0, 0.1)
     loosest_subproblem: float = _option(1e-3, 1e-6, 0.1, 1e-4, 1e-2)
+    predicted_subproblem: float = _option(1e-2, 1e-6, 0.1, 1e-3)
     field_accuracy: float = _option(1e-3, 0.0, 0.1, 0.0)
     acceptable: float = _option(0.1, 0.0, 1.0, 0.0)
     acceptable_sets: int = _option(2, 0, 100, 0)

@@ -18,6 +18,10 @@ Optim. 37, 1999). Which of the violated limits join it depends on what they hold
   violated by a share of the worst around it joins, and the less violation is left the
   smaller a share will do: by peaks alone a volume grows by one layer a working set.
 
+Where a problem has a model of how its field answers to multipliers (`touched_limits`),
+and bounds are all that is violated, the model says which of them come next: a second
+field on its bound over a patch of skin takes 3 to 5 working sets in place of 15.
+
 Changing all at once is fast but may cycle. The safeguard then lets violated limits join
 a working set without wrong signs only, as in Lawson and Hanson's method. Such a set
 holds the minimum over its limits as inequalities, which can only rise with every limit
@@ -41,6 +45,9 @@ from ttus_opt.solvers.dual.working_set import WorkingSet
 #: join from then on, by the factor after it, below the other smaller ones as well [–]
 MANY_WRONG, STRICTER = 0.25, 0.7
 FEW_WRONG, LAXER = 0.1, 0.75
+
+#: A predicted working set is solved to the end where it differs in this share [–]
+FEW = 0.02
 
 #: Below this part of the worst violation of all none joins but peaks [–]
 FAR = 0.1
@@ -81,9 +88,11 @@ def primal_dual_active_set(
             height = problem.objective(iteration.p)
             chosen = choice.peaks(found, active)
             active = safeguard.following(iteration.limits, active, chosen, height)
-        elif (predicted := iteration.predicted()) is not None:
+        elif (predicted := iteration.predicted(found)) is not None:
             progress.note(found, active)
-            active, rtol = predicted, options.loosest_subproblem
+            few = predicted.differs(active) <= FEW * predicted.count
+            rtol = accuracy.rtol if few else options.predicted_subproblem
+            active = predicted
         else:
             progress.note(found, active)
             rtol = max(options.subproblem_accuracy * found.worst, accuracy.rtol)

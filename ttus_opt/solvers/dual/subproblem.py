@@ -31,7 +31,6 @@ from ttus_opt.multigrid.pooled_blocks import block_heads
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.limits import SpokeLimits
-from ttus_opt.solvers.dual.optimality import Multipliers
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
@@ -150,12 +149,6 @@ class LimitedField:
     def objective(self, p: Array) -> float:
         """The objective."""
         return self.program.objective(p)
-
-    def predicted(
-        self, active: WorkingSet, p: Array, signs: Multipliers
-    ) -> WorkingSet | None:
-        """None: no model of it is kept."""
-        return None
 
     def gradient(self, p: Array) -> Array:
         """Gradient of the objective, shape (V,)."""

@@ -37,6 +37,9 @@ MEAN_RTOL = 1e-4
 #: Variance of that field over the prior's: it is as good as free [–]
 FREE = 1e4
 
+#: Rounding of the prior's part, in single precision, over its mean variance [–]
+ROUNDING = 1e-6
+
 #: Exchanges of all wrong signs that may fail to leave fewer, and exchanges at most
 TRIES, MOST_EXCHANGES = 10, 300
 
@@ -69,44 +72,46 @@ class TouchedLimits:
         if not 0 < k <= MOST_VOXELS:
             return None
         G = _prior_covariance(rows, voxels)
-        first = G * np.float32(
-            rows.compliance[voxels[0]] / rows.compliance[V + voxels[0]]
-        )
+        ratio = rows.compliance[voxels[0]] / rows.compliance[V + voxels[0]]
         weighted = sp.diags_array(rows.root_weights) @ rows.rows
-        of_x, of_y = (
-            sp.csr_array(weighted[:, at]).astype(np.float32)
-            for at in (voxels, V + voxels)
+        x, y = (sp.csr_array(weighted[:, at]) for at in (voxels, V + voxels))
+        of_x, of_y, of_both = (
+            (one.T @ other).toarray() for one, other in ((x, x), (y, y), (x, y))
         )
-        N, X, told = ((a.T @ b).toarray() for a, b in _pairs(of_x, of_y))
-        # what measured rows tell of y when x follows as they and its prior have it
-        told -= X.T @ np.linalg.solve(np.eye(k, dtype=np.float32) + first @ N, first @ X)
         mean = rows.laplace.solve(rows.column[V:], rtol=MEAN_RTOL)[voxels]
-        size = float(mean @ mean)
-        if size > 0.0:
-            spread = FREE * float(np.trace(G)) / size
-            G = G + (spread * np.outer(mean, mean)).astype(np.float32)
-        response = np.linalg.solve(np.eye(k, dtype=np.float32) + G @ told, G)
-        return cls(voxels, np.asarray(response + response.T, dtype=float) / 2.0)
+        try:
+            # of y beside an x that follows as measured rows and its prior have it
+            follows = _posterior(ratio * G, of_x)
+            told = of_y - of_both.T @ follows @ of_both
+            size = float(mean @ mean)
+            if size > 0.0:
+                G += (FREE * np.trace(G) / size) * np.outer(mean, mean)
+            return cls(voxels, _posterior(G, (told + told.T) / 2.0))
+        except np.linalg.LinAlgError:  # weights so large that rounding is all
+            return None
 
-    def active(self, slack: Array, multipliers: Array, alone: Mask) -> Mask:
+    def active(self, slack: Array, multipliers: Array) -> Mask:
         """Where y ≥ l is active next, shape (k,).
 
         Args:
             slack: y - l of the last working set, shape (k,).
             multipliers: z there, of half the objective, shape (k,).
-            alone: Voxels that no other limit holds; the others are left out, (k,).
         """
-        z = multipliers[alone]
-        response = self.response[np.ix_(alone, alone)]
-        active = np.zeros(len(slack), dtype=bool)
-        active[alone] = complementary(response, slack[alone] - response @ z, z != 0.0)
-        return active
+        constant = slack - self.response @ multipliers
+        return complementary(self.response, constant, multipliers != 0.0)
 
 
-def _pairs(
-    x: sp.csr_array, y: sp.csr_array
-) -> tuple[tuple[sp.csr_array, sp.csr_array], ...]:
-    return (x, x), (x, y), (y, y)
+def _posterior(covariance: Array, information: Array) -> Array:
+    """(G⁻¹ + H)⁻¹, positive definite, of G and H, shape (k, k) each."""
+    k = len(covariance)
+    jitter = ROUNDING * np.trace(covariance) / k
+    root = scipy.linalg.cholesky(
+        covariance + jitter * np.eye(k), lower=True, check_finite=False
+    )
+    inner = np.eye(k) + root.T @ information @ root
+    factor = scipy.linalg.cholesky(inner, lower=True, check_finite=False)
+    half = scipy.linalg.solve_triangular(factor, root.T, lower=True, check_finite=False)
+    return np.asarray(half.T @ half)
 
 
 def _prior_covariance(rows: PairRows, voxels: IntArray) -> Array:
@@ -115,12 +120,12 @@ def _prior_covariance(rows: PairRows, voxels: IntArray) -> Array:
     selected = sp.csr_array((np.ones(k), voxels, np.arange(k + 1)), shape=(k, V))
     system = DualSystem(rows.laplace, rows.compliance[V:], selected, np.ones(k))
     approximate = ApproximateSchur(system)
-    unit, G = np.zeros(k), np.empty((k, k), dtype=np.float32)
+    unit, G = np.zeros(k), np.empty((k, k))
     for j in range(k):
         unit[j] = 1.0
         G[j] = approximate.apply(unit) - unit
         unit[j] = 0.0
-    return np.asarray((G + G.T) / np.float32(2.0))
+    return np.asarray((G + G.T) / 2.0)
 
 
 def complementary(matrix: Array, constant: Array, start: Mask) -> Mask:
