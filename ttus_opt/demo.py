@@ -24,7 +24,6 @@ from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory
 from ttus_opt.problem.solution import Solution
-from ttus_opt.report.drawing_beside import DrawingBeside, Picture
 from ttus_opt.report.metrics import evaluate
 from ttus_opt.report.tables import Comparison, write_report
 from ttus_opt.scan.cloud import read_cloud
@@ -144,23 +143,20 @@ def run(
         scene = plan.build(surface, shell, [recordings[name] for name in FITTED])
         begin("Laplace prior alone")
         before = fit(scene, "laplace_only")
-    with DrawingBeside() as beside:
-        begin("choosing weights")
-        asked = None if weights == RECIPE else "eq10"
-        choice = choice_of(weights, scene, asked)
-        begin("with forces and torques")
-        after = replace(fit(choice.scene, choice.formulation), chosen=choice.lines)
-        begin("evaluating")
-        fields = before.field, after.field
-        comparisons = tuple(
-            Comparison(
-                name, name in FITTED, *(evaluate(p, shell, case) for p in fields)
-            )
-            for name, case in recordings.items()
-        )
-        begin("pictures and report")
-        after.field.save(out / "field.nc")
-        _draw(out, cloud, fields, comparisons, beside)
+    begin("choosing weights")
+    asked = None if weights == RECIPE else "eq10"
+    choice = choice_of(weights, scene, asked)
+    begin("with forces and torques")
+    after = replace(fit(choice.scene, choice.formulation), chosen=choice.lines)
+    begin("evaluating")
+    fields = before.field, after.field
+    comparisons = tuple(
+        Comparison(name, name in FITTED, *(evaluate(p, shell, case) for p in fields))
+        for name, case in recordings.items()
+    )
+    begin("pictures and report")
+    after.field.save(out / "field.nc")
+    _draw(out, cloud, before.field, after.field, comparisons)
     error = surface_error(surface, truth)
     result = DemoResult(comparisons, before, after, error, time.perf_counter() - start)
     facts = _facts(scene, result)
@@ -198,9 +194,9 @@ def _draw_surface(out: Path, surface: Surface, cloud: Array) -> None:
 def _draw(
     out: Path,
     cloud: Array,
-    fields: tuple[PotentialField, PotentialField],
+    before: PotentialField,
+    after: PotentialField,
     comparisons: tuple[Comparison, ...],
-    beside: DrawingBeside,
 ) -> None:
     from ttus_opt.report import plots
 
@@ -209,23 +205,20 @@ def _draw(
         name: {"Laplace alone": case.before, "fitted": case.after}
         for name, case in unseen.items()
     }
-    cases = unseen.values()
-    sides = [case.before for case in cases], [case.after for case in cases]
-    forces = [
-        Picture(
-            out / f"force_{name}.png",
-            plots.force_over_time,
-            (evaluations, PICTURES[f"force_{name}.png"]),
+    figures = {
+        "potential.png": plots.potential_slices(before, after),
+        "residuals.png": plots.residual_histogram(
+            [case.before for case in unseen.values()],
+            [case.after for case in unseen.values()],
+        ),
+        "overview.png": plots.overview(after, cloud, pair["press_test"]),
+    }
+    for name, evaluations in pair.items():
+        figures[f"force_{name}.png"] = plots.force_over_time(
+            evaluations, PICTURES[f"force_{name}.png"]
         )
-        for name, evaluations in pair.items()
-    ]
-    residuals = Picture(out / "residuals.png", plots.residual_histogram, sides)
-    potential = Picture(out / "potential.png", plots.potential_slices, fields)
-    overview = (fields[1], cloud, pair["press_test"])
-    beside.save(
-        [*forces, residuals],
-        [potential, Picture(out / "overview.png", plots.overview, overview)],
-    )
+    for name, figure in figures.items():
+        plots.save_picture(figure, out / name)
 
 
 def _facts(scene: Scene, result: DemoResult) -> dict[str, str]:
