@@ -1,12 +1,9 @@
 from __future__ import annotations
 
-import contextlib
 import gc
 import importlib
-import io
 import os
 import re
-import subprocess
 import sys
 import threading
 import time
@@ -21,8 +18,10 @@ from numba.core import event
 
 import ttus_opt.compiled as kept
 from tests.conftest import some
+from ttus_opt.cache_folder import cache_folder
 from ttus_opt.claims import Claims
-from ttus_opt.compiled import compiled, content_stamp, is_kept
+from ttus_opt.compiled import compiled, is_kept
+from ttus_opt.content_stamp import content_stamp
 
 PACKAGE = {
     "__init__": "",
@@ -75,7 +74,7 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Load]:
     """Load the package anew, with edits, as a new process would: (file, old, new)."""
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it goes by a file's second
-    kept._folder.cache_clear()
+    cache_folder.cache_clear()
 
     def forget() -> None:
         for name in [name for name in sys.modules if name.split(".")[0] == "haunted"]:
@@ -98,7 +97,7 @@ def load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Load]:
 
     yield load
     forget()
-    kept._folder.cache_clear()
+    cache_folder.cache_clear()
 
 
 def hits(dispatcher: Any) -> int:
@@ -253,53 +252,10 @@ def test_a_folder_that_cannot_be_written_to_is_no_failure(
     load: Load, tmp_path: Path
 ) -> None:
     caller = load()
-    assert kept._folder() == tmp_path / "cache" / "ttus_opt"
+    assert cache_folder() == tmp_path / "cache" / "ttus_opt"
     (tmp_path / "cache" / "ttus_opt").rmdir()
     with pytest.warns(RuntimeWarning, match="compiled code is not kept"):
         assert caller.twice(0) == 2
-
-
-def test_only_a_private_folder_is_trusted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(numba.config, "CACHE_DIR", "")
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
-    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path / "tmp"))
-    chosen = kept._folder.__wrapped__
-    mine = chosen()
-    assert mine == tmp_path / "home" / "ttus_opt" / "compiled"
-    assert mine.stat().st_mode & 0o777 == 0o700
-    mine.chmod(0o777)  # another user may have put code here
-    other = chosen()
-    assert other is not None and other.parent == tmp_path / "tmp"
-    other.rmdir()
-    other.symlink_to(mine)
-    with pytest.warns(RuntimeWarning, match="set NUMBA_CACHE_DIR"):
-        assert chosen() is None
-
-
-def test_a_chosen_folder_that_others_may_write_to_is_not_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As NUMBA_CACHE_DIR=/tmp would be, where someone else was first."""
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "shared"))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
-    choose = kept._folder.__wrapped__
-    folder = choose()
-    assert folder == tmp_path / "shared" / "ttus_opt"
-    assert folder.stat().st_mode & 0o777 == 0o700
-    folder.chmod(0o770)
-    with pytest.warns(RuntimeWarning, match="others may write to it"):
-        assert choose() == tmp_path / "home" / "ttus_opt" / "compiled"
-    folder.chmod(0o755)
-    assert choose() == folder
-    owner = os.getuid()
-    monkeypatch.setattr(os, "getuid", lambda: owner + 1)  # now it is another's
-    if owner != 0:  # the administrator's is trusted
-        with pytest.warns(RuntimeWarning, match="others may write to it"):
-            choose()
-    else:
-        assert choose() == folder
 
 
 def test_an_inner_function_is_called_by_compiled_ones_only() -> None:
@@ -325,7 +281,7 @@ def test_arguments_that_lie_apart_let_a_loop_look_up_a_table(
         for i in range(out.size):
             out[i] = table[place[i]]
 
-    monkeypatch.setattr(kept, "_folder", lambda: None)  # kept code tells no more
+    monkeypatch.setattr(kept, "cache_folder", lambda: None)  # kept code tells no more
     arguments, said = (np.arange(5.0) ** 2, np.array([4, 0, 3, 1]), np.empty(4)), []
     pair = compiled(apart=True)(looked_up), compiled()(looked_up)
     for function in pair:
@@ -335,30 +291,6 @@ def test_arguments_that_lie_apart_let_a_loop_look_up_a_table(
         said.append(re.search(r"noalias[^,]*%arg\.out\.0", code) is not None)
     assert said == [True, False]
     assert content_stamp(pair[0]) != content_stamp(pair[1])
-
-
-def test_a_slice_is_told_by_its_ends() -> None:
-    """Python 3.14 keeps ``x[:3]`` as a constant of the function."""
-
-    def stamp(part: slice) -> str:
-        @compiled()
-        def function(x: Any) -> Any:
-            return x[part]
-
-        return content_stamp(function)
-
-    assert stamp(slice(None, 3)) == stamp(slice(None, 3)) != stamp(slice(None, 4))
-
-
-def test_a_global_that_cannot_be_told_is_refused() -> None:
-    reads = object()
-
-    @compiled()
-    def function() -> bool:
-        return reads is None
-
-    with pytest.raises(TypeError, match="whose content cannot be told"):
-        content_stamp(function)
 
 
 def test_without_compilation_the_function_itself_is_left(
@@ -371,37 +303,6 @@ def test_without_compilation_the_function_itself_is_left(
         return x * x
 
     assert type(square) is type(lambda: None)
-
-
-STAMPS = """
-import importlib, pathlib, numba, ttus_opt
-from ttus_opt.compiled import content_stamp
-root = pathlib.Path(ttus_opt.__file__).parent
-for path in sorted(root.rglob("*.py")):
-    if "import compiled\\n" not in path.read_text():
-        continue
-    parts = path.relative_to(root.parent).with_suffix("").parts
-    module = importlib.import_module(".".join(parts))
-    for name, value in vars(module).items():
-        if isinstance(value, numba.core.dispatcher.Dispatcher):
-            print(module.__name__, name, content_stamp(value))
-"""
-
-
-def test_every_compiled_function_has_one_stamp_in_all_processes() -> None:
-    """The order of a set, in which options are given, is another in each."""
-    other = subprocess.run(
-        [sys.executable, "-c", STAMPS],
-        capture_output=True,
-        text=True,
-        check=True,
-        env={**os.environ, "PYTHONHASHSEED": "1", "PYTHONPATH": str(Path.cwd())},
-    ).stdout.splitlines()
-    here = io.StringIO()
-    with contextlib.redirect_stdout(here):  # as a rule with a seed of its own
-        exec(STAMPS, {})
-    assert other == here.getvalue().splitlines()
-    assert len(other) > 100
 
 
 def test_garbage_is_left_alone_while_compiling_and_not_after() -> None:

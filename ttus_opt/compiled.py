@@ -10,21 +10,16 @@ else; checkouts and environments of the same versions share what they have in co
 
 from __future__ import annotations
 
-import dis
 import functools
 import gc
 import hashlib
 import os
 import pickle
 import platform
-import stat
 import sys
-import tempfile
 import time
-import types
 import uuid
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +29,9 @@ import numpy as np
 from numba.core import caching, compiler, event, sigutils
 from numba.core.serialize import dumps
 
+from ttus_opt.cache_folder import cache_folder
 from ttus_opt.claims import Claims
+from ttus_opt.content_stamp import content_stamp
 
 # Machine code that nobody has asked for during so long is removed.
 KEEP_SECONDS = 30 * 86400.0
@@ -82,6 +79,8 @@ class _Inner(numba.core.registry.CPUDispatcher):
 class _Apart(numba.core.dispatcher._FunctionCompiler):
     """Compiles for arguments that share no memory; numba does so for its own loops."""
 
+    apart = True  # told in the content stamp
+
     def _customize_flags(self, flags: Any) -> Any:
         flags.noalias = True
         return flags
@@ -94,16 +93,10 @@ def is_kept(dispatcher: Any) -> bool:
         dispatcher: The function; with NUMBA_DISABLE_JIT there is nothing to keep.
     """
     kept = getattr(dispatcher, "_cache", None)
-    folder = _folder()
+    folder = cache_folder()
     if not isinstance(kept, _Kept) or folder is None:
         return True
     return any(folder.glob(f"{kept.name}-*"))
-
-
-def cache_folder() -> str | None:
-    """Where machine code is kept; None where it is not."""
-    folder = _folder()
-    return None if folder is None else str(folder)
 
 
 @functools.cache  # once in a process
@@ -167,128 +160,6 @@ class Stopwatch:
         return time.perf_counter() - self._start - self.compile
 
 
-def content_stamp(dispatcher: Any) -> str:
-    """Checksum of what a compiled function is made of: its code and what it reads.
-
-    Args:
-        dispatcher: The compiled function.
-
-    Returns:
-        Hexadecimal digits, the same in every process and every checkout.
-
-    Raises:
-        TypeError: It reads a global whose content cannot be told.
-    """
-    seen: dict[int, int] = {}
-    return hashlib.sha256("\n".join(_content(dispatcher, seen)).encode()).hexdigest()
-
-
-def _content(value: Any, seen: dict[int, int]) -> Iterator[str]:
-    """Lines that tell a value apart from all others, whatever process it lives in."""
-    if isinstance(value, numba.core.dispatcher.Dispatcher | types.FunctionType):
-        yield from _function_content(value, seen)
-    elif isinstance(value, tuple | list):
-        yield f"{type(value).__name__} of {len(value)}"
-        for part in value:
-            yield from _content(part, seen)
-    elif isinstance(value, slice):  # a constant of functions since Python 3.14
-        yield "slice"
-        yield from _content((value.start, value.stop, value.step), seen)
-    elif isinstance(value, dict | set | frozenset):  # in an order of no process
-        yield f"{type(value).__name__} of {len(value)}"
-        parts = value.items() if isinstance(value, dict) else value
-        yield from sorted("\n".join(_content(part, seen)) for part in parts)
-    elif isinstance(value, type):
-        yield f"{value.__module__}.{value.__qualname__}"
-        yield from _content(getattr(value, "_fields", ()), seen)
-    else:
-        yield _leaf_content(value)
-
-
-def _function_content(value: Any, seen: dict[int, int]) -> Iterator[str]:
-    """Lines of a function, compiled or not: its code and what it reads."""
-    function = getattr(value, "py_func", value)
-    name = f"{function.__module__}.{function.__qualname__}"
-    if function is value and function.__module__.startswith("numba."):
-        yield name  # told by numba's version
-        return
-    if id(value) in seen:
-        yield f"function {seen[id(value)]}"
-        return
-    seen[id(value)] = len(seen)
-    yield name
-    yield from _content(getattr(value, "targetoptions", None), seen)
-    if isinstance(getattr(value, "_compiler", None), _Apart):
-        yield "apart"
-    yield from _content((function.__defaults__, function.__kwdefaults__), seen)
-    for cell in function.__closure__ or ():
-        yield from _content(cell.cell_contents, seen)
-    code = function.__code__
-    told = code.co_consts[:1] == (function.__doc__,)  # what says it, not what does
-    code = code.replace(co_consts=(None, *code.co_consts[1:])) if told else code
-    yield from _code_content(code, function.__globals__, seen)
-
-
-def _leaf_content(value: Any) -> str:
-    """One line for a value that holds no others.
-
-    Raises:
-        TypeError: Its content cannot be told.
-    """
-    if isinstance(value, np.ndarray):
-        content = hashlib.sha256(value.tobytes()).hexdigest()
-        return f"{value.dtype} {value.shape} {content}"
-    if isinstance(value, int | float | complex | str | bytes | None | np.generic):
-        return f"{type(value).__name__} {value!r}"
-    if isinstance(value, types.ModuleType):
-        return f"module {value.__name__}"
-    if isinstance(value, np.dtype | numba.types.Type | np.ufunc | types.EllipsisType):
-        return f"{type(value).__name__} {value}"
-    if callable(value) and hasattr(value, "__name__"):  # of numpy or Python itself
-        return f"{getattr(value, '__module__', None)}.{value.__name__}"
-    raise TypeError(
-        f"a compiled function reads a {type(value).__name__}, whose content cannot "
-        "be told: make it a number, a tuple or an array"
-    )
-
-
-def _code_content(
-    code: types.CodeType, names: dict[str, Any], seen: dict[int, int]
-) -> Iterator[str]:
-    """Lines that tell what a piece of code does, without where it stands."""
-    yield hashlib.sha256(code.co_code).hexdigest()
-    yield repr((code.co_varnames, code.co_names, code.co_freevars, code.co_cellvars))
-    for constant in code.co_consts:
-        if isinstance(constant, types.CodeType):
-            yield from _code_content(constant, names, seen)
-        else:
-            yield from _content(constant, seen)
-    for name, *attributes in _globals_read(code):
-        value = names.get(name)  # else a built-in, told by its name above
-        yield from _content(value, seen)
-        for attribute in attributes:
-            if not isinstance(value, types.ModuleType):
-                break
-            value = getattr(value, attribute)
-            yield from _content(value, seen)
-
-
-@functools.cache
-def _globals_read(code: types.CodeType) -> tuple[tuple[str, ...], ...]:
-    """Globals that a piece of code reads, each with the attributes it reads of it."""
-    reads: list[list[str]] = []
-    follows = False
-    for step in dis.get_instructions(code):
-        if step.opname == "LOAD_GLOBAL":
-            reads.append([step.argval])
-            follows = True
-        elif follows and step.opname in ("LOAD_ATTR", "LOAD_METHOD"):
-            reads[-1].append(step.argval)
-        else:
-            follows = False
-    return tuple(dict.fromkeys(tuple(read) for read in reads))
-
-
 def _type_content(kind: Any) -> str:
     """A type of numba's, with the names of a named tuple's fields."""
     parts = getattr(kind, "types", None) or getattr(kind, "type", None) or ()
@@ -331,7 +202,7 @@ class _Kept(caching._Cache):
 
     @property
     def cache_path(self) -> str | None:
-        folder = _folder()
+        folder = cache_folder()
         return None if folder is None else str(folder)
 
     def enable(self) -> None:
@@ -355,7 +226,7 @@ class _Kept(caching._Cache):
         return f"{name}-{self._stamp[:32]}"
 
     def _path(self, signature: Any, codegen: Any) -> Path | None:
-        folder = _folder() if self._enabled else None
+        folder = cache_folder() if self._enabled else None
         if folder is None:
             return None
         arguments, _ = sigutils.normalize_signature(signature)
@@ -414,67 +285,6 @@ def _content_of(path: Path) -> bytes | None:
     except OSError:
         return None
     return content
-
-
-@functools.cache
-def _folder() -> Path | None:
-    """Where machine code is kept: the user's cache, else a private temporary folder.
-
-    What lies there is run, so it must belong to the user and be writable to no one
-    else. A folder that the user has set (``NUMBA_CACHE_DIR``) may also be the
-    administrator's, who compiled ahead for all.
-    """
-    chosen = numba.config.CACHE_DIR
-    if chosen:
-        folder = Path(chosen) / "ttus_opt"
-        if _made(folder) and _trusted(folder, owners=(0,)):
-            return folder
-        warnings.warn(
-            f"{folder} is not used for compiled code: it cannot be made, or others may "
-            "write to it: change its owner and mode, or NUMBA_CACHE_DIR",
-            RuntimeWarning,
-            stacklevel=2,
-        )
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    user = os.getuid() if hasattr(os, "getuid") else os.environ.get("USERNAME", "user")
-    for folder in (
-        home / "ttus_opt" / "compiled",
-        Path(tempfile.gettempdir()) / f"ttus_opt-{user}",
-    ):
-        if _private(folder):
-            return folder
-    warnings.warn(
-        f"compiled code is not kept: {home} cannot be written to; set NUMBA_CACHE_DIR "
-        "to a folder that can",
-        RuntimeWarning,
-        stacklevel=2,
-    )
-    return None
-
-
-def _private(folder: Path) -> bool:
-    """Make a folder, and say whether this user and no other may write to it."""
-    return _made(folder) and _trusted(folder) and os.access(folder, os.W_OK)
-
-
-def _made(folder: Path) -> bool:
-    """Make a folder for this user alone, where it is not there yet."""
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        folder.mkdir(mode=0o700, exist_ok=True)
-    except OSError:
-        return False
-    return True
-
-
-def _trusted(folder: Path, owners: tuple[int, ...] = ()) -> bool:
-    """Whether nobody but this user, or these, can have put anything there."""
-    status = folder.lstat()
-    if not stat.S_ISDIR(status.st_mode):  # a link goes where others want it to
-        return False
-    if not hasattr(os, "getuid"):
-        return True
-    return status.st_uid in (os.getuid(), *owners) and not status.st_mode & 0o022
 
 
 @functools.cache  # once in a process, and only in one that compiles

@@ -11,11 +11,12 @@ def warm_up(json: bool = False) -> None:
     Example:
         ttus-opt warm-up
     """
-    from ttus_opt import compiled
     from ttus_opt import warm_up as ahead
+    from ttus_opt.cache_folder import cache_folder
 
     with Stages(ahead.N_STAGES) as begin:
         seconds = ahead.warm_up(begin)
-    told = {"seconds": seconds, "folder": compiled.cache_folder()}
-    kept = f"kept in {told['folder']}" if told["folder"] else "not kept"
+    folder = cache_folder()
+    told = {"seconds": seconds, "folder": None if folder is None else str(folder)}
+    kept = "not kept" if folder is None else f"kept in {folder}"
     tell(told, f"compiled in {seconds:.0f} s, {kept}", json=json)
