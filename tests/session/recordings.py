@@ -56,12 +56,6 @@ def changed(recording: Path, key: str, value: Any) -> None:
     rewrite(recording, content)
 
 
-def perfect(seconds: float = 20.0) -> dict[str, Trajectory]:
-    """The recordings as perfect devices have them, frame of the example's surface."""
-    names = synthetic.RECORDINGS
-    return {name: synthetic.recording(name, seconds) for name in names}
-
-
 def calibrated(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
     """The recordings as perfect calibration has them, with the tracker's noise.
 

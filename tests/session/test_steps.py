@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.session.recordings import changed, copied, perfect
+from tests.session.recordings import changed, copied
 from ttus_opt.errors import InputError
 from ttus_opt.phantom.example_data import frame, true_surface
 from ttus_opt.probe.point_shell import PointShell
@@ -26,7 +26,7 @@ from ttus_opt.session.readings import (
 from ttus_opt.session.recordings import cut
 from ttus_opt.session.registration import Registration, probe_poses, register
 from ttus_opt.session.skin import find_skin
-from ttus_opt.session.synthetic import Truth
+from ttus_opt.session.synthetic import Truth, perfect
 
 SURFACE = true_surface()
 

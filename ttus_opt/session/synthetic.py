@@ -168,6 +168,15 @@ def write_recording(
     return truth
 
 
+def perfect(seconds: float = 20.0) -> dict[str, Trajectory]:
+    """The recordings as perfect devices have them, frame of the example's surface.
+
+    Args:
+        seconds: As of `write_recording`.
+    """
+    return {name: recording(name, seconds) for name in RECORDINGS}
+
+
 def recording(name: str, seconds: float) -> Trajectory:
     """One of `RECORDINGS` as perfect devices have it, frame of the example's surface.
 
