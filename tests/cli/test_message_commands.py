@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.cli.conftest import Run, empty, refused
+from ttus_opt.message.field_message import sampled
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 
@@ -40,7 +41,8 @@ def test_a_surface_and_its_field(
     answer = run(f"decode {output / 'f.msg'} --base {message} -o {output / 'f.nc'}")
     assert "field from" in answer.out
     before, after = PotentialField.load(field), PotentialField.load(output / "f.nc")
-    assert np.abs(before.values - after.values).max() <= 0.01 * (1 + 1e-6)
+    read = sampled(after.voxmap)  # the surface was rounded after the fit
+    assert np.abs(before.values - after.values)[read].max() <= 0.01 * (1 + 1e-6)
 
 
 def test_what_changed(run: Run, files: Path, output: Path, message: Path) -> None:
