@@ -87,6 +87,10 @@ def test_a_folder_is_read_once_and_markers_are_filled(tmp_path: Path) -> None:
     assert sorted(each["key"] for each in TABLES.read([tmp_path, tmp_path])) == sorted(
         keys
     )
+    by_clock = TABLES.read([tmp_path], wall=True)
+    assert {each["cpu_first"] for each in by_clock if each["status"] == "solved"} == {
+        99.0
+    }
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- a: begin -->\nold\n<!-- a: end -->\nafter\n")
     for _ in range(2):  # filling in again changes nothing
