@@ -53,6 +53,7 @@ def test_spokes_lie_in_the_middle_of_equal_parts_and_the_wall_beyond() -> None:
         ((0.0, 7.0), "less than a full turn"),
         ((0.0, float("nan")), "two angles"),
         ((0.0, float("inf")), "two angles"),
+        ((0.0, 1e308), "two angles"),  # in degrees it is infinite
         ((0.0, 90.0), "two angles"),
         ((0.0, 1.0, 2.0), "two angles"),
     ],

@@ -29,9 +29,10 @@ def checked_sector(sector: Sector | None) -> Sector | None:
     if sector is None:
         return None
     if len(sector) != 2 or not all(abs(v) <= 2.0 * TURN for v in sector):
+        with np.errstate(over="ignore"):  # infinity says it as well
+            got = [float(v) for v in np.degrees(sector)]
         raise InputError(
-            "a sector is two angles between -720° and 720°, got "
-            f"{io.shortened([float(v) for v in np.degrees(sector)])}"
+            f"a sector is two angles between -720° and 720°, got {io.shortened(got)}"
         )
     low, high = float(sector[0]), float(sector[1])
     if not 0.0 < high - low < TURN:
