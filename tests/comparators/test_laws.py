@@ -188,6 +188,12 @@ def test_unknown_names_and_options_are_told() -> None:
         create("proxy_cloud", surface=torso(), shell=ellipsoid(), cloud=np.zeros(3))
 
 
+@pytest.mark.parametrize("name", available())
+def test_a_comparator_made_by_its_class_takes_no_unknown_keyword(name: str) -> None:
+    with pytest.raises(TypeError, match="unexpected keyword argument 'edges'"):
+        kind(name)(surface=torso(), shell=ellipsoid(), edges=0.1)  # type: ignore[call-arg]
+
+
 def test_each_says_in_one_line_what_it_is() -> None:
     for name, summary in available().items():
         assert summary, name

@@ -10,7 +10,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from functools import cached_property
-from typing import ClassVar, NotRequired, Protocol, Self, TypedDict, Unpack
+from typing import ClassVar, NotRequired, Protocol, Self, TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -53,7 +53,7 @@ class RendersWrenches(WrenchSource, Protocol):
 
 
 class Given(TypedDict):
-    """What every comparator is made from; `Comparator` says what each is."""
+    """What every comparator is made from, as its subclasses hand it on."""
 
     surface: Surface
     shell: PointShell
@@ -82,9 +82,11 @@ class Comparator(ABC):
     turns: ClassVar[bool] = True
     on_surface: ClassVar[bool] = True
 
-    def __init__(self, **given: Unpack[Given]) -> None:
-        self.surface, self.shell = given["surface"], given["shell"]
-        self.cloud = _checked_cloud(self.surface, given.get("cloud"))
+    def __init__(
+        self, *, surface: Surface, shell: PointShell, cloud: Array | None = None
+    ) -> None:
+        self.surface, self.shell = surface, shell
+        self.cloud = _checked_cloud(surface, cloud)
         self.fitted = False
 
     def __repr__(self) -> str:

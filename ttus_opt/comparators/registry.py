@@ -65,7 +65,8 @@ def create(
         InputError: Unknown name or option, or a cloud that cannot be used.
     """
     made = kind(name)
-    own = set(inspect.signature(made.__init__).parameters) - {"self", "given"}
+    common = {"self", "given", "surface", "shell", "cloud"}
+    own = set(inspect.signature(made.__init__).parameters) - common
     unknown = sorted(options.keys() - own)
     if unknown:
         raise InputError(
