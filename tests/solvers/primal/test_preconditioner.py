@@ -40,8 +40,9 @@ def test_fields_kept_of_directions_stand_for_solves(
 
     monkeypatch.setattr(type(system), "response", counted)
     first = kept.apply(rest)
-    known = len(kept._fields)
+    known = len(kept._responses.kept)
     assert known == len(kept._subspace) > 0
+    assert len(spent) == known  # those of the products, and none for the step
     spent.clear()
     again = kept.apply(rest)
     assert not spent
@@ -57,4 +58,4 @@ def test_of_many_directions_no_fields_are_kept(
     monkeypatch.setattr(module, "MOST_FIELDS", 0)
     built, rest = fresh()
     built.apply(rest)
-    assert len(built._subspace) > 0 and not built._fields
+    assert len(built._subspace) > 0 and not built._responses.kept

@@ -2,8 +2,8 @@
 
 At fixed voxels whose values are soft Ω is not diagonal where wide terms have rows
 there. Of these rows, over fixed voxels and the free ones beside them, the free ones are
-eliminated, and what is left is added to Ω⁻¹. Fixed voxels lie on the rim and on the
-surface, in layers: that is factorised.
+eliminated once and for all, and what is left is added to Ω⁻¹. Fixed voxels lie on the
+rim and on the surface, in layers: that is factorised.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.square_system import RTOL, BlockSolves, SquareSystem
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.solvers.dual.system import DualSystem
+from ttus_opt.solvers.primal.elimination import eliminated, factor
 from ttus_opt.solvers.primal.unseen_fields import UnseenFields, joined
 from ttus_opt.solvers.primal.wide_term import WideTerm
 
@@ -63,20 +63,11 @@ class FixedBlock:
 
     Attributes:
         at: The voxels, shape (k,).
-        solve: A vector of theirs with as many zeros as there are free voxels beside
-            them, times the inverse of the block.
-        size: Voxels of the block.
+        solve: Ω times a vector of theirs, shape (k,).
     """
 
     at: IntArray = field(repr=False)
-    inverse: Callable[[Array], Array] = field(repr=False)
-    size: int
-
-    def solve(self, r: Array) -> Array:
-        """Ω times a vector of the fixed voxels, shape (k,)."""
-        load = np.zeros(self.size)
-        load[: len(r)] = r
-        return self.inverse(load)[: len(r)]
+    solve: Callable[[Array], Array] = field(repr=False)
 
     @classmethod
     def of(
@@ -99,19 +90,13 @@ class FixedBlock:
         heavy = np.bincount(own.indices, own.data**2, len(free)) * compliance
         if not heavy[at].max(initial=0.0) > LIGHT:
             return None
-        beside = np.setdiff1d(own.indices, at)
-        both = np.concatenate([at, beside])
+        reached = soft.copy()
+        reached[own.indices] = True
+        both = np.flatnonzero(reached)
         own = sp.csr_array(own[:, both])
-        stiffness = np.ones(len(both))
-        stiffness[: len(at)] = 1.0 / compliance[at]
-        block = sp.csc_array(own.T @ own + sp.diags_array(stiffness))
-        factor = splu(
-            block,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        return cls(at, factor.solve, len(both))
+        stiffness = np.where(soft, 1.0 / np.where(soft, compliance, 1.0), 1.0)[both]
+        whole = sp.csr_array(own.T @ own + sp.diags_array(stiffness))
+        return cls(at, factor(eliminated(whole, soft[both])).solve)
 
 
 def _beside(M: sp.csr_array, soft: Mask) -> IntArray:

@@ -58,9 +58,8 @@ class ConstraintPreconditioner:
             options: Of the dual.
         """
         self._system, self._inner, self._options = system, inner, options
-        self._subspace = RecycledSubspace(system)
-        #: P⁻¹Dᵀd of the first directions d, shape (V,) each
-        self._fields: list[Array] = []
+        self._responses = _Responses(system)
+        self._subspace = RecycledSubspace(self._responses)
         schur = schur_preconditioner(system, options) if system.adjoint.nnz else np.copy
         self.complement = Complement(columns, schur)
 
@@ -81,18 +80,18 @@ class ConstraintPreconditioner:
 
     def _response(self, y: Array) -> Array:
         """P⁻¹Dᵀy, shape (V,): where directions are few, by the fields kept of them."""
-        subspace = self._subspace
-        if len(subspace) > MOST_FIELDS:
-            self._fields = []
+        subspace, kept = self._subspace, self._responses.kept
+        if len(kept) != len(subspace):
             return self._system.response(y)
-        parts, beside = subspace.parts(y)
-        if np.linalg.norm(beside) > BESIDE * np.linalg.norm(y):
+        rest, out = y.copy(), np.zeros(self._system.adjoint.shape[0])
+        parts, _ = subspace.parts(y)
+        # a direction is what S was applied to, normalised
+        for part, d, (of, own) in zip(parts, subspace.directions, kept, strict=True):
+            share = part * float(d @ of) / float(of @ of)
+            rest -= share * of
+            out += share * own
+        if np.linalg.norm(rest) > BESIDE * np.linalg.norm(y):
             return self._system.response(y)
-        for direction in subspace.directions[len(self._fields) :]:
-            self._fields.append(self._system.response(direction))
-        out = np.zeros(self._system.adjoint.shape[0])
-        for part, own in zip(parts, self._fields, strict=True):
-            out += part * own
         return out
 
     def _multipliers(self, side: Array, of_prior: float, of_rows: float) -> Array:
@@ -113,3 +112,27 @@ class ConstraintPreconditioner:
             y, _ = conjugate_gradients(*args, Accuracy(0.0), self._options)
             rest = self._subspace.project(side)[1]
         return self.complement.part(y)
+
+
+class _Responses:
+    """S, whose products keep their fields as long as they are few.
+
+    Attributes:
+        root_weights: As of `DualSystem`, shape (m,) [–].
+        kept: What S was applied to, (m,), and its field P⁻¹Dᵀ of it, (V,).
+    """
+
+    def __init__(self, system: ApproximateSystem) -> None:
+        self._system, self.root_weights = system, system.root_weights
+        self.kept: list[tuple[Array, Array]] = []
+        self._many = False
+
+    def apply(self, y: Array, rtol: float) -> Array:
+        """S y, shape (m,)."""
+        own = self._system.response(y)
+        self._many = self._many or len(self.kept) == MOST_FIELDS
+        if self._many:
+            self.kept.clear()
+        else:
+            self.kept.append((y, own))
+        return np.asarray(y + self._system.measure(own))

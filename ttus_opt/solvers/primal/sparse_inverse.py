@@ -15,11 +15,11 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import reverse_cuthill_mckee
-from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import MissingPackageError
 from ttus_opt.optional import load
+from ttus_opt.solvers.primal.elimination import factor
 
 #: Most bytes of a factor, and bytes of one of its numbers with its index
 MOST_BYTES, BYTES = 1 << 30, 12
@@ -91,13 +91,7 @@ class SparseInverse:
         """
         shifted = sp.csr_array(Q + sp.diags_array(SHIFT * Q.diagonal()))
         if Estimate.of(Q).by_factor:
-            factor = splu(
-                sp.csc_array(shifted),
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-            return cls(factor.solve, "a factor")
+            return cls(factor(sp.csc_array(shifted)).solve, "a factor")
         return cls(_cycle(shifted), "algebraic multigrid")
 
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.solvers.primal.elimination import factor
 from ttus_opt.solvers.primal.wide_term import WideTerm
 
 #: Weight of a term over the prior's from which on it is heavy [–]
@@ -79,14 +79,8 @@ class UnseenFields:
             images = images + t.weight * (t.matrix.T @ (t.matrix @ sets))
         images = sp.csr_array(sp.diags_array(moving.astype(float)) @ images)
         images.eliminate_zeros()
-        small = sp.csc_array(sets.T @ images)
-        factor = splu(
-            small,
-            permc_spec="MMD_AT_PLUS_A",
-            diag_pivot_thresh=0.0,
-            options={"SymmetricMode": True},
-        )
-        return cls(sets, images, factor.solve)
+        small = factor(sp.csc_array(sets.T @ images))
+        return cls(sets, images, small.solve)
 
     def beside(self, prior: _Map, r: Array) -> Array:
         """P⁻¹r of both, from B.

@@ -1,0 +1,41 @@
+"""Schur complements: chains walked by hand, and what is no chain, beside algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from ttus_opt.solvers.primal.elimination import eliminated
+
+
+def _differences(n: int, edges: list[tuple[int, int]]) -> np.ndarray:
+    """A graph's Laplacian of uneven weights, and a diagonal."""
+    rows = np.zeros((len(edges), n))
+    for row, (a, b) in zip(rows, edges, strict=True):
+        row[a], row[b] = -1.0, 1.0
+    weights = np.linspace(0.5, 2.0, len(edges))
+    return np.asarray(rows.T @ np.diag(weights) @ rows + np.diag(np.arange(1.0, n + 1)))
+
+
+@pytest.mark.parametrize(
+    ("edges", "kept"),
+    [
+        ([(0, 1), (1, 2), (2, 3), (3, 4)], [0, 4]),  # a chain
+        ([(0, 1), (1, 2), (2, 3), (3, 4)], [2]),  # two that end nowhere
+        ([(0, 1), (1, 2), (2, 3), (3, 0), (4, 5)], [0]),  # from a voxel to itself
+        ([(0, 1), (1, 2), (0, 3), (3, 2)], [0, 2]),  # two side by side
+        ([(0, 2), (1, 2), (2, 3), (3, 4)], [0, 1, 4]),  # joined where none is kept
+        ([(0, 1), (1, 2), (2, 0), (2, 3), (3, 4)], [4]),
+        ([(0, 1)], [0, 1]),  # nothing to eliminate
+    ],
+)
+def test_it_is_the_schur_complement(
+    edges: list[tuple[int, int]], kept: list[int]
+) -> None:
+    whole = _differences(6, edges)
+    at = np.isin(np.arange(6), kept)
+    A, B, C = whole[at][:, at], whole[at][:, ~at], whole[~at][:, ~at]
+    expected = A - B @ np.linalg.solve(C, B.T)
+    found = eliminated(sp.csr_array(whole), at).toarray()
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
