@@ -107,11 +107,16 @@ def _is_of_differences(term: WideTerm) -> bool:
 
 def joined(matrices: Sequence[sp.csr_array]) -> IntArray:
     """Number of the set that rows join every column's voxel to, shape (V,)."""
-    pattern = sp.csr_array(sp.vstack([abs(M) for M in matrices]))
-    m = pattern.shape[0]
-    graph = sp.block_array([[None, pattern], [pattern.T, None]], format="csr")
-    _, label = connected_components(graph.astype(float), directed=False)
-    return np.asarray(label[m:], dtype=np.int64)
+    V, here, there = matrices[0].shape[1], [], []
+    for M in matrices:
+        row = np.repeat(np.arange(M.shape[0]), np.diff(M.indptr))
+        next_to = row[1:] == row[:-1]
+        here.append(M.indices[:-1][next_to])
+        there.append(M.indices[1:][next_to])
+    places = np.concatenate(here), np.concatenate(there)
+    graph = sp.coo_array((np.ones(len(places[0])), places), shape=(V, V))
+    _, label = connected_components(sp.csr_array(graph), directed=False)
+    return np.asarray(label, dtype=np.int64)
 
 
 def _indicators(label: IntArray, moving: Mask) -> sp.csr_array | None:
