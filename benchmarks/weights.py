@@ -1,6 +1,7 @@
 """Tuned weights beside an exhaustive grid, as docs/how-to/choosing-weights.md has it.
 
     python benchmarks/weights.py ../shared/data
+    python benchmarks/weights.py ../shared/data --cases M
 
 The grid has every pair of weights of force and torque and is judged by the errors on
 recordings that were not fitted, which is more than anyone has who wants to fit. Cases S
@@ -9,6 +10,7 @@ and M are the bundled example; the others an independent phantom, with drag and 
 
 from __future__ import annotations
 
+import argparse
 import sys
 import warnings
 from dataclasses import dataclass
@@ -77,16 +79,32 @@ class Case:
 
 KINDS = ("press", "sweep")
 
+#: What `--cases` takes, in the order of the table
+CASES = ("S", "no-drag", "drag", "M")
 
-def main(shared: Path) -> None:
+
+def main() -> None:
     """Print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", type=Path, help="folder with both phantoms")
+    parser.add_argument(
+        "--cases",
+        nargs="+",
+        choices=CASES,
+        default=CASES,
+        help="rows of the table; by default all",
+    )
+    asked = parser.parse_args()
     bundled = Path(example.path("surface.nc")).parent
-    cases = (
+    rows = (
         Case("S", bundled, S, "eq10"),
-        Case("phantom without drag", shared / "phantom_frictionless", S, "eq10"),
-        Case("phantom with drag", shared / "phantom", S, "coulomb_global"),
+        Case("phantom without drag", asked.data / "phantom_frictionless", S, "eq10"),
+        Case("phantom with drag", asked.data / "phantom", S, "coulomb_global"),
         Case("M", bundled, M, "eq10"),
     )
+    cases = [row for row, name in zip(rows, CASES, strict=True) if name in asked.cases]
     print("| case | formulation | weights 1e-2 | best of the grid | tuned | over it |")
     print("|---|---|---|---|---|---|")
     for case in cases:
@@ -96,4 +114,4 @@ def main(shared: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

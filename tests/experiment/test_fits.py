@@ -3,19 +3,38 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
-from ttus_opt.experiment.fits import read_kept, write_kept
+from ttus_opt.experiment import recordings, rivals
+from ttus_opt.experiment.boundary import boundary_errors
+from ttus_opt.experiment.fits import PatientFits, read_kept, write_kept
+from ttus_opt.experiment.patients import patients
+from ttus_opt.experiment.scores import Row, Score
+from ttus_opt.experiment.settings import LAPLACE, Setting
+
+
+def whole(told: dict[str, Any]) -> dict[str, Any]:
+    return told
+
+
+class BegunError(Exception):
+    """The work is done again."""
+
+
+def begin(*_: object, **__: object) -> None:
+    raise BegunError
 
 
 def test_a_result_of_the_same_making_is_taken(tmp_path: Path) -> None:
     file = tmp_path / "eq10.json"
-    assert read_kept(file, {}) is None
+    assert read_kept(file, {}, whole) is None
     write_kept(file, {"weight": 1.0, "shape": (8, 16, 8), "error": float("nan")})
-    found = read_kept(file, {"weight": 1.0, "shape": (8, 16, 8)})
+    found = read_kept(file, {"weight": 1.0, "shape": (8, 16, 8)}, whole)
     assert found == {"weight": 1.0, "shape": [8, 16, 8], "error": None}
-    assert read_kept(file, {"weight": 2.0}) is None
+    assert read_kept(file, {"weight": 2.0}, whole) is None
 
 
 @pytest.mark.parametrize(
@@ -24,4 +43,84 @@ def test_a_result_of_the_same_making_is_taken(tmp_path: Path) -> None:
 def test_a_damaged_result_is_made_anew(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "eq10.json"
     file.write_bytes(content)
-    assert read_kept(file, {}) is None
+    assert read_kept(file, {"weight": 1.0}, whole) is None
+
+
+@pytest.fixture
+def judge(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> PatientFits:
+    """Knows what it was given, and cannot fit."""
+    monkeypatch.setattr(PatientFits, "scene", begin)
+    no_shell = SimpleNamespace(from_spec=lambda spec: None)
+    monkeypatch.setattr("ttus_opt.experiment.fits.PointShell", no_shell)
+    examination: Any = SimpleNamespace(patient=patients()[0])
+    return PatientFits(examination, tmp_path, (8, 16, 8), "digest")
+
+
+SCORE = Score(*11 * [1.0], frames_in_contact=9)
+ROW = Row("lean", "press_test", False, LAPLACE.name, "true", SCORE).as_dict()
+
+
+@pytest.mark.parametrize("rows", [[ROW], [{}], [1], {}, None, "rows"])
+def test_a_result_of_another_shape_or_without_its_field_is_made_anew(
+    tmp_path: Path, judge: PatientFits, rows: object
+) -> None:
+    told = {"digest": "digest", "shape": [8, 16, 8], "setting": LAPLACE.as_dict()}
+    kept = {**told, "facts": {}, "rows": rows}
+    write_kept(tmp_path / "laplace_scaled.json", kept)
+    if rows == {}:  # a fit that failed has no rows, and is not tried again
+        assert judge.fitted(LAPLACE).field is None
+        return
+    with pytest.raises(BegunError):
+        judge.fitted(LAPLACE)
+
+
+def test_boundary_values_and_comparators_of_another_shape_are_made_anew(
+    tmp_path: Path, judge: PatientFits, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    factors = [10.0**k for k in (-0.5, -0.25, 0.0, 0.25, 0.5)]
+    told = {"digest": "digest", "weight": 1.0, "factors": factors}
+    file = tmp_path / "boundary.json"
+    write_kept(file, {**told, "rows": [{"patient": "lean"}]})
+    with pytest.raises(BegunError):
+        boundary_errors(judge, 1.0, file, "digest")
+    kept = {"digest": "digest", "rival": "kelvin_voigt", "rows": [{}], "facts": {}}
+    write_kept(tmp_path / "rival-kelvin_voigt.json", kept)
+    monkeypatch.setattr(rivals, "_judged", begin)
+    with pytest.raises(BegunError):
+        rivals.rival(judge, "kelvin_voigt", tmp_path, "digest")
+
+
+def test_an_edited_file_of_ones_own_is_fitted_again(
+    tmp_path: Path, judge: PatientFits
+) -> None:
+    own = tmp_path / "mine.py"
+    own.write_text("one = 1\n")
+    setting = Setting("mine", str(own))
+    told = {"digest": "digest", "shape": [8, 16, 8], "setting": setting.as_dict()}
+    kept = {**told, **setting.source, "facts": {}, "rows": []}
+    write_kept(tmp_path / "mine.json", kept)
+    assert judge.fitted(setting).rows == ()
+    own.write_text("one = 2\n")
+    with pytest.raises(BegunError):
+        judge.fitted(setting)
+    assert LAPLACE.source == {}
+
+
+def test_recordings_of_two_makings_are_never_mixed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    patient: Any = SimpleNamespace(name="lean", digest=str)
+    patient.surface = lambda: SimpleNamespace(save=lambda file: None)
+    stamp = tmp_path / "digest.txt"
+    stamp.write_text(patient.digest(3.0))
+    for name in recordings.FILES:
+        (tmp_path / name).touch()
+    monkeypatch.setattr(recordings, "_skin", lambda *_: None)
+    monkeypatch.setattr(recordings, "_record", begin)
+    with pytest.raises(BegunError):  # interrupted while the first is written
+        recordings.examine(patient, tmp_path, 2.0)
+    assert not stamp.exists()
+    stamp.write_text(patient.digest(3.0))
+    (tmp_path / "sweep_test_true.csv").unlink()
+    with pytest.raises(BegunError):
+        recordings.examine(patient, tmp_path, 3.0)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from ttus_opt import experiment
-from ttus_opt.errors import InputError, MissingPackageError
+from ttus_opt.errors import FileError, InputError, MissingPackageError
 from ttus_opt.experiment import recordings
 from ttus_opt.experiment.boundary import FACTORS
 from ttus_opt.experiment.patients import patients
-from ttus_opt.experiment.pipeline import ITSELF
+from ttus_opt.experiment.pipeline import ITSELF, _wanted
 from ttus_opt.experiment.settings import compared
 from ttus_opt.experiment.tables import title
 
@@ -130,7 +130,7 @@ def test_weights_from_the_recordings_stand_beside_the_given_ones():
     assert "chooses" not in given.settings[0].as_dict()
     assert more[0].as_dict()["chooses"] and not more[0].options
     assert title("eq10_auto") == "eq. 10, weights by evidence"
-    with pytest.raises(InputError, match="takes given, auto or recipe, got 'ev"):
+    with pytest.raises(InputError, match=r"evidence.*: take given, auto or recipe"):
         experiment.Plan(weights="evidence")
     recipe = experiment.Plan(formulations=("eq10", "depth_map"), weights="recipe")
     *same, last = recipe.settings
@@ -145,3 +145,55 @@ def test_refuses_plans_that_cannot_be_done(tmp_path):
     with pytest.raises(InputError, match="choose from lean, stout, average"):
         experiment.run(tmp_path, experiment.Plan(patients=("fat",)))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_file_named_like_something_else_that_is_kept_is_refused(tmp_path):
+    words = "def build(scene, force_weight=1.0):\n    pass\n"
+    for name in ("eq10", "laplace_scaled", "surface", "boundary", "depth_map_auto"):
+        (tmp_path / f"{name}.py").write_text(words)
+    for name in ("eq10", "laplace_scaled", "surface", "boundary"):
+        plan = experiment.Plan(formulations=(str(tmp_path / f"{name}.py"),))
+        with pytest.raises(InputError, match=f"keeps, {name}: rename the file"):
+            plan.settings  # noqa: B018
+    (tmp_path / "mine.py").write_text(words)
+    (tmp_path / "mine_auto.py").write_text(words)
+    both = (str(tmp_path / "mine.py"), str(tmp_path / "mine_auto.py"))
+    assert len(experiment.Plan(formulations=both).settings) == 7
+    with pytest.raises(InputError, match="mine_auto"):
+        experiment.Plan(formulations=both, weights="auto").settings  # noqa: B018
+
+
+def test_what_stands_in_the_way_is_told_before_the_work(tmp_path, monkeypatch):
+    begun = []
+
+    def work(patient, *_):
+        begun.append(patient.name)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ttus_opt.experiment.pipeline._on_patient", work)
+    for name in ("lean", "figures"):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / name).touch()
+        with pytest.raises(FileError, match=f"{name} is no folder"):
+            experiment.run(folder)
+    folder = tmp_path / "report"
+    (folder / "report.html").mkdir(parents=True)
+    with pytest.raises(FileError, match=r"report\.html: it is a folder"):
+        experiment.run(folder)
+    torso = tmp_path / "torso.ply"
+    torso.touch()
+    for patient in ("nobody", "average"):
+        plan = experiment.Plan(patients=(patient,), torso=torso)
+        with pytest.raises(InputError, match="choose from lean, stout, scanned"):
+            experiment.run(tmp_path / "new", plan)
+    assert not begun and not (tmp_path / "new").exists()
+    with pytest.raises(KeyboardInterrupt):
+        experiment.run(tmp_path / "new", experiment.Plan(patients=("stout",)))
+    assert begun == ["stout"]
+
+
+def test_a_patient_named_twice_is_examined_once_and_the_order_is_kept():
+    plan = experiment.Plan(patients=("stout", "lean", "stout"))
+    assert _wanted(plan) == ("stout", "lean")
+    assert _wanted(experiment.Plan()) == ("lean", "stout", "average")

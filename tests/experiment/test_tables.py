@@ -1,5 +1,6 @@
 """Tables of hand-made rows."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -84,6 +85,42 @@ def test_aims_met_are_counted_recording_by_recording():
     table = tables.comparison_table(result(rows), "true")
     assert table.rows[0][-2:] == ["1, 1, 0, 0", "0/2"]
     assert float(table.rows[0][1]) == pytest.approx(1.65)
+
+
+def test_missed_aims_are_named_recording_by_recording():
+    rows = [
+        row("lean", "press_test", "eq10", 0.3),
+        row("lean", "sweep_test", "eq10", 3.0),
+        row("lean", "sweep_test", "paper_with", 0.1),
+    ]
+    table = tables.aims_table(result(rows))
+    assert table.header == ["", "lean, press", "lean, sweep"]
+    assert table.rows[0] == ["eq. 10", "torque, torque angle", "all"]
+    assert table.rows[1][1:] == ["–", "torque, torque angle"]
+    good = replace(rows[0], score=replace(rows[0].score, torque_share=0.1))
+    good = replace(good, score=replace(good.score, torque_angle_error_deg=10.0))
+    assert tables.aims_table(result([good])).rows[0][1] == "✓"
+
+
+def test_chosen_weights_are_told_with_the_reason_where_there_are_none():
+    weights = {"force": 0.0952, "torque": 0.1705}
+    found = {"by": "marginal likelihood", "reason": "", "weights": weights}
+    own = {"by": "formulation", "reason": "one press", "weights": {"force": 0.01}}
+    fits = {
+        "eq10": SimpleNamespace(facts={}),
+        "eq10_auto": SimpleNamespace(
+            facts={"formulation": "eq10", "weights_chosen": found}
+        ),
+        "by_recipe": SimpleNamespace(
+            facts={"formulation": "depth_map", "weights_chosen": own}
+        ),
+    }
+    who = SimpleNamespace(patient=SimpleNamespace(name="lean"), fits=fits)
+    first, second = tables.weights_table(SimpleNamespace(patients=[who])).rows
+    assert first[1:] == ["eq10", "force 0.095, torque 0.17", "marginal likelihood"]
+    assert second == ["lean, by the recipe", "depth_map", "force 0.01", "one press"]
+    who.fits = {"eq10": fits["eq10"]}
+    assert tables.weights_table(SimpleNamespace(patients=[who])) is None
 
 
 def test_rivals_have_no_table_where_none_was_asked_for():

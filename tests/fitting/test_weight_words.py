@@ -38,7 +38,12 @@ def test_the_word_where_none_is_given(
 @pytest.mark.parametrize(
     ("word", "formulation", "options", "told"),
     [
-        ("recipes", None, {}, "takes auto, recipe or own, got 'recipes'"),
+        (
+            "recipes",
+            None,
+            {},
+            "weights='recipes' is not known: take auto, recipe or own",
+        ),
         ("auto", "eq10", WEIGHT, "chooses force_weight: give one or the other"),
         ("recipe", "eq10", {}, "chooses the formulation and its options"),
         ("recipe", None, WEIGHT, "chooses the formulation and its options"),

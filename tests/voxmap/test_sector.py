@@ -56,6 +56,8 @@ def test_spokes_lie_in_the_middle_of_equal_parts_and_the_wall_beyond() -> None:
         ((0.0, 1e308), "two angles"),  # in degrees it is infinite
         ((0.0, 90.0), "two angles"),
         ((0.0, 1.0, 2.0), "two angles"),
+        ((), "got none"),
+        ((1.0, 1.08), "at least"),  # voxels too thin for multigrid
     ],
 )
 def test_a_bad_sector_is_refused_in_one_line(sector: Sector, told: str) -> None:

@@ -38,7 +38,7 @@ def compensate(
 
     Args:
         recording: Trajectory CSV with raw readings, axes of the sensor.
-        free: The same of the probe tilted in free air.
+        free: Trajectory CSV with raw readings of the probe tilted in free air.
         down: Direction of gravity in the frame of the poses, x,y,z.
         axes: Sensor's axes in the probe's, quaternion x,y,z,w.
         point: What torques are measured about, probe frame, x,y,z [m].

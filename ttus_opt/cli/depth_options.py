@@ -28,10 +28,12 @@ class DepthOptions:
     Attributes:
         intrinsics: Camera of depth images: JSON or YAML as OpenCV and ROS write it; one
             for all, or repeated for each.
-        rays: Instead: table of the pixels' directions, NPY (h, w, 3) or (h, w, 2).
+        rays: Instead of --intrinsics: table of the pixels' directions, NPY (h, w, 3) or
+            (h, w, 2).
         depth_kind: z along the optical axis, or range along the ray.
-        noise: structured-light, stereo:BASELINE[,DISPARITY_STD] [m, pixel] or
-            time-of-flight:STD [m]: every point's deviation for the contour filter.
+        noise: Noise of the camera, by which the contour filter weighs points:
+            structured-light, stereo:BASELINE[,DISPARITY_STD] [m, pixel] or
+            time-of-flight:STD [m].
         poses: Camera to scan, a line t,px,py,pz,qw,qx,qy,qz for each image.
         pose_quaternion: Order of qw,qx,qy,qz as they stand: wxyz, or xyzw under those
             names.

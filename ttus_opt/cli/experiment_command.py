@@ -27,23 +27,26 @@ def experiment(
 
     Args:
         output: Folder; a second call goes on where one stopped.
-        formulations: Compared: names or paths of own files, separated by commas.
+        formulations: What is compared: names, or paths of your own files, separated by
+            commas.
         weight: λ_f = λ_τ of formulations that do not choose their own.
-        weights: auto: these once more, with weights chosen from the recordings; recipe:
-            and what the recipe chooses (ttus-opt fit --weights); given: not.
-        torso: A scan whose skin the third patient gets; else made up.
-        torso_unit: Unit of that scan.
-        patients: Only these: lean, stout, and scanned or average.
+        weights: given: --weight alone; auto: formulations that take it also with
+            weights chosen from the recordings; recipe: what ttus-opt fit --weights
+            recipe takes as well.
+        torso: A scan whose skin the third patient gets; without one it is made up.
+        torso_unit: Unit of that scan: m, cm or mm.
+        patients: Examine only these, separated by commas: lean, stout, and average, or
+            scanned with --torso.
         shape: Voxels in r, θ, z: n_r,n_theta,n_z.
         resolution: Spacing of the finite elements: 1 is fine, 3 a quick look.
-        comparators: Also other ways to render: names, or all.
-        jobs: Patients and settings at the same time (joblib).
+        comparators: Compare other ways to render too: names, separated by commas, or
+            all.
+        jobs: So many patients and settings at a time (extra parallel).
         dask: Address of a dask scheduler for them, host:port; its workers must see the
             folder.
 
     Example:
-        ttus-opt experiment --torso ct_skin_mm.ply --formulations
-        eq10,coulomb_global,depth_map -o results
+        ttus-opt experiment --torso ct_skin_mm.ply --weights auto -o results
     """
     from ttus_opt.experiment import Plan, n_stages, run
     from ttus_opt.experiment.report import summary

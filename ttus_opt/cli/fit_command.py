@@ -45,9 +45,9 @@ class WeightOptions:
         force_weight: λ_f; then no weight is chosen from the recordings.
         torque_weight: λ_τ; then no weight is chosen from the recordings.
         weights: auto: weights and boundary scale by marginal likelihood, as ttus-opt
-            tune finds them, unless they predict presses left out worse than its own;
-            recipe: formulation and sampling as well, by presses left out; own: the
-            formulation's, 0.01. By default auto where no weight is given.
+            tune finds them, unless the formulation's own predict presses left out
+            better; recipe: formulation and sampling as well, by presses left out; own:
+            the formulation's, 0.01. By default auto where no weight is given.
         paper: The paper's choices where nothing else is said: --inner 1 --sampling
             voxel-mean --boundary staircase --force-weight 1e-4 --torque-weight 1e-4.
     """
@@ -108,7 +108,7 @@ def fit(
         time_limit: Most seconds the solver may take.
         picture: Draw the probe on the skin with measured forces here.
         doubt: Keep in the field file how sure the field is, for ttus-opt evaluate
-            --doubt and for frames.
+            --doubt and for rendering.
         doubt_picture: Draw where this patient was measured and where the model only
             guesses here; --doubt with it.
 
@@ -121,6 +121,8 @@ def fit(
     from ttus_opt.probe.thinning import thinned
     from ttus_opt.scan.surface import Surface
 
+    if weighting.paper and weighting.weights in ("auto", "recipe"):
+        raise InputError("--paper has weights of its own: leave --weights out")
     options = weighting.options(problem, torque_length)
     if weighting.paper:
         grid = grid.as_in_the_paper()

@@ -37,8 +37,8 @@ def encode(
         base: Message it builds on; may be repeated: a surface and its changes in their
             order.
         max_error: Largest error of a radius [m], by default 0.00025, or of the
-            potential [its unit], by default 0.005, or 0.01 for a
-            field whose surface was rounded after the fit.
+            potential [its unit], by default 0.005, or 0.01 for a field whose surface
+            was rounded after the fit.
 
     Example:
         ttus-opt encode field.nc --base surface.msg -o field.msg

@@ -30,8 +30,8 @@ def record(
         server: HOST or HOST:PORT of the server.
         poses: Write TRANSFORM messages here (CSV).
         wrenches: Write SENSOR messages here (CSV).
-        pose_device: Of the poses, where several send some.
-        sensor: The same of the forces.
+        pose_device: Device of the poses, where several send some.
+        sensor: Device of the forces, where several send some.
         seconds: For how long from the first message; else until Ctrl-C.
 
     Example:

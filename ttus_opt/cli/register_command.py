@@ -101,11 +101,11 @@ def hand_eye(
     Args:
         pairs: Pairs of poses, JSON or NPY (n, 2, 4, 4): marker to camera, hand to base
             [m].
-        camera: fixed: it stands still and the hand holds the marker; moving: the hand
-            holds it.
+        camera: fixed: the camera stands still, the hand holds the marker; moving: the
+            hand holds the camera.
         output: Write the motion here, a matrix as JSON.
-        largest_gap: Loops that close worse are refused [m].
-        largest_twist: The same of angles [degrees].
+        largest_gap: Refuse loops that close worse than this [m].
+        largest_twist: Refuse loops that close worse than this [degrees].
 
     Example:
         ttus-opt register hand-eye pairs.json --camera fixed -o camera_to_base.json

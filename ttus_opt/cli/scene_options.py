@@ -60,12 +60,13 @@ class SceneOptions:
     Attributes:
         shape: Voxels in r, θ, z: n_r,n_theta,n_z.
         sector: Lay the grid over this part of θ alone [deg], with zero flux at its
-            sides: what was not seen is not needed. One spoke parts the circle.
+            sides: a back that was not seen is not needed.
         r_inner: Radius of the innermost layer [m].
         r_outer: Radius of the outermost layer [m]; by default 2 cm beyond.
         inner: Value on the inner layer, or fit: scaled to the forces, which is the
             default where there are any.
-        outer: Minus the outer layer's value; a ratio where that is fit.
+        outer: Minus the outer layer's value; with --inner fit minus its ratio to the
+            inner one.
         sampling: How contact samples p: trilinear, the default, voxel-mean, or
             contact-size, trilinear times 10 mm over the length of the patch.
         boundary: Where p = 0 stands: subvoxel, at the true radius, the default, or

@@ -27,7 +27,7 @@ def synchronise(
     transform: str | None = None,
     columns: Annotated[str, typer.Option(metavar="NAME=COLUMN,…|FILE")] = "",
     pose_topic: str | None = None,
-    wrench_topic: str | None = (None),
+    wrench_topic: str | None = None,
     together: bool = False,
     largest_offset: float = 5.0,
     largest_gap: float = 0.1,
@@ -44,14 +44,15 @@ def synchronise(
         wrenches: Table t,fx,fy,fz[,tx,ty,tz] on its own clock, netCDF, or ROS
             recording.
         output: Trajectory CSV.
-        by: contact: onset in the forces and in the poses (needs --surface);
-            angular-speed: of the poses that the wrenches' file has too.
+        by: What tells the offset: contact, its onset in the forces and in the poses
+            (needs --surface), or angular-speed, of the poses that the wrenches' file
+            has too.
         offset: Known offset, added to the wrenches' times [s].
         surface: Surface file (.nc), in the poses' frame.
-        transform: Of a .mha with several, as ProbeToTracker.
+        transform: Which one of a .mha with several, for instance ProbeToTracker.
         columns: Names of the files' columns by ours, or a YAML file of them.
-        pose_topic: Of a ROS recording with several.
-        wrench_topic: The same of wrenches.
+        pose_topic: Which poses of a ROS recording with several.
+        wrench_topic: Which wrenches of a ROS recording with several.
         together: Both recordings began at about the same time.
         largest_offset: How far offsets are looked for [s].
         largest_gap: Longer gaps are not bridged [s].

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     from ttus_opt.fitting.tuning import Tuning
 
 
-#: What is compared unless something is asked for: eq. 10 without drag and with it
-CANDIDATES = ("eq10", "coulomb_global")
-
 #: What comparisons are called
 CRITERIA = {
     "left_out_force_error": "presses left out",
@@ -48,6 +45,7 @@ def tune(
         ttus-opt tune --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
         --trajectory press_fit.csv --trajectory sweep_fit.csv
     """
+    from ttus_opt.fitting.tuning import CANDIDATES
     from ttus_opt.fitting.tuning import tune as tune_scene
     from ttus_opt.scan.surface import Surface
 

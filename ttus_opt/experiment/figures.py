@@ -9,14 +9,11 @@ from matplotlib.figure import Figure
 from ttus_opt import io
 from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits
-from ttus_opt.experiment.pipeline import ExperimentResult, PatientResult
+from ttus_opt.experiment.pipeline import FIGURES, ExperimentResult, PatientResult
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITHOUT
 from ttus_opt.report import plots
 from ttus_opt.report.document import Picture
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
-
-#: Folder of the figures beside the report
-FOLDER = "figures"
 
 #: In a picture's palette: no difference is seen, and it fits into a page
 COLOURS = 96
@@ -99,10 +96,10 @@ def _saved(figure: Figure, folder: Path, name: str, caption: str) -> Picture:
     """Write a figure with a palette of colours: a third of the size."""
     from PIL import Image  # comes with Matplotlib
 
-    path = folder / FOLDER / f"{name}.png"
+    path = folder / FIGURES / f"{name}.png"
     plots.save_picture(figure, path)
     with Image.open(path) as picture:
         small = picture.convert("RGB").quantize(COLOURS)
     with io.replacing(path) as temporary:
         small.save(temporary, format="PNG", optimize=True)
-    return Picture(f"{FOLDER}/{name}.png", caption)
+    return Picture(f"{FIGURES}/{name}.png", caption)

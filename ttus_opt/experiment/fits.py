@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -35,6 +35,8 @@ FITTED = ("press_fit", "sweep_fit")
 #: What a rendering is held against
 AGAINST = ("measured", "true")
 
+Kept = TypeVar("Kept")
+
 
 @dataclass(frozen=True)
 class Fitted:
@@ -60,7 +62,7 @@ class PatientFits:
         examination: The patient's recordings.
         folder: Where fields and errors are kept.
         shape: Voxels in r, θ and z [–].
-        digest: A word that changes when recordings or package version do.
+        digest: A word that changes when the recordings would.
 
     Attributes:
         examination: As given.
@@ -105,18 +107,19 @@ class PatientFits:
             "digest": self._digest,
             "shape": list(self._shape),
             "setting": setting.as_dict(),
+            **setting.source,
         }
-        kept = read_kept(file, told)
+        kept = read_kept(file, told, lambda told: self._kept(setting, told))
         if kept is not None:
-            rows = tuple(Row.from_dict(row) for row in kept["rows"])
-            return Fitted(setting.name, rows, kept["facts"], self._field(setting))
+            return kept
         begin = time.process_time()
         scene, weights = self.scene(setting), {}
         if setting.weights != GIVEN:
             word, name, options = setting.weights, setting.formulation, setting.options
             choice = choice_of(word, scene, name, options, strict=False)
             solution = fit(choice.scene, choice.formulation)
-            weights = {"weights_chosen": choice.as_dict()}
+            told_of_scene = {"sampling": choice.scene.sampling}
+            weights = {"weights_chosen": choice.as_dict() | told_of_scene}
         else:
             solution = fit(scene, setting.formulation, **setting.options)
         facts: dict[str, Any] = {
@@ -129,7 +132,7 @@ class PatientFits:
             **weights,
         }
         found = None
-        rows = ()
+        rows: tuple[Row, ...] = ()
         if solution.status is Status.SOLVED:
             found = solution.field
             found.save(self._folder / f"{setting.name}.nc")
@@ -164,9 +167,12 @@ class PatientFits:
             patient, recording, recording in FITTED, name, against, Score.of(errors)
         )
 
-    def _field(self, setting: Setting) -> PotentialField | None:
+    def _kept(self, setting: Setting, told: Mapping[str, Any]) -> Fitted:
+        """A kept result with its field, which is there where there are rows."""
+        rows = tuple(Row.from_dict(row) for row in told["rows"])
         file = self._folder / f"{setting.name}.nc"
-        return PotentialField.load(file) if file.exists() else None
+        found = PotentialField.load(file) if rows else None
+        return Fitted(setting.name, rows, told["facts"], found)
 
 
 def as_rendered(wrench: Array) -> FieldWrenches:
@@ -176,16 +182,25 @@ def as_rendered(wrench: Array) -> FieldWrenches:
     return FieldWrenches(wrench[:, :3], wrench[:, 3:], within, none)
 
 
-def read_kept(file: Path, told: Mapping[str, Any]) -> dict[str, Any] | None:
-    """A kept result, None where there is none of the same making."""
+def read_kept(
+    file: Path, told: Mapping[str, Any], read: Callable[[dict[str, Any]], Kept]
+) -> Kept | None:
+    """A kept result, None where there is none of the same making, or it is damaged.
+
+    Args:
+        file: Where it is kept.
+        told: What it was made of.
+        read: Makes it of what the file has; a `FileError` says that another file of it
+            is missing or damaged.
+    """
     try:
         kept = json.loads(file.read_text(encoding="utf-8"))
+        same = all(kept.get(name) == plain(value) for name, value in told.items())
+        return read(kept) if same else None
     except (OSError, ValueError, RecursionError):
         return None
-    if not isinstance(kept, dict):
+    except (AttributeError, KeyError, TypeError):  # JSON of another shape
         return None
-    same = all(kept.get(name) == plain(value) for name, value in told.items())
-    return kept if same else None
 
 
 def write_kept(file: Path, content: Mapping[str, Any]) -> None:

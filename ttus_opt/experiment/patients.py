@@ -29,6 +29,9 @@ PROBE, PROBE_SPEC = (
 #: Recordings of every patient: two to fit, two of new motion, and the seeds' offsets
 RECORDINGS = {"press_fit": 0, "sweep_fit": 10, "press_test": 20, "sweep_test": 30}
 
+#: Name of the patient with the skin of a scan
+SCANNED = "scanned"
+
 #: Half width of the skin that may be pressed, measured along it [m]
 REACH = 0.052
 
@@ -89,6 +92,12 @@ class Patient:
         return hashlib.sha256(told.encode() + skin).hexdigest()[:16]
 
 
+def names(*, scanned: bool) -> tuple[str, ...]:
+    """Names of the three patients, without a look at the scan."""
+    *made_up, third = (each.name for each in patients())
+    return (*made_up, SCANNED if scanned else third)
+
+
 def patients(scan: Surface | None = None) -> tuple[Patient, ...]:
     """The three patients.
 
@@ -140,7 +149,7 @@ def _average() -> Patient:
 def _scanned(scan: Surface) -> Patient:
     torso = ScannedTorso.of(scan, Torso(back_height=-0.090))
     build = "skin of a real torso, 20 kPa, ribs from 12 mm, a lump of 24 mm"
-    return _medium("scanned", build, torso)
+    return _medium(SCANNED, build, torso)
 
 
 def _medium(name: str, build: str, torso: Torso) -> Patient:

@@ -15,7 +15,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import BoundaryError, boundary_errors
 from ttus_opt.experiment.fits import Fitted, PatientFits, as_rendered, write_kept
-from ttus_opt.experiment.patients import Patient, patients
+from ttus_opt.experiment.patients import Patient, names, patients
 from ttus_opt.experiment.recordings import Examination, examine
 from ttus_opt.experiment.rivals import Rival
 from ttus_opt.experiment.scores import Row
@@ -30,6 +30,7 @@ from ttus_opt.experiment.settings import (
     Setting,
     chosen,
     compared,
+    distinct,
     without_torque,
 )
 from ttus_opt.experiment.side_by_side import do_ahead
@@ -39,6 +40,9 @@ from ttus_opt.report.metrics import compare
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.grid import CylindricalGrid
 from ttus_opt.voxmap.voxmap import check_memory
+
+#: Written at the end, and the folder of the pictures
+REPORTS, FIGURES = ("report.md", "report.html", "results.json"), "figures"
 
 #: The phantom's own wrench at the reported poses, as a setting
 ITSELF = "phantom_itself"
@@ -101,14 +105,14 @@ class Plan:
         """Everything that is fitted, the tables' own first.
 
         Raises:
-            InputError: An unknown formulation.
+            InputError: An unknown formulation, or a file of a name that is taken.
         """
         others = compared(self.formulations, self.weight)
         eq10 = compared(("eq10",), self.weight)
         own = (PAPER_WITHOUT, PAPER_WITH, LAPLACE, without_torque(self.weight), *eq10)
-        taken = {each.name for each in own}
+        further = [each for each in others if each not in own]
         more = chosen(self.formulations, self.weights)
-        return (*own, *(each for each in others if each.name not in taken), *more)
+        return distinct((*own, *further, *more))
 
     @property
     def rivals(self) -> tuple[str, ...]:
@@ -220,9 +224,17 @@ def run(
 
     todo, out = plan or Plan(), Path(folder)
     begin = progress or (lambda stage: None)
-    settings, others = todo.settings, todo.rivals
-    io.check_output(out / "report.md")
-    chosen = _chosen(todo, out, begin)
+    settings, others, wanted = todo.settings, todo.rivals, _wanted(todo)
+    for name in (*REPORTS, FIGURES + "/boundary.png"):
+        io.check_output(out / name)
+    for name in wanted:
+        io.check_output(out / name / "digest.txt")
+    scan = None
+    if todo.torso is not None:
+        begin("surface of the scanned torso")
+        scan = _scanned(todo, out)
+    everyone = {each.name: each for each in patients(scan)}
+    chosen = [everyone[name] for name in wanted]
     io.made_folder(out)
     if todo.jobs > 1 or todo.dask:
         do_ahead(chosen, todo, out, begin)
@@ -244,20 +256,19 @@ def n_stages(plan: Plan) -> int:
     return 2 + passes * each * len(plan.patients or patients())
 
 
-def _chosen(
-    plan: Plan, folder: Path, begin: Callable[[str], None]
-) -> tuple[Patient, ...]:
-    scan = None
-    if plan.torso is not None:
-        begin("surface of the scanned torso")
-        scan = _scanned(plan, folder)
-    everyone = {each.name: each for each in patients(scan)}
+def _wanted(plan: Plan) -> tuple[str, ...]:
+    """Names of those examined, each once.
+
+    Raises:
+        InputError: An unknown name.
+    """
+    everyone = names(scanned=plan.torso is not None)
     for name in plan.patients:
         if name not in everyone:
             raise InputError(
                 f"unknown patient {name!r}: choose from {', '.join(everyone)}"
             )
-    return tuple(everyone[name] for name in plan.patients or everyone)
+    return tuple(dict.fromkeys(plan.patients)) or everyone
 
 
 def _scanned(plan: Plan, folder: Path) -> Surface:
@@ -268,7 +279,7 @@ def _scanned(plan: Plan, folder: Path) -> Surface:
 
     assert plan.torso is not None
     path = io.existing_file(plan.torso, "torso")
-    file = folder / f"scan-{io.sha256(path)[:12]}.nc"
+    file = folder / f"scan-{io.sha256(path)[:12]}-{plan.torso_unit}.nc"
     if not file.exists():
         cloud = read_cloud(path, unit=plan.torso_unit)  # type: ignore[arg-type]  # checked there
         axis = Axis.from_cloud(cloud)

@@ -24,6 +24,12 @@ from ttus_opt.phantom.torso import torso_body
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
 
+#: How the file of a recording ends: as measured, true, as the phantom itself has it
+KINDS = ("", "_true", "_itself")
+
+#: All that is kept of a patient beside the skin's compliance
+FILES = ("surface.nc", *(f"{name}{kind}.csv" for name in RECORDINGS for kind in KINDS))
+
 #: Digits of the files' numbers: below a nanometre and a micronewton
 DIGITS = 8
 
@@ -68,7 +74,10 @@ def examine(
     begin = progress or (lambda stage: None)
     stamp, digest = folder / "digest.txt", patient.digest(resolution)
     kept = stamp.read_bytes() if stamp.exists() else b""
-    if kept != digest.encode():
+    there = all((folder / name).exists() for name in FILES)
+    if not there or kept != digest.encode():
+        # until all recordings are of one making none are
+        stamp.unlink(missing_ok=True)
         begin(f"{patient.name}: finite elements")
         patch = _skin(patient, folder, resolution)
         begin(f"{patient.name}: recordings")
@@ -78,7 +87,7 @@ def examine(
         io.write_text(stamp, digest)
     kinds = (
         {name: read_trajectory(folder / f"{name}{kind}.csv") for name in RECORDINGS}
-        for kind in ("", "_true", "_itself")
+        for kind in KINDS
     )
     return Examination(patient, Surface.load(folder / "surface.nc"), *kinds)
 
@@ -110,6 +119,6 @@ def _record(patient: Patient, name: str, patch: SkinPatch, folder: Path) -> None
     itself = record(
         patch, PROBE, reported, drag=drag, damping=patient.damping, moving=true
     )
-    recordings = {"": add_noise(reported, rng), "_true": true, "_itself": itself}
-    for kind, recording in recordings.items():
+    recordings = (add_noise(reported, rng), true, itself)
+    for kind, recording in zip(KINDS, recordings, strict=True):
         recording.save(folder / f"{name}{kind}.csv", digits=DIGITS)

@@ -68,14 +68,19 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 def rival(fits: PatientFits, name: str, folder: Path, digest: str) -> Rival:
     """Fit and judge one comparator, or read what an earlier call kept."""
     file, told = folder / f"rival-{name}.json", {"digest": digest, "rival": name}
-    kept = read_kept(file, told)
-    if kept is None:
-        found = _judged(fits, name)
-        rows = [row.as_dict() for row in found.rows]
-        write_kept(file, {**told, "facts": found.facts, "rows": rows})
-        return found
-    rows_kept = tuple(Row.from_dict(row) for row in kept["rows"])
-    return Rival(name, rows_kept, kept["facts"])
+    kept = read_kept(
+        file,
+        told,
+        lambda told: Rival(
+            name, tuple(map(Row.from_dict, told["rows"])), told["facts"]
+        ),
+    )
+    if kept is not None:
+        return kept
+    found = _judged(fits, name)
+    rows = [row.as_dict() for row in found.rows]
+    write_kept(file, {**told, "facts": found.facts, "rows": rows})
+    return found
 
 
 def _judged(fits: PatientFits, name: str) -> Rival:

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
-from ttus_opt import paper
+from ttus_opt import io, paper
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import weight_words
 from ttus_opt.fitting.weight_choice import has_weights
@@ -26,6 +26,9 @@ WEIGHTS = (GIVEN, AUTO, RECIPE) = ("given", weight_words.AUTO, weight_words.RECI
 
 #: Ends the name of a setting whose weights are chosen from the recordings
 CHOSEN = "_auto"
+
+#: What a patient's folder has beside the fits, each in files of its name
+RESERVED = ("boundary", "surface")
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,12 @@ class Setting:
     def scene_key(self) -> tuple[object, ...]:
         """Settings with the same key share a scene."""
         return (self.inner, self.outer, self.sampling, self.boundary)
+
+    @property
+    def source(self) -> dict[str, str]:
+        """Checksum of a user's own file, so that an edit is noticed; else nothing."""
+        file = Path(self.formulation or "")
+        return {"sha256": io.sha256(file)} if file.suffix == ".py" else {}
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, and for knowing whether a kept result is of this setting."""
@@ -121,6 +130,23 @@ def chosen(formulations: Sequence[str], weights: str) -> tuple[Setting, ...]:
         if has_weights(name)
     )
     return (*by_evidence, BY_RECIPE) if weights == RECIPE else by_evidence
+
+
+def distinct(settings: Sequence[Setting]) -> tuple[Setting, ...]:
+    """The settings, each of a name of its own.
+
+    Raises:
+        InputError: A user's file has the name of something else that is kept.
+    """
+    taken = set(RESERVED)
+    for each in settings:
+        if each.name in taken:
+            raise InputError(
+                f"{each.formulation} has the name of something else that the folder "
+                f"keeps, {each.name}: rename the file"
+            )
+        taken.add(each.name)
+    return tuple(settings)
 
 
 def _weights(name: str, weight: float) -> Mapping[str, float]:

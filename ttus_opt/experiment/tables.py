@@ -235,6 +235,42 @@ def winners_table(result: ExperimentResult, reading: Reading, form: str) -> Tabl
     return Table(["", *map(title, names)], lines)
 
 
+def aims_table(result: ExperimentResult) -> Table:
+    """The aims that every setting misses on every unseen recording."""
+    rows = _unseen(result, "true")
+    places = list(dict.fromkeys((r.patient, r.recording) for r in rows))
+    lines = []
+    for name in dict.fromkeys(r.setting for r in rows):
+        cells = []
+        for patient, recording in places:
+            own = select(rows, setting=name, patient=patient, recording=recording)
+            cells.append(_missed(own[0].score) if own else "–")
+        lines.append([title(name), *cells])
+    return Table(["", *(f"{p}, {r.split('_')[0]}" for p, r in places)], lines)
+
+
+def _missed(score: Score) -> str:
+    met = score.meets()
+    missed = [name for name, reached in met.items() if not reached]
+    return "all" if len(missed) == len(met) else ", ".join(missed) or "✓"
+
+
+def weights_table(result: ExperimentResult) -> Table | None:
+    """What was chosen from the recordings, and why not where it was not."""
+    lines = []
+    for each in result.patients:
+        for name, fit in each.fits.items():
+            chosen = fit.facts.get("weights_chosen")
+            if chosen is None:
+                continue
+            weights = ", ".join(f"{k} {w:.2g}" for k, w in chosen["weights"].items())
+            why = chosen["reason"] or chosen["by"]
+            row = [f"{each.patient.name}, {title(name)}", fit.facts["formulation"]]
+            lines.append([*row, weights or "–", why])
+    header = ["", "formulation", "weights", "chosen by, or why not"]
+    return Table(header, lines) if lines else None
+
+
 def rivals_table(result: ExperimentResult, best: str) -> Table | None:
     """Comparators and the best field: errors, time of a frame, ripple; None without."""
     examined = [each for each in result.patients if each.rivals]

@@ -188,6 +188,11 @@ def _compiled(declared: Formulation) -> tuple[Program, list[ProgramTerm]]:
     Raises:
         InputError: It is of another kind.
     """
+    if not any(term.measures for term in declared.terms):
+        raise InputError(
+            f"{declared.name} cannot be tuned: it takes no measurements and has no "
+            "weights"
+        )
     names = [t.name for t in declared.terms if t.measures and len(t.assembled.target)]
     program = declared.with_weights(**dict.fromkeys(names, 1.0)).compile()
     frames = len(declared.scene.trajectory)

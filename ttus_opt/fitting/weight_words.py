@@ -41,7 +41,7 @@ def checked_word(word: str, words: Sequence[str] = WORDS) -> str:
     """
     if word not in words:
         choices = f"{', '.join(words[:-1])} or {words[-1]}"
-        raise InputError(f"weights takes {choices}, got {word!r}")
+        raise InputError(f"weights={word!r} is not known: take {choices}")
     return word
 
 

@@ -7,10 +7,11 @@ on beyond each as its mirror image.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
-from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.cylindrical import TURN
 from ttus_opt.errors import InputError
@@ -19,26 +20,36 @@ from ttus_opt.scan.surface import Surface
 #: From and to [rad]
 Sector = tuple[float, float]
 
+#: The narrowest: on a body 10 mm of skin, less than a probe, and multigrid still
+#: converges on the thin voxels of as many spokes as a full turn has [rad]
+NARROWEST = math.radians(5.0)
+
 
 def checked_sector(sector: Sector | None) -> Sector | None:
     """A sector, or a sentence.
 
     Raises:
-        InputError: No two finite angles, or none that leave a part of the turn.
+        InputError: No two finite angles, none that leave a part of the turn, or a
+            sector too narrow.
     """
     if sector is None:
         return None
     if len(sector) != 2 or not all(abs(v) <= 2.0 * TURN for v in sector):
         with np.errstate(over="ignore"):  # infinity says it as well
-            got = [float(v) for v in np.degrees(sector)]
+            got = " to ".join(f"{v:.4g}°" for v in np.degrees(sector[:3]))
         raise InputError(
-            f"a sector is two angles between -720° and 720°, got {io.shortened(got)}"
+            f"a sector is two angles between -720° and 720°, got {got or 'none'}"
         )
     low, high = float(sector[0]), float(sector[1])
     if not 0.0 < high - low < TURN:
         raise InputError(
             "a sector goes from an angle to a larger one, by less than a full turn, "
             f"got {told(sector)}: across 0° write -60,60, for the whole leave it out"
+        )
+    if high - low < NARROWEST * (1.0 - 1e-9):
+        raise InputError(
+            f"a sector of {math.degrees(high - low):.4g}° is less than the width of a "
+            f"probe: take {math.degrees(NARROWEST):g}° at least"
         )
     return low, high
 
