@@ -177,5 +177,6 @@ def test_a_boundary_that_was_fitted_is_fitted_again(
     "name", ["depth_map", "coulomb_drag", "robust", "laplace_only"]
 )
 def test_another_kind_is_refused(name: str) -> None:
-    with pytest.raises(InputError, match=f"{name} cannot be tuned"):
+    with pytest.raises(InputError, match=f"{name} cannot be tuned") as refused:
         rows_of(name)
+    assert ("no weights" in str(refused.value)) == (name == "laplace_only")
