@@ -86,10 +86,13 @@ class Target:
 
 TARGETS = (
     Target("report/metrics.py", ("report/test_metrics.py",)),
-    Target("problem/kkt.py", ("problem/test_kkt.py",)),
+    Target("problem/kkt.py", ("problem/test_kkt.py", "problem/test_absorption.py")),
     Target("fitting/batch.py", ("fitting/test_batch.py", "fitting/test_tuning.py")),
     Target("fitting/verdict.py", ("fitting/test_verdict.py", "fitting/test_batch.py")),
-    Target("problem/gradient_blocks.py", ("problem/test_kkt.py",)),
+    Target(
+        "problem/gradient_blocks.py",
+        ("problem/test_gradient_blocks.py", "problem/test_kkt.py"),
+    ),
     Target("fitting/recursive.py", ("fitting/test_recursive.py",)),
     Target("fitting/dual_recursion.py", ("fitting/test_dual_recursion.py",)),
     Target("fitting/low_rank_kernel.py", ("fitting/test_low_rank_kernel.py",)),

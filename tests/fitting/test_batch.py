@@ -9,10 +9,12 @@ import pytest
 
 import ttus_opt as tt
 from tests.conftest import small_scene
+from tests.dragging import dragged_scene
 from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.errors import InputError
+from ttus_opt.fitting import batch
 from ttus_opt.fitting.batch import Fitter, _better, fit, judged
 from ttus_opt.problem.formulation import Formulation, Search, available, load
 from ttus_opt.problem.kkt import Duals
@@ -373,3 +375,21 @@ def test_compiling_is_no_part_of_the_other_times() -> None:
     assert times.compile >= 900.0
     assert 2.0 <= times.assembly < 900.0
     assert times.as_dict()["compile"] == times.compile
+
+
+def test_each_part_s_compiling_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every stopwatch that a fit with an estimated parameter starts is read once."""
+    made = []
+
+    class Watch:
+        seconds, compile = 1.0, 100.0
+
+        def __init__(self) -> None:
+            made.append(self)
+
+    monkeypatch.setattr(batch, "Stopwatch", Watch)
+    scene = dragged_scene("contact", 0.0, 40.0, (7, 12, 8), n=30)
+    found = fit(scene, "viscous_drag")
+    assert found.standard_errors
+    own = scene.compile_seconds
+    assert found.timings.compile == pytest.approx(own + 100.0 * len(made))

@@ -279,6 +279,18 @@ def test_a_field_that_does_not_converge_is_an_error(
     assert close(system.field(), problem.dense([0, 1])[1])
 
 
+def test_fields_are_refined_along_conjugate_directions(
+    coarse: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a factor: twelve rows in as many steps, and few more for rounding."""
+    problem = Problem(coarse, 4, 12, 1e3)
+    system = problem.start()
+    problem.fold(system, list(range(4)))
+    monkeypatch.setattr(system._kernel, "solve", lambda residual: residual)
+    monkeypatch.setattr(dual_recursion, "FIELD_ROUNDS", 4 * HEIGHT + 4)
+    assert system._refined() <= dual_recursion.FIELD_RTOL
+
+
 def test_refusals(coarse: Scene) -> None:
     system = Problem(coarse, 1, 8, 1.0).start()
     with pytest.raises(InputError, match="blocks 2 to 5 are not within 0 to 0"):

@@ -12,7 +12,8 @@ import scipy.sparse.linalg
 from tests.conftest import small_scene
 from tests.solvers.problems import bounds, program, rows, term
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.verdict import check_candidate, judged
+from ttus_opt.fitting import verdict
+from ttus_opt.fitting.verdict import CONFLICT_SECONDS, check_candidate, judged
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.reduction import Reduction, reduce
@@ -21,6 +22,7 @@ from ttus_opt.solvers.base import Candidate, Claim, Request
 
 SCENE = small_scene("trilinear")
 EQ10 = shelf.load("eq10", SCENE)
+TIMES = Timings(0.0, 0.0, 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +41,7 @@ def told(candidate: Candidate, reduction: Reduction | None = None) -> Solution:
         "package",
         candidate,
         Request(1e-6),
-        Timings(0.0, 0.0, 0.0),
+        TIMES,
     )
 
 
@@ -80,12 +82,32 @@ def test_a_contradiction_needs_a_proof_and_is_named() -> None:
     limit = bounds("limit", [-np.inf, -np.inf], [1.0, np.inf])
     contrary = replace(reach, bounds=(limit,))
     none = Candidate(None, claim=Claim.INFEASIBLE)
-    found = told(none, Reduction(contrary, contrary))
-    assert found.status is Status.INFEASIBLE
-    assert set(found.conflict) == {"reach", "limit"}
+    for claim in (Claim.INFEASIBLE, Claim.GAVE_UP):  # whatever it says
+        found = told(replace(none, claim=claim), Reduction(contrary, contrary))
+        assert found.status is Status.INFEASIBLE
+        assert set(found.conflict) == {"reach", "limit"}
     found = told(none, Reduction(reach, reach))
     assert found.status is Status.FAILED
     assert "without a proof" in found.detail
+
+
+def test_proofs_are_looked_for_no_longer_than_a_fit_may_take(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    given: list[float | None] = []
+
+    def sought(*_: object, time_limit: float | None, **__: object) -> None:
+        given.append(time_limit)
+
+    monkeypatch.setattr(verdict, "falling_ray", sought)
+    monkeypatch.setattr(verdict, "conflicting", lambda *_, **k: sought(**k) or ())
+    reach = program([term(np.eye(2), [0, 0])], [rows("reach", [[1, 0]], [2], [3])])
+    for claim in (Claim.UNBOUNDED, Claim.INFEASIBLE):
+        for limit in (None, 3.0):
+            candidate = Candidate(np.zeros(2), claim=claim)
+            both = Reduction(reach, reach)
+            judged(EQ10, both, "package", candidate, Request(1e-6, limit), TIMES)
+    assert given == [CONFLICT_SECONDS] * 2 + [3.0] * 2 + [CONFLICT_SECONDS, 3.0]
 
 
 @pytest.mark.parametrize(

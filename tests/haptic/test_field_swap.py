@@ -7,10 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.conftest import small_scene
 from tests.haptic.test_renderer import random_field
 from ttus_opt.contact.friction import FRICTION
 from ttus_opt.errors import InputError
-from ttus_opt.haptic.blend import settled_ledger
+from ttus_opt.haptic.blend import (
+    DIFFERENCE,
+    PLACE,
+    PROGRESS,
+    ROTATION,
+    SEEN,
+    opened_ledger,
+    settled_ledger,
+)
+from ttus_opt.haptic.drag import FRICTION as PLACE_OF_FRICTION
 from ttus_opt.haptic.field_swap import (
     RenderedField,
     RenderedFields,
@@ -21,6 +31,11 @@ from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.voxmap import Voxmap
+
+
+def rubbing(scene: Scene, mu: float) -> RenderedField:
+    """A field of its own with a friction coefficient."""
+    return RenderedField.of(replace(random_field(scene), parameters={FRICTION: mu}))
 
 
 def test_a_field_is_copied_and_names_its_drag(scene: Scene) -> None:
@@ -48,8 +63,83 @@ def test_before_the_first_frame_a_field_is_simply_taken(scene: Scene) -> None:
     assert (fields.drag, after.drag) == ("", FRICTION)
 
 
+@pytest.mark.parametrize(
+    ("current", "target", "progress", "told"),
+    [
+        (0.2, 0.3, 0.5, FRICTION),
+        (0.2, 0.0, 0.5, FRICTION),  # until the swap is over
+        (0.2, 0.0, 1.0, ""),
+        (0.0, 0.3, 0.0, FRICTION),
+        (0.0, 0.0, 0.5, ""),
+    ],
+)
+def test_drag_is_named_while_there_is_any(
+    scene: Scene, current: float, target: float, progress: float, told: str
+) -> None:
+    ledger = settled_ledger(0.5)
+    ledger[PROGRESS] = progress
+    pair = (rubbing(scene, mu) for mu in (current, target))
+    assert RenderedFields.of(*pair, ledger).drag == told
+
+
+@pytest.mark.parametrize("touches", [False, True])
+def test_an_update_amid_a_swap_begins_where_that_one_stands(
+    scene: Scene, touches: bool
+) -> None:
+    """A quarter of the way from drag to none; in the air μ mixes by the shares."""
+    old, target, new = (rubbing(scene, mu) for mu in (0.2, 0.0, 0.0))
+    old = old._replace(values=2.0 * old.values)
+    new = new._replace(values=-new.values)
+    ledger = settled_ledger(0.5)
+    ledger[[PROGRESS, SEEN]] = 0.25, 1.0
+    pose = int(np.argmax(np.abs(scene.N @ old.values).reshape(-1, 3).max(axis=1)))
+    ledger[ROTATION:PLACE] = scene.trajectory.rotation[pose].reshape(-1)
+    away = 0.0 if touches else 0.5
+    ledger[PLACE:DIFFERENCE] = scene.trajectory.position[pose] + away
+    data = FrameData.of(scene.voxmap, scene.shell, trilinear=True)
+    fields = RenderedFields.of(old, target, ledger)
+    after = swapped(fields, new, data, np.ones((len(scene.shell), 7)))
+    now = after.pair
+    np.testing.assert_allclose(now.current, 0.75 * old.values + 0.25 * target.values)
+    assert now.target is new.values
+    np.testing.assert_array_equal(now.target_drag, new.drag)
+    assert (after.current_drag, after.target_drag) == (FRICTION, "")
+    assert now.current_drag[PLACE_OF_FRICTION] > 0.1
+    if not touches:
+        assert now.current_drag[PLACE_OF_FRICTION] == pytest.approx(0.75 * 0.2)
+    assert now.ledger[PROGRESS] == 0.0
+    opened = opened_ledger(ledger, now.current, now.target, data)
+    np.testing.assert_array_equal(now.ledger, opened)
+    assert opened[DIFFERENCE:].any() == touches
+
+
+def test_after_a_swap_the_field_in_force_is_its_target(scene: Scene) -> None:
+    old, target, new = (rubbing(scene, mu) for mu in (0.2, 0.1, 0.0))
+    ledger = settled_ledger(0.5)
+    ledger[SEEN] = 1.0
+    data = FrameData.of(scene.voxmap, scene.shell, trilinear=True)
+    fields = RenderedFields.of(old, target, ledger)
+    now = swapped(fields, new, data, np.ones((len(scene.shell), 7))).pair
+    assert now.current is target.values and now.target is new.values
+    assert now.current_drag is target.drag
+
+
+def test_a_field_of_another_sampling_or_grid_is_refused(scene: Scene) -> None:
+    field = random_field(scene)
+    other = {"trilinear": "voxel-mean", "voxel-mean": "trilinear"}[scene.sampling]
+    with pytest.raises(InputError, match="must keep the field's sampling"):
+        require_alike(field, replace(field, sampling=other))
+    finer = small_scene(shape=(9, 20, 11), n_poses=2)
+    with pytest.raises(InputError, match="must keep the field's grid"):
+        require_alike(field, replace(random_field(finer), sampling=field.sampling))
+
+
 def test_a_field_on_another_surface_is_refused(scene: Scene) -> None:
     field, own = random_field(scene), scene.voxmap
+    same = Surface.from_radius(own.surface.radius.copy(), own.surface.z)
+    require_alike(
+        field, replace(field, voxmap=Voxmap(own.grid, same, own.region, own.boundary))
+    )
     moved = Surface.from_radius(own.surface.radius + 1e-6, own.surface.z)
     require_alike(field, random_field(scene))
     other = replace(field, voxmap=Voxmap(own.grid, moved, own.region, own.boundary))

@@ -7,7 +7,9 @@ import pytest
 
 from tests.solvers.problems import program, term
 from ttus_opt.problem.gradient_blocks import (
+    ROUNDING,
     GradientBlocks,
+    _least_gradient,
     largest_of,
     quadratic_summands,
 )
@@ -39,6 +41,14 @@ def test_each_block_is_judged_over_its_own_largest_summand() -> None:
     assert blocks.error == pytest.approx(np.sqrt(2.0))
     # p: 1 of 1001; q: 1 of 2 is the worst
     assert blocks.worst(1.0) == pytest.approx(0.5)
+
+
+def test_least_gradient_of_squares_is_what_rounding_leaves_of_a_row() -> None:
+    """2 w ‖row‖ (‖row‖ |x|) ε by block: of p the longest row is 3, of q it is 1."""
+    problem = two_blocks()
+    for part, longest in ((slice(0, 1), 3.0), (slice(1, 2), 1.0)):
+        least = _least_gradient(problem, part, 7.0)
+        assert least == pytest.approx(2.0 * longest**2 * 7.0 * ROUNDING)
 
 
 def test_stray_multipliers_are_an_error_of_their_own() -> None:

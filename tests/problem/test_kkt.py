@@ -7,6 +7,8 @@ import pytest
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
+from ttus_opt.problem.distance import CLOSE
+from ttus_opt.problem.formulation import load
 from ttus_opt.problem.gradient_blocks import _least_gradient
 from ttus_opt.problem.kkt import KKT, Duals, _held, bound_duals, kkt_residuals
 from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
@@ -220,6 +222,21 @@ def test_every_block_is_judged_by_its_own_summands() -> None:
     assert_optimal(kkt_residuals(problem, np.array([1.0, 1.0]), Duals()))
     wrong = kkt_residuals(problem, np.array([1.0, 0.5]), Duals())
     assert wrong.dual_relative == pytest.approx(0.5)
+
+
+def test_a_bound_far_above_what_is_asked_comes_close() -> None:
+    """Along what measured rows hold: the prior alone bounds it a hundredfold."""
+    scene = small_scene(shape=(7, 12, 7), n_poses=2)
+    declared = load("eq10", scene, force_weight=100.0, torque_weight=100.0)
+    problem = declared.compile()
+    M = np.vstack([np.sqrt(t.weight) * t.matrix.toarray() for t in problem.terms])
+    t = np.concatenate([np.sqrt(t.weight) * t.target for t in problem.terms])
+    best = np.linalg.lstsq(M, t)[0]
+    laplace = scene.laplace
+    along = laplace.solve(laplace.solve_adjoint(scene.N.T @ np.ones(scene.N.shape[0])))
+    along *= 1e-2 / np.linalg.norm(M @ along)
+    kkt = kkt_residuals(problem, best + along, Duals(), tolerance=1e-9)
+    assert 1.0 <= kkt.gap / 1e-4 <= 1.0 + 1.1 * CLOSE
 
 
 def test_an_objective_that_vanishes_is_judged_by_the_distance() -> None:

@@ -69,7 +69,7 @@ class RenderedFields:
     @property
     def drag(self) -> str:
         """Names of the coefficients that drag at present; empty without any."""
-        if self.target_drag or not self.current_drag:
+        if self.target_drag:
             return self.target_drag
         return "" if self.pair.ledger[PROGRESS] == 1.0 else self.current_drag
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from tests.solvers.dual.test_field_pair import contested, coulomb
 from tests.solvers.dual.test_pair_subproblem import pair
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import touched_limits
 from ttus_opt.solvers.dual.field_pair import FieldPair
@@ -40,15 +42,51 @@ def dense_response(of: FieldPair, at: Array) -> Array:
     return np.asarray(np.linalg.inv(M.T @ M)[np.ix_(at, at)])
 
 
-@pytest.mark.parametrize("weight", [0.01, 1.0, 100.0])
-def test_response_is_nearly_the_inverse_of_the_second_derivative(weight: float) -> None:
-    of = pair(weight, 1.0, 0.3, False)
+@pytest.mark.parametrize(
+    ("weight", "smoothness"), [(0.01, 1.0), (1.0, 1.0), (1e4, 1.0), (1e5, 1e4)]
+)
+def test_response_is_nearly_the_inverse_of_the_second_derivative(
+    weight: float, smoothness: float
+) -> None:
+    """Nearer than what the first field, which follows, makes of it: 3 and 1 %."""
+    of = pair(weight, smoothness, 0.3, False)
     made = model(of)
     exact = dense_response(of, made.voxels + len(of.limits.given) // 2)
     # in its own measure: eigenvalues of the exact inverse times the model
     size = np.linalg.eigvals(np.linalg.solve(exact, made.response)).real
-    assert size.min() > 0.9
-    assert size.max() < 1.1
+    assert size.min() > 0.993
+    assert size.max() < 1.03
+
+
+def test_its_voxels_are_those_that_rows_touch_and_limits_leave_open() -> None:
+    rows = pair(1.0, 1.0, 0.3, False).rows
+    V = len(rows.laplace.free)
+    touched = np.asarray(abs(rows.rows).sum(axis=0) > 0.0).reshape(-1)
+    touched = touched[:V] | touched[V:]
+    held, limited = np.flatnonzero(~rows.laplace.free), np.ones(V, dtype=bool)
+    limited[np.flatnonzero(touched)[::3]] = False
+    assert not touched[held].any()
+    # an entry of zero beside them touches nothing, one on the boundary moves nothing
+    more = np.zeros((2, 2 * V))
+    more[0, np.flatnonzero(rows.laplace.free & ~touched)[0]] = 1.0
+    more[1, held[:5]] = 1.0
+    added = sp.csr_array(more)
+    added.data[0] = 0.0
+    stacked = sp.csr_array(sp.vstack([rows.rows, added]))
+    assert stacked.nnz == rows.rows.nnz + 6
+    weights = np.append(rows.root_weights, [1.0, 1.0])
+    made = TouchedLimits.of(replace(rows, rows=stacked, root_weights=weights), limited)
+    assert made is not None
+    np.testing.assert_array_equal(made.voxels, np.flatnonzero(touched & limited))
+
+
+def test_a_factor_that_fails_makes_no_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object, **__: object) -> Array:
+        raise np.linalg.LinAlgError("not positive definite")
+
+    of = pair(1.0, 1.0, 0.3, False)
+    monkeypatch.setattr(touched_limits.scipy.linalg, "cholesky", fails)
+    assert TouchedLimits.of(of.rows, of.rows.laplace.free) is None
 
 
 def test_too_many_voxels_or_none_make_no_model(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,6 +95,14 @@ def test_too_many_voxels_or_none_make_no_model(monkeypatch: pytest.MonkeyPatch) 
     assert TouchedLimits.of(of.rows, np.zeros(V, dtype=bool)) is None
     monkeypatch.setattr(touched_limits, "MOST_VOXELS", 1)
     assert TouchedLimits.of(of.rows, np.ones(V, dtype=bool)) is None
+
+
+def wrong_signs(matrix: Array, constant: Array, active: Mask) -> Mask:
+    """Where z or M z + c is negative."""
+    at = np.flatnonzero(active)
+    z = np.zeros(len(constant))
+    z[at] = np.linalg.solve(matrix[np.ix_(at, at)], -constant[at])
+    return np.asarray(np.where(active, z, matrix @ z + constant) < 0.0)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -70,15 +116,26 @@ def test_complementary_is_the_one_set_without_wrong_signs(
     matrix, constant = root @ root.T + 1e-3 * np.eye(6), rng.normal(size=6)
     right = []
     for active in itertools.product([False, True], repeat=6):
-        at = np.flatnonzero(active)
-        z = np.zeros(6)
-        z[at] = np.linalg.solve(matrix[np.ix_(at, at)], -constant[at])
-        rest = np.where(active, z, matrix @ z + constant)
-        if (rest >= 0.0).all():
+        if not wrong_signs(matrix, constant, np.array(active)).any():
             right.append(np.array(active))
     (only,) = right
     found = complementary(matrix, constant, rng.random(6) < 0.5)
     np.testing.assert_array_equal(found, only)
+
+
+def test_exchanges_of_all_wrong_signs_that_go_round_come_to_an_end() -> None:
+    """A matrix of rank three, nearly, for which block pivoting alone cycles."""
+    rng = np.random.default_rng(7)
+    root = rng.normal(size=(6, 3))
+    matrix, constant = root @ root.T + 1e-3 * np.eye(6), rng.normal(size=6)
+    active = start = rng.random(6) < 0.5
+    seen = set()
+    while active.tobytes() not in seen:
+        seen.add(active.tobytes())
+        active = active ^ wrong_signs(matrix, constant, active)
+    assert wrong_signs(matrix, constant, active).any()  # never done
+    found = complementary(matrix, constant, start)
+    assert not wrong_signs(matrix, constant, found).any()
 
 
 def test_model_leads_to_the_same_answer_in_fewer_working_sets(

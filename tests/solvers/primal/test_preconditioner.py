@@ -1,9 +1,12 @@
-"""Few rows by their dual: what is kept of directions changes nothing."""
+"""Few rows by their dual, as its equations ask, whatever is kept of directions."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from tests.solvers.own_terms import AlongZ
 from tests.solvers.primal.test_limited_sum import FEW, made
@@ -52,10 +55,46 @@ def test_fields_kept_of_directions_stand_for_solves(
     np.testing.assert_allclose(again.p, expected, atol=1e-5 * size)
 
 
-def test_of_many_directions_no_fields_are_kept(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(module, "MOST_FIELDS", 0)
+def test_a_step_obeys_the_equations_beside_free_unknowns() -> None:
+    """D z + E c + y = s for some c, and Eᵀy = 0; z = P⁻¹(r + Dᵀy) is the test above."""
+    built, rest = fresh()
+    system = built._system
+    columns = np.random.default_rng(5).normal(size=(len(rest.y), 2))
+    own = ConstraintPreconditioner(system, columns, 1e-9, DualOptions())
+    step = own.apply(rest)
+    size = np.linalg.norm(rest.y)
+    left = system.measure(step.p) + step.y - rest.y
+    left -= columns @ np.linalg.lstsq(columns, left)[0]
+    assert np.linalg.norm(left) <= 1e-6 * size
+    assert np.linalg.norm(columns.T @ step.y) <= 1e-10 * size
+    assert np.linalg.norm(step.y) > 0.1 * size
+    assert own.told == f"{len(own._subspace)} directions of the dual"
+
+
+def test_without_few_rows_the_field_s_part_is_all() -> None:
+    built, rest = fresh()
+    system = built._system
+    none = replace(system, rows=sp.csr_array(system.rows.shape))
+    columns = np.empty((len(rest.y), 0))
+    step = ConstraintPreconditioner(none, columns, 0.1, DualOptions()).apply(rest)
+    np.testing.assert_array_equal(step.p, none.prior(rest.p))
+    np.testing.assert_array_equal(step.y, rest.y)
+
+
+def test_multipliers_beside_the_directions_are_solved_for() -> None:
     built, rest = fresh()
     built.apply(rest)
-    assert len(built._subspace) > 0 and not built._responses.kept
+    other = np.random.default_rng(6).normal(size=len(rest.y))
+    expected = built._system.response(other)
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(built._response(other), expected, atol=1e-9 * size)
+
+
+@pytest.mark.parametrize("most", [0, 1])
+def test_of_many_directions_no_fields_are_kept(
+    most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "MOST_FIELDS", most)
+    built, rest = fresh()
+    built.apply(rest)
+    assert len(built._subspace) > 2 and not built._responses.kept
