@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pytest
 import typer
@@ -37,6 +37,52 @@ def own_command(tide: Tide, file: Path, deep: bool = False, json: bool = False) 
         a.txt
     """
     typer.echo(f"{tide.height} {file.name} {deep} {json}")
+
+
+#: Words of typer's own, of two options
+SHARED = typer.Option(metavar="NUMBER")
+
+
+def second_command(
+    context: typer.Context,
+    output: Path,
+    near_by: Annotated[float, SHARED] = 1.0,
+    far: Annotated[float, SHARED] = 2.0,
+    very_far: bool = False,
+    force: bool = False,
+) -> None:
+    """Say more.
+
+    Args:
+        output: Where to.
+        near_by: Close.
+        far: Away.
+        very_far: Out of sight.
+        force: With all might.
+
+    Example:
+        second-command
+    """
+    typer.echo(f"{context.info_name} {output.name} {near_by} {very_far} {force}")
+
+
+def test_typer_s_own_words_stay_and_each_option_has_its_own_help(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    made = typer.Typer(add_completion=False, rich_markup_mode=None)
+    add_command(made, second_command)
+    command = typer.main.get_command(made)
+    assert command.name == "second-command"
+    options = {option.name: option for option in command.params}
+    assert [options[n].help for n in ("near_by", "far")] == ["Close.", "Away."]
+    assert {options[n].metavar for n in ("near_by", "far")} == {"NUMBER"}
+    assert options["output"].opts == ["-o", "--output"]
+    assert options["very_far"].opts == ["--very-far"]
+    assert options["force"].help == "With all might."  # not as in other commands
+    assert SHARED.help is None
+    words = ["-o", "x/b.txt", "--near-by", "3", "--very-far"]
+    command(words, prog_name="here", standalone_mode=False)
+    assert capsys.readouterr().out == "here b.txt 3.0 True False\n"
 
 
 @pytest.fixture

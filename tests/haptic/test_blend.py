@@ -13,7 +13,16 @@ from scipy.spatial.transform import Rotation
 from tests.conftest import ellipsoid, some, torso
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.errors import InputError
-from ttus_opt.haptic.blend import BlendLaw, follow, settled_ledger
+from ttus_opt.haptic.blend import (
+    GAP,
+    RETREAT_STEP,
+    BlendLaw,
+    follow,
+    opened_ledger,
+    pose_of,
+    settled_ledger,
+)
+from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField
@@ -111,6 +120,35 @@ def test_motion_is_displacement_and_rotation_vector() -> None:
             np.testing.assert_allclose(found[3:], turn.as_rotvec(), atol=1e-15)
         else:
             assert found == (0.0,) * 6
+
+
+def test_the_ledger_keeps_the_pose_of_the_last_frame() -> None:
+    walk, ledger = Walk.make(3, n=5), settled_ledger(0.0)
+    reference, R, at = np.array([0.003, -0.002, 0.001]), np.empty((3, 3)), np.empty(3)
+    for k in range(5):
+        follow(ledger, walk.rotation[k], walk.position[k], reference)
+        pose_of(ledger, reference, R, at)
+        np.testing.assert_array_equal(R, walk.rotation[k])
+        np.testing.assert_allclose(at, walk.position[k], atol=1e-15)
+
+
+def test_stored_energy_is_found_on_the_way_away_from_the_axis() -> None:
+    """Each field's force along it, rendered by itself, by the trapezoidal rule."""
+    R = Rotation.from_rotvec([0.2, -0.3, 0.1]).as_matrix()
+    r = SURFACE.radius_at(np.array([0.5]), np.array([0.1])).item() + 0.008
+    at, probe = np.array([r * np.cos(0.5), r * np.sin(0.5), 0.1]), shell()
+    ledger, pair = settled_ledger(0.0), (field_of(1.0), field_of(1.6))
+    follow(ledger, R, at, probe.reference)
+    data = FrameData.of(VOXMAP, probe, trilinear=True)
+    opened = opened_ledger(ledger, *(f.values.reshape(-1) for f in pair), data)
+    way = (at + R @ probe.reference) * [1.0, 1.0, 0.0]
+    way /= np.linalg.norm(way)
+    places = [at + n * RETREAT_STEP * way for n in range(30)]
+    both = [Renderer(field, probe) for field in pair]
+    old, new = ([wrench(one, R, place)[:3] for place in places] for one in both)
+    along = (np.array(new) - np.array(old)) @ way
+    assert along[0] > 0.1 and along[-1] == 0.0
+    assert opened[GAP] == pytest.approx(np.trapezoid(along, dx=RETREAT_STEP), rel=1e-9)
 
 
 @pytest.mark.slow

@@ -154,9 +154,12 @@ def test_results_are_the_callers_own(scene: Scene) -> None:
 
 
 def test_outside_the_grid_is_zero_and_says_so(scene: Scene) -> None:
-    wrench = Renderer(random_field(scene), scene.shell).render(
-        np.eye(3), np.array([0.0, 0.0, 7.0])
+    renderer, far = (
+        Renderer(random_field(scene), scene.shell),
+        np.array([0.0, 0.0, 7.0]),
     )
+    assert renderer.render_into(np.eye(3), far, np.empty(6)) == -1
+    wrench = renderer.render(np.eye(3), far)
     assert not wrench.in_grid
     assert wrench.contact_points == 0
     assert not wrench.force.any()
