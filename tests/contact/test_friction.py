@@ -148,6 +148,9 @@ def test_viscous_rows_put_each_pose_into_its_region() -> None:
     region = sliding.regions(6, 2, scene.voxmap)
     angle = np.arctan2(sliding.position[:, 1], sliding.position[:, 0]) % (2 * np.pi)
     np.testing.assert_array_equal(region // 2, (angle / (np.pi / 3)).astype(int))
+    band = sliding.regions(3, 10, scene.voxmap) % 10  # of 2 cm each
+    np.testing.assert_array_equal(band, (sliding.position[:, 2] / 0.02).astype(int))
+    assert len(set(band)) > 2
     rows = viscous_rows(sliding, region, 12)
     c = np.arange(12.0)
     drag = (rows.force @ c).reshape(-1, 3)
