@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from ttus_opt import cli
 from ttus_opt.cli import supervisor
 
 pytestmark = pytest.mark.skipif(
@@ -127,3 +128,23 @@ def test_what_is_over_at_once_has_no_child(
 ) -> None:
     monkeypatch.setattr(os, "fork", lambda: pytest.fail("forked"))
     supervisor.run_supervised(word)
+
+
+@pytest.mark.parametrize(
+    ("command", "told", "threads"),
+    [
+        ("fit", {}, "1"),
+        ("benchmark", {}, None),
+        ("fit", {"OPENBLAS_NUM_THREADS": "4"}, "4"),
+        ("fit", {"OMP_NUM_THREADS": "4"}, None),
+    ],
+)
+def test_dense_algebra_has_one_thread_unless_the_environment_says_otherwise(
+    command: str,
+    told: dict[str, str],
+    threads: str | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(os, "environ", dict(told))
+    cli._one_blas_thread(command)
+    assert os.environ.get("OPENBLAS_NUM_THREADS") == threads

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.arrays import Array
@@ -13,6 +15,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import plots
 from ttus_opt.report.metrics import Evaluation, evaluate
+from ttus_opt.report.plots.canvas import look
 from ttus_opt.report.plots.potential import colour_limit, round_up
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
@@ -191,3 +194,32 @@ def test_residuals_are_counted_in_full(evaluations: dict[str, Evaluation]) -> No
     rms = np.sqrt(((after.rendered_force - after.measured_force) ** 2).mean())
     texts = [text.get_text() for text in left.get_legend().get_texts()]
     assert texts[1] == f"fitted: rms {rms:.2f} N"
+
+
+@pytest.mark.parametrize(
+    "draw",
+    [
+        lambda fields, series: plots.force_over_time(series, "presses"),
+        lambda fields, series: plots.residual_histogram(
+            *([e] for e in series.values())
+        ),
+        lambda fields, series: plots.overview(fields[1], np.zeros((1, 3)), series),
+        lambda fields, series: plots.surface_picture(half_seen()),
+        pytest.param(
+            lambda fields, series: plots.potential_slices(*fields),
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["forces", "residuals", "overview", "surface", "potential"],
+)
+def test_margins_hold_what_stands_in_them(
+    draw: Callable[..., Figure],
+    fields: tuple[PotentialField, PotentialField],
+    evaluations: dict[str, Evaluation],
+) -> None:
+    figure = draw(fields, evaluations)
+    with look():  # ticks are made when they are drawn
+        drawn = figure.get_tightbbox()
+    width, height = figure.get_size_inches()
+    assert drawn.x0 >= 0.0 and drawn.y0 >= 0.0
+    assert drawn.x1 <= width and drawn.y1 <= height

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -21,7 +22,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from ttus_opt.cli.supervisor import run_supervised
 
         # before anything large is loaded, or any thread runs
-        run_supervised(next(iter(sys.argv[1:]), ""))
+        command = next(iter(sys.argv[1:]), "")
+        run_supervised(command)
+        _one_blas_thread(command)
     from ttus_opt.cli.app import main as run
 
     run(arguments)
+
+
+def _one_blas_thread(command: str) -> None:
+    """Dense algebra by one thread, unless the environment says how many.
+
+    A fit's dense matrices are small. Threads that wait for the next of them keep the
+    processors busy, and numpy and scipy bring some each: choosing weights took five
+    times the processor time. A benchmark lets every solver have what it finds.
+    """
+    told = {"OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS", "OMP_NUM_THREADS"}
+    if command != "benchmark" and not told & os.environ.keys():
+        os.environ["OPENBLAS_NUM_THREADS"] = "1"

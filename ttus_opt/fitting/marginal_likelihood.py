@@ -31,7 +31,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy.linalg
 import scipy.optimize
 
 from ttus_opt.arrays import Array, IntArray
@@ -178,7 +177,8 @@ class MeasuredSeries:
         gram[np.diag_indices_from(gram)] += 1.0
         lower = np.linalg.cholesky(gram)
         both = np.stack([u, t], axis=1)
-        half = scipy.linalg.solve_triangular(lower, B @ both, lower=True)
+        # not scipy's: its threads and numpy's would keep each other waiting
+        half = np.linalg.solve(lower, B @ both)
         (uu, ut), (_, tt) = both.T @ both - half.T @ half
         if scale is None:
             scale = float(ut / uu) if uu > 0.0 else 1.0

@@ -35,18 +35,46 @@ _LOOK = {
 }
 
 
-def new_figure(width: float, height: float, **layout: Any) -> Figure:
+def new_figure(
+    width: float,
+    height: float,
+    margins: tuple[float, float, float, float] | None = None,
+) -> Figure:
     """An empty figure.
 
     Args:
         width: [in].
         height: [in].
-        layout: Further arguments of the constrained layout.
+        margins: Left, right, bottom and top of its axes [in]; when not given, what
+            their labels need, which takes longer to find than to draw it all.
     """
-    engine = ConstrainedLayoutEngine(**layout)
+    engine = None if margins else ConstrainedLayoutEngine()
     figure = Figure(figsize=(width, height), dpi=DPI, layout=engine)
     FigureCanvasAgg(figure)
+    if margins:
+        left, right, bottom, top = margins
+        figure.subplots_adjust(
+            left / width, bottom / height, 1.0 - right / width, 1.0 - top / height
+        )
     return figure
+
+
+def add_axes(
+    figure: Figure,
+    box: tuple[float, float, float, float],
+    projection: str | None = None,
+) -> Any:
+    """Axes at a place of their own.
+
+    Args:
+        figure: Where to.
+        box: Left, bottom, width and height [in].
+        projection: "3d", or none.
+    """
+    width, height = figure.get_size_inches()
+    left, bottom, wide, high = box
+    share = (left / width, bottom / height, wide / width, high / height)
+    return figure.add_axes(share, projection=projection)
 
 
 def look() -> Any:

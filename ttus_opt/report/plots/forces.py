@@ -36,8 +36,9 @@ def force_over_time(evaluations: Mapping[str, Evaluation], title: str = "") -> F
     """
     first = _checked(evaluations)
     with look():
-        figure = new_figure(7.2, 6.0)
-        axes = figure.subplots(4, 1, sharex=True, height_ratios=(1.5, 1, 1, 1))
+        figure = new_figure(7.2, 6.0, margins=(0.7, 0.14, 0.45, 0.33))
+        rows = {"height_ratios": (1.5, 1, 1, 1), "hspace": 0.13}
+        axes = figure.subplots(4, 1, sharex=True, gridspec_kw=rows)
         draw_magnitude(axes[0], evaluations)
         axes[0].set_title(title)
         axes[0].legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))

@@ -32,8 +32,9 @@ def overview(
     k = grid.shape[2] // 2
     values = field.values[:, :, k]
     with look():
-        figure = new_figure(9.2, 2.7, w_pad=0.1)
-        scan, slice_, force = figure.subplots(1, 3, width_ratios=(1.0, 1.0, 1.9))
+        figure = new_figure(9.2, 2.7, margins=(0.65, 0.22, 0.45, 0.25))
+        columns = {"width_ratios": (1.0, 1.0, 1.9), "wspace": 0.3}
+        scan, slice_, force = figure.subplots(1, 3, gridspec_kw=columns)
         draw_section(scan, surface, float(grid.z[k]), surface.axis.to_patient(cloud))
         scan.set_title("scan → surface")
         draw_slice(slice_, field, values, k, colour_limit(field, k))

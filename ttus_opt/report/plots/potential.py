@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.report.plots.canvas import look, new_figure
+from ttus_opt.report.plots.canvas import add_axes, look, new_figure
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 
@@ -61,8 +61,8 @@ def potential_slices(
     spot = 100.0 * grid.r[i] * np.array([np.cos(grid.theta[j]), np.sin(grid.theta[j])])
     common = colour_limit(before, k)
     with look():
-        figure = new_figure(9.6, 6.6)
-        axes = figure.subplots(2, 3)
+        figure = new_figure(9.6, 6.6, margins=(0.69, 0.35, 1.26, 0.46))
+        axes = figure.subplots(2, 3, gridspec_kw={"wspace": 0.374, "hspace": 0.131})
         for column, (title, values) in enumerate(panels.items()):
             is_change = title == "difference"
             limit = round_up(float(np.abs(values).max())) if is_change else common
@@ -70,7 +70,11 @@ def potential_slices(
                 mesh = draw_slice(ax, after, values, k, limit)
             axes[0, column].set_title(title)
             _enlarge(axes[0, column], axes[1, column], spot)
-            bar = figure.colorbar(mesh, ax=axes[:, column], location="bottom")
+            left, width = axes[1, column].get_position().bounds[::2]
+            place = add_axes(
+                figure, (9.6 * left - 0.18, 0.42, 9.6 * width + 0.36, 0.14)
+            )
+            bar = figure.colorbar(mesh, cax=place, orientation="horizontal")
             bar.set_label(f"{'Δ' * is_change}p [{_UNITS[after.sampling]}]")
             bar.set_ticks([share * limit for share in (-1.0, -0.5, 0.0, 0.5, 1.0)])
         for ax in axes[:, 0]:
@@ -78,6 +82,7 @@ def potential_slices(
         figure.suptitle(
             f"Potential at z = {100 * grid.z[k]:.1f} cm; below: the marked part",
             x=0.01,
+            y=0.995,
             ha="left",
             fontsize=10,
         )

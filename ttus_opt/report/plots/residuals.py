@@ -27,8 +27,10 @@ def residual_histogram(
         The figure: forces [N] on the left, torques [mN m] on the right.
     """
     with look():
-        figure = new_figure(7.2, 3.1)
-        left, right = figure.subplots(1, 2)
+        figure = new_figure(
+            7.2, 3.1, margins=(0.61, 0.06, 0.96, 0.25 if title else 0.06)
+        )
+        left, right = figure.subplots(1, 2, gridspec_kw={"wspace": 0.13})
         _draw(left, [_force(e) for e in before], [_force(e) for e in after], "N")
         left.set_xlabel("force residual, each component [N]")
         left.set_ylabel("share of residuals [%]")

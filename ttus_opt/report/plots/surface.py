@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ttus_opt.arrays import Array
-from ttus_opt.report.plots.canvas import look, new_figure
+from ttus_opt.report.plots.canvas import add_axes, look, new_figure
 from ttus_opt.report.plots.potential import draw_outline
 from ttus_opt.scan.surface import Surface
 
@@ -29,21 +29,21 @@ def surface_picture(surface: Surface, cloud: Array | None = None) -> Figure:
     """
     points = None if cloud is None else surface.axis.to_patient(cloud)
     with look():
-        figure = new_figure(9.0, 7.0)
-        parts: Any = figure.subfigures(2, 1, height_ratios=(1.15, 1.0))
-        top, bottom = parts
-        left, right = top.subfigures(1, 2, width_ratios=(0.8, 1.0))
-        _draw_in_space(left.add_subplot(projection="3d"), surface)
-        _draw_unrolled(right, right.subplots(), surface)
+        figure = new_figure(9.0, 7.0, margins=(0.81, 0.28, 0.76, 4.0))
+        space = add_axes(figure, (0.26, 3.33, 3.43, 3.43), projection="3d")
+        _draw_in_space(space, surface)
+        unrolled = add_axes(figure, (4.53, 3.75, 3.4, 3.01))
+        _draw_unrolled(unrolled, add_axes(figure, (8.2, 3.75, 0.15, 3.01)), surface)
         heights = np.quantile(surface.z, (0.2, 0.5, 0.8))
-        axes = bottom.subplots(1, 3, sharex=True, sharey=True)
+        columns = {"wspace": 0.263}
+        axes = figure.subplots(1, 3, sharex=True, sharey=True, gridspec_kw=columns)
         for ax, z in zip(axes, heights, strict=True):
             draw_section(ax, surface, float(z), points)
             ax.set_title(f"z = {100 * z:.1f} cm")
             ax.set_xlabel("x [cm]")
         axes[0].set_ylabel("y [cm]")
         handles, labels = axes[-1].get_legend_handles_labels()
-        bottom.legend(handles, labels, loc="outside lower center", ncols=3)
+        figure.legend(handles, labels, loc="lower center", ncols=3, borderaxespad=0.1)
     return figure
 
 
@@ -81,7 +81,7 @@ def draw_section(axes: Any, surface: Surface, z: float, points: Array | None) ->
     axes.set_ylim(-reach, reach)
 
 
-def _draw_unrolled(figure: Any, axes: Any, surface: Surface) -> None:
+def _draw_unrolled(axes: Any, bar: Any, surface: Surface) -> None:
     step = 360.0 / len(surface.theta)
     degrees = np.degrees(surface.theta)
     edges = np.append(degrees, degrees[-1] + step) - step / 2
@@ -101,7 +101,7 @@ def _draw_unrolled(figure: Any, axes: Any, surface: Surface) -> None:
             colors="none",
             hatches=["////"],
         )
-    figure.colorbar(mesh, ax=axes, label="radius R [cm]")
+    axes.figure.colorbar(mesh, cax=bar, label="radius R [cm]")
     share = 100.0 * surface.observed.mean()
     axes.set_title(f"unrolled: {share:.0f} % observed, hatched = filled")
     axes.set_xlabel("θ [°]")
