@@ -7,15 +7,26 @@ import math
 from ttus_opt.cli.recording_lines import RecordingLine
 from ttus_opt.fitting.doubt_check import Calibration
 
-FOUND = Calibration(0.05, 0.002, 0.951, 0.932, 0.41, 0.2, 90, 3)
+FOUND = Calibration(
+    *(0.05, 0.002, 0.951, 0.932, 0.41, 0.2, 90, 3),
+    force_rank_error=0.16,
+    torque_rank_error=0.03,
+    force_place_rank_correlation=0.68,
+    torque_place_rank_correlation=-0.3,
+    places=7,
+)
 
 
 def test_all_that_is_known_is_said() -> None:
     line = RecordingLine("a.csv", 100, 0.123, FOUND)
-    lost, doubt, deeper = line.lines
+    lost, doubt, ranks, deeper = line.lines
     assert lost.startswith("a.csv: 12 % of the work")
     assert "0.050 N, 2.0 mN m" in doubt and "95.1 % of force and 93.2 % of" in doubt
-    assert doubt.endswith("0.41 and 0.20") and deeper.startswith("a.csv: 3 frames")
+    assert ranks == (
+        "a.csv: rank correlation of error and doubt 0.41 ± 0.16 of force and "
+        "0.20 ± 0.03 of torque; between its 7 places 0.68 and -0.30"
+    )
+    assert deeper.startswith("a.csv: 3 frames")
     told = line.as_dict()
     assert told["doubt"]["force_coverage"] == 0.951 and "doubt_refused" not in told
 
@@ -24,8 +35,9 @@ def test_what_is_not_known_is_left_out() -> None:
     assert RecordingLine("a.csv", 100, math.nan).lines == []
     assert "doubt" not in RecordingLine("a.csv", 100, math.nan).as_dict()
     force = Calibration(0.05, math.nan, 0.95, math.nan, 0.4, math.nan, 90)
-    (line,) = RecordingLine("a.csv", 100, math.nan, force).lines
-    assert "mN m" not in line and "torque" not in line and "nan" not in line
+    lines = RecordingLine("a.csv", 100, math.nan, force).lines
+    assert lines[1] == "a.csv: rank correlation of error and doubt 0.40 of force"
+    assert not any(word in lines[0] for word in ("mN m", "torque", "nan"))
 
 
 def test_a_refusal_is_said() -> None:

@@ -232,3 +232,12 @@ def test_what_has_no_such_posterior_is_refused() -> None:
         exact().covariance(sp.csr_array((5, 7)))
     with pytest.raises(InputError, match="count above 1"):
         exact().draws(1)
+    for depth in (0.0, np.nan, np.inf):
+        with pytest.raises(InputError, match="depth must be"):
+            exact().draws(5, depth)
+        with pytest.raises(InputError, match="depth must be"):
+            doubt(fitted(), three_presses(), depth=depth)
+    with pytest.raises(InputError, match="exact or samples"):
+        doubt(fitted(), three_presses(), method="sample")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="comparators state none"):
+        doubt(tt.Renderer(fitted().field, three_presses().shell), three_presses())  # type: ignore[arg-type]

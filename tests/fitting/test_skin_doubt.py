@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.conftest import torso
 from tests.fitting.test_doubt import fitted, three_presses
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import skin_doubt
 from ttus_opt.fitting.doubt import Doubt, doubt
+from ttus_opt.fitting.saved_doubt import save_with_doubt
 from ttus_opt.fitting.skin_doubt import doubt_map
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
 
 
 @functools.cache
@@ -42,8 +48,17 @@ def test_it_is_smaller_where_the_patient_was_measured() -> None:
     assert np.median(at) < 0.7 * np.median(behind)
 
 
-def test_what_gives_no_map_is_refused() -> None:
+def test_what_gives_no_map_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="must be positive"):
         doubt_map(drawn(), fitted().field, spacing=0.0)
     with pytest.raises(InputError, match="too short"):
         doubt_map(drawn(), fitted().field, spacing=5.0)
+    other = Voxmap.from_surface(torso(), shape=(9, 24, 10), r_inner=0.03)
+    with pytest.raises(InputError, match="of another grid"):
+        doubt_map(drawn(), PotentialField(other, other.region + 0.0, "trilinear"))
+    mean = replace(fitted().field, sampling="voxel-mean")
+    with pytest.raises(InputError, match="of another sampling"):
+        save_with_doubt(mean, drawn(), tmp_path / "a.nc")
+    assert not (tmp_path / "a.nc").exists()
+    with pytest.raises(InputError, match="deeper than draws are kept"):
+        doubt_map(drawn().sampled(5, 0.001), fitted().field, depth=0.06)

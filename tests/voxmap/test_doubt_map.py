@@ -52,3 +52,31 @@ def test_a_frame_has_the_share_of_its_force() -> None:
 def test_what_is_no_map_is_refused(relative: np.ndarray) -> None:
     with pytest.raises(InputError, match="doubt map"):
         DoubtMap(THETA, np.linspace(0.0, 1.0, 3), relative)
+
+
+@pytest.mark.parametrize(
+    ("theta", "z", "why"),
+    [
+        (THETA + 0.1, [0.0, 1.0], "angles"),
+        (THETA / 2.0, [0.0, 1.0], "angles"),
+        (THETA * np.nan, [0.0, 1.0], "angles"),
+        (THETA, [1.0, 0.0], "heights"),
+        (THETA, [0.0, np.nan], "heights"),
+    ],
+)
+def test_places_stand_in_equal_steps(
+    theta: np.ndarray, z: list[float], why: str
+) -> None:
+    with pytest.raises(InputError, match=f"doubt map needs {why}"):
+        DoubtMap(theta, np.array(z), np.zeros((8, 2)))
+
+
+def test_a_map_of_no_or_another_body_is_refused() -> None:
+    scene = small_scene("trilinear")
+    field = tt.fit(scene, "eq10").field
+    for bad in (True, 1.0, "field.nc"):
+        with pytest.raises(InputError, match="doubt=True needs"):
+            tt.Renderer(field, scene.shell, doubt=bad)  # type: ignore[arg-type]
+    tall = DoubtMap(THETA, np.array([0.0, 2.0]), np.zeros((8, 2)))
+    with pytest.raises(InputError, match="the map of this field"):
+        tt.Renderer(field, scene.shell, doubt=tall)

@@ -72,12 +72,23 @@ class RecordingLine:
             + " in the median; the 95 % interval covers "
             + f"{100 * found.force_coverage:.1f} % of force"
             + (f" and {100 * found.torque_coverage:.1f} % of torque" if torque else "")
-            + " components; rank correlation of error and doubt "
-            + f"{found.force_rank_correlation:.2f}"
-            + (f" and {found.torque_rank_correlation:.2f}" if torque else "")
+            + " components"
         )
+        force = _told(found.force_rank_correlation, found.force_rank_error)
+        turn = _told(found.torque_rank_correlation, found.torque_rank_error)
+        ranks = f"{self.name}: rank correlation of error and doubt {force} of force"
+        ranks += f" and {turn} of torque" if torque else ""
+        if not math.isnan(found.force_place_rank_correlation):
+            ranks += f"; between its {found.places} places "
+            ranks += f"{found.force_place_rank_correlation:.2f}"
+            ranks += f" and {found.torque_place_rank_correlation:.2f}" if torque else ""
         deeper = f"{self.name}: {unknown} frames reach deeper than doubt is kept"
-        return [line, deeper] if unknown else [line]
+        return [line, ranks, deeper] if unknown else [line, ranks]
+
+
+def _told(correlation: float, error: float) -> str:
+    """With its standard error where that is known."""
+    return f"{correlation:.2f}" + (f" ± {error:.2f}" if math.isfinite(error) else "")
 
 
 def recording_lines(

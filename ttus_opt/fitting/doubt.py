@@ -18,7 +18,7 @@ Limits are left out: the doubt is that of the estimate without them.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,7 +28,11 @@ from ttus_opt.errors import InputError
 from ttus_opt.fitting.covariance_posterior import CovariancePosterior
 from ttus_opt.fitting.laplace_posterior import LaplacePosterior
 from ttus_opt.fitting.posterior import Posterior
-from ttus_opt.fitting.posterior_draws import PosteriorDraws, skin_voxels
+from ttus_opt.fitting.posterior_draws import (
+    PosteriorDraws,
+    checked_depth,
+    skin_voxels,
+)
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.fitting.wrench_doubt import WrenchDoubt, rendered, wrench_rows
 from ttus_opt.fitting.wrench_noise import (
@@ -137,16 +141,14 @@ class Doubt:
             depth: How far below the skin [m].
 
         Raises:
-            InputError: Numbers that are not positive.
+            InputError: Another count than 2 or more, or a depth that is not positive
+                or above 1 m.
         """
         kept = self._draws
         if kept is not None and kept.depth == depth and 1 < count <= len(kept.values):
             return PosteriorDraws(kept.values[:count], kept.voxels, depth)
-        if not (count > 1 and depth > 0.0):
-            raise InputError(
-                f"draws need a count above 1 and a positive depth, got {count} and "
-                f"{depth} m"
-            )
+        if not (isinstance(count, int | np.integer) and count > 1):
+            raise InputError(f"draws need a whole count above 1, got {count}")
         voxels = skin_voxels(self.scene.voxmap, depth)
         return PosteriorDraws(self._posterior.draw(count, voxels), voxels, depth)
 
@@ -181,8 +183,16 @@ def doubt(
 
     Raises:
         InputError: The problem has another prior or other unknowns, the scene is
-            another, or nothing was measured.
+            another, nothing was measured, or an unknown method or unusable depth.
     """
+    if not isinstance(solution, Solution):
+        raise InputError(
+            f"doubt is of what ttus_opt.fit gives, got a {type(solution).__name__}: "
+            "comparators state none"
+        )
+    if method is not None and method not in get_args(Method):
+        raise InputError(f"method must be exact or samples, got {method!r}")
+    checked_depth(depth)
     program = solution.program
     prior = _prior_of(solution)
     if program.laplace is not scene.laplace:

@@ -1,4 +1,12 @@
-"""Whether stated doubt holds: coverage, and whether the error grows with it."""
+"""Whether stated doubt holds: coverage, and whether the error grows with it.
+
+Rank correlations are told of frames and of places. Within a place stated doubt follows
+the force, while errors may not; between places it says what was measured well. Errors
+within a place are alike, so that a recording has as many witnesses as places: leaving
+each out in turn tells how far a correlation may be off (the jackknife).
+
+Source: B. Efron, C. Stein, The jackknife estimate of variance, Ann. Statist. 9 (1981).
+"""
 
 from __future__ import annotations
 
@@ -7,12 +15,17 @@ from typing import Protocol
 
 import numpy as np
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.posterior import NORMAL
+from ttus_opt.fitting.weight_criteria import runs
 from ttus_opt.fitting.wrench_doubt import WrenchDoubt
+from ttus_opt.fitting.wrench_noise import places
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import Evaluation
+
+#: Fewer frames, or places, have no order [–]
+LEAST = 3
 
 
 class StatesDoubt(Protocol):
@@ -26,16 +39,28 @@ class StatesDoubt(Protocol):
 class Calibration:
     """Stated doubt against errors on a recording, over frames in contact.
 
+    Rank correlations are Spearman's, of the size of the error; those of torque are NaN
+    where none was measured, those over places with fewer than three.
+
     Attributes:
         force_std_N: Median standard deviation of the whole force, √ trace.
         torque_std_Nm: The same of torque; NaN where none was measured.
         force_coverage: Share of measured force components within the 95 % interval,
             the field's doubt and what a measurement shows beside it [–].
         torque_coverage: The same of torque; NaN where none was measured [–].
-        force_rank_correlation: Spearman's, of the force's error with its doubt [–].
+        force_rank_correlation: With the field's own doubt [–].
         torque_rank_correlation: The same of torque [–].
         frames: Frames in contact.
         frames_unknown: Frames that reach deeper than doubt is known; left out.
+        force_rank_error: Standard error of that, places left out in turn [–].
+        torque_rank_error: The same of torque [–].
+        force_total_rank_correlation: With the field's own doubt and the noise of a
+            measurement together [–].
+        torque_total_rank_correlation: The same of torque [–].
+        force_place_rank_correlation: Of the means over every place, with the field's
+            own doubt [–].
+        torque_place_rank_correlation: The same of torque [–].
+        places: Runs of frames of one press within 30 mm [–].
     """
 
     force_std_N: float
@@ -46,6 +71,13 @@ class Calibration:
     torque_rank_correlation: float
     frames: int
     frames_unknown: int = 0
+    force_rank_error: float = np.nan
+    torque_rank_error: float = np.nan
+    force_total_rank_correlation: float = np.nan
+    torque_total_rank_correlation: float = np.nan
+    force_place_rank_correlation: float = np.nan
+    torque_place_rank_correlation: float = np.nan
+    places: int = 0
 
     def as_dict(self) -> dict[str, float]:
         """All figures by name, for JSON."""
@@ -63,40 +95,81 @@ def check_doubt(
         trajectory: A recording that was not fitted.
 
     Raises:
-        InputError: The probe touches in fewer than three frames.
+        InputError: The probe touches in fewer than three frames, or the evaluation is
+            of another recording.
     """
+    if not np.array_equal(evaluation.time, trajectory.time):
+        raise InputError(
+            "the evaluation is of another recording: give the one it was made on"
+        )
     stated = doubt.std(trajectory)
     touching = stated.known & (stated.force_size > 0.0)
-    if np.count_nonzero(touching) < 3:
+    if np.count_nonzero(touching) < LEAST:
         raise InputError(
             "doubt is checked on frames in contact, the recording has fewer than three"
         )
-    force = _against(
+    press = runs(touching, trajectory.segment)[touching]
+    place = places(press, trajectory.position[touching])
+    force = _Agreement.of(
         (evaluation.rendered_force - evaluation.measured_force)[touching],
         stated.force[touching],
         stated.force_noise[touching],
+        place,
     )
-    torque, torque_std = (np.nan, np.nan), np.nan
+    torque, torque_std = _Agreement(), np.nan
     if np.isfinite(stated.torque_noise).all() and trajectory.has_torque:
         torque_std = float(np.median(stated.torque_size[touching]))
-        torque = _against(
+        torque = _Agreement.of(
             (evaluation.rendered_torque - evaluation.measured_torque)[touching],
             stated.torque[touching],
             stated.torque_noise[touching],
+            place,
         )
     return Calibration(
         float(np.median(stated.force_size[touching])),
         torque_std,
-        *(force[0], torque[0], force[1], torque[1]),
+        *(force.coverage, torque.coverage, force.ranks, torque.ranks),
         int(touching.sum()),
         int((~stated.known).sum()),
+        *(force.ranks_error, torque.ranks_error),
+        *(force.total_ranks, torque.total_ranks),
+        *(force.place_ranks, torque.place_ranks),
+        int(place[-1]) + 1,
     )
 
 
-def _against(error: Array, std: Array, noise: Array) -> tuple[float, float]:
-    """Coverage, and rank correlation of sizes."""
+@dataclass(frozen=True)
+class _Agreement:
+    """Of one quantity, as of `Calibration`."""
+
+    coverage: float = np.nan
+    ranks: float = np.nan
+    ranks_error: float = np.nan
+    total_ranks: float = np.nan
+    place_ranks: float = np.nan
+
+    @classmethod
+    def of(cls, error: Array, std: Array, noise: Array, place: IntArray) -> _Agreement:
+        """Of components of an error, their doubt and their noise, each (n, 3)."""
+        total = np.sqrt(std**2 + noise**2)
+        off, own, whole = (np.linalg.norm(v, axis=1) for v in (error, std, total))
+        frames = np.bincount(place)
+        left = [_ranks(off[place != i], own[place != i]) for i in range(len(frames))]
+        spread = np.sqrt(max(len(left) - 1, 0)) * np.std(left)
+        means = (np.bincount(place, values) / frames for values in (off, own))
+        return cls(
+            float((np.abs(error) <= NORMAL * total).mean()),
+            _ranks(off, own),
+            float(spread) if len(left) >= LEAST else np.nan,
+            _ranks(off, whole),
+            _ranks(*means),
+        )
+
+
+def _ranks(a: Array, b: Array) -> float:
+    """Spearman's rank correlation; NaN where there is no order."""
     from scipy.stats import spearmanr
 
-    within = np.abs(error) <= NORMAL * np.sqrt(std**2 + noise**2)
-    sizes = np.linalg.norm(error, axis=1), np.linalg.norm(std, axis=1)
-    return float(within.mean()), float(spearmanr(*sizes).statistic)
+    if len(a) < LEAST or not (np.ptp(a) > 0.0 and np.ptp(b) > 0.0):
+        return np.nan
+    return float(spearmanr(a, b).statistic)

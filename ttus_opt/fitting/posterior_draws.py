@@ -13,9 +13,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray
+from ttus_opt.errors import InputError
 from ttus_opt.fitting.posterior import Single, kept_rows
 from ttus_opt.voxmap.depth_sampling import spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
+
+#: No draws are kept deeper than this [m]
+DEEPEST = 1.0
 
 #: Draws that are measured together
 BATCH = 32
@@ -62,7 +66,11 @@ def skin_voxels(voxmap: Voxmap, depth: float) -> IntArray:
     Args:
         voxmap: Grid and surface.
         depth: Below the surface [m].
+
+    Raises:
+        InputError: As `checked_depth`.
     """
+    checked_depth(depth)
     grid = voxmap.grid
     outermost = spoke_table(voxmap)[:, 1].astype(np.int64)
     n_spokes = len(outermost)
@@ -70,3 +78,16 @@ def skin_voxels(voxmap: Voxmap, depth: float) -> IntArray:
     spokes = np.broadcast_to(np.arange(n_spokes), layers.shape)
     inside = layers >= 0
     return np.sort(layers[inside] * n_spokes + spokes[inside])
+
+
+def checked_depth(depth: float) -> float:
+    """How far below the skin draws are kept, as given [m].
+
+    Raises:
+        InputError: It is not positive, or deeper than `DEEPEST`.
+    """
+    if not 0.0 < depth < DEEPEST:
+        raise InputError(
+            f"depth must be positive and below {DEEPEST:g} m, got {depth} m"
+        )
+    return depth

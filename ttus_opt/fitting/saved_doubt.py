@@ -17,7 +17,7 @@ from ttus_opt import io
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.fitting.doubt import DEPTH, Doubt
 from ttus_opt.fitting.posterior_draws import PosteriorDraws, skin_voxels
-from ttus_opt.fitting.skin_doubt import doubt_map
+from ttus_opt.fitting.skin_doubt import doubt_map, require_own
 from ttus_opt.fitting.wrench_doubt import WrenchDoubt, rendered, wrench_rows
 from ttus_opt.fitting.wrench_noise import WrenchNoise
 from ttus_opt.probe.point_shell import PointShell
@@ -33,9 +33,6 @@ FILE_DRAWS = 128
 
 #: Largest whole number that a draw is written as
 LARGEST = 32_767
-
-#: No draws are kept deeper than this [m]
-DEEPEST = 1.0
 
 #: Attribute with what else is known of the doubt; noise as one number, of files written
 #: before, was in another
@@ -96,6 +93,7 @@ def save_with_doubt(
         InputError: As `Doubt.draws` and `doubt_map`.
         FileError: The file cannot be written.
     """
+    require_own(doubt, fitted)
     sampled = doubt.sampled(count, depth)
     draws = sampled.draws(count, depth)
     mapped = replace(fitted, doubt=doubt_map(sampled, fitted))
@@ -135,8 +133,6 @@ def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
     try:
         facts = json.loads(data.attrs[FACTS])
         depth, noise = float(facts["depth"]), WrenchNoise.from_dict(facts["noise"])
-        if not 0.0 < depth < DEEPEST:
-            raise InputError(f"depth {depth:g} m")
         whole = io.array_of(data, field_file.DRAWS, DIMS, fitted.unit)
         factor = np.float32(data[field_file.DRAWS].attrs["factor"])
         if not 0.0 < factor < np.inf:

@@ -46,9 +46,11 @@ def doubt_map(
         depth: Of every press [m].
 
     Raises:
-        InputError: Numbers that are not positive, a recording without contact, or a
-            body too short for the spacing.
+        InputError: Numbers that are not positive, a recording without contact, a body
+            too short for the spacing, a press deeper than draws are kept, or a field
+            that the doubt is not of.
     """
+    require_own(doubt, field)
     if not (spacing > 0.0 and depth > 0.0):
         raise InputError(
             f"spacing and depth must be positive [m], got {spacing}, {depth}"
@@ -62,13 +64,39 @@ def doubt_map(
         raise InputError(f"the body is too short for places every {spacing:g} m")
     z = np.linspace(low, high, 1 + int(np.ceil((high - low) / spacing)))
     presses = _presses(doubt.scene, theta, z, depth)
-    std = doubt.std(presses).force_size
+    stated = doubt.std(presses)
+    if not stated.known.all():
+        raise InputError(
+            f"presses of {depth:g} m reach deeper than draws are kept: give doubt a "
+            "larger depth"
+        )
+    std = stated.force_size
     force = np.linalg.norm(
         wrenches_along(field, doubt.scene.shell, presses).force, axis=1
     )
     relative = std / np.maximum(force, LEAST_FORCE)
     relative[force == 0.0] = relative.max()  # beside the sector nothing is known
     return DoubtMap(theta, z, relative.reshape(n, len(z)))
+
+
+def require_own(doubt: Doubt, field: PotentialField) -> None:
+    """Refuse a field on another grid or surface, or of another sampling.
+
+    Raises:
+        InputError: The doubt is not of it.
+    """
+    own = doubt.potential
+    one, other = own.voxmap.surface, field.voxmap.surface
+    alike = {
+        "grid": own.voxmap.grid == field.voxmap.grid,
+        "surface": one is other or np.array_equal(one.radius, other.radius),
+        "sampling": own.sampling == field.sampling,
+    }
+    for name, same in alike.items():
+        if not same:
+            raise InputError(
+                f"the doubt is of a field of another {name}: give the one it is of"
+            )
 
 
 def _presses(scene: Scene, theta: Array, z: Array, depth: float) -> Trajectory:

@@ -148,8 +148,16 @@ def presses(scene: Scene) -> IntArray:
     A press is a run of frames in contact within a recording; between two of them the
     probe has left the skin.
     """
-    touching = scene.rows.contact_points > 0
-    segment = scene.trajectory.segment
+    return runs(scene.rows.contact_points > 0, scene.trajectory.segment)
+
+
+def runs(touching: Mask, segment: IntArray) -> IntArray:
+    """Number of the run every frame belongs to, in contact or in the air, shape (T,).
+
+    Args:
+        touching: Whether a frame is in contact, shape (T,).
+        segment: Which recording it is of, shape (T,) [–].
+    """
     begins = (np.diff(touching.astype(np.int8)) != 0) | (np.diff(segment) != 0)
     return np.concatenate([[0], np.cumsum(begins)]).astype(np.int64)
 

@@ -381,12 +381,21 @@ class Renderer:
 
 
 def _map_of(doubt: DoubtMap | bool | None, field: PotentialField) -> DoubtMap | None:
-    """The map that is meant, or `InputError` where the field has none."""
-    if not isinstance(doubt, bool):
+    """The map that is meant, or `InputError` where there is none of this body."""
+    if doubt is None or doubt is False:
+        return None
+    if isinstance(doubt, DoubtMap):
+        surface = field.voxmap.surface
+        if doubt.z[0] < surface.z[0] or doubt.z[-1] > surface.z[-1]:
+            raise InputError(
+                f"the doubt map has heights from {doubt.z[0]:g} to {doubt.z[-1]:g} m, "
+                f"the field's body from {surface.z[0]:g} to {surface.z[-1]:g} m: give "
+                "the map of this field"
+            )
         return doubt
-    if doubt and field.doubt is None:
+    if doubt is not True or field.doubt is None:
         raise InputError(
             "doubt=True needs a field with a doubt map: fit with ttus-opt fit --doubt, "
             "or give the map of ttus_opt.fitting.skin_doubt.doubt_map"
         )
-    return field.doubt if doubt else None
+    return field.doubt

@@ -25,6 +25,9 @@ if TYPE_CHECKING:
 #: Variable of a field file, and its dimensions
 VARIABLE, DIMS = "doubt", ("doubt_theta", "doubt_z")
 
+#: Steps are equal up to this [rad, m]
+STEP = 1e-6
+
 
 @dataclass(frozen=True)
 class DoubtMap:
@@ -41,7 +44,7 @@ class DoubtMap:
     relative: Array = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Validate shapes, and values that are finite and not negative."""
+        """Validate shapes, equal steps, and values that are finite, none negative."""
         shape = len(self.theta), len(self.z)
         if self.relative.shape != shape or len(self.z) < 2 or not len(self.theta):
             raise InputError(
@@ -50,6 +53,14 @@ class DoubtMap:
             )
         if not (np.isfinite(self.relative).all() and (self.relative >= 0.0).all()):
             raise InputError("a doubt map needs standard deviations, none negative")
+        if not (_in_steps(self.theta) and abs(self.theta[0]) < STEP and self._closed()):
+            raise InputError("a doubt map needs angles from 0 in equal steps around")
+        if not _in_steps(self.z):
+            raise InputError("a doubt map needs heights that increase in equal steps")
+
+    def _closed(self) -> bool:
+        around = 2.0 * math.pi / len(self.theta)
+        return bool(abs(self.theta[-1] + around - 2.0 * math.pi) < STEP)
 
     @cached_property
     def _rows(self) -> list[list[float]]:
@@ -100,3 +111,10 @@ class DoubtMap:
             io.array_of(data, DIMS[1], DIMS[1:], "m"),
             io.array_of(data, VARIABLE, DIMS, "1"),
         )
+
+
+def _in_steps(values: Array) -> bool:
+    """Whether they increase in equal steps; false with NaN."""
+    steps = np.diff(values)
+    equal = np.abs(steps - steps.mean()) < STEP if len(steps) else np.isfinite(values)
+    return bool(equal.all() and (steps > 0.0).all())
