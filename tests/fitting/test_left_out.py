@@ -10,8 +10,9 @@ import pytest
 import ttus_opt as tt
 from tests.fitting.test_tuning import drawn, tuned
 from ttus_opt.errors import InputError
-from ttus_opt.fitting import left_out
+from ttus_opt.fitting import left_out, tuning
 from ttus_opt.fitting.left_out import Check, LeftOut, left_out_of
+from ttus_opt.fitting.tuning_series import TuningRows
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
@@ -75,6 +76,8 @@ def test_every_press_is_one_witness() -> None:
     plain = model("plain", [0, 1, 2, 3, 5, 6], [2.0, 2.0, 2.0, 6.0, 3.0, 0.0])
     check = Check.between(rich, plain, PRESS)
     assert check.presses == 3 and check.made and check.holds and check.better
+    assert check.clear and not replace(check, difference_error=1.5).clear
+    assert rich.mean_over(PRESS[rich.frames]) == pytest.approx((2 + 5 + 1 + 9) / 4)
     assert check.richer_error == pytest.approx((2.0 + 5.0 + 1.0) / 3.0)
     assert check.simpler_error == pytest.approx((2.0 + 6.0 + 3.0) / 3.0)
     # differences 0, -1, -2: deviation 1, over the root of three
@@ -106,3 +109,30 @@ def test_a_tuning_tells_the_errors_of_its_presses() -> None:
     assert found.left_out.errors.mean() > found.left_out_force_error
     check = Check.between(found.left_out, found.own_left_out, presses(scene))
     assert check.holds and check.simpler_error > 1.2 * check.richer_error
+
+
+def test_the_best_weights_are_looked_for_by_fits_without_each_press(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene, signals = drawn(), np.array([1e-6, 30.0])
+    monkeypatch.setattr(tuning, "LOOK_SIGNALS", signals)
+    found = tuning.best_left_out(scene, "eq10", {})
+    touching, press = scene.rows.contact_points > 0, presses(scene)
+    weight = 30.0 / TuningRows.of(tt.load_formulation("eq10", scene)).variance()
+    for number in np.unique(press[touching]):
+        own, out = touching & (press != number), touching & (press == number)
+        kept = Scene.assemble(
+            *(scene.voxmap, scene.shell, scene.trajectory.select(own)),
+            inner=scene.inner,
+            outer=scene.outer,
+            sampling=scene.sampling,
+        )
+        given = {"force_weight": weight, "torque_weight": weight}
+        solution = tt.fit(kept, "eq10", torque_length=scene.torque_length, **given)
+        off = (scene.f - scene.N @ solution.candidate).reshape(-1, 3)[out]
+        expected, at = (
+            np.linalg.norm(off, axis=1),
+            np.isin(found.frames, *out.nonzero()),
+        )
+        # the basis leaves out what two units of noise variance cannot tell
+        np.testing.assert_allclose(found.errors[at], expected, atol=2e-3)

@@ -169,6 +169,17 @@ def test_a_depth_map_stays_where_it_predicts_better(
     assert "depth_map predicts presses left" in solution.summary()
 
 
+def test_where_a_depth_map_is_clearly_better_nothing_is_tuned(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    worse = off_by(20.0, tuned().left_out)
+    monkeypatch.setattr(weight_choice, "best_left_out", lambda *_: worse)
+    monkeypatch.delattr(weight_choice, "tune")
+    choice = choose_weights(drawn(), "depth_map")
+    assert choice.formulation.name == "depth_map"
+    assert choice.checks[-1].clear and "better than" in choice.lines[-1]
+
+
 def test_two_presses_leave_the_weights_unchecked() -> None:
     scene = drawn()
     kept = scene.trajectory.select(np.arange(len(scene.trajectory)) < 10)

@@ -44,6 +44,14 @@ class LeftOut:
     frames: IntArray = field(repr=False)
     errors: Array = field(repr=False)
 
+    def mean_over(self, press: IntArray) -> float:
+        """Mean over presses of their mean error [N].
+
+        Args:
+            press: Which press each of the frames belongs to, shape (n,) [–].
+        """
+        return float(_means(self.errors, press).mean())
+
 
 @dataclass(frozen=True)
 class Check:
@@ -77,15 +85,13 @@ class Check:
         frames, *at = np.intersect1d(
             richer.frames, simpler.frames, assume_unique=True, return_indices=True
         )
-        numbers, place = np.unique(press[frames], return_inverse=True)
-        n = len(numbers)
-        if n < LEAST_PRESSES:
-            return cls(richer.model, simpler.model, n)
-        share = 1.0 / np.bincount(place)[place]
         means = [
-            np.bincount(place, share * one.errors[own])
+            _means(one.errors[own], press[frames])
             for one, own in zip((richer, simpler), at, strict=True)
         ]
+        n = len(means[0])
+        if n < LEAST_PRESSES:
+            return cls(richer.model, simpler.model, n)
         spread = (means[0] - means[1]).std(ddof=1) / np.sqrt(n)
         rich, plain = (float(one.mean()) for one in means)
         return cls(richer.model, simpler.model, n, rich, plain, float(spread))
@@ -104,6 +110,11 @@ class Check:
     def better(self) -> bool:
         """Whether the richer one has the smaller error."""
         return self.made and self._excess < 0.0
+
+    @property
+    def clear(self) -> bool:
+        """Whether it is smaller by more than a standard error."""
+        return self.made and -self._excess > self.difference_error
 
     @property
     def _excess(self) -> float:
@@ -127,6 +138,12 @@ class Check:
     def as_dict(self) -> dict[str, Any]:
         """All of it by name, for JSON."""
         return {**asdict(self), "made": self.made, "holds": self.holds}
+
+
+def _means(errors: Array, press: IntArray) -> Array:
+    """Mean of every press, in the order of their numbers."""
+    _, place, count = np.unique(press, return_inverse=True, return_counts=True)
+    return np.asarray(np.bincount(place, errors) / count)
 
 
 def left_out_of(declared: Formulation) -> LeftOut:

@@ -30,6 +30,7 @@ from ttus_opt.fitting.tuning_candidate import (
 )
 from ttus_opt.fitting.tuning_series import TuningRows, coarser
 from ttus_opt.fitting.weight_criteria import Criteria
+from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 
@@ -38,6 +39,11 @@ CANDIDATES = ("coulomb_global", "eq10")
 
 #: Factors on the weights, for comparison with other criteria [–]
 FACTORS = np.geomspace(1e-3, 1e3, 13)
+
+
+#: Voxels of a grid that is looked at before tuning, and ratios of the prior's variance
+#: to the noise's there [–]
+LOOK_VOXELS, LOOK_SIGNALS = 4_000, np.geomspace(1e-2, 1e2, 9)
 
 
 @dataclass(frozen=True)
@@ -223,6 +229,32 @@ def _scaled(
         not_identified=scene.not_identified,
     )
     return scaled, (told,)
+
+
+def best_left_out(scene: Scene, name: str, options: Mapping[str, Any]) -> LeftOut:
+    """Presses left out of a formulation with whatever weights serve it best there.
+
+    On a coarse grid, all terms with one of `LOOK_SIGNALS`: a tenth of what `tune`
+    takes, and hardly worse for a formulation than its likeliest weights.
+
+    Args:
+        scene: With measured wrenches.
+        name: Of a formulation without a coefficient in its rows.
+        options: Of formulations; those that it has not are left out.
+
+    Raises:
+        InputError: It cannot be tuned.
+    """
+    small = coarser(scene, LOOK_VOXELS)
+    known = shelf.option_names(name)
+    own = {k: v for k, v in options.items() if known is None or k in known}
+    rows = TuningRows.of(shelf.load(name, small, **own))
+    weights = LOOK_SIGNALS / rows.variance()
+    touching = np.flatnonzero(small.rows.contact_points > 0)
+    judge = _Judge(rows.series(float(weights.max())), 1.0, touching)
+    ones, words = np.ones(len(rows.terms)), f"{name} with its best weights"
+    found = [judge.left_out(words, weight * ones) for weight in weights]
+    return min(found, key=lambda one: one.mean_over(judge.series.press))
 
 
 @dataclass(frozen=True)

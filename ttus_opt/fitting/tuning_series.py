@@ -156,13 +156,13 @@ class TuningRows:
         )
 
 
-def coarser(scene: Scene) -> Scene:
-    """The scene on about `MOST_VOXELS`; itself where it has no more.
+def coarser(scene: Scene, most: int | None = None) -> Scene:
+    """The scene on about so many voxels, `MOST_VOXELS`; itself where it has no more.
 
     A boundary scale that was fitted is fitted again: a coarse surface is elsewhere.
     """
     shape = scene.voxmap.grid.shape
-    share = (MOST_VOXELS / scene.n_voxels) ** (1.0 / 3.0)
+    share = ((most or MOST_VOXELS) / scene.n_voxels) ** (1.0 / 3.0)
     if share >= 1.0:
         return scene
     fitted = BOUNDARY_SCALE in scene.parameters

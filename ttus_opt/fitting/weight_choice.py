@@ -23,7 +23,7 @@ from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.batch import USUAL
 from ttus_opt.fitting.contact_spread import SPOT, contact_spread
 from ttus_opt.fitting.left_out import Check, LeftOut, left_out_of
-from ttus_opt.fitting.tuning import CANDIDATES, Tuning, tune
+from ttus_opt.fitting.tuning import CANDIDATES, Tuning, best_left_out, tune
 from ttus_opt.fitting.tuning_candidate import SIGNAL_TO_NOISE
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem import formulation as shelf
@@ -223,12 +223,21 @@ def _depth_map_or_simpler(
     options: Mapping[str, Any],
     progress: Callable[[str], None] | None,
 ) -> WeightChoice:
-    """A depth map, or eq. 10 where that predicts presses left out better."""
+    """A depth map, or eq. 10 where that predicts presses left out better.
+
+    Where the depth map is clearly better than eq. 10 with whatever weights serve that
+    best, nothing is tuned.
+    """
     name = USUAL if own.search is None else DRAG
+    richer, press = left_out_of(own), presses(scene)
+    if own.search is None:
+        look = Check.between(richer, best_left_out(scene, name, options), press)
+        if look.clear:
+            return WeightChoice(scene, own, checks=(look,))
     found = tune(scene, name, compare=False, progress=progress, **options)
     doubtful = bool(_doubt(found))
     simpler = found.own_left_out if doubtful else found.left_out
-    check = Check.between(left_out_of(own), simpler, presses(scene))
+    check = Check.between(richer, simpler, press)
     if check.holds:
         return WeightChoice(scene, own, checks=(check,))
     _warn_of_simpler(check, name)
