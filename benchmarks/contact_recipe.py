@@ -9,7 +9,8 @@ thickness times the depth (ibid., §5.8), the thickness constant or a wave as of
 integrated over the contact. The body is a cylinder, as the grid is; the flat probe
 follows its curve, so that relative to the body it is flat.
 Half of the places are fitted, with noise, half are predicted: mean error of the
-force's magnitude over its mean, in percent. No option is set for any of the models.
+force's magnitude over its mean, in percent, and over draws of places and noise the
+mean and its standard error. No option is set for any of the models.
 """
 
 from __future__ import annotations
@@ -166,6 +167,22 @@ def error(model: str, body: str, probe: str, sampling: str, seed: int) -> float:
     return float(np.abs(found - size)[touching].mean() / size[touching].mean())
 
 
+def percent(model: str, body: str, probe: str, sampling: str, seeds: list[int]) -> str:
+    """Mean over seeds and its standard error [%]."""
+    begin, errors = time.process_time(), []
+    for seed in seeds:
+        try:
+            errors.append(100.0 * error(model, body, probe, sampling, seed))
+        except TtusError as refusal:
+            sys.stderr.write(f"{model}: {refusal}\n")
+            errors.append(math.nan)
+    sys.stderr.write(f"{model} {time.process_time() - begin:.1f} s\n")
+    if len(seeds) == 1:
+        return f"{errors[0]:.1f}"
+    spread = np.std(errors, ddof=1) / math.sqrt(len(seeds))
+    return f"{np.mean(errors):.1f} ± {spread:.1f}"
+
+
 def main() -> None:
     """Print a row per probe and body."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -173,25 +190,17 @@ def main() -> None:
     parser.add_argument("--probes", default="round,flat,sharp")
     parser.add_argument("--bodies", default="half-space,layer,ribbed")
     parser.add_argument("--sampling", default="trilinear", help="of the fields")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seeds", default="0", help="such as 0,1,2,3,4")
     options = parser.parse_args()
     models = options.models.split(",")
+    seeds = [int(seed) for seed in options.seeds.split(",")]
     warnings.simplefilter("ignore")
     sys.stdout.write(f"| probe | body | {' | '.join(models)} |\n")
     for probe in options.probes.split(","):
         for body in options.bodies.split(","):
-            row = {}
-            for model in models:
-                begin = time.process_time()
-                try:
-                    row[model] = 100.0 * error(
-                        model, body, probe, options.sampling, options.seed
-                    )
-                except TtusError as refusal:
-                    sys.stderr.write(f"{model}: {refusal}\n")
-                    row[model] = math.nan
-                sys.stderr.write(f"{model} {time.process_time() - begin:.1f} s\n")
-            cells = " | ".join(f"{row[m]:.1f}" for m in models)
+            cells = " | ".join(
+                percent(model, body, probe, options.sampling, seeds) for model in models
+            )
             sys.stdout.write(f"| {probe} | {body} | {cells} |\n")
             sys.stdout.flush()
 

@@ -30,16 +30,18 @@ def build(
     deviation: float | None = None,
     surface_length: float | None = None,
     depth_length: float = 0.015,
+    length_ratio: float | None = None,
 ) -> Formulation:
-    """Weights λ_f [1/N²], λ_τ [1/N²], ℓ [m], σ [–], Matérn lengths [m]."""
+    """Weights λ_f [1/N²], λ_τ [1/N²], ℓ [m], σ [–], Matérn lengths [m], ratio [–]."""
     torque = TorqueTerm(scene, torque_weight, torque_length)
     check_depth_map(
         scene.voxmap.grid,
         deviation=deviation,
         surface_length=surface_length,
         depth_length=depth_length,
+        length_ratio=length_ratio,
     )
     found = estimate_depth_map(scene, depth_length=depth_length)
     weight = found.noise**-2 if force_weight is None else force_weight
-    prior = DepthMapTerm.of(scene, found, deviation, surface_length)
+    prior = DepthMapTerm.of(scene, found, deviation, surface_length, length_ratio)
     return Formulation(terms=[prior, ForceTerm(scene, weight), torque])

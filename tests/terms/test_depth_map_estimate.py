@@ -26,7 +26,7 @@ def with_forces(scene: Scene, force: np.ndarray) -> Scene:
     )
 
 
-def drawn(seed: int, n_poses: int = 80) -> Scene:
+def drawn(seed: int, n_poses: int = 80, ratio: float = 1.0) -> Scene:
     """Forces of φ(d)(1 + g) with g drawn from the prior, and noise of 0.1 N."""
     scene = small_scene("trilinear", (9, 24, 14), n_poses, seed)
     depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
@@ -34,7 +34,8 @@ def drawn(seed: int, n_poses: int = 80) -> Scene:
     grid = scene.voxmap.grid
     _, j, k = np.unravel_index(touched, grid.shape)
     radius = scene.voxmap.surface.radius_at(grid.theta[j], grid.z[k])
-    place = np.stack(
+    scale = np.array([ratio**-0.5, ratio**-0.5, ratio**0.5])
+    place = scale * np.stack(
         [radius * np.cos(grid.theta[j]), radius * np.sin(grid.theta[j]), grid.z[k]], 1
     )
     down = np.abs(depth[touched, None] - depth[touched])
@@ -54,16 +55,23 @@ def matern(distance: np.ndarray, length: float) -> np.ndarray:
 
 def test_evidence_is_the_log_density_of_the_forces() -> None:
     scene = drawn(0, 40)
-    problem = depth_map_estimate._Problem.of(scene, scene.N, EXPONENTS)
-    evidence, c = problem.evidence(0.03, 0.3, 0.1, 0.015)
-    # φ that the covariance was made of is that of the round before: the same to 1 %
-    phi = problem.powers @ c
-    prior = 0.09 * matern(problem.along, 0.03) * matern(problem.down, 0.015)
-    G = (problem.rows @ sp.diags_array(phi)).toarray()
-    cov = G @ prior @ G.T + 0.01 * np.eye(len(problem.force))
-    expected = multivariate_normal(problem.rows @ phi, cov).logpdf(problem.force)
+    problem = depth_map_estimate._Problem.of(scene, scene.N, EXPONENTS, 0.015)
+    chosen = depth_map_estimate._Chosen(0.03, 0.3, 0.1, 0.05, 4.0)
+    varied = np.array([1.5, 0.5])
+    evidence, c = problem.evidence(chosen, varied)
+    # a length of 60 mm around the patient, of 15 mm along it
+    apart = np.hypot(problem.around / 0.06, problem.along / 0.015)
+    prior = 0.09 * matern(apart, 1.0)[np.ix_(problem.spoke, problem.spoke)]
+    prior *= problem.down
+    G = (problem.rows @ sp.diags_array(problem.powers @ varied)).toarray()
+    size = np.linalg.norm(problem.force.reshape(-1, 3), axis=1)
+    noise = np.repeat(0.1**2 + (0.05 * size) ** 2, 3)
+    cov = G @ prior @ G.T + np.diag(noise)
+    expected = multivariate_normal(problem.rows @ problem.powers @ c, cov).logpdf(
+        problem.force
+    )
     constant = 0.5 * len(problem.force) * np.log(2.0 * np.pi)
-    assert evidence == pytest.approx(expected + constant, abs=1.0)
+    assert evidence == pytest.approx(expected + constant, abs=1e-6)
 
 
 def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
@@ -73,6 +81,23 @@ def test_it_finds_profile_and_noise_of_drawn_fields() -> None:
     depth = np.array([0.004])
     assert found.profile(depth)[0] == pytest.approx(0.8, rel=0.25)
     assert 0.15 < found.deviation < 0.6
+
+
+@pytest.mark.parametrize("ratio", [16.0, 1.0 / 16.0])
+def test_it_finds_in_which_direction_a_drawn_field_varies(ratio: float) -> None:
+    found = estimate_depth_map(drawn(3, ratio=ratio), exponents=EXPONENTS)
+    assert abs(np.log(found.length_ratio / ratio)) < np.log(4.0)
+
+
+def test_noise_that_grows_with_the_force_is_not_taken_for_tissue() -> None:
+    scene = drawn(4)
+    rng = np.random.default_rng(4)
+    size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
+    own = np.repeat(0.3 * size, 3) * rng.standard_normal(scene.f.shape)
+    found = estimate_depth_map(with_forces(scene, scene.f + own), exponents=EXPONENTS)
+    assert found.noise == pytest.approx(
+        np.hypot(0.1, 0.3 * np.sqrt(np.mean(size**2))), rel=0.3
+    )
 
 
 def test_forces_that_pull_and_none_at_all_are_refused() -> None:

@@ -48,6 +48,23 @@ def test_a_tube_has_the_matern_1_covariance_along_and_around() -> None:
     assert errors[0] > 2.5 * errors[1]
 
 
+def test_a_length_around_of_its_own_is_a_tube_of_another_radius() -> None:
+    theta = np.arange(40) * 2 * np.pi / 40
+
+    def factor(radius: float, height: float, ratio: float) -> MaternFactor:
+        T, Z = np.meshgrid(theta, np.linspace(0.0, height, 21), indexing="ij")
+        points = np.stack([radius * np.cos(T), radius * np.sin(T), Z], axis=-1)
+        return MaternFactor.on_surface(points, 0.05, ratio=ratio)
+
+    stretched, plain = factor(0.2, 0.3, 4.0), factor(0.1, 0.6, 1.0)
+    assert stretched.volumes == pytest.approx(plain.volumes)
+    assert abs(stretched.rows - plain.rows).max() < 1e-9
+    # 100 mm around and 25 mm along correlate alike
+    got = stretched.covariance(np.array([10])).reshape(40, 21)[:, 10]
+    own = np.sqrt(2.0) * 0.2 * theta[3] / 0.1
+    assert got[3] / got[0] == pytest.approx(own * k1(own), abs=0.03)
+
+
 def test_rows_columns_and_products_agree_with_dense_algebra() -> None:
     voxmap = small_scene("voxel-mean", (7, 12, 8), 2).voxmap
     V = voxmap.grid.n_voxels

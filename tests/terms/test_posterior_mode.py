@@ -21,6 +21,15 @@ def test_a_gaussian_evidence() -> None:
     assert best - 0.1 <= found.log_posterior <= best
 
 
+def test_it_climbs_the_higher_of_two_hills_where_it_may_begin_there() -> None:
+    def log_evidence(s: np.ndarray) -> float:
+        hills = np.exp(-20.0 * (s[0] - np.array([-1.5, 1.5])) ** 2)
+        return float(hills @ [10.0, 20.0])
+
+    found = posterior_mode(log_evidence, 1, 200, [np.array([1.4]), np.array([-1.5])])
+    assert abs(found.steps[0] - 1.5) < 0.1
+
+
 def test_without_evidence_the_prior_stays() -> None:
     calls = []
     found = posterior_mode(lambda s: calls.append(s) or 0.0, 3, 40)

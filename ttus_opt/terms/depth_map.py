@@ -37,6 +37,8 @@ class DepthMapTerm(Term):
         profile: φ.
         deviation: σ, relative standard deviation of the field about φ [–].
         surface_length: Matérn length along the surface [m].
+        length_ratio: Of that around the patient to that along it, of which
+            surface_length is the geometric mean [–].
         depth_length: Matérn length along the depth [m].
     """
 
@@ -44,6 +46,7 @@ class DepthMapTerm(Term):
     deviation: float = 0.4
     surface_length: float = 0.03
     depth_length: float = 0.015
+    length_ratio: float = 1.0
 
     name = "depth_map"
 
@@ -54,6 +57,7 @@ class DepthMapTerm(Term):
         estimate: DepthMapEstimate,
         deviation: float | None = None,
         surface_length: float | None = None,
+        length_ratio: float | None = None,
     ) -> Self:
         """With what the evidence chose, where nothing else is given."""
         return cls(
@@ -64,14 +68,20 @@ class DepthMapTerm(Term):
                 estimate.surface_length if surface_length is None else surface_length
             ),
             depth_length=estimate.depth_length,
+            length_ratio=(
+                estimate.length_ratio if length_ratio is None else length_ratio
+            ),
         )
 
     @property
     def formula(self) -> str:
         """With φ, σ and the lengths as they are."""
+        root = np.sqrt(self.length_ratio)
+        around, along = self.surface_length * root, self.surface_length / root
         return (
             f"‖R (p/φ − 1)‖²/σ², φ = {self.profile}, σ = {self.deviation:.3g}, lengths "
-            f"{1e3 * self.surface_length:.3g}, {1e3 * self.depth_length:.3g} mm"
+            f"{1e3 * around:.3g} mm around, {1e3 * along:.3g} along, "
+            f"{1e3 * self.depth_length:.3g} deep"
         )
 
     def __post_init__(self) -> None:
@@ -82,6 +92,7 @@ class DepthMapTerm(Term):
             deviation=self.deviation,
             surface_length=self.surface_length,
             depth_length=self.depth_length,
+            length_ratio=self.length_ratio,
         )
 
     @cached_property
@@ -96,6 +107,7 @@ class DepthMapTerm(Term):
             self.deviation * self.mean,
             self.surface_length,
             self.depth_length,
+            self.length_ratio,
         )
         rows = covariance.rows
         tags = frozenset({KnownCovariance(covariance)})

@@ -1,14 +1,18 @@
 """A depth map's profile and hyperparameters by their marginal likelihood.
 
-With the field's covariance C and noise σ_n² I the measured forces are Gaussian,
+With the field's covariance C and a noise the measured forces are Gaussian,
 
-    f ~ N(N φ, K),   K = σ_n² I + N C Nᵀ,
+    f ~ N(N φ, K),   K = diag(σ_0² + ρ² ‖f_k‖²) + N C Nᵀ,
 
 so that the logarithm of their density, the evidence, says how well a profile, a
-relative deviation σ, a length ℓ along the surface and a noise σ_n explain them. Weak
-log-normal priors keep what the data determine poorly near values measured on soft
-tissue. The profile's coefficients follow by nonnegative least squares in the metric
-of K.
+relative deviation σ, a length ℓ along the surface, the ratio of those around and along
+the patient, and the noise σ_0 and ρ of a force explain them. Noise alike in all frames
+would not do: what a strong force has more of looks like tissue that varies from voxel
+to voxel, and the length comes out too short. Weak log-normal priors keep what the data
+determine poorly near values measured on soft tissue. The profile's coefficients follow
+by nonnegative least squares in the metric of K; C varies with the profile that they
+make at the medians. Of profiles that explain the forces alike the one is taken whose
+own variation does so best.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), section 5.4.1. See docs/method.md, Depth map.
@@ -17,6 +21,7 @@ Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learn
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -24,7 +29,7 @@ import scipy.optimize
 import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.depth_profile import (
@@ -37,7 +42,20 @@ from ttus_opt.terms.matern import matern
 from ttus_opt.terms.posterior_mode import posterior_mode
 
 #: Median and logarithmic standard deviation of the priors
-PRIOR = {"surface_length": (0.03, 0.3), "deviation": (0.4, 0.5), "noise": (0.15, 1.0)}
+PRIOR = {
+    "surface_length": (0.03, 0.3),
+    "deviation": (0.4, 1.0),
+    "noise": (0.05, 1.0),
+    "relative_noise": (0.03, 0.7),
+    "length_ratio": (1.0, 1.0),
+}
+
+#: Ratios of lengths that are tried first: structures around, such as ribs, and along
+#: the patient are hills of the posterior apart from each other [–]
+RATIOS = (0.1, 10.0)
+
+#: Most evaluations of the evidence
+CALLS = 200
 
 #: Most frames that are looked at: evidence costs their number cubed [–]
 MOST_FRAMES = 150
@@ -49,7 +67,8 @@ LEAST_FORCE = 0.1
 #: factorised [–]
 LEAST_NOISE = 1e-4
 
-#: Rounds of the profile and the covariance that depends on it
+
+#: Rounds of the profile and the covariance that varies with it
 ROUNDS = 2
 
 
@@ -62,7 +81,9 @@ class DepthMapEstimate:
         deviation: σ [–].
         surface_length: ℓ [m].
         depth_length: As given [m].
-        noise: σ_n, of a force component [N].
+        noise: Root mean square of σ_n over the frames, of a force component [N].
+        length_ratio: Length around the patient over length along it, of which ℓ is the
+            geometric mean [–].
         log_evidence: With the priors, up to a constant [–].
     """
 
@@ -71,6 +92,7 @@ class DepthMapEstimate:
     surface_length: float
     depth_length: float
     noise: float
+    length_ratio: float
     log_evidence: float
 
 
@@ -81,7 +103,7 @@ def estimate_depth_map(
     exponents: tuple[float, ...] = EXPONENTS,
     depth_length: float = 0.015,
 ) -> DepthMapEstimate:
-    """Choose profile, deviation, length and noise.
+    """Choose profile, deviation, lengths and noise.
 
     Args:
         scene: With measured forces.
@@ -92,31 +114,43 @@ def estimate_depth_map(
     Raises:
         InputError: No force is measured in contact, or all point outwards.
     """
-    problem = _Problem.of(scene, scene.N if rows is None else rows, exponents)
+    own = scene.N if rows is None else rows
+    problem = _Problem.of(scene, own, exponents, depth_length)
     medians = np.log([median for median, _ in PRIOR.values()])
     widths = np.array([width for _, width in PRIOR.values()])
 
-    least = LEAST_NOISE * float(np.sqrt(np.mean(problem.force**2)))
+    def chosen(steps: Array) -> _Chosen:
+        return _Chosen(*np.exp(medians + widths * steps).tolist())
 
-    def values(steps: Array) -> tuple[float, float, float]:
-        length, deviation, noise = np.exp(medians + widths * steps)
-        return float(length), float(deviation), max(float(noise), least)
+    first = problem.profile(chosen(np.zeros(len(PRIOR))), problem.least_squares())
 
     def log_evidence(steps: Array) -> float:
-        return float(problem.evidence(*values(steps), depth_length)[0])
+        return problem.evidence(chosen(steps), first)[0]
 
-    mode = posterior_mode(log_evidence, 3, 150)
-    length, deviation, noise = values(mode.steps)
-    _, coefficients = problem.evidence(length, deviation, noise, depth_length)
-    profile = DepthProfile(exponents, tuple(float(c) for c in coefficients))
+    starts = np.zeros((len(RATIOS), len(PRIOR)))
+    starts[:, -1] = np.log(RATIOS) / widths[-1]
+    mode = posterior_mode(log_evidence, len(PRIOR), CALLS, list(starts))
+    found = chosen(mode.steps)
+    coefficients = problem.profile(found, first)
     return DepthMapEstimate(
-        profile,
-        deviation,
-        length,
+        DepthProfile(exponents, tuple(float(c) for c in coefficients)),
+        found.deviation,
+        found.surface_length,
         depth_length,
-        noise,
+        float(np.sqrt(problem.variances(found).mean())),
+        found.length_ratio,
         mode.log_posterior,
     )
+
+
+class _Chosen(NamedTuple):
+    """What the evidence chooses, in the order of `PRIOR`."""
+
+    surface_length: float
+    deviation: float
+    noise: float
+    relative_noise: float
+    length_ratio: float
 
 
 @dataclass(frozen=True)
@@ -127,19 +161,27 @@ class _Problem:
         rows: Over the touched voxels, shape (m, n).
         force: Shape (m,) [N].
         powers: Of the touched voxels' depths, shape (n, exponents).
-        along: Distances of these voxels along the surface, (n, n) [m].
-        down: Differences of their depths, (n, n) [m].
+        spoke: Which of the k touched spokes a voxel lies on, shape (n,).
+        around: Distances of these spokes' feet around the patient, (k, k) [m].
+        along: The same along it, (k, k) [m].
+        down: Correlation of the voxels along the depth, (n, n) [–].
     """
 
     rows: sp.csr_array = field(repr=False)
     force: Array = field(repr=False)
     powers: Array = field(repr=False)
+    spoke: IntArray = field(repr=False)
+    around: Array = field(repr=False)
     along: Array = field(repr=False)
     down: Array = field(repr=False)
 
     @classmethod
     def of(
-        cls, scene: Scene, rows: sp.csr_array, exponents: tuple[float, ...]
+        cls,
+        scene: Scene,
+        rows: sp.csr_array,
+        exponents: tuple[float, ...],
+        depth_length: float,
     ) -> _Problem:
         """Frames in contact, thinned evenly."""
         size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
@@ -155,45 +197,80 @@ class _Problem:
         touched = np.unique(own.indices)
         depth, grid = voxel_depths(scene.voxmap)[touched], scene.voxmap.grid
         n_spokes = grid.shape[1] * grid.shape[2]
-        spoke = np.unravel_index(touched % n_spokes, grid.shape[1:])
-        theta, z = grid.theta[spoke[0]], grid.z[spoke[1]]
+        spokes, spoke = np.unique(touched % n_spokes, return_inverse=True)
+        at = np.unravel_index(spokes, grid.shape[1:])
+        theta, z = grid.theta[at[0]], grid.z[at[1]]
         radius = scene.voxmap.surface.radius_at(theta, z)
-        place = np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=1)
+        place = np.stack([radius * np.cos(theta), radius * np.sin(theta)], axis=1)
         return cls(
             sp.csr_array(own[:, touched]),
             scene.f[chosen],
             powers_of(np.maximum(depth, 0.0), exponents),
+            spoke,
             cdist(place, place),
-            np.abs(depth[:, None] - depth),
+            np.abs(z[:, None] - z),
+            matern(np.abs(depth[:, None] - depth), depth_length),
         )
 
-    def evidence(
-        self, length: float, deviation: float, noise: float, depth_length: float
-    ) -> tuple[float, Array]:
-        """Log density of the forces, and the profile's coefficients.
+    def variances(self, chosen: _Chosen) -> Array:
+        """Of the noise of every row, shape (m,) [N²]."""
+        squares = (self.force.reshape(-1, 3) ** 2).sum(axis=1)
+        least = LEAST_NOISE**2 * squares.mean()
+        own = chosen.noise**2 + chosen.relative_noise**2 * squares
+        return np.repeat(np.maximum(own, least), 3)
+
+    def least_squares(self) -> Array:
+        """The profile's coefficients where all noise is alike and nothing varies.
 
         Raises:
             InputError: No profile that grows with depth explains the forces.
         """
-        prior = matern(self.along, length) * matern(self.down, depth_length)
-        prior *= deviation**2
-        shares = self.rows @ self.powers
-        c, _ = scipy.optimize.nnls(shares, self.force)
+        c, _ = scipy.optimize.nnls(self.rows @ self.powers, self.force)
         if not c.any():
             raise InputError(
                 "depth_map: the measured forces pull the probe in instead of pushing "
                 "it out: give the force ON the probe in patient axes"
             )
+        return np.asarray(c)
+
+    def profile(self, chosen: _Chosen, first: Array) -> Array:
+        """Coefficients of the profile that explains the forces best, and varies itself.
+
+        Args:
+            chosen: Hyperparameters.
+            first: Coefficients to begin with.
+        """
+        tried = [first]
         for _ in range(ROUNDS):
-            scaled = self.rows @ sp.diags_array(self.powers @ c)
-            cov = scaled @ (scaled @ prior).T
-            cov[np.diag_indices_from(cov)] += noise**2
-            factor = scipy.linalg.cholesky(cov, lower=True, overwrite_a=True)
-            both = np.column_stack([shares, self.force])
-            white = scipy.linalg.solve_triangular(factor, both, lower=True)
-            found, _ = scipy.optimize.nnls(white[:, :-1], white[:, -1])
-            if found.any():  # else deviations alone explain more: keep a profile
-                c = found
-            misfit = white[:, -1] - white[:, :-1] @ c
+            tried.append(self.evidence(chosen, tried[-1])[1])
+        return max(tried, key=lambda c: self.evidence(chosen, c, c)[0])
+
+    def evidence(
+        self, chosen: _Chosen, varied: Array, mean: Array | None = None
+    ) -> tuple[float, Array]:
+        """Log density of the forces, and the coefficients of the profile.
+
+        Args:
+            chosen: Hyperparameters.
+            varied: Coefficients of the profile whose share σ varies.
+            mean: Those of the mean; by default the likeliest.
+        """
+        root = np.sqrt(chosen.length_ratio)
+        between = np.hypot(self.around / root, self.along * root)
+        on_surface = matern(between, chosen.surface_length)
+        prior = on_surface[np.ix_(self.spoke, self.spoke)]
+        prior *= chosen.deviation**2 * self.down
+        scaled = self.rows @ sp.diags_array(self.powers @ varied)
+        cov = scaled @ (scaled @ prior).T
+        cov[np.diag_indices_from(cov)] += self.variances(chosen)
+        factor = scipy.linalg.cholesky(cov, lower=True, overwrite_a=True)
+        both = np.column_stack([self.rows @ self.powers, self.force])
+        white = scipy.linalg.solve_triangular(factor, both, lower=True)
+        c = mean
+        if c is None:
+            c, _ = scipy.optimize.nnls(white[:, :-1], white[:, -1])
+            if not c.any():  # deviations alone explain more: keep a profile
+                c = varied
+        misfit = white[:, -1] - white[:, :-1] @ c
         normaliser = float(np.log(np.diag(factor)).sum())
         return -0.5 * float(misfit @ misfit) - normaliser, c

@@ -16,6 +16,10 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 #: percent, and beyond a factor of a hundred the profile means nothing [–]
 DEVIATIONS = (1e-3, 100.0)
 
+#: Least and largest ratio of the length around to the length along: beyond it the field
+#: does not vary in one direction at all [–]
+RATIOS = (1e-3, 1e3)
+
 #: Least length over the grid's spacing: neighbours are correlated by less than 1 % [–]
 LEAST_SPACINGS = 0.25
 
@@ -26,6 +30,7 @@ def check_depth_map(
     deviation: float | None = None,
     surface_length: float | None = None,
     depth_length: float | None = None,
+    length_ratio: float | None = None,
 ) -> None:
     """Validate what is given of a depth map's prior.
 
@@ -34,6 +39,7 @@ def check_depth_map(
         deviation: σ [–].
         surface_length: Matérn length along the surface [m].
         depth_length: Matérn length along the depth [m].
+        length_ratio: Length around over length along [–].
 
     Raises:
         InputError: One of them lies outside the range in which it means something.
@@ -42,10 +48,11 @@ def check_depth_map(
         "deviation": (deviation, DEVIATIONS),
         "surface_length": (surface_length, surface_lengths(grid)),
         "depth_length": (depth_length, depth_lengths(grid)),
+        "length_ratio": (length_ratio, RATIOS),
     }
     for name, (value, (low, high)) in given.items():
         if value is not None and not low <= value <= high:
-            where = "" if name == "deviation" else " m on this grid"
+            where = " m on this grid" if name.endswith("_length") else ""
             raise InputError(
                 f"{name} must lie between {low:.3g} and {high:.3g}{where}, got {value}"
             )

@@ -66,15 +66,22 @@ class MaternFactor:
 
     @classmethod
     def on_surface(
-        cls, points: Array, length: float, *, is_open: bool = False
+        cls,
+        points: Array,
+        length: float,
+        *,
+        ratio: float = 1.0,
+        is_open: bool = False,
     ) -> MaternFactor:
         """Matérn 1, (κd) K₁(κd), on a tube of quadrilaterals.
 
-        Its range √8/κ is that of a Matérn 3/2 of the length ℓ: κ = √2/ℓ.
+        Its range √8/κ is that of a Matérn 3/2 of the length ℓ: κ = √2/ℓ. Lengths that
+        differ are one length on a tube stretched to the same area.
 
         Args:
             points: Nodes around (periodic) and along, shape (n_theta, n_z, 3) [m].
-            length: ℓ [m].
+            length: ℓ, the geometric mean of both lengths [m].
+            ratio: Length around over length along [–].
             is_open: Whether the last line of nodes along stands apart from those
                 beside it, and the tube is cut open there.
         """
@@ -82,7 +89,8 @@ class MaternFactor:
         around = np.linalg.norm(np.roll(points, -1, 0) - points, axis=-1)
         if is_open:
             around[-1] = around[0]  # the wall is as far from both its neighbours
-        along = np.linalg.norm(np.diff(points, axis=1), axis=-1)
+        around /= np.sqrt(ratio)
+        along = np.sqrt(ratio) * np.linalg.norm(np.diff(points, axis=1), axis=-1)
         width = (around + np.roll(around, 1, 0)) / 2.0  # of a node, around
         padded = np.pad(along, ((0, 0), (1, 1)))
         height = (padded[:, 1:] + padded[:, :-1]) / 2.0  # of a node, along
@@ -154,7 +162,12 @@ class SeparableCovariance:
 
     @classmethod
     def over(
-        cls, voxmap: Voxmap, scale: Array, surface_length: float, depth_length: float
+        cls,
+        voxmap: Voxmap,
+        scale: Array,
+        surface_length: float,
+        depth_length: float,
+        length_ratio: float = 1.0,
     ) -> SeparableCovariance:
         """On the voxels of a voxmap.
 
@@ -163,6 +176,8 @@ class SeparableCovariance:
             scale: s, shape (V,) [unit of p].
             surface_length: Matérn length along the surface [m].
             depth_length: Along the depth [m].
+            length_ratio: Length around the patient over length along it; surface_length
+                is their geometric mean [–].
         """
         grid = voxmap.grid
         theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
@@ -171,7 +186,10 @@ class SeparableCovariance:
         return cls(
             MaternFactor.along_line(grid.shape[0], grid.r_step, depth_length),
             MaternFactor.on_surface(
-                points, surface_length, is_open=grid.wall is not None
+                points,
+                surface_length,
+                ratio=length_ratio,
+                is_open=grid.wall is not None,
             ),
             scale,
         )

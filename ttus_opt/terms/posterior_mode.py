@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +24,10 @@ class PosteriorMode(NamedTuple):
 
 
 def posterior_mode(
-    log_evidence: Callable[[Array], float], n: int, calls: int
+    log_evidence: Callable[[Array], float],
+    n: int,
+    calls: int,
+    starts: Sequence[Array] = (),
 ) -> PosteriorMode:
     """Maximise log evidence − ½ |steps|² by the simplex of Nelder and Mead.
 
@@ -35,17 +38,20 @@ def posterior_mode(
         log_evidence: Of steps away from the prior's medians, shape (n,).
         n: How many numbers.
         calls: Most evaluations.
+        starts: Where else to begin than at the medians, shape (n,) each: a simplex
+            finds one hill, and begins where the posterior is largest.
     """
 
     def cost(steps: Array) -> float:
         return float(0.5 * steps @ steps - log_evidence(steps))
 
+    begin = min((np.zeros(n), *starts), key=cost)
     found = scipy.optimize.minimize(
         cost,
-        np.zeros(n),
+        begin,
         method="Nelder-Mead",
         options={
-            "initial_simplex": np.vstack([np.zeros(n), np.eye(n)]),
+            "initial_simplex": begin + np.vstack([np.zeros(n), np.eye(n)]),
             "xatol": 0.05,
             "fatol": 0.1,
             "maxfev": calls,
