@@ -159,14 +159,21 @@ class _Loaded(Prepared):
         D = sp.csr_array(sp.diags_array(root) @ D)
         t = root * np.concatenate([*(b.target for b in few), np.zeros(0)])
         exchange = SourceExchange(laplace, D, t, charge, laplace.solve(side))
-        x = np.where(problem.fixed, problem.values, exchange.run(EXCESS, deadline))
-        force = D.T @ (D @ x - t)
-        y = {own.name: exchange.slope()[free] / scale}
-        multipliers = [y.get(b.name, np.zeros(len(b.target))) for b in problem.blocks]
-        gradient = force + own.adjoint(multipliers[problem.blocks.index(own)])
-        duals = problem.duals(multipliers, gradient)
-        kkt = kkt_residuals(program, x, duals, tolerance=request.tolerance)
-        if kkt.worst_relative > request.tolerance:
+        for tight in (False, True):
+            if tight:
+                exchange.tighten(deadline)
+            found = exchange.run(EXCESS, deadline)
+            x = np.where(problem.fixed, problem.values, found)
+            y = {own.name: exchange.multipliers(found)[free] / scale}
+            multipliers = [
+                y.get(b.name, np.zeros(len(b.target))) for b in problem.blocks
+            ]
+            gradient = D.T @ (D @ x - t) + own.adjoint(y[own.name])
+            duals = problem.duals(multipliers, gradient)
+            kkt = kkt_residuals(program, x, duals, tolerance=request.tolerance)
+            if kkt.worst_relative <= request.tolerance:
+                break
+        else:
             return None
         self._last = x
         point = Reduction(program, self._reduced).lift(x, duals)

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.system import DualSystem
@@ -48,8 +48,8 @@ class ApproximateSchur:
         """
         laplace, compliance = system.laplace, system.compliance
         inward, outward = laplace.coupling
-        touched = np.unique(system.rows.indices)
-        contact = np.unique(system.rows[: system.n_measured].indices)
+        touched = _columns(system.rows)
+        contact = _columns(system.rows[: system.n_measured])
         self.root_weights = system.root_weights
         #: Rows that touch a voxel; those of the others are the identity's
         self.coupled = np.flatnonzero(np.diff(system.rows.indptr))
@@ -152,6 +152,13 @@ class SchurPreconditioner:
             (factor, False), side, overwrite_b=True, check_finite=False
         )
         return answer
+
+
+def _columns(rows: sp.csr_array) -> IntArray:
+    """Columns with an entry, ascending."""
+    has_entry = np.zeros(rows.shape[1], dtype=bool)
+    has_entry[rows.indices] = True
+    return np.flatnonzero(has_entry)
 
 
 def _factor(approximate: ApproximateSchur) -> Array:

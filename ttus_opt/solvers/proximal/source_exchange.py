@@ -9,7 +9,8 @@ Its multiplier is η = Aᵀ(s − A u), |η_v| ≤ c_v, and = c_v sign u_v at a 
 without, voxels where |η| is largest around and above c become columns, the
 problem of those columns is solved by an active set, η is computed again, and so on: an
 exchange method for semi-infinite programs, as the dual has few unknowns and a
-constraint per voxel. A column is one solve with L, η is one with L and one with Lᵀ.
+constraint per voxel. A column is one solve with L, η is one with Lᵀ. Columns are
+solved side by side, and like η no more exactly than the answer's check needs.
 
 Source: R. Hettich, K. O. Kortanek, Semi-Infinite Programming (1993); C. L. Lawson,
 R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
@@ -17,7 +18,9 @@ R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
 
 from __future__ import annotations
 
+import os
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,13 +28,16 @@ from scipy.linalg import solve_triangular
 from scipy.ndimage import maximum_filter
 
 from ttus_opt.arrays import Array, IntArray
-from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.laplace.system import RTOL, LaplaceSystem
 
 #: Most exchanges, and most new columns of one
 EXCHANGES, NEW = 100, 40
 
 #: |η| may exceed c by this part [–]
 EXCESS = 1e-7
+
+#: Relative residual of the solves behind columns and η, where that is enough [–]
+LOOSE = 1e-8
 
 #: Pivots below this part of the largest are left out of the active set's systems [–]
 DEPENDENT = 1e-13
@@ -61,11 +67,13 @@ class SourceExchange:
             base: p₀, shape (V,).
         """
         self._laplace, self._rows, self._charge = laplace, rows, charge
-        self._base, self._left = base, target - rows @ base
+        self._base, self._target = base, target
+        self._left = target - rows @ base
         self._at: IntArray = np.zeros(0, dtype=np.int64)
         self._signs = np.zeros(0)
         self._columns = np.zeros((len(target), 0))
         self._sizes = np.zeros(0)
+        self._rtol = LOOSE
         self.solves = 0
 
     @property
@@ -84,10 +92,9 @@ class SourceExchange:
             The field, shape (V,).
         """
         for _ in range(EXCHANGES):
-            slope = self.slope()
+            slope = self._slope(self._rest, self._rtol)
             wanted = self._wanted(slope, excess)
-            late = deadline is not None and time.perf_counter() > deadline
-            if not len(wanted) or late:
+            if not len(wanted) or _is_over(deadline):
                 break
             before = len(self._at)
             self._add(wanted, np.sign(slope[wanted]))
@@ -96,6 +103,23 @@ class SourceExchange:
             self._solve()
         return self.field()
 
+    def tighten(self, deadline: float | None) -> None:
+        """Go on from the sources there are, with solves as exact as they can be.
+
+        Args:
+            deadline: `time.perf_counter` from which on nothing is done; None for never
+                [s].
+        """
+        if _is_over(deadline):
+            return
+        kept = self._sizes > 0.0
+        self._rtol = RTOL
+        self._at, self._signs = self._at[kept], self._signs[kept]
+        self._sizes = self._sizes[kept]
+        self._columns = self._columns_of(self._at, self._signs)
+        if kept.any():
+            self._solve()
+
     def field(self) -> Array:
         """P₀ + L⁻¹u, shape (V,)."""
         u = np.zeros(len(self._charge))
@@ -103,15 +127,28 @@ class SourceExchange:
         self.solves += 1
         return np.asarray(self._base + self._laplace.solve(u))
 
-    def slope(self) -> Array:
-        """Multiplier η of every Laplace row, shape (V,).
+    def multipliers(self, field: Array) -> Array:
+        """Multiplier η of every Laplace row at the answer, shape (V,).
 
-        From the columns, not from the field: where charges are small the measured rows
-        nearly hold, and their misfit at the field is the rounding of its solve.
+        After `tighten` from the columns, not from the field: where charges are small
+        the measured rows nearly hold, and their misfit at the field is the rounding of
+        its solve.
+
+        Args:
+            field: The answer, shape (V,).
         """
-        rest = self._left - self._columns @ self._sizes
+        exact = self._rtol == RTOL
+        return self._slope(self._rest if exact else self._target - self._rows @ field)
+
+    @property
+    def _rest(self) -> Array:
+        """What sources leave of the measured values by their columns, shape (m,)."""
+        return np.asarray(self._left - self._columns @ self._sizes)
+
+    def _slope(self, rest: Array, rtol: float = RTOL) -> Array:
+        """η = L⁻ᵀDᵀ rest, shape (V,)."""
         self.solves += 1
-        return self._laplace.solve_adjoint(self._rows.T @ rest)
+        return self._laplace.solve_adjoint(self._rows.T @ rest, rtol=rtol)
 
     def _wanted(self, slope: Array, excess: float) -> IntArray:
         """Voxels above their charge that are largest around, the largest first."""
@@ -132,17 +169,29 @@ class SourceExchange:
     def _add(self, voxels: IntArray, signs: Array) -> None:
         """New columns s D L⁻¹ e; known ones of the same sign stay as they are."""
         known = set(zip(self._at.tolist(), self._signs.tolist(), strict=True))
-        for v, sign in zip(voxels.tolist(), signs.tolist(), strict=True):
-            if (v, sign) in known:
-                continue
+        pairs = zip(voxels.tolist(), signs.tolist(), strict=True)
+        new = np.array([pair not in known for pair in pairs], dtype=bool)
+        if not new.any():
+            return
+        columns = self._columns_of(voxels[new], signs[new])
+        self._columns = np.column_stack([self._columns, columns])
+        self._at = np.append(self._at, voxels[new])
+        self._signs = np.append(self._signs, signs[new])
+        self._sizes = np.append(self._sizes, np.zeros(columns.shape[1]))
+
+    def _columns_of(self, voxels: IntArray, signs: Array) -> Array:
+        """Columns s D L⁻¹ e of some voxels, shape (m, k)."""
+
+        def column(v: int, sign: float) -> Array:
             unit = np.zeros(len(self._charge))
             unit[v] = sign
-            self.solves += 1
-            column = self._rows @ self._laplace.solve(unit)
-            self._columns = np.column_stack([self._columns, column])
-            self._at = np.append(self._at, v)
-            self._signs = np.append(self._signs, sign)
-            self._sizes = np.append(self._sizes, 0.0)
+            return np.asarray(self._rows @ self._laplace.solve(unit, rtol=self._rtol))
+
+        self.solves += len(voxels)
+        cores = len(os.sched_getaffinity(0))
+        with ThreadPoolExecutor(max(1, min(len(voxels), cores))) as pool:
+            found = list(pool.map(column, voxels.tolist(), signs.tolist()))
+        return np.column_stack([np.zeros((len(self._left), 0)), *found])
 
     def _solve(self) -> None:
         """Sizes ≥ 0 of the columns by an active set."""
@@ -172,6 +221,10 @@ class SourceExchange:
             if not (sizes > 0.0).all():
                 return
             self._sizes[at] = sizes
+
+
+def _is_over(deadline: float | None) -> bool:
+    return deadline is not None and time.perf_counter() > deadline
 
 
 def nonnegative_minimum(gram: Array, side: Array, start: Array) -> Array:
