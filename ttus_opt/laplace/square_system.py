@@ -56,7 +56,7 @@ class Block(Protocol):
         """A preconditioner that need only be good near some voxels."""
 
     def solve(self, rhs: Array, *, rtol: float) -> MultigridResult:
-        """Solve A x = b."""
+        """Solve A x = b; b is left out, and x is zero, at fixed voxels."""
 
     def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
         """Solve Aᵀ x = b."""
@@ -109,8 +109,9 @@ class BlockSolves:
             NumericalError: The residual was not reached.
         """
         p = np.where(self.free, 0.0, right_side)
-        rest = self.radii * (self.coupling[0] @ p - right_side)
-        rest[~self.free] = 0.0
+        rest = self.coupling[0] @ p
+        rest -= right_side
+        rest *= self.radii  # what is left at fixed voxels does not count
         p += self.multigrid.solve(rest, rtol=rtol).x
         return p
 
@@ -118,7 +119,10 @@ class BlockSolves:
         self: SquareSystem, right_side: Array, *, rtol: float = RTOL
     ) -> Array:
         """Solve Lᵀ q = g; arguments as `solve`."""
-        rest = np.where(self.free, -right_side, 0.0)
-        q = self.radii * self.multigrid.solve_adjoint(rest, rtol=rtol).x
+        q = self.multigrid.solve_adjoint(-right_side, rtol=rtol).x
+        q *= self.radii
         # the adjoint of the identity rows: what flows from free to fixed voxels
-        return np.where(self.free, q, right_side - self.coupling[1] @ q)
+        at_fixed = self.coupling[1] @ q
+        np.subtract(right_side, at_fixed, out=at_fixed)
+        np.copyto(q, at_fixed, where=~self.free)
+        return np.asarray(q)

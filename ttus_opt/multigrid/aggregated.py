@@ -16,7 +16,7 @@ from ttus_opt.arrays import Array, Mask
 from ttus_opt.multigrid.coarsening import Grounds
 from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.multigrid.pooled_blocks import PooledBlocks
-from ttus_opt.multigrid.solver import Multigrid, MultigridResult
+from ttus_opt.multigrid.solver import Multigrid, MultigridResult, largest_size
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 
@@ -69,7 +69,7 @@ class AggregatedMultigrid(Multigrid):
 
     def apply(self, x: Array) -> Array:
         """PᵀA P z, shape (V,)."""
-        x = self._vector(x, "z")
+        x, _ = self._vector(x, "z")
         self._blocks.prolong(x)
         out = self._operate(x)
         self._blocks.restrict(out)
@@ -91,10 +91,10 @@ class AggregatedMultigrid(Multigrid):
     def _vectors(self) -> Vectors:
         return Vectors(self.hierarchy, self._blocks)
 
-    def _vector(self, values: Array, name: str) -> Array:
-        vector = super()._vector(values, name)
+    def _vector(self, values: Array, name: str) -> tuple[Array, float]:
+        vector, _ = super()._vector(values, name)
         vector[self._blocks.followers] = 0.0
-        return vector
+        return vector, largest_size(vector)
 
     def _residual(
         self, work: Vectors, x: Array | None, b: Array, scale: float

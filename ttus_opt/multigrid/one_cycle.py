@@ -80,7 +80,8 @@ class OneCycle:
             The answer, and that it took one cycle; its residual is not computed.
         """
         x = np.zeros_like(rhs)
-        largest = max(float(rhs.max()), -float(rhs.min()))
+        most, least = (f(where=self._free, initial=0.0) for f in (rhs.max, rhs.min))
+        largest = max(float(most), -float(least))
         if largest > 0.0:
             work = self._idle.pop() if self._idle else Workspace(self._hierarchy)
             refinement.residual(work.b, rhs, rhs, self._order, 1.0 / largest, True)

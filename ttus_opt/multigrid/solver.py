@@ -29,6 +29,8 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: By how much one correction reduces the residual; single precision gives no more.
 REDUCTION = 1e-4
+#: Right-hand sides up to this, and from its inverse on, are taken as they are.
+MODERATE = 1e100
 #: Corrections in a row that may fail to halve the residual.
 PATIENCE = 3
 
@@ -150,7 +152,7 @@ class Multigrid:
         Raises:
             InputError: x has another shape or is not finite.
         """
-        return self._operate(self._vector(x, "x"))
+        return self._operate(self._vector(x, "x")[0])
 
     def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
         """One V-cycle at a time, in arrays of its own and without copies.
@@ -193,19 +195,21 @@ class Multigrid:
         """
         if not 0.0 <= rtol < 1.0:
             raise InputError(f"rtol must be at least 0 and below 1, got {rtol}")
-        b = self._vector(rhs, "the right-hand side")
-        x = None if x0 is None else self._vector(x0, "x0")
-        largest = _largest(b)
+        b, largest = self._vector(rhs, "the right-hand side")
         if largest == 0.0:
             return MultigridResult(b, 0, 0.0)
         unit = math.ldexp(1.0, math.frexp(largest)[1] - 1)
+        if x0 is None and 1.0 / MODERATE < largest < MODERATE:
+            return self._refine(b, None, rtol, max_iterations, 1.0 / unit)
         b /= unit  # squares neither overflow nor vanish
-        if x is not None:
+        x = None
+        if x0 is not None:
+            x, farthest = self._vector(x0, "x0")
             x /= unit
-            if not _largest(x) < 1e150:
+            if not farthest / unit < 1e150:
                 raise InputError(
-                    f"x0 is {_largest(x):.1e} times the right-hand side: start nearer "
-                    "or from zero"
+                    f"x0 is {farthest / unit:.1e} times the right-hand side: start "
+                    "nearer or from zero"
                 )
         result = self._refine(b, x, rtol, max_iterations)
         return replace(result, x=result.x * unit)
@@ -215,19 +219,20 @@ class Multigrid:
         return self.solve(rhs, rtol=rtol)
 
     def _refine(
-        self, b: Array, x: Array | None, rtol: float, limit: int
+        self, b: Array, x: Array | None, rtol: float, limit: int, scale: float = 1.0
     ) -> MultigridResult:
-        """Iterative refinement for a right-hand side of moderate size.
+        """Iterative refinement for a right-hand side whose squares are numbers.
 
         Args:
             b: Right-hand side, zero at fixed voxels, shape (V,).
             x: Where to start, shape (V,); None for zero. Overwritten.
             rtol: As in `solve`.
             limit: Most V-cycles [–].
+            scale: What brings b near 1, for single precision; from zero only [–].
         """
         work = self._borrow()
-        now = size = self._residual(work, None, b, 1.0)
-        scale, norm_x = 1.0, 0.0
+        now = size = self._residual(work, None, b, scale)
+        norm_x = 0.0
         if x is None:
             x = np.zeros_like(b)
         else:
@@ -255,17 +260,22 @@ class Multigrid:
         self._idle.append(work)
         return MultigridResult(x, iterations, now / size)
 
-    def _vector(self, values: Array, name: str) -> Array:
-        """A copy with zeros at fixed voxels; refuses what is no such vector."""
+    def _vector(self, values: Array, name: str) -> tuple[Array, float]:
+        """A copy with zeros at fixed voxels, and its largest absolute value.
+
+        Raises:
+            InputError: It is no such vector.
+        """
         vector = np.asarray(values, dtype=float)
         if vector.shape != self.free.shape:
             raise InputError(
                 f"{name} must have shape {self.free.shape}, got {vector.shape}"
             )
         kept = np.where(self.free, vector, 0.0)
-        if not math.isfinite(_largest(kept)):
+        largest = largest_size(kept)
+        if not math.isfinite(largest):
             raise InputError(f"{name} must be finite at free voxels, got NaN or inf")
-        return kept
+        return kept, largest
 
     def _borrow(self) -> Vectors:
         """Scratch arrays no other thread has."""
@@ -298,6 +308,6 @@ class Multigrid:
         return float(refinement.add(x, work.answer, scale, *self._sizes))
 
 
-def _largest(values: Array) -> float:
+def largest_size(values: Array) -> float:
     """Largest absolute value; NaN if there is one."""
     return max(float(values.max()), -float(values.min()))

@@ -16,7 +16,7 @@ from ttus_opt.constraints.sign import Sign
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.scene import Scene
-from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.limits import SpokeLimits, two_entries
 
 INF = np.inf
 
@@ -335,3 +335,10 @@ def test_of_bounds_along_a_spoke_those_next_to_the_skin_are_left(small: Scene) -
     assert len(left)
     region = small.voxmap.region.reshape(-1)
     assert (region[left + limits.stride] == 0).all()
+
+
+def test_two_entries_come_by_columns_whatever_their_order() -> None:
+    rows = sp.csr_array(([1.0, -2.0, 3.0, -4.0], [5, 0, 1, 6], [0, 2, 4]), shape=(2, 9))
+    columns, values = two_entries(rows)
+    np.testing.assert_array_equal(columns, [[0, 5], [1, 6]])
+    np.testing.assert_array_equal(values, [[-2.0, 1.0], [3.0, -4.0]])
