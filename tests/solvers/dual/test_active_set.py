@@ -8,12 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.solvers.dual.test_field_pair import contested as contested_pair
+from tests.solvers.dual.test_field_pair import coulomb
 from tests.solvers.dual.user_limits import contested, eq10
 from ttus_opt.arrays import Array
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
@@ -79,6 +82,23 @@ def test_violations_that_may_remain_settle_it_after_some_working_sets() -> None:
         assert at.solve(at.active, 1e-8).count > 0
         settled.append(at.settled)
     assert settled == [False, False, True, True]
+
+
+def test_violations_that_may_remain_count_by_the_smaller_field() -> None:
+    """The KKT residuals of a second field are relative to its own size."""
+    scene = contested_pair(1, noise=0.2, mu=0.0)
+    pair = FieldPair.of(coulomb(scene, 1e-4, largest_friction=10.0).compile())
+    at = ActiveSetIteration(pair, pair.limits, None, 1.0, Accuracy(1e-8))
+    worst = at.solve(at.active, 1e-8).worst
+    p, q = (np.abs(half).max() for half in np.split(at.p, 2))
+    assert worst > 0.0 and q < 1e-2 * p
+    settled = []
+    for tolerance in (20.0 * worst, 1e7 * worst):
+        at = ActiveSetIteration(pair, pair.limits, None, tolerance, Accuracy(1e-8))
+        for _ in range(3):
+            at.solve(at.active, 1e-8)
+        settled.append(at.settled)
+    assert settled == [False, True]
 
 
 def test_solves_are_as_exact_as_their_working_set_is_for(

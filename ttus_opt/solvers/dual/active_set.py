@@ -6,10 +6,14 @@ solved.
 
 from __future__ import annotations
 
+import math
 from typing import Protocol, runtime_checkable
+
+import numpy as np
 
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.laplace.system import RTOL
+from ttus_opt.problem.gradient_blocks import ROUNDING
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import (
     Multipliers,
@@ -176,8 +180,20 @@ class ActiveSetIteration:
         self.signs = signs = multipliers(self.limits, active, gradient)
         self.multipliers = signs.right_signs(self.limits, active)
         found = find_violations(self.limits, active, p, signs, gradient)
-        acceptable = found.worst <= options.acceptable * self._tolerance
+        n_fields = len(p) // math.prod(self.problem.shape)
+        share = min(_least_share(p, n_fields), _least_share(gradient, n_fields))
+        acceptable = found.worst <= options.acceptable * self._tolerance * share
         self._acceptable += last and acceptable
         done = found.count == 0 or self._acceptable > options.acceptable_sets
         self.settled = last and done and not answer.late
         return found
+
+
+def _least_share(values: Array, n_fields: int) -> float:
+    """Size of the smallest of some fields over the largest's [–].
+
+    The KKT residuals are relative to each field's own size, violations to the largest.
+    """
+    sizes = np.abs(values).reshape(n_fields, -1).max(axis=1)
+    least, most = float(sizes.min()), float(sizes.max())
+    return max(least / most, ROUNDING) if most > 0.0 else 1.0

@@ -182,8 +182,11 @@ class FieldPair:
         if (active.bounds[at] > 0).any():
             return None
         z = -signs.bounds[at] / (2.0 * first.weight)
+        held = model.active((p - self.limits.lower)[at], z)
+        if held is None:
+            return None
         bounds = active.bounds.copy()
-        bounds[at] = -model.active((p - self.limits.lower)[at], z).astype(np.int8)
+        bounds[at] = -held.astype(np.int8)
         following = WorkingSet(bounds, active.links)
         return following if following.differs(active) else None
 

@@ -90,8 +90,8 @@ class TouchedLimits:
         except np.linalg.LinAlgError:  # weights so large that rounding is all
             return None
 
-    def active(self, slack: Array, multipliers: Array) -> Mask:
-        """Where y ≥ l is active next, shape (k,).
+    def active(self, slack: Array, multipliers: Array) -> Mask | None:
+        """Where y ≥ l is active next, shape (k,); None where rounding hides it.
 
         Args:
             slack: y - l of the last working set, shape (k,).
@@ -128,7 +128,7 @@ def _prior_covariance(rows: PairRows, voxels: IntArray) -> Array:
     return np.asarray((G + G.T) / 2.0)
 
 
-def complementary(matrix: Array, constant: Array, start: Mask) -> Mask:
+def complementary(matrix: Array, constant: Array, start: Mask) -> Mask | None:
     """Where z > 0 in z ≥ 0, M z + c ≥ 0, zᵀ(M z + c) = 0; M is positive definite.
 
     Block principal pivoting; where the number of wrong signs does not fall, one at a
@@ -140,15 +140,20 @@ def complementary(matrix: Array, constant: Array, start: Mask) -> Mask:
         start: Where z may differ from zero at first, shape (k,).
 
     Returns:
-        Those; after `MOST_EXCHANGES` those of the fewest wrong signs.
+        Those; after `MOST_EXCHANGES` those of the fewest wrong signs. None where a part
+        of M is not positive definite but for rounding.
     """
     active = best = start.copy()
     fewest, left = len(constant) + 1, TRIES
     for _ in range(MOST_EXCHANGES):
         at = np.flatnonzero(active)
-        z = scipy.linalg.solve(
-            matrix[np.ix_(at, at)], -constant[at], assume_a="pos", check_finite=False
-        )
+        # no `scipy.linalg.solve`: it warns of an ill-conditioned M, as at heavy
+        # weights, where signs still tell enough of what is judged exactly afterwards
+        try:
+            factor = scipy.linalg.cho_factor(matrix[np.ix_(at, at)], check_finite=False)
+        except np.linalg.LinAlgError:
+            return None
+        z = -scipy.linalg.cho_solve(factor, constant[at], check_finite=False)
         wrong = matrix[:, at] @ z + constant < 0.0
         wrong[at] = z < 0.0
         count = int(np.count_nonzero(wrong))
