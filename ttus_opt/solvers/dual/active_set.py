@@ -168,6 +168,7 @@ class ActiveSetIteration:
         """
         options = self.problem.options
         if self._subproblem is None or active.differs(self.active):
+            self._subproblem = None  # let go of before the next one is made
             self._subproblem, self.active = self.problem.subproblem(active), active
         last = rtol == self.rtol
         field_rtol = RTOL if last else max(RTOL, options.field_accuracy * rtol)

@@ -52,6 +52,23 @@ class _Point:
     steps: int = 0
 
 
+class _ApproximateInverse:
+    """S⁻¹ approximately, set up at its first use.
+
+    An object of its own: in a circle of references with its solver, that of a working
+    set would be kept long after it.
+    """
+
+    def __init__(self, system: DualSystem, options: DualOptions) -> None:
+        self._system, self._options = system, options
+        self._apply: Callable[[Array], Array] | None = None
+
+    def __call__(self, residual: Array) -> Array:
+        if self._apply is None:
+            self._apply = schur_preconditioner(self._system, self._options)
+        return self._apply(residual)
+
+
 class DualSolver:
     """One dual system, its recycled subspace and its preconditioner.
 
@@ -85,7 +102,7 @@ class DualSolver:
         self._subspace = RecycledSubspace(self.system)
         self._across = np.ones(k, dtype=bool)
         self._free = self.parameters.moving
-        self._schur: Callable[[Array], Array] | None = None
+        self._schur = _ApproximateInverse(self.system, self._options)
         self._complement: tuple[bytes, Complement] | None = None
 
     def adopt(self, system: DualSystem, parameters: LinearParameters) -> None:
@@ -105,7 +122,8 @@ class DualSolver:
             self._forget()
         elif not (ratio == 1.0).all():
             self._subspace.adopt(system)
-            self._schur = self._complement = None
+            self._schur = _ApproximateInverse(system, self._options)
+            self._complement = None
 
     def solve(
         self,
@@ -221,13 +239,8 @@ class DualSolver:
         key = free.tobytes()
         if self._complement is None or self._complement[0] != key:
             columns = self.parameters.columns[:, free]
-            self._complement = key, Complement(columns, self._approximate_inverse)
+            self._complement = key, Complement(columns, self._schur)
         return self._complement[1]
-
-    def _approximate_inverse(self, residual: Array) -> Array:
-        if self._schur is None:
-            self._schur = schur_preconditioner(self.system, self._options)
-        return self._schur(residual)
 
     def _prior_field(self, b: Array, rtol: float) -> Array:
         """p₀ = L⁻¹b, kept while b stays and no more is asked of it."""
