@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from tests.dragging import dragged_scene
 from ttus_opt.arrays import Array
@@ -84,12 +85,13 @@ def dense_answer(of: FieldPair, active: WorkingSet) -> tuple[Array, Array]:
     soft = rows.compliance > 0.0
     root = np.full(n, 1e4)
     root[soft] = 1.0 / np.sqrt(rows.compliance[soft])
+    L = sp.block_diag([rows.L, rows.L]).toarray()
     M = np.vstack(
-        [root[:, None] * (rows.L @ P), rows.root_weights[:, None] * (rows.rows @ P)]
+        [root[:, None] * (L @ P), rows.root_weights[:, None] * (rows.rows @ P)]
     )
     E = np.vstack([root[:, None] * rows.column[:, None], rows.measured_column[:, None]])
     t = np.concatenate(
-        [root * (rows.b - rows.L @ o), rows.t - rows.root_weights * (rows.rows @ o)]
+        [root * (rows.b - L @ o), rows.t - rows.root_weights * (rows.rows @ o)]
     )
     low, high = of.bounds
     z = np.linalg.lstsq(np.hstack([M, E]), t)[0]

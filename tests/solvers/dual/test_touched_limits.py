@@ -34,11 +34,12 @@ def model(of: FieldPair) -> TouchedLimits:
 def dense_response(of: FieldPair, at: Array) -> Array:
     """Inverse of half the second derivative in x, y and c, from its definition."""
     rows = of.rows
+    L = sp.block_diag([rows.L, rows.L]).toarray()
     free = rows.compliance > 0.0
     root = np.where(free, 1.0 / np.sqrt(np.where(free, rows.compliance, 1.0)), 1e4)
     M = np.vstack(
         [
-            root[:, None] * np.column_stack([rows.L.toarray(), rows.column]),
+            root[:, None] * np.column_stack([L, rows.column]),
             rows.root_weights[:, None]
             * np.column_stack([rows.rows.toarray(), rows.measured_column]),
         ]

@@ -124,8 +124,8 @@ class FieldPair:
         first, laplace = program.laplace_term, program.laplace
         assert first is not None
         V = len(laplace.free)
-        L = laplace.L.copy()
-        L.data *= np.repeat(units[:V], np.diff(L.indptr)) * units[L.indices]
+        L = laplace.L
+        data = L.data * np.repeat(units[:V], np.diff(L.indptr)) * units[L.indices]
         compliance = np.ones(2 * V)
         compliance[V:] = first.weight / prior.weight / units[V:] ** 2
         both = sp.vstack([first.matrix, prior.matrix], format="csr")
@@ -149,7 +149,7 @@ class FieldPair:
         matrix = sp.vstack([t.matrix for t in measured], format="csr")
         return PairRows(
             laplace,
-            sp.csr_array(sp.block_diag([L, L], format="csr")),
+            sp.csr_array((data, L.indices, L.indptr), shape=L.shape),
             compliance,
             b,
             column,

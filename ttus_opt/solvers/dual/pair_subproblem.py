@@ -16,11 +16,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, Mask
+from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid import Multigrid
 from ttus_opt.solvers.dual.limits import SpokeLimits
@@ -39,7 +41,7 @@ class PairRows:
 
     Attributes:
         laplace: Of one field.
-        L: Of both, shape (2V, 2V).
+        L: Of either, in its units, shape (V, V).
         compliance: ω, 0 where a row must hold exactly, shape (2V,).
         b: Shape (2V,).
         column: B, of an unknown c beside the fields, shape (2V,).
@@ -67,6 +69,14 @@ class PairRows:
         pattern = np.ones(self.L.nnz, dtype=np.int8), self.L.indices, self.L.indptr
         return sp.csr_array(pattern, shape=self.L.shape)
 
+    def rows_of_both(self, at: IntArray) -> sp.csr_array:
+        """Some rows of both fields' L, at of (k,) below 2V, shape (k, 2V)."""
+        V = self.L.shape[0]
+        own = self.L[at % V]
+        start = np.where(at < V, 0, V).astype(own.indices.dtype)
+        columns = own.indices + np.repeat(start, np.diff(own.indptr))
+        return sp.csr_array((own.data, columns, own.indptr), shape=(len(at), 2 * V))
+
     def beside(self, x: Array) -> float:
         """The best c between its bounds beside two fields, (2V,)."""
         soft = self.compliance > 0.0
@@ -74,13 +84,18 @@ class PairRows:
         column = np.concatenate([root * self.column[soft], self.measured_column])
         misfit = np.concatenate(
             [
-                root * (self.b - self.L @ x)[soft],
+                root * (self.b - of_both(self.L, x))[soft],
                 self.t - self.root_weights * (self.rows @ x),
             ]
         )
         square = float(column @ column)
         best = float(column @ misfit) / square if square > 0.0 else 0.0
         return float(np.clip(best, *self.bounds))
+
+
+def of_both(matrix: sp.csr_array, values: NDArray[Any]) -> NDArray[Any]:
+    """A matrix of one field times each of two, shape (2V,)."""
+    return np.concatenate([matrix @ half for half in np.split(values, 2)])
 
 
 @dataclass(frozen=True)
@@ -157,11 +172,11 @@ class PairSubproblem:
             both = share * values[:V] + (1.0 - share) * values[V:]
             return np.where(unknowns.own, np.concatenate([both, values[V:]]), 0.0)
 
-        rest = whole.b - whole.L @ unknowns.offset
+        rest = whole.b - of_both(whole.L, unknowns.offset)
         left = ~unknowns.own & (whole.compliance > 0.0)
         left[V:] &= ~joined
         at = np.flatnonzero(left)
-        L = sp.csr_array(whole.L[at] @ unknowns.expansion)
+        L = sp.csr_array(whole.rows_of_both(at) @ unknowns.expansion)
         moved = np.diff(L.indptr) > 0
         left[at] = ~moved
         alone = self._alone(whole, rest, left, joined)
@@ -194,7 +209,7 @@ class PairSubproblem:
         """Voxels whose two rows say the same of the unknowns, shape (V,)."""
         V = len(unknowns.follows)
         apart = ~unknowns.follows & ~(unknowns.held[:V] & unknowns.held[V:])
-        near = whole.neighbours[:V, :V] @ apart.astype(np.int8)
+        near = whole.neighbours @ apart.astype(np.int8)
         return np.asarray(unknowns.follows & (near == 0))
 
     @staticmethod
@@ -239,13 +254,14 @@ def _laplace(whole: PairRows, unknowns: _Unknowns) -> PairLaplace:
     free = np.tile(one.free, 2) & unknowns.own
     radii = np.tile(one.radii, 2)
     # rows of what is free that lie next to anything that is not
-    at = np.flatnonzero(free & (whole.neighbours @ (~free).astype(np.int8) > 0))
-    L = sp.csr_array(whole.L[at] @ unknowns.expansion)
+    near = of_both(whole.neighbours, (~free).astype(np.int8)) > 0
+    at = np.flatnonzero(free & near)
+    L = sp.csr_array(whole.rows_of_both(at) @ unknowns.expansion)
     row = np.repeat(at, np.diff(L.indptr))
     inward = ~free[L.indices]
     across = ~inward & (row >= V) & (L.indices < V)
     coupling = sp.csr_array(
-        (L.data[inward], (row[inward], L.indices[inward])), shape=whole.L.shape
+        (L.data[inward], (row[inward], L.indices[inward])), shape=(2 * V, 2 * V)
     )
     entries = -radii[row[across]] * L.data[across]
     block = PairBlock(
