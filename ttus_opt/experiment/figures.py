@@ -11,6 +11,7 @@ from ttus_opt.experiment.boundary import UNSEEN
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.pipeline import FIGURES, ExperimentResult, PatientResult
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITHOUT
+from ttus_opt.experiment.tables import title
 from ttus_opt.report import plots
 from ttus_opt.report.document import Picture
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
@@ -81,7 +82,8 @@ def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
         figure = plots.force_over_time(pair, f"{name}: {kind}, new trajectory")
         caption = (
             f"{name}, {kind}, a trajectory that was not fitted: measured force, and "
-            f"rendered without (Laplace alone, p_in = 1) and with measured forces"
+            "rendered without (Laplace alone, p_in = 1) and with measured forces "
+            f"({title(best)})"
         )
         pictures.append(_saved(figure, folder, f"{name}-{kind}", caption))
     caption = (

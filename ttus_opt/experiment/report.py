@@ -218,8 +218,8 @@ def _aims(result: ExperimentResult, best: str) -> list[Block]:
     return [
         Heading("The aims, recording by recording"),
         Text(
-            "Which aims each formulation misses on new trajectories, true wrenches; ✓ "
-            "where it misses none."
+            "Which aims each formulation misses on new trajectories, true wrenches: "
+            "all four, those named, or none (✓)."
         ),
         tables.aims_table(result),
         Text(
@@ -238,7 +238,7 @@ def _cells(score: Score) -> list[str]:
         f"{score.force_worst_N:.2f} N",
         f"{score.force_angle_error_deg:.1f}° {met['angle']}",
         f"{score.angle_worst_deg:.1f}°",
-        f"{100 * score.torque_share:.0f} % {met['torque']}",
-        f"{score.torque_angle_error_deg:.0f}° {met['torque angle']}",
+        f"{100 * score.torque_share:.1f} % {met['torque']}",
+        f"{score.torque_angle_error_deg:.1f}° {met['torque angle']}",
         f"{100 * score.share_told_apart:.0f} %",
     ]
