@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.stats
 
 from ttus_opt.errors import InputError
+from ttus_opt.fitting import wrench_noise
 from ttus_opt.fitting.wrench_noise import (
+    MOST_SHARE,
     ErrorModel,
     MeasuredWrenches,
     WrenchNoise,
@@ -98,6 +102,24 @@ def test_what_was_drawn_is_found() -> None:
     assert variance == pytest.approx(0.5, rel=0.7)
     for name, value in NOISE.as_dict().items():
         assert found.as_dict()[name] == pytest.approx(value, rel=0.4), name
+
+
+def test_a_place_never_errs_by_more_than_fields_can_bear() -> None:
+    given, rng = recorded(24, 8, 2), np.random.default_rng(8)
+    share = rng.normal(0.0, 0.9, 8)[given.place, None]
+    sensor = rng.normal(size=(24, 6)) * ([0.05] * 3 + [2e-3] * 3)
+    wild = replace(given, misfit=share * given.wrench + sensor)
+    assert wild.estimate(1.0)[1].place_share == MOST_SHARE
+
+
+def test_frames_are_thinned_evenly_to_the_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    given = recorded(9, 3)
+    for most, frames in ((9, range(9)), (8, range(0, 9, 2)), (4, range(0, 9, 3))):
+        monkeypatch.setattr(wrench_noise, "MOST_FRAMES", most)
+        few = given.thinned()
+        np.testing.assert_array_equal(few.misfit, given.misfit[list(frames)])
+        np.testing.assert_array_equal(few.images, given.images[:, list(frames)])
+        np.testing.assert_array_equal(few.place, given.place[list(frames)])
 
 
 def weighted() -> tuple[MeasuredWrenches, ErrorModel, np.ndarray]:
