@@ -125,6 +125,15 @@ def test_draws_agree_with_it() -> None:
 
 
 @pytest.mark.slow
+def test_draws_where_the_basis_is_not_kept_are_the_same() -> None:
+    near = doubt(fitted(), three_presses(), method="samples", depth=0.001)
+    deeper, whole = near.draws(4, 0.05), exact().draws(4, 0.05)
+    assert len(deeper.voxels) > len(near.draws(4, 0.001).voxels)
+    off = np.abs(deeper.values - whole.values).max()
+    assert off < 0.05 * whole.values.std()
+
+
+@pytest.mark.slow
 def test_prior_and_noise_are_the_likeliest() -> None:
     found = exact()
     scene, C = found.scene, laplace_covariance(found.scene)
