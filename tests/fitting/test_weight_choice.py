@@ -180,6 +180,21 @@ def test_where_a_depth_map_is_clearly_better_nothing_is_tuned(
     assert choice.checks[-1].clear and "better than" in choice.lines[-1]
 
 
+def test_a_depth_map_with_drag_is_set_beside_tuned_drag(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked, worse = [], replace(tuned(), left_out=off_by(20.0, tuned().left_out))
+
+    def tuning(_: Scene, name: str, **__: object) -> Tuning:
+        asked.append(name)
+        return worse
+
+    monkeypatch.setattr(weight_choice, "tune", tuning)
+    monkeypatch.delattr(weight_choice, "best_left_out")
+    choose_weights(drawn(), "depth_map_coulomb")
+    assert asked == ["coulomb_global"]
+
+
 def test_two_presses_leave_the_weights_unchecked() -> None:
     scene = drawn()
     kept = scene.trajectory.select(np.arange(len(scene.trajectory)) < 10)
