@@ -23,7 +23,8 @@ def test_only_a_private_folder_is_trusted(
     other = chosen()
     assert other is not None and other.parent == tmp_path / "tmp"
     other.rmdir()
-    other.symlink_to(mine)
+    (tmp_path / "own").mkdir(mode=0o700)
+    other.symlink_to(tmp_path / "own")  # or to wherever it points later
     with pytest.warns(RuntimeWarning, match="set NUMBA_CACHE_DIR"):
         assert chosen() is None
 
@@ -82,7 +83,11 @@ def test_a_chosen_folder_that_others_may_write_to_is_not_used(
     folder = choose()
     assert folder == tmp_path / "shared" / "ttus_opt"
     assert folder.stat().st_mode & 0o777 == 0o700
-    folder.chmod(0o770)
+    for mode in (0o720, 0o702):
+        folder.chmod(mode)
+        with pytest.warns(RuntimeWarning, match="others may write to it"):
+            choose()
+    folder.chmod(0o777)
     with pytest.warns(RuntimeWarning, match="others may write to it"):
         assert choose() == tmp_path / "home" / "ttus_opt" / "compiled"
     folder.chmod(0o755)

@@ -20,9 +20,11 @@ class Tide:
     Attributes:
         height: Of the water
             in metres.
+        wind: Speed.
     """
 
     height: float = 1.5
+    wind: Annotated[float, typer.Option(metavar="KNOTS")] = 0.0
 
 
 def own_command(tide: Tide, file: Path, deep: bool = False, json: bool = False) -> None:
@@ -102,6 +104,8 @@ def test_a_group_stands_in_its_parameters_place(
 def test_words_are_those_of_the_docstring(small: Any) -> None:
     words = {option.name: option.help for option in small.params}
     assert words["height"] == "Of the water in metres."
+    metavars = {option.name: option.metavar for option in small.params}
+    assert (words["wind"], metavars["wind"]) == ("Speed.", "KNOTS")
     assert words["file"] == "Where: here or there."
     assert words["json"] == "JSON on stdout, for machines."
     assert small.help == "Say it."

@@ -46,6 +46,17 @@ def test_association_of_coinciding_and_of_no_candidates() -> None:
     assert np.isfinite(m.y).all() and np.isfinite(m.variance).all()
 
 
+def test_one_noise_for_all_is_the_same_noise_of_each() -> None:
+    rng = np.random.default_rng(4)
+    r = np.sort(0.15 + 0.003 * rng.standard_normal((50, 8)), axis=1)
+    r[25:, 4:] += 0.02  # two surfaces within the gate
+    predicted, variance = np.full(50, 0.155), np.full(50, 0.01**2)
+    one = associate(r, predicted, variance, 0.003)
+    each = associate(r, predicted, variance, np.full(r.shape, 0.003))
+    np.testing.assert_allclose(each.y, one.y, rtol=1e-12)
+    np.testing.assert_allclose(each.variance, one.variance, rtol=1e-9)
+
+
 def test_association_weighs_by_prediction_and_noise_together() -> None:
     """S = P + σ²: by hand for two points of one surface, and at the gate's edge."""
     sigma, P, d = 0.003, 0.001**2, 0.15
