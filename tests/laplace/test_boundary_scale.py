@@ -10,6 +10,7 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import ellipsoid, presses, torso
 from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.laplace.boundary_scale import _report_scale
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.voxmap import Voxmap
 
@@ -73,6 +74,20 @@ def test_a_scale_the_forces_do_not_bear_is_one_and_said() -> None:
     solution = tt.fit(scene, "coulomb_global", force_weight=1e-4)
     assert solution.parameters["boundary_scale"] == 1.0  # it is not searched either
     assert "±" in solution.not_identified["boundary_scale"]
+
+
+@pytest.mark.parametrize(("scale", "words"), [(-1.8, "give"), (-2.2, "push into")])
+def test_forces_push_inwards_beyond_two_standard_errors(
+    scale: float, words: str
+) -> None:
+    with pytest.warns(TtusWarning, match=words):
+        assert words in _report_scale(scale, 1.0)
+
+
+def test_a_probe_that_never_touches_has_no_scale() -> None:
+    apart = replace(TRAJECTORY, position=TRAJECTORY.position * [1.3, 1.3, 1.0])
+    with pytest.raises(InputError, match="the probe never touches"):
+        Scene.assemble(VOXMAP, SHELL, apart, inner="fit")
 
 
 def test_pulling_forces_are_refused_by_inner_fit() -> None:

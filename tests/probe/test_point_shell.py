@@ -166,20 +166,19 @@ def test_moving_and_scaling_the_mesh_moves_and_scales_the_shell(turn, shift, sca
     np.testing.assert_allclose(moved.normals, base.normals @ rotation.T, atol=1e-6)
 
 
-@pytest.mark.slow
 def test_inner_walls_are_left_out_unless_asked_for():
     outer = trimesh.creation.box((0.05, 0.02, 0.01))
     inner = trimesh.creation.box((0.046, 0.016, 0.006))
     vertices = np.vstack([outer.vertices, inner.vertices])
     faces = np.vstack([outer.faces, inner.faces + 8])  # wound the wrong way
-    shell = PointShell.from_triangles(vertices, faces, 600)
+    shell = PointShell.from_triangles(vertices, faces, 100)
     assert shell.total_area == pytest.approx(outer.area)
     assert (shell.points * shell.normals).sum(axis=1).max() < 0
-    both = PointShell.from_triangles(vertices, faces, 1200, surface="all")
+    both = PointShell.from_triangles(vertices, faces, 200, surface="all")
     assert both.total_area == pytest.approx(outer.area + inner.area)
     # on the inner box the material is outside of it
     on_inner = (np.abs(both.points) < [0.0231, 0.0081, 0.0031]).all(axis=1)
-    assert on_inner.sum() > 200
+    assert on_inner.sum() > 33
     assert (both.points * both.normals).sum(axis=1)[on_inner].min() > 0
 
 
