@@ -86,7 +86,8 @@ def test_forces_push_inwards_beyond_two_standard_errors(
 
 def test_a_probe_that_never_touches_has_no_scale() -> None:
     apart = replace(TRAJECTORY, position=TRAJECTORY.position * [1.3, 1.3, 1.0])
-    with pytest.raises(InputError, match="the probe never touches"):
+    told = pytest.warns(TtusWarning, match="touches the patient in none of 12 poses")
+    with told, pytest.raises(InputError, match="the probe never touches"):
         Scene.assemble(VOXMAP, SHELL, apart, inner="fit")
 
 
