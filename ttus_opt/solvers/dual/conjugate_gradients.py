@@ -30,6 +30,9 @@ Kept = NDArray[np.floating[Any]]
 #: Directions whose norm falls below this part of the largest are dropped [–]
 DEPENDENT = 1e-12
 
+#: Residual of a solve inside a product over the dual's, where that is rough [–]
+PRODUCT = 1e-2
+
 
 # Products with all directions run on one core: a threaded BLAS that waits for a busy
 # core takes ten times as long for vectors as short as these. Those in single precision,
@@ -207,7 +210,7 @@ def conjugate_gradients(
         right_side: Shape (m,).
         goal: Norm of the residual to reach.
         space: In which y lies and the residual counts.
-        accuracy: Its deadline.
+        accuracy: What the dual is solved to, and the deadline.
         options: Of the solver.
 
     Returns:
@@ -215,6 +218,7 @@ def conjugate_gradients(
         is for the caller to verify.
     """
     y, residual = subspace.project(right_side)
+    loosest = max(options.loosest_product, PRODUCT * accuracy.rtol)
     steps = 0
     best, least = np.zeros_like(y), float(np.linalg.norm(right_side))
     while True:
@@ -224,7 +228,7 @@ def conjugate_gradients(
             return y, steps
         if size < least:
             best, least = y, size
-        rtol = min(max(0.1 * goal / size, RTOL), options.loosest_product)
+        rtol = min(max(0.1 * goal / size, RTOL), loosest)
         diverged = not size <= options.divergence * least
         if diverged or not subspace.extend(space.precondition(residual), rtol):
             return best, steps

@@ -30,7 +30,9 @@ class DualOptions:
             what these leave of each other [–].
         tightening: By how much each time [–].
         refinements: Most rounds of iterative refinement of a dual [–].
-        loosest_product: Largest relative residual of a solve inside a product [–].
+        loosest_product: Largest relative residual of a solve inside a product; a
+            hundredth of the dual's own where that is more. At 1e-4 weights of 1e4, and
+            measurements that contradict each other, take more directions [–].
         divergence: A dual residual that has grown by this factor will not come back:
             the Schur complement is too large for a preconditioner in single precision,
             and the best answer so far is kept. By the root of S's condition it may
@@ -73,7 +75,7 @@ class DualOptions:
     tightenings: int = _option(4, 1, 10, 1)
     tightening: float = _option(1e-3, 1e-6, 0.1, 0.1)
     refinements: int = _option(8, 1, 20, 1)
-    loosest_product: float = _option(1e-6, 0.0, 1e-3, 0.0, 1e-4)
+    loosest_product: float = _option(1e-5, 0.0, 1e-3, 0.0, 1e-4)
     divergence: float = _option(1e6, 10.0, 1e300, 1e300)
     max_directions: int = _option(2000, 1, 10_000)
     preconditioner_residual: float = _option(0.002, 1e-4, 0.1, 0.05)
