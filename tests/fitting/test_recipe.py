@@ -11,7 +11,7 @@ import ttus_opt as tt
 from tests.fitting.test_tuning import drawn, tuned
 from ttus_opt.fitting import recipe
 from ttus_opt.fitting.left_out import Check, LeftOut
-from ttus_opt.fitting.recipe import choose_recipe, resampled
+from ttus_opt.fitting.recipe import better_weights, choose_recipe, resampled
 from ttus_opt.fitting.weight_choice import WeightChoice
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
@@ -51,6 +51,21 @@ def test_the_smallest_error_on_presses_left_out_is_fitted(
     assert len(choice.checks) == 4
     told = [check.richer for check in choice.checks[1:]]
     assert told == [f"{name} ({sampling})" for name, sampling in FOUR[1:]]
+
+
+@pytest.mark.parametrize("worse", [True, False])
+def test_its_own_weights_are_taken_where_they_predict_better(worse: bool) -> None:
+    found = tuned()
+    errors = found.own_left_out.errors
+    likeliest = replace(found.left_out, errors=(1.01 if worse else 0.99) * errors)
+    check = Check.between(likeliest, found.own_left_out, np.arange(15) // 5)
+    choice = WeightChoice(
+        found.scene, found.formulation, found, checks=(check,), left_out=likeliest
+    )
+    taken = better_weights(choice, drawn())
+    weights = [term.weight for term in taken.formulation.terms if term.measures]
+    assert weights == ([0.01, 0.01] if worse else list(found.weights.values()))
+    assert taken.left_out is (found.own_left_out if worse else likeliest)
 
 
 def test_a_scene_in_another_sampling_has_its_own_scale() -> None:

@@ -2,9 +2,10 @@
 
 Which contact law holds differs: what is deep beside the probe feels its size, a thin
 layer does not; pressure grows with depth at one rate here and another there. So eq. 10
-and a depth map, each in both samplings and with drag where the recordings show it,
-predict every press from all others (`left_out`), and the one with the smallest error is
-fitted. Nothing is tuned by hand. See docs/method.md, "Tuning".
+at its likeliest weights or its own and a depth map, each in both samplings and with
+drag where the recordings show it, predict every press from all others (`left_out`), and
+the one with the smallest error is fitted. Nothing is tuned by hand. See docs/method.md,
+"Tuning".
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def choose_recipe(
         What to fit. Where the recordings bear no weights, or there are fewer than
         three presses, what `choose_weights` gives, and why.
     """
-    best = choose_weights(scene, progress=progress)
+    best = better_weights(choose_weights(scene, progress=progress), scene)
     if best.left_out is None:
         return best
     press, checks = presses(scene), best.checks
@@ -61,11 +62,32 @@ def _others(
         if sampling != scene.sampling:
             place = resampled(scene, sampling)
             choice = choose_weights(place, name, progress=progress)
+            choice = better_weights(choice, place)
             if choice.left_out is not None:
                 yield _named(choice.left_out, place), choice
         begin(f"{depth_map}, {sampling} sampling")
         declared = shelf.load(depth_map, place)
         yield _named(left_out_of(declared), place), WeightChoice(place, declared)
+
+
+def better_weights(choice: WeightChoice, scene: Scene) -> WeightChoice:
+    """The likeliest weights or the formulation's own, by presses left out.
+
+    A fit keeps the likeliest unless they are worse by a standard error; here the
+    smaller error decides, as it does between formulations.
+
+    Args:
+        choice: Of `choose_weights`.
+        scene: What it was made for, with its own boundary scale.
+    """
+    found = choice.tuning
+    if found is None or not choice.checks[-1].made or choice.checks[-1].better:
+        return choice
+    own = shelf.load(found.formulation.name, scene)
+    reason, checks = str(choice.checks[-1]), choice.checks
+    return WeightChoice(
+        scene, own, reason=reason, checks=checks, left_out=found.own_left_out
+    )
 
 
 def resampled(scene: Scene, sampling: str) -> Scene:
