@@ -66,6 +66,10 @@ class LimitedProblem(Protocol):
 class PredictingProblem(Protocol):
     """A problem with a model of how its field answers to multipliers of bounds."""
 
+    @property
+    def predicts_roughly(self) -> bool:
+        """Whether the next prediction needs no more than a rough minimiser."""
+
     def predicted(
         self, active: WorkingSet, p: Array, signs: Multipliers
     ) -> WorkingSet | None:
@@ -142,6 +146,12 @@ class ActiveSetIteration:
         """Whether there is nothing more to do, or no more time or working sets."""
         enough = self.sets == self.problem.options.max_working_sets
         return self.settled or self.late or enough
+
+    @property
+    def predicts_roughly(self) -> bool:
+        """Whether the problem does."""
+        problem = self.problem
+        return isinstance(problem, PredictingProblem) and problem.predicts_roughly
 
     def predicted(self, found: Violations) -> WorkingSet | None:
         """The working set to which a model of bounds alone leads; None for none.

@@ -56,6 +56,7 @@ class FieldPair:
     links: dict[str, tuple[IntArray, Array]] = field(repr=False)
     options: DualOptions
     links_hold_slopes: ClassVar[bool] = False
+    predicts_roughly: ClassVar[bool] = True
     alone: ClassVar[bool] = False
 
     @classmethod

@@ -12,13 +12,14 @@ largest eigenvalues of S.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 
 import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.system import DualSystem
@@ -38,6 +39,7 @@ class ApproximateSchur:
 
     Attributes:
         root_weights: As of `DualSystem`, shape (m,) [–].
+        fixed: Fixed voxels with soft values that it knows of, shape (k,).
     """
 
     def __init__(self, system: DualSystem) -> None:
@@ -60,7 +62,7 @@ class ApproximateSchur:
         own = touched[free[touched]]
         rim = np.flatnonzero((np.diff(inward.indptr) > 0) & free)
         fixed = np.union1d(inward[rim].indices, touched[~laplace.free[touched]])
-        fixed = fixed[compliance[fixed] > 0.0]
+        self.fixed = fixed = fixed[compliance[fixed] > 0.0]
         self._own, self._rim = self._cycle.places(own), self._cycle.places(rim)
         self._rows = system.rows[:, np.concatenate([own, fixed])].astype(np.float32)
         self._adjoint = sp.csr_array(self._rows.T)
@@ -83,20 +85,40 @@ class ApproximateSchur:
         Returns:
             Shape (m,).
         """
+        p_fixed = self.slope(y) * self._compliance_fixed
+        # L: A p = R ω R x + what flows in from fixed voxels
+        np.multiply(self._middle, self._cycle.x, out=self._cycle.b)
+        return np.asarray(y + self._measured(p_fixed))
+
+    def slope(self, y: Array) -> Array:
+        """L⁻ᵀDᵀ y at the fixed voxels, shape (k,)."""
         cycle, count = self._cycle, len(self._own)
         load = self._adjoint @ (self.root_weights * y).astype(np.float32)
         # Lᵀ: A x = load, then q = -R x on free voxels, and what flows to fixed ones
         cycle.b.fill(0.0)
         cycle.b[self._own] = load[:count]
         cycle.run_adjoint()
-        p_fixed = load[count:] + self._outward @ cycle.x[self._rim]
-        p_fixed *= self._compliance_fixed
-        # L: A p = R ω R x + what flows in from fixed voxels
-        np.multiply(self._middle, cycle.x, out=cycle.b)
+        return np.asarray(load[count:] + self._outward @ cycle.x[self._rim])
+
+    def measured(self, p_fixed: Array) -> Array:
+        """D L⁻¹ of values at the fixed voxels, (k,), and zeros elsewhere: (m,)."""
+        self._cycle.b.fill(0.0)
+        return self._measured(p_fixed.astype(np.float32))
+
+    def _measured(self, p_fixed: Array) -> Array:
+        """The same of fixed voxels and what ``b`` holds of the free ones."""
+        cycle = self._cycle
         cycle.b[self._rim] += self._inward @ p_fixed
         cycle.run()
-        measured = self._rows @ np.concatenate([cycle.x[self._own], p_fixed])
-        return np.asarray(y + self.root_weights * measured)
+        own = np.concatenate([cycle.x[self._own], p_fixed])
+        return np.asarray(self.root_weights * (self._rows @ own))
+
+    def without(self, held: Mask) -> ApproximateSchur:
+        """S̃ where some of the fixed voxels have given values, shape (k,)."""
+        other = copy.copy(self)
+        own = np.where(held, 0.0, self._compliance_fixed)
+        other._compliance_fixed = own.astype(np.float32)
+        return other
 
 
 class SchurPreconditioner:

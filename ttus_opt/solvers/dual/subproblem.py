@@ -29,9 +29,11 @@ from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid import AggregatedMultigrid, Grounds, Multigrid
 from ttus_opt.multigrid.pooled_blocks import block_heads
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.optimality import Multipliers
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
+from ttus_opt.solvers.dual.soft_values import SoftValues
 from ttus_opt.solvers.dual.solver import DualAnswer, DualSolver
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -122,6 +124,7 @@ class LimitedField:
     whole: DualSolver
     options: DualOptions
     links_hold_slopes: ClassVar[bool] = True
+    predicts_roughly: ClassVar[bool] = False
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -132,6 +135,47 @@ class LimitedField:
     def alone(self) -> Mask:
         """Voxels of soft values, shape (V,)."""
         return ~self.data.system.laplace.free
+
+    @cached_property
+    def _limited_soft(self) -> Mask:
+        """Soft values with a lower limit and no other, shape (V,)."""
+        limits, soft = self.limits, self.data.system.compliance > 0.0
+        own = np.isfinite(limits.lower) & np.isinf(limits.upper) & ~limits.given
+        return self.alone & soft & own
+
+    @cached_property
+    def _soft_values(self) -> SoftValues:
+        return SoftValues(self.data.system, self.options)
+
+    def predicted(
+        self, active: WorkingSet, p: Array, signs: Multipliers
+    ) -> WorkingSet | None:
+        """The next working set where none but soft values are at limits.
+
+        Args:
+            active: The working set, without links.
+            p: Its minimiser, shape (V,).
+            signs: Its multipliers.
+        """
+        limits, soft, system = self.limits, self._limited_soft, self.data.system
+        prior = laplace_prior(self.program)
+        assert prior is not None
+        if not soft.any() or ((active.bounds != 0) & ~soft & ~limits.given).any():
+            return None
+        # b + ω q: what is held has its multiplier beside
+        natural = p + system.compliance * signs.bounds / (2.0 * prior.weight)
+        held = soft & (natural < limits.lower)
+        model = self._soft_values
+        at = model.voxels
+        lower = np.where(soft, limits.lower, -np.inf)[at]
+        near = model.held(p[at], natural[at], lower)
+        if near is None:
+            return None
+        held[at] = near
+        following = WorkingSet(
+            np.where(limits.given, active.bounds, -held.astype(np.int8)), active.links
+        )
+        return following if following.differs(active) else None
 
     def subproblem(self, active: WorkingSet) -> Subproblem:
         """The problem of a working set."""

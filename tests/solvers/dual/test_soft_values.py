@@ -1,0 +1,98 @@
+"""Soft values within limits: the equation of their multipliers, solved densely."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.conftest import small_scene
+from ttus_opt.arrays import Array
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.solvers.base import Claim, Request
+from ttus_opt.solvers.dual import soft_values
+from ttus_opt.solvers.dual.data import DualData
+from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.preconditioner import ApproximateSchur
+from ttus_opt.solvers.dual.soft_values import SoftValues
+from ttus_opt.solvers.structured import Structured
+
+SCENE = small_scene("trilinear", shape=(8, 16, 10), n_poses=6)
+
+
+def data(weight: float = 1.0) -> DualData:
+    weights = {"force_weight": weight, "torque_weight": weight}
+    return DualData.of(shelf.load("free_surface", SCENE, **weights).compile())
+
+
+def dense(of: DualData) -> tuple[Array, Array]:
+    """L⁻¹ and D."""
+    system = of.system
+    inverse = np.linalg.inv(SCENE.laplace.L.toarray())
+    return inverse, system.root_weights[:, None] * system.rows.toarray()
+
+
+def test_slopes_and_fields_are_those_of_l() -> None:
+    of, rng = data(), np.random.default_rng(0)
+    made, (inverse, D) = ApproximateSchur(of.system), dense(of)
+    y, values = rng.normal(size=len(D)), rng.normal(size=len(made.fixed))
+    slope = (inverse.T @ (D.T @ y))[made.fixed]
+    assert np.linalg.norm(made.slope(y) - slope) < 0.03 * np.linalg.norm(slope)
+    whole = np.zeros(len(inverse))
+    whole[made.fixed] = values
+    image = D @ (inverse @ whole)
+    assert np.linalg.norm(made.measured(values) - image) < 0.03 * np.linalg.norm(image)
+
+
+@pytest.mark.parametrize("weight", [1e-2, 1.0])
+def test_held_are_those_of_the_equation_itself(weight: float) -> None:
+    """From the minimiser without limits, against Newton's method in dense algebra."""
+    of = data(weight)
+    inverse, D = dense(of)
+    G = D @ inverse
+    model = SoftValues(of.system, DualOptions())
+    at, compliance = model.voxels, of.system.compliance
+    lower = np.zeros(len(at))
+
+    def solved(held: Array) -> tuple[Array, Array]:
+        own = compliance.copy()
+        own[at[held]] = 0.0
+        b = of.b.copy()
+        b[at[held]] = 0.0
+        y = np.linalg.solve(np.eye(len(D)) + (G * own) @ G.T, of.t - G @ b)
+        slope = G.T @ y
+        return inverse @ (b + own * slope), (of.b + compliance * slope)[at]
+
+    p, natural = solved(np.zeros(len(at), dtype=bool))
+    predicted = model.held(p[at], natural, lower)
+    held = natural < lower
+    while (following := solved(held)[1] < lower).tobytes() != held.tobytes():
+        held = following
+    assert 0 < held.sum() < len(held)
+    assert (natural < lower).sum() != held.sum()
+    assert predicted is not None
+    assert np.count_nonzero(predicted != held) <= 0.02 * len(held)
+
+
+def test_a_free_surface_takes_few_working_sets(monkeypatch: pytest.MonkeyPatch) -> None:
+    program = shelf.load("free_surface", SCENE).compile()
+    found = Structured().prepare(program, Request(1e-6)).solve()
+    # without a model the same answer, and more of them
+    monkeypatch.setattr(SoftValues, "held", lambda *_: None)
+    other = Structured().prepare(program, Request(1e-6)).solve()
+    assert found.claim is other.claim is Claim.DONE
+    assert found.x is not None and other.x is not None
+    np.testing.assert_allclose(found.x, other.x, atol=1e-7 * np.abs(other.x).max())
+    sets = [int(one.detail.split()[0]) for one in (found, other)]
+    assert sets[0] < sets[1]
+
+
+def test_where_directions_do_not_suffice_nothing_is_predicted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(soft_values, "MOST_DIRECTIONS", 1)
+    monkeypatch.setattr(soft_values, "RESIDUAL", 1e-9)
+    of = data()
+    model = SoftValues(of.system, DualOptions())
+    k = len(model.voxels)
+    natural = np.random.default_rng(1).normal(size=k)
+    assert model.held(natural, natural, np.zeros(k)) is None
