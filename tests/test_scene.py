@@ -108,6 +108,11 @@ def test_bad_inner(inner: object, word: str) -> None:
         Scene.assemble(VOXMAP, SHELL, TRAJECTORY, inner=inner)
 
 
+def test_several_recordings_are_joined_first() -> None:
+    with pytest.raises(InputError, match=r"got list: join .* Trajectory\.concatenate"):
+        Scene.assemble(VOXMAP, SHELL, [TRAJECTORY, TRAJECTORY])  # type: ignore[arg-type]
+
+
 def test_poses_without_wrench_have_rows_but_no_measurements() -> None:
     bare = Trajectory(TRAJECTORY.time, TRAJECTORY.position, TRAJECTORY.rotation)
     scene = Scene.assemble(VOXMAP, SHELL, bare)

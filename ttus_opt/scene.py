@@ -98,18 +98,23 @@ class Scene:
                 "fit" where forces were measured in contact, else 1; forces that push
                 into the patient are then a warning and no error.
             outer: p_out; where p_in is fitted the ratio p_out / p_in.
-            sampling: ``trilinear`` or ``voxel-mean``. The paper has the latter and
-                p_in = p_out = 1: `ttus_opt.paper.SCENE`.
+            sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``. The paper has
+                ``voxel-mean`` and p_in = p_out = 1: `ttus_opt.paper.SCENE`.
 
         Returns:
             The scene. Poses off the grid or without contact are reported as a
             `TtusWarning`.
 
         Raises:
-            InputError: Unknown sampling, boundary values that are not finite, or
-                "fit" without a measured force in contact.
+            InputError: Not one trajectory, unknown sampling, boundary values that are
+                not finite, or "fit" without a measured force in contact.
         """
         watch = Stopwatch()
+        if not isinstance(trajectory, Trajectory):
+            raise InputError(
+                f"a scene takes one trajectory, got {type(trajectory).__name__}: join "
+                "several by Trajectory.concatenate"
+            )
         checked_sampling(sampling)
         if isinstance(inner, str) and inner != "fit":
             raise InputError(f'inner must be a number or "fit", got {inner!r}')
