@@ -16,7 +16,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import plots
 from ttus_opt.report.metrics import Evaluation, evaluate
 from ttus_opt.report.plots.canvas import look
-from ttus_opt.report.plots.potential import colour_limit, round_up
+from ttus_opt.report.plots.potential import colour_limit, local_change, round_up
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -119,6 +119,17 @@ def test_potential_shows_the_slice_that_changed_most(
     part = figure.axes[5]
     assert np.mean(part.get_xlim()) == pytest.approx(0.0, abs=0.7)
     assert np.mean(part.get_ylim()) == pytest.approx(8.0, abs=0.7)
+
+
+def test_what_another_boundary_value_changes_everywhere_is_left_out(
+    fields: tuple[PotentialField, PotentialField],
+) -> None:
+    before, after = fields
+    scaled = PotentialField(after.voxmap, 1.5 * after.values, after.sampling)
+    dent = np.argmax(local_change(before, scaled))
+    assert dent == np.argmax(np.abs(after.values - before.values))
+    inside = before.voxmap.inside
+    assert not local_change(before, scaled)[~inside].any()
 
 
 def _data(line: Any) -> tuple[Array, Array]:

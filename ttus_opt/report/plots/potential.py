@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.errors import InputError
 from ttus_opt.report.plots.canvas import add_axes, look, new_figure
 from ttus_opt.scan.surface import Surface
@@ -39,7 +39,9 @@ def potential_slices(
 
     Returns:
         The figure: the slice above, the part where the fields differ most enlarged
-        below; contours solid where p > 0, dashed where p < 0.
+        below; contours solid where p > 0, dashed where p < 0. Where they differ is
+        told within 2.5 cm below the skin, and beside a common factor, which another
+        boundary value makes everywhere.
 
     Raises:
         InputError: The fields have different grids.
@@ -47,9 +49,9 @@ def potential_slices(
     grid = before.voxmap.grid
     if grid != after.voxmap.grid:
         raise InputError("both fields must be on one grid: fit them on one voxmap")
-    change = after.values - before.values
+    change, local = after.values - before.values, local_change(before, after)
     if z is None:
-        k = int(np.argmax(np.abs(change).max(axis=(0, 1))))
+        k = int(np.argmax(local.max(axis=(0, 1))))
     else:
         k = int(np.argmin(np.abs(grid.z - z)))
     panels = {
@@ -57,15 +59,17 @@ def potential_slices(
         "fitted to measured wrenches": after.values[:, :, k],
         "difference": change[:, :, k],
     }
-    i, j = np.unravel_index(np.argmax(np.abs(change[:, :, k])), change.shape[:2])
+    i, j = np.unravel_index(np.argmax(local[:, :, k]), local.shape[:2])
     spot = 100.0 * grid.r[i] * np.array([np.cos(grid.theta[j]), np.sin(grid.theta[j])])
     common = colour_limit(before, k)
+    below = _near_skin(before, k) & before.voxmap.inside[:, :, k]
+    most = round_up(float(np.abs(change[:, :, k][below]).max()))
     with look():
         figure = new_figure(9.6, 6.6, margins=(0.69, 0.35, 1.26, 0.46))
         axes = figure.subplots(2, 3, gridspec_kw={"wspace": 0.374, "hspace": 0.131})
         for column, (title, values) in enumerate(panels.items()):
             is_change = title == "difference"
-            limit = round_up(float(np.abs(values).max())) if is_change else common
+            limit = most if is_change else common
             for ax in axes[:, column]:
                 mesh = draw_slice(ax, after, values, k, limit)
             axes[0, column].set_title(title)
@@ -126,11 +130,34 @@ def field_slice(field: PotentialField, z: float | None = None) -> Figure:
 
 def colour_limit(field: PotentialField, k: int) -> float:
     """The largest |p| near the skin in slice k: colours beyond it saturate."""
+    near = np.abs(field.values[:, :, k][_near_skin(field, k)])
+    return round_up(float(np.percentile(near, 90)))
+
+
+def _near_skin(field: PotentialField, k: int) -> Mask:
+    """Voxels of slice k that colours tell apart, shape (n_r, n_theta)."""
     grid = field.voxmap.grid
     skin = field.voxmap.surface.radius_at(grid.theta, np.full(grid.shape[1], grid.z[k]))
     near = np.abs(grid.r[:, None] - skin) < _SKIN_DEPTH
-    near &= grid.in_sector(grid.theta)
-    return round_up(float(np.percentile(np.abs(field.values[:, :, k][near]), 90)))
+    return np.asarray(near & grid.in_sector(grid.theta))
+
+
+def local_change(before: PotentialField, after: PotentialField) -> Array:
+    """By how much fields differ beside a common factor below the skin, 0 elsewhere.
+
+    Args:
+        before: A field.
+        after: Another one on its grid.
+
+    Returns:
+        Shape ``grid.shape`` [as the potential].
+    """
+    slices = range(before.voxmap.grid.shape[2])
+    near = np.stack([_near_skin(before, k) for k in slices], axis=2)
+    near &= before.voxmap.inside
+    old, new = before.values[near], after.values[near]
+    factor = float(old @ new / (old @ old)) if old.any() else 1.0
+    return np.where(near, np.abs(after.values - factor * before.values), 0.0)
 
 
 def round_up(value: float) -> float:
