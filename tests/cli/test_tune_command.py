@@ -49,7 +49,7 @@ def test_it_tells_weights_and_how_fit_takes_them(
         ("tune", "--option force", "--option takes"),
         ("fit", "--weights grid -o x.nc", "auto"),
         ("fit", "--weights auto --force-weight 1 -o x.nc", "one or the other"),
-        ("fit", "--weights auto --paper -o x.nc", "one or the other"),
+        ("fit", "--weights auto --paper -o x.nc", "leave --weights out"),
     ],
 )
 def test_bad_input_is_one_line(
