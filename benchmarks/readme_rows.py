@@ -62,7 +62,7 @@ ROWS: dict[str, tuple[str, ...]] = {
         f"--case S {_DRAG_GENERAL} structured,scs,clarabel",
     ),
     "the same on S with 226": (f"--case S {_ACTIVE} {_DRAG_GENERAL} structured,scs",),
-    "the same on M; with 1,105": (f"--case M {_DRAG}", f"--case M {_ACTIVE} {_DRAG}"),
+    "the same on M; with 1,168": (f"--case M {_DRAG}", f"--case M {_ACTIVE} {_DRAG}"),
     "sign, growth too, and drag on M": (
         "--case M --perturb noise --weight 100 "
         f"--formulations eq10_sign,eq10_sign_monotone,coulomb_drag {_EQ10}",
