@@ -449,6 +449,8 @@ def test_bad_input_is_refused() -> None:
         solver.solve(b, rtol=-1.0)
     with pytest.raises(InputError, match="times the right-hand side"):
         solver.solve(1e-200 * b, x0=b)
+    with pytest.raises(InputError, match="x0 must be finite"):
+        solver.solve(0.0 * b, x0=np.where(solver.free, np.nan, 0.0))
     with pytest.raises(InputError, match="layer"):
         Multigrid(grid, np.ones(grid.shape, dtype=bool))
     with pytest.raises(InputError, match="boolean"):

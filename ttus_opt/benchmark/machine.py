@@ -9,6 +9,7 @@ import platform
 from pathlib import Path
 
 from ttus_opt.benchmark.memory import available_bytes
+from ttus_opt.threads import usable_cores
 
 #: Packages whose version decides a figure
 PACKAGES = (
@@ -23,9 +24,7 @@ def describe() -> dict[str, str]:
     available = available_bytes()
     facts = {
         "processor": _processor(),
-        "cores": str(len(os.sched_getaffinity(0)))
-        if hasattr(os, "sched_getaffinity")
-        else str(os.cpu_count()),
+        "cores": str(usable_cores()),
         "load at the start": f"{os.getloadavg()[0]:.1f}",
         "memory available": "unknown"
         if available is None

@@ -30,9 +30,7 @@ same, it is computed anew from D.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +41,7 @@ from ttus_opt.errors import InputError, NumericalError
 from ttus_opt.fitting.low_rank_kernel import LowRankKernel, Projection
 from ttus_opt.fitting.measured_rows import Block, MeasuredRows
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
+from ttus_opt.threads import side_by_side
 
 #: Relative residual of (I + K) y = d₀ to which the field is refined; most iterations
 FIELD_RTOL, FIELD_ROUNDS = 1e-9, 30
@@ -380,9 +379,7 @@ class DualRecursion:
             row[entries[c][0]] = entries[c][1]
             take(c, laplace.solve(laplace.solve_adjoint(row, rtol=rtol), rtol=rtol))
 
-        cores = len(os.sched_getaffinity(0))
-        with ThreadPoolExecutor(min(len(entries), cores)) as pool:
-            list(pool.map(chain, range(len(entries))))
+        side_by_side(chain, range(len(entries)))
 
     def _reset_field(self) -> None:
         """Start from p₀ again: rows were removed or changed, or the field failed."""

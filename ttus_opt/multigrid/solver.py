@@ -196,15 +196,16 @@ class Multigrid:
         if not 0.0 <= rtol < 1.0:
             raise InputError(f"rtol must be at least 0 and below 1, got {rtol}")
         b, largest = self._vector(rhs, "the right-hand side")
+        start = None if x0 is None else self._vector(x0, "x0")
         if largest == 0.0:
             return MultigridResult(b, 0, 0.0)
         unit = math.ldexp(1.0, math.frexp(largest)[1] - 1)
-        if x0 is None and 1.0 / MODERATE < largest < MODERATE:
+        if start is None and 1.0 / MODERATE < largest < MODERATE:
             return self._refine(b, None, rtol, max_iterations, 1.0 / unit)
         b /= unit  # squares neither overflow nor vanish
         x = None
-        if x0 is not None:
-            x, farthest = self._vector(x0, "x0")
+        if start is not None:
+            x, farthest = start
             x /= unit
             if not farthest / unit < 1e150:
                 raise InputError(

@@ -18,9 +18,7 @@ R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
 
 from __future__ import annotations
 
-import os
 import time
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,6 +27,7 @@ from scipy.ndimage import maximum_filter
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
+from ttus_opt.threads import side_by_side
 
 #: Most exchanges, and most new columns of one
 EXCHANGES, NEW = 100, 40
@@ -188,9 +187,7 @@ class SourceExchange:
             return np.asarray(self._rows @ self._laplace.solve(unit, rtol=self._rtol))
 
         self.solves += len(voxels)
-        cores = len(os.sched_getaffinity(0))
-        with ThreadPoolExecutor(max(1, min(len(voxels), cores))) as pool:
-            found = list(pool.map(column, voxels.tolist(), signs.tolist()))
+        found = side_by_side(column, voxels.tolist(), signs.tolist())
         return np.column_stack([np.zeros((len(self._left), 0)), *found])
 
     def _solve(self) -> None:
