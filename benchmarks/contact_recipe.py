@@ -183,6 +183,11 @@ def percent(model: str, body: str, probe: str, sampling: str, seeds: list[int]) 
     return f"{np.mean(errors):.1f} ± {spread:.1f}"
 
 
+def numbers(text: str) -> list[int]:
+    """Whole numbers between commas."""
+    return [int(word) for word in text.split(",")]
+
+
 def main() -> None:
     """Print a row per probe and body."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -190,10 +195,9 @@ def main() -> None:
     parser.add_argument("--probes", default="round,flat,sharp")
     parser.add_argument("--bodies", default="half-space,layer,ribbed")
     parser.add_argument("--sampling", default="trilinear", help="of the fields")
-    parser.add_argument("--seeds", default="0", help="such as 0,1,2,3,4")
+    parser.add_argument("--seeds", type=numbers, default=[0], help="such as 0,1,2,3,4")
     options = parser.parse_args()
-    models = options.models.split(",")
-    seeds = [int(seed) for seed in options.seeds.split(",")]
+    models, seeds = options.models.split(","), options.seeds
     warnings.simplefilter("ignore")
     sys.stdout.write(f"| probe | body | {' | '.join(models)} |\n")
     for probe in options.probes.split(","):
