@@ -37,13 +37,17 @@ PROBE = (30.0, 12.5, 18.0)
 
 HEAD = """# A laboratory's first hour
 
-Own scan, own probe, own recordings, as the terminal shows them. `make docs` runs these
-commands anew on files made from the bundled example (`docs/first_hour.py`) and ends
-with an error if they say something else. Times are left out.
+This page takes your own scan, probe and recordings to a fitted field, and shows the
+mistakes of a first attempt. You need
 
-There are `scan.xyz`, written by a depth camera in millimetres; `probe.stl`, from CAD;
-`press.csv` and `sweep.csv` to fit, `unseen.csv` to judge, exported from ROS and
-registered to the patient frame that the surface file states."""
+- `scan.xyz`, written by a depth camera in millimetres;
+- `probe.stl`, from CAD;
+- `press.csv` and `sweep.csv` to fit and `unseen.csv` to evaluate, exported from ROS and
+  registered to the patient frame of the surface file.
+
+The output is what the terminal shows, with times left out. `make docs` runs these
+commands on files made from the bundled example (`docs/first_hour.py`) and fails when
+one of them does not say what to do next."""
 
 #: Written by the recorder for time and quaternion; the rest is as ROS exports it
 NAMES = (
@@ -148,7 +152,7 @@ def first_hour() -> list[str]:
     scan = "ttus-opt surface scan.xyz -o surface.nc"
     terminal.tell("## The scan")
     said = terminal.run(scan, statuses=(2,))
-    terminal.tell("The message names the option:")
+    terminal.tell("The error names the missing option:")
     terminal.run(f"{scan} {mended(said, r'(--unit mm)')}")
     write_recordings(Path("surface.nc"))
     terminal.tell("## The recordings")
@@ -159,7 +163,9 @@ def first_hour() -> list[str]:
     # with the inner value fitted, wrenches of the other sign end it
     said = terminal.run(f"{fit} --picture poses.png", statuses=(0, 2))
     mends = mended(said, r"read them with ((?:--[a-z-]+(?: (?!--)\S+)? ?)+)").strip()
-    terminal.tell("It says how the recordings were likely written. Read so:")
+    terminal.tell(
+        "The warning says how the recordings were probably written. Add these options:"
+    )
     said = terminal.run(f"{fit} --inner fit {mends}")
     if "read them with" in said:
         raise SystemExit(f"still in doubt:\n{said}")
@@ -173,7 +179,10 @@ def first_hour() -> list[str]:
     error = json.loads(told)["force_magnitude_error_N"]
     if not error < GOAL:
         raise SystemExit(f"unseen force error {error:.3f} N, expected below {GOAL} N")
-    terminal.tell(f"{error:.2f} N on a recording that had no part in the fit.")
+    terminal.tell(
+        f"The mean force error is {error:.2f} N on a recording that had no part in "
+        "the fit."
+    )
     return terminal.lines
 
 
