@@ -7,6 +7,7 @@ line: the command line prints it as it is.
 from __future__ import annotations
 
 import contextlib
+import warnings
 from collections.abc import Iterator
 
 
@@ -15,7 +16,7 @@ class TtusError(Exception):
 
 
 class InputError(TtusError, ValueError):
-    """A value, array or option handed to the package is not usable."""
+    """A value, array or option that cannot be used."""
 
 
 class FileError(TtusError, OSError):
@@ -23,33 +24,33 @@ class FileError(TtusError, OSError):
 
 
 class GeometryError(InputError):
-    """Surfaces, grids or probes that do not fit together or are degenerate."""
+    """Surfaces, grids or probes that are degenerate or do not fit together."""
 
 
 class MissingPackageError(TtusError, ImportError):
-    """Work was asked for whose package is not installed."""
+    """A package that the call needs is not installed."""
 
 
 class SolverUnavailableError(MissingPackageError):
-    """A solver was asked for whose package is not installed."""
+    """The package of the requested solver is not installed."""
 
 
 class TtusWarning(UserWarning):
-    """Something the user should know although the work goes on."""
+    """Something the user should know, although the work goes on."""
 
 
 class NumericalError(TtusError, ArithmeticError):
     """An iteration did not reach its tolerance; the message says how far it came."""
 
 
+def warn(message: str, depth: int = 1) -> None:
+    """Issue a `TtusWarning` that points ``depth`` calls above the calling function."""
+    warnings.warn(message, TtusWarning, stacklevel=depth + 2)
+
+
 @contextlib.contextmanager
 def located(place: object, kind: type[TtusError] = InputError) -> Iterator[None]:
-    """Put where it is before what an `InputError` says.
-
-    Args:
-        place: Such as a file.
-        kind: The error's class from here on.
-    """
+    """Prefix the message of an `InputError` with a place, and raise it as ``kind``."""
     try:
         yield
     except InputError as error:

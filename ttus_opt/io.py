@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import hashlib
+import math
 import numbers
 import os
 import secrets
@@ -31,26 +32,29 @@ if TYPE_CHECKING:
 LONGEST_VALUE = 40
 
 
-def existing_file(path: str | os.PathLike[str], what: str) -> Path:
-    """Check that ``path`` is a readable, non-empty file.
+def existing_file(
+    path: str | os.PathLike[str], what: str, largest: float = math.inf
+) -> Path:
+    """The path of a file, after a check that it exists and is not empty.
 
     Args:
         path: The file.
         what: What the file should be, for the message ("trajectory").
-
-    Returns:
-        The path.
+        largest: Largest accepted size [byte].
 
     Raises:
-        FileError: It is missing, a folder, or empty.
+        FileError: It is missing, a folder, empty, or too large.
     """
     file = Path(path)
     if not file.exists():
         raise FileError(f"{what} file not found: {file}: check the path")
     if file.is_dir():
         raise FileError(f"{what} {file} is a folder: name a file in it")
-    if file.stat().st_size == 0:
+    size = file.stat().st_size
+    if size == 0:
         raise FileError(f"{what} file {file} is empty: record or export it again")
+    if size > largest:
+        raise FileError(f"{file} is too large for a {what} file: wrong file?")
     return file
 
 

@@ -76,9 +76,9 @@ def test_json(tmp_path: Path, matrix: object) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{", "JSON or YAML"),
-        ("[" * 50_000, "JSON or YAML"),
-        ("[1, 2]", "no camera_matrix"),
+        ("{", "YAML or JSON"),
+        ("[" * 50_000, "YAML or JSON"),
+        ("[1, 2]", "must map names"),
         ("{}", "nine numbers"),
         ('{"K": [1, 2, 3]}', "nine numbers"),
         ('{"K": "many"}', "no numbers"),

@@ -98,7 +98,7 @@ def test_a_single_mcap_file(tmp_path: Path) -> None:
 
 def test_a_stamp_that_comes_twice_is_told(tmp_path: Path) -> None:
     bag = recorded(tmp_path, "ros1", twice=True)
-    with pytest.warns(TtusWarning, match="1 messages have a stamp"):
+    with pytest.warns(TtusWarning, match="1 messages repeat a time stamp"):
         assert len(read_bag_wrenches(bag).time) == 10
 
 

@@ -1,8 +1,8 @@
 """Rigid motions between frames: robot base, scan, patient.
 
-A motion is a matrix (4, 4) named after what it maps: ``base_to_scan`` is x_scan =
-R x_base + t. Files and words say it as such a matrix (text, CSV, NPY, JSON) or as seven
-numbers x, y, z [m] and a quaternion x, y, z, w, the order of ROS.
+A motion is a matrix (4, 4), named after what it maps: ``base_to_scan`` is x_scan =
+R x_base + t. Files and option values give that matrix (text, CSV, NPY, JSON), or the
+position x, y, z [m] followed by a quaternion x, y, z, w, as in ROS.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.errors import FileError, InputError, located
 from ttus_opt.probe.pose import ROUNDING, PoseLike, from_quaternions, pose_of, rotations
 
 #: A motion as a value that can be compared and written as JSON
 Rows: TypeAlias = tuple[tuple[float, ...], ...]
 
-#: Shifts beyond this are in another unit [m]
+#: Translations beyond this are in another unit [m]
 LARGEST_SHIFT = 10.0
 
 #: Largest file of a motion [byte]
@@ -30,16 +31,13 @@ LARGEST_FILE = 100_000
 
 
 def rigid_motion(motion: PoseLike) -> Array:
-    """A rigid motion, checked.
+    """A validated rigid motion, shape (4, 4); rounding of up to 1e-5 is corrected.
 
     Args:
-        motion: Matrix (4, 4) or SciPy `RigidTransform`; shifts in metres.
-
-    Returns:
-        Matrix, shape (4, 4); rounding of up to 1e-5 is corrected.
+        motion: Matrix (4, 4) or SciPy `RigidTransform`; translation in metres.
 
     Raises:
-        InputError: Another shape, a scale, a reflection, a shear, a shift in
+        InputError: Another shape, a scale, reflection or shear, a translation in
             millimetres, or numbers that are not finite.
 
     Examples:
@@ -65,21 +63,29 @@ def rigid_motion(motion: PoseLike) -> Array:
             f"a rigid motion shifts by {most:.6g} m, over {LARGEST_SHIFT:g}: "
             "millimetres? divide the shift by 1000"
         )
-    out = np.eye(4)
-    try:
-        out[:3, :3] = rotations(turn)
-    except InputError as error:
-        raise InputError(f"no rigid motion: {error}") from error
-    out[:3, 3] = shift
+    with located("no rigid motion"):
+        return homogeneous(rotations(turn), shift)
+
+
+def homogeneous(rotation: ArrayLike, position: ArrayLike) -> Array:
+    """Rotations (…, 3, 3) and positions (…, 3) as matrices (…, 4, 4)."""
+    turn = np.asarray(rotation, dtype=np.float64)
+    out = np.zeros((*turn.shape[:-2], 4, 4))
+    out[..., :3, :3] = turn
+    out[..., :3, 3] = position
+    out[..., 3, 3] = 1.0
     return out
 
 
 def inverse(motion: Array) -> Array:
-    """The motion back: ``inverse(base_to_scan)`` maps the scan to the base."""
-    out = np.eye(4)
-    out[:3, :3] = motion[:3, :3].T
-    out[:3, 3] = -motion[:3, :3].T @ motion[:3, 3]
-    return out
+    """The inverses of motions (…, 4, 4)."""
+    turn = np.swapaxes(motion[..., :3, :3], -1, -2)
+    return homogeneous(turn, -(turn @ motion[..., :3, 3:])[..., 0])
+
+
+def moved(points: Array, motion: Array) -> Array:
+    """R x + t for points x, shape (n, 3) [m]."""
+    return np.asarray(points @ motion[:3, :3].T + motion[:3, 3])
 
 
 def as_rows(motion: Array) -> Rows:
@@ -87,21 +93,18 @@ def as_rows(motion: Array) -> Rows:
     return tuple(tuple(row) for row in motion.tolist())
 
 
-def read_rigid_motion(told: str | os.PathLike[str]) -> Array:
-    """A rigid motion from words or a file.
+def read_rigid_motion(source: str | os.PathLike[str]) -> Array:
+    """A rigid motion (4, 4) from a string or a file.
 
     Args:
-        told: ``x,y,z,qx,qy,qz,qw`` [m, –]; a matrix as JSON; or a file with either, or
-            with the matrix (4, 4) as text, CSV, JSON or NPY.
-
-    Returns:
-        Matrix, shape (4, 4).
+        source: ``x,y,z,qx,qy,qz,qw`` [m, –]; a matrix as JSON; or a file with either,
+            or with the matrix (4, 4) as text, CSV, JSON or NPY.
 
     Raises:
-        FileError: The file does not hold such numbers, or no rigid motion.
-        InputError: The words do not.
+        FileError: The file does not hold a rigid motion.
+        InputError: The string does not.
     """
-    text = os.fspath(told)
+    text = os.fspath(source)
     try:
         values = _numbers(text)
     except ValueError:
@@ -110,10 +113,8 @@ def read_rigid_motion(told: str | os.PathLike[str]) -> Array:
 
 
 def _from_file(name: str) -> Array:
-    """The motion of a file, or `FileError` where it holds none."""
-    file = io.existing_file(Path(name), "rigid motion")
-    if file.stat().st_size > LARGEST_FILE:
-        raise FileError(f"{file} is too large for a matrix (4, 4): wrong file?")
+    """The motion of a file; `FileError` where it holds none."""
+    file = io.existing_file(Path(name), "rigid motion", LARGEST_FILE)
     try:
         if file.suffix.lower() == ".npy":
             values = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
@@ -124,14 +125,16 @@ def _from_file(name: str) -> Array:
             f"{file} does not read as a rigid motion ({type(error).__name__}): write a "
             "matrix (4, 4), or x,y,z,qx,qy,qz,qw"
         ) from error
-    try:
+    with located(file, FileError):
         return _motion(values)
-    except InputError as error:
-        raise FileError(f"{file}: {error}") from error
 
 
 def _numbers(text: str) -> Array:
-    """Numbers, JSON or apart by commas, semicolons or blanks; else `ValueError`."""
+    """Numbers as JSON, or separated by commas, semicolons or blanks.
+
+    Raises:
+        ValueError: The text is neither.
+    """
     if text.lstrip().startswith("["):
         return np.array(json.loads(text), dtype=np.float64)
     lines = [line.partition("#")[0] for line in text.splitlines()]
@@ -142,7 +145,7 @@ def _numbers(text: str) -> Array:
 
 
 def _motion(values: Array) -> Array:
-    """The motion that 7 or 16 numbers stand for, or `InputError`."""
+    """The motion of 7 or 16 numbers; `InputError` for any other count."""
     if values.size == 16:
         return rigid_motion(values.reshape(4, 4))
     if values.size != 7:
@@ -153,7 +156,4 @@ def _motion(values: Array) -> Array:
     x = values.reshape(7)
     if not np.isfinite(x).all():
         raise InputError("a rigid motion contains NaN or infinite values")
-    out = np.eye(4)
-    out[:3, :3] = from_quaternions(x[None, 3:], "xyzw")[0]
-    out[:3, 3] = x[:3]
-    return rigid_motion(out)
+    return rigid_motion(homogeneous(from_quaternions(x[None, 3:], "xyzw")[0], x[:3]))

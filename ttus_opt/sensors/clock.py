@@ -1,9 +1,9 @@
 """The offset between two clocks, by correlation (docs/method.md, 20.1).
 
-Two devices saw the same motion: angular speeds of two trackers, contact as the force
-sensor has it and as the pose has it, or how fast gravity turns in the axes of a force
-sensor held in free air. Both signals are laid on one step; the offset is the lag with
-the highest correlation coefficient, refined by a parabola.
+Two devices recorded the same motion: the angular speed of two trackers, contact from
+the force sensor and from the pose, or the rate at which gravity turns in the axes of a
+force sensor held in free air. Both signals are resampled to one step; the offset is the
+lag with the highest correlation coefficient, refined by a parabola.
 """
 
 from __future__ import annotations
@@ -18,28 +18,28 @@ from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 
-#: Offsets looked for by default [s]
+#: Default search range [s]
 LARGEST_OFFSET = 5.0
 
-#: Steps on which signals are laid at most
+#: Most samples of a resampled signal
 MOST_STEPS = 200_000
 
-#: Signals must overlap for so much of the shorter one
+#: Least overlap, as a fraction of the shorter signal
 LEAST_OVERLAP = 0.5
 
 #: Correlation below which two signals do not show the same motion
 LEAST_CORRELATION = 0.5
 
-#: A second peak nearer to the first than this is as good: periodic motion
+#: A second peak above this fraction of the first is ambiguous: periodic motion
 RIVAL = 0.97
 
 #: Force above which a sensor is in contact [N]
 CONTACT = 0.5
 
-#: Slopes are those between the means of two halves of this span [s]
+#: A slope is taken between the means of the two halves of this span [s]
 SPAN = 0.3
 
-#: A signal lasts over gaps up to so many of its usual steps
+#: Longest gap that is interpolated over [median steps]
 GAP_STEPS = 5.0
 
 
@@ -56,12 +56,12 @@ class Signal(NamedTuple):
 
 
 class Offset(NamedTuple):
-    """What the second clock is behind the first.
+    """How far the second clock is behind the first.
 
     Attributes:
         seconds: To be added to the second signal's times.
         correlation: Coefficient at this offset.
-        rival: The highest one elsewhere, beyond the first peak.
+        rival: Coefficient of the next highest peak.
     """
 
     seconds: float
@@ -70,7 +70,7 @@ class Offset(NamedTuple):
 
 
 def angular_speed(poses: Trajectory) -> Signal:
-    """How fast a probe turns, the same in every frame [rad/s]."""
+    """Angular speed of a probe, the same in every frame [rad/s]."""
     return Signal(poses.time, np.linalg.norm(poses.angular_velocity(), axis=1))
 
 
@@ -82,16 +82,16 @@ def contact_of_force(time: Array, force: Array) -> Signal:
 def contact_of_poses(poses: Trajectory, surface: Surface, share: float) -> Signal:
     """1 where the probe is deepest, 0 elsewhere.
 
-    How deep the probe's frame is when its shell begins to touch need not be known: the
-    deepest frames are in contact, as many as the force sensor has in contact.
+    The depth at which the shell begins to touch need not be known: the deepest frames
+    count as contact, in the same proportion as the force sensor's.
 
     Args:
         poses: Probe to patient.
-        surface: The patient's.
-        share: Part of the frames in contact, 0 to 1.
+        surface: Of the patient.
+        share: Fraction of the frames in contact.
 
     Raises:
-        InputError: None or all of the frames are in contact.
+        InputError: The fraction is 0 or 1.
     """
     if not 0.0 < share < 1.0:
         raise InputError(
@@ -104,11 +104,11 @@ def contact_of_poses(poses: Trajectory, surface: Surface, share: float) -> Signa
 
 
 def gravity_of_poses(poses: Trajectory, down: ArrayLike) -> Signal:
-    """How fast gravity turns in a probe's axes, |d(Rᵀ g/‖g‖)/dt| [1/s].
+    """Rate at which gravity turns in the probe's axes, |d(Rᵀ g/‖g‖)/dt| [1/s].
 
     Args:
         poses: Probe to the frame of ``down``.
-        down: Direction of gravity there, shape (3,).
+        down: Direction of gravity, shape (3,).
     """
     direction = np.asarray(down, np.float64)
     own = np.einsum("tji,j->ti", poses.rotation, direction / np.linalg.norm(direction))
@@ -116,10 +116,10 @@ def gravity_of_poses(poses: Trajectory, down: ArrayLike) -> Signal:
 
 
 def gravity_of_readings(time: Array, force: Array) -> Signal:
-    """How fast raw forces change, |df/dt| [N/s].
+    """Rate of change of raw forces, |df/dt| [N/s].
 
-    In free air they are bias and weight, so this is the weight times the same of the
-    poses, whatever bias, weight, axes and sign of the sensor are.
+    In free air raw forces are bias plus weight, so this is the weight times
+    `gravity_of_poses`, whatever the sensor's bias, axes and sign.
     """
     return _slope(time, force)
 
@@ -131,35 +131,35 @@ def clock_offset(
     around: float = 0.0,
     largest: float = LARGEST_OFFSET,
 ) -> Offset:
-    """By how much the second clock is behind the first.
+    """How far the second clock is behind the first.
 
     Args:
         first: A signal on the first clock.
         second: The same motion on the second.
-        around: Middle of the offsets that are looked for [s].
-        largest: How far from there they reach [s].
+        around: Centre of the search range [s].
+        largest: Half its width [s].
 
     Raises:
-        InputError: Signals too short, constant or unlike, an offset at the edge of what
-            was looked for, or two offsets that are equally good.
+        InputError: Signals too short, constant or unlike, an offset at the edge of the
+            search range, or two offsets that fit equally well.
     """
     if not (0.0 < largest < 1e6 and np.isfinite(around)):
         raise InputError(
-            f"offsets are looked for around {around:g} ± {largest:g} s: give finite "
-            "numbers, the second positive"
+            f"the search range is {around:g} ± {largest:g} s: give finite numbers, the "
+            "second positive"
         )
     steps = [_step(signal) for signal in (first, second)]
     step = min(steps)
     a, b = (
-        _laid(signal, step, GAP_STEPS * own)
+        _resampled(signal, step, GAP_STEPS * own)
         for signal, own in zip((first, second), steps, strict=True)
     )
     apart = float(second.time[0] - first.time[0])
     middle, reach = round((apart + around) / step), int(np.ceil(largest / step))
     if reach > MOST_STEPS:
         raise InputError(
-            f"±{largest:g} s in steps of {step:.3g} s are too many offsets: look for "
-            "smaller ones"
+            f"±{largest:g} s in steps of {step:.3g} s are too many offsets: narrow the "
+            "search range"
         )
     lags = np.arange(middle - reach, middle + reach + 1)
     found = np.array([_correlation(a, b, int(lag)) for lag in lags])
@@ -172,14 +172,14 @@ def clock_offset(
         )
     if best in (0, len(lags) - 1):
         raise InputError(
-            f"the offset is {lags[best] * step - apart:.3g} s or beyond: look further "
+            f"the offset is {lags[best] * step - apart:.3g} s or beyond: search wider "
             f"than {around:.3g} ± {largest:g} s"
         )
     rival = _rival(found, best)
     if rival > RIVAL * found[best]:
         raise InputError(
             f"two offsets correlate by {found[best]:.3f} and {rival:.3f}: the motion "
-            "repeats itself; record an irregular one, or look for a smaller offset"
+            "repeats itself; record an irregular one, or narrow the search range"
         )
     low, mid, high = found[best - 1 : best + 2]
     bend = low - 2.0 * mid + high
@@ -189,10 +189,10 @@ def clock_offset(
 
 
 def _slope(time: Array, values: Array) -> Signal:
-    """Length of the slope of vectors (T, 3) over `SPAN`, where both halves are known.
+    """Norm of the slope of vectors (T, 3) over `SPAN`, where both halves have samples.
 
     Raises:
-        InputError: The recording is shorter.
+        InputError: The recording is shorter than `SPAN`.
     """
     before = np.searchsorted(time, time - 0.5 * SPAN)
     after = np.searchsorted(time, time + 0.5 * SPAN, side="right")
@@ -201,7 +201,8 @@ def _slope(time: Array, values: Array) -> Signal:
     both &= (before < here) & (after > here + 1)
     if not both.any():
         raise InputError(
-            f"a recording of {np.ptp(time):.3g} s tells no slopes over {SPAN:g} s"
+            f"a recording of {np.ptp(time):.3g} s is too short for slopes over "
+            f"{SPAN:g} s: record longer"
         )
     columns = np.concatenate([time[:, None] - time[0], values], axis=1)
     total = np.concatenate([np.zeros((1, 4)), np.cumsum(columns, axis=0)])
@@ -214,14 +215,14 @@ def _slope(time: Array, values: Array) -> Signal:
 
 
 def _step(signal: Signal) -> float:
-    """The usual step of a signal [s].
+    """The median step of a signal [s].
 
     Raises:
-        InputError: It is too short, not finite or constant.
+        InputError: The signal is too short, not finite or constant.
     """
     if len(signal.time) < 10:
         raise InputError(
-            f"a signal of {len(signal.time)} frames tells no offset: at least 10"
+            f"an offset needs signals of at least 10 frames, got {len(signal.time)}"
         )
     if not (np.isfinite(signal.time).all() and np.isfinite(signal.values).all()):
         raise InputError("a signal contains NaN or infinity: drop those frames")
@@ -236,13 +237,13 @@ def _step(signal: Signal) -> float:
     return step
 
 
-def _laid(signal: Signal, step: float, gap: float) -> Array:
-    """A signal on equal steps from its beginning; NaN in gaps."""
+def _resampled(signal: Signal, step: float, gap: float) -> Array:
+    """A signal at equal steps from its beginning; NaN in gaps."""
     count = int((signal.time[-1] - signal.time[0]) / step) + 1
     if count > MOST_STEPS:
         raise InputError(
-            f"{count:,} steps of {step:.3g} s are too many, {MOST_STEPS:,} are looked "
-            "at: give a shorter part of the recording"
+            f"{count:,} steps of {step:.3g} s are too many, at most {MOST_STEPS:,}: "
+            "give a shorter part of the recording"
         )
     time = signal.time[0] + step * np.arange(count)
     values = np.array(np.interp(time, signal.time, signal.values), np.float64)
@@ -252,7 +253,7 @@ def _laid(signal: Signal, step: float, gap: float) -> Array:
 
 
 def _correlation(a: Array, b: Array, lag: int) -> float:
-    """Coefficient of a and of b moved later by some steps, where both are known."""
+    """Correlation coefficient of a and b, b delayed by ``lag`` steps."""
     first, second = max(lag, 0), max(-lag, 0)
     n = min(len(a) - first, len(b) - second)  # a[lag + k] belongs to b[k]
     known = min(np.isfinite(a).sum(), np.isfinite(b).sum())
@@ -268,7 +269,7 @@ def _correlation(a: Array, b: Array, lag: int) -> float:
 
 
 def _rival(found: Array, best: int) -> float:
-    """The highest local peak other than the one that contains the best."""
+    """The highest local peak apart from the best one."""
     inner = found[1:-1]
     peaks = 1 + np.flatnonzero((inner >= found[:-2]) & (inner > found[2:]))
     others = []

@@ -1,4 +1,4 @@
-"""Which column of a file is which: words of the command line, or a small YAML file.
+"""Which column of a file is which, from the command line or a small YAML file.
 
     t: stamp
     position: [x, y, z]
@@ -7,8 +7,8 @@
     force: [Fx, Fy, Fz]
     torque: [Mx, My, Mz]
 
-Single columns may be named as well (``px: x``). For netCDF a variable that holds all
-components is named by itself (``position: tip``).
+Single columns may be named as well (``px: x``), and for netCDF a variable that holds
+all components (``position: tip``).
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ SINGLE = ("t", *(f"{c}{x}" for c in "pft" for x in "xyz"), *(f"q{x}" for x in "w
 KNOWN = (*SINGLE, *VECTORS, QUATERNION, ORDER, "segment")
 
 
-def read_column_map(told: str | os.PathLike[str]) -> dict[str, str]:
-    """The file's own names, by the package's.
+def read_column_map(source: str | os.PathLike[str]) -> dict[str, str]:
+    """A file's column names, keyed by the package's names.
 
     Args:
-        told: ``NAME=COLUMN,…``, or a YAML or JSON file.
+        source: ``NAME=COLUMN,…``, or a YAML or JSON file.
 
     Raises:
-        FileError: The file is missing or no mapping.
-        InputError: Pairs or names that are none, or a quaternion without its order.
+        FileError: The file is missing or not a mapping.
+        InputError: As `column_map`, or text that is not ``NAME=COLUMN``.
     """
-    text = os.fspath(told)
+    text = os.fspath(source)
     if Path(text).suffix.lower() in (".yaml", ".yml", ".json") and "=" not in text:
         with located(text):
             return column_map(read_mapping(text, "column map"))
@@ -51,24 +51,24 @@ def read_column_map(told: str | os.PathLike[str]) -> dict[str, str]:
     return column_map({ours.strip(): theirs.strip() for ours, _, theirs in pairs})
 
 
-def column_map(told: Mapping[str, Any]) -> dict[str, str]:
-    """The same from a mapping, lists of components taken apart.
+def column_map(given: Mapping[str, Any]) -> dict[str, str]:
+    """As `read_column_map`, from a mapping; lists are split into components.
 
     Raises:
-        InputError: An unknown name, a value that is no name, a column named twice, or
+        InputError: An unknown name, a value that is not text, a column named twice, or
             a quaternion without its order.
     """
-    unknown = [name for name in told if name not in KNOWN]
+    unknown = [name for name in given if name not in KNOWN]
     if unknown:
         raise InputError(
             f"columns has no {unknown[0]!r}: name t, position, quaternion, force, "
             "torque, segment or a component such as px"
         )
-    order = told.get(ORDER)
-    if ORDER in told and order not in ORDERS:
+    order = given.get(ORDER)
+    if ORDER in given and order not in ORDERS:
         raise InputError(f"{ORDER} must be wxyz or xyzw, got {order!r}")
     out: dict[str, str] = {}
-    for name, value in told.items():
+    for name, value in given.items():
         if isinstance(value, list):
             if name not in (*VECTORS, QUATERNION):
                 raise InputError(f"columns: {name} is one column, got a list")
@@ -77,7 +77,7 @@ def column_map(told: Mapping[str, Any]) -> dict[str, str]:
         else:
             out[name] = _name(name, value)
     if QUATERNION not in out:
-        out.pop(ORDER, None)  # spent
+        out.pop(ORDER, None)  # its components are named one by one
     named = [value for name, value in out.items() if name != ORDER]
     twice = [value for value in named if named.count(value) > 1]
     if twice:
@@ -86,10 +86,10 @@ def column_map(told: Mapping[str, Any]) -> dict[str, str]:
 
 
 def table_columns(columns: Mapping[str, str]) -> Mapping[str, str]:
-    """The same for a table, which holds one number a column.
+    """The map itself, checked for a table, which holds one number per column.
 
     Raises:
-        InputError: A whole vector is named by one column.
+        InputError: One column is given for a whole vector.
     """
     whole = [n for n in columns if n in (*VECTORS, QUATERNION, ORDER)]
     if whole:
@@ -101,7 +101,7 @@ def table_columns(columns: Mapping[str, str]) -> Mapping[str, str]:
 
 
 def _parts(name: str, value: list[Any], order: Any) -> list[str]:
-    """The package's names of a vector's components."""
+    """The package's names for a vector's components."""
     if name != QUATERNION:
         parts = [f"{VECTORS[name]}{x}" for x in "xyz"]
     elif order is None:

@@ -1,12 +1,12 @@
-"""From a depth image to points in the scan's frame, each with its deviation.
+"""From a depth image to points in the scan's frame, each with its standard deviation.
 
     image = read_depth_image("scan.png", read_intrinsics("camera.json"))
     cloud = image.to_cloud(camera_to_scan, noise=noise_model("structured-light"))
     surface = tt.extract_surface(cloud.points, axis=..., point_std=cloud.std)
 
 Camera axes are OpenCV's: x to the right of the image, y down, z forward. Pixels that
-show no surface (`ttus_opt.sensors.depth_pixels`) or one that is seen at a grazing angle
-are left out, and counted.
+show no surface (`ttus_opt.sensors.depth_pixels`), or one at a grazing angle, are left
+out and counted.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, located
 from ttus_opt.probe.pose import PoseLike
-from ttus_opt.probe.rigid_motion import rigid_motion
+from ttus_opt.probe.rigid_motion import moved, rigid_motion
 from ttus_opt.sensors.depth_files import read_depth
 from ttus_opt.sensors.depth_noise import NoiseModel, Pixels
 from ttus_opt.sensors.depth_pixels import USUAL_NOISE, judge
@@ -35,12 +35,12 @@ GRAZING = np.deg2rad(75.0)
 
 @dataclass(frozen=True)
 class Dropped:
-    """How many pixels were left out.
+    """Number of pixels left out.
 
     Attributes:
-        invalid: Nothing was measured, or the pixel has no ray.
-        flying: Between two surfaces, at the edge of one, or alone.
-        grazing: The surface is seen at too large an angle.
+        invalid: Not measured, or without a ray.
+        flying: Between two surfaces, at the edge of one, or isolated.
+        grazing: Seen at too large an angle of incidence.
     """
 
     invalid: int
@@ -56,7 +56,7 @@ class DepthCloud:
         points: In the scan's frame, shape (n, 3) [m].
         std: Standard deviation along the ray, shape (n,) [m]; None without a noise
             model.
-        dropped: Pixels left out, one of each image.
+        dropped: Pixels left out, one entry per image.
     """
 
     points: Array = field(repr=False)
@@ -66,11 +66,11 @@ class DepthCloud:
 
 @dataclass(frozen=True)
 class DepthImage:
-    """Depths and the directions they were measured in.
+    """Depths and the rays along which they were measured.
 
     Attributes:
-        depth: NaN where nothing was measured, shape (height, width) [m].
-        camera: Where the pixels look.
+        depth: NaN where not measured, shape (height, width) [m].
+        camera: Rays of the pixels.
         depth_kind: ``z`` along the optical axis, ``range`` along the ray.
         name: For messages.
     """
@@ -84,8 +84,8 @@ class DepthImage:
         """Validate the image.
 
         Raises:
-            InputError: Another kind, another size than the camera's, depths that are
-                not positive, or none at all.
+            InputError: An unknown kind, a size other than the camera's, depths that are
+                not positive, or no depth at all.
         """
         if self.depth_kind not in get_args(DepthKind):
             raise InputError(
@@ -107,7 +107,7 @@ class DepthImage:
             raise InputError(f"{self.name} has no pixel with a depth: record it again")
 
     def _distance(self) -> Array:
-        """Along the rays, NaN where nothing was measured or no ray is [m]."""
+        """Distance along the rays, NaN where there is no depth or no ray [m]."""
         z = self.camera.rays[..., 2]
         along = self.depth / z if self.depth_kind == "z" else self.depth
         return np.where(np.isnan(z), np.nan, along)
@@ -123,22 +123,20 @@ class DepthImage:
 
         Args:
             camera_pose: Camera to scan, x_scan = R x_camera + t, shape (4, 4) [–, m];
-                the camera's own frame when not given.
-            noise: The camera's noise (`ttus_opt.sensors.depth_noise`).
+                by default points stay in the camera's frame.
+            noise: Noise model of the camera (`ttus_opt.sensors.depth_noise`).
             grazing: Largest angle between ray and surface normal [rad].
 
-        Returns:
-            The cloud.
-
         Raises:
-            InputError: No rigid motion, no angle, or no pixel shows a surface.
+            InputError: Not a rigid motion, an invalid angle, or no pixel shows a
+                surface.
         """
         if not 0.1 < grazing < np.pi / 2:
             raise InputError(
                 f"grazing must be an angle from 0.1 to 1.57 rad, got {grazing:g}: "
                 "degrees?"
             )
-        motion = rigid_motion(np.eye(4) if camera_pose is None else camera_pose)
+        pose = rigid_motion(np.eye(4) if camera_pose is None else camera_pose)
         rays, focal = self.camera.rays, self.camera.focal
         distance = self._distance()
         z = distance * rays[..., 2]
@@ -164,7 +162,7 @@ class DepthImage:
             )
         points = distance[kept, None] * rays[kept]
         std = None if noise is None else deviation(found.incidence)[kept]
-        return DepthCloud(points @ motion[:3, :3].T + motion[:3, 3], std, (dropped,))
+        return DepthCloud(moved(points, pose), std, (dropped,))
 
 
 def read_depth_image(
@@ -184,12 +182,9 @@ def read_depth_image(
         depth_kind: ``z`` along the optical axis, ``range`` along the ray.
         unit: ``m``, ``cm`` or ``mm``.
 
-    Returns:
-        The image.
-
     Raises:
-        FileError: Missing, damaged, or no depth image.
-        InputError: It is of another size than the camera, or in another unit.
+        FileError: Missing, damaged, or not a depth image.
+        InputError: Its size is not the camera's, or its unit is another.
     """
     depth = read_depth(path, unit)
     name = os.fspath(path)

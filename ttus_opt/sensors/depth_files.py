@@ -1,8 +1,8 @@
 """Depth images as files: 16-bit PNG in millimetres, TIFF or NPY in metres.
 
 Whole numbers are millimetres and fractions are metres, as cameras write them, unless a
-unit is given. A depth that no scan of a patient has is refused, because metres read as
-millimetres would otherwise fail much later.
+unit is given. Implausible depths are refused here, because metres read as millimetres
+would otherwise fail much later.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ SUFFIXES = (".png", ".tif", ".tiff", ".npy")
 #: Largest file [byte] and image [pixel]
 LARGEST_FILE, LARGEST_IMAGE = 400_000_000, 30_000_000
 
-#: Sides of an image smaller than this show no body [pixel]
+#: Smallest side of an image [pixel]
 LEAST_SIDE = 16
 
-#: Level at which OpenCV's log says nothing
+#: Level at which OpenCV logs nothing
 SILENT = 0
 
 #: First bytes of a PNG
 PNG = b"\x89PNG\r\n\x1a\n"
 
-#: The median of a scan's depths [m]
+#: Plausible median depth of a scan [m]
 DEPTH_LIMITS = (0.1, 10.0)
 
 
@@ -49,18 +49,16 @@ def read_depth(path: str | os.PathLike[str], unit: str | None = None) -> Array:
             metres for fractions.
 
     Returns:
-        Depths, NaN where nothing was measured (0, negative, not finite, or the largest
-        number of a whole-number image), shape (height, width) [m].
+        Depths, shape (height, width) [m]; NaN where not measured: 0, negative, not
+        finite, or the largest number of an integer type.
 
     Raises:
-        FileError: Missing, damaged, or no depth image.
-        InputError: An unknown unit, or depths that no scan has in it.
+        FileError: Missing, damaged, or not a depth image.
+        InputError: An unknown unit, or depths that are implausible in it.
     """
     if unit is not None and unit not in UNITS:
         raise InputError(f"unit must be one of 'm', 'cm', 'mm', got {unit!r}")
-    file = io.existing_file(path, "depth image")
-    if file.stat().st_size > LARGEST_FILE:
-        raise FileError(f"{file} is too large for a depth image: wrong file?")
+    file = io.existing_file(path, "depth image", LARGEST_FILE)
     values = _read(file)
     if values.ndim == 3 and values.shape[2] == 1:
         values = values[..., 0]
@@ -92,7 +90,7 @@ def read_array(file: Path) -> NDArray[Any]:
     """An array of numbers from NPY.
 
     Raises:
-        FileError: It is none, or of more pixels than an image has.
+        FileError: Damaged, or not numbers.
     """
     try:
         # mapped: a header that announces more than the file holds allocates nothing
@@ -108,40 +106,39 @@ def read_array(file: Path) -> NDArray[Any]:
 
 
 def _decoded(file: Path) -> NDArray[Any]:
-    """The pixels of a PNG or TIFF, as they are in it.
+    """The pixels of a PNG or TIFF, unconverted.
 
     Raises:
-        FileError: OpenCV does not read it.
+        FileError: OpenCV cannot read it.
     """
     import cv2
 
     content = np.fromfile(file, np.uint8)
     if file.suffix.lower() == ".png":
         _check_png(file, content.tobytes())
-    # OpenCV 4.10 has the functions of its log at the top
+    # OpenCV 4.10 has its log functions at the top level
     log = getattr(cv2.utils, "logging", cv2)
-    said = log.getLogLevel()
+    level = log.getLogLevel()
     log.setLogLevel(SILENT)
+    image, cause = None, None
     try:
         image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED)
     except (cv2.error, MemoryError) as error:
-        raise FileError(
-            f"{file} is no image that OpenCV reads: damaged? export it again"
-        ) from error
+        cause = error
     finally:
-        log.setLogLevel(said)
+        log.setLogLevel(level)
     if image is None:
         raise FileError(
             f"{file} is no image that OpenCV reads: damaged? export it again"
-        )
+        ) from cause
     return np.asarray(image)
 
 
 def _check_png(file: Path, content: bytes) -> None:
-    """Refuse a PNG whose chunks are damaged: the decoder would fill in what is lost.
+    """Refuse a PNG with damaged chunks, which the decoder would fill in.
 
     Raises:
-        FileError: A checksum is wrong, chunks are missing, or it announces too much.
+        FileError: A wrong checksum, missing chunks, or too many pixels announced.
     """
     at, kinds, size = len(PNG), [], 0
     while content.startswith(PNG) and at + 12 <= len(content):
@@ -163,7 +160,7 @@ def _check_png(file: Path, content: bytes) -> None:
 
 
 def _check_kind(file: Path, values: NDArray[Any]) -> None:
-    """Refuse pictures for the eye, and arrays that are no image."""
+    """Refuse colour or 8-bit pictures, and arrays that are not images."""
     if values.ndim != 2:
         hint = (
             "a colour picture of the depth? export the depth itself"
@@ -187,7 +184,7 @@ def _check_kind(file: Path, values: NDArray[Any]) -> None:
 
 
 def _check_values(file: Path, values: NDArray[Any], seen: Array, scale: float) -> None:
-    """Refuse depths [the file's unit] that no scan of a patient has."""
+    """Refuse depths [the file's unit] that are implausible for a scan of a patient."""
     if len(seen) == 0:
         if (values < 0).any():
             raise InputError(
@@ -203,7 +200,7 @@ def _check_values(file: Path, values: NDArray[Any], seen: Array, scale: float) -
     if least <= middle * scale <= largest:
         return
     better = [u for u, size in UNITS.items() if least <= middle * size <= largest]
-    # cameras stand about a metre off
+    # the best guess puts the camera about a metre away
     better.sort(key=lambda u: abs(np.log(middle * UNITS[u])))
     advice = (
         f"pass unit='{better[0]}'"

@@ -1,4 +1,4 @@
-"""How sure a depth camera is of a pixel: named models of its noise.
+"""Noise models of depth cameras, by name.
 
 Structured light (Nguyen, Izadi, Lovell, Modeling Kinect sensor noise for improved 3D
 reconstruction and tracking, 3DIMPVT 2012), z in metres, θ the angle between the ray and
@@ -8,7 +8,7 @@ the surface's normal:
 
 Stereo, with focal length f [pixel], baseline b [m] and the disparity's deviation σ_d
 [pixel]: z = f b / d, so σ_z = σ_d z²/(f b). Time of flight: one deviation along the
-ray, as the maker states it.
+ray, as the manufacturer states it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 
-#: Nearest depth [m] and largest angle [rad] of the published measurements; beyond them
-#: their last value holds
+#: Nearest depth [m] and largest angle [rad] of the published measurements; the model is
+#: held constant beyond them
 NEAREST, STEEPEST = 0.4, np.deg2rad(80.0)
 
-#: Matched disparities of active stereo scatter by about this [pixel]
+#: Usual standard deviation of disparities in active stereo [pixel]
 DISPARITY_STD = 0.1
 
 #: Deviations and baselines beyond this are in another unit [m]
@@ -34,7 +34,7 @@ LARGEST = 1.0
 
 @dataclass(frozen=True)
 class Pixels:
-    """What a noise model is told of pixels, all of one shape.
+    """Input of a noise model; arrays of one shape.
 
     Attributes:
         z: Along the optical axis [m].
@@ -62,7 +62,7 @@ class StructuredLight:
     """Projected pattern (first Kinect, PrimeSense, Structure, Orbbec Astra)."""
 
     def along_ray(self, pixels: Pixels) -> Array:
-        """Nguyen, Izadi, Lovell (2012), turned from the axis to the ray [m]."""
+        """Nguyen, Izadi, Lovell (2012), converted from σ_z to the ray [m]."""
         z = np.maximum(pixels.z, NEAREST)
         angle = np.minimum(pixels.incidence, STEEPEST)
         steep = 0.0001 / np.sqrt(z) * (angle / (np.pi / 2 - angle)) ** 2
@@ -75,7 +75,7 @@ class Stereo:
     """Two cameras, with or without a projector (RealSense D400, ZED).
 
     Attributes:
-        baseline: Distance of the two cameras [m].
+        baseline: Distance between the cameras [m].
         disparity_std: Standard deviation of a matched disparity [pixel].
     """
 
@@ -100,7 +100,7 @@ class Stereo:
             )
 
     def along_ray(self, pixels: Pixels) -> Array:
-        """σ_d z² / (f b), turned from the axis to the ray [m]."""
+        """σ_d z² / (f b), converted from σ_z to the ray [m]."""
         axial = self.disparity_std * pixels.z**2 / (pixels.focal * self.baseline)
         return np.asarray(axial * pixels.distance / pixels.z)
 
@@ -110,7 +110,7 @@ class TimeOfFlight:
     """Modulated light (HoloLens, Azure Kinect).
 
     Attributes:
-        std: Standard deviation of a distance, as the maker states it [m].
+        std: The manufacturer's standard deviation of a distance [m].
     """
 
     std: float
@@ -128,7 +128,7 @@ class TimeOfFlight:
             )
 
     def along_ray(self, pixels: Pixels) -> Array:
-        """The stated deviation everywhere [m]."""
+        """The same deviation everywhere [m]."""
         return np.full_like(pixels.distance, self.std)
 
 
@@ -147,7 +147,7 @@ def noise_model(text: str) -> NoiseModel:
             disparity's deviation [pixel]) or ``time-of-flight:0.004`` (deviation [m]).
 
     Raises:
-        InputError: No such model, or numbers it does not take.
+        InputError: An unknown model, or invalid numbers.
 
     >>> noise_model("stereo:0.05")
     Stereo(baseline=0.05, disparity_std=0.1)

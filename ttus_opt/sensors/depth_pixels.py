@@ -2,12 +2,12 @@
 
 Around every pixel a plane is fitted to its neighbours on the same surface. Seen by a
 camera, a plane A X + B Y + C Z = 1 is 1/Z = A x + B y + C with x = X/Z and y = Y/Z:
-linear in the inverse depth, whatever the rays. Neighbours whose depth differs by more
-than the steepest surface that is kept, and noise, would explain are on another surface.
+linear in the inverse depth, whatever the rays. A neighbour is on another surface when
+its depth differs by more than noise and the steepest accepted surface can explain.
 
-A flying pixel lies between two surfaces, where the camera mixed them: an adjacent pixel
-is on another surface, or few of its neighbours are on its own. The outermost pixel of
-a surface goes with them, because nothing tells it from a mixed one.
+A flying pixel lies between two surfaces, where the camera mixed their depths: an
+adjacent pixel is on another surface, or few of its neighbours are on its own. The
+outermost pixels of a surface cannot be told from mixed ones, so they count as flying.
 """
 
 from __future__ import annotations
@@ -20,32 +20,32 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 
-#: Half the window on the surface: enough pixels to average noise over, few enough that
-#: a body is flat in it [m]
+#: Half width of the window: wide enough to average noise, small enough that a body is
+#: flat in it [m]
 REACH = 0.010
 
-#: Steps of the grid of neighbours on either side of a pixel
+#: Neighbours on either side of a pixel, in rows and in columns
 STEPS = 2
 
-#: Neighbours further off than this many deviations of the noise are on another surface
+#: A neighbour more standard deviations away than this is on another surface
 GATE = 4.0
 
-#: Deviation that is assumed where no noise model is given, as a part of the depth [–]
+#: Standard deviation without a noise model, as a fraction of the depth [–]
 USUAL_NOISE = 0.003
 
-#: Least share of the seen neighbours, and least number, on a pixel's own surface
+#: Least fraction of the measured neighbours, and least number, on a pixel's own surface
 LEAST_SHARE, LEAST_COUNT = 0.4, 6
 
 
 @dataclass(frozen=True)
 class Judged:
-    """What the neighbourhood says of every pixel.
+    """What the neighbourhood of every pixel shows.
 
     Attributes:
-        flying: Between two surfaces, at the edge of one, or alone, shape (height,
+        flying: Between two surfaces, at the edge of one, or isolated, shape (height,
             width).
-        incidence: Angle between ray and surface normal, NaN where flying or not
-            measured, same shape [rad].
+        incidence: Angle between ray and surface normal, same shape [rad]; NaN where
+            flying or not measured.
     """
 
     flying: NDArray[np.bool_]
@@ -61,9 +61,6 @@ def judge(z: Array, rays: Array, focal: float, noise: Array, steepest: float) ->
         focal: Focal length [pixel].
         noise: Standard deviation of z, same shape as it [m].
         steepest: Largest angle of incidence that is kept [rad].
-
-    Returns:
-        What was found.
     """
     x, y = rays[..., 0] / rays[..., 2], rays[..., 1] / rays[..., 2]
     stride = max(1, round(REACH * focal / float(np.nanmedian(z)) / STEPS))
@@ -94,9 +91,9 @@ def judge(z: Array, rays: Array, focal: float, noise: Array, steepest: float) ->
 def _neighbours(
     shape: tuple[int, ...], most: int, stride: int
 ) -> Iterator[tuple[tuple[slice, slice], tuple[slice, slice], float]]:
-    """Where neighbours and their pixels are, and how far apart [pixel].
+    """Slices of neighbours and of their pixels, and the distance between them [pixel].
 
-    They are up to ``most`` strides off in rows and columns; the pixel itself is one.
+    Neighbours are up to ``most`` strides away in rows and columns, the pixel included.
     """
 
     def pair(step: int, side: int) -> tuple[slice, slice]:
@@ -119,7 +116,7 @@ def _incidence(sums: Array, x: Array, y: Array, w: Array) -> Array:
     xx, xy, yy = sums[4] / n - mx**2, sums[5] / n - mx * my, sums[6] / n - my**2
     xw, yw = sums[7] / n - mx * mw, sums[8] / n - my * mw
     determinant = xx * yy - xy**2
-    # neighbours on a line hold no plane
+    # neighbours on a line determine no plane
     flat = determinant > 1e-3 * (0.5 * (xx + yy)) ** 2
     with np.errstate(invalid="ignore", divide="ignore"):
         A = (yy * xw - xy * yw) / determinant

@@ -1,9 +1,9 @@
-"""How a force sensor is mounted: three statements, each of its own.
+"""How a force sensor is mounted: three independent statements.
 
-*Axes*: where the sensor's axes lie in the probe's. *Reference point*: what it measures
-torques about. *Sign*: whether it tells the force on the probe or the force the probe
-exerts. A recording's poses are probe to some frame; its wrench columns hold the raw
-readings, sensor axes, about the reference point.
+*Axes*: the rotation from sensor to probe. *Reference point*: the point about which it
+measures torques. *Sign*: whether it measures the force on the probe or the force that
+the probe exerts. The wrench columns of a recording hold raw readings, in sensor axes
+and about the reference point.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from ttus_opt.probe.trajectory import Trajectory
 
 Sign = Literal["on-probe", "by-probe"]
 
-#: Readings beyond this are counts, or in another unit [N, N·m]
+#: Larger readings are counts or in another unit [N, N·m]
 LARGEST_READING = 1e4
 
-#: Reference points further away are in another unit [m]
+#: Reference points farther away are in another unit [m]
 FARTHEST = 2.0
 
 
@@ -33,9 +33,9 @@ class ForceSensor:
 
     Attributes:
         axes: Sensor to probe, shape (3, 3) [–].
-        point: What torques are measured about, probe frame, shape (3,) [m].
-        sign: ``on-probe``: a patient who pushes the probe along the sensor's x gives a
-            positive x. ``by-probe``: a negative one.
+        point: Reference point of torques, probe frame, shape (3,) [m].
+        sign: ``on-probe``: a push on the probe along the sensor's x reads positive.
+            ``by-probe``: it reads negative.
     """
 
     axes: Array = field(default_factory=lambda: np.eye(3))
@@ -46,7 +46,7 @@ class ForceSensor:
         """Validate the statements.
 
         Raises:
-            InputError: Axes that are no rotation, an invalid point, another sign.
+            InputError: Axes that are not a rotation, an invalid point or sign.
         """
         axes, point = np.asarray(self.axes, float), np.asarray(self.point, float)
         if axes.shape != (3, 3):
@@ -65,17 +65,14 @@ class ForceSensor:
             )
 
     def readings(self, raw: Trajectory, what: str) -> tuple[Array, Array]:
-        """Raw force and torque with the sign of those on the probe, sensor axes.
+        """Raw force (T, 3) [N] and torque (T, 3) [N·m] on the probe, sensor axes.
 
         Args:
             raw: The recording.
             what: What it is, for the message.
 
-        Returns:
-            Shape (T, 3) [N] and (T, 3) [N·m].
-
         Raises:
-            InputError: There are none, or in another unit.
+            InputError: No force or torque, or one in another unit.
         """
         if raw.force is None or raw.torque is None:
             raise InputError(
@@ -85,17 +82,17 @@ class ForceSensor:
         if not most < LARGEST_READING:
             raise InputError(
                 f"the {what} reads up to {most:.3g}, at most {LARGEST_READING:g} N or "
-                "N m is read: are these counts? Convert them"
+                "N m is plausible: are these counts? Convert them"
             )
         return self.factor * raw.force, self.factor * raw.torque
 
     @property
     def factor(self) -> float:
-        """What turns readings into forces on the probe: 1 or −1."""
+        """Factor from readings to forces on the probe: 1 or −1."""
         return 1.0 if self.sign == "on-probe" else -1.0
 
     def statements(self) -> dict[str, Any]:
-        """The three statements, as they stand in a model's file."""
+        """The three statements, as a model's file stores them."""
         return {
             name: np.asarray(value).tolist() for name, value in asdict(self).items()
         }

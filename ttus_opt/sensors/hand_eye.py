@@ -1,15 +1,14 @@
 """Hand-eye calibration: where a camera is, from pairs of poses (docs/method.md, 18.2).
 
 Every pair holds a marker's pose in the camera, A, and the hand's pose in the base, B.
-With the *camera on the hand* and the marker standing still, or the *camera standing
-still* and the marker on the hand, a loop closes for every pair,
+The camera is on the hand and the marker fixed, or the camera is fixed and the marker on
+the hand. Either way every pair closes a loop,
 
-    G X A = Z,   G = B (camera on the hand)   or   G = B⁻¹ (camera standing still),
+    G X A = Z,   G = B (camera on the hand)   or   G = B⁻¹ (fixed camera),
 
-with X from the camera to the hand, or to the base, and Z from the marker to the base,
-or to the hand. OpenCV's five solvers of motions and its two of both unknowns are
-compared. OpenCV says nothing of motions that do not determine X, nor of poses handed
-over the wrong way round: both are tested here.
+with X from the camera to the hand or base, and Z from the marker to the base or hand.
+OpenCV's five hand-eye and two robot-world solvers are compared. OpenCV does not notice
+motions that do not determine X, nor inverted poses: both are tested here.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from __future__ import annotations
 import functools
 import json
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, get_args
@@ -27,14 +25,8 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.errors import (
-    FileError,
-    GeometryError,
-    InputError,
-    TtusWarning,
-    located,
-)
-from ttus_opt.probe.rigid_motion import inverse, rigid_motion
+from ttus_opt.errors import FileError, GeometryError, InputError, located, warn
+from ttus_opt.probe.rigid_motion import homogeneous, inverse, rigid_motion
 
 Camera = Literal["fixed", "moving"]
 
@@ -44,19 +36,19 @@ ROBOT_WORLD = ("SHAH", "LI")
 #: Fewest pairs: two motions
 LEAST_PAIRS = 3
 
-#: Turns about a second axis, root mean square, that determine X [rad]
+#: Least root-mean-square rotation about a second axis [rad]
 LEAST_TURN = np.deg2rad(5.0)
 
-#: A pair's two motions turn by the same angle, up to this, in the median [rad]
+#: Largest median difference between the rotation angles of marker and hand [rad]
 LARGEST_MISMATCH = np.deg2rad(2.0)
 
-#: Loops that close worse are refused [m, rad]
+#: Largest mean loop error that is accepted [m, rad]
 LARGEST_GAP, LARGEST_TWIST = 0.010, np.deg2rad(1.0)
 
-#: Solvers that differ by more are told [m]
+#: A larger difference between solvers gives a warning [m]
 LARGEST_SPREAD = 0.002
 
-#: Larger entries of a pose are refused, in whatever unit
+#: Larger entries of a pose are refused, in any unit
 LARGEST_NUMBER = 1e6
 
 #: Largest file [byte]
@@ -81,9 +73,9 @@ class Candidate(NamedTuple):
     """What one solver found.
 
     Attributes:
-        camera: X, shape (4, 4); None where it is not finite or no motion.
+        camera: X, shape (4, 4); None where the solver failed.
         marker: Z, the mean over the pairs, shape (4, 4).
-        loop: How well it closes.
+        loop: How well the loops close.
     """
 
     camera: Array | None
@@ -93,15 +85,15 @@ class Candidate(NamedTuple):
 
 @dataclass(frozen=True)
 class HandEye:
-    """A camera's place, as the best of all solvers has it.
+    """A camera's pose, from the solver whose loops close best.
 
     Attributes:
         camera: Camera to base, or to hand where it moves, shape (4, 4) [–, m].
         marker: Marker to hand, or to base where the camera moves, shape (4, 4).
         loop: How well the loops close.
-        solver: Whose answer it is.
+        solver: Its name.
         candidates: All answers, by solver.
-        pairs: How many.
+        pairs: Number of pairs.
     """
 
     camera: Array
@@ -113,7 +105,7 @@ class HandEye:
 
     @property
     def spread(self) -> float:
-        """Largest distance of two solvers' cameras, of those that pass the gate [m]."""
+        """Largest distance between cameras of solvers whose loops close [m]."""
         places = [
             found.camera[:3, 3]
             for found in self.candidates.values()
@@ -125,21 +117,15 @@ class HandEye:
 
 
 def read_pose_pairs(path: str | os.PathLike[str]) -> tuple[Array, Array]:
-    """Pairs of poses from JSON or NPY, shape (n, 2, 4, 4) [–, m].
+    """Pairs of poses: marker to camera and hand to base, shape (n, 4, 4) each [–, m].
 
     Args:
-        path: First of every pair the marker's pose in the camera, then the hand's in
-            the base, as matrices.
-
-    Returns:
-        Both, shape (n, 4, 4) each.
+        path: JSON or NPY of shape (n, 2, 4, 4).
 
     Raises:
         FileError: Missing, damaged, or of another shape.
     """
-    file = io.existing_file(path, "pose pairs")
-    if file.stat().st_size > LARGEST_FILE:
-        raise FileError(f"{file} is too large for pairs of poses: wrong file?")
+    file = io.existing_file(path, "pose pairs", LARGEST_FILE)
     try:
         if file.suffix.lower() == ".npy":
             pairs = np.asarray(np.load(file, allow_pickle=False), dtype=np.float64)
@@ -167,23 +153,22 @@ def hand_eye(
     largest_gap: float = LARGEST_GAP,
     largest_twist: float = LARGEST_TWIST,
 ) -> HandEye:
-    """Where the camera is, from pairs of poses.
+    """The camera's pose from pairs of poses.
 
     Args:
         marker_in_camera: A: marker to camera, shape (n, 4, 4) [–, m].
         hand_in_base: B: hand to base, shape (n, 4, 4) [–, m].
-        camera: ``fixed``: it stands still and the hand holds the marker. ``moving``:
-            the hand holds it and the marker stands still.
-        largest_gap: Loops that close worse on average are refused [m].
-        largest_twist: The same of angles [rad].
+        camera: ``fixed``: the hand holds the marker. ``moving``: the hand holds the
+            camera and the marker is fixed.
+        largest_gap: Largest mean distance of a loop [m].
+        largest_twist: Largest mean angle of a loop [rad].
 
     Returns:
         The answer of the solver whose loops close best, and all others.
 
     Raises:
-        InputError: Too few pairs, invalid poses, pairs that do not belong
-            together, or loops that do not close; where they would with poses the other
-            way round, that is said.
+        InputError: Too few pairs, invalid poses, pairs that do not belong together, or
+            loops that do not close; the message says whether inverted poses would.
         GeometryError: The motions turn about one axis only.
     """
     if camera not in get_args(Camera):
@@ -193,45 +178,47 @@ def hand_eye(
             f"the largest gap and twist must be above 0, got {largest_gap:g} m and "
             f"{np.rad2deg(largest_twist):g}°"
         )
-    A, B = (
-        _checked("marker_in_camera", marker_in_camera),
-        _checked("hand_in_base", hand_in_base),
-    )
+    A = _checked("marker_in_camera", marker_in_camera)
+    B = _checked("hand_in_base", hand_in_base)
     if len(A) != len(B) or len(A) < LEAST_PAIRS:
         raise InputError(
             f"hand-eye calibration takes at least {LEAST_PAIRS} pairs of poses, got "
             f"{len(A)} and {len(B)}"
         )
     _check_motions(A, B)
-    G = _inverses(B) if camera == "fixed" else B
-    candidates = _solved(G, A)
+    candidates = _solved(inverse(B) if camera == "fixed" else B, A)
     best = _best(candidates)
     limits = largest_gap, largest_twist
     if best is None or not _closes(candidates[best].loop, *limits):
-        told = "no solver has an answer" if best is None else _told(candidates[best])
+        loop = None if best is None else candidates[best].loop
+        found = (
+            "no solver has an answer"
+            if loop is None
+            else f"{1e3 * loop.gap:.3g} mm and {np.rad2deg(loop.twist):.2g}° on average"
+        )
         raise InputError(
-            f"the loops do not close: {told}, expected at most "
+            f"the loops do not close: {found}, expected at most "
             f"{1e3 * largest_gap:g} mm and {np.rad2deg(largest_twist):g}°: "
             f"{_remedy(A, B, camera)}"
         )
-    found = candidates[best]
-    assert found.camera is not None
-    answer = HandEye(found.camera, found.marker, found.loop, best, candidates, len(A))
+    chosen = candidates[best]
+    assert chosen.camera is not None
+    answer = HandEye(
+        chosen.camera, chosen.marker, chosen.loop, best, candidates, len(A)
+    )
     if answer.spread > LARGEST_SPREAD:
-        warnings.warn(
+        warn(
             f"the solvers' cameras differ by {1e3 * answer.spread:.2g} mm: record "
-            "larger turns about more axes",
-            TtusWarning,
-            stacklevel=2,
+            "larger turns about more axes"
         )
     return answer
 
 
 def _checked(name: str, poses: Sequence[Array] | Array) -> Array:
-    """Poses (n, 4, 4), each a rigid motion.
+    """Poses (n, 4, 4), each validated as a rigid motion.
 
     Raises:
-        InputError: One is not rigid; its number is told.
+        InputError: One is not rigid; the message has its number.
     """
     given = np.asarray(poses, dtype=np.float64)
     if given.ndim != 3 or given.shape[1:] != (4, 4):
@@ -245,23 +232,19 @@ def _checked(name: str, poses: Sequence[Array] | Array) -> Array:
     return out
 
 
-def _inverses(poses: Array) -> Array:
-    return np.array([inverse(pose) for pose in poses])
-
-
 def _turns(poses: Array) -> Array:
-    """Rotation vectors from every pose to those after it, shape (k, 3) [rad]."""
+    """Rotation vectors between all pairs of poses, shape (k, 3) [rad]."""
     of = Rotation.from_matrix(poses[:, :3, :3])
     first, second = np.triu_indices(min(len(poses), 200), 1)
     return np.asarray((of[second] * of[first].inv()).as_rotvec())
 
 
 def _check_motions(A: Array, B: Array) -> None:
-    """Validate, before any solver, that the motions determine the camera.
+    """Validate, before any solver runs, that the motions determine the camera.
 
     Raises:
         GeometryError: They turn too little, or about one axis only.
-        InputError: Both turn by other angles: the pairs do not belong together.
+        InputError: Marker and hand turn by different angles.
     """
     of_marker, of_hand = _turns(A), _turns(B)
     for name, turns in (("marker", of_marker), ("hand", of_hand)):
@@ -284,7 +267,7 @@ def _check_motions(A: Array, B: Array) -> None:
 
 
 def _solved(G: Array, A: Array) -> dict[str, Candidate]:
-    """What every solver says of G X A = Z."""
+    """The answer of every solver to G X A = Z."""
     import cv2
 
     def by_motions(name: str) -> Array:
@@ -295,7 +278,7 @@ def _solved(G: Array, A: Array) -> dict[str, Candidate]:
         method = getattr(cv2, f"CALIB_ROBOT_WORLD_HAND_EYE_{name}")
         # A Z⁻¹ = X⁻¹ G⁻¹: the last two returned are X⁻¹
         of_both = cv2.calibrateRobotWorldHandEye(
-            *_parts(A), *_parts(_inverses(G)), method=method
+            *_parts(A), *_parts(inverse(G)), method=method
         )
         return inverse(_motion(*of_both[2:]))
 
@@ -312,13 +295,11 @@ def _parts(poses: Array) -> tuple[list[Array], list[Array]]:
 
 
 def _motion(R: Any, t: Any) -> Array:
-    out = np.eye(4)
-    out[:3, :3], out[:3, 3] = R, t.reshape(3)
-    return rigid_motion(out)
+    return rigid_motion(homogeneous(R, t.reshape(3)))
 
 
 def _candidate(G: Array, A: Array, solve: Callable[[], Array]) -> Candidate:
-    """An answer and its loops; none where OpenCV fails or returns no motion."""
+    """An answer and its loops; None where OpenCV fails or returns no rigid motion."""
     import cv2
 
     try:
@@ -326,14 +307,12 @@ def _candidate(G: Array, A: Array, solve: Callable[[], Array]) -> Candidate:
     except (cv2.error, InputError, np.linalg.LinAlgError):
         return Candidate(None, np.eye(4), Loop(np.inf, np.inf, np.inf))
     Z = G @ X @ A
-    mean = np.eye(4)
-    turns = Rotation.from_matrix(Z[:, :3, :3])
-    mean[:3, :3] = turns.mean().as_matrix()
-    mean[:3, 3] = Z[:, :3, 3].mean(axis=0)
-    gaps = np.linalg.norm(Z[:, :3, 3] - mean[:3, 3], axis=1)
-    twists = (turns * turns.mean().inv()).magnitude()
+    turns, places = Rotation.from_matrix(Z[:, :3, :3]), Z[:, :3, 3]
+    middle = turns.mean()
+    gaps = np.linalg.norm(places - places.mean(axis=0), axis=1)
+    twists = (turns * middle.inv()).magnitude()
     loop = Loop(float(gaps.mean()), float(twists.mean()), float(gaps.max()))
-    return Candidate(X, mean, loop)
+    return Candidate(X, homogeneous(middle.as_matrix(), places.mean(axis=0)), loop)
 
 
 def _closes(loop: Loop, gap: float = LARGEST_GAP, twist: float = LARGEST_TWIST) -> bool:
@@ -346,22 +325,15 @@ def _best(candidates: dict[str, Candidate]) -> str | None:
     return min(able, key=lambda name: candidates[name].loop.gap, default=None)
 
 
-def _told(found: Candidate) -> str:
-    return (
-        f"{1e3 * found.loop.gap:.3g} mm and {np.rad2deg(found.loop.twist):.2g}° on "
-        "average"
-    )
-
-
 def _remedy(A: Array, B: Array, camera: Camera) -> str:
-    """What to do about loops that do not close: the other reading, where it would."""
-    kinds = {"fixed": "the camera standing still", "moving": "the camera on the hand"}
+    """Advice for loops that do not close: the other ``camera``, where it fits."""
+    kinds = {"fixed": "a fixed camera", "moving": "the camera on the hand"}
     expected = (
         f"expected are marker-to-camera and hand-to-base with {kinds[camera]}, check "
-        "which way round the poses are"
+        "that no pose is inverted"
     )
     other = "moving" if camera == "fixed" else "fixed"
-    tried = _solved(_inverses(B) if other == "fixed" else B, A)
+    tried = _solved(inverse(B) if other == "fixed" else B, A)
     solver = _best(tried)
     if solver is None or not _closes(tried[solver].loop):
         return expected

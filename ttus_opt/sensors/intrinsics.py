@@ -8,24 +8,18 @@ rows, or a mapping with ``data``), the distortion as ``distortion_coefficients``
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError
-from ttus_opt.optional import load
+from ttus_opt.errors import FileError, InputError, located
+from ttus_opt.sensors.mapping_file import read_mapping
 
-#: Largest file [byte]
-LARGEST_FILE = 100_000
-
-#: Counts of coefficients that OpenCV knows
+#: Numbers of distortion coefficients that OpenCV knows
 DISTORTIONS = (0, 4, 5, 8, 12, 14)
 
 #: Larger focal lengths and sizes are refused [pixel]
@@ -43,7 +37,7 @@ class Intrinsics:
     Attributes:
         matrix: K, shape (3, 3) [pixel].
         distortion: k1, k2, p1, p2, k3, …, shape (0 to 14,) [–].
-        size: Width and height of its images [pixel]; None where not told.
+        size: Width and height of its images [pixel]; None where unknown.
     """
 
     matrix: Array
@@ -54,7 +48,7 @@ class Intrinsics:
         """Validate the intrinsics.
 
         Raises:
-            InputError: No camera matrix, or coefficients OpenCV does not know.
+            InputError: An invalid camera matrix or number of coefficients.
         """
         K = self.matrix
         if K.shape != (3, 3):
@@ -82,10 +76,10 @@ class Intrinsics:
             raise InputError("distortion coefficients must be finite")
 
     def check_shape(self, shape: tuple[int, ...]) -> None:
-        """Validate that images of a height and width [pixel] are of this camera.
+        """Validate the height and width of an image [pixel].
 
         Raises:
-            InputError: Its images have another size.
+            InputError: The camera's images have another size.
         """
         found = (shape[1], shape[0])
         if self.size is not None and found != self.size:
@@ -105,65 +99,17 @@ def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
         FileError: It is missing, damaged, or holds no intrinsics.
         MissingPackageError: PyYAML is not installed.
     """
-    file = io.existing_file(path, "intrinsics")
-    if file.stat().st_size > LARGEST_FILE:
-        raise FileError(f"{file} is too large for a camera's intrinsics: wrong file?")
-    found = _mapping(file)
-    try:
-        return _from_mapping(found)
-    except InputError as error:
-        raise FileError(f"{file}: {error}") from error
-    except (TypeError, ValueError, OverflowError) as error:
-        raise FileError(
-            f"{file}: the camera matrix, its distortion or size are no numbers: export "
-            "the calibration again"
-        ) from error
-
-
-def _mapping(file: Path) -> Mapping[str, Any]:
-    """What a file holds by name.
-
-    Raises:
-        FileError: It is neither JSON nor YAML, or no mapping.
-    """
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-        if file.suffix.lower() == ".json" or text.lstrip().startswith("{"):
-            found = json.loads(text)
-        else:
-            found = _yaml(text)
-    except (ValueError, RecursionError) as error:
-        raise FileError(
-            f"{file} does not read as JSON or YAML: export the calibration again"
-        ) from error
-    if not isinstance(found, Mapping):
-        raise FileError(
-            f"{file} has no camera_matrix or K: a camera's intrinsics are expected"
-        )
-    return found
-
-
-def _yaml(text: str) -> Any:
-    """A YAML text; OpenCV's first line and tag are understood.
-
-    Raises:
-        ValueError: It is no YAML.
-    """
-    yaml: Any = load("yaml", "sensors")
-
-    class Loader(yaml.SafeLoader):
-        """Plain values only, and OpenCV's matrices as mappings."""
-
-    Loader.add_constructor(
-        "tag:yaml.org,2002:opencv-matrix",
-        lambda loader, node: loader.construct_mapping(node, deep=True),
-    )
-    lines = text.splitlines()
-    plain = lines[1:] if lines and lines[0].startswith("%YAML:") else lines
-    try:
-        return yaml.load("\n".join(plain), Loader=Loader)
-    except (yaml.YAMLError, AttributeError, TypeError, KeyError, IndexError) as error:
-        raise ValueError("no YAML") from error
+    found = read_mapping(path, "camera calibration")
+    with located(os.fspath(path), FileError):
+        try:
+            return _from_mapping(found)
+        except InputError:
+            raise
+        except (TypeError, ValueError, OverflowError) as error:
+            raise InputError(
+                "the camera matrix, its distortion or size are no numbers: export the "
+                "calibration again"
+            ) from error
 
 
 def _from_mapping(found: Mapping[str, Any]) -> Intrinsics:
@@ -179,7 +125,7 @@ def _from_mapping(found: Mapping[str, Any]) -> Intrinsics:
     if None not in sides:
         size = (int(sides[0]), int(sides[1]))
         if not all(0 < side < LARGEST for side in size):
-            raise InputError(f"an image of {size[0]} x {size[1]} pixels is none")
+            raise InputError(f"invalid image size: {size[0]} x {size[1]} pixels")
     model = str(found.get("distortion_model", "plumb_bob"))
     if model not in ("plumb_bob", "rational_polynomial", ""):
         raise InputError(
@@ -192,12 +138,12 @@ def _from_mapping(found: Mapping[str, Any]) -> Intrinsics:
 
 
 def _first(found: Mapping[str, Any], names: tuple[str, ...]) -> Any:
-    """The value of the first name that is there; None without."""
+    """The value of the first name present; None without one."""
     return next((found[name] for name in names if name in found), None)
 
 
 def _numbers(found: Mapping[str, Any], names: tuple[str, ...]) -> Array | None:
-    """A list, rows or OpenCV's mapping as flat numbers; None where absent."""
+    """A list, rows or OpenCV's mapping as a flat array; None where absent."""
     value = _first(found, names)
     if value is None:
         return None

@@ -1,4 +1,4 @@
-"""Small YAML or JSON files that hold a mapping."""
+"""Small YAML or JSON files that hold a mapping; OpenCV's YAML too."""
 
 from __future__ import annotations
 
@@ -26,12 +26,11 @@ def read_mapping(path: str | os.PathLike[str], what: str) -> Mapping[str, Any]:
         FileError: Missing, too large, neither YAML nor JSON, or no mapping.
         MissingPackageError: PyYAML is not installed.
     """
-    file = io.existing_file(path, what)
-    if file.stat().st_size > LARGEST_FILE:
-        raise FileError(f"{file} is too large for a {what}: wrong file?")
+    file = io.existing_file(path, what, LARGEST_FILE)
     try:
         text = file.read_text(encoding="utf-8-sig")
-        found = json.loads(text) if file.suffix.lower() == ".json" else _yaml(text)
+        is_json = file.suffix.lower() == ".json" or text.lstrip().startswith("{")
+        found = json.loads(text) if is_json else _yaml(text)
     except MissingPackageError:
         raise
     except Exception as error:  # the parsers raise nearly every class
@@ -45,12 +44,24 @@ def read_mapping(path: str | os.PathLike[str], what: str) -> Mapping[str, Any]:
 
 
 def _yaml(text: str) -> Any:
+    """A YAML text, without the first line that OpenCV writes against the standard."""
     yaml: Any = load("yaml", "sensors")
-    return yaml.safe_load(text)
+
+    class Loader(yaml.SafeLoader):
+        """Plain values, and OpenCV's matrices as mappings."""
+
+    Loader.add_constructor(
+        "tag:yaml.org,2002:opencv-matrix",
+        lambda loader, node: loader.construct_mapping(node, deep=True),
+    )
+    first, _, rest = text.partition("\n")
+    # the line is emptied, not removed, so that an error names the right one
+    plain = f"\n{rest}" if first.startswith("%YAML:") else text
+    return yaml.load(plain, Loader=Loader)
 
 
 def _place(error: Exception) -> str:
-    """Where a parser stopped, where it says so."""
+    """The line at which a parser stopped, if it says so."""
     mark = getattr(error, "problem_mark", None)
     line = getattr(error, "lineno", None) if mark is None else mark.line + 1
     return "" if line is None else f" (line {line})"

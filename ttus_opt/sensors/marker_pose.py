@@ -1,15 +1,14 @@
-"""Poses of square markers and boards of them in a photo, with covariance.
+"""Poses of square markers, and of boards of them, in a photo, with covariance.
 
-OpenCV finds the markers; corners are refined on AprilTag's lines. The pose is least
-squares over the corners' pixels, its covariance that of the linearised problem: with
-the Jacobian J of the projections by a turn and a shift, σ² (JᵀJ)⁻¹ (docs/method.md,
-18.1).
+OpenCV finds the markers and refines their corners by AprilTag's line fit. The pose is a
+least-squares fit to the corners' pixels; its covariance is that of the linearised
+problem, σ² (JᵀJ)⁻¹, with J the Jacobian of the projections with respect to rotation and
+translation (docs/method.md, 18.1).
 """
 
 from __future__ import annotations
 
 import os
-import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -18,21 +17,23 @@ from numpy.typing import NDArray
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError, InputError, TtusWarning
+from ttus_opt.errors import FileError, InputError, warn
+from ttus_opt.probe.rigid_motion import homogeneous
 from ttus_opt.sensors.intrinsics import Intrinsics
 
-#: Root-mean-square distance of corners from where the pose puts them: above the first a
-#: warning, above the second a refusal [pixel]
+#: Root-mean-square reprojection error above which a pose gives a warning, and above
+#: which it is refused [pixel]
 DOUBTFUL, REFUSED = 2.0, 5.0
 
-#: Corners are not known better than this, whatever few of them say [pixel]
+#: Lower limit of the corners' standard deviation, which few corners underestimate
+#: [pixel]
 LEAST_PIXEL_STD = 0.1
 
-#: Of two poses that fit a single marker, the worse has at least this many times the
-#: error, or a warning says that both fit
+#: Least ratio of the errors of the two poses that fit a single marker; below it a
+#: warning says that both fit
 UNAMBIGUOUS = 2.0
 
-#: Lengths of a board lie between these [m]
+#: Shortest and longest length on a board [m]
 SHORTEST, LONGEST = 1e-4, 2.0
 
 #: Largest image [byte, pixel]
@@ -41,16 +42,16 @@ LARGEST_FILE, LARGEST_IMAGE = 2**27, 2**26
 
 @dataclass(frozen=True)
 class MarkerPose:
-    """Where a marker or a board lies in front of a camera.
+    """Pose of a marker or a board in front of a camera.
 
     Attributes:
         markers: Numbers of the markers seen, ascending.
         pose: Marker or board to camera, shape (4, 4) [–, m]; OpenCV's camera axes: x
             right, y down, z forward.
-        covariance: Of a small turn in camera axes [rad] and of the shift [m], in this
-            order, shape (6, 6).
-        residual: Root-mean-square distance of the corners [pixel].
-        other_residual: The same for the other pose that a single marker has; None for
+        covariance: Of a small rotation in camera axes [rad] and of the translation [m],
+            in this order, shape (6, 6).
+        residual: Root-mean-square reprojection error of the corners [pixel].
+        other_residual: The same for the second pose that fits a single marker; None for
             boards.
     """
 
@@ -62,12 +63,12 @@ class MarkerPose:
 
     @property
     def turn_std(self) -> Array:
-        """Standard deviations of the turn, camera axes, shape (3,) [rad]."""
+        """Standard deviations of the rotation, camera axes, shape (3,) [rad]."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[:3]))
 
     @property
     def shift_std(self) -> Array:
-        """Standard deviations of the shift, camera axes, shape (3,) [m]."""
+        """Standard deviations of the translation, camera axes, shape (3,) [m]."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[3:]))
 
 
@@ -77,9 +78,9 @@ class Board:
 
     Attributes:
         columns: Markers in a row.
-        rows: Rows.
+        rows: Rows of markers.
         marker: Side of a marker [m].
-        gap: Between two markers [m].
+        gap: Distance between two markers [m].
         dictionary: OpenCV's name, such as ``4X4_250`` or ``APRILTAG_36H11``.
     """
 
@@ -93,7 +94,7 @@ class Board:
         """Validate the board.
 
         Raises:
-            InputError: Counts or lengths that no board has.
+            InputError: Implausible counts or lengths.
         """
         if not (1 <= self.columns <= 100 and 1 <= self.rows <= 100):
             raise InputError(
@@ -112,9 +113,7 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
     """
     import cv2
 
-    file = io.existing_file(path, "image")
-    if file.stat().st_size > LARGEST_FILE:
-        raise FileError(f"{file} is too large for a photo: wrong file?")
+    file = io.existing_file(path, "image", LARGEST_FILE)
     content = np.fromfile(file, np.uint8)
     try:
         image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
@@ -130,16 +129,16 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
 def board_pose(
     image: NDArray[np.uint8], board: Board, camera: Intrinsics
 ) -> MarkerPose:
-    """Where a board lies, from all of its markers that are seen.
+    """Pose of a board, from all of its markers that are seen.
 
     Args:
         image: Grey values, shape (height, width).
         board: The board.
-        camera: The camera that took the image.
+        camera: Intrinsics of the camera that took the image.
 
     Raises:
-        InputError: No marker of the board is seen, or the corners are not where any
-            pose of such a board would put them.
+        InputError: No marker of the board is seen, or no pose of such a board fits the
+            corners.
     """
     camera.check_shape(image.shape)
     corners, numbers = _detected(image, board.dictionary)
@@ -169,7 +168,7 @@ def board_pose(
 def marker_poses(
     image: NDArray[np.uint8], side: float, dictionary: str, camera: Intrinsics
 ) -> list[MarkerPose]:
-    """Where single markers lie, each by itself.
+    """Poses of single markers.
 
     The marker's frame has its origin in the middle, x to the right, y up and z towards
     the viewer.
@@ -178,10 +177,10 @@ def marker_poses(
         image: Grey values, shape (height, width).
         side: Of every marker [m].
         dictionary: OpenCV's name.
-        camera: The camera that took the image.
+        camera: Intrinsics of the camera that took the image.
 
     Returns:
-        One pose for every marker seen, by number.
+        One pose for every marker seen, ordered by number.
 
     Raises:
         InputError: No marker is seen, or an invalid side.
@@ -217,7 +216,7 @@ def _check_length(name: str, length: float) -> None:
     """Validate a length of a board.
 
     Raises:
-        InputError: It is shorter or longer than a camera can see, or in millimetres.
+        InputError: It is implausible, for instance in millimetres.
     """
     if not SHORTEST < length < LONGEST:
         hint = ": is it in millimetres? Divide by 1000" if length >= LONGEST else ""
@@ -232,10 +231,10 @@ def _listed(numbers: NDArray[np.integer]) -> str:
 
 
 def _dictionary(name: str) -> Any:
-    """OpenCV's dictionary of a name.
+    """OpenCV's dictionary of that name.
 
     Raises:
-        InputError: There is none.
+        InputError: The name is unknown.
     """
     import cv2
 
@@ -256,7 +255,7 @@ def _detected(
     """Corners of the markers seen, and their numbers.
 
     Raises:
-        InputError: None is seen, or there is no such dictionary.
+        InputError: None is seen, or the dictionary is unknown.
     """
     import cv2
 
@@ -292,7 +291,7 @@ def _fitted(
         return None
     of_board = set(np.asarray(grid.getIds()).reshape(-1).tolist())
     own = tuple(sorted(of_board & set(numbers.tolist())))
-    # every planar set of corners has two poses; the better one is refined
+    # a planar set of corners has two candidate poses; the better one is refined
     _, turns, shifts, _ = cv2.solvePnPGeneric(
         points, pixels, camera.matrix, camera.distortion, flags=cv2.SOLVEPNP_IPPE
     )
@@ -326,17 +325,16 @@ def _refined(
         np.asarray(turn, np.float64).reshape(3)
     )
     variance = max(square / (len(rest) - 6), LEAST_PIXEL_STD**2)
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], shift.reshape(3)
+    pose = homogeneous(cv2.Rodrigues(turn)[0], shift.reshape(3))
     covariance = np.asarray(variance * np.linalg.pinv(J.T @ J), np.float64)
     return MarkerPose(markers, pose, covariance, float(np.sqrt(square / len(pixels))))
 
 
 def _from_turns(rotvec: Array) -> Array:
-    """How a rotation vector answers to a small turn after it, and shifts to themselves.
+    """Derivative of a pose's rotation vector by a small rotation after it, (6, 6).
 
     The inverse of the left Jacobian of SO(3) (Chirikjian, Stochastic Models,
-    Information Theory, and Lie Groups 2, 2012, 10.86), shape (6, 6).
+    Information Theory, and Lie Groups 2, 2012, 10.86); the identity for translations.
     """
     angle = float(np.linalg.norm(rotvec))
     cross = np.cross(np.eye(3), rotvec)
@@ -349,20 +347,18 @@ def _from_turns(rotvec: Array) -> Array:
 
 
 def _doubt(found: MarkerPose) -> None:
-    """Warn of a pose that fits badly, or not alone."""
+    """Warn of a pose that fits badly or is ambiguous."""
     what = f"marker{'s' * (len(found.markers) > 1)} {_listed(np.array(found.markers))}"
     if found.residual > DOUBTFUL:
-        warnings.warn(
+        warn(
             f"{what}: corners lie {found.residual:.2g} pixels off: "
             "check the lengths and intrinsics, or take a sharper photo",
-            TtusWarning,
-            stacklevel=3,
+            2,
         )
     other = found.other_residual
     if other is not None and other < UNAMBIGUOUS * found.residual:
-        warnings.warn(
+        warn(
             f"{what}: a second pose fits nearly as well ({found.residual:.2g} and "
             f"{other:.2g} pixels): use a board, or come closer",
-            TtusWarning,
-            stacklevel=3,
+            2,
         )

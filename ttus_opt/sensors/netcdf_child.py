@@ -1,8 +1,8 @@
-"""netCDF read by a process of its own: its C library crashes on damaged files.
+"""netCDF read in a child process, because its C library crashes on damaged files.
 
-`read_apart` starts this file as a script, which imports NumPy and netCDF4 alone and
-hands the variables back. A crash, endless reading or a file that asks for too much
-memory ends that process and not the one that asked.
+`read_apart` runs this file as a script, which imports only NumPy and netCDF4 and
+returns the variables. A crash, an endless loop or a request for too much memory ends
+the child process, not the caller.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-#: Numbers of one variable at most, and per byte of the file: more than compression
-#: holds are a damaged size, and would be filled in
+#: Most numbers of one variable, and per byte of the file: a size beyond what
+#: compression achieves is damaged, and netCDF would fill it with a constant
 MOST_NUMBERS, MOST_PER_BYTE = 100_000_000, 200
 
-#: Labels of a coordinate at most; longer texts are nothing a stream needs
+#: Most labels of a coordinate; a stream needs few
 MOST_LABELS = 100
 
-#: Longest reading [s]
+#: Time limit [s]
 PATIENCE = 300.0
 
-#: Most memory of the process, and how much of it whatever the file, and per byte of it
-#: [byte]: damaged counts are refused by their size, which else take the library minutes
+#: Memory limit of the child: largest, fixed part, and part per byte of the file [byte];
+#: a damaged size fails at once instead of keeping the library busy for minutes
 MEMORY, MEMORY_AT_LEAST, MEMORY_PER_BYTE = 8 * 2**30, 2**30, 5_000
 
-#: Nothing is computed there: threads would take address space
+#: The child computes nothing: threads would only take address space
 ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
@@ -41,8 +41,8 @@ class Variable(NamedTuple):
 
     Attributes:
         dims: Names of its dimensions.
-        values: Numbers, or labels as texts.
-        attributes: Those that are texts.
+        values: Numbers, or labels as text.
+        attributes: Only those that are text.
     """
 
     dims: tuple[str, ...]
@@ -51,13 +51,10 @@ class Variable(NamedTuple):
 
 
 def read_apart(file: Path) -> dict[str, Variable]:
-    """All variables of a netCDF file.
-
-    Args:
-        file: That is there.
+    """All variables of an existing netCDF file.
 
     Raises:
-        ValueError: It cannot be read; why is not always known.
+        ValueError: It cannot be read; the cause is not always known.
     """
     command = [sys.executable, "-P", __file__, str(file)]
     try:
@@ -76,7 +73,7 @@ def read_apart(file: Path) -> dict[str, Variable]:
 
 
 def packed(file: str) -> bytes:
-    """What the process hands back: numbers as NPZ, all else as JSON in it."""
+    """Output of the child process: numbers as NPZ, all else as JSON in it."""
     import netCDF4
 
     arrays: dict[str, NDArray[Any]] = {}
@@ -129,7 +126,7 @@ def unpacked(content: bytes) -> dict[str, Variable]:
 
 
 def limit_memory(file: str) -> None:
-    """So that a damaged size does not take the machine's."""
+    """Limit this process's memory, because a damaged size may ask for all of it."""
     try:
         import resource
     except ImportError:  # not on Windows

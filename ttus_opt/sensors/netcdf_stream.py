@@ -1,9 +1,9 @@
 """Pose and wrench streams in netCDF.
 
-A variable ``time`` of one dimension; ``position(time, 3)``, ``quaternion(time, 4)``,
-``force(time, 3)`` and ``torque(time, 3)``, each with ``units``, time first. Components
-are labelled by a coordinate (``x, y, z`` or ``w, x, y, z``); where a quaternion's are
-not, its attribute ``order`` names them.
+A one-dimensional variable ``time``, and ``position(time, 3)``, ``quaternion(time, 4)``,
+``force(time, 3)`` and ``torque(time, 3)``, each with ``units``. Components are labelled
+by a coordinate (``x, y, z`` or ``w, x, y, z``); an unlabelled quaternion has an
+attribute ``order``.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ttus_opt.sensors.streams import WrenchStream
 if TYPE_CHECKING:
     import xarray as xr
 
-#: What a file's unit is in the package's, by quantity
+#: Factor from a file's unit to SI, by quantity
 UNITS: dict[str, dict[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9},
     "position": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
@@ -36,7 +36,7 @@ UNITS: dict[str, dict[str, float]] = {
     "quaternion": {"1": 1.0},
 }
 
-#: Other ways to write them
+#: Other spellings of units
 SPELLINGS = {
     **dict.fromkeys(("second", "seconds", "sec"), "s"),
     **dict.fromkeys(("millisecond", "milliseconds", "msec"), "ms"),
@@ -61,8 +61,8 @@ def read_netcdf_poses(
 
     Args:
         path: The file.
-        columns: Its own names of ``t``, ``position`` and ``quaternion``, and the
-            ``quaternion_order`` where the file does not say it.
+        columns: Its names for ``t``, ``position`` and ``quaternion``, and the
+            ``quaternion_order`` where the file does not state it.
 
     Raises:
         FileError: Missing, damaged, or without such variables, units or order.
@@ -87,7 +87,7 @@ def read_netcdf_wrenches(
 
     Args:
         path: The file.
-        columns: Its own names of ``t``, ``force`` and ``torque``.
+        columns: Its names for ``t``, ``force`` and ``torque``.
 
     Raises:
         FileError: Missing, damaged, or without such variables or units.
@@ -123,10 +123,10 @@ def write_netcdf_wrenches(stream: WrenchStream, path: str | os.PathLike[str]) ->
 def _opened(
     path: str | os.PathLike[str], columns: Mapping[str, str] | None
 ) -> tuple[Path, xr.Dataset, Mapping[str, str]]:
-    """The file's content in memory, times as numbers.
+    """The file, its content in memory, and its names by the package's.
 
     Raises:
-        FileError: Missing, no netCDF, or names that such a file has not.
+        FileError: Missing, not netCDF, or a map that names single components.
     """
     import xarray as xr
 
@@ -139,7 +139,7 @@ def _opened(
             f"torque, not {single[0]}"
         )
     try:
-        # variables named as their dimension are its labels
+        # xarray makes a variable with the name of its dimension a coordinate
         found = {name: tuple(each) for name, each in read_apart(file).items()}
         return file, xr.Dataset(found), told
     except Exception as error:  # damaged files raise nearly every class
@@ -149,26 +149,26 @@ def _opened(
 
 
 def _variable(data: xr.Dataset, name: str, told: Mapping[str, str]) -> xr.DataArray:
-    """A variable by the package's word.
+    """A variable by the package's name.
 
     Raises:
-        InputError: There is none.
+        InputError: The file does not have it.
     """
     theirs = told.get("t" if name == "time" else name, name)
     if theirs not in data.variables:
         known = ", ".join(map(str, data.variables)) or "none"
         raise InputError(
-            f"it has no variable {theirs}, but {known}: say which is which by columns, "
-            f"for instance {'t' if name == 'time' else name}=…"
+            f"it has no variable {theirs}, but {known}: map them by columns, for "
+            f"instance {'t' if name == 'time' else name}=…"
         )
     return data[theirs]
 
 
 def _factor(found: xr.DataArray, name: str, unit: str | None = None) -> float:
-    """What turns a variable's numbers into the package's unit.
+    """Factor from a variable's unit to SI.
 
     Raises:
-        InputError: No unit, or another one.
+        InputError: No unit, or an unknown one.
     """
     given = found.attrs.get("units") if unit is None else unit
     if given is None and name == "quaternion":
@@ -188,7 +188,7 @@ def _numbers(found: xr.DataArray) -> Array:
     """Values in double precision.
 
     Raises:
-        InputError: They are none.
+        InputError: They are not numbers.
     """
     if found.dtype.kind not in "fiu":
         raise InputError(f"{found.name} holds no numbers: wrong variable?")
@@ -196,10 +196,10 @@ def _numbers(found: xr.DataArray) -> Array:
 
 
 def _time(data: xr.Dataset, told: Mapping[str, str]) -> Array:
-    """Times [s]; of "seconds since …" the number, whatever they count from.
+    """Times [s]; in "seconds since …" the epoch is ignored.
 
     Raises:
-        InputError: No time of one dimension, or without a unit.
+        InputError: Not one dimension, no unit, or not finite.
     """
     found = _variable(data, "time", told)
     if found.ndim != 1:
@@ -247,10 +247,10 @@ def _labels(found: xr.DataArray) -> str:
 
 
 def _order(data: xr.Dataset, told: Mapping[str, str]) -> str:
-    """The order of a quaternion's components: labelled, stated in the file, or told.
+    """The order of a quaternion, from its labels, its attribute or the column map.
 
     Raises:
-        InputError: None of these, or two that differ.
+        InputError: None of these states it, or two differ.
     """
     found = _variable(data, "quaternion", told)
     labelled = _labels(found) if found.ndim == 2 else ""
@@ -263,7 +263,7 @@ def _order(data: xr.Dataset, told: Mapping[str, str]) -> str:
         )
     if not said:
         raise InputError(
-            f"the order of {found.name} is not said and never guessed: give columns "
+            f"the order of {found.name} is not stated and never guessed: give columns "
             f"{ORDER}=xyzw or wxyz, or label the components"
         )
     return said.pop()

@@ -1,8 +1,8 @@
-"""OpenIGTLink, live: poses and forces as they are sent, until a time or Ctrl-C.
+"""Live recording over OpenIGTLink, for a given time or until Ctrl-C.
 
-TRANSFORM messages are poses (shifts in mm, as PLUS and 3D Slicer send them), SENSOR
-messages of 3 or 6 numbers are forces, or forces and torques [N, N·m]. Times are those
-of the messages. Needs the extra ``live`` (pyigtl).
+TRANSFORM messages are poses (translations in mm, as PLUS and 3D Slicer send them);
+SENSOR messages of 3 or 6 numbers are forces, or forces and torques [N, N·m]. Times are
+the messages' time stamps. Needs the extra ``live`` (pyigtl).
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import socket
 import struct
 import threading
 import time
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,37 +19,37 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError, TtusWarning, located
+from ttus_opt.errors import InputError, located, warn
 from ttus_opt.optional import load
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.streams import WrenchStream
 
-#: Where PLUS listens
+#: Default port of PLUS
 PORT = 18944
 
-#: Shifts of OpenIGTLink [m]
+#: Unit of translations in OpenIGTLink [m]
 MILLIMETRE = 1e-3
 
-#: No connection, or no message, after this is none [s]
+#: Time limit for a connection and for a first message [s]
 PATIENCE = 5.0
 
-#: A recording ends at so many messages, hours of them
+#: Most messages of a recording, hours of them
 MOST_MESSAGES = 5_000_000
 
-#: How often the clock is looked at [s]
+#: Polling interval [s]
 PAUSE = 0.02
 
 
 @dataclass
 class Received:
-    """Messages of a recording, by device, in the order they came.
+    """Messages of a recording, by device, in the order received.
 
     Attributes:
         poses: Times [s] and matrices (4, 4) [–, mm].
         readings: Times [s] and numbers.
-        others: Types of messages that are neither, by device.
-        count: Of all messages.
-        broken: Why what came after them could not be read; None while it can.
+        others: Message types that are neither, by device.
+        count: Number of messages.
+        broken: Why no further message could be read; None while reading works.
     """
 
     poses: dict[str, list[tuple[float, Array]]] = field(default_factory=dict)
@@ -76,11 +75,11 @@ class Received:
         """Poses of a device.
 
         Args:
-            device: May be left out where there is one.
+            device: May be left out where only one sent poses.
 
         Raises:
-            InputError: There is none, several and none named, or what it sent is no
-                pose.
+            InputError: No such device, several to choose from, or messages that are not
+                poses.
         """
         name, time_, values = _stream(self.poses, device, "TRANSFORM", self.others)
         matrices = np.array(values)
@@ -91,13 +90,13 @@ class Received:
             return Trajectory(time_, position, matrices[:, :3, :3].copy())
 
     def wrenches(self, device: str | None = None) -> WrenchStream:
-        """Forces, and torques where there are any, of a device.
+        """Forces, and torques where sent, of a device.
 
         Args:
-            device: May be left out where there is one.
+            device: May be left out where only one sent readings.
 
         Raises:
-            InputError: As of `trajectory`, or neither 3 nor 6 numbers.
+            InputError: As `trajectory`, or neither 3 nor 6 numbers.
         """
         name, time_, values = _stream(self.readings, device, "SENSOR", self.others)
         sizes = {len(value) for value in values}
@@ -120,21 +119,21 @@ def record(
     patience: float = PATIENCE,
     progress: Callable[[int], None] | None = None,
 ) -> Received:
-    """Listen to a server for a while.
+    """Record the messages of a server.
 
     Args:
-        host: Its name or address.
+        host: Name or address of the server.
         port: Its port.
-        seconds: For how long from the first message; until interrupted when None.
-        patience: How long to wait for a connection and a first message [s].
+        seconds: Duration from the first message; None to record until interrupted.
+        patience: Time limit for a connection and for a first message [s].
         progress: Called with the number of messages, many times a second.
 
     Returns:
-        What came. An interrupt (Ctrl-C) ends the recording and nothing is lost; so does
-        what is no message, with a warning.
+        The messages. An interrupt (Ctrl-C) ends the recording without loss; so does
+        data that is not a message, with a warning.
 
     Raises:
-        InputError: Nobody listens there, nothing is sent, or no OpenIGTLink.
+        InputError: No server, no messages, or not OpenIGTLink.
         MissingPackageError: pyigtl is not installed.
     """
     if not (1 <= port <= 65535 and 0.0 < patience < np.inf):
@@ -163,7 +162,7 @@ def _wait(
     patience: float,
     progress: Callable[[int], None] | None,
 ) -> None:
-    """Until the time is over, nothing comes, or nothing more can be read."""
+    """Wait until the time is over, nothing comes, or nothing more can be read."""
     begun: float | None = None
     asked = time.monotonic()
     while begun is None or time.monotonic() - begun < lasts:
@@ -182,7 +181,7 @@ def _check(received: Received, server: str) -> None:
     """Warn of a recording that broke off.
 
     Raises:
-        InputError: Nothing came.
+        InputError: There are no messages.
     """
     what = f"{server} sent what is no OpenIGTLink message ({received.broken})"
     if received.count == 0:
@@ -192,11 +191,10 @@ def _check(received: Received, server: str) -> None:
             else f"{what}: another server or port?"
         )
     if received.broken is not None:
-        warnings.warn(
+        warn(
             f"{what} after {received.count} messages, where the recording ends: what "
             "came before is kept",
-            TtusWarning,
-            stacklevel=3,
+            2,
         )
 
 
@@ -204,17 +202,17 @@ def _check(received: Received, server: str) -> None:
 def _listening(
     igtl: Any, connection: socket.socket, received: Received
 ) -> Iterator[None]:
-    """A client that hands over every message; pyigtl itself keeps the latest only."""
-    _teach_sensor(igtl)
+    """A client that keeps every message; pyigtl itself keeps only the latest."""
+    _register_sensor(igtl)
 
     class Messages(dict[str, Any]):
-        """Takes what the client's thread writes."""
+        """Passes on what the client's thread writes."""
 
         def __setitem__(self, device: str, message: Any) -> None:
             received.take(message)
 
     class Client(igtl.OpenIGTLinkClient):
-        """Stops at what it cannot read; pyigtl prints its own traceback and goes on."""
+        """Stops at a message it cannot read; pyigtl prints a traceback and goes on."""
 
         def _receive_message_from_socket(self, ssocket: socket.socket) -> bool:
             try:
@@ -232,35 +230,28 @@ def _listening(
     try:
         yield
     finally:
-        # its own stop() waits without end for a thread that has died
+        # pyigtl's stop() waits forever for a thread that has died
         client.communication_thread_stop_requested = True
         client._client_thread.join(timeout=2.0)
         connection.close()
 
 
-_TEACHING = threading.Lock()
+_REGISTERING = threading.Lock()
 
 
-def _teach_sensor(igtl: Any) -> None:
-    """SENSOR messages, which pyigtl does not know (OpenIGTLink v2, sensor)."""
+def _register_sensor(igtl: Any) -> None:
+    """Add SENSOR messages, which pyigtl does not know (OpenIGTLink v2, sensor)."""
     known = igtl.messages.message_type_to_class_constructor
-    with _TEACHING:
+    with _REGISTERING:
         if "SENSOR" not in known:
             known["SENSOR"] = sensor_message(igtl)
 
 
 def sensor_message(igtl: Any) -> Any:
-    """The class of SENSOR messages.
-
-    Args:
-        igtl: The module pyigtl.
-
-    Returns:
-        A class over its ``MessageBase`` with ``values`` [N, N·m].
-    """
+    """The class of SENSOR messages, with ``values`` [N, N·m]; igtl is pyigtl itself."""
 
     class SensorMessage(igtl.messages.MessageBase):
-        """Count, status, unit and as many doubles."""
+        """Count, status, unit, then ``count`` doubles."""
 
         def __init__(self, values: Any = (), **more: Any) -> None:
             super().__init__(**more)
@@ -285,10 +276,10 @@ def _stream(
     kind: str,
     others: dict[str, str],
 ) -> tuple[str, Array, list[Array]]:
-    """Messages of a device by time, each instant once.
+    """Messages of a device by time, one per time stamp.
 
     Raises:
-        InputError: There is none, or several and none named.
+        InputError: No such device, or several to choose from.
     """
     if not kept:
         told = ", ".join(f"{name} ({what})" for name, what in others.items())

@@ -6,7 +6,7 @@ The text before the pixels has, for frame 12, lines such as
     Seq_Frame0012_ProbeToTrackerTransformStatus = OK
     Seq_Frame0012_Timestamp = 213.4
 
-with matrices row by row, shifts in mm. Pixels are not read.
+with matrices row by row and translations in mm. Pixels are not read.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ttus_opt import io
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.probe.trajectory import Trajectory
 
-#: Text before the pixels, at most [byte]
+#: Most text before the pixels [byte]
 LONGEST_TEXT = 200_000_000
 
 LINE = re.compile(r"Seq_Frame(\d+)_(\w+?) *= *(.*)")
 
-#: Shifts of PLUS [m]
+#: Unit of translations in PLUS [m]
 MILLIMETRE = 1e-3
 
 
@@ -36,14 +36,14 @@ def read_plus_sequence(
 
     Args:
         path: The file.
-        transform: Such as ``ProbeToTracker``; may be left out where there is one.
+        transform: Such as ``ProbeToTracker``; may be left out where there is only one.
 
     Returns:
-        Frames whose status is OK; a new segment begins after others.
+        Frames whose status is OK; a new segment begins after each gap.
 
     Raises:
-        FileError: Missing, no such file, no such transform, several and none named, or
-            damaged.
+        FileError: Missing, damaged, not a PLUS sequence, no such transform, or several
+            to choose from.
     """
     file = io.existing_file(path, "PLUS sequence")
     frames = _frames(file)
@@ -74,7 +74,7 @@ def _frames(file: os.PathLike[str]) -> dict[int, dict[str, str]]:
     """Fields of every frame, by its number.
 
     Raises:
-        FileError: No MetaImage text.
+        FileError: Not a MetaImage file.
     """
     frames: dict[int, dict[str, str]] = {}
     read = 0
@@ -93,17 +93,17 @@ def _frames(file: os.PathLike[str]) -> dict[int, dict[str, str]]:
 
 
 def _poses(frames: dict[int, dict[str, str]], name: str) -> Trajectory:
-    """Frames with a valid transform.
+    """Poses of the frames with a valid transform.
 
     Raises:
-        InputError: None is valid, or one is no rigid motion.
-        ValueError: Text stands where numbers should be.
+        InputError: No frame is valid, or a transform is not rigid.
+        ValueError: Text where numbers are expected.
     """
     time, matrices, segment, part = [], [], [], 0
     for number in sorted(frames):
         frame = frames[number]
         if name not in frame or frame.get(f"{name}Status", "OK") != "OK":
-            part += 1  # not bridged
+            part += 1  # a gap begins a new segment
             continue
         if "Timestamp" not in frame:
             raise InputError(f"frame {number} has no Timestamp: record it again")

@@ -1,13 +1,13 @@
-"""The patient frame from a tracked probe held above the sternum, the paper's way.
+"""The patient frame from a tracked probe held above the sternum, as in the paper.
 
 The probe is held still in a stated orientation: one of its axes points into the
-patient, another to the head. So, with R the probe's rotation to the scan's frame,
+patient, another to the head. With R the probe's rotation to the scan's frame,
 
     y = −R (into the patient),   z = R (to the head),   x = y × z,
 
-x to the patient's right, y to the front. The origin is below the probe: on the line
-through it along y, half-way between the skin and the plane the body lies on, as in a
-frame that is found in the scan; or a stated depth below the skin.
+x to the patient's right, y to the front. The origin lies below the probe on the line
+along y: half-way between the skin and the supporting plane, as in a frame found from
+the scan, or at a stated depth below the skin.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 from ttus_opt.scan.surface import Surface
 
-#: How the phantoms' probes are held: z into the patient, y to the feet
+#: How the phantom's probe is held: z into the patient, y to the feet
 USUAL = ("z", "-y")
 
 AXES = {
@@ -34,14 +34,14 @@ AXES = {
     for sign in ("", "-")
 }
 
-#: A probe that is held still moves and turns less than this [m, rad]
+#: A probe held still moves and turns less than this [m, rad]
 STILL_SHIFT, STILL_TURN = 0.010, float(np.deg2rad(5.0))
 
-#: Skin this near to the line below the probe is below it [m], and so many points are
-#: skin
+#: Points this near to the line below the probe are skin below it [m], and at least this
+#: many are needed
 BESIDE, LEAST_POINTS = 0.015, 10
 
-#: The probe points into the patient within this of the supporting plane's normal [–]
+#: Least cosine between the probe's direction and the supporting plane's normal [–]
 LEAST_UPRIGHT = float(np.cos(np.deg2rad(40.0)))
 
 
@@ -57,19 +57,16 @@ def axis_from_probe(
     Args:
         poses: Of the probe, in the scan's frame; several are averaged.
         cloud: The scan, shape (n, 3) [m].
-        held: The probe's axis that points into the patient, and that which points to
-            the head: ``x``, ``-x``, ``y``, ``-y``, ``z`` or ``-z`` each.
-        depth: How far the origin lies below the skin [m]; by default half-way to the
-            plane the body lies on.
-
-    Returns:
-        The frame.
+        held: The probe's axes that point into the patient and to the head: ``x``,
+            ``-x``, ``y``, ``-y``, ``z`` or ``-z`` each.
+        depth: Depth of the origin below the skin [m]; by default half-way to the
+            supporting plane.
 
     Raises:
-        InputError: Axes that are none or the same, a depth that is none, a probe that
-            moved; no plane is found and no depth given.
-        GeometryError: No skin lies below the probe, or it does not point at the plane
-            the body lies on.
+        InputError: Unknown or equal axes, an implausible depth, a probe that moved, or
+            neither a supporting plane nor a depth.
+        GeometryError: No skin below the probe, or it does not point at the supporting
+            plane.
     """
     into, head = _axes(held)
     if depth is not None and not 0.01 <= depth <= 0.3:
@@ -96,19 +93,19 @@ def read_axis(
     held: tuple[str, str] = USUAL,
     depth: float | None = None,
 ) -> Axis:
-    """The patient frame of a surface file, or of a probe's recorded poses.
+    """The patient frame of a surface file, or from a probe's recorded poses.
 
     Args:
         path: A surface (.nc), or poses of a probe held above the sternum (.csv), frame
             of the scan.
-        cloud: As of `axis_from_probe`, which has the poses.
-        held: The same.
-        depth: The same.
+        cloud: As in `axis_from_probe`, like ``held`` and ``depth``.
+        held: For poses only.
+        depth: For poses only.
 
     Raises:
-        FileError: Neither of both.
-        InputError: As of `axis_from_probe`.
-        GeometryError: The same.
+        FileError: The file is neither.
+        InputError: As `axis_from_probe`.
+        GeometryError: As `axis_from_probe`.
     """
     if Path(path).suffix.lower() != ".csv":
         return Surface.load(path).axis
@@ -131,7 +128,7 @@ def _axes(held: tuple[str, str]) -> tuple[Array, Array]:
 
 
 def _mean_pose(poses: Trajectory) -> tuple[Array, Array]:
-    """Mean rotation (3, 3) and position (3,) of a probe held still.
+    """Mean rotation (3, 3) and median position (3,) of a probe held still.
 
     Raises:
         InputError: It moved.
@@ -151,10 +148,10 @@ def _mean_pose(poses: Trajectory) -> tuple[Array, Array]:
 
 
 def _skin_below(body: Array, at: Array, inward: Array) -> float:
-    """How far the skin is from the probe along the line into the patient [m].
+    """Distance from the probe to the skin along the line into the patient [m].
 
     Raises:
-        GeometryError: There is none.
+        GeometryError: No skin is there.
     """
     away = body - at
     along = away @ inward
@@ -173,8 +170,8 @@ def _half_way(plane: SupportingPlane | None, skin: Array, inward: Array) -> floa
     """Half the distance from the skin to the supporting plane along a line [m].
 
     Raises:
-        InputError: There is no plane.
-        GeometryError: The line does not meet it from above.
+        InputError: There is no supporting plane.
+        GeometryError: The line is too oblique to it.
     """
     if plane is None:
         raise InputError(

@@ -1,14 +1,12 @@
 """Recordings of ROS 1 and 2 (``.bag``, a folder, ``.mcap``): poses and wrenches.
 
 Messages are decoded by the types that ROS defines, never by definitions in the file.
-Quaternions of ROS have named fields, so that their order is not in doubt. Times are
-those of the headers. Needs the extra ``sensors`` (rosbags).
+Times are those of the headers. Needs the extra ``sensors`` (rosbags).
 """
 
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,13 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import (
-    FileError,
-    InputError,
-    MissingPackageError,
-    TtusWarning,
-    located,
-)
+from ttus_opt.errors import FileError, InputError, MissingPackageError, located, warn
 from ttus_opt.optional import load
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.probe.trajectory import Trajectory
@@ -32,15 +24,15 @@ PREFIX = "geometry_msgs/msg/"
 POSES = ("PoseStamped", "TransformStamped")
 WRENCHES = ("WrenchStamped",)
 
-#: Messages of one topic at most
+#: Most messages of one topic
 MOST_MESSAGES = 5_000_000
 
-#: A shift beyond this is in another unit [m]
+#: Positions beyond this are in another unit [m]
 LARGEST_SHIFT = 100.0
 
 
 class _Rows(NamedTuple):
-    """What a topic holds: times [s] and numbers, one row a message."""
+    """Times [s] and numbers of a topic, one row per message."""
 
     time: Array
     values: Array
@@ -53,10 +45,10 @@ def read_bag_poses(
 
     Args:
         path: A ``.bag`` or ``.mcap`` file, or the folder of a ROS 2 recording.
-        topic: May be left out where there is one.
+        topic: May be left out where there is only one.
 
     Raises:
-        FileError: Missing, damaged, no such topic, or several and none named.
+        FileError: Missing, damaged, no such topic, or several to choose from.
         MissingPackageError: rosbags is not installed.
     """
     rows = _read(path, topic, POSES, _pose)
@@ -70,14 +62,10 @@ def read_bag_poses(
 def read_bag_wrenches(
     path: str | os.PathLike[str], topic: str | None = None
 ) -> WrenchStream:
-    """Wrenches of a topic of WrenchStamped.
-
-    Args:
-        path: As of `read_bag_poses`.
-        topic: May be left out where there is one.
+    """Wrenches of a topic of WrenchStamped; arguments and errors as `read_bag_poses`.
 
     Raises:
-        FileError: As of `read_bag_poses`.
+        FileError: As `read_bag_poses`.
         MissingPackageError: rosbags is not installed.
     """
     rows = _read(path, topic, WRENCHES, _wrench)
@@ -92,7 +80,7 @@ def _xyz(vector: Any) -> list[float]:
 
 
 def _pose(message: Any) -> list[float]:
-    """Position and quaternion x, y, z, w, whichever of both types it is."""
+    """Position and quaternion x, y, z, w of either message type."""
     if hasattr(message, "pose"):
         shift, turn = message.pose.position, message.pose.orientation
     else:
@@ -110,10 +98,10 @@ def _read(
     kinds: tuple[str, ...],
     row: Callable[[Any], list[float]],
 ) -> _Rows:
-    """Messages of a topic as rows, by time, each instant once.
+    """Messages of a topic as rows, by time, one per time stamp.
 
     Raises:
-        FileError: As of `read_bag_poses`.
+        FileError: As `read_bag_poses`.
     """
     place = Path(path)
     if not place.exists():
@@ -122,7 +110,7 @@ def _read(
         rows = _rows(place, topic, kinds, row)
     except (FileError, MissingPackageError):
         raise
-    except (Exception, MemoryError) as error:  # a damaged file raises nearly every one
+    except (Exception, MemoryError) as error:  # damaged files raise nearly every class
         raise FileError(
             f"{place} does not read as a ROS recording ({type(error).__name__}): name "
             "a .bag or .mcap file, or the folder of a ROS 2 recording"
@@ -132,11 +120,7 @@ def _read(
     time, first = np.unique(rows.time, return_index=True)
     doubled = len(rows.time) - len(time)
     if doubled:
-        warnings.warn(
-            f"{place.name}: {doubled} messages have a stamp that another has: left out",
-            TtusWarning,
-            stacklevel=3,
-        )
+        warn(f"{place.name}: {doubled} messages repeat a time stamp: left out", 2)
     return _Rows(time, rows.values[first])
 
 
@@ -173,10 +157,10 @@ def _rows(
 def _topic(
     place: Path, known: list[str], topic: str | None, kinds: tuple[str, ...]
 ) -> str:
-    """The topic that is meant.
+    """The topic to read.
 
     Raises:
-        FileError: There is none, or several and none named.
+        FileError: No such topic, or several to choose from.
     """
     types = " or ".join(kinds)
     if not known:

@@ -1,15 +1,15 @@
 """Several scans in one frame, by the measured poses of their cameras.
 
 Poses may be refined (extra ``sensors``): generalised ICP [Segal, Haehnel, Thrun 2009,
-by `small_gicp`] moves one scan after the other onto those already placed, the one that
-overlaps them most first. What it finds is weighed against the measured pose:
+by `small_gicp`] registers one scan after the other to those already placed, the one
+with the largest overlap first. Its result is weighted against the measured pose:
 
     δ = (H/σ² + Λ)⁻¹ (H/σ²) δ_gicp,   H = Σ J Jᵀ,   J = (p × n, n)
 
-with δ the turn and shift about the camera, Λ the measured pose's information, σ the
-scatter of the points about each other's planes and H the information that the planes
-hold. A shape that does not hold a scan in all directions (a plane, a cylinder), a
-result that leaves the measured pose, and scans that do not overlap are refused.
+with δ the rotation and translation about the camera, Λ the information of the measured
+pose, H that of the point-to-plane pairs and σ their residual. Refused are shapes that
+leave a direction undetermined (a plane, a cylinder), results far from the measured
+pose, and scans that do not overlap.
 """
 
 from __future__ import annotations
@@ -27,34 +27,34 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.optional import load
 from ttus_opt.probe.pose import PoseLike, QuaternionOrder, from_quaternions
-from ttus_opt.probe.rigid_motion import inverse, rigid_motion
+from ttus_opt.probe.rigid_motion import homogeneous, inverse, moved, rigid_motion
 from ttus_opt.probe.trajectory_csv import read_trajectory_columns
 from ttus_opt.sensors.depth import DepthCloud, DepthImage
 from ttus_opt.sensors.depth_noise import NoiseModel
 
-#: Points of a scan are averaged in cells of this size before they are compared [m]
+#: Cell size to which scans are downsampled [m]
 CELL = 0.005
 
-#: Points further apart than this are no pair [m]
+#: Largest distance of a pair of points [m]
 LARGEST_GAP = 0.02
 
-#: Least share of a scan's points, and least number, that overlap the others
+#: Least fraction of a scan's points, and least number, that overlap the others
 LEAST_OVERLAP, LEAST_PAIRS = 0.1, 200
 
-#: Largest ratio of what the shape holds best and worst [–]: about 130 for a torso on a
+#: Largest condition number of the pairs' information [–]: about 130 for a torso on a
 #: bed; above 600 for a plane, a cylinder or an ellipsoid, with 3 mm of noise
 LARGEST_CONDITION = 300.0
 
-#: A result further from the measured pose than this many of its deviations is refused
+#: A result more standard deviations from the measured pose than this is refused
 LEAVES = 4.0
 
-#: Neighbours of a point that its normal is from
+#: Neighbours from which a normal is estimated
 NEIGHBOURS = 40
 
 
 @dataclass(frozen=True)
 class PoseDoubt:
-    """How well the poses of cameras were measured.
+    """Uncertainty of the measured camera poses.
 
     Attributes:
         shift: Standard deviation along each axis [m].
@@ -79,17 +79,17 @@ class PoseDoubt:
 
 @dataclass(frozen=True)
 class Refinement:
-    """What refining the pose of one scan found.
+    """Result of refining the pose of one scan.
 
     Attributes:
-        scan: Which, from 0.
-        shift: How far the camera was moved [m].
-        turn: By how much it was turned [rad].
-        overlap: Share of the scan's points near the others [–].
-        residual_before: Root mean square distance to the others' planes as measured
-            [m].
-        residual: The same, refined [m].
-        condition: Ratio of what the shape holds best and worst [–].
+        scan: Index of the scan.
+        shift: Distance by which the camera was moved [m].
+        turn: Angle by which it was turned [rad].
+        overlap: Fraction of the scan's points near the others [–].
+        residual_before: Root-mean-square distance to the others' planes at the measured
+            pose [m].
+        residual: The same at the refined pose [m].
+        condition: Condition number of the pairs' information [–].
     """
 
     scan: int
@@ -107,9 +107,8 @@ class Stitched:
 
     Attributes:
         cloud: All points.
-        poses: Camera to scan's frame, refined or as measured, shape (n, 4, 4) [–, m].
-        refinements: One of every scan but that which the others are moved to; empty
-            where poses are as measured.
+        poses: Camera to the common frame, refined or as measured, (n, 4, 4) [–, m].
+        refinements: One per scan except the first; empty without refinement.
     """
 
     cloud: DepthCloud
@@ -120,15 +119,12 @@ class Stitched:
 def read_camera_poses(
     path: str | os.PathLike[str], n: int, *, order: QuaternionOrder = "wxyz"
 ) -> Array:
-    """The poses of cameras, one for each image in its order.
+    """Poses of cameras, one per image in order, shape (n, 4, 4) [–, m].
 
     Args:
         path: A trajectory's CSV: ``t,px,py,pz,qw,qx,qy,qz``, camera to scan [s, m].
         n: Number of images.
-        order: Order of the four columns named ``qw,qx,qy,qz`` as they stand.
-
-    Returns:
-        Shape (n, 4, 4) [–, m].
+        order: Actual order of the four columns named ``qw,qx,qy,qz``.
 
     Raises:
         FileError: Missing, damaged, or another number of poses.
@@ -141,10 +137,7 @@ def read_camera_poses(
             f"{'is' if n == 1 else 'are'} {n} image{'s' * (n != 1)}: write one line "
             "for each image, in their order"
         )
-    poses = np.tile(np.eye(4), (n, 1, 1))
-    poses[:, :3, :3] = from_quaternions(read.quaternion, order)
-    poses[:, :3, 3] = read.position
-    return poses
+    return homogeneous(from_quaternions(read.quaternion, order), read.position)
 
 
 def stitch(
@@ -154,22 +147,18 @@ def stitch(
     noise: NoiseModel | None = None,
     refine: PoseDoubt | None = None,
 ) -> Stitched:
-    """Put scans together.
+    """Merge scans into one frame.
 
     Args:
         images: One or more.
-        poses: Of their cameras, camera to scan's frame, (4, 4) each [–, m].
-        noise: The cameras' noise.
-        refine: How well the poses were measured, to refine them; None to take them as
-            they are.
-
-    Returns:
-        The scans in one frame.
+        poses: Of their cameras, camera to the common frame, (4, 4) each [–, m].
+        noise: Noise model of the cameras.
+        refine: Uncertainty of the poses, to refine them; None to take them as they are.
 
     Raises:
         InputError: Another number of poses, an image without a surface, or a
-            refinement that is refused; the message says which scan and why.
-        MissingPackageError: To refine, small_gicp is not installed.
+            refinement that is refused; the message names the scan and the reason.
+        MissingPackageError: Refinement without small_gicp installed.
     """
     if len(images) == 0 or len(images) != len(poses):
         raise InputError(
@@ -182,7 +171,7 @@ def stitch(
     refinements: tuple[Refinement, ...] = ()
     if refine is not None:
         motions, refinements = _refined([c.points for c in clouds], motions, refine)
-    points = [_moved(c.points, m) for c, m in zip(clouds, motions, strict=True)]
+    points = [moved(c.points, m) for c, m in zip(clouds, motions, strict=True)]
     deviations = [c.std for c in clouds if c.std is not None]
     cloud = DepthCloud(
         np.concatenate(points),
@@ -192,13 +181,9 @@ def stitch(
     return Stitched(cloud, motions, refinements)
 
 
-def _moved(points: Array, motion: Array) -> Array:
-    return np.asarray(points @ motion[:3, :3].T + motion[:3, 3])
-
-
 @dataclass(frozen=True)
 class _Surfels:
-    """A thinned cloud with normals, and small_gicp's own form of it."""
+    """A downsampled cloud with normals, and small_gicp's form of it."""
 
     points: Array
     normals: Array
@@ -216,18 +201,16 @@ class _Surfels:
 def _refined(
     clouds: list[Array], poses: Array, doubt: PoseDoubt
 ) -> tuple[Array, tuple[Refinement, ...]]:
-    """Poses moved so that each scan lies on those before, the first as measured."""
+    """Poses refined so that each scan lies on those before; the first is kept."""
     poses = poses.copy()
     thinned = [_Surfels.of(cloud) for cloud in clouds]
     placed = [0]
     found = []
     while len(placed) < len(clouds):
-        there = np.concatenate([_moved(thinned[k].points, poses[k]) for k in placed])
+        there = np.concatenate([moved(thinned[k].points, poses[k]) for k in placed])
         near = cKDTree(there)
         left = [k for k in range(len(clouds)) if k not in placed]
-        shares = [
-            _overlap(near, _moved(thinned[k].points, poses[k])[:, :3]) for k in left
-        ]
+        shares = [_overlap(near, moved(thinned[k].points, poses[k])) for k in left]
         share, k = max(zip(shares, left, strict=True))
         poses[k], refinement = _one_refined(
             k, share, thinned[k], _Surfels.of(there), poses[k], doubt
@@ -250,10 +233,10 @@ def _one_refined(
     measured: Array,
     doubt: PoseDoubt,
 ) -> tuple[Array, Refinement]:
-    """The pose of scan k, refined, and what was found.
+    """The refined pose of scan k, and how it was refined.
 
     Raises:
-        InputError: It is refused.
+        InputError: The refinement is refused.
     """
     scan = f"scan {k + 1}"
     if share < LEAST_OVERLAP or share * len(source.points) < LEAST_PAIRS:
@@ -274,11 +257,11 @@ def _one_refined(
         rotation_epsilon=1e-4,
         translation_epsilon=1e-5,
     )
-    moved = np.asarray(result.T_target_source)
-    if not (result.converged and np.isfinite(moved).all()):
+    registered = np.asarray(result.T_target_source)
+    if not (result.converged and np.isfinite(registered).all()):
         raise InputError(f"{scan} could not be refined: leave refine out")
-    after = _held(scan, source, target, moved)
-    change = inverse(measured) @ moved
+    after = _held(scan, source, target, registered)
+    change = inverse(measured) @ registered
     step = np.concatenate(
         [Rotation.from_matrix(change[:3, :3]).as_rotvec(), change[:3, 3]]
     )
@@ -293,10 +276,8 @@ def _one_refined(
             f"{np.rad2deg(turn):.2f}°, {off:.1f} deviations of its measured pose, up "
             f"to {LEAVES:g} are accepted: check the pose, or state a larger deviation"
         )
-    delta = np.eye(4)
-    delta[:3, :3] = Rotation.from_rotvec(fused[:3]).as_matrix()
-    delta[:3, 3] = fused[3:]
-    pose = measured @ delta
+    turned = Rotation.from_rotvec(fused[:3]).as_matrix()
+    pose = measured @ homogeneous(turned, fused[3:])
     return pose, Refinement(
         k,
         float(np.linalg.norm(fused[3:])),
@@ -310,12 +291,12 @@ def _one_refined(
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Points of a scan and the planes of the others they lie on.
+    """Points of a scan and the nearest planes of the others.
 
     Attributes:
         points: Camera axes, shape (n, 3) [m].
         normals: Of the planes, camera axes, shape (n, 3) [–].
-        distance: To the planes, shape (n,) [m].
+        distance: From points to planes, shape (n,) [m].
     """
 
     points: Array
@@ -329,12 +310,12 @@ class _Pairs:
 
     @property
     def information(self) -> Array:
-        """H about the camera: turn, then shift, shape (6, 6)."""
+        """H about the camera: rotation, then translation, shape (6, 6)."""
         rows = np.hstack([np.cross(self.points, self.normals), self.normals])
         return np.asarray(rows.T @ rows)
 
     def condition(self) -> float:
-        """Of H about the points' middle, turns as lengths at their mean radius."""
+        """Condition number of H about the centroid, rotations scaled by the radius."""
         centred = self.points - self.points.mean(axis=0)
         size = np.sqrt((centred**2).sum(axis=1).mean())
         rows = np.hstack([np.cross(centred, self.normals) / size, self.normals])
@@ -346,7 +327,7 @@ def _held(scan: str, source: _Surfels, target: _Surfels, pose: Array) -> _Pairs:
     """The pairs of a scan at a pose.
 
     Raises:
-        InputError: They do not hold it in all directions.
+        InputError: They leave a direction undetermined.
     """
     pairs = _pairs(source, target, pose)
     condition = pairs.condition()
@@ -363,9 +344,9 @@ def _pairs(source: _Surfels, target: _Surfels, pose: Array) -> _Pairs:
     """Each point of a scan with the nearest plane of the others.
 
     Raises:
-        InputError: Hardly any has one.
+        InputError: Too few points have one.
     """
-    placed = _moved(source.points, pose)
+    placed = moved(source.points, pose)
     gap, index = cKDTree(target.points).query(placed, distance_upper_bound=LARGEST_GAP)
     near = np.isfinite(gap)
     if near.sum() < LEAST_PAIRS:

@@ -1,4 +1,4 @@
-"""Streams by what their file is: one place that knows every reader."""
+"""Readers of pose and wrench streams, chosen by the kind of file."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ def read_poses(
     Args:
         path: The file, or the folder of a ROS 2 recording.
         name: The transform or topic, where there are several.
-        columns: The file's own names, by the package's (`read_column_map`).
+        columns: The file's names, by the package's (`read_column_map`).
 
     Raises:
-        FileError: Whatever the file's own reader refuses.
-        InputError: A name or columns that such a file does not have.
+        FileError: The file cannot be read.
+        InputError: Such a file has no names or no columns.
     """
     file = Path(path)
     if _of_ros(file):
@@ -56,11 +56,11 @@ def read_wrenches(
     Args:
         path: The file, or the folder of a ROS 2 recording.
         name: The topic, where there are several.
-        columns: The file's own names, by the package's.
+        columns: As `read_poses`.
 
     Raises:
-        FileError: Whatever the file's own reader refuses.
-        InputError: A name or columns that such a file does not have.
+        FileError: The file cannot be read.
+        InputError: Such a file has no names or no columns.
     """
     file = Path(path)
     if _of_ros(file):
@@ -88,7 +88,7 @@ def _require_none(
 
 
 def _of(columns: Mapping[str, str] | None, kinds: str) -> Mapping[str, str] | None:
-    """Of a map for both streams, the columns of one."""
+    """The columns of one stream, from a map for both."""
     own = ("t", "segment", *(f"{kind}{x}" for kind in kinds for x in "wxyz"))
     named = table_columns(columns or {})
     return {ours: theirs for ours, theirs in named.items() if ours in own}

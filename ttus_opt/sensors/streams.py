@@ -1,7 +1,7 @@
-"""Pose and wrench streams of different rates, put together on the poses' instants.
+"""Pose and wrench streams of different rates, joined at the times of the poses.
 
-Rotations are interpolated along the shortest turn (slerp), all else linearly, and
-nothing across a gap: frames in it are left out, and a new segment begins after it.
+Rotations are interpolated by slerp, all else linearly, and nothing across a gap: frames
+in it are left out, and a new segment begins after it.
 """
 
 from __future__ import annotations
@@ -49,18 +49,18 @@ class WrenchStream:
         n = len(self.time)
         if n < 2:
             raise InputError(f"a stream of wrenches has at least 2 readings, got {n}")
-        for name in ("time", "force", "torque"):
+        shapes = {"time": (n,), "force": (n, 3), "torque": (n, 3)}
+        for name, shape in shapes.items():
             values = getattr(self, name)
             if values is None:
                 continue
-            shape = (n,) if name == "time" else (n, 3)
             if values.shape != shape or not np.isfinite(values).all():
                 raise InputError(f"{name} of a stream must be finite, shape {shape}")
             if name != "time" and np.abs(values).max() > LARGEST:
                 raise InputError(f"{name} of a stream exceeds {LARGEST:g}: counts?")
         if not (np.diff(self.time) > 0).all():
             raise InputError(
-                "times of a stream must increase [s]: sort them, drop doubles"
+                "times of a stream must increase [s]: sort them, drop duplicates"
             )
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -84,8 +84,8 @@ def read_wrench_stream(
     """Wrenches without poses, from a table ``t,fx,fy,fz[,tx,ty,tz]``.
 
     Args:
-        path: The file; separators, comments and names as of a trajectory.
-        columns: The file's own names, by these.
+        path: The file; separators, comments and names as in a trajectory.
+        columns: The file's names, by these.
 
     Raises:
         FileError: Missing, damaged, or without such columns.
@@ -105,17 +105,14 @@ def read_wrench_stream(
 def with_wrenches(
     poses: Trajectory, wrenches: WrenchStream, offset: float, *, largest_gap: float
 ) -> Trajectory:
-    """Poses with the wrenches of their instants.
+    """Poses with the wrenches at their times; frames without a wrench are left out.
 
     Args:
-        poses: On the first clock; their wrenches, if any, are replaced.
+        poses: On the first clock; any wrenches of their own are replaced.
         wrenches: On the second clock.
         offset: To be added to the second clock [s], see `clock_offset`.
-        largest_gap: Nothing is interpolated over a longer time between two readings;
-            poses further apart than this begin a new segment [s].
-
-    Returns:
-        The frames that have a wrench.
+        largest_gap: Longest time between readings that is interpolated over; a longer
+            time between poses begins a new segment [s].
 
     Raises:
         InputError: The streams do not overlap, or an invalid gap.
@@ -147,30 +144,24 @@ def with_wrenches(
 
 
 def interpolated(at: Array, time: Array, values: Array) -> Array:
-    """Columns of values at other times, linear, shape (len(at), k).
-
-    Args:
-        at: Where to [s].
-        time: Of the values, increasing, shape (T,) [s].
-        values: Shape (T, k).
-    """
+    """Values (T, k) interpolated linearly from ``time`` to ``at`` [s]."""
     return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
 
 
 def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajectory:
-    """Poses at other times: positions linear, rotations along the shortest turn.
+    """Poses interpolated at other times, without wrenches.
 
     Args:
-        poses: One recording, without wrenches in the result.
+        poses: One recording.
         time: Increasing, shape (n,) [s].
-        largest_gap: Nothing is interpolated over a longer time between two poses [s].
+        largest_gap: Longest time between poses that is interpolated over [s].
 
     Returns:
-        Frames at those times that lie between two poses of a segment; after every time
-        left out a new segment begins.
+        Frames at the times that lie between two poses; a new segment begins after
+        every time left out.
 
     Raises:
-        InputError: No time does, or an invalid gap.
+        InputError: No time lies between two poses, or an invalid gap.
     """
     if not 0.0 < largest_gap < np.inf:
         raise InputError(f"the largest gap must be positive [s], got {largest_gap}")
@@ -185,7 +176,7 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
     at = time[keep]
     turns = Slerp(poses.time, Rotation.from_matrix(poses.rotation))(at)
     position = interpolated(at, poses.time, poses.position)
-    # two kept times with a gap between them belong to other segments
+    # two kept times with a gap between them belong to different segments
     holes = np.flatnonzero(np.diff(poses.time) > largest_gap)
     edges = poses.time[holes]
     segment = np.searchsorted(edges, at).astype(np.int64)
@@ -200,7 +191,7 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
 
 
 def _within(time: Array, known: Array, largest_gap: float) -> NDArray[np.bool_]:
-    """Which times lie between two known ones that are near enough."""
+    """Mask of the times that lie between two known ones at most a gap apart."""
     after = np.clip(np.searchsorted(known, time), 1, len(known) - 1)
     near = known[after] - known[after - 1] <= largest_gap
     return np.asarray((time >= known[0]) & (time <= known[-1]) & near)

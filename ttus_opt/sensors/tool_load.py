@@ -1,19 +1,17 @@
-"""Bias, weight and centre of mass of what hangs below a force sensor.
+"""Bias of a force sensor, and mass and centre of mass of the load below it.
 
-With the gravity u = R_sᵀ g in sensor axes, free in the air, a sensor reads
+With gravity u = R_sᵀ g in sensor axes, a sensor in free air reads
 
     s f = b_f + m u,        s τ = b_τ + (m c) × u
 
 (docs/method.md, 19.1), linear in b_f, m, b_τ and m c: least squares over poses that
-tilt the sensor. Before that the readings themselves are asked how the sensor's axes
-lie: the best orthogonal map from u to f is the identity where the three statements are
-true, minus the identity where the sign is the other, and another reflection where the
-axes are left-handed.
+tilt the sensor. The readings are first checked against the stated mounting: the best
+orthogonal map from u to f is the identity where the statements are true, minus the
+identity where the sign is wrong, and another reflection where the axes are left-handed.
 """
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -22,45 +20,45 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError, TtusWarning
+from ttus_opt.errors import GeometryError, InputError, warn
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.force_sensor import ForceSensor
 
 #: Standard gravity [m/s²]
 GRAVITY = 9.80665
 
-#: Fewest free poses
+#: Fewest poses in free air
 LEAST_POSES = 8
 
-#: Gravity must vary by so much, in parts of itself, along two and along three sensor
-#: axes, root mean square; without the third, handedness cannot be told
+#: Least root-mean-square variation of gravity, as a fraction of it, along two sensor
+#: axes; without a third, handedness cannot be determined
 LEAST_TILT = 0.1
 
-#: Axes that the readings turn by more than this are refused [rad]
+#: Largest rotation between the readings and the stated axes [rad]
 LARGEST_TURN = np.deg2rad(15.0)
 
-#: A load lighter than this many standard errors says nothing of axes and sign
+#: A load lighter than this many standard errors cannot check axes and sign
 TELLING = 5.0
 
-#: Drifts above so many standard errors, and above so many newtons a minute, are told
+#: Drift is reported above this many standard errors and this rate [–, N/min]
 CERTAIN, NOTABLE = 4.0, 0.05
 
 
 @dataclass(frozen=True)
 class ToolLoad:
-    """What a sensor reads without contact.
+    """What a sensor reads without contact; sensor axes, sign of forces on the probe.
 
     Attributes:
-        force_bias: b_f, sensor axes, sign of forces on the probe, shape (3,) [N].
-        torque_bias: b_τ, the same, about the reference point, shape (3,) [N·m].
+        force_bias: b_f, shape (3,) [N].
+        torque_bias: b_τ, about the reference point, shape (3,) [N·m].
         mass: m [kg].
-        centre: Centre of mass from the reference point, sensor axes, shape (3,) [m].
+        centre: Centre of mass from the reference point, shape (3,) [m].
         mass_std: Standard error of the mass [kg].
-        centre_std: Of the centre, shape (3,) [m].
-        force_residual: Root-mean-square force left, per axis [N].
-        torque_residual: Root-mean-square torque left, per axis [N·m].
-        drift: Of the force over the free recording, sensor axes, shape (3,) [N/s].
-        handedness_told: Whether the tilts could tell a left-handed sensor.
+        centre_std: Standard error of the centre, shape (3,) [m].
+        force_residual: Root-mean-square residual of the force, per axis [N].
+        torque_residual: Root-mean-square residual of the torque, per axis [N·m].
+        drift: Of the force over the free recording, shape (3,) [N/s].
+        handedness_told: Whether the tilts could reveal left-handed axes.
     """
 
     force_bias: Array
@@ -75,7 +73,7 @@ class ToolLoad:
     handedness_told: bool = field(repr=False)
 
     def facts(self) -> dict[str, Any]:
-        """All of it by name with units, as a model's file has it."""
+        """The load by name, with units, as a model's file stores it."""
         return {
             "force_bias_N": self.force_bias.tolist(),
             "torque_bias_Nm": self.torque_bias.tolist(),
@@ -94,7 +92,7 @@ def checked_down(down: ArrayLike) -> Array:
     """The direction of gravity, normalised, shape (3,) [–].
 
     Raises:
-        InputError: It is zero, or no vector.
+        InputError: It is zero, or not a vector.
     """
     direction = np.array(down, dtype=np.float64)
     length = float(np.linalg.norm(direction)) if direction.shape == (3,) else 0.0
@@ -116,13 +114,13 @@ def identify_load(free: Trajectory, sensor: ForceSensor, down: ArrayLike) -> Too
     """Bias, weight and centre of mass from poses free in the air.
 
     Args:
-        free: Raw readings at rest or in slow motion, touching nothing.
+        free: Raw readings at rest or in slow motion, without contact.
         sensor: How the sensor is mounted.
         down: Direction of gravity in the frame of the poses, shape (3,).
 
     Returns:
-        The load, with standard errors. A `TtusWarning` tells drift, and a load too
-        light to check the sensor's axes by.
+        The load, with standard errors. A `TtusWarning` reports drift, and a load too
+        light to check the sensor's axes.
 
     Raises:
         InputError: No readings, too few poses, or readings that contradict the sensor's
@@ -169,18 +167,16 @@ def identify_load(free: Trajectory, sensor: ForceSensor, down: ArrayLike) -> Too
         told and heavy,
     )
     if not heavy:
-        warnings.warn(
-            f"the free poses tell no weight ({mass:.2g} ± {mass_std:.2g} kg): the "
-            "readings may be compensated already; axes and sign are not checked",
-            TtusWarning,
-            stacklevel=2,
+        warn(
+            f"the free poses show no weight ({mass:.2g} ± {mass_std:.2g} kg): the "
+            "readings may be compensated already; axes and sign are not checked"
         )
     return load
 
 
 @dataclass(frozen=True)
 class _Fitted:
-    """A least-squares answer, standard errors, what is left and its deviation."""
+    """A least-squares answer with standard errors, residuals and their deviation."""
 
     values: Array
     std: Array
@@ -197,16 +193,16 @@ def _least_squares(matrix: Array, target: Array) -> _Fitted:
 
 
 def _check_axes(force: Array, u: Array, told: bool, sensor: ForceSensor) -> None:
-    """Ask the readings how the sensor's axes lie (docs/method.md, 19.3).
+    """Check the stated mounting against the readings (docs/method.md, 19.3).
 
     Args:
         force: Readings with their stated sign, shape (T, 3) [N].
         u: Gravity in the stated axes, shape (T, 3) [m/s²].
         told: Whether the tilts span all three axes.
-        sensor: The statements.
+        sensor: The stated mounting.
 
     Raises:
-        InputError: They contradict the statements.
+        InputError: The readings contradict it.
     """
     centred, by = force - force.mean(axis=0), u - u.mean(axis=0)
     # f ≈ m M u with M orthogonal: the Procrustes problem
@@ -216,16 +212,16 @@ def _check_axes(force: Array, u: Array, told: bool, sensor: ForceSensor) -> None
     rest = centred - mass * by @ map_.T
     noise = float(np.sqrt((rest * rest).mean()))
     if mass * np.sqrt((by * by).sum()) < TELLING * noise * np.sqrt(3.0):
-        return  # no weight: nothing to ask
+        return  # without a weight there is nothing to compare
     if not told and np.linalg.det(map_) < 0:
-        # planar tilts: a reflection across the plane fits as well as none
+        # tilts in a plane do not distinguish a reflection across it
         map_ = left @ np.diag([1.0, 1.0, -1.0]) @ right
     other = "by-probe" if sensor.sign == "on-probe" else "on-probe"
     if np.linalg.det(map_) > 0:
         turn = float(np.rad2deg(Rotation.from_matrix(map_).magnitude()))
         if turn < np.rad2deg(LARGEST_TURN):
             return
-        # tilts in a plane: gravity the wrong way round looks like half a turn
+        # with tilts in a plane, reversed gravity looks like half a turn
         first = f"give sign {other}, or " if not told and turn > 150.0 else ""
         fits = Rotation.from_matrix(sensor.axes @ map_.T).as_quat().round(3) + 0.0
         raise InputError(
@@ -235,7 +231,7 @@ def _check_axes(force: Array, u: Array, told: bool, sensor: ForceSensor) -> None
     flipped = Rotation.from_matrix(-map_).magnitude()
     if flipped < LARGEST_TURN:
         raise InputError(
-            "gravity pulls the wrong way in all three axes: the sensor tells the other "
+            "gravity is reversed in all three axes: the sensor measures the opposite "
             f"force: give sign {other}, or check down"
         )
     nearest = int(np.argmin(np.diag(map_)))
@@ -247,7 +243,7 @@ def _check_axes(force: Array, u: Array, told: bool, sensor: ForceSensor) -> None
 
 
 def _drift(free: Trajectory, rest: Array) -> Array:
-    """Slope of what is left of the force over time, shape (3,) [N/s]."""
+    """Slope of the force's residual over time, shape (3,) [N/s]."""
     time = free.time - free.time.mean()
     square = float(time @ time)
     if square == 0.0:
@@ -258,10 +254,9 @@ def _drift(free: Trajectory, rest: Array) -> Array:
     certain = (np.abs(slope) > CERTAIN * std) & (60.0 * np.abs(slope) > NOTABLE)
     if certain.any():
         worst = float(np.abs(slope[certain]).max())
-        warnings.warn(
+        warn(
             f"the sensor drifts by {60.0 * worst:.2g} N a minute: let it warm up, or "
             "record free poses right before and after",
-            TtusWarning,
-            stacklevel=3,
+            2,
         )
     return slope

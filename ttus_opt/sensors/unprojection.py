@@ -1,8 +1,8 @@
-"""The direction in which every pixel of a camera looks.
+"""The ray of every pixel of a camera.
 
-By intrinsics with OpenCV's distortion, undone by iteration and checked by distorting
-again; or by a table that the camera's maker gives (time-of-flight headsets). Axes are
-OpenCV's: x to the right of the image, y down, z forward.
+From intrinsics, with OpenCV's distortion undone by iteration and checked by distorting
+again; or from the manufacturer's table (time-of-flight headsets). Axes are OpenCV's: x
+to the right of the image, y down, z forward.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ttus_opt.errors import FileError, InputError, located
 from ttus_opt.sensors.depth_files import read_array
 from ttus_opt.sensors.intrinsics import Intrinsics
 
-#: A ray may miss its pixel by so much after distorting again [pixel]
+#: Largest error of a ray after distorting again [pixel]
 MISS = 0.05
 
 #: Least z of a unit ray: 87° off the axis
@@ -40,7 +40,7 @@ class Unprojection:
         """Validate the rays.
 
         Raises:
-            InputError: Another shape, or rays that are not of unit length.
+            InputError: Another shape, or rays that are not unit vectors.
         """
         if self.rays.ndim != 3 or self.rays.shape[2] != 3:
             raise InputError(
@@ -59,7 +59,7 @@ class Unprojection:
 
     @property
     def focal(self) -> float:
-        """Focal length near the middle of what is seen [pixel]."""
+        """Focal length, the median over the image [pixel]."""
         x = self.rays[..., 0] / self.rays[..., 2]
         y = self.rays[..., 1] / self.rays[..., 2]
         steps = np.hypot(np.diff(x, axis=1)[:-1], np.diff(y, axis=1)[:-1])
@@ -69,17 +69,14 @@ class Unprojection:
     def from_intrinsics(
         cls, camera: Intrinsics, shape: tuple[int, int]
     ) -> Unprojection:
-        """Rays of a pinhole camera with distortion.
+        """Rays of a pinhole camera, NaN where its distortion cannot be undone.
 
         Args:
             camera: Its intrinsics.
             shape: Height and width of the image [pixel].
 
-        Returns:
-            The rays; NaN where the distortion cannot be undone.
-
         Raises:
-            InputError: The intrinsics are of another size, or hold for no pixel.
+            InputError: The intrinsics are for another size, or give no ray at all.
         """
         import cv2
 
@@ -104,10 +101,10 @@ def read_unprojection(path: str | os.PathLike[str]) -> Unprojection:
 
     Args:
         path: NPY of shape (height, width, 3), directions of any length; or (height,
-            width, 2), their x and y where z is 1. NaN or zeros where a pixel has none.
+            width, 2), their x and y at z = 1. NaN or zeros where a pixel has no ray.
 
     Raises:
-        FileError: Missing, damaged, or no such table.
+        FileError: Missing, damaged, or not such a table.
     """
     file = io.existing_file(path, "unprojection table")
     if file.suffix.lower() != ".npy":
@@ -132,7 +129,7 @@ def read_unprojection(path: str | os.PathLike[str]) -> Unprojection:
 
 
 def _unit(directions: Array, shape: tuple[int, ...]) -> Array:
-    """Directions (n, 3) as unit rays (height, width, 3), NaN where there is none."""
+    """Directions (n, 3) as unit rays (height, width, 3), NaN where invalid."""
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         rays = directions / np.linalg.norm(directions, axis=1, keepdims=True)
         sees = rays[:, 2] >= LEAST_Z

@@ -1,7 +1,7 @@
 """Contact wrenches from raw readings of a force sensor (docs/method.md, 19.2).
 
-Bias, weight and, where asked for, the load's inertia are taken off; what is left is
-turned into the frame of the poses and moved to the point shell's reference point.
+Bias, weight and, on request, the load's inertia are subtracted; the rest is rotated
+into the frame of the poses and moved to the point shell's reference point.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.sensors.force_sensor import ForceSensor
 from ttus_opt.sensors.tool_load import ToolLoad, gravity_in_sensor
 
-#: Frames of the parabola that gives an acceleration, and the least a segment may have
+#: Frames of the parabola from which an acceleration is taken; fewest of a segment
 WINDOW = 7
 
 
@@ -30,7 +30,7 @@ def compensated(
     *,
     inertia: bool = False,
 ) -> Trajectory:
-    """A recording with the wrench of contact alone.
+    """A recording with the contact wrench alone.
 
     Args:
         raw: Raw readings, sensor axes, about the sensor's reference point.
@@ -38,15 +38,15 @@ def compensated(
         load: What it reads without contact.
         down: Direction of gravity in the frame of the poses, shape (3,).
         reference: The point shell's reference point, probe frame, shape (3,) [m].
-        inertia: Take off the force that accelerates the load, a point mass at its
-            centre; its rotary inertia is left in.
+        inertia: Subtract the force that accelerates the load, as a point mass at its
+            centre; its rotary inertia is neglected.
 
     Returns:
         The same poses; force on the probe and torque about ``reference``, axes of the
         frame of the poses.
 
     Raises:
-        InputError: No readings, or too few frames to accelerate.
+        InputError: No readings, or too few frames for an acceleration.
     """
     force, torque = sensor.readings(raw, "recording")
     pull = gravity_in_sensor(raw, sensor, down)
@@ -63,9 +63,9 @@ def compensated(
 
 
 def _acceleration(raw: Trajectory, centre: Array) -> Array:
-    """Of a point of the probe, frame of the poses, shape (T, 3) [m/s²].
+    """Acceleration of a point of the probe, frame of the poses, shape (T, 3) [m/s²].
 
-    Twice the leading coefficient of the parabola that fits `WINDOW` frames best
+    Twice the leading coefficient of the least-squares parabola through `WINDOW` frames
     (Savitzky and Golay 1964), for uneven steps too.
 
     Raises:

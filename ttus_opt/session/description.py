@@ -1,8 +1,8 @@
-"""What a recording folder holds, as ``session.yaml`` in it says, read and checked.
+"""The description of a recording folder, its ``session.yaml``, read and checked.
 
-Every file is named from the folder of the description. Frames: *tracker*, of the
-tracker's own poses; *scan*, of the cloud or of the depth cameras' poses; *patient*, of
-the surface, which the session finds.
+File names are relative to the description's folder. Frames: *tracker*, of the tracker's
+poses; *scan*, of the cloud or the depth cameras' poses; *patient*, of the surface,
+which the session finds.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ttus_opt.sensors.mapping_file import read_mapping
 from ttus_opt.session.scan_description import Scan, read_scan
 from ttus_opt.session.section import Section
 
-#: Names of the description in a folder, in this order
+#: File names of a description, in order of preference
 NAMES = ("session.yaml", "session.yml", "session.json")
 
 PARTS = (
@@ -50,9 +50,9 @@ class Stream:
     """A file of poses or wrenches.
 
     Attributes:
-        file: Whatever `ttus_opt.sensors.stream_files` reads.
+        file: Any file that `ttus_opt.sensors.stream_files` reads.
         name: Of a transform or topic in it; None for the only one.
-        columns: Its own names, by the package's.
+        columns: The file's names, by the package's.
     """
 
     file: Path
@@ -67,8 +67,8 @@ class Tracker:
     Attributes:
         stream: The poses: target to ``frame``.
         frame: One of `FRAMES`.
-        to_scan: Motion from tracker to scan, shape (4, 4); None for one that `tags`
-            give, or that is not needed.
+        to_scan: Motion from tracker to scan, shape (4, 4); None where `tags` give it or
+            it is not needed.
         tags: Pairs of poses: tag in the scan, target in the tracker.
         probe_to_target: Motion, shape (4, 4).
     """
@@ -101,14 +101,14 @@ class Force:
 
 @dataclass(frozen=True)
 class Clock:
-    """How the two clocks are brought together.
+    """How the two clocks are synchronised.
 
     Attributes:
         by: One of `CLOCKS`.
         offset: Added to the times of forces, where it is known [s].
-        largest_offset: How far offsets are looked for [s].
+        largest_offset: Half the search range of the offset [s].
         together: Whether both recordings began at about the same time.
-        largest_gap: Longer gaps are not bridged [s].
+        largest_gap: Longest gap that is interpolated over [s].
     """
 
     by: str
@@ -124,9 +124,9 @@ class Part:
 
     Attributes:
         name: Of its file.
-        start: After the tracker's first pose [s].
-        end: The same.
-        fitted: Whether the field is fitted to it; otherwise it is judged by it.
+        start: Seconds after the tracker's first pose [s].
+        end: Seconds after the tracker's first pose [s].
+        fitted: Whether the field is fitted to it; otherwise it is tested on it.
     """
 
     name: str
@@ -137,7 +137,7 @@ class Part:
 
 @dataclass(frozen=True)
 class FitPlan:
-    """What is fitted.
+    """How the field is fitted.
 
     Attributes:
         formulation: Name, or the path of a file beside the description; None for
@@ -145,8 +145,8 @@ class FitPlan:
         shape: Voxels in r, θ and z.
         r_inner: Radius of the innermost layer [m].
         solver: Name, or auto.
-        options: The formulation's own.
-        weights: As of `ttus_opt.fit`: auto, recipe or own.
+        options: Of the formulation.
+        weights: As in `ttus_opt.fit`: auto, recipe or own.
     """
 
     formulation: str | None
@@ -162,17 +162,17 @@ class Description:
     """A session.
 
     Attributes:
-        file: Where it is written.
+        file: The description.
         title: Of the report.
         probe: A primitive, or the path of a mesh.
         probe_unit: Of a mesh.
-        scan: The patient's skin.
+        scan: Source of the patient's surface.
         tracker: Poses.
         force: Wrenches.
-        clock: How they come together.
+        clock: How both are synchronised.
         free: The stretch in free air; None where readings are compensated.
-        recordings: What is fitted to and judged by.
-        fit: What is fitted.
+        recordings: Stretches to fit to and to test on.
+        fit: How the field is fitted.
     """
 
     file: Path
@@ -195,8 +195,8 @@ def read_description(path: str | os.PathLike[str]) -> Description:
         path: The folder, or the YAML or JSON file.
 
     Raises:
-        FileError: No description, an unknown key, a missing file, or a value that
-            cannot be used; the message names file and key.
+        FileError: No description, an unknown key, a missing file, or an invalid value;
+            the message names file and key.
     """
     file = _found(Path(path))
     whole = Section(file, "", read_mapping(file, "session"))
@@ -228,11 +228,7 @@ def read_description(path: str | os.PathLike[str]) -> Description:
 
 
 def _found(path: Path) -> Path:
-    """The description's file.
-
-    Raises:
-        FileError: There is none.
-    """
+    """The description's file; `FileError` where there is none."""
     if not path.exists():
         raise FileError(f"session not found: {path}: check the path")
     if not path.is_dir():

@@ -1,4 +1,4 @@
-"""Pictures of a session, one for each step that a picture helps to judge."""
+"""Pictures of a session."""
 
 from __future__ import annotations
 
@@ -18,22 +18,19 @@ from ttus_opt.session.readings import Timing
 if TYPE_CHECKING:
     from ttus_opt.session.pipeline import SessionResult
 
-#: Half of the stretch of the clocks' picture [s]
+#: Half the time span of the clocks' picture [s]
 HALF_SPAN = 6.0
 
 
 def draw(
     result: SessionResult, shell: PointShell, path: Callable[[str], Path]
 ) -> list[Picture]:
-    """Draw all pictures and write them.
+    """Draw and write all pictures, in the order of the report.
 
     Args:
         result: Of the session.
         shell: The probe.
-        path: Gives a file's place by its name.
-
-    Returns:
-        The pictures, in the order they are shown.
+        path: From a file's name to its path.
     """
     surface, model = result.skin.surface, result.model
     pictures = []
@@ -66,44 +63,28 @@ def draw(
 
 
 def clock_picture(timing: Timing) -> Figure:
-    """Both signals, each over its largest value, on the poses' clock.
-
-    Args:
-        timing: With its signals.
-    """
-    assert timing.first is not None
-    assert timing.second is not None
+    """Both signals of a timing, scaled to the same maximum, on the poses' clock."""
     first, second = timing.first, timing.second
+    assert first is not None
+    assert second is not None
     middle = float(first.time[int(np.argmax(first.values))])
     moved = second.time + timing.offset
     near = np.abs(moved - middle) < HALF_SPAN
     own = np.abs(first.time - middle) < HALF_SPAN
     begin = float(first.time[0])
     scale = first.values[own].max() / max(float(second.values[near].max()), 1e-300)
+    later = f"forces, moved by {timing.offset:.3f} s"
     with look():
         figure = new_figure(7.2, 2.4)
         axes = figure.subplots()
-        axes.plot(
-            first.time[own] - begin,
-            first.values[own],
-            color=MEASURED,
-            linewidth=3.0,
-            label="poses",
-        )
-        for offset, style, ink, label in (
-            (0.0, (0, (4, 2)), BEFORE, "forces, own clock"),
-            (timing.offset, "-", AFTER, f"forces, moved by {timing.offset:.3f} s"),
+        for time, values, style, ink, width, label in (
+            (first.time, first.values, "-", MEASURED, 3.0, "poses"),
+            (second.time, scale * second.values, (0, (4, 2)), BEFORE, 0.9, "forces"),
+            (moved, scale * second.values, "-", AFTER, 0.9, later),
         ):
-            time = second.time + offset
-            shown = np.abs(time - middle) < HALF_SPAN
-            axes.plot(
-                time[shown] - begin,
-                scale * second.values[shown],
-                color=ink,
-                linestyle=style,
-                linewidth=0.9,
-                label=label,
-            )
+            at = np.abs(time - middle) < HALF_SPAN
+            (line,) = axes.plot(time[at] - begin, values[at], linestyle=style)
+            line.set(color=ink, linewidth=width, label=label)
         axes.set_xlabel("time after the first pose compared [s]")
         axes.set_ylabel("as in the poses")
         axes.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3)

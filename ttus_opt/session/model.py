@@ -1,4 +1,4 @@
-"""Sixth and seventh step of a session: a field fitted, and judged."""
+"""Sixth and seventh step of a session: a field is fitted and tested."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ttus_opt.session.description import Description
 
 @dataclass(frozen=True)
 class Model:
-    """A fitted field, and the Laplace prior alone beside it.
+    """A fitted field, with the Laplace prior alone for comparison.
 
     Attributes:
         before: The prior, its boundary scaled to the forces.
-        after: Fitted.
-        choice: Its weights, and how they were found.
+        after: The fitted field.
+        choice: Its weights, and how they were chosen.
     """
 
     before: Solution = field(repr=False)
@@ -39,28 +39,28 @@ def fit_model(
     shell: PointShell,
     recordings: Mapping[str, Trajectory],
 ) -> Model:
-    """Fit to the stretches that are meant for it.
+    """Fit a field to the stretches with use: fit.
 
     Args:
-        session: As described.
-        surface: The patient's.
+        session: The description.
+        surface: Of the patient.
         shell: The probe.
         recordings: All stretches, by name.
 
     Raises:
-        InputError: A grid, formulation or solver that cannot be used.
-        NoSolutionError: The fit failed its own check.
+        InputError: An invalid grid, formulation or solver.
+        NoSolutionError: The answer failed its verification.
     """
     plan = ScenePlan(session.fit.shape, session.fit.r_inner)
     fitted = [recordings[part.name] for part in session.recordings if part.fitted]
     scene = plan.build(surface, shell, fitted)
     before = fit(scene, "laplace_only")
-    told = session.fit
-    choice = choice_of(told.weights, scene, told.formulation, told.options)
-    after = fit(choice.scene, choice.formulation, solver=told.solver)
+    wanted = session.fit
+    choice = choice_of(wanted.weights, scene, wanted.formulation, wanted.options)
+    after = fit(choice.scene, choice.formulation, solver=wanted.solver)
     after = replace(after, chosen=choice.lines)
     for solution in (before, after):
-        _ = solution.field  # raises where it failed its own check
+        _ = solution.field  # raises where verification failed
     return Model(before, after, choice)
 
 
@@ -70,14 +70,7 @@ def judge(
     shell: PointShell,
     recordings: Mapping[str, Trajectory],
 ) -> tuple[Comparison, ...]:
-    """Both fields rendered along every stretch, against what was measured.
-
-    Args:
-        session: As described.
-        model: The fields.
-        shell: The probe.
-        recordings: All stretches, by name.
-    """
+    """Errors of both fields along every stretch, by name in ``recordings``."""
     fields = model.before.field, model.after.field
     return tuple(
         Comparison(

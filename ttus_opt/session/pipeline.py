@@ -1,4 +1,4 @@
-"""A session from end to end: one function per step, each in a module of its own."""
+"""A session from end to end, step by step."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ class SessionResult:
 
     Attributes:
         folder: Of the results.
-        session: As it was described.
+        session: The description.
         skin: The patient's surface.
-        registration: How the frames lie.
-        timing: The offset of both clocks.
-        load: What was taken off raw readings; None where they were compensated.
+        registration: Motions between the frames.
+        timing: The offset between the clocks.
+        load: Subtracted from raw readings; None where they were compensated already.
         recordings: Contact wrenches, patient frame, by name.
         model: The fields.
-        comparisons: Errors before and after, per recording.
+        comparisons: Errors before and after fitting, per recording.
         told: All figures by name, as in ``session.json``.
     """
 
@@ -76,17 +76,14 @@ def run_session(
         path: The folder with its ``session.yaml``, or that file
             (``docs/how-to/session.md``).
         output: Folder of the results; made when missing. Every step writes its files
-            when it is complete, and ``session.json`` says which are.
-        progress: Called with every step that begins, `N_STAGES` times.
-
-    Returns:
-        What every step found.
+            when it is complete, and ``session.json`` lists the complete steps.
+        progress: Called with the name of every step that begins, `N_STAGES` times.
 
     Raises:
-        FileError: A file is missing or damaged, or the description says what it may
-            not; nothing is written.
+        FileError: A file is missing or damaged, or the description is invalid; nothing
+            is written.
         InputError: Recordings that contradict each other; the message names the step.
-        NoSolutionError: The fit failed its own check.
+        NoSolutionError: The answer failed its verification.
     """
     session = read_description(path)
     results = Results(output, progress or (lambda step: None))
@@ -99,7 +96,6 @@ def run_session(
 
 
 def _run(session: Description, shell: PointShell, results: Results) -> SessionResult:
-    """The steps, one after the other."""
     with results.step("surface"):
         skin = find_skin(session.scan)
         skin.surface.save(results.path("surface.nc"))

@@ -1,8 +1,9 @@
 """Third and fourth step of a session: one clock, then contact wrenches.
 
-Raw readings in free air are bias and weight. How fast they change tells the offset of
-the clocks before either is known (`ttus_opt.sensors.clock.gravity_of_readings`); at the
-poses' instants they then tell bias, weight and centre of mass.
+Raw readings in free air are bias plus weight. Their rate of change gives the offset
+between the clocks before either is known
+(`ttus_opt.sensors.clock.gravity_of_readings`); interpolated at the poses' times, they
+then give bias, weight and centre of mass.
 """
 
 from __future__ import annotations
@@ -24,19 +25,18 @@ from ttus_opt.session.description import Description
 from ttus_opt.session.recordings import stretch
 from ttus_opt.session.registration import Registration, gravity
 
-#: Correlation below which the weight does not follow the tilts: in free air nothing
-#: else changes the readings
+#: Least correlation of weight and tilts: in free air nothing else changes the readings
 LEAST_GRAVITY = 0.8
 
 
 @dataclass(frozen=True)
 class Timing:
-    """What brings both clocks together.
+    """The offset between the clocks, and how it was found.
 
     Attributes:
         offset: To be added to the times of forces [s].
-        first: What was compared, of the poses; None where the offset was given.
-        second: The same of the forces, on their own clock.
+        first: Signal from the poses; None where the offset was given.
+        second: Signal from the forces, on their own clock.
         correlation: At the offset.
     """
 
@@ -47,12 +47,7 @@ class Timing:
 
 
 def read_forces(session: Description) -> WrenchStream:
-    """The stream of wrenches.
-
-    Raises:
-        FileError: It cannot be read.
-        InputError: A name or columns it does not have.
-    """
+    """The stream of wrenches; errors as `read_wrenches`."""
     stream = session.force.stream
     return read_wrenches(stream.file, stream.name, stream.columns)
 
@@ -64,23 +59,23 @@ def synchronise(
     surface: Surface,
     registration: Registration,
 ) -> Timing:
-    """The offset of both clocks.
+    """The offset between the clocks.
 
     Args:
-        session: As described.
+        session: The description.
         poses: Of the probe, patient frame.
         wrenches: On their own clock.
-        surface: The patient's.
-        registration: How the frames lie.
+        surface: Of the patient.
+        registration: Motions between the frames.
 
     Raises:
         InputError: The streams do not show the same motion.
     """
-    told = session.clock
-    if told.by == "offset":
-        return Timing(told.offset)
-    around = float(poses.time[0] - wrenches.time[0]) if told.together else 0.0
-    if told.by == "gravity":
+    plan = session.clock
+    if plan.by == "offset":
+        return Timing(plan.offset)
+    around = float(poses.time[0] - wrenches.time[0]) if plan.together else 0.0
+    if plan.by == "gravity":
         assert session.free is not None
         own = stretch(poses, session.free, float(poses.time[0]))
         first = clock.gravity_of_poses(own, gravity(session, registration))
@@ -90,9 +85,9 @@ def synchronise(
         share = float(second.values.mean())
         first = clock.contact_of_poses(poses, surface, share)
     found = clock.clock_offset(
-        first, second, around=around, largest=told.largest_offset
+        first, second, around=around, largest=plan.largest_offset
     )
-    if told.by == "gravity" and found.correlation < LEAST_GRAVITY:
+    if plan.by == "gravity" and found.correlation < LEAST_GRAVITY:
         raise InputError(
             "forces in free air follow the tilts of the probe with a correlation of "
             f"{found.correlation:.2f} at best, {LEAST_GRAVITY:g} is needed: is free "
@@ -108,18 +103,18 @@ def contact_wrenches(
     registration: Registration,
     begin: float,
 ) -> tuple[Trajectory, ToolLoad | None]:
-    """Wrenches of contact at the poses' instants, patient frame.
+    """Contact wrenches at the poses' times, patient frame.
 
     Args:
-        session: As described.
-        joined: Poses, patient frame, with readings as they were recorded.
+        session: The description.
+        joined: Poses, patient frame, with readings as recorded.
         shell: The probe.
-        registration: How the frames lie.
+        registration: Motions between the frames.
         begin: Time of the tracker's first pose [s].
 
     Returns:
         Force on the probe and torque about the shell's reference, and the load that
-        was taken off; None where the readings were compensated.
+        was subtracted; None where the readings were compensated already.
 
     Raises:
         InputError: Readings that contradict how the sensor is mounted, or no torques.
@@ -134,11 +129,11 @@ def contact_wrenches(
 
 
 def _turned(joined: Trajectory, frame: str, registration: Registration) -> Trajectory:
-    """Contact wrenches of another frame's axes, in those of the patient."""
-    turn = joined.rotation if frame == "probe" else np.eye(3)
-    if frame != "probe":
-        for motion in registration.to_patient(frame):
-            turn = motion[:3, :3] @ turn
+    """Contact wrenches rotated from another frame's axes to the patient's."""
+    if frame == "probe":
+        turn = joined.rotation
+    else:
+        turn = registration.rotation_to_patient(frame)
     force, torque = (
         None if v is None else np.einsum("...ij,...j->...i", turn, v)
         for v in (joined.force, joined.torque)
@@ -149,11 +144,7 @@ def _turned(joined: Trajectory, frame: str, registration: Registration) -> Traje
 def joined_streams(
     session: Description, poses: Trajectory, wrenches: WrenchStream, timing: Timing
 ) -> Trajectory:
-    """Poses with the readings of their instants; nothing across gaps.
-
-    Raises:
-        InputError: The streams do not overlap at this offset.
-    """
+    """Poses with the readings at their times; errors as `with_wrenches`."""
     return with_wrenches(
         poses, wrenches, timing.offset, largest_gap=session.clock.largest_gap
     )

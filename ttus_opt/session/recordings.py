@@ -1,4 +1,4 @@
-"""Fifth step of a session: the recording cut into trajectories."""
+"""Fifth step of a session: the recording is cut into trajectories."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def stretch(recorded: Trajectory, part: Part, begin: float) -> Trajectory:
 
     Args:
         recorded: All frames.
-        part: Which of them.
+        part: The stretch.
         begin: Time of the tracker's first pose [s].
 
     Raises:
-        InputError: Hardly any frames are in it.
+        InputError: It has too few frames.
     """
     time = recorded.time - begin
     inside = (time >= part.start) & (time <= part.end)
@@ -50,8 +50,8 @@ def cut(
         begin: Time of the tracker's first pose [s].
 
     Raises:
-        InputError: A stretch hardly has frames, or two overlap of which one is fitted
-            and one judged.
+        InputError: A stretch has too few frames, or one to fit to overlaps one to test
+            on.
     """
     for fitted in parts:
         for other in parts:
@@ -59,6 +59,6 @@ def cut(
             if fitted.fitted and not other.fitted and not apart:
                 raise InputError(
                     f"{fitted.name} (fit) and {other.name} (test) overlap: a field is "
-                    "judged by what it has not seen"
+                    "tested on what it has not seen"
                 )
     return {part.name: stretch(recorded, part, begin) for part in parts}

@@ -1,8 +1,8 @@
 """Second step of a session: the probe's poses in the patient's frame.
 
-A tracker tells its target's poses in its own frame. From there they go to the scan by a
-motion that is known, or that tags give which tracker and scanning camera both saw
-(`ttus_opt.sensors.hand_eye`), and on to the patient by the surface's place in the scan.
+A tracker reports its target's poses in its own frame. They are mapped to the scan by a
+given motion, or by one found from tags that tracker and scanning camera both saw
+(`ttus_opt.sensors.hand_eye`), and on to the patient by the surface's axis.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from ttus_opt.session.description import Description, Tracker
 
 @dataclass(frozen=True)
 class Registration:
-    """How the frames lie.
+    """Motions between the frames.
 
     Attributes:
-        tracker_to_scan: Motion, shape (4, 4); None where poses are not the tracker's.
-        scan_to_patient: Motion, shape (4, 4).
-        tags: How the first was found; None where it was given.
+        tracker_to_scan: Shape (4, 4); None where poses are not in the tracker's frame.
+        scan_to_patient: Shape (4, 4).
+        tags: How ``tracker_to_scan`` was found; None where it was given.
     """
 
     tracker_to_scan: Array | None = field(repr=False)
@@ -38,10 +38,10 @@ class Registration:
     tags: HandEye | None = field(repr=False)
 
     def to_patient(self, frame: str) -> list[Array]:
-        """Motions from a frame to the patient's, one after the other.
+        """Motions from a frame to the patient's, to be applied in order.
 
         Raises:
-            InputError: The tracker's place is not known.
+            InputError: The tracker's pose is unknown.
         """
         if frame == "patient":
             return []
@@ -49,16 +49,23 @@ class Registration:
             return [self.scan_to_patient]
         if self.tracker_to_scan is None:
             raise InputError(
-                "frame tracker is not known here, the poses are said to be in another: "
-                "name that one"
+                "frame tracker is unknown here, because the poses are in another: name "
+                "that one"
             )
         return [self.tracker_to_scan, self.scan_to_patient]
 
+    def rotation_to_patient(self, frame: str) -> Array:
+        """Rotation from a frame to the patient's, shape (3, 3); errors as above."""
+        turn = np.eye(3)
+        for motion in self.to_patient(frame):
+            turn = motion[:3, :3] @ turn
+        return turn
+
     def facts(self) -> dict[str, Any]:
-        """All of it by name with units, for JSON."""
+        """The motions by name, with units, for JSON."""
         told: dict[str, Any] = {
-            "tracker_to_scan": _listed(self.tracker_to_scan),
-            "scan_to_patient": _listed(self.scan_to_patient),
+            "tracker_to_scan": self.tracker_to_scan,
+            "scan_to_patient": self.scan_to_patient,
         }
         if self.tags is not None:
             told |= {
@@ -72,11 +79,11 @@ class Registration:
 
 
 def register(tracker: Tracker, surface: Surface) -> Registration:
-    """Where the tracker stands.
+    """The motions between the frames.
 
     Args:
-        tracker: As described.
-        surface: The patient's, with its place in the scan.
+        tracker: Its description.
+        surface: Of the patient, with its axis in the scan.
 
     Raises:
         FileError: The pairs cannot be read.
@@ -86,23 +93,14 @@ def register(tracker: Tracker, surface: Surface) -> Registration:
     to_scan, found = tracker.to_scan, None
     if tracker.tags is not None:
         tag_in_scan, target_in_tracker = read_pose_pairs(tracker.tags)
-        # the scanning camera stands still, and the target carries the tag
+        # the scanning camera is fixed, and the target carries the tag
         found = hand_eye(tag_in_scan, target_in_tracker, "fixed")
         to_scan = inverse(found.camera)
     return Registration(to_scan, surface.axis.scan_to_patient, found)
 
 
 def probe_poses(tracker: Tracker, registration: Registration) -> Trajectory:
-    """Poses of the probe, patient frame, on the tracker's clock.
-
-    Args:
-        tracker: As described.
-        registration: Where it stands.
-
-    Raises:
-        FileError: The stream cannot be read.
-        InputError: A name or columns it does not have.
-    """
+    """The probe's poses, patient frame and tracker clock; errors as `read_poses`."""
     stream = tracker.stream
     read = read_poses(stream.file, stream.name, stream.columns)
     motion = tracker.probe_to_target
@@ -119,15 +117,9 @@ def gravity(session: Description, registration: Registration) -> Array:
     """Direction of gravity, patient frame, shape (3,).
 
     Raises:
-        InputError: No direction, or in a frame that is not known.
+        InputError: Not a direction, or in an unknown frame.
     """
     force = session.force
     assert force.down is not None, "raw readings have one"
-    direction = checked_down(force.down)
-    for motion in registration.to_patient(force.down_frame):
-        direction = motion[:3, :3] @ direction
-    return direction
-
-
-def _listed(motion: Array | None) -> list[list[float]] | None:
-    return None if motion is None else motion.tolist()
+    turn = registration.rotation_to_patient(force.down_frame)
+    return np.asarray(turn @ checked_down(force.down))

@@ -1,4 +1,4 @@
-"""Last step of a session: a report in Markdown and as one page, with pictures."""
+"""Last step of a session: a report in Markdown and HTML, with pictures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def write_reports(
     Args:
         result: Of the session.
         shell: The probe.
-        path: Gives a file's place by its name.
+        path: From a file's name to its path.
 
     Raises:
         FileError: A file cannot be written.

@@ -1,4 +1,4 @@
-"""The folder of a session's results: step by step, each whole or not there."""
+"""The folder of a session's results, written step by step."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ttus_opt import io
 from ttus_opt.errors import FileError, TtusError
 from ttus_opt.json_values import plain
 
-#: What has been done and found so far
+#: Complete steps and their figures
 SUMMARY = "session.json"
 
 STEPS = (
@@ -27,7 +27,7 @@ STEPS = (
     "report",
 )
 
-#: Names that a session writes, and so may remove before it writes them again
+#: Files that a session writes, and may therefore replace
 OWN = (
     "surface.nc",
     "field.nc",
@@ -45,7 +45,7 @@ class Results:
     Args:
         folder: Made when missing; results of an earlier session in it are removed when
             the first step begins to write.
-        progress: Called with what begins.
+        progress: Called with the name of every step that begins.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Results:
         """Refuse, before any work, a folder that cannot be written to.
 
         Raises:
-            FileError: It cannot be, is the recording's own, or holds other results.
+            FileError: It is not writable, holds the recording, or other results.
         """
         for file in inputs:
             own = file.resolve().parent
@@ -70,7 +70,7 @@ class Results:
                     "results"
                 )
         io.check_output(self.folder / SUMMARY)
-        # a recording may be described by a file of the summary's name
+        # a recording's description may have the summary's name
         if self._existing() and "complete" not in _read(self.folder):
             raise FileError(
                 f"{self.folder} holds files of other work, {self._existing()[0].name}: "
@@ -79,11 +79,11 @@ class Results:
 
     @contextlib.contextmanager
     def step(self, name: str) -> Iterator[None]:
-        """One of `STEPS`; written down as complete when it ends without an error.
+        """One of `STEPS`; recorded as complete when it ends without an error.
 
         Raises:
-            TtusError: What the step raises, its name before the message and what is
-                complete after it.
+            TtusError: The step's error, with its name before the message and the
+                complete steps after it.
         """
         self._progress(name)
         try:
@@ -143,12 +143,12 @@ class Results:
 
 
 def complete_steps(folder: str | os.PathLike[str]) -> list[str]:
-    """Steps that are complete in a folder; none where there is no session's summary."""
+    """Complete steps in a folder; none without a session's summary."""
     return [step for step in STEPS if step in _read(folder).get("complete", [])]
 
 
 def _read(folder: str | os.PathLike[str]) -> dict[str, list[str]]:
-    """Lists of a summary; none where there is no such file."""
+    """The lists of a summary; none without such a file."""
     try:
         told = json.loads((Path(folder) / SUMMARY).read_text(encoding="utf-8"))
     except (OSError, ValueError):

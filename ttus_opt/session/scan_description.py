@@ -1,4 +1,4 @@
-"""What a session's description says of the patient's scan, read and checked."""
+"""The part of a session's description about the patient's scan."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ OF_AXIS = ("axis_from", "probe_axes", "axis_depth")
 
 @dataclass(frozen=True)
 class Camera:
-    """One that took a depth image.
+    """The camera of a depth image.
 
     Attributes:
         lens: File of its intrinsics, or of its pixels' rays.
-        has_rays: Which of both.
+        has_rays: Whether ``lens`` holds rays.
         depth_kind: ``z`` or ``range``.
         to_scan: Motion from camera to scan, shape (4, 4).
     """
@@ -41,11 +41,10 @@ class Camera:
 
 @dataclass(frozen=True)
 class StatedAxis:
-    """Where the patient's frame is taken from.
+    """Source of a stated patient frame.
 
     Attributes:
-        file: A surface (.nc), or poses of a probe held above the sternum, frame of the
-            scan.
+        file: A surface (.nc), or poses of a held probe, as in `read_axis`.
         held: The probe's axes into the patient and to the head.
         depth: Of the origin below the skin [m]; None for half-way to the bed.
     """
@@ -57,15 +56,15 @@ class StatedAxis:
 
 @dataclass(frozen=True)
 class Scan:
-    """Where the patient's skin comes from.
+    """Source of the patient's surface.
 
     Attributes:
         files: A cloud, a surface (.nc), or depth images.
-        cameras: Of depth images, one each; none for a cloud or surface.
-        noise: Noise model of the cameras; None where it is not known.
-        refine: Whether the cameras' poses are refined by what they share.
+        cameras: One per depth image; none for a cloud or surface.
+        noise: Noise model of the cameras; None where unknown.
+        refine: Whether the cameras' poses are refined by registration.
         unit: Of the coordinates or depths; None for the usual one.
-        axis: The patient's frame where it is stated; None to find it in the scan.
+        axis: Source of the patient's frame; None to find it in the scan.
         head: Direction to the head in the scan, shape (3,); None to find it.
         prone: Whether the patient lies on the front.
         nodes: Spokes and slices of the surface.
@@ -83,13 +82,10 @@ class Scan:
 
 
 def read_scan(part: Section) -> Scan:
-    """The part of a description.
-
-    Args:
-        part: The section ``scan``.
+    """The section ``scan`` of a description.
 
     Raises:
-        FileError: A value that cannot be used, or values that do not go together.
+        FileError: Invalid values, or values that exclude each other.
     """
     part.require_known(
         (*KINDS, *OF_CAMERAS, *OF_AXIS, "unit", "head", "prone", "nodes")
@@ -120,7 +116,7 @@ def read_scan(part: Section) -> Scan:
 
 
 def _cameras(part: Section, count: int) -> tuple[Camera, ...]:
-    """A camera for every depth image; its file is one for all, or one each."""
+    """A camera for every depth image, with one file for all or one each."""
     given = [key for key in ("intrinsics", "rays") if key in part]
     if len(given) > 1:
         raise part.fail("rays", "and intrinsics say the same: give one of both")
@@ -140,7 +136,7 @@ def _cameras(part: Section, count: int) -> tuple[Camera, ...]:
 
 
 def _axis(part: Section) -> StatedAxis | None:
-    """The stated frame; None where the scan shall show it."""
+    """The stated frame; None to find it in the scan."""
     if "axis_from" not in part:
         for key in OF_AXIS[1:]:
             if key in part:
@@ -150,7 +146,7 @@ def _axis(part: Section) -> StatedAxis | None:
         if key in part:
             raise part.fail(key, "says where the frame is, and so does axis_from")
     held = part.values.get("probe_axes", list(USUAL))
-    # a list of whatever else YAML has cannot be looked up
+    # other YAML values may not be hashable
     if not (isinstance(held, list) and len(held) == 2) or not all(
         isinstance(name, str) and name in AXES for name in held
     ):

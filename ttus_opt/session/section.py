@@ -1,4 +1,4 @@
-"""A part of a session's description, whose faults are told by file and place."""
+"""A section of a session's description; every error names file and key."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from ttus_opt.probe.rigid_motion import read_rigid_motion, rigid_motion
 
 @dataclass(frozen=True)
 class Section:
-    """Names and values at one place of a description.
+    """A mapping within a description.
 
     Attributes:
         file: The description.
-        place: Such as ``tracker``; empty for the whole.
+        place: Such as ``tracker``; empty for the whole description.
         values: By name.
     """
 
@@ -32,15 +32,15 @@ class Section:
     values: Mapping[str, Any]
 
     def fail(self, key: str, what: str) -> FileError:
-        """The error of a key."""
+        """The error for a key."""
         where = ".".join(part for part in (self.place, key) if part)
         return FileError(f"{self.file}: {where} {what}")
 
     def require_known(self, known: Sequence[str]) -> None:
-        """Refuse keys that mean nothing here.
+        """Refuse unknown keys.
 
         Raises:
-            FileError: There is one; the nearest that is known is named.
+            FileError: A key is unknown; the message suggests the nearest known one.
         """
         for key in self.values:
             if key not in known:
@@ -50,28 +50,22 @@ class Section:
                 raise self.fail(str(key), f"is not known: {hint or told}")
 
     def __contains__(self, key: str) -> bool:
-        """Whether it says something of a key."""
+        """Whether a key has a value."""
         return self.values.get(key) is not None
 
     def get(self, key: str) -> Any:
-        """A value that must be there.
-
-        Raises:
-            FileError: It is missing.
-        """
+        """A required value; `FileError` where it is missing."""
         if key not in self:
             raise self.fail(key, "is missing: add it")
         return self.values[key]
 
     def section(self, key: str) -> Section:
-        """A part of its own; an empty one where there is none.
+        """A subsection; an empty one where it is missing.
 
         Raises:
-            FileError: It is no mapping.
+            FileError: It is not a mapping of names.
         """
-        value = self.values.get(key)
-        if value is None:
-            value = {}
+        value = self.values[key] if key in self else {}
         if not isinstance(value, Mapping):
             raise self.fail(key, f"must map names to values, got {value!r}")
         odd = [name for name in value if not isinstance(name, str)]
@@ -81,11 +75,7 @@ class Section:
         return Section(self.file, place, value)
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A word.
-
-        Raises:
-            FileError: It is missing and has no default, or is no text.
-        """
+        """A non-empty text; `FileError` where it is not, or missing without default."""
         if key not in self and default is not None:
             return default
         value = self.get(key)
@@ -94,33 +84,21 @@ class Section:
         return value
 
     def choice(self, key: str, words: Sequence[str], default: str | None = None) -> str:
-        """One of some words.
-
-        Raises:
-            FileError: Another one.
-        """
+        """One of the given words; `FileError` for any other."""
         word = self.text(key, default)
         if word not in words:
             raise self.fail(key, f"must be {' or '.join(words)}, got {word!r}")
         return word
 
     def flag(self, key: str) -> bool:
-        """True or false; false where it is not said.
-
-        Raises:
-            FileError: Neither.
-        """
+        """True or false, by default false; `FileError` for any other value."""
         value = self.values.get(key, False)
         if not isinstance(value, bool):
             raise self.fail(key, f"must be true or false, got {value!r}")
         return value
 
     def number(self, key: str, default: float | None = None) -> float:
-        """A finite number.
-
-        Raises:
-            FileError: It is missing and has no default, or none.
-        """
+        """A finite number; `FileError` where it is not, or missing without default."""
         if key not in self and default is not None:
             return default
         return self._number(key, self.get(key))
@@ -128,11 +106,7 @@ class Section:
     def numbers(
         self, key: str, count: int, default: Sequence[float] | None = None
     ) -> tuple[float, ...]:
-        """A list of finite numbers.
-
-        Raises:
-            FileError: It is missing and has no default, or another list.
-        """
+        """``count`` finite numbers; `FileError` for any other value, or none at all."""
         if key not in self and default is not None:
             return tuple(default)
         value = self.get(key)
@@ -143,30 +117,18 @@ class Section:
     def whole(
         self, key: str, count: int, default: Sequence[int] | None = None
     ) -> tuple[int, ...]:
-        """A list of whole numbers.
-
-        Raises:
-            FileError: As of `numbers`, or one has a fraction.
-        """
+        """``count`` whole numbers; `FileError` as `numbers`, or for a fraction."""
         values = self.numbers(key, count, default)
         if any(value != round(value) for value in values):
             raise self.fail(key, f"must be whole numbers, got {list(values)}")
         return tuple(int(value) for value in values)
 
     def path(self, key: str) -> Path:
-        """A file or folder beside the description that is there.
-
-        Raises:
-            FileError: It is missing.
-        """
+        """An existing file or folder beside the description; `FileError` if missing."""
         return self._existing(key, self.text(key))
 
     def paths(self, key: str) -> tuple[Path, ...]:
-        """One or several of them.
-
-        Raises:
-            FileError: One is missing, or there is none.
-        """
+        """One or several such files; `FileError` if one is missing."""
         value = self.get(key)
         names = value if isinstance(value, list) else [value]
         if not names or not all(isinstance(name, str) and name for name in names):
@@ -174,22 +136,15 @@ class Section:
         return tuple(self._existing(key, name) for name in names)
 
     def motion(self, key: str) -> Array:
-        """A rigid motion: a file, x,y,z,qx,qy,qz,qw, or rows of a matrix.
-
-        Returns:
-            Shape (4, 4) [–, m].
+        """A rigid motion (4, 4) [–, m]: a file, x,y,z,qx,qy,qz,qw, or a matrix's rows.
 
         Raises:
-            FileError: It is none.
+            FileError: It is not a rigid motion.
         """
         return self._motion(key, self.get(key))
 
     def motions(self, key: str) -> tuple[Array, ...]:
-        """Several of them, one a line.
-
-        Raises:
-            FileError: There is none, or one is none.
-        """
+        """A list of such motions; `FileError` if it is empty or one is invalid."""
         value = self.get(key)
         if not isinstance(value, list) or not value:
             raise self.fail(key, f"must be a list of rigid motions, got {value!r}")

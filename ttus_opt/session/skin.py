@@ -22,8 +22,8 @@ class Skin(NamedTuple):
     """The patient's skin.
 
     Attributes:
-        surface: r = R(θ, z), with its place in the scan.
-        cloud: What it is from, shape (n, 3) [m]; None for a surface that was given.
+        surface: r = R(θ, z), with its axis in the scan.
+        cloud: Its points, shape (n, 3) [m]; None for a given surface.
     """
 
     surface: Surface
@@ -33,12 +33,10 @@ class Skin(NamedTuple):
 def find_skin(scan: Scan) -> Skin:
     """The surface of a session's scan.
 
-    Args:
-        scan: As described.
-
     Raises:
-        FileError: The file is no cloud or surface.
-        InputError: A unit or counts that cannot be used.
+        FileError: A file is not a cloud, a surface, a depth image or intrinsics.
+        InputError: An invalid unit or count, an image that is not of its camera, or a
+            refused refinement.
         GeometryError: The cloud shows no body, or none below the held probe.
     """
     std = None
@@ -56,13 +54,7 @@ def find_skin(scan: Scan) -> Skin:
 
 
 def _frame(scan: Scan, cloud: Array) -> Axis:
-    """The patient's frame, as stated or found in the scan.
-
-    Raises:
-        FileError: The file that states it cannot be read.
-        InputError: The held probe moved, or a depth that is none.
-        GeometryError: No body, or none below the probe.
-    """
+    """The patient's frame, as stated or found in the scan."""
     stated = scan.axis
     if stated is None:
         return Axis.from_cloud(cloud, head=scan.head, prone=scan.prone)
@@ -70,13 +62,7 @@ def _frame(scan: Scan, cloud: Array) -> Axis:
 
 
 def _depth_cloud(scan: Scan) -> DepthCloud:
-    """Points of all depth images, frame of the scan.
-
-    Raises:
-        FileError: An image or intrinsics cannot be read.
-        InputError: An image is not of its camera, or shows no surface, or a refinement
-            is refused.
-    """
+    """Points of all depth images, frame of the scan."""
     images = [
         read_depth_image(
             file,

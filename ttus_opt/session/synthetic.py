@@ -1,11 +1,11 @@
-"""A recording that goes through every step of a session, with a truth that is known.
+"""A synthetic recording for every step of a session, with known ground truth.
 
-The bundled example's torso is scanned, and its four recordings without drag become one:
-the probe is tilted in free air, then presses and sweeps. A tracker beside the bed tells
-poses of a target on the probe at 40 Hz, a force sensor of another clock reads at 125 Hz
-its bias, the weight below it and the contact. Tracker and scanning camera see a tag on
-the target. What the description states of the sensor is true to half a degree and a
-millimetre only, as a drawing is.
+The bundled example's torso is scanned, and its four recordings without drag are joined:
+the probe is tilted in free air, then presses and sweeps. A tracker beside the bed
+reports poses of a target on the probe at 40 Hz; a force sensor with another clock reads
+its bias, the weight below it and the contact at 125 Hz. Tracker and scanning camera see
+a tag on the target. The stated mounting of the sensor is accurate to half a degree and
+a millimetre, like a drawing.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from ttus_opt.errors import FileError
 from ttus_opt.phantom.camera import ScanSetup, depth_image
 from ttus_opt.phantom.example_data import TORSO, VIEWS, frame
 from ttus_opt.probe.pose import to_quaternions
-from ttus_opt.probe.rigid_motion import inverse
+from ttus_opt.probe.rigid_motion import homogeneous, inverse
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
 from ttus_opt.sensors.streams import WrenchStream, interpolated
 from ttus_opt.sensors.tool_load import GRAVITY
 
-#: The example's recordings in their order, and what they are for
+#: The example's recordings in order, and their use
 RECORDINGS = {
     "press_fit": "fit",
     "sweep_fit": "fit",
@@ -39,7 +39,7 @@ RECORDINGS = {
     "sweep_test": "test",
 }
 
-#: All that is written
+#: All files of the recording
 FILES = (
     "depth_0.png",
     "depth_1.png",
@@ -53,7 +53,7 @@ FILES = (
 #: Standard deviation of the depth cameras [m]
 DEPTH_NOISE = 0.002
 
-#: Duration of the tilts in free air, and from one recording to the next [s]
+#: Duration of the tilts in free air, and of the pauses between recordings [s]
 FREE, PAUSE = 20.0, 3.0
 
 #: Frames per second [Hz]
@@ -62,10 +62,10 @@ TRACKER_RATE, SENSOR_RATE = 40.0, 125.0
 #: Standard deviations of the tracker, per axis [m, rad]
 SHIFT_NOISE, TURN_NOISE = 0.2e-3, np.radians(0.05)
 
-#: The same of a tag as the scanning camera sees it, and how many poses it has
+#: Standard deviations of a tag's poses in the scanning camera, and their number
 TAG_SHIFT_NOISE, TAG_TURN_NOISE, TAG_POSES = 0.3e-3, np.radians(0.05), 60
 
-#: Of the sensor, on top of the noise that the example's wrenches have [N, N·m]
+#: Standard deviations of the sensor, beside the noise in the example [N, N·m]
 FORCE_NOISE, TORQUE_NOISE = 0.02, 0.001
 
 #: Gravity in the patient frame: the patient lies on the back
@@ -76,15 +76,12 @@ def _motion(
     turn: tuple[float, float, float], shift: tuple[float, float, float]
 ) -> Array:
     """A rotation vector [rad] and a shift [m] as a matrix (4, 4)."""
-    out = np.eye(4)
-    out[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
-    out[:3, 3] = shift
-    return out
+    return homogeneous(Rotation.from_rotvec(turn).as_matrix(), shift)
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What a perfect calibration would find.
+    """Ground truth of the calibration.
 
     Attributes:
         tracker_to_scan: Motion, shape (4, 4).
@@ -95,7 +92,7 @@ class Truth:
         mass: Below the sensor [kg].
         centre: Of that mass from the point, sensor axes, shape (3,) [m].
         force_bias: Sensor axes, shape (3,) [N].
-        torque_bias: The same [N·m].
+        torque_bias: Sensor axes, shape (3,) [N·m].
         offset: To be added to the sensor's times [s].
     """
 
@@ -119,11 +116,11 @@ class Truth:
     offset: float = 0.83
 
     def as_dict(self) -> dict[str, Any]:
-        """All of it by name, for JSON."""
+        """The truth by name, for JSON."""
         return {name: np.asarray(v).tolist() for name, v in asdict(self).items()}
 
 
-#: The sensor's mounting as the description states it
+#: The stated mounting of the sensor
 STATED_AXES = Rotation.from_rotvec([0.0, 0.0, np.pi / 4]).as_quat()
 STATED_POINT = (0.0, 0.0, -0.08)
 
@@ -135,22 +132,19 @@ def write_recording(
     shape: tuple[int, int, int] = (48, 120, 60),
     seed: int = 0,
 ) -> Truth:
-    """Make the recording.
+    """Write the recording and return its ground truth.
 
     Args:
-        folder: Where to; made when missing, refused when it holds other files.
-        seconds: Of each of the example's recordings that are taken, at most 20.
-        shape: Voxels that the description asks for.
+        folder: Made when missing.
+        seconds: Used length of each of the example's recordings, at most 20.
+        shape: Voxels of the described fit.
         seed: Of all noise.
-
-    Returns:
-        What a perfect calibration would find.
 
     Raises:
         FileError: The folder holds other files or cannot be written to.
     """
     place, truth = Path(folder), Truth()
-    # each device has noise of its own, however long the others record
+    # separate streams: one device's noise does not depend on the others' durations
     tags, scan, tilts, tracker, sensor = np.random.default_rng(seed).spawn(5)
     foreign = [f for f in place.glob("*") if f.name not in FILES]
     if foreign:
@@ -169,21 +163,12 @@ def write_recording(
 
 
 def perfect(seconds: float = 20.0) -> dict[str, Trajectory]:
-    """The recordings as perfect devices have them, frame of the example's surface.
-
-    Args:
-        seconds: As of `write_recording`.
-    """
+    """All recordings without errors, frame of the example's surface."""
     return {name: recording(name, seconds) for name in RECORDINGS}
 
 
 def recording(name: str, seconds: float) -> Trajectory:
-    """One of `RECORDINGS` as perfect devices have it, frame of the example's surface.
-
-    Args:
-        name: Which.
-        seconds: As of `write_recording`.
-    """
+    """One of `RECORDINGS` without errors, frame of the example's surface."""
     whole = read_trajectory(example.path(f"{name}.csv"))
     return whole.select(whole.time <= seconds)
 
@@ -191,7 +176,7 @@ def recording(name: str, seconds: float) -> Trajectory:
 def _motion_of_all(
     seconds: float, rng: np.random.Generator
 ) -> tuple[Trajectory, dict[str, tuple[float, float]]]:
-    """Everything the probe does, patient frame, and when each recording is."""
+    """The probe's whole trajectory, patient frame, and the times of each recording."""
     parts, begin = [_tilts(rng)], FREE + PAUSE
     stretches = {}
     for name in RECORDINGS:
@@ -204,7 +189,7 @@ def _motion_of_all(
 
 
 def _tilts(rng: np.random.Generator) -> Trajectory:
-    """A probe held 15 cm above the belly, from one tilt to the next every second."""
+    """A probe held 15 cm above the belly, tilted anew every second."""
     held = np.arange(0.0, FREE + 0.5, 1.0)
     # the probe's z into the skin
     towards = Rotation.from_euler("x", 90.0, degrees=True)
@@ -220,7 +205,7 @@ def _tilts(rng: np.random.Generator) -> Trajectory:
 
 
 def _at(moved: Trajectory, time: Array) -> Trajectory:
-    """Pose and contact at other times; slerp and straight lines."""
+    """Pose and contact at other times, by slerp and linear interpolation."""
     assert moved.force is not None
     assert moved.torque is not None
     turns = Slerp(moved.time, Rotation.from_matrix(moved.rotation))(time)
@@ -229,12 +214,6 @@ def _at(moved: Trajectory, time: Array) -> Trajectory:
         for values in (moved.position, moved.force, moved.torque)
     )
     return Trajectory(time, position, turns.as_matrix(), force, torque)
-
-
-def _matrices(poses: Trajectory) -> Array:
-    out = np.tile(np.eye(4), (len(poses), 1, 1))
-    out[:, :3, :3], out[:, :3, 3] = poses.rotation, poses.position
-    return out
 
 
 def _patient_to_scan() -> Array:
@@ -255,11 +234,12 @@ def _shaken(
 def _targets(moved: Trajectory, truth: Truth) -> Array:
     """Target to tracker, shape (T, 4, 4)."""
     to_tracker = inverse(truth.tracker_to_scan) @ _patient_to_scan()
-    return np.asarray(to_tracker @ _matrices(moved) @ truth.target_to_probe)
+    probe = homogeneous(moved.rotation, moved.position)
+    return np.asarray(to_tracker @ probe @ truth.target_to_probe)
 
 
 def _tracked(moved: Trajectory, truth: Truth, rng: np.random.Generator) -> Trajectory:
-    """What the tracker tells, out of sight now and then between two recordings."""
+    """The tracker's poses; the target is hidden in the pauses between recordings."""
     time = np.arange(0.0, moved.time[-1], 1.0 / TRACKER_RATE)
     hidden = np.zeros(len(time), dtype=bool)
     gaps = np.flatnonzero(np.diff(moved.time) > 0.5 * PAUSE)
@@ -271,7 +251,7 @@ def _tracked(moved: Trajectory, truth: Truth, rng: np.random.Generator) -> Traje
 
 
 def _sensed(moved: Trajectory, truth: Truth, rng: np.random.Generator) -> WrenchStream:
-    """What the force sensor reads on its own clock."""
+    """The force sensor's readings, on its own clock."""
     time = np.arange(0.0, moved.time[-1], 1.0 / SENSOR_RATE)
     here = _at(moved, time)
     assert here.force is not None
@@ -293,7 +273,7 @@ def _sensed(moved: Trajectory, truth: Truth, rng: np.random.Generator) -> Wrench
 
 
 def _tag_pairs(truth: Truth, rng: np.random.Generator) -> list[list[list[list[float]]]]:
-    """Poses of the tag in the scan and of the target in the tracker, turned about."""
+    """Poses of the tag in the scan and of the target in the tracker's frame."""
     place = rng.uniform([-0.15, 0.15, 0.0], [0.15, 0.4, 0.3], (TAG_POSES, 3))
     turns = Rotation.from_rotvec(rng.normal(0.0, 0.7, (TAG_POSES, 3))).as_matrix()
     moved = Trajectory(np.arange(float(TAG_POSES)), place, turns)
@@ -347,7 +327,7 @@ def _description(
 
 
 def _write_scan(folder: Path, rng: np.random.Generator) -> list[list[list[float]]]:
-    """Depth images in millimetres and the intrinsics; where the cameras stand."""
+    """Write depth images [mm] and intrinsics; return the cameras' poses."""
     import cv2
 
     poses = []
@@ -358,9 +338,8 @@ def _write_scan(folder: Path, rng: np.random.Generator) -> list[list[list[float]
         with io.replacing(folder / f"depth_{number}.png") as temporary:
             temporary.write_bytes(content.tobytes())
         right, up, ahead = view.axes()
-        pose = np.eye(4)
-        pose[:3, :3] = np.stack([right, -up, ahead], axis=1)  # x right, y down
-        pose[:3, 3] = view.eye
+        axes = np.stack([right, -up, ahead], axis=1)  # x right, y down
+        pose = homogeneous(axes, view.eye)
         poses.append((_patient_to_scan() @ pose).tolist())
     centre = (VIEWS[0].pixels - 1) / 2
     focal = centre / float(np.tan(VIEWS[0].opening))
