@@ -107,7 +107,7 @@ def test_words_are_those_of_the_docstring(small: Any) -> None:
     metavars = {option.name: option.metavar for option in small.params}
     assert (words["wind"], metavars["wind"]) == ("Speed.", "KNOTS")
     assert words["file"] == "Where: here or there."
-    assert words["json"] == "JSON on stdout, for machines."
+    assert words["json"] == "Print JSON on stdout, for other programs."
     assert small.help == "Say it."
     assert small.epilog == "Example: own-command --file a.txt"
     (deep,) = (option for option in small.params if option.name == "deep")

@@ -144,7 +144,7 @@ def test_the_frame_of_a_held_probe_and_a_later_scan(
         (["0.png", "--intrinsics", "camera.json", "--noise", "loud"], "noise is one"),
         (["0.png", "--intrinsics", "camera.json", "--unit", "m"], "another unit"),
         (["0.png", "--intrinsics", "poses.csv"], "JSON or YAML|camera_matrix"),
-        (["poses.csv", "--noise", "structured-light"], "of depth images"),
+        (["poses.csv", "--noise", "structured-light"], "need depth images"),
         (["poses.csv", "poses.csv"], "one is read"),
         (
             ["0.png", "--intrinsics", "camera.json", "--depth-kind", "disparity"],

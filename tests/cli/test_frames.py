@@ -158,7 +158,7 @@ def test_a_field_knows_where_it_came_from(run: Run, tmp_path: Path) -> None:
         ("unseen.csv", False),
     ]
     text = run(evaluate_words(field, Path(both)).replace("--json", "")).out
-    assert "renamed.csv: seen, the field was fitted to it" in text
+    assert "renamed.csv: the field was fitted to this recording" in text
     assert "unseen.csv" not in text
 
 

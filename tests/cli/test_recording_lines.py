@@ -20,11 +20,11 @@ FOUND = Calibration(
 def test_all_that_is_known_is_said() -> None:
     line = RecordingLine("a.csv", 100, 0.123, FOUND)
     lost, doubt, ranks, deeper = line.lines
-    assert lost.startswith("a.csv: 12 % of the work")
+    assert lost == "a.csv: its presses lose 12 % of their work to hysteresis"
     assert "0.050 N, 2.0 mN m" in doubt and "95.1 % of force and 93.2 % of" in doubt
     assert ranks == (
-        "a.csv: rank correlation of error and doubt 0.41 ± 0.16 of force and "
-        "0.20 ± 0.03 of torque; between its 7 places 0.68 and -0.30"
+        "a.csv: rank correlation of error and doubt 0.41 ± 0.16 for force and "
+        "0.20 ± 0.03 for torque; between its 7 places 0.68 and -0.30"
     )
     assert deeper.startswith("a.csv: 3 frames")
     told = line.as_dict()
@@ -36,7 +36,7 @@ def test_what_is_not_known_is_left_out() -> None:
     assert "doubt" not in RecordingLine("a.csv", 100, math.nan).as_dict()
     force = Calibration(0.05, math.nan, 0.95, math.nan, 0.4, math.nan, 90)
     lines = RecordingLine("a.csv", 100, math.nan, force).lines
-    assert lines[1] == "a.csv: rank correlation of error and doubt 0.40 of force"
+    assert lines[1] == "a.csv: rank correlation of error and doubt 0.40 for force"
     assert not any(word in lines[0] for word in ("mN m", "torque", "nan"))
 
 

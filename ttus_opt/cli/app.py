@@ -52,7 +52,7 @@ for function in (
 ):
     add_command(app, function)
 cameras = typer.Typer(
-    help="Find markers in a photo; find where a camera is from pairs of poses.",
+    help="Find markers in a photo, or a camera's place from pairs of poses.",
     epilog="Example: ttus-opt register hand-eye pairs.json --camera fixed "
     "-o camera_to_base.json",
     rich_markup_mode=None,

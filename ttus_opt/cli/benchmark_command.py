@@ -34,11 +34,11 @@ class OwnScene:
 
     Attributes:
         surface: Surface file of your own scene.
-        probe: Its probe.
-        trajectory: Its recordings; may be repeated.
-        shape: Its voxels in r, θ, z.
-        r_inner: Its innermost radius [m].
-        inner: Its value on the inner layer, or fit.
+        probe: Probe of your own scene.
+        trajectory: Recordings of your own scene; may be repeated.
+        shape: Number of voxels in r, θ, z of your own scene.
+        r_inner: Innermost radius of your own scene [m].
+        inner: Potential on the inner layer of your own scene, or fit.
         sampling: Sampling of any scene: trilinear, voxel-mean or contact-size.
     """
 
@@ -102,34 +102,34 @@ def benchmark(
     parts: str = "solvers",
     json: bool = False,
 ) -> None:
-    """Compare solvers by time, memory and verified residual, one process a run.
+    """Compare solvers by time, memory and verified residual, one process per run.
 
     Args:
-        case: S, M, L, XL, several separated by commas, or all, which leaves out XL; not
-            with a scene of your own.
-        formulations: Names or paths, separated by commas, or all.
-        solvers: Names, or paths of your own files, separated by commas; auto is what a
-            fit takes, all stands for those installed, closed forms up to 100,000 voxels
-            only.
+        case: S, M, L, XL, several separated by commas, or all (without XL). Leave it
+            out with a scene of your own.
+        formulations: Names or paths separated by commas, or all.
+        solvers: Names or paths of your own files, separated by commas; auto: the solver
+            that a fit takes; all: those installed, closed forms only up to 100,000
+            voxels.
         closed_form: Reference of the first table: closed_form, closed_form_pardiso, …,
             none, or auto: closed_form on cases of up to 100,000 voxels (S), none on
-            larger ones, where it would pass the time limit.
-        repeat: Times each is measured.
-        time_limit: Most seconds of one solve, set-up included; a run may take twice
-            that to tell how far it came.
-        tolerance: Largest relative residual of a solution.
-        output: Folder; a second call goes on there.
-        boundary: Where p = 0 stands in any scene: subvoxel or staircase.
-        perturb: Perturb the measured wrenches, so that limits become active: noise
-            (with --weight 1 and more) or reversed (a fifth; with --weight 100).
-        weight: Weight of force and torque rows; not of --parts' own fits.
-        jobs: Runs at a time; times compare with one only.
+            larger ones, where it would exceed the time limit.
+        repeat: Number of measurements of each run.
+        time_limit: Time limit of one solve, set-up included [s]; a run may take twice
+            as long to report how far it came.
+        tolerance: Largest relative KKT residual of a solution.
+        output: Folder of the results; a second call continues there.
+        boundary: Where p = 0 lies in any scene: subvoxel or staircase.
+        perturb: Perturb the measured wrenches so that limits become active: noise (use
+            --weight 1 or more) or reversed (a fifth of them; use --weight 100).
+        weight: Weight of force and torque rows. Fits of other --parts have their own.
+        jobs: Number of runs at a time; only with one are times comparable.
         dask: Address of a dask scheduler, host:port.
-        memory_limit: Most GiB of one run; by default 80 % of what is free.
-        memory: Show the peak memory of each stage; that of the whole process is in
-            every row anyway.
-        export: Write the problems as .mat and .npz here, run nothing.
-        parts: What is measured: solvers, assembly, profile, recursion, rendering,
+        memory_limit: Memory limit of one run [GiB]. By default 80 % of the free memory.
+        memory: Show the peak memory of each stage; every row has that of the whole
+            process anyway.
+        export: Write the problems as .mat and .npz here instead of solving them.
+        parts: What to measure: solvers, assembly, profile, recursion, rendering,
             ripple, separated by commas, or all. All but solvers run one at a time.
 
     Example:

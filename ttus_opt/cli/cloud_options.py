@@ -21,13 +21,13 @@ class CloudOptions:
     """The scan, as typed.
 
     Attributes:
-        scans: Cloud: PLY, PCD, XYZ, CSV, TXT, PTS or NPY; or one or more depth images:
-            PNG, TIFF or NPY.
-        unit: Unit of the scan's coordinates: m, cm, mm. By default m; depths in whole
-            numbers are mm.
+        scans: A point cloud (PLY, PCD, XYZ, CSV, TXT, PTS or NPY), or one or more depth
+            images (PNG, TIFF or NPY).
+        unit: Unit of the scan's coordinates: m, cm or mm. By default m, or mm for
+            depths in whole numbers.
         drop_nan: Leave out points that are NaN.
-        box: Read only the points inside, in the scan's frame [m]; inf and -inf leave a
-            side open.
+        box: Read only the points inside this box, in the scan's frame [m]; inf and -inf
+            leave a side open.
     """
 
     scans: Annotated[list[Path], typer.Argument()]
@@ -73,18 +73,18 @@ class AxisOptions:
     """Where the patient's frame lies in the scan, as typed.
 
     Attributes:
-        head: Direction to the head in the scan; by default the end where the trunk is
+        head: Direction to the head in the scan. By default the end where the trunk is
             deeper.
-        flip_axis: The head is at the other end than found.
+        flip_axis: Put the head at the other end than the one found.
         prone: The patient lies on the front.
         axis_origin: A point inside the body, x,y,z in the scan [m].
-        axis_direction: Along the body to the head, x,y,z in the scan; with
+        axis_direction: Direction along the body to the head, x,y,z in the scan; needs
             --axis-origin.
-        axis_from: Take the patient frame of this surface file (.nc), or of a probe held
-            above the sternum: its poses in the scan's frame (.csv).
-        probe_axes: With poses: the probe's axes into the patient and to the head, of x,
-            -x, y, -y, z, -z.
-        axis_depth: With poses: the origin so deep below the skin [m]; by default
+        axis_from: Take the patient frame from this surface file (.nc), or from the
+            poses of a probe held above the sternum, in the scan's frame (.csv).
+        probe_axes: For such poses: which of the probe's axes (x, -x, y, -y, z, -z)
+            point into the patient and to the head.
+        axis_depth: For such poses: depth of the origin below the skin [m]. By default
             half-way to the plane the body lies on.
         support: Find the plane the body lies on and leave it out.
     """

@@ -22,8 +22,8 @@ import typer
 
 #: Options that say the same in every command
 COMMON = {
-    "force": "Let an output replace one of the inputs.",
-    "json": "JSON on stdout, for machines.",
+    "force": "Allow an output to replace one of the inputs.",
+    "json": "Print JSON on stdout, for other programs.",
 }
 
 

@@ -30,22 +30,23 @@ def compensate(
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Take bias, weight and inertia off the readings of a force sensor.
+    """Remove bias, weight and inertia from the readings of a force sensor.
 
-    Axes, reference point and sign of the sensor are three statements; what the free
-    poses say of them is checked. The output has the force on the probe and the torque
-    about the point shell's reference point, axes of the frame of the poses.
+    You state the sensor's axes, reference point and sign; the free poses check the axes
+    and the sign. The output has the force on the probe and the torque about the point
+    shell's reference point, in the axes of the poses' frame.
 
     Args:
-        recording: Trajectory CSV with raw readings, axes of the sensor.
+        recording: Trajectory CSV with raw readings in the sensor's axes.
         free: Trajectory CSV with raw readings of the probe tilted in free air.
         down: Direction of gravity in the frame of the poses, x,y,z.
-        axes: Sensor's axes in the probe's, quaternion x,y,z,w.
-        point: What torques are measured about, probe frame, x,y,z [m].
-        sign: on-probe: force on the probe; by-probe: what it exerts.
-        output: Trajectory CSV, contact wrenches.
-        model: Write statements, bias, mass and centre here (JSON).
-        inertia: Take off the load's inertia too.
+        axes: The sensor's axes in the probe frame, quaternion x,y,z,w.
+        point: Point about which torques are measured, in the probe frame, x,y,z [m].
+        sign: on-probe: the readings are the force on the probe; by-probe: the force it
+            exerts.
+        output: Trajectory CSV with contact wrenches.
+        model: Write the statements, bias, mass and centre of mass here (JSON).
+        inertia: Subtract the load's inertia too.
 
     Example:
         ttus-opt compensate press_raw.csv --free free.csv --down 0,0,-1 --axes 0,0,0,1

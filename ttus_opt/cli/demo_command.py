@@ -14,13 +14,13 @@ def demo(
     weights: str = "auto",
     json: bool = False,
 ) -> None:
-    """Scan to surface to field to errors, on the bundled example, with pictures.
+    """Run the whole method on the bundled example, from scan to errors.
 
     Args:
         output: Folder for pictures and report.
         shape: Voxels in r, θ, z: n_r,n_theta,n_z.
         weights: auto: weights of eq. 10 by marginal likelihood; recipe: formulation and
-            sampling as well, by presses left out; own: 0.01.
+            sampling too, by left-out presses; own: 0.01.
 
     Example:
         ttus-opt demo -o demo

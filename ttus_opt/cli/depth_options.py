@@ -26,19 +26,19 @@ class DepthOptions:
     """How depth images were taken, as typed.
 
     Attributes:
-        intrinsics: Camera of depth images: JSON or YAML as OpenCV and ROS write it; one
-            for all, or repeated for each.
+        intrinsics: Intrinsics of the depth camera, JSON or YAML as OpenCV and ROS write
+            it; one file for all images, or repeated for each.
         rays: Instead of --intrinsics: table of the pixels' directions, NPY (h, w, 3) or
             (h, w, 2).
-        depth_kind: z along the optical axis, or range along the ray.
-        noise: Noise of the camera, by which the contour filter weighs points:
+        depth_kind: What a depth measures: z along the optical axis, or range along the
+            ray.
+        noise: Noise of the camera, from which the contour filter weights the points:
             structured-light, stereo:BASELINE[,DISPARITY_STD] [m, pixel] or
             time-of-flight:STD [m].
-        poses: Camera to scan, a line t,px,py,pz,qw,qx,qy,qz for each image.
-        pose_quaternion: Order of qw,qx,qy,qz as they stand: wxyz, or xyzw under those
-            names.
+        poses: Poses from camera to scan, one line t,px,py,pz,qw,qx,qy,qz per image.
+        pose_quaternion: Order in the columns qw,qx,qy,qz: wxyz as named, or xyzw.
         refine: Refine the poses by GICP (extra sensors: small_gicp).
-        pose_std: How well poses were measured, for --refine.
+        pose_std: Accuracy of the measured poses, for --refine.
     """
 
     intrinsics: list[Path] | None = None
@@ -71,7 +71,7 @@ class DepthOptions:
             )
         if self.noise or self.poses or self.refine:
             raise InputError(
-                "--noise, --poses and --refine are of depth images: give --intrinsics "
+                "--noise, --poses and --refine need depth images: give --intrinsics "
                 "or --rays with them"
             )
         return False

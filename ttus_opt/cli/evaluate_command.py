@@ -34,8 +34,8 @@ def evaluate(
     Args:
         field: Field file (.nc).
         picture: Draw measured and rendered force here.
-        doubt: Compare errors with the doubt that fit --doubt keeps in the field file,
-            for every recording.
+        doubt: Compare the errors of every recording with the uncertainty that fit
+            --doubt saved in the field file.
 
     Example:
         ttus-opt evaluate --field field.nc --probe ellipsoid:0.030,0.0125,0.018
@@ -77,7 +77,9 @@ def evaluate(
         "by_recording": [one.as_dict() for one in each],
     }
     known = [
-        f"{r['name']}: seen, the field was fitted to it" for r in told if r["seen"]
+        f"{r['name']}: the field was fitted to this recording"
+        for r in told
+        if r["seen"]
     ]
     each_own = [line for one in each for line in one.lines]
     tell(facts, *known, *_lines(errors, recorded.has_torque), *each_own, json=json)
@@ -94,7 +96,8 @@ def _lines(errors: Errors, has_torque: bool) -> list[str]:
     if not math.isnan(errors.share_told_apart):
         lines.append(
             f"felt    {100 * errors.share_told_apart:.1f} % of the frames in contact "
-            "could be told from the measured ones (by more than 7 % and 0.36 N, or 18°)"
+            "differ noticeably from the measured ones (by more than 7 % and 0.36 N, "
+            "or 18°)"
         )
     if not has_torque:
         return [*lines, "torque  not measured"]
@@ -113,7 +116,7 @@ def warn_of_poses(in_grid: NDArray[np.bool_], beyond: NDArray[np.int64]) -> None
     if off:
         warnings.warn(
             f"{off} of {in_grid.size} poses lie outside the field's grid and give "
-            "zero: check the trajectory's frame and unit",
+            "zero force: check the trajectory's frame and unit",
             TtusWarning,
             stacklevel=2,
         )

@@ -23,27 +23,26 @@ def experiment(
     dask: str = "",
     json: bool = False,
 ) -> None:
-    """Simulate three patients, fit with and without forces, report every error.
+    """Simulate three patients, fit with and without forces, and report all errors.
 
     Args:
-        output: Folder; a second call goes on where one stopped.
-        formulations: What is compared: names, or paths of your own files, separated by
-            commas.
+        output: Folder of the results; a second call continues there.
+        formulations: Formulations to compare: names, or paths of your own files,
+            separated by commas.
         weight: λ_f = λ_τ of formulations that do not choose their own.
-        weights: given: --weight alone; auto: formulations that take it also with
-            weights chosen from the recordings; recipe: what ttus-opt fit --weights
-            recipe takes as well.
-        torso: A scan whose skin the third patient gets; without one it is made up.
+        weights: given: --weight alone; auto: fit again with weights chosen from the
+            recordings, where a formulation allows it; recipe: also what ttus-opt fit
+            --weights recipe chooses.
+        torso: Scan whose skin the third patient gets; without it, that patient is
+            invented.
         torso_unit: Unit of that scan: m, cm or mm.
-        patients: Examine only these, separated by commas: lean, stout, and average, or
+        patients: Simulate only these, separated by commas: lean, stout, and average, or
             scanned with --torso.
         shape: Voxels in r, θ, z: n_r,n_theta,n_z.
         resolution: Spacing of the finite elements: 1 is fine, 3 a quick look.
-        comparators: Compare other ways to render too: names, separated by commas, or
-            all.
-        jobs: So many patients and settings at a time (extra parallel).
-        dask: Address of a dask scheduler for them, host:port; its workers must see the
-            folder.
+        comparators: Also compare other models: names separated by commas, or all.
+        jobs: Number of patients and settings at a time (extra parallel).
+        dask: Address of a dask scheduler, host:port, whose workers can see the folder.
 
     Example:
         ttus-opt experiment --torso ct_skin_mm.ply --weights auto -o results

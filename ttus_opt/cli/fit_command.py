@@ -42,13 +42,13 @@ class WeightOptions:
     """Where weights come from, as typed.
 
     Attributes:
-        force_weight: λ_f; then no weight is chosen from the recordings.
-        torque_weight: λ_τ; then no weight is chosen from the recordings.
-        weights: auto: weights and boundary scale by marginal likelihood, as ttus-opt
-            tune finds them, unless the formulation's own predict presses left out
-            better; recipe: formulation and sampling as well, by presses left out; own:
-            the formulation's, 0.01. By default auto where no weight is given.
-        paper: The paper's choices where nothing else is said: --inner 1 --sampling
+        force_weight: Weight λ_f of forces. Giving it turns the choice of weights off.
+        torque_weight: Weight λ_τ of torques. Giving it turns the choice of weights off.
+        weights: auto: choose weights and boundary scale by marginal likelihood, as
+            ttus-opt tune does, unless the formulation's own predict left-out presses
+            better. recipe: choose formulation and sampling too, by left-out presses.
+            own: the formulation's, 0.01. By default auto if no weight is given.
+        paper: Use the paper's choices unless you give others: --inner 1 --sampling
             voxel-mean --boundary staircase --force-weight 1e-4 --torque-weight 1e-4.
     """
 
@@ -102,15 +102,16 @@ def fit(
     Args:
         surface: Surface file (.nc).
         output: Field file (.nc).
-        every: Take every so many frames of a recording only.
-        rate: Take at most so many frames a second of a recording [Hz].
-        torque_length: ℓ that makes torque a force [m]; by default the probe's.
-        time_limit: Most seconds the solver may take.
-        picture: Draw the probe on the skin with measured forces here.
-        doubt: Keep in the field file how sure the field is, for ttus-opt evaluate
+        every: Use only every n-th frame of a recording.
+        rate: Use at most this many frames per second of a recording [Hz].
+        torque_length: Length ℓ that scales torques to forces [m]. By default the
+            probe's.
+        time_limit: Time limit of the solver [s].
+        picture: Draw the probe on the skin with the measured forces here.
+        doubt: Save the field's uncertainty in the field file, for ttus-opt evaluate
             --doubt and for rendering.
-        doubt_picture: Draw where this patient was measured and where the model only
-            guesses here; --doubt with it.
+        doubt_picture: Draw here where the patient was measured and where the model only
+            guesses; implies --doubt.
 
     Example:
         ttus-opt fit --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def solvers(json: bool = False) -> None:
-    """List the solvers, installed or not, and what each can take.
+    """List the solvers, installed or not, and the problems each can solve.
 
     Example:
         ttus-opt solvers --json
@@ -21,7 +21,7 @@ def solvers(json: bool = False) -> None:
 
     known, order = registry.solvers(), registry.estimating()
     facts = {"solvers": [_solver(s) for s in known.values()], "auto_tries": order}
-    header = ["solver", "installed", "takes", "a re-solve keeps", "about"]
+    header = ["solver", "installed", "solves", "a re-solve keeps", "about"]
     body = [
         [
             name,
@@ -33,8 +33,8 @@ def solvers(json: bool = False) -> None:
         for name, solver in known.items()
     ]
     auto = (
-        "\nauto takes, of those that are installed and take the problem, the one that "
-        f"estimates the least time: {', '.join(order)}"
+        "\nauto picks the installed solver with the lowest time estimate for the "
+        f"problem, from {', '.join(order)}"
     )
     tell(facts, table(header, body), auto, json=json)
 
@@ -52,7 +52,7 @@ def formulations(json: bool = False) -> None:
     rows = [{"name": f.name, "summary": f.summary, "options": f.options} for f in known]
     body = [[f.name, f.summary, ", ".join(map(str, f.options)) or "–"] for f in known]
     listed = table(["formulation", "about", "options"], body)
-    own = "\nA file of your own with build(scene, **options) goes by its path."
+    own = "\nName your own file, with a function build(scene, **options), by its path."
     tell({"formulations": rows}, listed, own, json=json)
 
 
@@ -62,7 +62,7 @@ def _takes(solver: Solver) -> list[str]:
         "any terms": can.any_terms,
         "equalities": can.equalities,
         "inequalities": can.inequalities,
-        "penalties beside squares": can.nonquadratic,
+        "penalties other than squares": can.nonquadratic,
         "time limit": can.time_limit,
     }
     listed = [what for what, able in takes.items() if able]

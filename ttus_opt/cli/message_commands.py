@@ -82,7 +82,7 @@ def decode(
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Write what a message holds as a surface or field file.
+    """Read a message and write its surface or field file.
 
     Damaged and hostile messages are refused before anything is allocated. Needs the
     extra `sensors`.

@@ -45,17 +45,17 @@ def path(
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Solve for many weights at the cost of few, and say what each is worth.
+    """Solve for many weights at the cost of a few, and evaluate each.
 
     Args:
         surface: Surface file (.nc).
-        weight: Weights of a term, or common to several, evenly spread over the
-            logarithm, or as a list 1e-4,1e-2; a second one makes a grid.
+        weight: Weights of one term, or shared by several, logarithmically spaced, or a
+            list such as 1e-4,1e-2. A second --weight makes a grid.
         output: Path file (.nc).
-        held_out: Trajectory CSV on which every point is judged; may be repeated.
-        fields: Keep the potential of every point.
-        criteria: Add evidence, cross-validation and errors on presses left out.
-        picture: Draw L-curve and held-out errors here.
+        held_out: Trajectory CSV on which every point is evaluated; may be repeated.
+        fields: Save the potential of every point.
+        criteria: Add evidence, cross-validation and errors on left-out presses.
+        picture: Draw the L-curve and the held-out errors here.
 
     Example:
         ttus-opt path --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018

@@ -24,15 +24,15 @@ def record(
 ) -> None:
     """Record a tracker's poses and a force sensor's readings over OpenIGTLink.
 
-    The files are written at the end, also when it comes by Ctrl-C.
+    The files are written at the end, also after Ctrl-C.
 
     Args:
         server: HOST or HOST:PORT of the server.
         poses: Write TRANSFORM messages here (CSV).
         wrenches: Write SENSOR messages here (CSV).
-        pose_device: Device of the poses, where several send some.
+        pose_device: Device of the poses, if several send poses.
         sensor: Device of the forces, where several send some.
-        seconds: For how long from the first message; else until Ctrl-C.
+        seconds: Duration from the first message [s]. By default until Ctrl-C.
 
     Example:
         ttus-opt record localhost:18944 --poses tracker.csv --seconds 60

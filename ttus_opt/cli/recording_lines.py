@@ -54,8 +54,8 @@ class RecordingLine:
         told = []
         if not math.isnan(self.hysteresis_share):
             told.append(
-                f"{self.name}: {100 * self.hysteresis_share:.0f} % of the work of its "
-                "presses was not given back (hysteresis)"
+                f"{self.name}: its presses lose {100 * self.hysteresis_share:.0f} % "
+                "of their work to hysteresis"
             )
         if self.refused:
             told.append(f"{self.name}: no doubt: {self.refused}")
@@ -76,13 +76,13 @@ class RecordingLine:
         )
         force = _told(found.force_rank_correlation, found.force_rank_error)
         turn = _told(found.torque_rank_correlation, found.torque_rank_error)
-        ranks = f"{self.name}: rank correlation of error and doubt {force} of force"
-        ranks += f" and {turn} of torque" if torque else ""
+        ranks = f"{self.name}: rank correlation of error and doubt {force} for force"
+        ranks += f" and {turn} for torque" if torque else ""
         if not math.isnan(found.force_place_rank_correlation):
             ranks += f"; between its {found.places} places "
             ranks += f"{found.force_place_rank_correlation:.2f}"
             ranks += f" and {found.torque_place_rank_correlation:.2f}" if torque else ""
-        deeper = f"{self.name}: {unknown} frames reach deeper than doubt is kept"
+        deeper = f"{self.name}: {unknown} frames reach deeper than the saved doubt"
         return [line, ranks, deeper] if unknown else [line, ranks]
 
 

@@ -28,9 +28,9 @@ class ProbeOptions:
     Attributes:
         probe: ellipsoid:a,b,c (semi-axes), sphere:r, box:a,b,c (edges) in metres, or a
             mesh file (STL, PLY, OBJ).
-        points: Points of the probe's shell.
+        points: Number of points of the probe's shell.
         probe_unit: Unit of a mesh file: m, cm, mm, in.
-        probe_surface: What to keep of a mesh: outer, all, hull.
+        probe_surface: Which part of a mesh to keep: outer, all, hull.
     """
 
     probe: str
@@ -68,21 +68,22 @@ class RecordingOptions:
 
     Attributes:
         trajectory: Trajectory CSV; may be repeated.
-        columns: Names of the file's columns by ours, for instance px=tip_x, or a YAML
-            file of them; ROS's names are known.
-        quaternion: Order of qw,qx,qy,qz as they stand: wxyz, or xyzw under those names.
+        columns: Column names of the file, for instance px=tip_x, or a YAML file of
+            them. ROS's names are recognised.
+        quaternion: Order in the columns qw,qx,qy,qz: wxyz as named, or xyzw.
         frame: Frame of the poses: patient (of the surface file), scan (of the cloud it
             was extracted from) or base (of the robot or tracker). By default patient,
             or base with --base-to-scan.
         base_to_scan: Rigid motion from base to scan [m]: a 4x4 matrix in a text, CSV,
             JSON or NPY file, or seven numbers.
-        wrench_frame: Axes of measured wrenches: patient, scan, base or tool; by default
-            those of the poses' frame.
-        flip_wrench: Wrenches are those of the probe on the skin.
+        wrench_frame: Axes of the measured wrenches: patient, scan, base or tool. By
+            default those of the poses' frame.
+        flip_wrench: The wrenches are those that the probe exerts on the skin.
         torque_unit: Unit of measured torques: Nm or Nmm.
-        torque_about: What torques are about: centroid (of the probe's area), origin (of
-            the pose, as CAD and ROS have it) or x,y,z in the probe's frame [m].
-        wrench_delay: By how much wrenches lag behind poses [s].
+        torque_about: Reference point of the torques: centroid (of the probe's area),
+            origin (of the pose, as CAD and ROS have it) or x,y,z in the probe's frame
+            [m].
+        wrench_delay: Delay of the wrenches behind the poses [s].
     """
 
     trajectory: Annotated[list[Path], typer.Option(metavar="PATH")]

@@ -27,16 +27,16 @@ def board(
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Where a board of ArUco or AprilTag markers lies in front of the camera.
+    """Find the pose of a board of ArUco or AprilTag markers in a photo.
 
     Args:
         image: Photo, PNG or JPEG.
         intrinsics: Camera matrix and distortion, JSON or YAML (OpenCV, ROS).
-        dictionary: OpenCV's name: 4X4_250, APRILTAG_36H11, …
-        columns: Markers in a row.
-        rows: Rows of markers.
+        dictionary: Name of the dictionary in OpenCV: 4X4_250, APRILTAG_36H11, …
+        columns: Number of markers in a row.
+        rows: Number of rows of markers.
         marker: Side of a marker [m].
-        gap: Between two markers [m].
+        gap: Distance between two markers [m].
         output: Write the motion here, a matrix as JSON.
 
     Example:
@@ -62,12 +62,12 @@ def markers(
     marker: float,
     json: bool = False,
 ) -> None:
-    """Where single ArUco or AprilTag markers lie in front of the camera.
+    """Find the poses of single ArUco or AprilTag markers in a photo.
 
     Args:
         image: Photo, PNG or JPEG.
         intrinsics: Camera matrix and distortion, JSON or YAML (OpenCV, ROS).
-        dictionary: OpenCV's name: 4X4_250, APRILTAG_36H11, …
+        dictionary: Name of the dictionary in OpenCV: 4X4_250, APRILTAG_36H11, …
         marker: Side of a marker [m].
 
     Example:
@@ -93,10 +93,11 @@ def hand_eye(
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Where a camera is, from pairs of poses: seven solvers compared, loops checked.
+    """Find where a camera is from pairs of poses, by seven solvers.
 
-    The motion found is camera to base (fixed) or camera to hand (moving). A tracker is
-    a camera here, and whatever carries its target a hand.
+    The result is the motion from camera to base (fixed) or from camera to hand
+    (moving), checked by how well the loops of motions close. A tracker counts as a
+    camera, and whatever carries its target as a hand.
 
     Args:
         pairs: Pairs of poses, JSON or NPY (n, 2, 4, 4): marker to camera, hand to base

@@ -24,14 +24,14 @@ def render(
 ) -> None:
     """Render force and torque for every pose of a trajectory.
 
-    A field that was fitted with friction drags as the trajectory's motion tells: the
-    wrenches are those that `ttus-opt evaluate` judges. They are written in the frame of
-    the recordings, with quaternions w, x, y, z.
+    Friction follows from the motion of the trajectory, so the wrenches are those that
+    `ttus-opt evaluate` compares. They are written in the frame of the recordings, with
+    quaternions w, x, y, z.
 
     Args:
         field: Field file (.nc).
         output: Trajectory CSV with wrenches.
-        force_limit: Cut larger forces to this [N].
+        force_limit: Limit the magnitude of the force to this [N].
 
     Example:
         ttus-opt render --field field.nc --probe ellipsoid:0.030,0.0125,0.018

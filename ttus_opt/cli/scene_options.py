@@ -25,12 +25,12 @@ class ProblemOptions:
 
     Attributes:
         formulation: A formulation's name, or the path of your own file. By default
-            eq10; where fit chooses the weights, coulomb_global if the recordings show
-            drag.
+            eq10, or coulomb_global if fit chooses the weights and the recordings show
+            friction.
         solver: A solver's name, the path of your own file, or auto; see ttus-opt
             solvers.
-        option: A further option of the formulation; may be repeated.
-        tolerance: Largest relative residual of a solution.
+        option: An option of the formulation; may be repeated.
+        tolerance: Largest relative KKT residual of a solution.
     """
 
     formulation: str | None = None
@@ -58,19 +58,19 @@ class SceneOptions:
     """Grid, boundary, its values and sampling, as typed.
 
     Attributes:
-        shape: Voxels in r, θ, z: n_r,n_theta,n_z.
-        sector: Lay the grid over this part of θ alone [deg], with zero flux at its
-            sides: a back that was not seen is not needed.
+        shape: Number of voxels in r, θ, z: n_r,n_theta,n_z.
+        sector: Restrict the grid to these angles θ [deg], with zero flux through its
+            sides, so that an unseen back is left out.
         r_inner: Radius of the innermost layer [m].
-        r_outer: Radius of the outermost layer [m]; by default 2 cm beyond.
-        inner: Value on the inner layer, or fit: scaled to the forces, which is the
-            default where there are any.
-        outer: Minus the outer layer's value; with --inner fit minus its ratio to the
-            inner one.
-        sampling: How contact samples p: trilinear, the default, voxel-mean, or
-            contact-size, trilinear times 10 mm over the length of the patch.
-        boundary: Where p = 0 stands: subvoxel, at the true radius, the default, or
-            staircase, on the voxels nearest to it.
+        r_outer: Radius of the outermost layer [m]. By default 2 cm beyond the surface.
+        inner: Potential on the inner layer, or fit, which scales it to the forces. By
+            default fit, where there are forces.
+        outer: Negative of the outer layer's potential; with --inner fit, negative of
+            its ratio to the inner one.
+        sampling: How contact samples the field: trilinear (the default), voxel-mean, or
+            contact-size (trilinear times 10 mm over the length of the contact patch).
+        boundary: Where p = 0 lies: subvoxel (the default), at the true radius, or
+            staircase, on the nearest voxels.
     """
 
     shape: str = "48,120,60"

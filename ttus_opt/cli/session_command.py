@@ -17,13 +17,13 @@ def session(
     example: bool = False,
     json: bool = False,
 ) -> None:
-    """From a recording folder to surface, trajectories, field, errors and a report.
+    """Process a recording folder into surface, trajectories, field and report.
 
-    Every step writes its files when it is complete; session.json says which are.
+    Every step writes its files as soon as it is complete; session.json lists them.
 
     Args:
-        folder: Folder with a session.yaml that says what is where, or that file.
-        output: Folder of the results.
+        folder: Folder with a session.yaml that describes it, or that file.
+        output: Folder for the results.
         example: Write a synthetic recording into FOLDER instead.
 
     Example:

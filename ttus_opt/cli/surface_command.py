@@ -32,17 +32,17 @@ def surface(
 ) -> None:
     """Extract the patient's surface from a depth scan.
 
-    The patient's frame, which recordings and fields share, has x to the right, y to the
-    front and z to the head; the surface file says where it lies in the scan.
+    Recordings and fields use the patient's frame: x to the right, y to the front, z to
+    the head. The surface file stores where it lies in the scan.
 
     Args:
         output: Surface file (.nc).
-        n_theta: Spokes over the full turn.
-        n_z: Slices along the body.
+        n_theta: Number of angles around the body.
+        n_z: Number of slices along the body.
         z_range: First and last height in the patient frame, a,b [m].
-        update: Update this surface file by the scan: its frame and grid, what the scan
-            does not see kept.
-        picture: Draw the surface and its observed part here.
+        update: Update this surface file with the scan. Its frame and grid stay, and so
+            do the parts that the scan does not see.
+        picture: Draw the surface here, with its observed part tinted.
 
     Example:
         ttus-opt surface scan.pcd --unit m --box -0.5,0.5,-0.6,0.6,0.5,1.5 -o surface.nc

@@ -34,7 +34,7 @@ def synchronise(
     force: bool = False,
     json: bool = False,
 ) -> None:
-    """Put wrenches on the instants of poses, the offset of both clocks found.
+    """Resample wrenches at the times of poses, after aligning both clocks.
 
     Frames without wrenches are left out; a new segment begins after them.
 
@@ -44,18 +44,19 @@ def synchronise(
         wrenches: Table t,fx,fy,fz[,tx,ty,tz] on its own clock, netCDF, or ROS
             recording.
         output: Trajectory CSV.
-        by: What tells the offset: contact, its onset in the forces and in the poses
-            (needs --surface), or angular-speed, of the poses that the wrenches' file
-            has too.
+        by: How to find the offset. contact: the times of contact in forces and poses
+            (needs --surface). angular-speed: of the poses and of those in the wrenches'
+            file.
         offset: Known offset, added to the wrenches' times [s].
         surface: Surface file (.nc), in the poses' frame.
-        transform: Which one of a .mha with several, for instance ProbeToTracker.
-        columns: Names of the files' columns by ours, or a YAML file of them.
-        pose_topic: Which poses of a ROS recording with several.
-        wrench_topic: Which wrenches of a ROS recording with several.
+        transform: Name of the transform, if a .mha file has several, for instance
+            ProbeToTracker.
+        columns: Column names of the files, or a YAML file of them.
+        pose_topic: Topic of the poses, if a ROS recording has several.
+        wrench_topic: Topic of the wrenches, if a ROS recording has several.
         together: Both recordings began at about the same time.
-        largest_offset: How far offsets are looked for [s].
-        largest_gap: Longer gaps are not bridged [s].
+        largest_offset: Largest offset to search [s].
+        largest_gap: Longer gaps are not interpolated [s].
 
     Example:
         ttus-opt synchronise tracker.mha --wrenches sensor.csv --by contact --surface

@@ -33,13 +33,13 @@ def tune(
     option: Annotated[list[str] | None, typer.Option(metavar="KEY=VALUE")] = None,
     json: bool = False,
 ) -> None:
-    """Choose weights, boundary scale and friction from the recordings alone.
+    """Choose weights, boundary scale and friction from the recordings.
 
     Args:
         surface: Surface file (.nc).
-        formulation: A formulation's name, or the path of your own file; of several the
-            likeliest is taken. By default eq10 and coulomb_global.
-        option: An option of the formulations, which then stays; may be repeated.
+        formulation: A formulation's name, or the path of your own file; of several, the
+            most likely is taken. By default eq10 and coulomb_global.
+        option: A fixed option of the formulations; may be repeated.
 
     Example:
         ttus-opt tune --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018

@@ -6,7 +6,7 @@ from ttus_opt.cli.console import Stages, tell
 
 
 def warm_up(json: bool = False) -> None:
-    """Compile everything ahead, so that nothing compiles when it is needed.
+    """Compile everything ahead of its first use.
 
     Example:
         ttus-opt warm-up
