@@ -1,10 +1,11 @@
 """Any sum of squares without a Laplace term: a factor or a multigrid.
 
-Conjugate gradients on the normal equations of what is not given, with the matrix of all
-short rows inverted about (`primal.sparse_inverse`) and few long ones, those of
-measurements, by their Schur complement. Differences of neighbours between given
-boundary values are a network of conductances, which the grid's own multigrid knows;
-with a Laplace term `normal_equations` is the better way.
+Conjugate gradients on the normal equations of the values that are not given. The
+preconditioner inverts the matrix of all short rows approximately
+(`primal.sparse_inverse`) and takes the few long rows, those of measurements, by their
+Schur complement. Differences of neighbouring voxels between given boundary values form
+a network of conductances, which the grid's multigrid solves. With a Laplace term,
+`normal_equations` is faster.
 
 See docs/method.md, section 10.10.
 """
@@ -19,26 +20,27 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.errors import MissingPackageError
 from ttus_opt.laplace.network import NeighbourRows, by_network
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
 from ttus_opt.solvers.dual.data import laplace_prior
 from ttus_opt.solvers.primal.flexible import Map, flexible_conjugate_gradients
-from ttus_opt.solvers.primal.sparse_inverse import SparseInverse, needs_missing
+from ttus_opt.solvers.primal.sparse_inverse import SparseInverse
 from ttus_opt.solvers.proximal.field_preconditioner import WithFewRows
 from ttus_opt.solvers.proximal.problem import PenalisedProblem
 from ttus_opt.solvers.sizes import Sizes
 from ttus_opt.solvers.verified import Verified
 
-#: Entries of a long row, on average: its square would fill the matrix [–]
+#: Mean entries per row from which a term's rows are long: MᵀM would fill in [–]
 LONG = 64
 
-#: Voxels from which on a network is looked for before a factor is thought of [–]
+#: Voxels from which a network is tried before a factor [–]
 NETWORK = 30_000
 
-#: Most steps of conjugate gradients of a round, most rounds of a solve, each from a
-#: residual computed anew, and the part of a residual that a round leaves at best [–]
+#: Most steps of conjugate gradients per round; most rounds per solve, each from a
+#: recomputed residual; relative residual at which a round ends at the latest [–]
 STEPS, ROUNDS, ROUND = 500, 6, 1e-6
 
 
@@ -57,7 +59,7 @@ class Algebraic(Solver):
     )
 
     def refusal(self, program: Program) -> str:
-        """Sums of squares without a Laplace term; equalities that give values."""
+        """Takes sums of squares without a Laplace term, and given values."""
         base = super().refusal(program)
         if base:
             return base
@@ -66,7 +68,7 @@ class Algebraic(Solver):
             return f"it takes sums of squares only, {bent[0]} is none"
         prior = laplace_prior(program)
         if prior is not None and prior.weight > 0.0:
-            return f"of {prior.name} normal_equations knows more"
+            return f"it takes no Laplace term ({prior.name}): use normal_equations"
         for constraint in program.constraints:
             if (np.diff(constraint.matrix.indptr) != 1).any():
                 return f"it takes given values, and {constraint.name} is more than that"
@@ -89,7 +91,7 @@ class _Loaded(Verified):
     _made: tuple[tuple[ProgramTerm, ...], Map, str] | None = None
 
     def _load(self, program: Program) -> None:
-        """Take other data; the preconditioner is kept while the matrices stay."""
+        """Take other data; keep the preconditioner while the matrices stay the same."""
         self._problem = problem = PenalisedProblem.of(program)
         self._missing = ""
         self._blocks = problem.blocks
@@ -102,7 +104,7 @@ class _Loaded(Verified):
         self._x = np.where(problem.fixed, problem.values, at)
 
     def _set_up(self, terms: tuple[ProgramTerm, ...]) -> None:
-        """What preconditions."""
+        """Build the preconditioner."""
         moving = np.flatnonzero(~self._problem.fixed)
         short = [t for t in terms if not _is_long(t)] or list(terms)
         long = [t for t in terms if not any(t is k for k in short)]
@@ -119,12 +121,12 @@ class _Loaded(Verified):
             z[moving] = apply(v[moving])
             return z
 
-        self._made = terms, precondition, inverse.told
+        self._made = terms, precondition, inverse.description
 
     def _network(
         self, short: list[ProgramTerm], moving: IntArray
     ) -> SparseInverse | None:
-        """By the grid's own multigrid, where short rows are differences of neighbours.
+        """The grid's multigrid, where short rows are differences of neighbours.
 
         Args:
             short: Terms of short rows.
@@ -157,22 +159,25 @@ class _Loaded(Verified):
     def _sparse(
         self, short: list[ProgramTerm], few: sp.csr_array, moving: IntArray
     ) -> SparseInverse | None:
-        """By a factor or algebraic multigrid; None where pyamg is missing.
+        """A factor or algebraic multigrid; None where pyamg is missing.
 
         Args:
             short: Terms of short rows.
-            few: The others' rows over what moves, shape (m, k).
+            few: Long rows over the moving variables, shape (m, k).
             moving: Variables without a given value, shape (k,).
         """
         Q = _gram([_scaled(t)[:, moving] for t in short], len(moving))
-        # what no short row touches has the long ones' diagonal, or is left alone
+        # a variable without short rows gets the diagonal of the long ones
         alone = Q.diagonal() == 0.0
         own = np.bincount(few.indices, few.data**2, len(moving))
         Q = sp.csr_array(
             Q + sp.diags_array(np.where(alone, np.where(own > 0.0, own, 1.0), 0.0))
         )
-        self._missing = needs_missing(Q)
-        return None if self._missing else SparseInverse.of(Q)
+        try:
+            return SparseInverse.of(Q)
+        except MissingPackageError as error:
+            self._missing = str(error)
+            return None
 
     def _attempt(self, eps: float, seconds: float | None) -> Candidate:
         """Rounds of conjugate gradients from the last answer."""
@@ -201,8 +206,7 @@ class _Loaded(Verified):
             [self._charge(k, x) for k in range(len(self._blocks))],
             np.sum(parts, axis=0),
         )
-        told = f"{self._made[2]}, {steps} steps"
-        return Candidate(x, duals, steps, detail=told)
+        return Candidate(x, duals, steps, detail=f"{self._made[2]}, {steps} steps")
 
     def _charge(self, k: int, x: Array) -> Array:
         block = self._blocks[k]
@@ -223,7 +227,7 @@ class _Loaded(Verified):
 
 
 def _is_long(term: ProgramTerm) -> bool:
-    """Whether its rows are measurements, or as long as such."""
+    """Whether its rows are measurements, or have as many entries."""
     rows = max(term.matrix.shape[0], 1)
     return term.is_measured or term.matrix.nnz > LONG * rows
 

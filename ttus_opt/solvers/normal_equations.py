@@ -147,7 +147,7 @@ class _Loaded(Prepared):
             if least <= tolerance or not gained or accuracy.late:
                 break
             share *= self._options.tightening
-        return replace(best, iterations=steps, detail=self._preconditioner.told)
+        return replace(best, iterations=steps, detail=self._preconditioner.description)
 
     def _goal(self, share: float, scale: _Scale, accuracy: Accuracy) -> Goal:
         """What to reach: the tolerance, with margins and a share of it [–]."""

@@ -9,13 +9,13 @@ import scipy.sparse as sp
 from tests.conftest import small_scene
 from tests.solvers.own_terms import AlongZ
 from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.primal.approximate_system import FixedBlock
 from ttus_opt.solvers.primal.conjugate_gradients import Pair
 from ttus_opt.solvers.primal.least_squares import preconditioner
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.split import Split
-from ttus_opt.solvers.primal.wide_term import WideTerm
 
 SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=3)
 
@@ -43,7 +43,7 @@ def test_the_preconditioner_is_the_inverse_of_something_near_h() -> None:
 def test_the_fixed_block_is_a_schur_complement() -> None:
     free = SCENE.laplace.free
     rows = AlongZ(SCENE).rows()
-    term = WideTerm(10.0, sp.csr_array(rows.blocks["p"]), rows.target)
+    term = ProgramTerm("wide", 10.0, sp.csr_array(rows.blocks["p"]), rows.target)
     block = FixedBlock.of([term], free, np.ones(len(free)))
     assert block is not None
     # of all lines along z in which there is a soft voxel
@@ -63,6 +63,6 @@ def test_the_fixed_block_is_a_schur_complement() -> None:
 
 def test_light_rows_leave_the_diagonal() -> None:
     rows = AlongZ(SCENE).rows()
-    term = WideTerm(1e-3, sp.csr_array(rows.blocks["p"]), rows.target)
+    term = ProgramTerm("wide", 1e-3, sp.csr_array(rows.blocks["p"]), rows.target)
     free = SCENE.laplace.free
     assert FixedBlock.of([term], free, np.ones(len(free))) is None

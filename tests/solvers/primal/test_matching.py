@@ -10,8 +10,8 @@ import scipy.sparse as sp
 from tests.conftest import small_scene
 from tests.solvers.own_terms import OWN, AlongZ
 from ttus_opt.arrays import Array
+from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.primal.matching import Root, matched_root
-from ttus_opt.solvers.primal.wide_term import WideTerm
 from ttus_opt.terms.base import Term
 from ttus_opt.terms.tikhonov import TikhonovTerm
 
@@ -20,12 +20,12 @@ LAPLACE = SCENE.laplace
 FREE = np.flatnonzero(LAPLACE.free)
 
 
-def wide(term: Term, weight: float) -> WideTerm:
+def wide(term: Term, weight: float) -> ProgramTerm:
     rows = term.rows()
-    return WideTerm(weight, sp.csr_array(rows.blocks["p"]), rows.target)
+    return ProgramTerm(term.name, weight, sp.csr_array(rows.blocks["p"]), rows.target)
 
 
-def root_of(term: WideTerm) -> Root:
+def root_of(term: ProgramTerm) -> Root:
     ones = np.ones(SCENE.n_voxels)
     return matched_root([term], LAPLACE.grid, LAPLACE.free, LAPLACE.radii, ones)
 

@@ -68,7 +68,7 @@ def test_a_step_obeys_the_equations_beside_free_unknowns() -> None:
     assert np.linalg.norm(left) <= 1e-6 * size
     assert np.linalg.norm(columns.T @ step.y) <= 1e-10 * size
     assert np.linalg.norm(step.y) > 0.1 * size
-    assert own.told == f"{len(own._subspace)} directions of the dual"
+    assert own.description == f"{len(own._subspace)} directions of the dual"
 
 
 def test_without_few_rows_the_field_s_part_is_all() -> None:

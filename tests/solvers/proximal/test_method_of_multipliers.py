@@ -259,9 +259,22 @@ def test_a_step_that_is_no_number_changes_nothing() -> None:
     np.testing.assert_array_equal(found.x, np.full(5, 10.0))
 
 
-def test_parameters_shrink_after_a_round_that_failed_and_wait_to_grow() -> None:
-    options = Options(growth=2.0, retreat=1.5, patience=2)
-    method, _ = method_of(lasso(0), options=options)
-    assert method._growth(False, 5) == (1.0 / 1.5, 0)
-    assert method._growth(True, 0) == (1.0, 1)
-    assert method._growth(True, 1) == (2.0, 2)
+def test_parameters_grow_after_a_complete_round_and_shrink_after_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    method, _ = method_of(lasso(0), options=Options(growth=2.0, retreat=1.5, rounds=3))
+    outcomes, growths = iter([True, False, True]), []
+
+    def minimise(state: method_of_multipliers._State, rtol: float) -> bool:
+        state.evaluate(method._blocks)
+        return next(outcomes)
+
+    monkeypatch.setattr(method, "_minimise", minimise)
+    monkeypatch.setattr(method, "_next_round", lambda _, growth: growths.append(growth))
+    monkeypatch.setattr(
+        method_of_multipliers,
+        "kkt_residuals",
+        lambda *given, **options: SimpleNamespace(worst_relative=1.0),
+    )
+    method.solve(np.full(5, 10.0))
+    assert growths == [2.0, 1.0 / 1.5, 2.0]

@@ -1,9 +1,9 @@
 """The dual system with approximate solves: P⁻¹ = L̃⁻¹ Ω L̃⁻ᵀ, one V-cycle for each L̃⁻¹.
 
-At fixed voxels whose values are soft Ω is not diagonal where wide terms have rows
-there. Of these rows, over fixed voxels and the free ones beside them, the free ones are
-eliminated once and for all, and what is left is added to Ω⁻¹. Fixed voxels lie on the
-rim and on the surface, in layers: that is factorised.
+Where wide terms have rows at soft Dirichlet voxels, Ω is not diagonal there. Such rows
+also touch free voxels; these are eliminated once, and the Schur complement is added to
+Ω⁻¹. Dirichlet voxels lie in layers on the rim and on the surface, so that this block
+can be factorised.
 """
 
 from __future__ import annotations
@@ -17,28 +17,21 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.laplace.square_system import RTOL, BlockSolves, SquareSystem
 from ttus_opt.multigrid.one_cycle import OneCycle
+from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.primal.elimination import eliminated, factor
 from ttus_opt.solvers.primal.unseen_fields import UnseenFields, joined
-from ttus_opt.solvers.primal.wide_term import WideTerm
 
-#: Rows among fixed voxels that weigh less are left out [–]
+#: Rows at Dirichlet voxels are left out where their squares over Ω⁻¹ stay below [–]
 LIGHT = 0.3
 
-#: Most voxels that rows may join for all of them to be eliminated
+#: Largest connected set of voxels that is eliminated as a whole
 FEW_JOINED = 1000
 
 
 @dataclass(frozen=True)
 class ApproximateLaplace(BlockSolves):
-    """A square system whose solves are one V-cycle each, linear and adjoint.
-
-    Attributes:
-        free: Voxels with an unknown of their own, shape (V,).
-        radii: What turns a row of A into one of L, shape (V,) [m].
-        coupling: Entries from fixed voxels to free rows, and their adjoint.
-        multigrid: The V-cycle of A, with what is added to it.
-    """
+    """A square system (`SquareSystem`) whose solves are one V-cycle each."""
 
     free: Mask = field(repr=False)
     radii: Array = field(repr=False)
@@ -49,7 +42,7 @@ class ApproximateLaplace(BlockSolves):
     def of(
         cls, system: SquareSystem, multigrid: OneCycle, more: sp.csr_array
     ) -> ApproximateLaplace:
-        """The same system with another block A and more coupling."""
+        """The same system with another block A and additional coupling."""
         coupling = system.coupling
         if more.nnz:
             inward = sp.csr_array(coupling[0] + more)
@@ -71,9 +64,9 @@ class FixedBlock:
 
     @classmethod
     def of(
-        cls, wide: Sequence[WideTerm], free: Mask, compliance: Array
+        cls, wide: Sequence[ProgramTerm], free: Mask, compliance: Array
     ) -> FixedBlock | None:
-        """Factorise it; None where the diagonal will do.
+        """Factorise it; None where the diagonal suffices.
 
         Args:
             wide: The wide terms.
@@ -100,10 +93,10 @@ class FixedBlock:
 
 
 def _beside(M: sp.csr_array, soft: Mask) -> IntArray:
-    """Rows that tie soft voxels to others, all the way where that is not far.
+    """Rows that touch soft voxels, or are connected to them through small sets.
 
-    Free voxels between two soft ones may be many: where rows join few voxels, as those
-    along a direction do, all of these are eliminated.
+    Where rows connect only few voxels, as rows along one direction do, all rows of a
+    connected set are returned.
     """
     sets = joined([M])
     small = np.bincount(sets).max() <= FEW_JOINED
@@ -116,8 +109,8 @@ class ApproximateSystem(DualSystem):
     """A dual system whose L has approximate solves.
 
     Attributes:
-        fixed: Ω at fixed voxels where it is not diagonal; None where it is.
-        unseen: Fields that are solved for apart; None for none.
+        fixed: Ω at Dirichlet voxels where it is not diagonal; None where it is.
+        unseen: Deflated fields; None for none.
     """
 
     fixed: FixedBlock | None = None
@@ -128,7 +121,7 @@ class ApproximateSystem(DualSystem):
         cls,
         exact: DualSystem,
         approximate: ApproximateLaplace,
-        wide: Sequence[WideTerm],
+        wide: Sequence[ProgramTerm],
         unseen: UnseenFields | None = None,
     ) -> ApproximateSystem:
         """The rows of an exact system, with approximate solves and wide terms."""

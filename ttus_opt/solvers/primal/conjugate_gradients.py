@@ -1,16 +1,15 @@
-"""Conjugate gradients on the normal equations, multipliers of few rows kept beside.
+"""Conjugate gradients on the normal equations and the multipliers of the few rows.
 
 With multipliers y of the few rows, minus half the gradient of F at p is r + Dᵀs with
 
     r = Σ w Mᵀ(t - M p) + Dᵀy,    s = (t - D p) - y.
 
-A step changes p and y together. Once s = 0, a preconditioner that respects the few rows
-keeps it so: then Dᵀy has cancelled against the rest of r before any rounding, at any
-weight of these rows (constraint preconditioning: Gould, Hribar and Nocedal, SIAM J.
-Sci. Comput. 23, 2001). So every round begins with a full step. Residuals are those of
-the factored form: the normal equations square no rounding. The preconditioner may
-change a little from step to step; directions are made conjugate by Polak and Ribière's
-rule (flexible conjugate gradients: Notay, SIAM J. Sci. Comput. 22, 2000).
+A step changes p and y together. A constraint preconditioner keeps s = 0 once it holds,
+so that heavy rows cancel exactly, before rounding, at any weight (Gould, Hribar and
+Nocedal, SIAM J. Sci. Comput. 23, 2001). Every round therefore begins with a full step.
+Residuals are computed from the factors M and D, never from MᵀM. The preconditioner may
+vary slightly from step to step; directions follow Polak and Ribière's rule (flexible
+conjugate gradients: Notay, SIAM J. Sci. Comput. 22, 2000).
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from ttus_opt.solvers.dual.options import Accuracy
 
 @dataclass(frozen=True)
 class Pair:
-    """A field and multipliers of the few rows, or what is left of their equations.
+    """A field and the multipliers of the few rows, or a residual of both.
 
     Attributes:
         p: Shape (V,).
@@ -48,7 +47,7 @@ class Quadratic(Protocol):
         """(r, s) of the module's docstring."""
 
     def image(self, along: Pair) -> tuple[Pair, Array]:
-        """By how much (r, s) falls along a direction, and D times its field."""
+        """Decrease of (r, s) along a direction, and D times the direction's field."""
 
     def measure(self, p: Array) -> Array:
         """D p, shape (m,)."""
@@ -61,7 +60,7 @@ class Quadratic(Protocol):
 
 
 class Preconditioner(Protocol):
-    """About the inverse of what `Quadratic.image` does."""
+    """Approximate inverse of `Quadratic.image`."""
 
     def apply(self, rest: Pair) -> Pair:
         """A step in p and y."""
@@ -73,7 +72,7 @@ class Goal:
 
     Attributes:
         gap: Estimated gap over F, relative [–].
-        least_gap: Estimated gap that is small enough whatever F is.
+        least_gap: Absolute gap that always suffices.
         gradient: Norm of half the gradient.
         max_steps: Most steps [–].
         accuracy: Its deadline.
@@ -86,7 +85,7 @@ class Goal:
     accuracy: Accuracy
 
     def times(self, factor: float) -> Goal:
-        """The same with less of a gap."""
+        """The same with both gaps multiplied by a factor."""
         least = self.least_gap * factor
         return replace(self, gap=self.gap * factor, least_gap=least)
 
@@ -99,12 +98,12 @@ class Goal:
 
 @dataclass(frozen=True)
 class Minimum:
-    """What a solve found.
+    """Result of `minimise`.
 
     Attributes:
         at: The field and the multipliers.
-        steps: Steps spent [–].
-        reached: Whether the goal was.
+        steps: Steps taken [–].
+        reached: Whether the goal was reached.
     """
 
     at: Pair
@@ -113,7 +112,7 @@ class Minimum:
 
 
 def inner_product(a: Array, b: Array) -> float:
-    """Σ a b on one core: a threaded one takes longer where cores are busy."""
+    """Σ a b on one core; a threaded BLAS is slower while the cores are busy."""
     return float(np.einsum("i,i", a, b))
 
 
@@ -132,11 +131,8 @@ def minimise(
         preconditioner: Its preconditioner.
         at: Where to start.
         goal: When to stop.
-        rounds: Most rounds, each from a residual computed anew [–].
-        gain: They end where one leaves more than this part of the gap [–].
-
-    Returns:
-        The field, and whether the goal was reached.
+        rounds: Most rounds, each from a recomputed residual [–].
+        gain: Stop when a round leaves more than this part of the gap [–].
     """
     steps, before = 0, np.inf
     for _ in range(rounds):
@@ -154,7 +150,7 @@ def minimise(
 
 
 def _slope(function: Quadratic, rest: Pair, step: Pair) -> float:
-    """Minus half the slope of F along a step: the gap, where the step leads to p*."""
+    """Minus half the slope of F along a step; for a full Newton step, the gap."""
     along_rows = inner_product(rest.y, function.measure(step.p))
     return inner_product(rest.p, step.p) + along_rows
 
@@ -166,18 +162,18 @@ def _steps(
     goal: Goal,
     most: int,
 ) -> tuple[Pair, int]:
-    """Steps until the recurrences say that the goal is reached."""
+    """Iterate until the recurred residual and gap reach the goal."""
     rest, value, steps = function.residual(at), function.value(at.p), 0
     direction = preconditioner.apply(rest)
     gap = _slope(function, rest, direction)
     while not goal.reached(gap, value, function.gradient(rest)):
         image, measured = function.image(direction)
-        # H d = (image) + Dᵀ(its part in the rows), and dᵀH d from both
-        bend = inner_product(direction.p, image.p) + float(measured @ image.y)
-        if not (bend > 0.0 and gap > 0.0) or steps == most or goal.accuracy.late:
+        # dᵀH d, with H d = image.p + Dᵀ image.y
+        curvature = inner_product(direction.p, image.p) + float(measured @ image.y)
+        if not (curvature > 0.0 and gap > 0.0) or steps == most or goal.accuracy.late:
             break
         slope = _slope(function, rest, direction)
-        alpha = slope / bend
+        alpha = slope / curvature
         at, rest = at.plus(alpha, direction), rest.plus(-alpha, image)
         value, steps = value - alpha * slope, steps + 1
         step = preconditioner.apply(rest)

@@ -1,9 +1,9 @@
-"""What a sum of squares leaves at some voxels where it is least over all others.
+"""Schur complement of a sparse positive definite matrix on some of its unknowns.
 
-Rows along a direction tie voxels in chains: these are eliminated one after the other,
-as resistors in series, with no fill but between the ends of a chain. What is left is
-eliminated by a factor with the kept voxels last: its last block has the factors of the
-Schur complement.
+Rows along one direction connect unknowns in chains. Chains are eliminated first, like
+resistors in series: the only fill is between the two ends of a chain. The rest is
+eliminated by a factorisation with the kept unknowns last, whose last block holds the
+factors of the Schur complement.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ttus_opt.compiled import compiled
 Order = Literal["MMD_AT_PLUS_A", "NATURAL"]
 Indices = NDArray[np.int32] | IntArray
 
-#: Most other voxels that one in a chain is tied to
+#: Most neighbours of an unknown inside a chain
 NEIGHBOURS = 2
 
 
@@ -51,7 +51,7 @@ def eliminated(matrix: sp.csr_array, kept: Mask) -> sp.csc_array:
 def _without_chains(
     links: sp.csr_array, own: Array, ends: Mask
 ) -> tuple[Array, sp.csr_array]:
-    """What eliminating chains adds to the diagonal, (n,), and between ends, (n, n)."""
+    """Changes of the diagonal, (n,), and between ends, (n, n), by elimination."""
     at = np.flatnonzero(ends)
     room = np.count_nonzero(~ends[links[at].indices])
     change, found = np.zeros(len(own)), np.empty(room)
@@ -81,8 +81,8 @@ def _eliminate_chains(
         at: Unknowns at which chains end.
         ends: Whether an unknown is one of them, shape (n,).
         change: Added to the diagonal, changed, shape (n,).
-        pairs: The two ends of chains, to be set, shape (2, room).
-        found: The entry between these, to be set, shape (room,).
+        pairs: Set to the two ends of every chain, shape (2, room).
+        found: Set to the new entry between them, shape (room,).
 
     Returns:
         Number of pairs.

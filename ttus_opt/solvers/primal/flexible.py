@@ -1,7 +1,6 @@
 """Flexible conjugate gradients (Notay, SIAM J. Sci. Comput. 22, 2000).
 
-Directions are made conjugate by Polak and Ribière's rule, so that a preconditioner need
-not be quite linear.
+Polak and Ribière's rule allows a preconditioner that is slightly nonlinear.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ Map = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Step:
-    """Where conjugate gradients ended.
+    """Result of `flexible_conjugate_gradients`.
 
     Attributes:
-        d: The answer, shape (n,).
-        steps: Steps spent [–].
+        d: The solution, shape (n,).
+        steps: Steps taken [–].
     """
 
     d: Array = field(repr=False)
@@ -43,9 +42,9 @@ def flexible_conjugate_gradients(
     """Solve H d = side from zero.
 
     Args:
-        product: H times a vector, as a new one.
+        product: v ↦ H v, in a new array.
         side: Right-hand side, shape (n,).
-        precondition: About H⁻¹ times a vector.
+        precondition: v ↦ about H⁻¹ v.
         rtol: Relative residual to reach [–].
         most: Most steps [–].
         deadline: `time.perf_counter` at which to stop; None for never [s].
@@ -64,7 +63,7 @@ def flexible_conjugate_gradients(
             break
         alpha = energy / curvature
         d += alpha * direction
-        image *= -alpha  # by what the residual changes
+        image *= -alpha  # the change of the residual
         rest += image
         now = math.sqrt(inner_product(rest, rest))
         z = precondition(rest)

@@ -1,4 +1,8 @@
-"""The objective as a function of the field alone, and its preconditioner."""
+"""The objective as a function of the field alone, and its preconditioner.
+
+"Across the columns of c" means projected so that the unknowns c beside the field are
+eliminated (`ttus_opt.solvers.dual.linear_parameters.Complement`).
+"""
 
 from __future__ import annotations
 
@@ -8,21 +12,21 @@ import numpy as np
 
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.multigrid.one_cycle import OneCycle
+from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.primal.approximate_system import (
     ApproximateLaplace,
     ApproximateSystem,
 )
-from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
+from ttus_opt.solvers.primal.conjugate_gradients import Pair
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split
 from ttus_opt.solvers.primal.unseen_fields import UnseenFields
-from ttus_opt.solvers.primal.wide_term import WideTerm
 
-#: Relative residual of the solve behind a bound [–]
-ROUGHLY = 1e-2
+#: Relative residual of the solve behind `LeastSquares.gap_bound` [–]
+BOUND_RTOL = 1e-2
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class LeastSquares:
         return self.complement.part(self.split.few.system.measure(p))
 
     def misfit(self, p: Array) -> Array:
-        """What the few rows leave, t - D p, shape (m,)."""
+        """T - D p, shape (m,)."""
         return self.split.few.t - self.split.few.system.measure(p)
 
     def coefficients(self, p: Array) -> Array:
@@ -50,19 +54,19 @@ class LeastSquares:
         return self.complement.coefficients(self.misfit(p))
 
     def start(self) -> Pair:
-        """Given values alone, and no multipliers."""
+        """The given values, zero elsewhere, and zero multipliers."""
         return Pair(self.split.given, np.zeros_like(self.split.few.t))
 
     def residual(self, at: Pair) -> Pair:
-        """What is left of both equations; zero at given values."""
+        """Residuals (r, s) of both equations; r is zero at given values."""
         r = self._of_rows(at.y)
         for term in self._terms:
-            r += term.weight * (term.matrix.T @ (term.target - term.matrix @ at.p))
+            r -= term.weight * (term.matrix.T @ term.residual(at.p))
         s = self.complement.part(self.misfit(at.p)) - at.y
         return Pair(np.where(self.split.moving, r, 0.0), s)
 
     def image(self, along: Pair) -> tuple[Pair, Array]:
-        """By how much both fall along a direction, and D times its field."""
+        """Decrease of both residuals along a direction, and D times its field."""
         r = -self._of_rows(along.y)
         for term in self._terms:
             r += term.weight * (term.matrix.T @ (term.matrix @ along.p))
@@ -77,19 +81,18 @@ class LeastSquares:
         """F(p)."""
         total = float(np.sum(self.complement.part(self.misfit(p)) ** 2))
         for term in self._terms:
-            r = term.matrix @ p - term.target
-            total += term.weight * inner_product(r, r)
+            total += term.cost(p)
         return total
 
     def gap_bound(self, at: Pair) -> float:
-        """A bound of F(p) - F(p*): rᵀP⁻¹r of the Laplace term alone, about."""
+        """Bound of F(p) - F(p*), up to the solve's error: rᵀA⁻¹r, A of the prior."""
         system = self.split.few.system
         r = self.gradient(self.residual(at))
-        u = system.laplace.solve_adjoint(r, rtol=ROUGHLY)
+        u = system.laplace.solve_adjoint(r, rtol=BOUND_RTOL)
         return float(np.sum(system.compliance * u**2))
 
     @property
-    def _terms(self) -> tuple[WideTerm, ...]:
+    def _terms(self) -> tuple[ProgramTerm, ...]:
         return (self.split.prior, *self.split.wide)
 
     def _of_rows(self, y: Array) -> Array:

@@ -1,8 +1,8 @@
 """Limits with wide terms: working sets, each solved on the normal equations.
 
-The working set's subproblem is that of `dual.subproblem`: with p = Π ξ + o the Laplace
-term leaves square rows S and few rows that are none. Wide terms become M Π, and the
-preconditioner is the same as without limits, with the multigrid of the pooled blocks.
+A working set gives p = Π ξ + o (`dual.subproblem`). The Laplace term becomes square
+rows S and a few others, wide terms become M Π, and the preconditioner is that without
+limits, with the multigrid of the pooled blocks.
 """
 
 from __future__ import annotations
@@ -32,9 +32,8 @@ from ttus_opt.solvers.primal.matching import Root
 from ttus_opt.solvers.primal.options import PrimalOptions
 from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split
-from ttus_opt.solvers.primal.wide_term import WideTerm
 
-#: Part of the gap that is left, over a subproblem's residual [–]
+#: Gap of a subproblem over its residual [–]
 GAP = 1e-2
 
 
@@ -104,7 +103,7 @@ class LimitedSum:
         )
         assert left.sums is not None
         more = sp.csr_array(left.sums @ self.root.coupling @ left.expansion)
-        # other columns are within A
+        # the columns of free voxels are part of A
         kept = sp.diags_array((system.compliance > 0.0) & ~laplace.free, dtype=float)
         more = sp.csr_array(more @ kept)
         more.eliminate_zeros()
@@ -156,7 +155,7 @@ class LimitedSubproblem:
 
 
 def _reduced_split(whole: Split, left: Subproblem) -> Split:
-    """What a working set leaves of the terms, over ξ."""
+    """The terms over the unknowns ξ of a working set."""
     system = left.solver.system
     own = system.laplace.free
     fixed = ~own & (system.compliance > 0.0)
@@ -168,12 +167,12 @@ def _reduced_split(whole: Split, left: Subproblem) -> Split:
     root[own | fixed] = 1.0 / np.sqrt(system.compliance[own | fixed])
     one = sp.diags_array(np.where(fixed, root, 0.0))
     matrix = sp.csr_array(sp.diags_array(rows * root) @ square + one)
-    prior = WideTerm(1.0, matrix, root * left.b)
+    prior = replace(whole.prior, matrix=matrix, target=root * left.b, tags=frozenset())
     wide = tuple(
-        WideTerm(
-            t.weight,
-            sp.csr_array(t.matrix @ expansion),
-            t.target - t.matrix @ left.offset,
+        replace(
+            t,
+            matrix=sp.csr_array(t.matrix @ expansion),
+            target=t.target - t.matrix @ left.offset,
         )
         for t in whole.wide
     )

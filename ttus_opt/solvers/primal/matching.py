@@ -1,17 +1,16 @@
-"""A root X of the wide terms from the multigrid's own family: (L - X)ᵀ(L - X) for H.
+"""Matching: H ≈ (L - X)ᵀ(L - X), X a root of the wide terms that multigrid can solve.
 
-H = LᵀΩ⁻¹L + B, B = Σ w MᵀM, has no multigrid of its own, but the square of an operator
-that has one comes close to it (Pearson and Wathen, Numer. Linear Algebra Appl. 19,
-2012): with -L and X positive and B = XᵀΩ⁻¹X
+H = LᵀΩ⁻¹L + B, B = Σ w MᵀM, has no multigrid, but the square of an operator that has
+one is close to it (Pearson and Wathen, Numer. Linear Algebra Appl. 19, 2012): with -L
+and X positive and B = XᵀΩ⁻¹X
 
     ½ (‖L p‖² + ‖X p‖²)  ≤  ‖(L - X) p‖²  ≤  2 (‖L p‖² + ‖X p‖²)
 
-but for what L and X fail to commute. The family is screening and conductances along
-r, θ and z. What B is like is learnt from its rows: a sample of them gives the stencil
-of B and its symbol b(f) at waves f, and X̂(f) = c + Σ_a d_a (2 - 2 cos f_a) with
-c, d ≥ 0 is fitted so that (λ + X̂)² comes close to λ² + b at all waves that the grid can
-carry, λ being the symbol of -L. The strength of B, and so c and d, may change from
-voxel to voxel. Terms M that are themselves such operators are met exactly.
+as far as L and X commute. X consists of screening and of conductances along r, θ and z.
+A sample of rows gives the stencil of B and its symbol b(f) at waves f; with λ the
+symbol of -L, X̂(f) = c + Σ_a d_a (2 - 2 cos f_a), c, d ≥ 0, is fitted so that (λ + X̂)²
+is close to λ² + b at all waves on the grid. The strength of B, and with it c and d, may
+vary from voxel to voxel. Terms M of this form are matched exactly.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ from scipy.optimize import nnls
 
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.multigrid.coarsening import Added
-from ttus_opt.solvers.primal.wide_term import WideTerm
+from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 
-#: Rows of which the stencil of a term is learnt, and the longest row [–]
+#: Rows sampled for the stencil of a term, and the longest of them [–]
 SAMPLE, LONGEST = 4000, 48
 #: Waves per direction, from the longest to the shortest on the grid [–]
 WAVES = 6
@@ -38,17 +37,17 @@ STRENGTHS, LEAST = 6, 1e-8
 FIT_STEPS = 12
 #: A symbol below this is zero [–]
 ROUNDING = 1e-9
-#: Conductances below this part of L's own are left out [–]
+#: Conductances below this part of L's are dropped [–]
 NEGLIGIBLE = 0.02
 
 
 @dataclass(frozen=True)
 class _Stencil:
-    """What B = w MᵀM looks like on average.
+    """The average stencil of B = w MᵀM.
 
     Attributes:
         strength: Diagonal of B, shape (V,) [–].
-        offsets: From voxel to voxel, in steps of the grid, shape (k, 3).
+        offsets: In steps of the grid, shape (k, 3).
         values: Entries of B over its diagonal, shape (k,) [–].
     """
 
@@ -57,12 +56,11 @@ class _Stencil:
     values: Array
 
     @classmethod
-    def of(cls, term: WideTerm, grid: CylindricalGrid) -> _Stencil:
+    def of(cls, term: ProgramTerm, grid: CylindricalGrid) -> _Stencil:
         M = term.matrix
-        squares = np.bincount(M.indices, M.data**2, grid.n_voxels)
-        strength = np.asarray(term.weight * squares)
+        strength = term.weight * term.column_squares()
         offsets, products = _pairs(M, grid)
-        # by number: to sort triples takes twenty times as long
+        # as one number: sorting triples takes twenty times as long
         span = 2 * np.array(grid.shape) + 1
         number = np.ravel_multi_index(tuple((offsets + span // 2).T), tuple(span))
         codes, at = np.unique(number, return_inverse=True)
@@ -73,13 +71,13 @@ class _Stencil:
         return cls(strength, np.asarray(unique, dtype=np.int64), np.asarray(values))
 
     def symbol(self, waves: Array) -> Array:
-        """b(f) over the diagonal at waves, shape (n, 3), in radians a step: (n,)."""
+        """Symbol b over the diagonal, (n,), at waves of shape (n, 3) [rad per step]."""
         b = np.cos(waves @ self.offsets.T.astype(float)) @ self.values
         return np.asarray(np.maximum(b, 0.0))
 
 
 def _pairs(M: sp.csr_array, grid: CylindricalGrid) -> tuple[IntArray, Array]:
-    """Offsets and products of entries that share a row, of a sample of rows."""
+    """Offsets and products of entries in the same row, over a sample of rows."""
     length = np.diff(M.indptr)
     rows = np.flatnonzero((length > 0) & (length <= LONGEST))
     if len(rows) > SAMPLE:
@@ -99,12 +97,12 @@ def _pairs(M: sp.csr_array, grid: CylindricalGrid) -> tuple[IntArray, Array]:
 
 @dataclass(frozen=True)
 class _Waves:
-    """Waves that the grid can carry.
+    """Waves on the grid.
 
     Attributes:
-        waves: In radians a step, shape (n, 3).
-        bend: 2 - 2 cos of them: what a unit conductance makes, shape (n, 3) [–].
-        stiffness: -L's symbol λ, shape (n,) [–].
+        waves: Shape (n, 3) [rad per step].
+        bend: 2 - 2 cos f, the symbol of a unit conductance, shape (n, 3) [–].
+        stiffness: λ, the symbol of -L, shape (n,) [–].
         own: L's conductances along r, θ and z [–].
     """
 
@@ -115,7 +113,7 @@ class _Waves:
 
     @classmethod
     def of(cls, grid: CylindricalGrid, where: Array) -> _Waves:
-        """Waves around voxels that are weighted by ``where``, shape (V,)."""
+        """Waves for the mean radius of the voxels weighted by ``where``, shape (V,)."""
         share = grid.unflatten(where).sum(axis=(1, 2))
         arc = (grid.r_step / (grid.r * grid.theta_step)) ** 2
         theta = float(np.exp(np.average(np.log(arc), weights=share)))
@@ -130,12 +128,11 @@ class _Waves:
     def fit(self, b: Array, most: float = np.inf) -> Array:
         """Fit c and d along r, θ, z to a symbol b of B, shape (4,).
 
-        The ratio of λ + X̂ to the root of λ² + b matters, too small as too large: the
-        squares of its logarithm are made least, by Gauss and Newton's method.
+        Minimises the squared logarithm of (λ + X̂)/√(λ² + b) by Gauss-Newton.
 
         Args:
             b: At every wave, shape (n,).
-            most: Most of c.
+            most: Upper limit of c.
         """
         goal = np.sqrt(self.stiffness**2 + b)
         basis = np.column_stack([np.ones(len(b)), self.bend])
@@ -149,7 +146,7 @@ class _Waves:
 
 
 def _bounded(matrix: Array, side: Array, most: float) -> Array:
-    """Least squares over x ≥ 0, its first entry at most some number."""
+    """Least squares over x ≥ 0, the first entry limited from above."""
     found = nnls(matrix, side)[0]
     if found[0] > most:
         found = np.r_[most, nnls(matrix[:, 1:], side - most * matrix[:, 0])[0]]
@@ -158,11 +155,11 @@ def _bounded(matrix: Array, side: Array, most: float) -> Array:
 
 @dataclass(frozen=True)
 class Root:
-    """X on the grid, times r as the symmetric block of L is.
+    """X on the grid, times r like the symmetric block A of L.
 
     Attributes:
-        added: What it adds to A; None for nothing.
-        coupling: What it adds to L's entries in free rows and fixed columns, (V, V).
+        added: Added to A; None for nothing.
+        coupling: Added to L's entries in free rows and fixed columns, (V, V).
     """
 
     added: Added | None
@@ -170,7 +167,7 @@ class Root:
 
 
 def matched_root(
-    wide: Sequence[WideTerm],
+    wide: Sequence[ProgramTerm],
     grid: CylindricalGrid,
     free: Mask,
     radii: Array,
@@ -185,7 +182,7 @@ def matched_root(
         free: Voxels with a Laplace row, shape (V,).
         radii: What turns a row of A into one of L, shape (V,) [m].
         compliance: Ω, shape (V,) [–].
-        unseen: Whether fields that heavy terms do not see are solved for apart.
+        unseen: Whether the null space of heavy terms is deflated (`UnseenFields`).
     """
     V = grid.n_voxels
     roots = (_root(term, grid, free, compliance, unseen) for term in wide)
@@ -222,15 +219,15 @@ def _links(
     """Conductances from voxels to the next ones, shape (V,) [m].
 
     Args:
-        values: d at every voxel, zero where a term is not, shape (V,).
+        values: d at every voxel, zero outside the term, shape (V,).
         here: Voxels.
-        there: The next ones; where the grid ends, the first.
+        there: The next ones; the first one at the end of the grid.
         free: Voxels with a Laplace row, shape (V,).
         radii: What turns a row of A into one of L, shape (V,) [m].
     """
     a, b = (values * radii)[here], (values * radii)[there]
     both = np.minimum(a, b) > 0.0
-    # between two free voxels as in series; what is fixed counts by its being there
+    # in series between two free voxels; at a fixed voxel the free one's alone
     series = 2.0 * a * b / np.where(both, a + b, 1.0)
     one = np.where(free[here], a, b)
     link = np.where(free[here] & free[there], series, one)
@@ -238,9 +235,13 @@ def _links(
 
 
 def _root(
-    term: WideTerm, grid: CylindricalGrid, free: Mask, compliance: Array, unseen: bool
+    term: ProgramTerm,
+    grid: CylindricalGrid,
+    free: Mask,
+    compliance: Array,
+    unseen: bool,
 ) -> Array | None:
-    """Of one term c and d at every voxel, shape (4, V); None where it is nowhere."""
+    """Fields c and d of one term, shape (4, V); None where it touches no free voxel."""
     stencil = _Stencil.of(term, grid)
     soft = np.where(compliance > 0.0, compliance, 1.0)
     strength = soft * stencil.strength
@@ -253,17 +254,17 @@ def _root(
     at = np.flatnonzero(strength)
     least = max(float(strength[at].min()), LEAST * largest)
     steps = np.geomspace(least, largest, STRENGTHS if least < 0.9 * largest else 1)
-    most, held = np.inf, np.count_nonzero(~free & (compliance > 0.0))
+    most, soft_values = np.inf, np.count_nonzero(~free & (compliance > 0.0))
     acting, every = np.count_nonzero(free & (strength > 0.0)), np.count_nonzero(free)
     blind = stencil.symbol(np.zeros((1, 3)))[0] < ROUNDING
-    if held and blind and acting > 0.5 * every and not unseen:
-        # all over the field, it does not see constants, which soft values alone hold,
-        # and X would hold them at every voxel
-        most = float(np.sqrt(held / every))
+    if soft_values and blind and acting > 0.5 * every and not unseen:
+        # only soft values determine a constant, which the term does not see; without
+        # the limit X would penalise it at every voxel
+        most = float(np.sqrt(soft_values / every))
     fits = np.array([waves.fit(step * symbol, most) for step in steps])
     fits[:, 1:][fits[:, 1:] < NEGLIGIBLE * waves.own] = 0.0
     found = np.zeros((4, grid.n_voxels))
-    # √ of the strength is what all of them are about proportional to
+    # all of them are about proportional to the root of the strength
     root = np.sqrt(strength[at])
     for values, own in zip(found, fits.T, strict=True):
         if own.any():

@@ -1,7 +1,7 @@
-"""MᵀC M times a vector in one pass over the rows of M, nothing stored in between.
+"""MᵀC M v in one pass over the rows of M.
 
-Two sparse products read the matrix twice and write every M v. Here each row is read
-once, and one whose slope is zero, as those of a kink are, not at all.
+Two sparse products read the matrix twice and store M v. Here each row is read once, and
+a row with zero slope (beyond a kink) not at all.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The numbers of the method in one place: meaning and what each buys."""
+"""Parameters of conjugate gradients on the normal equations."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PrimalOptions:
-    """Options of conjugate gradients on the normal equations.
+    """Options of the method.
 
     Attributes:
-        gap_margin: What a solve leaves of the gap over what the tolerance allows:
-            the check outside knows the gap by a bound only [–].
-        dual_margin: The same of the gradient [–].
-        inner: Residual of the preconditioner's dual system over the energy norm of
-            what it answers [–].
+        gap_margin: Gap aimed for, over the tolerance; small, because the final check
+            knows only a bound of the gap [–].
+        dual_margin: Gradient aimed for, over the tolerance [–].
+        inner: Residual of the preconditioner's dual system, over the energy norm of
+            its solution [–].
         max_steps: Most steps of a solve [–].
-        rounds: Most rounds of a solve, each from a residual computed anew [–].
-        round_gain: They end where one leaves more than this part of the gap [–].
-        tightenings: Most times a solve is repeated more exactly [–].
-        tightening: By how much each time, of the gap [–].
-        few_rows: Most rows of a term that the dual may take, measured or not [–].
+        rounds: Most rounds of a solve, each from a recomputed residual [–].
+        round_gain: Stop when a round leaves more than this part of the gap [–].
+        tightenings: Most repetitions of a solve with a smaller gap [–].
+        tightening: Factor on the gap at each repetition [–].
+        few_rows: Most rows of a term that is eliminated through its dual [–].
     """
 
     gap_margin: float = 1e-3

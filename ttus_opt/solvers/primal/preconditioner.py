@@ -1,13 +1,12 @@
-"""The preconditioner: P for the field, few rows of any weight by their dual.
+"""Constraint preconditioner: P for the field, the few rows D through their dual.
 
     P z - Dᵀy = r,    D z + E c + y = s,    Eᵀy = 0,      P⁻¹ = L̃⁻¹ Ω L̃⁻ᵀ,
 
-by S y + E c = s - D P⁻¹r, S = I + D P⁻¹ Dᵀ, and z = P⁻¹(r + Dᵀy). L̃⁻¹ is one V-cycle,
-a fixed linear map, and S is made of the same map: so its system may be solved as
-exactly as the answer needs. With another S (of a coarser grid, or of a part of this
-one) what D measures would come back with the error of S times its weight. Conjugate
-directions of S are kept from call to call (`dual.conjugate_gradients`), and a part of
-the grid preconditions them (`dual.preconditioner`): few are needed.
+is solved by S y + E c = s - D P⁻¹r with S = I + D P⁻¹ Dᵀ, then z = P⁻¹(r + Dᵀy). L̃⁻¹
+is one V-cycle, a fixed linear map, and S uses the same map: an approximation of S (from
+a coarser grid, say) would multiply its error by the rows' weight. Conjugate directions
+of S are kept from call to call (`dual.conjugate_gradients`) and preconditioned on part
+of the grid (`dual.preconditioner`), so that few are needed.
 """
 
 from __future__ import annotations
@@ -28,15 +27,15 @@ from ttus_opt.solvers.primal.conjugate_gradients import Pair, inner_product
 #: Most directions of S whose fields P⁻¹Dᵀd are kept
 MOST_FIELDS = 12
 
-#: Part of y that may lie beside the directions, as rounding leaves it [–]
-BESIDE = 1e-12
+#: Part of y outside the directions' span that counts as rounding [–]
+OUTSIDE = 1e-12
 
-#: Most rounds in which the accuracy of S's system follows the answer's energy
+#: Most updates of the accuracy of S's system from the energy of its solution
 ROUNDS = 3
 
 
 class ConstraintPreconditioner:
-    """Solves the equations above; S's directions are kept.
+    """Solves the equations above and keeps the conjugate directions of S.
 
     Attributes:
         complement: Multipliers with Eᵀy = 0.
@@ -52,9 +51,9 @@ class ConstraintPreconditioner:
         """Start without directions.
 
         Args:
-            system: S, with an L whose solves are approximate.
-            columns: E of the free unknowns beside the field, shape (m, k).
-            inner: Residual of S's system over the energy norm of the answer [–].
+            system: S, with approximate solves of L.
+            columns: E of the free unknowns c, shape (m, k).
+            inner: As of `PrimalOptions` [–].
             options: Of the dual.
         """
         self._system, self._inner, self._options = system, inner, options
@@ -64,12 +63,12 @@ class ConstraintPreconditioner:
         self.complement = Complement(columns, schur)
 
     @property
-    def told(self) -> str:
-        """What it has learnt, in words."""
+    def description(self) -> str:
+        """Its state in words."""
         return f"{len(self._subspace)} directions of the dual"
 
     def apply(self, rest: Pair) -> Pair:
-        """A step z, y for what r, s is left."""
+        """The step (z, y) for a residual (r, s)."""
         system = self._system
         z = system.prior(rest.p)
         if not system.adjoint.nnz:
@@ -79,7 +78,7 @@ class ConstraintPreconditioner:
         return Pair(z + self._response(y), y)
 
     def _response(self, y: Array) -> Array:
-        """P⁻¹Dᵀy, shape (V,): where directions are few, by the fields kept of them."""
+        """P⁻¹Dᵀy, shape (V,), from the kept fields where possible."""
         subspace, kept = self._subspace, self._responses.kept
         if len(kept) != len(subspace):
             return self._system.response(y)
@@ -90,12 +89,12 @@ class ConstraintPreconditioner:
             share = part * float(d @ of) / float(of @ of)
             rest -= share * of
             out += share * own
-        if np.linalg.norm(rest) > BESIDE * np.linalg.norm(y):
+        if np.linalg.norm(rest) > OUTSIDE * np.linalg.norm(y):
             return self._system.response(y)
         return out
 
     def _multipliers(self, side: Array, of_prior: float, of_rows: float) -> Array:
-        """S⁻¹ across E, as exactly as the energy of the answer asks for.
+        """S⁻¹ of a right-hand side, across E, to a residual set by the step's energy.
 
         Args:
             side: Right-hand side, shape (m,).
@@ -115,11 +114,11 @@ class ConstraintPreconditioner:
 
 
 class _Responses:
-    """S, whose products keep their fields as long as they are few.
+    """S, keeping the fields of its products while there are few of them.
 
     Attributes:
         root_weights: As of `DualSystem`, shape (m,) [–].
-        kept: What S was applied to, (m,), and its field P⁻¹Dᵀ of it, (V,).
+        kept: Pairs of y, shape (m,), and its field P⁻¹Dᵀy, shape (V,).
     """
 
     def __init__(self, system: ApproximateSystem) -> None:

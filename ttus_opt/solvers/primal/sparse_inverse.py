@@ -1,10 +1,10 @@
-"""Approximate inverse of any sparse positive definite matrix.
+"""Approximate inverse of a sparse positive definite matrix: a factor or multigrid.
 
-A factor or algebraic multigrid, as an estimate of the factor decides: ordered by
-Cuthill and McKee's rule in reverse, the matrix has an envelope of widths βᵢ, within
-which a factor needs Σ β numbers and Σ β² operations (A. George, J. Liu, Computer
-Solution of Large Sparse Positive Definite Systems, 1981). Rows that tie voxels along
-lines or over a surface have a narrow one, rows over a volume do not.
+The choice follows an estimate of the factor. In reverse Cuthill-McKee order the matrix
+has an envelope of widths βᵢ, within which a factor needs Σ β numbers and Σ β²
+operations (A. George, J. Liu, Computer Solution of Large Sparse Positive Definite
+Systems, 1981). The envelope is narrow for rows along lines or over a surface, wide for
+rows over a volume.
 """
 
 from __future__ import annotations
@@ -17,28 +17,27 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import MissingPackageError
 from ttus_opt.optional import load
 from ttus_opt.solvers.primal.elimination import factor
 
-#: Most bytes of a factor, and bytes of one of its numbers with its index
+#: Most bytes of a factor; bytes of one of its entries with its index
 MOST_BYTES, BYTES = 1 << 30, 12
-#: Seconds of an operation in the factor, and of a number in it
+#: Seconds per operation and per entry of the factor
 OPERATION, NUMBER = 5e-10, 1e-7
-#: Seconds of multigrid per entry of the matrix: its set-up and some forty V-cycles
+#: Seconds of multigrid per entry of the matrix: set-up and some forty V-cycles
 ENTRY = 1e-5
-#: Part of the diagonal that keeps a singular matrix invertible [–]
+#: Part of the diagonal added, so that a singular matrix can be inverted [–]
 SHIFT = 1e-10
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """What a factor would take, and what multigrid.
+    """Cost of a factor and of multigrid.
 
     Attributes:
-        bytes: Of the factor.
-        factor: Of the factor [s].
-        multigrid: Of multigrid [s].
+        bytes: Memory of the factor.
+        factor: Time of the factor [s].
+        multigrid: Time of multigrid [s].
     """
 
     bytes: float
@@ -47,7 +46,7 @@ class Estimate:
 
     @classmethod
     def of(cls, Q: sp.csr_array) -> Estimate:
-        """Look at the pattern of a symmetric matrix."""
+        """From the pattern of a symmetric matrix."""
         order = reverse_cuthill_mckee(sp.csr_matrix(Q), symmetric_mode=True)
         place = np.empty(len(order), dtype=np.int64)
         place[order] = np.arange(len(order))
@@ -63,46 +62,36 @@ class Estimate:
 
     @property
     def by_factor(self) -> bool:
-        """Whether the factor is the better way."""
+        """Whether to factorise."""
         return self.bytes <= MOST_BYTES and self.factor <= self.multigrid
 
 
 @dataclass(frozen=True)
 class SparseInverse:
-    """About Q⁻¹, symmetric and positive definite.
+    """Approximate Q⁻¹, symmetric and positive definite.
 
     Attributes:
         apply: Q⁻¹ times a vector, shape (n,) each.
-        told: How, in words.
+        description: The method, in words.
     """
 
     apply: Callable[[Array], Array] = field(repr=False)
-    told: str
+    description: str
 
     @classmethod
     def of(cls, Q: sp.csr_array) -> SparseInverse:
-        """Factorise it, or set up a multigrid.
+        """Factorise, or set up a multigrid.
 
         Args:
             Q: Symmetric positive semidefinite, shape (n, n), diagonal not zero.
 
         Raises:
-            MissingPackageError: It takes a multigrid, and pyamg is not installed.
+            MissingPackageError: Multigrid is needed, and pyamg is not installed.
         """
         shifted = sp.csr_array(Q + sp.diags_array(SHIFT * Q.diagonal()))
         if Estimate.of(Q).by_factor:
             return cls(factor(sp.csc_array(shifted)).solve, "a factor")
         return cls(_cycle(shifted), "algebraic multigrid")
-
-
-def needs_missing(Q: sp.csr_array) -> str:
-    """What to install before Q can be inverted, in words; empty for nothing."""
-    if not Estimate.of(Q).by_factor:
-        try:
-            load("pyamg", "reference")
-        except MissingPackageError as error:
-            return str(error)
-    return ""
 
 
 def _cycle(Q: sp.csr_array) -> Callable[[Array], Array]:

@@ -1,16 +1,16 @@
-"""What a program's sums of squares are to the method: prior, wide terms, few rows.
+"""A program's sums of squares, sorted into prior, wide terms and few rows.
 
 Divided by the weight of the Laplace term the objective is
 
     (L p - b)ᵀΩ⁻¹(L p - b) + Σ_k w_k ‖M_k p - t_k‖² + ‖D p + E c - t‖²
 
-with the Laplace term first, *wide* terms M_k of many short rows, and few rows D, those
-of measurements among them. c are unknowns beside the field.
+with the Laplace term first, *wide* terms M_k of many short rows, and few rows D, which
+include the measurements. c are the unknowns beside the field.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,7 +21,6 @@ from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData, hard_values, laplace_prior
 from ttus_opt.solvers.primal.matching import Root, matched_root
-from ttus_opt.solvers.primal.wide_term import WideTerm
 
 
 @dataclass(frozen=True)
@@ -31,12 +30,12 @@ class Split:
     Attributes:
         prior: The Laplace term, of weight 1.
         wide: The wide terms.
-        few: The dual of the prior and the few rows.
+        few: Dual data of the prior and the few rows.
         moving: Voxels whose value is not given, shape (V,).
     """
 
-    prior: WideTerm
-    wide: tuple[WideTerm, ...]
+    prior: ProgramTerm
+    wide: tuple[ProgramTerm, ...]
     few: DualData
     moving: Mask = field(repr=False)
 
@@ -69,7 +68,7 @@ class Split:
         """A root of the wide terms.
 
         Args:
-            unseen: Whether fields that heavy ones do not see are solved for apart.
+            unseen: As of `matched_root`.
         """
         laplace, compliance = self.operator, self.few.system.compliance
         grid, own = laplace.operator_grid, (laplace.free, laplace.radii)
@@ -82,7 +81,7 @@ class Split:
 
 
 def wide_terms(program: Program, few_rows: int) -> list[ProgramTerm]:
-    """Terms of many rows beside the Laplace term, measurements excepted."""
+    """Terms with many rows, other than the Laplace term and measurements."""
     prior = laplace_prior(program)
     return [
         t
@@ -91,6 +90,7 @@ def wide_terms(program: Program, few_rows: int) -> list[ProgramTerm]:
     ]
 
 
-def _over(term: ProgramTerm, weight: float, V: int) -> WideTerm:
+def _over(term: ProgramTerm, weight: float, V: int) -> ProgramTerm:
+    """The columns of the field, the weight over the prior's."""
     own = term.matrix if term.matrix.shape[1] == V else term.matrix[:, :V]
-    return WideTerm(term.weight / weight, sp.csr_array(own), term.target)
+    return replace(term, weight=term.weight / weight, matrix=sp.csr_array(own))

@@ -1,11 +1,10 @@
-"""Fields that heavy differences do not see: constants on what their rows join.
+"""Deflation of the null space of heavy difference terms.
 
-Rows whose entries sum to zero leave a field open that is constant on every set of
-voxels that they join, such as lines along z for differences along z. The root X of the
-multigrid's family (`solvers.primal.matching`) is no such sum of differences: close for
-waves it is far too stiff for constants. These fields E are solved for exactly, by a
-factor of EᵀP E, what they leave by B ≈ P⁻¹ (J. M. Tang and others, J. Sci. Comput. 39,
-2009, the balancing method):
+Rows whose entries sum to zero do not see a field that is constant on every connected
+set of their voxels, such as lines along z for differences along z. The root X
+(`solvers.primal.matching`) approximates such rows well for waves, but is far too stiff
+for constants. These fields E are therefore solved for exactly, by a factor of EᵀP E,
+and B ≈ P⁻¹ takes the rest (balancing: J. M. Tang and others, J. Sci. Comput. 39, 2009):
 
     P⁻¹ ≈ Q + (I − Q P) B (I − P Q),    Q = E (EᵀP E)⁻¹ Eᵀ.
 """
@@ -20,20 +19,20 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.primal.elimination import factor
-from ttus_opt.solvers.primal.wide_term import WideTerm
 
 #: Weight of a term over the prior's from which on it is heavy [–]
 HEAVY = 30.0
 
-#: Most sets of voxels: they are factorised
+#: Most connected sets, the size of the factor
 MOST_SETS = 30_000
 
-#: A set of more than this part of all voxels leaves nearly constant fields as close to
-#: unseen as the constant, which solving for it alone does not help [–]
+#: Largest connected set over all voxels; on a larger one, nearly constant fields are
+#: seen as little as the constant, and deflating the constant alone does not help [–]
 LARGEST_SHARE = 0.5
 
-#: Part of the longest entry up to which the sum of a row's is zero [–]
+#: Sums of a row below this part of the largest entry are zero [–]
 ROUNDING = 1e-9
 
 _Map = Callable[[Array], Array]
@@ -41,7 +40,7 @@ _Map = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class UnseenFields:
-    """E with P E and a factor.
+    """E, P E and a factor of EᵀP E.
 
     Attributes:
         fields: E, shape (V, k).
@@ -55,9 +54,9 @@ class UnseenFields:
 
     @classmethod
     def of(
-        cls, prior: WideTerm, wide: Sequence[WideTerm], moving: Mask
+        cls, prior: ProgramTerm, wide: Sequence[ProgramTerm], moving: Mask
     ) -> UnseenFields | None:
-        """Those of heavy terms together.
+        """The null space that all heavy terms have in common.
 
         Args:
             prior: The Laplace term.
@@ -65,8 +64,8 @@ class UnseenFields:
             moving: Voxels whose value is not given, shape (V,).
 
         Returns:
-            None where no term is heavy, or not all heavy ones are differences, or they
-            join nothing, or nearly all voxels.
+            None where no term is heavy, a heavy one is no difference, or the connected
+            sets are single voxels or nearly the whole grid.
         """
         heavy = [t for t in wide if t.weight * _largest_square(t) > HEAVY]
         if not heavy or not all(_is_of_differences(t) for t in heavy):
@@ -83,7 +82,7 @@ class UnseenFields:
         return cls(sets, images, small.solve)
 
     def beside(self, prior: _Map, r: Array) -> Array:
-        """P⁻¹r of both, from B.
+        """P⁻¹r by deflation and B.
 
         Args:
             prior: B.
@@ -95,18 +94,18 @@ class UnseenFields:
         return np.asarray(z + self.fields @ own)
 
 
-def _largest_square(term: WideTerm) -> float:
+def _largest_square(term: ProgramTerm) -> float:
     return float((term.matrix.data**2).max(initial=0.0))
 
 
-def _is_of_differences(term: WideTerm) -> bool:
+def _is_of_differences(term: ProgramTerm) -> bool:
     M = term.matrix
     largest = float(np.abs(M.data).max(initial=0.0))
     return bool((np.abs(M.sum(axis=1)) <= ROUNDING * largest).all())
 
 
 def joined(matrices: Sequence[sp.csr_array]) -> IntArray:
-    """Number of the set that rows join every column's voxel to, shape (V,)."""
+    """Number of every voxel's connected set, shape (V,); a row connects its voxels."""
     V, here, there = matrices[0].shape[1], [], []
     for M in matrices:
         row = np.repeat(np.arange(M.shape[0]), np.diff(M.indptr))
@@ -120,9 +119,9 @@ def joined(matrices: Sequence[sp.csr_array]) -> IntArray:
 
 
 def _indicators(label: IntArray, moving: Mask) -> sp.csr_array | None:
-    """E of sets, those of one voxel and of given values left out.
+    """Indicator columns of connected sets, without single voxels and given values.
 
-    None without any, or where one holds nearly all voxels.
+    None without any, or where one set exceeds `LARGEST_SHARE`.
     """
     sizes = np.bincount(label)
     kept = sizes > 1

@@ -1,8 +1,8 @@
 """Newton steps with any sparse rows: preconditioned conjugate gradients.
 
-The matrix is H = Σ MᵀC M over all rows, C their slopes. Its diagonal preconditions it
-as long as that suffices; where steps become many the multigrid does, with few rows of
-great weight taken in (`field_preconditioner`). For small problems H is factorised.
+The matrix is H = Σ MᵀC M over all rows, C their slopes. The preconditioner is its
+diagonal until steps become many, then a multigrid with a Schur complement for the few
+rows of large weight (`field_preconditioner`). Small problems are factorised.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from scipy.sparse.linalg import splu
 
 from ttus_opt.arrays import Array
 from ttus_opt.laplace.network import NeighbourRows, by_network
+from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.primal.flexible import Map, flexible_conjugate_gradients
 from ttus_opt.solvers.primal.normal_product import add_normal_product
-from ttus_opt.solvers.primal.wide_term import WideTerm
 from ttus_opt.solvers.proximal.field_preconditioner import (
     WithFewRows,
     by_differences,
@@ -34,14 +34,13 @@ from ttus_opt.terms.penalties.base import Slope
 #: Up to how many variables H is formed and factorised
 SMALL = 3000
 
-#: Most steps of conjugate gradients, and those after which a better preconditioner is
-#: taken
+#: Most steps of conjugate gradients; steps after which the multigrid takes over
 MOST_STEPS, MANY = 400, 16
 
-#: Parameters may change by this factor before a preconditioner is made again
+#: Factor by which σ may change before the preconditioner is rebuilt
 KEEP = 1.5
 
-#: Most rows of a block that is not over all voxels
+#: Blocks with more rows are treated as lying over all voxels
 FEW_ROWS = 4096
 
 
@@ -49,7 +48,7 @@ class FieldNewton:
     """Newton steps by preconditioned conjugate gradients over all variables.
 
     Attributes:
-        rtol: Relative residual to which a step is best solved [–].
+        rtol: Default relative residual of a step [–].
     """
 
     rtol = 1e-2
@@ -59,7 +58,7 @@ class FieldNewton:
 
         Args:
             problem: The problem.
-            anchor: Rows of the anchor, of single variables; None for none.
+            anchor: Rows of the proximal term, one per variable; None for none.
         """
         self._program, self._fixed = problem.program, problem.fixed
         self._held = np.flatnonzero(problem.fixed)
@@ -80,7 +79,7 @@ class FieldNewton:
         rtol: float,
         deadline: float | None,
     ) -> tuple[Array, int]:
-        """As `LaplaceNewton.step`; the gradient says all."""
+        """As `LaplaceNewton.step`; the multipliers are not used."""
         side = np.where(self._fixed, 0.0, -gradient)
         if len(side) <= SMALL:
             return self._factorised(side, slopes), 1
@@ -92,15 +91,15 @@ class FieldNewton:
         run = flexible_conjugate_gradients(
             product, side, precondition, rtol, MOST_STEPS, deadline
         )
-        if run.steps > MANY:  # a better one, or rows have bent since it was made
+        if run.steps > MANY:  # the diagonal is too weak, or too many slopes changed
             self._by_multigrid, self._made = True, None
         return run.d, run.steps
 
     def taken(self, length: float) -> None:
-        """Nothing follows the part of a step that was taken [–]."""
+        """No state depends on the step length."""
 
     def _preconditioner(self, slopes: Sequence[Slope]) -> Map:
-        """The one in use, made again where parameters have changed much."""
+        """The current one, rebuilt where σ has changed much."""
         key = tuple(b.sigma for b in self._blocks if not b.exact)
         if self._anchor is not None:
             key += (self._anchor.weight,)
@@ -113,20 +112,20 @@ class FieldNewton:
         return self._made[1]
 
     def _make(self, slopes: Sequence[Slope]) -> Map:
-        """The diagonal, or what the multigrid knows of H."""
-        unbent = [
+        """The diagonal, or a multigrid with few rows."""
+        without_kinks = [
             slope
             if b.exact or isinstance(b.law, Between)
             else Slope(np.full_like(slope.factor, b.sigma))
             for b, slope in zip(self._blocks, slopes, strict=True)
         ]
-        diagonal = self.diagonal(unbent)
+        diagonal = self.diagonal(without_kinks)
         inverse = np.where(self._fixed, 0.0, 1.0 / np.where(diagonal, diagonal, 1.0))
         laplace = self._program.laplace
         if not self._by_multigrid or laplace is None:
             return lambda v: inverse * v
         fields = [
-            (part, self._of_field(name, part, slopes, unbent, diagonal))
+            (part, self._of_field(name, part, slopes, without_kinks, diagonal))
             for name, part in self._program.variables.items()
             if part.stop - part.start == len(laplace.free)
         ]
@@ -159,13 +158,13 @@ class FieldNewton:
         name: str,
         part: slice,
         slopes: Sequence[Slope],
-        unbent: Sequence[Slope],
+        without_kinks: Sequence[Slope],
         diagonal: Array,
     ) -> Map:
-        """The part of one field."""
+        """The preconditioner of one field."""
         laplace, fixed = self._program.laplace, self._fixed[part]
         term = self._program.laplace_term_of(name)
-        pairs = list(zip(self._blocks, unbent, strict=True))
+        pairs = list(zip(self._blocks, without_kinks, strict=True))
         if term is not None and term.weight > 0.0:
             rows = term.laplace_rows
             assert rows is not None
@@ -173,7 +172,7 @@ class FieldNewton:
             scale = np.ones(len(fixed)) if rows.scale is None else rows.scale
             compliance = np.where(fixed, 0.0, 1.0 / (2.0 * term.weight * scale**2))
             wide = [
-                WideTerm(1.0, _scaled(b.matrix[:, part], slope), b.target)
+                ProgramTerm(b.name, 1.0, _scaled(b.matrix[:, part], slope), b.target)
                 for b, slope in pairs
                 if self._is_wide(b) and b.name != term.name
             ]
@@ -209,7 +208,7 @@ class FieldNewton:
         """H v on the variables that are free."""
         out = np.zeros_like(v)
         for rows, slope in zip(self._blocks, slopes, strict=True):
-            if rows is self._anchor:  # of single variables, all of them
+            if rows is self._anchor:  # one row per variable
                 out += slope.factor * v
             elif slope.along is None and self._is_wide(rows):
                 add_normal_product(out, rows.matrix, slope.factor, v)
@@ -219,14 +218,14 @@ class FieldNewton:
         return out
 
     def diagonal(self, slopes: Sequence[Slope]) -> Array:
-        """The diagonal of H, without what slopes take off along groups, shape (n,)."""
+        """Diagonal of H, neglecting the directions ``along`` of groups, shape (n,)."""
         out = np.zeros(len(self._fixed))
         for square, slope in zip(self._squared, slopes, strict=True):
             out += square @ slope.factor
         return out
 
     def _factorised(self, side: Array, slopes: Sequence[Slope]) -> Array:
-        """The step of a small problem."""
+        """The step of a small problem, by a factor of H."""
         free = np.flatnonzero(~self._fixed)
         H = sp.csr_array((len(side),) * 2)
         for rows, slope in zip(self._blocks, slopes, strict=True):

@@ -1,17 +1,17 @@
-"""What preconditions Newton's matrix where rows lie over all voxels.
+"""Preconditioners of Newton's matrix where rows lie over all voxels.
 
-H = Σ MᵀC M is approximated on every field by what the multigrid can solve, with slopes
-as if no row had bent (rows with a kink are few):
+H = Σ MᵀC M is approximated on every field by an operator with a multigrid. Except in
+the network, slopes are those without kinks (few rows lie beyond one):
 
-- where squares of Laplace's rows determine the field by (L − X)ᵀΩ⁻¹(L − X), X matched
-  to the other rows (`ttus_opt.solvers.primal.matching`);
-- otherwise, where it is differences of neighbours, as the network of conductances that
-  it then is, rows that have bent cut (`ttus_opt.laplace.network`);
-- otherwise by R^½ (A + R ε)⁻¹ R^½ over the strength of differences of neighbours, whose
-  graph has A's conductances but for the volume of a voxel R; ε is the anchor.
+- where squares of Laplace's rows determine the field: (L − X)ᵀΩ⁻¹(L − X), X matched to
+  the other rows (`ttus_opt.solvers.primal.matching`);
+- otherwise, for differences of neighbours: their network of conductances, with rows
+  beyond a kink cut (`ttus_opt.laplace.network`);
+- otherwise R^½ (A + R ε)⁻¹ R^½ over the strength of the differences, whose graph has
+  the conductances of A up to the volume R of a voxel; ε is the proximal term.
 
-Few rows of any weight come on top by their Schur complement S = I + D P⁻¹Dᵀ, whose
-conjugate directions are kept while P and weights stay.
+Few rows D of any weight are added by their Schur complement S = I + D P⁻¹Dᵀ, whose
+conjugate directions are kept while P and the weights stay the same.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from ttus_opt.arrays import Array, Mask
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid.coarsening import Added
 from ttus_opt.multigrid.one_cycle import OneCycle
+from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.primal.approximate_system import ApproximateLaplace
 from ttus_opt.solvers.primal.flexible import Map
 from ttus_opt.solvers.primal.matching import matched_root
-from ttus_opt.solvers.primal.wide_term import WideTerm
 
-#: Part of the residual of S's system that may be left [–], and most directions
+#: Relative residual of S's system [–], and most directions
 LEFT, MOST = 0.3, 400
 
 
 def by_differences(
     laplace: LaplaceSystem, diagonal: Array, anchor: float, fixed: Mask
 ) -> Map:
-    """P⁻¹ where differences of neighbours hold the field.
+    """P⁻¹ where differences of neighbours determine the field.
 
     Args:
-        laplace: Whose graph it is.
-        diagonal: Of H without the anchor, rows unbent, shape (V,).
-        anchor: ε, what the anchor adds to H's diagonal.
+        laplace: L, with the same graph.
+        diagonal: Of H without kinks and without ε, shape (V,).
+        anchor: ε.
         fixed: Voxels whose values are given, shape (V,).
     """
     free = laplace.free & ~fixed
@@ -65,14 +65,14 @@ def by_differences(
 
 
 def by_laplace(
-    laplace: LaplaceSystem, compliance: Array, wide: Sequence[WideTerm]
+    laplace: LaplaceSystem, compliance: Array, wide: Sequence[ProgramTerm]
 ) -> Map:
-    """P⁻¹ where squares of Laplace's rows hold the field.
+    """P⁻¹ where squares of Laplace's rows determine the field.
 
     Args:
         laplace: L.
         compliance: Ω, shape (V,).
-        wide: The other rows over the voxels, unbent.
+        wide: The other rows over the voxels, without kinks.
     """
     grid, free = laplace.operator_grid, laplace.free
     root = matched_root(wide, grid, free, laplace.radii, compliance)
@@ -102,14 +102,14 @@ class _Schur:
 
 
 class WithFewRows:
-    """(P + DᵀD)⁻¹ from P⁻¹, roughly: Woodbury's formula."""
+    """(P + DᵀD)⁻¹ from P⁻¹, approximately, by Woodbury's formula."""
 
     def __init__(self, prior: Map, rows: sp.csr_array) -> None:
         """Start without directions.
 
         Args:
             prior: P⁻¹, linear.
-            rows: D with the roots of its slopes, shape (m, n).
+            rows: D, times the roots of its slopes, shape (m, n).
         """
         self._prior, self._rows = prior, rows
         self._adjoint = sp.csr_array(rows.T)

@@ -6,10 +6,10 @@ With W the slopes of Laplace's rows and C those of the few others, a step d mini
         =  ½ Σ W (L d − h)² + ½ ‖C^½ D d − t‖² + const,    h = −W⁻¹ L⁻ᵀ g,
 
 with t = −C^-½ y, which is eq. 10 with the compliance W⁻¹ and measured rows C^½ D:
-`DualSolver` solves it with as many unknowns as there are few rows. How much of the
-gradient is Dᵀy is free: it is that of y⁺ − v, with multipliers v that balance the other
-rows. Both parts then vanish with the step, whatever the rows weigh. With y = 0 a heavy
-row's misfit would make L⁻¹h so large that it all but cancels against the answer's y.
+`DualSolver` solves it with one unknown per row of D. The splitting of the gradient into
+g and Dᵀy is free; it is y = y⁺ − v, with multipliers v that balance the other rows, so
+that both parts vanish with the step at any weight. With y = 0, the misfit of a heavy
+row would make L⁻¹h so large that it nearly cancels against the solution's y.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from ttus_opt.solvers.proximal.penalised_rows import PenalisedRows, group_column
 from ttus_opt.terms.penalties.base import Slope
 from ttus_opt.terms.structure import LaplaceRows
 
-#: Relative residual of solves with L in a step that is itself inexact, over its own
+#: Relative residual of solves with L, over that of the inexact step [–]
 INSIDE = 1e-2
 
-#: No product with the dual is asked for less than this relative residual [–]
+#: Largest relative residual of products with the dual [–]
 LOOSEST = 1e-4
 
 
@@ -40,7 +40,7 @@ class LaplaceNewton:
     """Newton steps by the dual of Laplace's rows.
 
     Attributes:
-        rtol: Relative residual to which a step is best solved [–].
+        rtol: Default relative residual of a step [–].
     """
 
     rtol = 1e-4
@@ -57,7 +57,7 @@ class LaplaceNewton:
         Args:
             laplace: L.
             blocks: All rows.
-            declared: Which of them are Laplace's.
+            declared: The tags of those that are Laplace's, else None.
             fixed: Voxels whose values are given, shape (V,).
         """
         self._laplace, self._fixed = laplace, fixed
@@ -66,7 +66,7 @@ class LaplaceNewton:
         self._few = [k for k, rows in enumerate(declared) if rows is None]
         self._rows = [blocks[k].matrix for k in self._few]
         self._options = replace(DualOptions(), loosest_product=LOOSEST)
-        #: v of the few blocks, and where it will be after the whole of the last step
+        #: v of the few blocks, and its value after a full last step
         self._balance: list[Array] | None = None
         self._aim: list[Array] = []
 
@@ -109,13 +109,13 @@ class LaplaceNewton:
         for aim, k in zip(self._aim, self._few, strict=True):
             own = slopes[k].factor > 0.0
             end = at + int(own.sum())
-            # of the dual's own multipliers: those of C D d have its residual in them
+            # the dual's own multipliers: those of C D d contain its residual
             aim[own] += change[at:end]
             at = end
         return answer.p, answer.steps
 
     def taken(self, length: float) -> None:
-        """Follow the part of the last step that was taken [–]."""
+        """Move v by the step length [–]."""
         if self._balance is not None and self._aim:
             for v, aim in zip(self._balance, self._aim, strict=True):
                 v += length * (aim - v)
@@ -123,7 +123,7 @@ class LaplaceNewton:
     def _first_balance(
         self, gradient: Array, multipliers: Sequence[Array]
     ) -> list[Array]:
-        """y⁺ near the answer; zero at the Laplace field."""
+        """y⁺ where it nearly balances the other rows, else zero."""
         own = [multipliers[k] for k in self._few]
         prior = gradient - np.sum(
             [matrix.T @ y for matrix, y in zip(self._rows, own, strict=True)], axis=0
@@ -134,7 +134,7 @@ class LaplaceNewton:
         return [y.copy() if near else np.zeros_like(y) for y in own]
 
     def _compliance(self, slopes: Sequence[Slope]) -> Array:
-        """1/W of every row of L; zero where the voxel's value is given."""
+        """1/W of every row of L, shape (V,); zero at given values."""
         W = np.zeros(len(self._fixed))
         for slope, rows in zip(slopes, self._declared, strict=True):
             if rows is None:
@@ -147,7 +147,7 @@ class LaplaceNewton:
     def _few_rows(
         self, multipliers: Sequence[Array], slopes: Sequence[Slope]
     ) -> tuple[sp.csr_array, Array, Array]:
-        """Few rows whose slope is not zero, the roots of their slopes, and y⁺ − v."""
+        """Few rows with a nonzero slope, the roots of their slopes, and y⁺ − v."""
         assert self._balance is not None
         matrices, roots, own = [], [], []
         for k, matrix, v in zip(self._few, self._rows, self._balance, strict=True):

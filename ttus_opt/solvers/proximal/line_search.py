@@ -1,21 +1,21 @@
-"""Minimum of a convex function along a line, from its slope alone."""
+"""Line search for a convex function, by secants and bisection on its slope."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
-#: The slope left, over the slope at the start [–]
+#: Final slope over the initial slope [–]
 ENOUGH = 0.1
 
 #: Most evaluations
 MOST = 20
 
-#: A secant's end stays this part of the bracket away from its ends [–]
+#: Distance of a secant step from the ends of the bracket, over its width [–]
 MARGIN = 0.1
 
 
 def along(slope: Callable[[float], float], start: float) -> tuple[float, float]:
-    """A step length at which the slope has nearly gone.
+    """A step length at which the slope is nearly zero.
 
     Args:
         slope: Slope at a step length, not decreasing.

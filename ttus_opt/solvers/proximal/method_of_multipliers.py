@@ -4,10 +4,9 @@ Each round minimises the augmented Lagrangian
 
     Σ_k e_k(x) + ½ ‖E (x − x̄)‖²
 
-to an accuracy that the round's own progress asks for, by Newton steps on its gradient,
-which is piecewise linear or nearly so, and an exact line search. Then multipliers, x̄
-and σ change: y ← y⁺, x̄ ← x, σ grows. The second summand (the anchor) is there where
-squares do not determine x.
+by Newton steps on its (nearly) piecewise linear gradient with an exact line search, to
+an accuracy relative to the round's progress. Then y ← y⁺, x̄ ← x, and σ grows. The
+second summand (the anchor) is present where squares do not determine x.
 
 Source: R. T. Rockafellar, Augmented Lagrangians and Applications of the Proximal Point
 Algorithm in Convex Programming (1976); X. Li, D. Sun, K.-C. Toh, A Highly Efficient
@@ -38,7 +37,7 @@ class NewtonSystem(Protocol):
     """Solves for Newton steps.
 
     Attributes:
-        rtol: Relative residual to which a step is best solved [–].
+        rtol: Default relative residual of a step [–].
     """
 
     rtol: float
@@ -58,29 +57,28 @@ class NewtonSystem(Protocol):
         """
 
     def taken(self, length: float) -> None:
-        """Hear what part of the last step was taken [–]."""
+        """Receive the length of the line search along the last step [–]."""
 
 
-#: After a Newton step cut below this part of its length the next one is cautious [–]
+#: After a step length below this the next Newton step is cautious [–]
 SHORT = 0.3
 
-#: Newton systems are solved so much more exactly after a round that did not get there,
-#: and to this relative residual at most [–]
-EXACTER, MOST_EXACT = 0.1, 1e-9
+#: Factor on the residual of Newton systems after a round that fell short, and its least
+#: value [–]
+TIGHTENING, LEAST_RTOL = 0.1, 1e-9
 
 
 @dataclass(frozen=True)
 class Options:
-    """Numbers of the method.
+    """Options of the method.
 
     Attributes:
         rounds: Most rounds.
         newton_steps: Most Newton steps of a round.
-        share: A round ends when what Newton's method would still gain is below this
-            part of what the multipliers move [–].
-        growth: Of σ, and of what the anchor lets x move, after a round that got there.
-        retreat: By how much both shrink after one that did not,
-        patience: and how many rounds have to get there before they grow again [–].
+        share: A round is complete when the remaining decrease of the Lagrangian is
+            below this part, squared, of the multipliers' movement [–].
+        growth: Factor on σ, and inverse factor on the anchor, after a complete round.
+        retreat: Inverse factor on σ, and factor on the anchor, after another.
     """
 
     rounds: int = 150
@@ -88,12 +86,11 @@ class Options:
     share: float = 0.1
     growth: float = 2.0
     retreat: float = 1.5
-    patience: int = 1
 
 
 @dataclass
 class _State:
-    """Where the iteration stands.
+    """An iterate.
 
     Attributes:
         x: Shape (n,).
@@ -120,12 +117,17 @@ class _State:
 
     @property
     def gradient(self) -> Array:
-        """Of the augmented Lagrangian, shape (n,)."""
+        """Gradient of the augmented Lagrangian, shape (n,)."""
         return np.asarray(np.sum(self.parts, axis=0))
 
 
 class MethodOfMultipliers:
-    """One problem under way."""
+    """The iteration on one problem.
+
+    Attributes:
+        newton_steps: Newton steps so far.
+        steps: Inner iterations of these.
+    """
 
     def __init__(
         self,
@@ -140,11 +142,11 @@ class MethodOfMultipliers:
 
         Args:
             problem: The problem.
-            blocks: Its rows, and the anchor's at the end.
+            blocks: Its rows, the anchor's last.
             anchor: Rows E of the anchor; None for none.
             system: Solves for the steps.
             request: Tolerance and time limit.
-            options: Numbers of the method.
+            options: Of the method.
         """
         self._problem, self._blocks, self._anchor = problem, blocks, anchor
         self._system, self._request = system, request
@@ -153,10 +155,10 @@ class MethodOfMultipliers:
         self._length = 0.0  # of the last step; none at the start
 
     def solve(self, x: Array) -> Candidate:
-        """Solve from a point on.
+        """Solve from a starting point.
 
         Args:
-            x: Shape (n,), with the values that are given.
+            x: Shape (n,), given values included.
         """
         limit = self._request.time_limit
         self._deadline = None if limit is None else time.perf_counter() + limit
@@ -164,8 +166,8 @@ class MethodOfMultipliers:
             self._anchor.target = np.asarray(self._anchor.matrix @ x)
         state = _State(x, [b.residual(x) for b in self._blocks])
         best, least, stale = Candidate(x, claim=Claim.TIME_LIMIT), np.inf, 0
-        calm = self._options.patience
-        most = 25 if self._problem.bent else 3  # without estimates a round is the last
+        # without multiplier estimates, one round minimises the objective itself
+        most = 25 if self._problem.bent else 3
         rtol = self._system.rtol
         for _ in range(self._options.rounds):
             done = self._minimise(state, rtol)
@@ -187,27 +189,20 @@ class MethodOfMultipliers:
                 stale += 1
             if least <= self._request.tolerance or stale > most or self._late:
                 break
-            growth, calm = self._growth(done, calm)
-            rtol *= EXACTER if not done else 1.0 / EXACTER
-            rtol = min(max(rtol, MOST_EXACT), self._system.rtol)
-            self._next_round(state, growth)
+            rtol *= TIGHTENING if not done else 1.0 / TIGHTENING
+            rtol = min(max(rtol, LEAST_RTOL), self._system.rtol)
+            options = self._options
+            self._next_round(state, options.growth if done else 1.0 / options.retreat)
         if least <= self._request.tolerance:
             return best
         return replace(best, claim=Claim.TIME_LIMIT if self._late else Claim.GAVE_UP)
-
-    def _growth(self, done: bool, calm: int) -> tuple[float, int]:
-        """By how much parameters grow, and rounds since they last had to shrink."""
-        if not done:
-            return 1.0 / self._options.retreat, 0
-        calm += 1
-        return (self._options.growth if calm >= self._options.patience else 1.0), calm
 
     @property
     def _late(self) -> bool:
         return self._deadline is not None and time.perf_counter() > self._deadline
 
     def _minimise(self, state: _State, rtol: float) -> bool:
-        """Newton steps; whether they got as far as a round should."""
+        """Take Newton steps; whether the round is complete."""
         blocks, fixed = self._blocks, self._problem.fixed
         state.evaluate(blocks)
         for _ in range(self._options.newton_steps):
@@ -239,11 +234,11 @@ class MethodOfMultipliers:
         return False
 
     def _slopes(self, state: _State) -> list[Slope]:
-        """Newton's, or cautious ones of penalties that are taken as they are.
+        """Newton's slopes; after a short step, larger ones of exact penalties.
 
-        Rows beyond a kink have no slope, and where they are heavy what they pull at
-        would run far away. As squares through the slope at no residual, or through the
-        present one (reweighted least squares), they hold: no step leads uphill.
+        Rows beyond a kink have no slope, so that a Newton step may be far too long.
+        The slope at zero residual, or the secant to the present one (reweighted least
+        squares), majorises the penalty.
         """
         if self._length >= SHORT:
             return state.slopes
@@ -252,12 +247,12 @@ class MethodOfMultipliers:
             self._blocks, state.slopes, state.residuals, state.multipliers, strict=True
         ):
             if b.exact and slope.along is None:
-                held = b.charged(np.zeros_like(r))[1].factor
+                steepest = b.charged(np.zeros_like(r))[1].factor
                 if self._length > 0.0:
-                    there = y * r > 0.0
-                    secant = np.where(there, y, 1.0) / np.where(there, r, 1.0)
-                    held = np.where(there, np.minimum(secant, held), held)
-                slope = Slope(np.maximum(held, slope.factor))
+                    bent = y * r > 0.0
+                    secant = np.where(bent, y, 1.0) / np.where(bent, r, 1.0)
+                    steepest = np.where(bent, np.minimum(secant, steepest), steepest)
+                slope = Slope(np.maximum(steepest, slope.factor))
             slopes.append(slope)
         return slopes
 
@@ -277,7 +272,7 @@ class MethodOfMultipliers:
         return total
 
     def _moved(self, state: _State) -> float:
-        """How far estimates and anchor would move, in the Lagrangian's unit."""
+        """Movement of estimates and anchor, in the unit of the Lagrangian."""
         total = 0.0
         for b, r, y in zip(
             self._blocks, state.residuals, state.multipliers, strict=True
@@ -290,7 +285,7 @@ class MethodOfMultipliers:
         return total
 
     def _next_round(self, state: _State, growth: float) -> None:
-        """Take new estimates; σ grows."""
+        """Update estimates, anchor and σ."""
         for k, (b, y) in enumerate(zip(self._blocks, state.multipliers, strict=True)):
             if b is self._anchor:
                 b.target = np.asarray(b.matrix @ state.x)
@@ -298,9 +293,9 @@ class MethodOfMultipliers:
                 b.weight /= growth
                 b.sigma /= growth
             elif not b.exact:
-                b.adopt(y)
+                b.multipliers = y
                 b.sigma *= growth
-        # a block's residual follows x exactly, not by sums of steps
+        # computed anew: sums of steps collect rounding errors
         state.residuals = [b.residual(state.x) for b in self._blocks]
 
 

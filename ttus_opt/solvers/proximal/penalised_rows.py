@@ -1,12 +1,11 @@
-"""Rows under a penalty or between limits, as the augmented Lagrangian charges them.
+"""Rows under a penalty or between limits, in the augmented Lagrangian.
 
 With r = M x − t, weight w, multiplier estimate y and a parameter σ a row block adds
 
     e(x) = min_z w φ(z) + σ/2 ‖r − z + y/σ‖²,      ∇e = Mᵀ y⁺,
 
-where y⁺ = w g and g is the `resolvent` of φ at (y + σ r)/w, of step σ/w. Penalties
-whose gradient vanishes with the residual (squares, Huber's) are taken as they are,
-which is σ → ∞ and needs no estimate.
+where y⁺ = w g and g is the `resolvent` of φ at (y + σ r)/w, of step σ/w. Smooth
+penalties (squares, Huber's) enter exactly, which is σ → ∞ and needs no estimate.
 
 Source: R. T. Rockafellar, Augmented Lagrangians and Applications of the Proximal Point
 Algorithm in Convex Programming (1976).
@@ -14,7 +13,6 @@ Algorithm in Convex Programming (1976).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -25,7 +23,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.terms.penalties.base import Slope
 
-#: σ over the weight where a penalty is taken as it is: what it adds is below rounding
+#: σ over the weight of a smooth penalty; the difference to σ → ∞ is below rounding
 EXACT = 1e15
 
 
@@ -49,7 +47,7 @@ class Between:
     upper: Array
 
     def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
-        """How far v lies outside step · [lower, upper]."""
+        """The excess of v over step · [lower, upper]."""
         outside = (v < step * self.lower) | (v > step * self.upper)
         g = np.where(outside, v - np.clip(v, step * self.lower, step * self.upper), 0.0)
         return g, Slope(outside.astype(float))
@@ -64,7 +62,7 @@ class PenalisedRows:
         target: t, shape (m,).
         weight: w [–].
         law: Penalty or limits.
-        exact: Whether the penalty is taken as it is.
+        exact: Whether the penalty is smooth and enters exactly.
         sigma: σ.
         multipliers: y, shape (m,).
     """
@@ -106,30 +104,9 @@ class PenalisedRows:
         """Mᵀ y, shape (n,)."""
         return np.asarray(self.matrix.T @ y)
 
-    def adopt(self, multipliers: Array) -> tuple[float, float]:
-        """Take new estimates.
-
-        Args:
-            multipliers: y⁺, shape (m,).
-
-        Returns:
-            ‖y⁺ − y‖²/σ, how far the estimates moved, and ‖y⁺ − y‖/σ, how far r is
-            from the z of the module's docstring; zeros where none are needed.
-        """
-        if self.exact:
-            return 0.0, 0.0
-        change = math.sqrt(float(np.sum((multipliers - self.multipliers) ** 2)))
-        self.multipliers = multipliers
-        return change**2 / self.sigma, change / self.sigma
-
 
 def group_columns(values: Array, size: int) -> sp.csr_array:
-    """Values as columns, one for each group of rows, shape (m, m / size).
-
-    Args:
-        values: Entry of every row, shape (m,).
-        size: Rows of a group.
-    """
+    """Values as columns, one for each group of ``size`` rows, shape (m, m / size)."""
     m = len(values)
     group, starts = np.repeat(np.arange(m // size), size), np.arange(m + 1)
     return sp.csr_array((values, group, starts), shape=(m, m // size))

@@ -1,4 +1,4 @@
-"""A program as rows under penalties and between limits, with some values given."""
+"""A program as rows under penalties or between limits, and given values."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class PenalisedProblem:
 
     Attributes:
         program: As it was declared.
-        blocks: Terms with a weight, limits that hold, and the box.
-        declared: Which of the blocks are Laplace's rows.
+        blocks: Terms with a weight, rows between limits, and the box.
+        declared: Tag of every block of Laplace's rows, None for other blocks.
         fixed: Variables whose values are given, shape (n,).
         values: Those values, zero elsewhere, shape (n,).
         given: By constraint, which of its rows give values.
@@ -68,7 +68,7 @@ class PenalisedProblem:
 
     @property
     def bent(self) -> list[PenalisedRows]:
-        """Blocks whose multipliers are estimated."""
+        """Blocks that are not smooth, whose multipliers are estimated."""
         return [rows for rows in self.blocks if not rows.exact]
 
     def duals(self, multipliers: list[Array], gradient: Array) -> Duals:
@@ -76,7 +76,7 @@ class PenalisedProblem:
 
         Args:
             multipliers: Of every block.
-            gradient: Of the Lagrangian, which given values absorb, shape (n,).
+            gradient: Of the Lagrangian; multipliers of given values cancel it, (n,).
         """
         program = self.program
         by_name = {b.name: y for b, y in zip(self.blocks, multipliers, strict=True)}

@@ -1,16 +1,16 @@
-"""Sparse sources exactly: few columns of L⁻¹, exchanged until no other is wanted.
+"""Sparse sources exactly: an exchange method over columns of L⁻¹.
 
 With given boundary values and p = p₀ + L⁻¹u the problem
 
     min_u  Σ_v c_v |u_v| + ½ ‖A u − s‖²,      A = D L⁻¹,  s = t − D p₀
 
-(D the few rows with the roots of twice their weights) has a solution with few sources.
-Its multiplier is η = Aᵀ(s − A u), |η_v| ≤ c_v, and = c_v sign u_v at a source. Starting
-without, voxels where |η| is largest around and above c become columns, the
-problem of those columns is solved by an active set, η is computed again, and so on: an
-exchange method for semi-infinite programs, as the dual has few unknowns and a
-constraint per voxel. A column is one solve with L, η is one with Lᵀ. Columns are
-solved side by side, and like η no more exactly than the answer's check needs.
+(D the few rows times the roots of twice their weights) has a solution with few sources.
+Its multiplier is η = Aᵀ(s − A u), |η_v| ≤ c_v, and η_v = c_v sign u_v at a source. From
+no source on, voxels where |η| exceeds c in a local maximum become columns, the problem
+over these columns is solved by an active set, and η is computed again: an exchange
+method for semi-infinite programs (few dual unknowns, a constraint per voxel). A column
+takes one solve with L, η one with Lᵀ; columns are solved in parallel, and both only as
+accurately as the final check needs.
 
 Source: R. Hettich, K. O. Kortanek, Semi-Infinite Programming (1993); C. L. Lawson,
 R. J. Hanson, Solving Least Squares Problems (1974), chapter 23.
@@ -32,21 +32,25 @@ from ttus_opt.threads import side_by_side
 #: Most exchanges, and most new columns of one
 EXCHANGES, NEW = 100, 40
 
-#: |η| may exceed c by this part [–]
+#: Part of c by which |η| may exceed it [–]
 EXCESS = 1e-7
 
-#: Relative residual of the solves behind columns and η, where that is enough [–]
+#: Relative residual of the first solves for columns and η [–]
 LOOSE = 1e-8
 
-#: Pivots below this part of the largest are left out of the active set's systems [–]
+#: Pivots below this part of the largest count as dependent [–]
 DEPENDENT = 1e-13
 
-#: Steps of refinement by factors
+#: Newton steps of the final refinement
 REFINEMENTS = 3
 
 
 class SourceExchange:
-    """Sources of one problem, growing."""
+    """The sources of one problem.
+
+    Attributes:
+        solves: Solves with L or Lᵀ so far.
+    """
 
     def __init__(
         self,
@@ -77,14 +81,14 @@ class SourceExchange:
 
     @property
     def sources(self) -> int:
-        """How many there are."""
+        """Number of sources."""
         return int((self._sizes > 0.0).sum())
 
     def run(self, excess: float, deadline: float | None) -> Array:
         """Exchange until |η| ≤ c (1 + excess).
 
         Args:
-            excess: See there [–].
+            excess: As `EXCESS` [–].
             deadline: `time.perf_counter` at which to stop; None for never [s].
 
         Returns:
@@ -97,16 +101,16 @@ class SourceExchange:
                 break
             before = len(self._at)
             self._add(wanted, np.sign(slope[wanted]))
-            if len(self._at) == before:  # rounding: what is wanted is there already
+            if len(self._at) == before:  # by rounding: all of them are columns already
                 break
             self._solve()
         return self.field()
 
     def tighten(self, deadline: float | None) -> None:
-        """Go on from the sources there are, with solves as exact as they can be.
+        """Keep the present sources and compute their columns to full accuracy.
 
         Args:
-            deadline: `time.perf_counter` from which on nothing is done; None for never
+            deadline: `time.perf_counter` after which nothing is done; None for never
                 [s].
         """
         if _is_over(deadline):
@@ -120,28 +124,28 @@ class SourceExchange:
             self._solve()
 
     def field(self) -> Array:
-        """P₀ + L⁻¹u, shape (V,)."""
+        """The field p₀ + L⁻¹u, shape (V,)."""
         u = np.zeros(len(self._charge))
         np.add.at(u, self._at, self._signs * self._sizes)
         self.solves += 1
         return np.asarray(self._base + self._laplace.solve(u))
 
     def multipliers(self, field: Array) -> Array:
-        """Multiplier η of every Laplace row at the answer, shape (V,).
+        """Multiplier η of every Laplace row, shape (V,).
 
-        After `tighten` from the columns, not from the field: where charges are small
-        the measured rows nearly hold, and their misfit at the field is the rounding of
-        its solve.
+        After `tighten` it follows from the columns, not from the field: with small
+        charges the measured rows nearly hold, and their misfit at the field is rounding
+        error of its solve.
 
         Args:
-            field: The answer, shape (V,).
+            field: The solution, shape (V,).
         """
         exact = self._rtol == RTOL
         return self._slope(self._rest if exact else self._target - self._rows @ field)
 
     @property
     def _rest(self) -> Array:
-        """What sources leave of the measured values by their columns, shape (m,)."""
+        """Residual s − A u, by the columns, shape (m,)."""
         return np.asarray(self._left - self._columns @ self._sizes)
 
     def _slope(self, rest: Array, rtol: float = RTOL) -> Array:
@@ -150,7 +154,7 @@ class SourceExchange:
         return self._laplace.solve_adjoint(self._rows.T @ rest, rtol=rtol)
 
     def _wanted(self, slope: Array, excess: float) -> IntArray:
-        """Voxels above their charge that are largest around, the largest first."""
+        """Local maxima of |η|/c above 1, the largest first."""
         over = np.abs(slope) / self._charge
         grid = self._laplace.grid
         around = maximum_filter(
@@ -159,14 +163,14 @@ class SourceExchange:
         peak = (over >= grid.flatten(around)) & (over > 1.0 + excess)
         peak[self._at[self._sizes > 0.0]] = False
         found = np.flatnonzero(peak)
-        if not len(found):  # beside a source that is there already
+        if not len(found):  # only beside a present source
             over[self._at] = 0.0
             found = np.flatnonzero(over > 1.0 + excess)
         order = np.argsort(over[found])[::-1]
         return found[order[:NEW]]
 
     def _add(self, voxels: IntArray, signs: Array) -> None:
-        """New columns s D L⁻¹ e; known ones of the same sign stay as they are."""
+        """Add columns ± D L⁻¹ e, except those there are."""
         known = set(zip(self._at.tolist(), self._signs.tolist(), strict=True))
         pairs = zip(voxels.tolist(), signs.tolist(), strict=True)
         new = np.array([pair not in known for pair in pairs], dtype=bool)
@@ -179,7 +183,7 @@ class SourceExchange:
         self._sizes = np.append(self._sizes, np.zeros(columns.shape[1]))
 
     def _columns_of(self, voxels: IntArray, signs: Array) -> Array:
-        """Columns s D L⁻¹ e of some voxels, shape (m, k)."""
+        """Columns ± D L⁻¹ e of some voxels, shape (m, k)."""
 
         def column(v: int, sign: float) -> Array:
             unit = np.zeros(len(self._charge))
@@ -198,10 +202,10 @@ class SourceExchange:
         self._refine()
 
     def _refine(self) -> None:
-        """Newton steps of the sources that there are, by factors of their columns.
+        """Newton steps on the present sources, by a QR factor of their columns.
 
-        Products of columns square their condition: |η| at the sources would be c only
-        to the root of what rounding leaves.
+        Their Gram matrix squares the condition: it determines |η| = c only to the root
+        of the rounding error.
         """
         at = np.flatnonzero(self._sizes > 0.0)
         columns, charge = self._columns[:, at], self._charge[self._at[at]]
