@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
+import importlib.util
 import inspect
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
-from types import TracebackType
+from types import ModuleType, TracebackType
 from typing import Any
 
 from ttus_opt.errors import InputError, TtusError
@@ -43,6 +45,36 @@ def told_by_line(what: str) -> Iterator[None]:
         raise InputError(
             f"{what} raised {told} ({file}, line {line})"
         ) from error.with_traceback(frames)
+
+
+def module_of_file(path: Path, kind: str) -> ModuleType:
+    """Run a user's Python file and return its module.
+
+    Args:
+        path: The file.
+        kind: What it holds, for messages: "formulation", "solver".
+
+    Raises:
+        InputError: There is no such file, or it raises.
+    """
+    if not path.exists():
+        raise InputError(f"{kind} file not found: {path}: check the path")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"{path} cannot be loaded as a Python file")
+    module = importlib.util.module_from_spec(spec)
+    with told_by_line(f"{kind} file {path}"):
+        spec.loader.exec_module(module)
+    return module
+
+
+def unknown_name(kind: str, name: str, known: Collection[str]) -> InputError:
+    """The error for a name that is not among the known ones, with the nearest."""
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
+    return InputError(
+        f"unknown {kind} {name!r}, {'did you mean' if near else 'there are'} "
+        f"{', '.join(near or known)}? A file of your own ends in .py"
+    )
 
 
 def defined_at(function: Callable[..., Any]) -> str:

@@ -7,10 +7,7 @@ returns a `Formulation`; another package offers its own by an entry point of the
 
 from __future__ import annotations
 
-import difflib
-import importlib
 import importlib.metadata
-import importlib.util
 import inspect
 import math
 import pkgutil
@@ -26,14 +23,14 @@ from ttus_opt.formulation_files import formulation_module, shelf
 from ttus_opt.problem.declaration import Formulation as Formulation
 from ttus_opt.problem.declaration import Search as Search
 from ttus_opt.scene import Scene
-from ttus_opt.user_code import told_by_line
+from ttus_opt.user_code import module_of_file, told_by_line, unknown_name
 
 #: Where another package offers formulations
 ENTRY_POINTS = "ttus_opt.formulations"
 
 
-#: Options are numbers up to this, and zero or at least one part of it: their squares,
-#: and those times a million rows, are far from what a double can hold
+#: Largest option, and inverse of the least positive one: sums of squares over a million
+#: rows then stay far within the range of a double
 LARGEST = 1e15
 
 
@@ -71,8 +68,8 @@ def load(
         The formulation.
 
     Raises:
-        InputError: Unknown name or option, words for a number, or a file without
-            ``build``.
+        InputError: Unknown name or option, an option of the wrong kind, or a file
+            without ``build``.
     """
     if isinstance(formulation, Formulation):
         if options:
@@ -127,11 +124,11 @@ def option_defaults(formulation: str | Path) -> dict[str, Any] | None:
 
 
 def _check_option(what: str, parameter: inspect.Parameter, value: Any) -> None:
-    """Refuse an option of another kind than its default and annotation say."""
+    """Refuse an option whose kind differs from its default and annotation."""
     usual = parameter.default
     such = "" if usual is None else f" such as {usual}"
     if usual is None and (value is None or not _says_number(parameter.annotation)):
-        return  # found by itself, or of a kind that only the function knows
+        return  # estimated from the data, or of a kind that only ``build`` knows
     if isinstance(usual, bool):
         fits, kind = isinstance(value, bool), "true or false"
     elif isinstance(usual, str):
@@ -165,30 +162,16 @@ def _says_number(annotation: Any) -> bool:
 def _find(formulation: str | Path) -> tuple[Callable[..., Formulation], str]:
     path = Path(formulation)
     if path.suffix == ".py":
-        if not path.exists():
-            raise InputError(f"formulation file not found: {path}: check the path")
-        spec = importlib.util.spec_from_file_location(path.stem, path)
-        if spec is None or spec.loader is None:
-            raise InputError(f"{path} cannot be loaded as a Python file")
-        module = importlib.util.module_from_spec(spec)
         shelf()  # it may import one of ours
-        with told_by_line(f"formulation file {path}"):
-            spec.loader.exec_module(module)
-        return _build_function(module), path.stem
-    name = str(formulation)
-    if name not in _names() and name not in _elsewhere():
-        names = [*_names(), *_elsewhere()]
-        near = difflib.get_close_matches(name, names, n=3, cutoff=0.4)
-        raise InputError(
-            f"unknown formulation {name!r}, "
-            f"{'did you mean ' if near else 'there are '}"
-            f"{', '.join(near or names)}? A file of your own ends in .py"
-        )
+        return _build_function(module_of_file(path, "formulation")), path.stem
+    name, known = str(formulation), [*_names(), *_elsewhere()]
+    if name not in known:
+        raise unknown_name("formulation", name, known)
     return _build_of(name), name
 
 
 def _build_of(name: str) -> Callable[..., Formulation]:
-    """The function of a formulation that is there, ours before another package's."""
+    """The function of a known formulation, ours before another package's."""
     if name in _names():
         return _build_function(formulation_module(name))
     with told_by_line(f"formulation {name} of another package"):

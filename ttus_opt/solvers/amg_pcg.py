@@ -1,13 +1,13 @@
-"""Off the shelf: conjugate gradients over algebraic multigrid, eq. 10.
+"""Eq. 10 with off-the-shelf parts: algebraic multigrid under conjugate gradients.
 
 With D the weighted measured rows, t their targets and u = L p - b, the objective is
 ‖u‖² + ‖D L⁻¹(u + b) - t‖², the identity plus a term of low rank:
 
     (I + L⁻ᵀDᵀD L⁻¹) u = L⁻ᵀDᵀ(t - D p₀),    p = p₀ + L⁻¹u,    p₀ = L⁻¹b.
 
-SciPy's conjugate gradients take one solve with L and one with Lᵀ per step; each is
-SciPy's conjugate gradients again, on the block A, preconditioned with a V-cycle of
-pyamg. It is what `structured` is compared with.
+SciPy's conjugate gradients take one solve with L and one with Lᵀ per step; each solve
+is again SciPy's conjugate gradients, on the block A, preconditioned by a V-cycle of
+pyamg. A baseline for `structured`.
 
 See docs/method.md, Other solvers.
 """
@@ -26,7 +26,7 @@ from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
 from ttus_opt.solvers.verified import Verified
 
-#: Relative residual of the solves with A as a part of that of u, and its floor
+#: Relative residual of the solves with A over that of u, and its least value
 INNER, FLOOR = 1e-1, 1e-13
 
 #: Most steps in u
@@ -48,7 +48,7 @@ class AmgPcg(Solver):
     pip_name = '"ttus-opt[reference]"'
 
     def refusal(self, program: Program) -> str:
-        """Only eq. 10, and nothing that must hold."""
+        """Takes eq. 10 only, without constraints."""
         if base := super().refusal(program):
             return base
         prior = program.laplace_term
@@ -72,7 +72,7 @@ class _Loaded(Verified):
     _u: Array | None = None
 
     def _load(self, program: Program) -> None:
-        """Take other data; the multigrid is kept while L stays."""
+        """Take other data; keep the multigrid while L stays the same."""
         prior = program.laplace_term
         assert prior is not None
         if self._laplace is not program.laplace:
@@ -85,7 +85,7 @@ class _Loaded(Verified):
         self._b = prior.target
 
     def _set_up(self, laplace: LaplaceSystem) -> None:
-        """A, what flows into it from fixed voxels, and the multigrid of A."""
+        """A, its coupling to fixed voxels, and its multigrid."""
         import pyamg
 
         self._laplace, self._u, self._free = laplace, None, laplace.free
@@ -96,7 +96,7 @@ class _Loaded(Verified):
         self._cycle = pyamg.ruge_stuben_solver(self._A).aspreconditioner(cycle="V")
 
     def _attempt(self, eps: float, seconds: float | None) -> Candidate:
-        """Conjugate gradients in u from the last answer."""
+        """Conjugate gradients in u from the last solution."""
         self._deadline = None if seconds is None else time.perf_counter() + seconds
         self._rtol, self._steps, D = max(INNER * eps, FLOOR), 0, self._D
         try:

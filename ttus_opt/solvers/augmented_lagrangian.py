@@ -1,8 +1,8 @@
-"""Penalties other than squares, not smoothed: the method of multipliers.
+"""Penalties other than squares, without smoothing: the method of multipliers.
 
-Absolute values, Huber's, groups, total variation on any sparse rows, beside squares and
-limits. Where all rows but a few are Laplace's the Newton steps go through the dual, as
-those of `structured`; otherwise through conjugate gradients over the field.
+Absolute values, Huber's, groups and total variation on any sparse rows, with squares
+and limits. Where all rows but a few are Laplace's, Newton steps are solved in the dual,
+as in `structured`; otherwise by conjugate gradients over the field.
 
 See docs/method.md, Penalties other than squares.
 """
@@ -37,16 +37,13 @@ from ttus_opt.terms.penalties.base import Penalty
 from ttus_opt.terms.penalties.squares import Squares
 from ttus_opt.terms.structure import LaplaceRows
 
-#: Rows beside Laplace's, over the voxels, up to which the dual is small [–]
+#: Most rows beside Laplace's, over the voxels, for Newton steps in the dual [–]
 FEW = 0.1
 
-#: Weight of the anchor over σ [–]
-ANCHOR = 10.0
+#: Weight of the anchor over the largest σ; where all penalties are squares [–]
+ANCHOR, WEAK = 10.0, 1e-3
 
-#: The same over that of limits, where all penalties are squares [–]
-WEAK = 1e-3
-
-#: Multipliers without a kink at the start, over those where absolute values end [–]
+#: Largest first multiplier over the weight, which sets σ [–]
 START = 1.5
 
 
@@ -63,9 +60,9 @@ class AugmentedLagrangian(Solver):
     )
 
     def refusal(self, program: Program) -> str:
-        """Penalties that state their resolvent; no cones.
+        """Takes penalties with a resolvent, and no cones.
 
-        Squares alone only with limits, and without a Laplace term.
+        Squares alone only with limits and without a Laplace term.
         """
         declared = program.declared or program
         if declared.cones:
@@ -82,7 +79,7 @@ class AugmentedLagrangian(Solver):
         return ""
 
     def cost(self, program: Program) -> float:
-        """In proportion to the voxels where there is an L: by its multigrid."""
+        """In proportion to the voxels, where L has a multigrid."""
         if program.laplace is None:
             return math.inf
         s = Sizes.of(program)
@@ -96,7 +93,7 @@ class AugmentedLagrangian(Solver):
 
 
 class _Loaded(Prepared):
-    """A program with its last answer."""
+    """A program with its last solution."""
 
     def __init__(self, program: Program, request: Request) -> None:
         self._request = request
@@ -104,15 +101,15 @@ class _Loaded(Prepared):
         self.update(program)
 
     def update(self, program: Program) -> None:
-        """Take other data; the last answer is where the next solve starts."""
+        """Take other data; the next solve starts from the last solution."""
         self._reduced = program
         declared = program.declared or program
         self._problem = PenalisedProblem.of(declared)
         if declared.laplace is not None:
-            declared.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
+            declared.laplace.multigrid  # noqa: B018  (counts as set-up)
 
     def solve(self) -> Candidate:
-        """Solve the declared program, and state the answer for the reduced one."""
+        """Solve the declared program; the candidate is one of the reduced program."""
         problem = self._problem
         if _is_sparse_sources(problem):
             exact = self._exchanged()
@@ -135,7 +132,7 @@ class _Loaded(Prepared):
         )
 
     def _exchanged(self) -> Candidate | None:
-        """Sparse sources by columns; None where they do not get there."""
+        """Sparse sources by column exchange; None where that misses the tolerance."""
         problem, request = self._problem, self._request
         limit = request.time_limit
         deadline = None if limit is None else time.perf_counter() + limit
@@ -181,7 +178,7 @@ class _Loaded(Prepared):
         return Candidate(point.x, point.duals, exchange.solves, detail=detail)
 
     def _system(self) -> tuple[NewtonSystem, PenalisedRows | None]:
-        """What solves for Newton steps, and the rows of the anchor it needs."""
+        """The solver of Newton steps, and the rows of its anchor."""
         problem = self._problem
         program, laplace = problem.program, problem.program.laplace
         blocks, declared = list(problem.blocks), list(problem.declared)
@@ -207,7 +204,7 @@ class _Loaded(Prepared):
         blocks: list[PenalisedRows],
         anchor: PenalisedRows | None,
     ) -> Array:
-        """Where to start, and every σ: from one step with no kink in it."""
+        """A starting point; sets every σ by one Newton step without kinks."""
         problem = self._problem
         x = self._first_point()
         if anchor is not None:
@@ -222,12 +219,10 @@ class _Loaded(Prepared):
         for b in limits:
             b.multipliers[:] = 0.0
             b.sigma = self._stiffness([k for k in blocks if k is not anchor], b)
-        if not bent:  # squares alone: what they leave open is held weakly
+        if not bent:  # squares alone: a weak anchor for undetermined variables
             self._set_anchor(anchor, limits, WEAK)
         residuals = [b.residual(x) for b in blocks]
-        pairs = []
-        for b, r in zip(blocks, residuals, strict=True):
-            pairs.append(b.charged(r))
+        pairs = [b.charged(r) for b, r in zip(blocks, residuals, strict=True)]
         gradient = np.sum(
             [b.adjoint(y) for b, (y, _) in zip(blocks, pairs, strict=True)], axis=0
         )
@@ -261,7 +256,7 @@ class _Loaded(Prepared):
         return total
 
     def _first_point(self) -> Array:
-        """The last answer, or the Laplace field, with the values that are given."""
+        """The last solution, or the Laplace field, with the given values."""
         problem = self._problem
         if self._last is not None and len(self._last) == len(problem.fixed):
             x = self._last.copy()

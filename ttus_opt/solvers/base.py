@@ -1,7 +1,7 @@
-"""What a solver is: ``prepare(program)`` once, then ``update(program)``, ``solve()``.
+"""The interface of solvers: ``prepare(program)`` once, then ``update``, ``solve``.
 
-A solver answers with a `Candidate`; whether it is a solution is decided elsewhere
-(`ttus_opt.fitting.batch`) by residuals computed there.
+A solver answers with a `Candidate`; `ttus_opt.fitting.verdict` decides by its own
+residuals whether that is a solution.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ttus_opt.problem.program import Program
 
 
 class Claim(enum.Enum):
-    """What a solver says of its own run."""
+    """A solver's own statement about its run."""
 
     DONE = "done"
     PAUSED = "stopped at the number of iterations it was given, could go on"
@@ -41,8 +41,8 @@ class Candidate:
         x: All variables, shape (n,); None when there is none.
         duals: Multipliers, signs as in `ttus_opt.problem.kkt`.
         iterations: Of the main loop [–].
-        claim: What the solver says of its run.
-        detail: In its own words.
+        claim: The solver's statement about its run.
+        detail: The same in its own words.
     """
 
     x: Array | None
@@ -61,8 +61,8 @@ class Capabilities:
         equalities: Equality rows.
         any_terms: Terms other than Laplace and measured rows.
         nonquadratic: Penalties that are no sum of squares.
-        keeps: What a new solve with other data reuses, in words; empty for nothing.
-        time_limit: Whether it stops by itself when the time is up.
+        keeps: What a solve with other data reuses, in words; empty for nothing.
+        time_limit: Whether it keeps a time limit.
     """
 
     inequalities: bool
@@ -75,13 +75,13 @@ class Capabilities:
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of a solve.
+    """What a solve has to reach.
 
     Attributes:
         tolerance: Largest relative KKT residual [–].
         time_limit: Most seconds to spend; None for no limit [s].
-        told: Called with the relative KKT residual of every better answer on the way,
-            by solvers that check them [–].
+        told: Called with the relative KKT residual of every better iterate, by solvers
+            that compute it [–].
     """
 
     tolerance: float = 1e-6
@@ -114,7 +114,7 @@ class Prepared(abc.ABC):
         """Solve what is loaded."""
 
     def start_at(self, x: Array, duals: Duals) -> None:
-        """Begin the next solve at a point near its answer; here of no use.
+        """Warm-start the next solve; ignored by default.
 
         Args:
             x: All variables, shape (n,).
@@ -127,11 +127,11 @@ class Solver(abc.ABC):
     """A backend.
 
     Attributes:
-        name: By which it is asked for.
+        name: Name to choose it by.
         summary: One line about it.
         capabilities: What it can take.
-        module: Import name of what it needs beyond this package's own; "" for none.
-        pip_name: How to install that.
+        module: Import name of the optional package it needs; "" for none.
+        pip_name: How to install that package.
     """
 
     name: str
@@ -163,24 +163,24 @@ class Solver(abc.ABC):
 
     @property
     def estimates(self) -> bool:
-        """Whether "auto" considers it: whether it has a `cost` of its own."""
+        """Whether "auto" considers it: whether it overrides `cost`."""
         return type(self).cost is not Solver.cost
 
     def cost(self, program: Program) -> float:
-        """About how many seconds set-up and first solve take; "auto" takes the least.
+        """Estimated time of set-up and first solve; "auto" takes the least.
 
-        It has to be quick and needs sizes only (`ttus_opt.solvers.sizes`).
+        It must be quick, from sizes alone (`ttus_opt.solvers.sizes`).
 
         Args:
-            program: One that it takes, reduced and compressed.
+            program: A program that it takes, reduced and compressed.
 
         Returns:
-            Seconds of one core; infinite where "auto" shall leave it out [s].
+            Time on one core; infinite to be left out of "auto" [s].
         """
         return math.inf
 
     def require(self, program: Program) -> None:
-        """Check that the solver is there and can take a program.
+        """Check that the solver is installed and can take a program.
 
         Raises:
             SolverUnavailableError: Its package is not installed.

@@ -1,8 +1,7 @@
 """The closed form Q p = d (paper eqs. 11-13): form Q, factorise, solve.
 
-The reference every other solver is compared with. SciPy's SuperLU is always there;
-other factorisations have names and files of their own (``closed_form_…``) and use
-what is here.
+The reference for all other solvers. SciPy's SuperLU is always available; other
+factorisations have files of their own (``closed_form_…``) over the classes here.
 """
 
 from __future__ import annotations
@@ -26,8 +25,8 @@ from ttus_opt.solvers.base import (
     Solver,
 )
 
-#: Rounds of iterative refinement: Q squares the condition of L, one round repairs
-#: what the factorisation lost
+#: Rounds of iterative refinement: Q squares the condition of L, one round recovers the
+#: lost digits
 REFINEMENTS = 2
 
 
@@ -37,9 +36,9 @@ class Factor:
 
     Attributes:
         solve: Solves Q x = d.
-        refactorise: Takes other numbers in the same pattern; None where the package
-            keeps no analysis.
-        release: Gives memory back that is not Python's.
+        refactorise: Takes new values in the same pattern; None where the package keeps
+            no symbolic analysis.
+        release: Frees memory that Python does not manage.
     """
 
     solve: Callable[[Array], Array]
@@ -48,7 +47,7 @@ class Factor:
 
 
 class ClosedFormSolver(Solver):
-    """Forms Q and d; a subclass says who factorises."""
+    """Forms Q and d; subclasses factorise."""
 
     capabilities = Capabilities(
         inequalities=False,
@@ -109,7 +108,7 @@ class _Factorised(Prepared):
             if pattern and factor.refactorise is not None:
                 factor.refactorise(Q)
                 return
-            if factor.release is not None:  # before the next asks for as much again
+            if factor.release is not None:  # before the next factor is allocated
                 factor.release()
         self._factor = _attempted(self._solver, Q)
 

@@ -6,9 +6,9 @@ voxels (`ttus_opt.terms.structure.KnownCovariance`), the minimiser of
 
     p = p̄ + C Dᵀ y,   p̄ = C Rᵀ t₀,   S = I + D C Dᵀ,   S y = t − D p̄ − E c,
 
-and only C among the voxels that D touches is ever formed: S, or its complement in
-these voxels where they are fewer than the rows, is factorised once. The unknowns c
-beside the field, within bounds, solve a least-squares problem of their own.
+where C is only formed among the voxels that D touches. S is factorised once, or the
+equivalent matrix over these voxels where they are fewer than the rows. The unknowns c
+beside the field solve a least-squares problem within their bounds.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), sections 2.2 and 2.7. See docs/method.md, Depth map.
@@ -34,7 +34,7 @@ from ttus_opt.terms.structure import (
     known_covariance,
 )
 
-#: Most voxels that measured rows may touch: dense matrices of this size are made
+#: Most voxels that measured rows may touch, the size of dense matrices
 LARGEST = 12_000
 
 #: Eigenvalues below this part of the largest are rounding [–]
@@ -58,7 +58,7 @@ class Covariance(Solver):
     )
 
     def refusal(self, program: Program) -> str:
-        """A prior with a known covariance, squares of few rows, bounds beside p."""
+        """Takes a prior of known covariance, squares of few rows, bounds beside p."""
         base = super().refusal(program)
         if base:
             return base
@@ -212,7 +212,7 @@ def _touched(program: Program, prior: ProgramTerm) -> IntArray:
 
 
 def square_root(matrix: Array) -> Array:
-    """F with F Fᵀ = matrix, positive semidefinite, without what is rounding."""
+    """Factor F with F Fᵀ = matrix, positive semidefinite, up to rounding."""
     values, turn = scipy.linalg.eigh(matrix)
     kept = values > ROUNDING * values.max(initial=0.0)
     return np.asarray(turn[:, kept] * np.sqrt(values[kept]))

@@ -64,7 +64,7 @@ SOLVERS = [
             "clarabel",
             ("tol_gap_abs", "tol_gap_rel", "tol_feas"),
             time_limit="time_limit",
-            # and of stating it in cvxpy
+            # includes building the problem in cvxpy
             cost=lambda program: 0.05 + 1.1 * interior_point_seconds(program),
         )
     ),

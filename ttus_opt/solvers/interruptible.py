@@ -1,8 +1,8 @@
-"""Long calls of other packages that leave Python free to hear an interrupt.
+"""Long calls into other packages that Ctrl-C can interrupt.
 
-Python handles an interrupt between two of its own instructions, in the main thread: a
-call into a library keeps it waiting for as long as it computes. `ttus-opt` runs its
-commands in a process that can be ended; notebooks and scripts have this.
+Python handles an interrupt in the main thread, between two of its own instructions, and
+therefore only after a call into a library has returned. `ttus-opt` runs its commands in
+a process that can be terminated; in notebooks and scripts this module helps.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from typing import TypeVar
 
 T = TypeVar("T")
 
-#: How long the main thread waits before it looks for an interrupt [s]
+#: Interval at which the main thread checks for an interrupt [s]
 PAUSE = 0.1
 
 
 def interruptible(work: Callable[[], T]) -> T:
-    """Do some work in a thread while the main thread waits for it.
+    """Run a function in a thread while the main thread waits for it.
 
-    An interrupt is heard at once where the library gives Python's lock away while it
-    computes, as Clarabel, HiGHS and SCS do. The work cannot be ended: it goes on in the
-    background until it is done, and what it returns is dropped.
+    An interrupt takes effect at once where the library releases Python's lock, as
+    Clarabel, HiGHS and SCS do. The work itself cannot be stopped: it finishes in the
+    background, and its result is dropped.
 
     Args:
-        work: Takes nothing; done directly where this is not the main thread.
+        work: Called directly where this is not the main thread.
 
     Returns:
-        What it returns; what it raises is raised.
+        Its result; its exceptions are raised here.
     """
     if threading.current_thread() is not threading.main_thread():
         return work()

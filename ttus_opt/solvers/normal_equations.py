@@ -1,10 +1,10 @@
 """Normal equations: any sum of squares beside a Laplace term, never factorised.
 
 Conjugate gradients on H p = d, H = LᵀΩ⁻¹L + Σ w MᵀM + DᵀD (docs/method.md, section
-10.10), with a preconditioner of what is known: (L - X)ᵀ(L - X) by multigrid, X a root
-of the wide terms (`primal.matching`), and few rows D of any weight by their dual
-(`primal.preconditioner`). What a new solve keeps: the multigrid, the dual's directions,
-and the last answer to start from.
+10.10). The preconditioner is (L - X)ᵀ(L - X) by multigrid, with X a root of the wide
+terms (`primal.matching`), and takes the few rows D through their dual
+(`primal.preconditioner`). A new solve keeps the multigrid, the dual's directions and
+the last solution to start from.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from ttus_opt.solvers.primal.preconditioner import ConstraintPreconditioner
 from ttus_opt.solvers.primal.split import Split, wide_terms
 from ttus_opt.solvers.sizes import Sizes
 
-#: Most times a solve goes on for the sake of the bound of its gap
+#: Most continuations of a solve until the bound of its gap is small enough
 BOUNDS = 4
 
 #: Most unknowns beside the field
@@ -72,13 +72,14 @@ class NormalEquations(Solver):
         self.options = options or PrimalOptions()
 
     def refusal(self, program: Program) -> str:
-        """Sums of squares, one of them a Laplace term; few unknowns beside p."""
-        base = super().refusal(program)
-        if base:
-            return base
-        told = refusal_of_terms(program) or refusal_of_unknowns(program, MOST)
-        if told:
-            return told
+        """Takes sums of squares with a Laplace term, and few unknowns beside p."""
+        why = (
+            super().refusal(program)
+            or refusal_of_terms(program)
+            or refusal_of_unknowns(program, MOST)
+        )
+        if why:
+            return why
         V = len(program.laplace.free)
         if program.n_variables > V:
             for term in wide_terms(program, self.options.few_rows):
@@ -91,7 +92,7 @@ class NormalEquations(Solver):
         return refusal_of_limits(program)
 
     def cost(self, program: Program) -> float:
-        """In proportion to the voxels; few rows alone are cheaper in the dual."""
+        """In proportion to the voxels."""
         s = Sizes.of(program)
         return 0.05 + 1e-5 * (6.0 if s.limits else 1.0) * s.voxels
 
@@ -122,7 +123,7 @@ class _Loaded(Prepared):
         self._function = LeastSquares(split, self._preconditioner.complement)
 
     def solve(self) -> Candidate:
-        """Minimise, check, and go on more exactly where that is needed."""
+        """Minimise, check, and repeat with a smaller gap where needed."""
         limit = self._request.time_limit
         deadline = None if limit is None else time.perf_counter() + limit
         accuracy = Accuracy(0.0, deadline=deadline)
@@ -150,7 +151,7 @@ class _Loaded(Prepared):
         return replace(best, iterations=steps, detail=self._preconditioner.description)
 
     def _goal(self, share: float, scale: _Scale, accuracy: Accuracy) -> Goal:
-        """What to reach: the tolerance, with margins and a share of it [–]."""
+        """The tolerance with its margins, times a share of the gap [–]."""
         options, tolerance = self._options, self._request.tolerance
         gap = share * options.gap_margin
         return Goal(
@@ -162,11 +163,11 @@ class _Loaded(Prepared):
         )
 
     def _minimum(self, at: Pair, goal: Goal) -> Minimum:
-        """As exact as asked for, and as the bound of the gap outside can tell.
+        """Minimise until the verdict's bound of the gap is small as well.
 
-        That bound knows the Laplace term alone (docs/method.md, section 9.3). Where
-        other terms are stiffer it lies above the gap: a few steps more, which are
-        cheap, save it from coming closer, which is not.
+        That bound starts from the Laplace term alone (docs/method.md, section 9.3) and
+        exceeds the gap where other terms are stiffer. A few more steps are cheaper than
+        refining the bound.
         """
         options, function, steps = self._options, self._function, 0
         rounds = options.rounds, options.round_gain
@@ -191,7 +192,7 @@ class _LoadedLimits(Limited):
         super().__init__(program, request, DualOptions())
 
     def update(self, program: Program) -> None:
-        """Take other data; the last working set is kept."""
+        """Take other data; keep the last working set."""
         self._program, self._limits = program, SpokeLimits.of(program)
         split = Split.of(program, self._primal.few_rows)
         self._problem = LimitedSum(
@@ -213,11 +214,11 @@ class _LoadedLimits(Limited):
 
 @dataclass(frozen=True)
 class _Scale:
-    """What relative residuals are relative to.
+    """Scales of relative residuals.
 
     Attributes:
-        value: F with nothing fitted.
-        gradient: Half the gradient of nothing at all.
+        value: F at the given values, zero elsewhere.
+        gradient: Norm of half the gradient at zero.
     """
 
     value: float

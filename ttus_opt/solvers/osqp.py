@@ -1,8 +1,8 @@
 """OSQP: operator splitting (ADMM) with one factor kept over all iterations, in C.
 
-Used directly, not through qpsolvers, because the loaded object is worth keeping: new
-measured values change only limits (the factor stays, the last answer is the start),
-new weights change numbers in A (one refactorisation, no new ordering).
+Used directly, not through qpsolvers, to keep the solver object: new measured values
+change only limits (same factor, warm start), new weights change values of A
+(refactorisation in the same ordering).
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from ttus_opt.solvers.quadratic import TwoSided, read_back
 from ttus_opt.solvers.sizes import splitting_seconds
 from ttus_opt.solvers.verified import Verified
 
-#: Iterations between two checks of the answer, and most checks
+#: Iterations between two checks of the iterate, and most checks
 ITERATIONS, CHECKS = 5_000, 40
 
 
 class Osqp(Solver):
-    """OSQP on the least-squares form, its object kept."""
+    """OSQP on the least-squares form."""
 
     name = "osqp"
     summary = "operator splitting (OSQP), keeps its factor and its last answer"
@@ -44,7 +44,7 @@ class Osqp(Solver):
     pip_name = "osqp"
 
     def cost(self, program: Program) -> float:
-        """Of a splitting method with a slower factor."""
+        """That of a splitting method with a slower factor."""
         return 3.0 * splitting_seconds(program)
 
     def prepare(self, program: Program, request: Request) -> Prepared:
@@ -81,7 +81,7 @@ class _Loaded(Verified):
         self._rows = rows
 
     def _set_up(self, rows: TwoSided) -> Any:
-        """A solver with its factor, None where OSQP refuses the numbers."""
+        """A factorised solver; None where OSQP refuses the data."""
         import osqp
 
         solver = osqp.OSQP()
@@ -109,8 +109,8 @@ class _Loaded(Verified):
         assert self._rows is not None
         if self._solver is None:
             return Candidate(None, claim=Claim.GAVE_UP, detail="OSQP refuses the data")
-        # an absolute tolerance as well: residuals here are often far below one. Its
-        # default would accept a dual residual of 1e-2
+        # residuals here are often far below one: the default absolute tolerance would
+        # accept a dual residual of 1e-2
         self._solver.update_settings(
             eps_abs=eps * 1e-2,
             eps_rel=eps,
@@ -121,7 +121,7 @@ class _Loaded(Verified):
         rows, box = self._rows.split(np.asarray(answer.y, dtype=np.float64))
         x = np.asarray(answer.x, dtype=np.float64)
         claim = claim_from(words, words == "solved")
-        if claim is Claim.DOUBTS:  # "solved inaccurate" is all that its iterations gave
+        if claim is Claim.DOUBTS:  # "solved inaccurate": it ran out of iterations
             claim = Claim.PAUSED
         if claim in (Claim.INFEASIBLE, Claim.UNBOUNDED):
             return Candidate(None, claim=claim, detail=words)

@@ -1,6 +1,6 @@
-"""A solver of another package: what it is called, and its options in its own words.
+"""Solvers of other packages: names, options and a common base.
 
-Several packages are reached through one front end, which is a `PackageSolver`.
+Several packages share one front end (qpsolvers, cvxpy), a subclass of `PackageSolver`.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ class Package:
     """A package's solver.
 
     Attributes:
-        name: By which it is asked for here.
+        name: Name to choose it by.
         summary: One line about it.
         module: Import name of the package.
-        tolerances: Its options that take the tolerance.
-        absolute: Those that take a hundredth of it: entries here are often far below
-            one.
-        time_limit: The one that takes a number of seconds; "" where there is none.
+        tolerances: Its options that take the relative tolerance.
+        absolute: Options that take a hundredth of it, as absolute tolerances: entries
+            here are often far below one.
+        time_limit: Its option for a number of seconds; "" for none.
         fixed: Further options with their values.
-        least: It takes no smaller tolerance [–].
-        within: The option that takes all of these; "" where they stand alone.
-        margin: First tolerance handed to it, as a part of the one asked for: an
-            iteration more is often cheaper than a second solve [–].
-        pip_name: How to install it; "" where that is its import name.
+        least: Least tolerance that it takes [–].
+        within: The option that holds all others; "" where they stand alone.
+        margin: First tolerance over the requested one: one more iteration is often
+            cheaper than a second solve [–].
+        pip_name: How to install it; "" for its import name.
         cost: Estimate for ``solver="auto"`` (`Solver.cost`); None to be left out [s].
     """
 
@@ -53,11 +53,11 @@ class Package:
     cost: Callable[[Program], float] | None = None
 
     def options(self, eps: float, seconds: float | None) -> dict[str, Any]:
-        """A tolerance and a time limit in the package's own words.
+        """The package's options for a tolerance and a time limit.
 
         Args:
-            eps: Its own relative tolerance [–].
-            seconds: Most time it may take; None for no limit [s].
+            eps: Relative tolerance [–].
+            seconds: Time limit; None for none [s].
         """
         eps = max(eps, self.least)
         own: dict[str, Any] = dict.fromkeys(self.tolerances, eps)
@@ -68,13 +68,9 @@ class Package:
 
 
 class PackageSolver(Solver):
-    """A solver that is a row of a front end's table; its name is ours.
+    """A solver reached through a front end."""
 
-    Args:
-        package: The row.
-    """
-
-    #: Its program, loaded
+    #: Loads a program
     loaded: Callable[[Package, Program, Request], Prepared]
 
     def __init__(self, package: Package) -> None:
@@ -84,11 +80,11 @@ class PackageSolver(Solver):
 
     @property
     def estimates(self) -> bool:
-        """Whether its row has an estimate."""
+        """Whether the package has an estimate."""
         return self.package.cost is not None
 
     def cost(self, program: Program) -> float:
-        """The estimate of its row."""
+        """The package's estimate."""
         return self.package.cost(program) if self.package.cost else math.inf
 
     def prepare(self, program: Program, request: Request) -> Prepared:
@@ -98,7 +94,7 @@ class PackageSolver(Solver):
 
 
 class PackageLoaded(Verified):
-    """A program in a front end's terms; nothing is kept between solves."""
+    """A program in a front end's form; nothing is kept between solves."""
 
     def __init__(self, package: Package, program: Program, request: Request) -> None:
         self._package, self.margin = package, package.margin
@@ -107,7 +103,7 @@ class PackageLoaded(Verified):
     def _attempt(self, eps: float, seconds: float | None) -> Candidate:
         """The package's answer; none where it raises."""
         with warnings.catch_warnings():
-            # about the package's own defaults and status; the answer is checked here
+            # they concern the package's defaults and status; the answer is checked here
             warnings.simplefilter("ignore")
             try:
                 options = self._package.options(eps, seconds)
@@ -119,12 +115,12 @@ class PackageLoaded(Verified):
 
     @abc.abstractmethod
     def _solved(self, options: Mapping[str, Any]) -> Any:
-        """Solve once with the package's own options; what the front end returns."""
+        """Solve once with the package's options; the front end's result."""
 
     @abc.abstractmethod
     def _read(self, answer: Any) -> Candidate:
-        """The front end's answer in our words."""
+        """The front end's result as a candidate."""
 
     @abc.abstractmethod
     def _errors(self) -> tuple[type[Exception], ...]:
-        """What the front end raises where a package fails."""
+        """Exceptions of the front end where a package fails."""

@@ -1,12 +1,12 @@
-"""Sparse QP packages reached through qpsolvers: a row each.
+"""Sparse QP packages through qpsolvers, one entry each.
 
 Every package gets the least-squares form, which has equality rows: without any,
-qpsolvers sends several packages through LSQR, where a false "unbounded below" is
-possible. qpsolvers does not see ``csc_array`` as sparse: it is handed
-``csc_matrix``. Its duals carry our signs already (`ttus_opt.solvers.quadratic`).
+qpsolvers solves by LSQR for several packages and may report a false "unbounded below".
+Matrices are ``csc_matrix``, as qpsolvers does not take ``csc_array`` for sparse. Duals
+have our signs (`ttus_opt.solvers.quadratic`).
 
-What qpsolvers reaches through CVXOPT (MOSEK among them) is left out: its licence is the
-GPL; MOSEK is reached through cvxpy.
+Packages behind CVXOPT (MOSEK among them) are left out for its GPL licence; MOSEK is
+available through cvxpy.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ttus_opt.solvers.sizes import interior_point_seconds
 
 
 class _Loaded(PackageLoaded):
-    """A program in qpsolvers' terms."""
+    """A program in qpsolvers' form."""
 
     def _load(self, program: Program) -> None:
         self._form = program.least_squares_qp()
@@ -84,7 +84,7 @@ class Highs(QpPackage):
     """HiGHS' QP solver; for small problems."""
 
     def refusal(self, program: Program) -> str:
-        """Nothing without an inequality: it then says "optimal" with infinite x."""
+        """Refuses problems without inequalities: HiGHS returns an infinite x."""
         base = super().refusal(program)
         if base:
             return base
@@ -95,7 +95,7 @@ class Highs(QpPackage):
 
 
 def _own_words(extras: dict[str, Any]) -> tuple[str, int]:
-    """Status text and iterations, wherever the package put them."""
+    """Status text and iterations, from the package's own fields."""
     info = extras.get("info", extras)
 
     def get(key: str) -> Any:
@@ -108,17 +108,14 @@ def _own_words(extras: dict[str, Any]) -> tuple[str, int]:
 
 
 def claim_from(words: str, found: bool) -> Claim:
-    """What a package's status text claims.
+    """The claim of a package's status text.
 
     Args:
-        words: Status in the package's own words.
-        found: Whether it says that it solved the problem.
-
-    Returns:
-        The claim.
+        words: Status text of the package.
+        found: Whether the package reports the problem as solved.
 
     Raises:
-        KeyboardInterrupt: It was interrupted; some packages take that for themselves.
+        KeyboardInterrupt: The status is an interrupt, which some packages catch.
 
     >>> claim_from("PROXQP_PRIMAL_INFEASIBLE", False)
     <Claim.INFEASIBLE: 'infeasible'>
@@ -131,7 +128,7 @@ def claim_from(words: str, found: bool) -> Claim:
     if "interrupt" in plain or "sigint" in plain:
         raise KeyboardInterrupt
     if "inaccurate" in plain or "almost" in plain:
-        # also of infeasibility: a certificate in doubt does not count
+        # of infeasibility too: an inaccurate certificate does not count
         return Claim.PAUSED if "iter" in plain else Claim.DOUBTS
     if found:
         return Claim.DONE
@@ -146,8 +143,8 @@ def claim_from(words: str, found: bool) -> Claim:
     return Claim.GAVE_UP
 
 
-#: Added to the Hessian's diagonal by HiGHS: its default of 1e-7 bounds the residual
-#: from below near 1e-4, without any (0.0) it gives up on penalties with a kink
+#: Added to the Hessian's diagonal by HiGHS: with its default of 1e-7 residuals stay
+#: near 1e-4, with 0.0 it fails on penalties with a kink
 REGULARISATION = 1e-11
 
 SOLVERS = [
@@ -203,8 +200,8 @@ SOLVERS = [
             margin=1.0,
         )
     ),
-    # commercial or young: no part of this project's own test runs, but the tests take
-    # in whatever is installed, and every answer is verified in any case
+    # commercial or young: not installed in this project's own test runs; the tests run
+    # every solver that is installed
     QpPackage(
         Package(
             "gurobi",

@@ -1,4 +1,4 @@
-"""A quadratic program as solver packages want it, and its answer read back by name.
+"""A quadratic program in the forms of solver packages, and its solution read back.
 
 Two shapes of the sparse least-squares form (`Program.least_squares_qp`), which keeps
 L and N apart and always has equality rows:
@@ -79,7 +79,7 @@ class OneSided:
         return bool(np.isfinite(self.lb).any() or np.isfinite(self.ub).any())
 
     def row_duals(self, y: Array | None, z: Array | None) -> Array:
-        """Multipliers of the form's rows from those of A x = b and G x ≤ h."""
+        """Multipliers of the form's rows from y of A x = b and z of G x ≤ h."""
         rows = np.zeros(len(self.equal))
         if y is not None and len(y):
             rows[self.equal] = y
@@ -143,7 +143,7 @@ class TwoSided:
         return np.asarray(y[: self.n_rows]), box
 
     def same_structure(self, other: TwoSided) -> bool:
-        """Whether only numbers differ, no pattern, and equalities stay equalities."""
+        """Whether patterns, equalities and finite limits are the same."""
         return (
             _same_pattern(self.P, other.P)
             and _same_pattern(self.A, other.A)
@@ -173,23 +173,20 @@ def read_back(
     claim: Claim = Claim.DONE,
     detail: str = "",
 ) -> Candidate:
-    """Undo the form: variables without the lifted residuals, duals by name.
+    """A candidate of the program from a solution of its form.
 
     Args:
-        program: What the form was made from.
+        program: The program.
         form: Its least-squares or explicit form.
-        x: The form's variables, or None; not finite counts as None.
+        x: The form's variables; None, or not finite, for no solution.
         row_duals: Of the form's rows.
-        box_duals: Of the form's bounds, None where nothing is bounded.
-        iterations: For the candidate.
-        claim: For the candidate.
-        detail: For the candidate.
-
-    Returns:
-        The candidate in the program's own terms.
+        box_duals: Of the form's bounds; None where nothing is bounded.
+        iterations: As of `Candidate`.
+        claim: As of `Candidate`.
+        detail: As of `Candidate`.
     """
     if x is None or not np.isfinite(x).all():
-        # several packages leave huge numbers or NaN behind when they fail
+        # several packages return huge numbers or NaN when they fail
         failed = Claim.GAVE_UP if claim is Claim.DONE else claim
         return Candidate(None, iterations=iterations, claim=failed, detail=detail)
     n = program.n_variables

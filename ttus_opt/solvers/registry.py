@@ -1,18 +1,16 @@
-"""The solvers there are, found by looking into this folder, and which one to take.
+"""All solvers, found by looking into this folder, and the choice among them.
 
-``solver="auto"`` takes the one whose own estimate of its cost (`Solver.cost`) is least.
+``solver="auto"`` takes the solver with the least estimated cost (`Solver.cost`).
 
-A backend is added by adding a file with a list ``SOLVERS``; another package offers its
-own by an entry point of the group ``ttus_opt.solvers``, a user by path or as an object.
+To add a backend, add a file with a list ``SOLVERS``; another package offers its own by
+an entry point of the group ``ttus_opt.solvers``, a user by path or as an object.
 """
 
 from __future__ import annotations
 
-import difflib
 import functools
 import importlib
 import importlib.metadata
-import importlib.util
 import math
 import pkgutil
 from pathlib import Path
@@ -22,7 +20,7 @@ import ttus_opt.solvers
 from ttus_opt.errors import InputError
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Solver
-from ttus_opt.user_code import told_by_line
+from ttus_opt.user_code import module_of_file, told_by_line, unknown_name
 
 #: Where another package offers solvers
 ENTRY_POINTS = "ttus_opt.solvers"
@@ -42,18 +40,18 @@ def solvers() -> dict[str, Solver]:
 
 
 def candidates(solver: str | Path | Solver, program: Program) -> list[Solver]:
-    """The solver that was asked for, or for "auto" all that offer an estimate.
+    """The requested solver, or for "auto" all that estimate their cost.
 
     Args:
         solver: A name, "auto", the path of a file with ``SOLVERS``, or a solver.
-        program: What it shall solve.
+        program: The program to solve.
 
     Returns:
-        Solvers that are installed and take the program, the one to try first in front.
+        Installed solvers that take the program, in the order in which to try them.
 
     Raises:
         InputError: Unknown name, not a solver, or no solver takes the program.
-        SolverUnavailableError: The one asked for is not installed.
+        SolverUnavailableError: The requested solver is not installed.
     """
     if isinstance(solver, str) and solver == "auto":
         return _preferred(program)
@@ -63,7 +61,7 @@ def candidates(solver: str | Path | Solver, program: Program) -> list[Solver]:
 
 
 def _preferred(program: Program) -> list[Solver]:
-    """Those that take a program and estimate its cost, the cheapest in front."""
+    """Solvers that take a program and estimate its cost, the cheapest first."""
     costs: list[tuple[float, Solver]] = []
     for known in solvers().values():
         if known.installed and not known.refusal(program):
@@ -94,29 +92,12 @@ def asked_for(solver: str | Path | Solver) -> Solver:
             f"ttus_opt.solvers.base.Solver, got {solver!r}"
         )
     if Path(solver).suffix == ".py":
-        return _in_file(Path(solver))
+        offered = module_of_file(Path(solver), "solver")
+        return next(iter(_of(offered, f"solver file {solver}").values()))
     known = solvers()
-    if solver not in known:
-        near = difflib.get_close_matches(str(solver), known, n=3, cutoff=0.4)
-        hint = "did you mean" if near else "there are"
-        raise InputError(
-            f"unknown solver {str(solver)!r}, {hint} {', '.join(near or known)}? A "
-            "file of your own ends in .py"
-        )
+    if str(solver) not in known:
+        raise unknown_name("solver", str(solver), known)
     return known[str(solver)]
-
-
-def _in_file(path: Path) -> Solver:
-    """The first solver of a user's file."""
-    if not path.exists():
-        raise InputError(f"solver file not found: {path}: check the path")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise InputError(f"{path} cannot be loaded as a Python file")
-    module = importlib.util.module_from_spec(spec)
-    with told_by_line(f"solver file {path}"):
-        spec.loader.exec_module(module)
-    return next(iter(_of(module, f"solver file {path}").values()))
 
 
 def _loaded(entry: importlib.metadata.EntryPoint) -> Any:

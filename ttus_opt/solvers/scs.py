@@ -1,7 +1,7 @@
 """SCS: splitting with a homogeneous embedding and Anderson acceleration, in C.
 
-Used directly, because the loaded object is worth keeping: new measured values change
-only its vectors b and c, the factor stays and the last answer is the start.
+Used directly to keep the solver object: new measured values change only its vectors b
+and c, with the same factor and a warm start.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from ttus_opt.solvers.quadratic import OneSided, TwoSided, read_back
 from ttus_opt.solvers.sizes import splitting_seconds
 from ttus_opt.solvers.verified import Verified
 
-#: Iterations between two checks of the answer, and most checks
+#: Iterations between two checks of the iterate, and most checks
 ITERATIONS, CHECKS = 5_000, 40
 
 
 class Scs(Solver):
-    """SCS on the least-squares form, its object kept."""
+    """SCS on the least-squares form."""
 
     name = "scs"
     summary = "splitting (SCS), keeps its factor and its last answer"
@@ -44,7 +44,7 @@ class Scs(Solver):
     pip_name = "scs"
 
     def cost(self, program: Program) -> float:
-        """Of a splitting method."""
+        """That of a splitting method."""
         return splitting_seconds(program)
 
     def prepare(self, program: Program, request: Request) -> Prepared:
@@ -86,7 +86,7 @@ class _Loaded(Verified):
             self._solver = self._set_up(self._eps, self._request.time_limit)
 
     def _set_up(self, eps: float, seconds: float | None) -> Any:
-        """A solver with its factor, None where SCS refuses the numbers."""
+        """A factorised solver; None where SCS refuses the data."""
         self._set_with = (eps, seconds)
         try:
             return self._with_factor(eps, seconds)
@@ -116,7 +116,7 @@ class _Loaded(Verified):
     def _attempt(self, eps: float, seconds: float | None) -> Candidate:
         assert self._rows is not None
         if self._set_with is None or self._set_with[0] != eps:
-            # its tolerance is fixed at set-up: a tighter one costs a new factor
+            # SCS fixes the tolerance at set-up
             self._solver = self._set_up(eps, seconds)
         if self._solver is None:
             return Candidate(None, claim=Claim.GAVE_UP, detail="SCS refuses the data")

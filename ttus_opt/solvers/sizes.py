@@ -1,8 +1,8 @@
-"""Sizes of a program that are cheap to know, from which solvers estimate their cost.
+"""Sizes of a program, from which solvers estimate their cost.
 
-An estimate only has to put solvers in order: `auto` takes the least. The constants that
-solvers state were measured by ``benchmarks/solver_cost.py``, which also says how far
-the choice is from the best one.
+An estimate only has to rank solvers, as "auto" takes the cheapest. The constants were
+measured by ``benchmarks/solver_cost.py``, which also compares the choice with the best
+one.
 """
 
 from __future__ import annotations
@@ -14,22 +14,24 @@ import numpy as np
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.penalties.linear import Linear
 
-#: Entries of a split row of first differences; L's have nine, and splitting takes long
+#: Most entries per row of first differences, split; split rows of L have nine and take
+#: longer
 NARROW = 5.0
 
 
 @dataclass(frozen=True)
 class Sizes:
-    """What decides how long a program takes.
+    """Sizes that determine the time of a solve.
 
     Attributes:
         voxels: Entries of all voxel fields [–].
-        variables: Of x, auxiliary ones included [–].
-        rows: Of all terms and constraints [–].
-        measured: Rows of terms that are no Laplace prior of a field [–].
-        limits: Inequality rows and variables with a bound [–].
-        kinks: Rows of linear penalties; absolute values and Huber's reduce to them [–].
-        width: Entries of a constraint's row, on average [–].
+        variables: Entries of x, auxiliary ones included [–].
+        rows: Rows of all terms and constraints [–].
+        measured: Rows of terms other than Laplace priors [–].
+        limits: Inequality rows and bounded variables [–].
+        kinks: Rows of linear penalties, to which absolute values and Huber's are
+            reduced [–].
+        width: Mean entries per row of the constraints [–].
     """
 
     voxels: int
@@ -42,7 +44,7 @@ class Sizes:
 
     @classmethod
     def of(cls, program: Program) -> Sizes:
-        """Count; nothing is multiplied or factorised."""
+        """Count rows and entries."""
         sizes = {name: s.stop - s.start for name, s in program.variables.items()}
         V = sizes["p"]
         fields = sum(size == V for size in sizes.values())
@@ -69,11 +71,8 @@ class Sizes:
 def interior_point_seconds(program: Program) -> float:
     """Seconds of an interior point method on the sparse least-squares form.
 
-    A factor of a three-dimensional grid costs the square of its voxels; without
-    inequalities one step and one to confirm it are enough.
-
-    Args:
-        program: What it shall solve.
+    A factor on a three-dimensional grid costs the square of its voxels; without
+    inequalities, one step and another to confirm it suffice.
     """
     s = Sizes.of(program)
     steps = 13.0 if s.limits or s.kinks else 2.0
@@ -81,14 +80,10 @@ def interior_point_seconds(program: Program) -> float:
 
 
 def splitting_seconds(program: Program) -> float:
-    """Seconds of a splitting method that keeps one factor over all iterations.
-
-    Args:
-        program: What it shall solve.
-    """
+    """Seconds of a splitting method with one factor for all iterations."""
     s = Sizes.of(program)
     harder = 1.0 + min(s.limits / s.voxels, 2.0)
-    if s.kinks > s.voxels:  # absolute values all over: of differences, or of L's rows
+    if s.kinks > s.voxels:  # absolute values everywhere: of differences, or of L's rows
         harder = 3.5 if s.width <= NARROW else 10.0
     # kinks: many iterations, however small the grid
     return (1.0 if s.kinks else 0.08) + 1.5e-6 * harder * float(s.voxels**1.45)

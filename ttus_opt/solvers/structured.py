@@ -1,13 +1,13 @@
-"""The structured solver: eq. 10 without ever forming Q (docs/method.md, section 10).
+"""The structured solver: eq. 10 without forming Q (docs/method.md, section 10).
 
 The dual system is solved by conjugate gradients in a recycled subspace, with an
 approximate Schur preconditioner (`ttus_opt.solvers.dual`); L⁻¹ is a multigrid
-(`ttus_opt.multigrid`). Where the field has bounds or must grow along spokes, or a
-second field may be at most a share of it, a primal-dual active set goes from working
-set to working set. What a new solve costs, in solves with L or Lᵀ:
+(`ttus_opt.multigrid`). Bounds, growth along spokes, and a second field that is at most
+a share of the first are handled by a primal-dual active-set method. Solves with L or Lᵀ
+that a new solve takes:
 
-    new measured values     2 for p, and 2 per direction the old ones lack
-    new boundary values     1 for p₀ more
+    new measured values     2 for p, and 2 per new direction
+    new boundary values     1 more, for p₀
     new weights             the same: kept directions are made conjugate again
     another trajectory      all directions anew, the multigrid is kept
     any, with limits        starts from the last working set, with new directions
@@ -47,7 +47,7 @@ from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.primal.split import wide_terms
 from ttus_opt.solvers.sizes import Sizes
 
-#: Rows of a term up to which the dual is the better way, unless they are measured
+#: Most rows of a term, other than measurements, for which the dual is faster
 FEW_ROWS = 1000
 
 #: Most unknowns beside the field: each costs an approximate dual solve
@@ -74,7 +74,7 @@ class Structured(Solver):
         self.options = options or DualOptions()
 
     def refusal(self, program: Program) -> str:
-        """A Laplace term, measured rows, limits as `SpokeLimits` or `FieldPair`."""
+        """Takes eq. 10 with the limits of `SpokeLimits` or `FieldPair`."""
         base = super().refusal(program)
         if base:
             return base
@@ -86,7 +86,7 @@ class Structured(Solver):
         return refusal_of_unknowns(program, MOST) or refusal_of_limits(program)
 
     def _refusal_of_pair(self, program: Program) -> str:
-        """Two fields with a Laplace term each, bounds, one at most a share."""
+        """Takes two fields with a Laplace term each, bounds, and a largest share."""
         try:
             FieldPair.of(program)
         except ValueError as error:
@@ -113,12 +113,12 @@ class Structured(Solver):
 
 class _LoadedPair(Limited):
     def update(self, program: Program) -> None:
-        """Take other data; the multigrid and the last working set are kept."""
+        """Take other data; keep the multigrid and the last working set."""
         self._program, self._pair = program, FieldPair.of(program, self._options)
-        program.laplace.multigrid  # noqa: B018  (built here, in the set-up's time)
+        program.laplace.multigrid  # noqa: B018  (counts as set-up)
 
     def start_at(self, x: Array, duals: Duals) -> None:
-        """Begin with the limits that have multipliers at a point."""
+        """Start from the active limits of a point."""
         pair = self._pair
         held = None if duals.bounds is None else duals.bounds[pair.places] * pair.units
         links = {name: at for name, (at, _) in pair.links.items()}
@@ -139,16 +139,13 @@ class _Loaded(Limited):
     _solver: DualSolver | None = None
 
     def update(self, program: Program) -> None:
-        """Take other data; keeps what the module's docstring says."""
+        """Take other data; the module's docstring lists what is kept."""
         self._program = program
         self._data = DualData.of(program)
         self._limits = SpokeLimits.of(program)
-        # built here, in the set-up's time
-        self._data.system.laplace.multigrid  # noqa: B018
-        system, bounds = (
-            self._data.system,
-            (b[len(self._data.b) :] for b in program.box),
-        )
+        system = self._data.system
+        system.laplace.multigrid  # noqa: B018  (counts as set-up)
+        bounds = (b[len(self._data.b) :] for b in program.box)
         beside = LinearParameters(self._data.columns, *bounds)
         if self._solver is None or not system.same_rows(self._solver.system):
             self._solver = DualSolver(system, beside, self._options)
@@ -156,13 +153,13 @@ class _Loaded(Limited):
             self._solver.adopt(system, beside)
 
     def start_at(self, x: Array, duals: Duals) -> None:
-        """Begin with the limits that have multipliers at a point."""
+        """Start from the active limits of a point."""
         p, held = x[: len(self._data.b)], duals.bounds
         links = {name: at for name, (at, _, _) in self._limits.links.items()}
         self._begin(p, None if held is None else held[: len(p)], links, duals)
 
     def solve(self) -> Candidate:
-        """Solve the dual, or where there are limits the duals of working sets."""
+        """Solve the dual; with limits, the duals of working sets."""
         if self._limits.binding:
             impossible = self._contradiction(self._limits)
             return impossible or self._tightened(self._limited)
@@ -182,7 +179,7 @@ class _Loaded(Limited):
         return candidate_of(found, found.p, found.multipliers.duals(limits))
 
     def _unlimited(self, accuracy: Accuracy) -> Candidate:
-        """The field without limits, and the unknowns beside it."""
+        """The field and the unknowns beside it, without limits."""
         assert self._solver is not None
         answer = self._solver.solve(self._data.b, self._data.t, accuracy)
         x = np.concatenate([answer.p, answer.c])

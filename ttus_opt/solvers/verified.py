@@ -1,12 +1,11 @@
-"""A tolerance that means the same for every backend: solve, check, tighten.
+"""A tolerance with the same meaning for every backend: solve, check, tighten.
 
-Every package measures its own residuals, of its own scaling of the problem. What is
-asked of us is a relative KKT residual of the original program
-(`ttus_opt.problem.kkt`): the first attempt uses a translation of it, its answer is
-checked, and where it falls short the package's own tolerance is tightened by what
-was missing and the solve repeated, a few times and within the time limit. A backend
-that keeps its iterate is stopped every so often and checked on the way: where its own
-criterion cannot be met for rounding, ours often is.
+Packages stop by residuals of their own scaling; a request is about the relative KKT
+residual of the original program (`ttus_opt.problem.kkt`). So the answer of a first
+attempt is checked; where it falls short, the package's tolerance is tightened by the
+missing factor and the solve repeated, a few times and within the time limit. A backend
+that keeps its iterate is checked at intervals: where rounding keeps it from its own
+criterion, the KKT residual often holds already.
 """
 
 from __future__ import annotations
@@ -25,21 +24,18 @@ from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request
 #: Most times the tolerance is tightened
 TIGHTENINGS = 4
 
-#: Each attempt tightens by what was missing, at least and at most by these
+#: Least and largest tightening between attempts
 LEAST, MOST = 0.1, 1e-3
 
 
 class Verified(Prepared):
-    """A backend whose answer is checked and whose tolerance is tightened.
+    """A backend whose answer is checked and whose tolerance is tightened."""
 
-    A backend says how it loads a program and how it tries once.
-    """
-
-    #: First tolerance handed to the package, as a part of the one asked for
+    #: First tolerance of the package over the requested one
     margin: float = 1.0
-    #: The package is not asked for less: rounding ends there
+    #: Least tolerance of the package, set by rounding
     floor: float = 1e-14
-    #: How many times it may go on from where it stopped; 0 when it keeps no iterate
+    #: Most continuations from the last iterate; 0 when none is kept
     continuations: int = 0
 
     def __init__(self, program: Program, request: Request) -> None:
@@ -58,10 +54,10 @@ class Verified(Prepared):
 
     @abc.abstractmethod
     def _attempt(self, eps: float, seconds: float | None) -> Candidate:
-        """Solve once to the package's own tolerance within a time."""
+        """Solve once, to the package's tolerance and within a time [s]."""
 
     def solve(self) -> Candidate:
-        """Solve, check and tighten; the best answer found."""
+        """Solve, check and tighten; return the best answer."""
         clock = time.perf_counter()
         limit = self._request.time_limit
         best, least = Candidate(None, claim=Claim.TIME_LIMIT, detail="no time"), np.inf
@@ -100,7 +96,7 @@ class Verified(Prepared):
     def _residual(self, candidate: Candidate) -> float:
         if candidate.x is None:
             return np.inf
-        # of what was declared, by which the answer is judged
+        # the verdict is on the declared program
         declared = self._program.declared or self._program
         point = Reduction(declared, self._program).restore(candidate.x, candidate.duals)
         kkt = kkt_residuals(
