@@ -9,7 +9,8 @@ import scipy.linalg
 from tests.multigrid.conftest import made, noise, split
 from tests.multigrid.test_solver import box, explicit, make_grid
 from ttus_opt.arrays import Array
-from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
+from ttus_opt.multigrid.hierarchy import Hierarchy
+from ttus_opt.multigrid.workspace import Workspace
 
 
 def applied(work: Workspace, hierarchy: Hierarchy, free: np.ndarray, b: Array) -> Array:

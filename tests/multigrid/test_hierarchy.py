@@ -7,7 +7,8 @@ import numpy as np
 from tests.multigrid.conftest import Torso
 from tests.multigrid.test_aggregated import some_pooled
 from ttus_opt.multigrid.coarsening import DIRECT_NODES, STIFFNESS, coarsen, finest
-from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
+from ttus_opt.multigrid.hierarchy import Hierarchy
+from ttus_opt.multigrid.workspace import Workspace
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from tests.multigrid.conftest import Torso, noise, split
 from ttus_opt.compiled import compiled
-from ttus_opt.multigrid.hierarchy import Workspace
 from ttus_opt.multigrid.kernels import (
     LevelIndex,
     Table,
@@ -16,6 +15,7 @@ from ttus_opt.multigrid.kernels import (
     span,
 )
 from ttus_opt.multigrid.red_black import BLACK, RED, Single
+from ttus_opt.multigrid.workspace import Workspace
 
 
 @compiled()
@@ -65,7 +65,7 @@ def test_flow_is_what_red_nodes_send_to_black_ones(small: Torso) -> None:
     before = split(layout, noise(small.free, 2))[BLACK]
     kept = work.values[at.residual : at.residual + before.size]
     kept[:] = before.reshape(-1)
-    flow(h.table[0], h.fields, work.values, at.residual, at.x, -0.5)
+    flow(h.table[0], h.fields, work.values, at.residual, at.x, -0.5, (0, 1))
     # between neighbours of one colour, where an odd circle closes, nothing is told
     coupling = -small.A * (black[:, None] & ~black[None])
     expected = coupling @ x - 0.5 * noise(small.free, 2)

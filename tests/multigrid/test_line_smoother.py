@@ -6,9 +6,9 @@ import numpy as np
 
 from tests.multigrid.conftest import Torso, noise, split
 from ttus_opt.multigrid.coarsening import coarsen, finest
-from ttus_opt.multigrid.hierarchy import Workspace
 from ttus_opt.multigrid.line_smoother import inverse_pivots, sweep
 from ttus_opt.multigrid.red_black import BLACK, RED, Layout
+from ttus_opt.multigrid.workspace import Workspace
 
 
 def test_pivots_are_those_of_an_elimination() -> None:
@@ -43,7 +43,7 @@ def test_a_sweep_leaves_no_residual_on_its_colour(small: Torso) -> None:
     size = layout.colour_size
     for colour in (BLACK, RED, BLACK):
         opposite, load = at.x + (1 - colour) * size, at.b + colour * size
-        sweep(h.table[0], h.fields, work.values, colour, at.x, opposite, load)
+        sweep(h.table[0], h.fields, work.values, colour, at.x, opposite, load, (0, 1))
         x = np.zeros(free.size)
         x[free] = work.x.reshape(-1)[places]
         rest = (b - small.A @ x)[exact & (colours == colour)]
@@ -65,7 +65,7 @@ def test_a_sweep_where_every_link_has_its_own_conductance(small: Torso) -> None:
     b, x = noise(free, 3), noise(free, 4)
     work[named["b"] : named["b"] + 2 * size] = split(layout, b).reshape(-1)
     work[named["x"] : named["x"] + 2 * size] = split(layout, x).reshape(-1)
-    sweep(row, h.fields, work, BLACK, named["x"], named["x"], named["b"] + size)
+    sweep(row, h.fields, work, BLACK, named["x"], named["x"], named["b"] + size, (0, 1))
     places = layout.places(np.nonzero(free))
     black = places >= size
     x = work[named["x"] + places].astype(float)

@@ -17,7 +17,7 @@ from tests.conftest import SHARED
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.errors import InputError, NumericalError
 from ttus_opt.multigrid import Multigrid
-from ttus_opt.multigrid.hierarchy import Workspace
+from ttus_opt.multigrid.workspace import Workspace
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.grid import CylindricalGrid
 from ttus_opt.voxmap.voxmap import Voxmap

@@ -16,7 +16,7 @@ from ttus_opt.multigrid.transfer import prolong, restrict
 
 @compiled()
 def _restricted(table: Table, fields: Single, work: Single) -> None:
-    restrict(level_index(table[0]), level_index(table[1]), fields, work)
+    restrict(level_index(table[0]), level_index(table[1]), fields, work, (0, 1))
 
 
 @compiled()
@@ -24,7 +24,7 @@ def _prolonged(table: Table, fields: Single, work: Single) -> None:
     below = level_index(table[1])
     close_circle(below, work, below.x, np.int64(0))
     close_circle(below, work, below.x, np.int64(1))
-    prolong(level_index(table[0]), below, fields, work)
+    prolong(level_index(table[0]), below, fields, work, (0, 1))
 
 
 def matrices(h: Hierarchy, free: np.ndarray, coarse: np.ndarray) -> tuple[Array, Array]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tests.multigrid.conftest import Torso, noise, split
-from ttus_opt.multigrid.hierarchy import Workspace
 from ttus_opt.multigrid.v_cycle import VCycle
+from ttus_opt.multigrid.workspace import Workspace
 
 
 def test_it_is_the_workspaces_cycle_on_flat_vectors(small: Torso) -> None:

@@ -51,6 +51,7 @@ def v_cycle(
             to be zero, whatever is there.
     """
     last = len(table) - 1
+    whole = (np.int64(0), np.int64(1))
     for n in range(last):
         at = level_index(table[n])
         size = at.n_r * at.width
@@ -61,21 +62,22 @@ def v_cycle(
         for k in range(COARSE_SWEEPS if n else sweeps):
             for c in range(1, -1, -1):
                 other, load = (given, at.b + size) if c else (at.x + size, red)
-                sweep(table[n], fields, work, c, at.x, other, load)
-            flow(table[n], fields, work, at.residual, at.x, -1.0 if k else 0.0)
+                sweep(table[n], fields, work, c, at.x, other, load, whole)
+            kept = -1.0 if k else 0.0
+            flow(table[n], fields, work, at.residual, at.x, kept, whole)
             given = at.x
-        restrict(at, level_index(table[n + 1]), fields, work)
+        restrict(at, level_index(table[n + 1]), fields, work, whole)
     _solve_coarsest(level_index(table[last]), work, places, inverse, last or has_red)
     for n in range(last - 1, -1, -1):
         at = level_index(table[n])
         size = at.n_r * at.width
-        prolong(at, level_index(table[n + 1]), fields, work)
+        prolong(at, level_index(table[n + 1]), fields, work, whole)
         close_circle(at, work, at.x, np.int64(1))
         red = at.b if n or has_red else at.zeros
         for _ in range(COARSE_SWEEPS if n else sweeps):
             for c in range(2):
                 other, load = (at.x, at.b + size) if c else (at.x + size, red)
-                sweep(table[n], fields, work, c, at.x, other, load)
+                sweep(table[n], fields, work, c, at.x, other, load, whole)
 
 
 @compiled(inner=True, nogil=True, fastmath=FAST)

@@ -1,12 +1,10 @@
-"""What a mask on a grid amounts to, and what one solve writes to.
+"""The levels of a mask on a grid, which never change.
 
-A `Hierarchy` never changes; a `Workspace` belongs to one solve at a time. Solves with a
-workspace each may run side by side.
+What a solve writes to is its own (`workspace`): several may run side by side.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +20,6 @@ from ttus_opt.multigrid.coarsening import (
     finest,
     plan,
 )
-from ttus_opt.multigrid.cycle import v_cycle
 from ttus_opt.multigrid.kernels import LevelIndex, Table
 from ttus_opt.multigrid.line_smoother import TILE, inverse_pivots
 from ttus_opt.multigrid.red_black import LANES, Layout, Single
@@ -175,49 +172,6 @@ class Hierarchy:
     def memory_bytes(self) -> int:
         """Size of its arrays."""
         return self.fields.nbytes + self.inverse.nbytes + self.table.nbytes
-
-
-class Workspace:
-    """Vectors that one solve writes to.
-
-    Attributes:
-        values: All of them.
-        b: The finest level's right-hand side, shape (2, n_r, width).
-        x: Its correction, same shape.
-        index: Where the finest level's vectors begin.
-    """
-
-    def __init__(self, hierarchy: Hierarchy, more: int = 0) -> None:
-        """Take memory.
-
-        Args:
-            hierarchy: The levels.
-            more: Further vectors of one colour of the finest level [–].
-        """
-        layout = hierarchy.levels[0].layout
-        size = hierarchy.work_size + more * layout.colour_size
-        self.values: Single = np.zeros(size, np.float32)
-        self.index = LevelIndex(*(int(n) for n in hierarchy.table[0]))
-        self.b = self._vector(self.index.b, layout.stored_shape)
-        self.x = self._vector(self.index.x, layout.stored_shape)
-        self._hierarchy = hierarchy
-        #: What kernels of the finest level begin with
-        self._arrays = (hierarchy.table[0], hierarchy.fields, self.values)
-        self._sizes = (layout.shape[0], layout.width)
-
-    def _vector(self, start: int, shape: tuple[int, ...]) -> Single:
-        """The part of ``values`` that begins somewhere."""
-        return self.values[start : start + math.prod(shape)].reshape(shape)
-
-    @property
-    def memory_bytes(self) -> int:
-        """Size of the vectors."""
-        return self.values.nbytes
-
-    def v_cycle(self, *, sweeps: int = 1, has_red: bool = True) -> None:
-        """Set ``x`` to one V-cycle's answer for ``b``; see `cycle.v_cycle`."""
-        h = self._hierarchy
-        v_cycle(h.table, h.fields, self.values, h.places, h.inverse, sweeps, has_red)
 
 
 def _cuts(

@@ -27,6 +27,9 @@ FAST = {"contract", "reassoc"}  # sums may be reordered; NaN and inf keep their 
 #: Sizes and beginnings of all levels, a `LevelIndex` per row
 Table = NDArray[np.int64]
 
+#: Which part of the work, of how many parts
+Part = tuple[int, int]
+
 
 class LevelIndex(NamedTuple):
     """Sizes of a level, and where its arrays begin.
@@ -102,6 +105,14 @@ def level_index(row: NDArray[np.int64]) -> LevelIndex:
         row[19], row[20], row[21], row[22], row[23], row[24], row[25], row[26],
     )
     # fmt: on
+
+
+@compiled(inner=True, nogil=True)
+def bounds(first: int, last: int, part: Part) -> tuple[int, int]:
+    """Where a part of first to last begins and ends (compiled)."""
+    which, parts = part
+    size = last - first
+    return first + which * size // parts, first + (which + 1) * size // parts
 
 
 @compiled(inner=True, nogil=True)
@@ -277,6 +288,7 @@ def flow(
     out: int,
     opposite: int,
     kept: float,
+    part: Part,
 ) -> None:
     """What flows into black nodes from red ones (compiled).
 
@@ -290,10 +302,12 @@ def flow(
         out: Where the result begins, n_r · width values.
         opposite: Where red values begin.
         kept: Factor of what the result held before [–].
+        part: Of the layers.
     """
     at, black, factor = level_index(row), np.int64(1), np.float32(kept)
     first, last = span(at, black)
-    for i in range(1, at.n_r - 1):
+    low, high = bounds(1, at.n_r - 1, part)
+    for i in range(low, high):
         p = i * at.width + first
         rows = rows_of(at, black, p, out, opposite, at.zeros, last - first)
         if at.varies:

@@ -17,7 +17,9 @@ from ttus_opt.multigrid.kernels import (
     FAST,
     LevelIndex,
     Links,
+    Part,
     Rows,
+    bounds,
     close_circle,
     level_index,
     links_of,
@@ -206,8 +208,11 @@ def sweep(
     x: int,
     opposite: int,
     load: int,
+    part: Part,
 ) -> None:
     """Solve every radial line of one colour, given the other colour (compiled).
+
+    Of several parts the caller closes the circle, once all are done.
 
     Args:
         row: The level.
@@ -217,11 +222,15 @@ def sweep(
         x: Where red values of the result begin; black ones follow.
         opposite: Where values of the other colour begin.
         load: Where the right-hand side of this colour begins.
+        part: Of the tiles.
     """
     at = level_index(row)
     out = x + colour * at.n_r * at.width
     first, last = span(at, colour)
-    for s in range(first, last, TILE):
+    low, high = bounds(0, (last - first + TILE - 1) // TILE, part)
+    for tile in range(low, high):
+        s = first + tile * TILE
         count = min(TILE, last - s)
         _solve_tile(at, fields, work, colour, (out, opposite, load), s, count)
-    close_circle(at, work, x, colour)
+    if part[1] == 1:
+        close_circle(at, work, x, colour)

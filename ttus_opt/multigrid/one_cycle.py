@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.multigrid import refinement
 from ttus_opt.multigrid.coarsening import Added, Grounds, conductances
-from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
+from ttus_opt.multigrid.hierarchy import Hierarchy
 from ttus_opt.multigrid.solver import MultigridResult
 from ttus_opt.multigrid.v_cycle import VCycle
+from ttus_opt.multigrid.workspace import Workspace
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: Sweeps before and after on the finest level [–]: on M, 49 steps of conjugate
@@ -84,9 +85,11 @@ class OneCycle:
         largest = max(float(most), -float(least))
         if largest > 0.0:
             work = self._idle.pop() if self._idle else Workspace(self._hierarchy)
-            refinement.residual(work.b, rhs, rhs, self._order, 1.0 / largest, True)
+            refinement.residual(
+                work.b, rhs, rhs, self._order, 1.0 / largest, is_zero=True
+            )
             work.v_cycle(sweeps=SWEEPS)
-            refinement.add(x, work.x, largest, *self._sizes)
+            refinement.add(x, work.x, largest, self._sizes)
             self._idle.append(work)
         if self._leads is not None:
             x[~self._leads] = 0.0

@@ -9,23 +9,26 @@ for them too.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
-from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
+from ttus_opt.multigrid.hierarchy import Hierarchy
 from ttus_opt.multigrid.kernels import (
     FAST,
+    Part,
     Rows,
-    flow,
+    bounds,
     level_index,
     rows_of,
     span,
 )
-from ttus_opt.multigrid.line_smoother import sweep
 from ttus_opt.multigrid.pooled_blocks import PooledBlocks, pool
 from ttus_opt.multigrid.red_black import BLACK, RED, Single
+from ttus_opt.multigrid.workspace import Workspace
 
 
 class Vectors(Workspace):
@@ -58,6 +61,7 @@ class Vectors(Workspace):
         )
         self.answer = self._vector(self._e[RED], layout.stored_shape)
         self._direction = self._vector(self._p[RED], layout.stored_shape)
+        self._sums, self._width = np.zeros(layout.shape[0]), layout.width
         self._is_odd = hierarchy.levels[0].is_odd
         self._colours = (RED, BLACK) if self._is_odd else (BLACK,)
         edge = np.searchsorted(hierarchy.cut, size)
@@ -87,7 +91,7 @@ class Vectors(Workspace):
         self._direction.fill(0.0)
         if not self._is_odd:  # what red loads do to black nodes
             self._relax_red(self._x, self.index.zeros, self._b[RED])
-            flow(*self._arrays, self._b[BLACK], self._x[RED], 1.0)
+            self._flow(0, self._b[BLACK], self._x[RED], 1.0)
         self._pool()
         first = self._dot(self._b, self._b)
         spent, before = 0, math.inf
@@ -95,8 +99,7 @@ class Vectors(Workspace):
             spent += 1
             self.v_cycle(has_red=self._is_odd)
             rz = self._dot(self._b, self._x)
-            for c in self._colours:
-                extend(self.values, self._p[c], self._x[c], rz / before, *self._sizes)
+            self._extend(rz / before)
             pq = self._operate()
             if not (pq > 0.0 and rz > 0.0):  # down to rounding
                 break
@@ -118,31 +121,43 @@ class Vectors(Workspace):
         else:  # red values that follow from black ones
             others = self._x
             self._relax_red(self._x, self._p[BLACK], self.index.zeros)
-        total = [
-            operate(*self._arrays, c, self._q[c], self._p[c], others[1 - c])
-            for c in self._colours
-        ]
-        total += [
-            add_grounds(self.values, *self._cuts[c], self._q[c], self._p[c])
-            for c in self._colours
-        ]
-        return math.fsum(total)
+        total, row, fields = 0.0, self._hierarchy.table[0], self._hierarchy.fields
+        self._sums.fill(0.0)  # the first layer and the last have none
+        for c in self._colours:
+            vectors = self._q[c], self._p[c], others[1 - c]
+            self._run(operate, row, fields, self.values, c, vectors, self._sums)
+            total += math.fsum(self._sums)
+            total += add_grounds(self.values, *self._cuts[c], self._q[c], self._p[c])
+        return total
 
     def _step(self, alpha: float) -> float:
         """Set e += α p and b -= α q; returns b · b."""
-        vectors = (self._e, self._b, self._p, self._q)
-        return math.fsum(
-            step(self.values, *(v[c] for v in vectors), alpha, *self._sizes)
-            for c in self._colours
-        )
+        total = 0.0
+        for c in self._colours:
+            vectors = self._e[c], self._b[c], self._p[c], self._q[c]
+            self._run(step, self.values, vectors, alpha, self._sums, self._width)
+            total += math.fsum(self._sums)
+        return total
+
+    def _extend(self, beta: float) -> None:
+        """Set p = x + β p."""
+        size = self._sums.size * self._width
+        for c in self._colours:
+            self._run(extend, self.values, self._p[c], self._x[c], beta, size)
 
     def _dot(self, a: tuple[int, int], b: tuple[int, int]) -> float:
-        return math.fsum(
-            dot(self.values, a[c], b[c], *self._sizes) for c in self._colours
-        )
+        total = 0.0
+        for c in self._colours:
+            self._run(dot, self.values, a[c], b[c], self._sums, self._width)
+            total += math.fsum(self._sums)
+        return total
+
+    def _run(self, kernel: Callable[..., None], *args: object) -> None:
+        """Call a kernel of the finest level, by several cores where that is large."""
+        self._share(0, lambda part: kernel(*args, part))
 
     def _relax_red(self, x: tuple[int, int], opposite: int, load: int) -> None:
-        sweep(*self._arrays, RED, x[RED], opposite, load)
+        self._sweep(0, RED, x[RED], opposite, load)
 
     def _pool(self) -> None:
         if self._blocks is not None:
@@ -153,43 +168,57 @@ class Vectors(Workspace):
 
 
 @compiled(nogil=True, fastmath=FAST)
-def dot(work: Single, a: int, b: int, n_r: int, width: int) -> float:
-    """Sum of a · b over one colour; rows are added in double precision (compiled)."""
-    total = 0.0
-    for start in range(0, n_r * width, width):
-        first, second = np.uint64(a + start), np.uint64(b + start)
-        part = np.float32(0)
+def dot(work: Single, a: int, b: int, sums: Array, width: int, part: Part) -> None:
+    """Set ``sums`` to a · b in every layer of a part, of one colour (compiled)."""
+    low, high = bounds(0, sums.size, part)
+    for i in range(low, high):
+        first, second = np.uint64(a + i * width), np.uint64(b + i * width)
+        total = np.float32(0)
         for n in range(np.uint64(width)):
-            part += work[first + n] * work[second + n]
-        total += float(part)
-    return total
+            total += work[first + n] * work[second + n]
+        sums[i] = total
 
 
 @compiled(nogil=True, fastmath=FAST)
-def extend(work: Single, p: int, z: int, beta: float, n_r: int, width: int) -> None:
-    """Set p = z + β p, the next direction, for one colour (compiled)."""
-    own, new, factor = np.uint64(p), np.uint64(z), np.float32(beta)
-    for n in range(np.uint64(n_r * width)):
+def extend(work: Single, p: int, z: int, beta: float, size: int, part: Part) -> None:
+    """Set p = z + β p, the next direction, for a part of one colour (compiled)."""
+    low, high = bounds(0, size, part)
+    own, new, factor = np.uint64(p + low), np.uint64(z + low), np.float32(beta)
+    for n in range(np.uint64(high - low)):
         work[own + n] = work[new + n] + factor * work[own + n]
 
 
 @compiled(nogil=True, fastmath=FAST)
 def step(
-    work: Single, e: int, r: int, p: int, q: int, alpha: float, n_r: int, width: int
-) -> float:
-    """Set e += α p and r -= α q for one colour; returns r · r (compiled)."""
-    factor, total = np.float32(alpha), 0.0
-    for start in range(0, n_r * width, width):
-        answer, rest = np.uint64(e + start), np.uint64(r + start)
-        along, image = np.uint64(p + start), np.uint64(q + start)
-        part = np.float32(0)
+    work: Single,
+    vectors: tuple[int, int, int, int],
+    alpha: float,
+    sums: Array,
+    width: int,
+    part: Part,
+) -> None:
+    """Set e += α p, r -= α q and ``sums`` to r · r in a part's layers (compiled).
+
+    Args:
+        work: Vectors.
+        vectors: Where e, r, p and q of one colour begin.
+        alpha: α [–].
+        sums: Per layer, shape (n_r,).
+        width: Places per layer.
+        part: Of the layers.
+    """
+    (e, r, p, q), factor = vectors, np.float32(alpha)
+    low, high = bounds(0, sums.size, part)
+    for i in range(low, high):
+        answer, rest = np.uint64(e + i * width), np.uint64(r + i * width)
+        along, image = np.uint64(p + i * width), np.uint64(q + i * width)
+        total = np.float32(0)
         for n in range(np.uint64(width)):
             work[answer + n] += factor * work[along + n]
             left = work[rest + n] - factor * work[image + n]
             work[rest + n] = left
-            part += left * left
-        total += float(part)
-    return total
+            total += left * left
+        sums[i] = total
 
 
 @compiled(inner=True, nogil=True, fastmath=FAST)
@@ -224,11 +253,11 @@ def operate(
     fields: Single,
     work: Single,
     colour: int,
-    out: int,
-    own: int,
-    opposite: int,
-) -> float:
-    """Rows of one colour of A p on the finest level; returns their p · A p (compiled).
+    vectors: tuple[int, int, int],
+    sums: Array,
+    part: Part,
+) -> None:
+    """Rows of one colour of A p on the finest level (compiled).
 
     Within a block nothing flows, as all its voxels have one value: conductances along
     r are those without blocks.
@@ -238,21 +267,20 @@ def operate(
         fields: Coefficients.
         work: Vectors.
         colour: 0 (red) or 1 (black).
-        out: Where the result begins.
-        own: Where p of this colour begins.
-        opposite: Where p of the other colour begins.
+        vectors: Where the result, p of this colour and p of the other colour begin.
+        sums: Is set to p · A p in every layer, shape (n_r,).
+        part: Of the layers.
     """
-    at = level_index(row)
+    at, (out, own, opposite) = level_index(row), vectors
     first, last = span(at, colour)
-    total = 0.0
-    for i in range(1, at.n_r - 1):
+    low, high = bounds(1, at.n_r - 1, part)
+    for i in range(low, high):
         p = i * at.width + first
         rows = rows_of(at, colour, p, out, opposite, own, last - first)
         along = np.uint64(own + p - at.width), np.uint64(own + p + at.width)
         r = fields[at.along + i - 1], fields[at.along + i]
         z, t, screening = fields[at.Z + i], fields[at.T + i], fields[at.own + i]
-        total += _row_operate(work, fields, rows, along, r, z, t, screening)
-    return total
+        sums[i] = _row_operate(work, fields, rows, along, r, z, t, screening)
 
 
 @compiled(nogil=True)

@@ -7,6 +7,7 @@ whole grids of voxels in C order, and the ways to and from the red-black order.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +16,9 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.compiled import compiled
 from ttus_opt.multigrid.coarsening import Grounds
-from ttus_opt.multigrid.kernels import FAST
+from ttus_opt.multigrid.kernels import FAST, Part, bounds
 from ttus_opt.multigrid.red_black import Single
+from ttus_opt.threads import in_parts
 from ttus_opt.voxmap.grid import flat_index
 
 
@@ -149,22 +151,33 @@ def _layer(out: Array, start: int, x: Array, i: int, a: Operator) -> None:
 
 
 @compiled(nogil=True)
-def operate(out: Array, x: Array, a: Operator) -> None:
+def operate(out: Array, x: Array, a: Operator, part: Part) -> None:
     """A x (compiled).
 
     Args:
         out: Result, shape (V,); zero at fixed voxels.
         x: Values, zero at fixed voxels, shape (V,).
         a: The operator.
+        part: Of the layers.
     """
-    for i in range(1, len(a.layers) - 1):
-        _layer(out, flat_index(i, 0, 0, a.n_theta, a.n_z), x, i, a)
-    for n in range(out.size):
-        out[n] = out[n] if a.free[n] else 0.0
+    low, high = bounds(0, len(a.layers), part)
+    for i in range(low, high):
+        start = flat_index(i, 0, 0, a.n_theta, a.n_z)
+        if 0 < i < len(a.layers) - 1:
+            _layer(out, start, x, i, a)
+        for n in range(start, start + a.n_theta * a.n_z):
+            out[n] = out[n] if a.free[n] else 0.0
 
 
 def residual(
-    out: Single, x: Array, b: Array, a: Operator, scale: float, is_zero: bool
+    out: Single,
+    x: Array,
+    b: Array,
+    a: Operator,
+    scale: float,
+    *,
+    is_zero: bool = False,
+    parts: int = 1,
 ) -> float:
     """Residual b - A x, scaled, in red-black order.
 
@@ -175,37 +188,47 @@ def residual(
         a: The operator.
         scale: Factor of ``out`` [–].
         is_zero: Whether to take x for zero, whatever is there.
+        parts: How many cores share it.
 
     Returns:
         Sum of the squared residuals, unscaled.
     """
-    layer = np.zeros(a.n_theta * a.n_z)  # here: to compile it takes half a second
-    flat, width = out.reshape(-1, copy=False), out.shape[2]
-    return float(_set_residual(flat, width, layer, x, b, a, scale, is_zero))
+    flat, sums = out.reshape(-1, copy=False), np.zeros(len(a.layers))
+    factors = float(scale), 0.0 if is_zero else 1.0
+
+    def work(part: Part) -> None:
+        layer = np.zeros(a.n_theta * a.n_z)  # here: to compile it takes half a second
+        _set_residual(flat, layer, x, b, a, factors, sums, part)
+
+    in_parts(work, parts)
+    return math.fsum(sums)
 
 
 @compiled(nogil=True, fastmath=FAST)
 def _set_residual(
     out: Single,
-    width: int,
     layer: Array,
     x: Array,
     b: Array,
     a: Operator,
-    scale: float,
-    is_zero: bool,
-) -> float:
+    factors: tuple[float, float],
+    sums: Array,
+    part: Part,
+) -> None:
     """`residual`, in whose scratch space layers lie one by one (compiled)."""
-    n_r, total, free = len(a.layers), 0.0, a.free
-    known = 0.0 if is_zero else 1.0
-    for i in range(1, n_r - 1):
-        if not is_zero:
+    n_r, free, (scale, known) = len(a.layers), a.free, factors
+    width = out.size // (2 * n_r)
+    low, high = bounds(1, n_r - 1, part)
+    for i in range(low, high):
+        total = 0.0
+        if known != 0.0:
             _layer(layer, 0, x, i, a)
         start = np.uint64(flat_index(i, 0, 0, a.n_theta, a.n_z))
         for n in range(np.uint64(layer.size)):
             value = b[start + n] - known * layer[n] if free[start + n] else 0.0
             layer[n] = value
             total += value * value
+        sums[i] = total
         for half in range(2 * a.n_theta):  # of each spoke the odd slices, then the even
             j, odd = half >> 1, half & 1
             m = (j + 1) * a.pitch + 1 + odd
@@ -213,11 +236,15 @@ def _set_residual(
             first = np.uint64(j * a.n_z + 1 + odd)
             for n in range(np.uint64((a.n_z - 1 - odd) // 2)):
                 out[place + n] = scale * layer[first + n + n]
-    return total
 
 
 def add(
-    x: Array, correction: Single, scale: float, n_theta: int, n_z: int, pitch: int
+    x: Array,
+    correction: Single,
+    scale: float,
+    sizes: tuple[int, int, int],
+    *,
+    parts: int = 1,
 ) -> float:
     """Correct x by scale · correction; returns the sum of the new x².
 
@@ -225,13 +252,18 @@ def add(
         x: Values, shape (V,).
         correction: In red-black order, zero at fixed voxels, shape (2, n_r, width).
         scale: Factor [–].
-        n_theta: Spokes [–].
-        n_z: Slices [–].
-        pitch: Of the red-black order [–].
+        sizes: Spokes, slices and pitch of the red-black order [–].
+        parts: How many cores share it.
     """
     _, n_r, width = correction.shape
     flat = correction.reshape(-1, copy=False)
-    return float(add_flat(x, flat, scale, n_r, n_theta, n_z, (pitch, width)))
+    sums = np.zeros(n_r)
+
+    def work(part: Part) -> None:
+        add_flat(x, flat, scale, sums, (*sizes, width), part)
+
+    in_parts(work, parts)
+    return math.fsum(sums)
 
 
 @compiled(nogil=True, fastmath=FAST)
@@ -239,14 +271,15 @@ def add_flat(
     x: Array,
     correction: Single,
     scale: float,
-    n_r: int,
-    n_theta: int,
-    n_z: int,
-    order: tuple[int, int],
-) -> float:
-    """`add`, the correction flat, with pitch and width of its order (compiled)."""
-    total, (pitch, width) = 0.0, order
-    for i in range(1, n_r - 1):
+    sums: Array,
+    sizes: tuple[int, int, int, int],
+    part: Part,
+) -> None:
+    """`add`, the correction flat, ``sizes`` with the width of its order (compiled)."""
+    (n_theta, n_z, pitch, width), n_r = sizes, sums.size
+    low, high = bounds(1, n_r - 1, part)
+    for i in range(low, high):
+        total = 0.0
         layer = flat_index(i, 0, 0, n_theta, n_z)
         for half in range(2 * n_theta):
             j, odd = half >> 1, half & 1
@@ -257,4 +290,4 @@ def add_flat(
                 value = x[first + n + n] + scale * correction[place + n]
                 x[first + n + n] = value
                 total += value * value
-    return total
+        sums[i] = total

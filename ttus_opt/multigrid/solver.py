@@ -25,6 +25,8 @@ from ttus_opt.multigrid.coarsening import Added, Grounds, conductances
 from ttus_opt.multigrid.hierarchy import Hierarchy
 from ttus_opt.multigrid.pcg import Vectors
 from ttus_opt.multigrid.v_cycle import VCycle
+from ttus_opt.multigrid.workspace import LARGE
+from ttus_opt.threads import in_parts, parts_of
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: By how much one correction reduces the residual; single precision gives no more.
@@ -58,8 +60,8 @@ class Multigrid:
     fixed voxels. Setting up costs about as much as one solve.
 
     An instance may be used by several threads at once: each call works in arrays of
-    its own, and compiled code releases the interpreter's lock. One solve runs on one
-    core. Equal calls give equal bits.
+    its own, and compiled code releases the interpreter's lock. A solve on a large grid
+    uses all cores (`workspace`). Equal calls give equal bits.
 
     Attributes:
         grid: The grid.
@@ -124,6 +126,7 @@ class Multigrid:
             self.free, (r, t, z), self._sizes, own, grounds
         )
         self._idle: deque[Vectors] = deque()
+        self._parts = parts_of(self.free.size, LARGE)
 
     def __reduce__(self) -> tuple[Callable[..., Multigrid], tuple[object, ...]]:
         """Pickle as what it was built from."""
@@ -288,7 +291,9 @@ class Multigrid:
     def _operate(self, x: Array) -> Array:
         """A x for a vector that is zero at fixed voxels."""
         out = np.zeros_like(x)
-        refinement.operate(out, x, self._operator)
+        in_parts(
+            lambda part: refinement.operate(out, x, self._operator, part), self._parts
+        )
         return out
 
     def _vectors(self) -> Vectors:
@@ -300,13 +305,13 @@ class Multigrid:
     ) -> float:
         """‖b - A x‖, x zero if None; leaves it scaled in ``work.b``."""
         given = b if x is None else x
-        return math.sqrt(
-            refinement.residual(work.b, given, b, self._operator, scale, x is None)
-        )
+        args = work.b, given, b, self._operator, scale
+        square = refinement.residual(*args, is_zero=x is None, parts=self._parts)
+        return math.sqrt(square)
 
     def _add(self, x: Array, work: Vectors, scale: float) -> float:
         """Correct x by scale · ``work.answer``; returns ‖x‖²."""
-        return float(refinement.add(x, work.answer, scale, *self._sizes))
+        return refinement.add(x, work.answer, scale, self._sizes, parts=self._parts)
 
 
 def largest_size(values: Array) -> float:

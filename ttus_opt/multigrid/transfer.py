@@ -20,7 +20,15 @@ from typing import NamedTuple
 import numpy as np
 
 from ttus_opt.compiled import compiled
-from ttus_opt.multigrid.kernels import FAST, LevelIndex, copy, fill, span
+from ttus_opt.multigrid.kernels import (
+    FAST,
+    LevelIndex,
+    Part,
+    bounds,
+    copy,
+    fill,
+    span,
+)
 from ttus_opt.multigrid.red_black import Single
 
 
@@ -229,7 +237,9 @@ def _restrict_layer(
 
 
 @compiled(inner=True, nogil=True)
-def restrict(at: LevelIndex, below: LevelIndex, fields: Single, work: Single) -> None:
+def restrict(
+    at: LevelIndex, below: LevelIndex, fields: Single, work: Single, part: Part
+) -> None:
     """Set the coarse right-hand side from the residual of black nodes (compiled).
 
     Args:
@@ -237,10 +247,12 @@ def restrict(at: LevelIndex, below: LevelIndex, fields: Single, work: Single) ->
         below: The coarse level.
         fields: Coefficients.
         work: Vectors.
+        part: Of the coarse layers; each part needs scratch space of its own.
     """
     width = at.width
     buffers = _buffers(at, work)
-    for layer in range(1, below.n_r - 1):
+    low, high = bounds(1, below.n_r - 1, part)
+    for layer in range(low, high):
         i = 2 * layer if at.coarsens_r else layer
         row = at.residual + i * width
         if at.coarsens_r:
@@ -306,7 +318,9 @@ def _prolong_layer(
 
 
 @compiled(inner=True, nogil=True)
-def prolong(at: LevelIndex, below: LevelIndex, fields: Single, work: Single) -> None:
+def prolong(
+    at: LevelIndex, below: LevelIndex, fields: Single, work: Single, part: Part
+) -> None:
     """Add the coarse correction to black nodes (compiled).
 
     Args:
@@ -314,6 +328,7 @@ def prolong(at: LevelIndex, below: LevelIndex, fields: Single, work: Single) -> 
         below: The coarse level, its circle closed.
         fields: Coefficients.
         work: Vectors.
+        part: Of the coarse layers; each part needs scratch space of its own.
     """
     width = at.width
     s, e = span(at, np.int64(1))
@@ -323,7 +338,9 @@ def prolong(at: LevelIndex, below: LevelIndex, fields: Single, work: Single) -> 
         start = buffers.is_odd + (j + 1) * at.pitch // 2
         fill(work, start, np.float32(1), at.pitch // 2)
     out = at.x + at.n_r * width + s
-    for layer in range(1, below.n_r - 1):
+    low, high = bounds(1, below.n_r - 1, part)
+    # the layer before a part once more: what lies between needs it
+    for layer in range(max(1, low - at.coarsens_r), high):
         i = 2 * layer if at.coarsens_r else layer
         red = below.x + layer * below.width
         black = red + below.n_r * below.width
@@ -333,12 +350,14 @@ def prolong(at: LevelIndex, below: LevelIndex, fields: Single, work: Single) -> 
             copy(work, buffers.plane, red, below.width)
             copy(work, buffers.plane + below.width, black, below.width)
         _prolong_layer(at, below, fields, work, buffers, here, i)
-        _add(work, out + i * width, here + s, e - s)
+        if layer >= low:
+            _add(work, out + i * width, here + s, e - s)
+            if at.coarsens_r:
+                _prolong_between(at, fields, work, i - 1, inner, here)
         if at.coarsens_r:
-            _prolong_between(at, fields, work, i - 1, inner, here)
             inner, here = here, inner
     last = 2 * below.n_r - 3
-    if at.coarsens_r and last < at.n_r - 1:
+    if at.coarsens_r and high == below.n_r - 1 and last < at.n_r - 1:
         _prolong_between(at, fields, work, last, inner, at.zeros)
 
 

@@ -12,9 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.multigrid.coarsening import Added
-from ttus_opt.multigrid.hierarchy import Hierarchy, Workspace
+from ttus_opt.multigrid.hierarchy import Hierarchy
 from ttus_opt.multigrid.red_black import Single
 from ttus_opt.multigrid.subdomain import Subdomain
+from ttus_opt.multigrid.workspace import Workspace
 from ttus_opt.voxmap.grid import CylindricalGrid
 
 
