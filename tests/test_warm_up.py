@@ -7,6 +7,8 @@ import pytest
 
 import ttus_opt as tt
 from ttus_opt import example
+from ttus_opt.laplace.system import LaplaceSystem
+from ttus_opt.multigrid.workspace import Workspace
 from ttus_opt.warm_up import N_STAGES, warm_up
 
 
@@ -38,4 +40,6 @@ def test_the_main_job_compiles_nothing_afterwards() -> None:
         renderer = tt.Renderer(field, shell)
         renderer.render(presses.rotation[25], presses.position[25])
         tt.evaluate(field, shell, presses)
+        levels = LaplaceSystem.assemble(voxmap).multigrid.hierarchy
+        Workspace(levels, large=0).v_cycle()
     assert heard.names == []

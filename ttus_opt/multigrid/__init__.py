@@ -2,8 +2,9 @@
 
 The rest of the package sees `solver`, `aggregated` (with pooled blocks) and `v_cycle`
 (a preconditioner). Below them, from top to bottom: `refinement` in double precision,
-`pcg`, `pooled_blocks`, `hierarchy` with `subdomain`, `coarsening` and `cycle`, and the
-compiled `line_smoother`, `transfer` and `kernels` on vectors in `red_black` order.
+`pcg`, `pooled_blocks`, `workspace` with `cycle`, `hierarchy` with `subdomain` and
+`coarsening`, and the compiled `line_smoother`, `transfer` and `kernels` on vectors in
+`red_black` order.
 """
 
 from ttus_opt.multigrid.aggregated import AggregatedMultigrid

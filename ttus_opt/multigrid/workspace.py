@@ -44,19 +44,22 @@ class Workspace:
         index: Where the finest level's vectors begin.
     """
 
-    def __init__(self, hierarchy: Hierarchy, more: int = 0) -> None:
+    def __init__(
+        self, hierarchy: Hierarchy, more: int = 0, large: int | None = None
+    ) -> None:
         """Take memory.
 
         Args:
             hierarchy: The levels.
             more: Further vectors of one colour of the finest level [–].
+            large: Nodes of a level from which on cores share it; None for `LARGE`.
         """
         layout = hierarchy.levels[0].layout
         self._hierarchy = hierarchy
         #: How many cores share each level
-        self._parts = [
-            parts_of(level.inverse.size, LARGE) for level in hierarchy.levels[:-1]
-        ] + [1]
+        large = LARGE if large is None else large
+        sizes = [level.inverse.size for level in hierarchy.levels[:-1]]
+        self._parts = [*(parts_of(size, large) for size in sizes), 1]
         scratch = scratch_size(layout.width, layout.pitch)
         vectors = hierarchy.work_size + more * layout.colour_size
         self.values: Single = np.zeros(
