@@ -58,6 +58,27 @@ def existing_file(
     return file
 
 
+def read_npy(file: Path) -> NDArray[Any]:
+    """An array of numbers from NPY.
+
+    Raises:
+        FileError: Damaged, or not numbers.
+    """
+    import numpy as np
+
+    try:
+        # mapped: a header that announces more than the file holds allocates nothing
+        values = np.lib.format.open_memmap(file, mode="r")
+    except Exception as error:  # numpy raises nearly every class on damaged headers
+        raise FileError(
+            f"{file} does not read as a NPY array ({type(error).__name__}): truncated "
+            "or damaged? save it again"
+        ) from error
+    if values.dtype.kind not in "iuf":
+        raise FileError(f"{file} holds {values.dtype}, expected numbers: save it again")
+    return np.array(values)
+
+
 def sha256(path: str | os.PathLike[str]) -> str:
     """SHA-256 of a file's bytes, in hexadecimal digits."""
     with Path(path).open("rb") as stream:

@@ -151,7 +151,7 @@ EYE = np.tile(np.eye(3), (3, 1, 1))
         ({"rotation": 2 * EYE}, "frame 0: not a rotation"),
         ({"rotation": -EYE}, "not a rotation"),
         ({"torque": np.zeros((3, 3))}, "only torque"),
-        ({"segment": np.array([0, 1, 0])}, "stand together"),
+        ({"segment": np.array([0, 1, 0])}, "be contiguous"),
         ({"segment": np.array([0, 1])}, "segment must have shape"),
     ],
 )

@@ -106,5 +106,5 @@ def test_segments_are_kept_apart(tmp_path):
     (tmp_path / "two.csv").write_text("\n".join(lines))
     trajectory = read_trajectory(tmp_path / "two.csv")
     np.testing.assert_array_equal(trajectory.segment, [3] * 4 + [7] * 4)
-    refused(tmp_path, [*lines, lines[1].replace("0.0", "9", 1)], "stand together")
+    refused(tmp_path, [*lines, lines[1].replace("0.0", "9", 1)], "be contiguous")
     refused(tmp_path, [*lines[:-1], lines[-1][:-1] + "7.5"], "line 9: segment must be")

@@ -1,10 +1,9 @@
-"""Other ways to write a recording, turned into the package's own.
+"""Recordings in other conventions, converted to the package's own.
 
-Inside, a quaternion is w, x, y, z; a wrench is the force ON the probe and the torque
-about the shell's area centroid, both in patient axes. Robots and sensors differ: ROS
-writes x, y, z, w; a robot tells poses in its base's frame, a camera in the scan's; a
-force sensor reads in the axes of the tool, about the tool's origin, and often what the
-probe exerts on the patient.
+In the package a quaternion is w, x, y, z; a wrench is the force ON the probe and the
+torque about the shell's area centroid, both in patient axes. Devices differ: ROS writes
+x, y, z, w; a robot gives poses in its base frame, a camera in the scan's; a force
+sensor reads in the tool's axes, about the tool's origin, and often with opposite sign.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.probe.rigid_motion import Rows, as_rows, inverse, rigid_motion
+from ttus_opt.probe.rigid_motion import Rows, as_rows, composed, inverse, rigid_motion
 from ttus_opt.probe.trajectory import Trajectory
 
 QUATERNIONS = ("wxyz", "xyzw")
@@ -27,22 +26,21 @@ TORQUE_UNITS = {"Nm": 1.0, "Nmm": 1e-3}
 
 @dataclass(frozen=True)
 class Conventions:
-    """How a recording is written; the defaults are the package's own.
+    """The conventions of a recording; the defaults are the package's own.
 
     Attributes:
-        quaternion: Order of the columns ``qw,qx,qy,qz`` as they stand: ``wxyz``, or
-            ``xyzw`` where a file of that order carries those names.
+        quaternion: Actual order of the columns ``qw,qx,qy,qz``: ``wxyz`` or ``xyzw``.
         frame: Of the poses: ``patient``, ``scan`` (of the cloud that the surface was
             extracted from) or ``base`` (of the robot or tracker).
         wrench_frame: Axes of force and torque: one of these or ``tool``; empty for the
-            frame of the poses, which then stands here.
+            frame of the poses.
         base_to_scan: The rigid motion x_scan = R x_base + t, rows of a matrix (4, 4);
-            None where nothing is in the base's frame.
+            None where nothing is in the base frame.
         flip_wrench: Whether the wrench is that of the probe on the patient.
         torque_unit: ``Nm`` or ``Nmm``.
-        torque_about: What torques are about: ``centroid`` of the shell, ``origin`` of
-            the pose (as CAD and ROS have it), or a point in the probe frame [m].
-        wrench_delay: By how much wrenches lag behind poses [s].
+        torque_about: Reference point of torques: ``centroid`` of the shell, ``origin``
+            of the pose (as in CAD and ROS), or a point in the probe frame [m].
+        wrench_delay: Delay of wrenches behind poses [s].
     """
 
     quaternion: str = "wxyz"
@@ -88,7 +86,7 @@ class Conventions:
             )
 
     def _require_motion(self) -> None:
-        """Check the motion of the base's frame, where there is one."""
+        """Check that ``base_to_scan`` is given exactly where it is needed."""
         in_base = "base" in (self.frame, self.wrench_frame)
         if in_base != (self.base_to_scan is not None):
             raise InputError(
@@ -103,7 +101,7 @@ class Conventions:
 
     @property
     def options(self) -> str:
-        """What differs from the package's own, as options of the commands."""
+        """Differences from the package's conventions, as command-line options."""
         words = []
         usual = {**asdict(Conventions()), "wrench_frame": self.frame}
         for name, own in usual.items():
@@ -119,11 +117,7 @@ class Conventions:
         return " ".join(words)
 
     def point(self, centroid: Array) -> Array:
-        """What torques are about, in the probe frame, shape (3,) [m].
-
-        Args:
-            centroid: Area centroid of the shell, probe frame, shape (3,) [m].
-        """
+        """Reference point of torques, probe frame, from the centroid, (3,) each [m]."""
         if isinstance(self.torque_about, str):
             return np.zeros(3) if self.torque_about == "origin" else np.array(centroid)
         return np.array(self.torque_about, dtype=np.float64)
@@ -134,16 +128,13 @@ class Conventions:
         centroid: Array,
         scan_to_patient: Array | None = None,
     ) -> Trajectory:
-        """A recording as the package has it.
+        """The recording in the package's conventions.
 
         Args:
-            recorded: With the file's numbers taken at their word.
+            recorded: As read from the file, without conversion.
             centroid: Area centroid of the shell, probe frame, shape (3,) [m].
             scan_to_patient: Rigid motion, shape (4, 4); `Axis.scan_to_patient` of the
                 surface. None where all is in the patient's frame.
-
-        Returns:
-            The same poses and wrenches by the package's conventions.
 
         Raises:
             InputError: A frame without its motion.
@@ -165,7 +156,7 @@ class Conventions:
         return replace(poses, force=force, torque=torque - np.cross(arm, force))
 
     def _wrench(self, recorded: Trajectory, values: Array, turn: Array) -> Array:
-        """Measured vectors at the poses' instants, on the probe, patient axes."""
+        """Measured vectors at the times of the poses, on the probe, patient axes."""
         if self.wrench_delay:
             values = _advanced(recorded, values, self.wrench_delay)
         sign = -1.0 if self.flip_wrench else 1.0
@@ -175,13 +166,11 @@ class Conventions:
         """Rotation from the wrench's axes to the patient's, (3, 3) or (T, 3, 3)."""
         if self.wrench_frame == "tool":
             return poses.rotation
-        matrix = np.eye(4)
-        for motion in self._to_patient(self.wrench_frame, scan_to_patient):
-            matrix = motion @ matrix
-        return matrix[:3, :3]
+        motions = self._to_patient(self.wrench_frame, scan_to_patient)
+        return composed(motions)[:3, :3]
 
     def _to_patient(self, frame: str, scan_to_patient: Array | None) -> list[Array]:
-        """Rigid motions from a frame to the patient's, one after the other."""
+        """Rigid motions from a frame to the patient's, to be applied in order."""
         if frame == "patient":
             return []
         if scan_to_patient is None:
@@ -199,15 +188,15 @@ class Conventions:
         centroid: Array,
         scan_to_patient: Array | None = None,
     ) -> Trajectory:
-        """Poses and wrenches in the recording's own frame and about its own point.
+        """Poses and wrenches in the recording's frame and about its reference point.
 
-        For what is written or shown beside it. Forces are on the probe, in the frame
-        of the poses, torques in N·m.
+        For output that is compared with the recording. Forces are on the probe, in the
+        frame of the poses; torques are in N·m.
 
         Args:
-            trajectory: By the package's conventions.
+            trajectory: In the package's conventions.
             centroid: Area centroid of the shell, probe frame, shape (3,) [m].
-            scan_to_patient: As of `read`.
+            scan_to_patient: As in `read`.
         """
         out = trajectory
         if out.force is not None and out.torque is not None:
@@ -218,7 +207,7 @@ class Conventions:
 
 
 def _reordered(recorded: Trajectory) -> Array:
-    """Rotations whose quaternions were read as w, x, y, z and are x, y, z, w."""
+    """Rotations from quaternions x, y, z, w that were read as w, x, y, z."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(

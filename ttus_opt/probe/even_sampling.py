@@ -1,10 +1,10 @@
 """Points spread evenly over a surface, each with its share of the area.
 
 Three steps on a dense cloud of surface samples: farthest-point selection, a few
-rounds of Lloyd's relaxation (every point moves to the sample nearest the middle of
+rounds of Lloyd's relaxation (every point moves to the sample nearest the centroid of
 its cell), and the cells' areas and mean normals. Samples whose normals differ by
-more than a right angle do not see each other, so the two sides of a thin wall are
-sampled one by one, and a cell never reaches round a sharp edge.
+more than about a right angle are ignored, so the two sides of a thin wall are sampled
+separately, and a cell never extends around a sharp edge.
 
 Reference: Lloyd, Least squares quantization in PCM (1982), on a surface.
 """
@@ -20,21 +20,20 @@ from ttus_opt.compiled import compiled
 from ttus_opt.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
 
-#: Samples per point: for choosing the points, and for their areas.
+#: Samples per point, to choose the points and to measure their areas
 COARSE, FINE = 16, 64
 
-#: Rounds of relaxation; on an ellipsoid more than 4 change nothing.
+#: Rounds of relaxation; on an ellipsoid more than 4 change nothing
 ROUNDS = 4
 
-#: Cosine below which two normals belong to different sheets: when points keep
-#: their distance, and when a cell takes a sample (60°).
+#: Cosine below which two normals belong to different sheets: in farthest-point
+#: selection, and in the assignment to cells (60°)
 SAME_SHEET, SAME_CELL = -0.2, 0.5
 
-#: Seeds a sample looks at: the nearest one, then, if that faces elsewhere, many.
+#: Nearest seeds considered for a sample: first one, then, if that faces elsewhere, many
 NEAREST, MANY = 1, 12
 
-#: With fewer points than this only the total area is kept (7 moments would be
-#: more than a handful of areas can carry).
+#: Fewest points whose areas are corrected for all 7 moments; below, for the total area
 LEAST_FOR_MOMENTS = 50
 
 
@@ -56,16 +55,7 @@ class SurfaceSamples:
 def dense_samples(
     mesh: TriangleMesh, n_samples: int, rng: np.random.Generator
 ) -> SurfaceSamples:
-    """Random samples of a mesh, stratified by area, in random order.
-
-    Args:
-        mesh: Wound outwards.
-        n_samples: How many.
-        rng: Where they come from.
-
-    Returns:
-        The samples, each with the same area.
-    """
+    """Random samples of an outward mesh, of equal area and in random order."""
     # systematic sampling along the running area: a face never has more than one
     # sample too many or too few
     at = (np.arange(n_samples) + rng.random(n_samples)) / n_samples
@@ -166,8 +156,8 @@ def _sums(cell: IntArray, values: Array, n_points: int) -> Array:
 def _farthest(chosen: IntArray, distance: Array, points: Array, normals: Array) -> None:
     """Farthest-point selection, a new point never suppressing another sheet.
 
-    ``distance`` is what samples are from those chosen, infinite to begin with. No
-    array is made here, which halves the time to compile it.
+    ``distance`` is that of samples from the chosen points, initially infinite. No array
+    is allocated here, which halves the time to compile.
     """
     n = len(points)
     current = 0
@@ -192,17 +182,17 @@ def _farthest(chosen: IntArray, distance: Array, points: Array, normals: Array) 
 def _cells(
     points: Array, normals: Array, seeds: Array, seed_normals: Array
 ) -> IntArray:
-    """Number of the nearest seed on a sample's own side, shape (n,) [–].
+    """Index of the nearest seed on a sample's own sheet, shape (n,) [–].
 
-    Among the `MANY` nearest seeds, the first whose normal is within 60°; when there is
-    none (a detail smaller than the spacing), the one that faces most alike.
+    The first of the `MANY` nearest seeds whose normal is within 60°; without one (a
+    detail smaller than the spacing), the seed with the most similar normal.
     """
     from scipy.spatial import KDTree
 
     tree = KDTree(seeds)
     cell = np.empty(len(points), dtype=np.int64)
     left = np.arange(len(points))
-    for k in (NEAREST, MANY):  # one does for most samples
+    for k in (NEAREST, MANY):  # one suffices for most samples
         count = min(k, len(seeds))
         near = np.asarray(tree.query(points[left], k=count)[1]).reshape(-1, count)
         cosine = np.einsum("nd,nkd->nk", normals[left], seed_normals[near])

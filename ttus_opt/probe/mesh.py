@@ -1,7 +1,7 @@
-"""Triangle meshes: read from a file into metres, welded, without degenerate faces.
+"""Triangle meshes: read from a file in metres, welded, without degenerate faces.
 
-Only what the point shell needs. Files are parsed by trimesh; everything after is done
-here, so that no mesh is repaired silently.
+Only what the point shell needs. trimesh parses the files; everything else is done here,
+so that no mesh is repaired silently.
 """
 
 from __future__ import annotations
@@ -95,10 +95,10 @@ class TriangleMesh:
         return float(np.ptp(self.vertices, axis=0).max())
 
     def cleaned(self) -> TriangleMesh:
-        """The same surface welded, without degenerate faces and stray vertices.
+        """The same surface welded, without degenerate faces and unused vertices.
 
-        Equal vertices become one (STL repeats them per face), and a face that
-        occurs twice is kept once, whatever its winding.
+        Equal vertices are merged (STL repeats them per face), and duplicate faces
+        dropped, whatever their winding.
 
         Raises:
             GeometryError: Nothing is left.
@@ -157,7 +157,7 @@ def require_plausible_extent(extent: float, given: str) -> None:
 
     Args:
         extent: Longest edge of its bounding box [m].
-        given: Where the size comes from, for the message ("probe.stl in unit 'm'").
+        given: Source of the size, for the message ("probe.stl in unit 'm'").
 
     Raises:
         GeometryError: The size is not that of a probe.
@@ -208,7 +208,7 @@ def read_mesh(path: str | os.PathLike[str], *, unit: str = "mm") -> TriangleMesh
         ) from error
     try:
         mesh = TriangleMesh(vertices * scale, faces.reshape(-1, 3)).cleaned()
-    except InputError as error:
+    except InputError as error:  # or the GeometryError that it may be
         raise type(error)(f"{file}: {error}") from error
     require_plausible_extent(mesh.extent, f"{file} in unit '{unit}'")
     return mesh

@@ -1,15 +1,14 @@
 """Which side of every face of a probe mesh is outside, and which faces can touch.
 
-Files cannot be trusted to be wound consistently or to be closed, so the winding is
-used only to carry a decision from a face to its neighbours. The decision itself is
-a vote of rays: from random points of a face, on both of its sides, random rays are
-followed to infinity. Seen from outside a ray crosses the surface an even number of
-times, and often not at all; seen from inside an odd number. Holes spoil some rays
-and never the majority.
+Meshes in files are often neither closed nor consistently wound, so the winding only
+carries a decision from a face to its neighbours. The decision itself is a vote of rays:
+random rays are followed to infinity from random points on both sides of a face. From
+outside, a ray crosses the surface an even number of times, often none; from inside, an
+odd number. Holes spoil a minority of rays.
 
-A probe's mesh is often its housing, with walls that have an inner face. These
-cannot touch a patient and would push the other way: `FaceOrientation.exposure`, the
-cosine-weighted share of the sky that a face sees, tells them apart.
+A probe's mesh is often its housing, whose walls also have an inner face. Inner faces
+cannot touch a patient and would push the other way; they are recognised by
+`FaceOrientation.exposure`, the cosine-weighted fraction of the sky that a face sees.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ from ttus_opt.errors import GeometryError
 from ttus_opt.probe.mesh import TriangleMesh
 from ttus_opt.probe.ray_casting import RayTree, count_crossings
 
-#: Rays per side of a face: the budget for the whole mesh, and its limits.
+#: Rays for the whole mesh, and limits of the rays per side of a face
 TOTAL_RAYS, LEAST_RAYS, MOST_RAYS = 400_000, 16, 256
 
-#: Exposures between these are measured again with `CAREFUL_RAYS` more rays: sixteen
-#: cannot tell a recess from an inner wall near an opening.
+#: Exposures in this range are measured again with `CAREFUL_RAYS` rays: sixteen do not
+#: distinguish a recess from an inner wall near an opening
 DOUBTFUL, CAREFUL_RAYS = (0.1, 0.5), 64
 
 
@@ -38,12 +37,12 @@ class FaceOrientation:
     """The result of the vote.
 
     Attributes:
-        flip: Faces whose winding must be turned so that it points out, (k,).
-        vote: How clearly each face on its own voted for its winding's side being
-            outside, −2 to 2, shape (k,) [–].
-        exposure: Share of the sky seen by the outer side, cosine-weighted, 0 to 1,
+        flip: Faces whose winding must be reversed to point outwards, (k,).
+        vote: Vote of each face alone that its winding points outwards, −2 to 2, shape
+            (k,) [–].
+        exposure: Fraction of the sky seen by the outer side, cosine-weighted, 0 to 1,
             shape (k,) [–].
-        patch: Faces decided together carry the same number, shape (k,) [–].
+        patch: Number of the patch whose faces are decided together, shape (k,) [–].
     """
 
     flip: NDArray[np.bool_]
@@ -53,17 +52,10 @@ class FaceOrientation:
 
 
 def orient_faces(mesh: TriangleMesh, rng: np.random.Generator) -> FaceOrientation:
-    """Find the outside of every face.
-
-    Args:
-        mesh: A cleaned mesh.
-        rng: Where rays come from; a few hundred thousand are cast.
-
-    Returns:
-        The orientation.
+    """Find the outside of every face of a cleaned mesh.
 
     Raises:
-        GeometryError: Most of the surface has no inside, as a flat plate.
+        GeometryError: Most of the surface has no inside, like a flat plate.
     """
     tree = RayTree.build(mesh.corners)
     k = len(mesh.faces)
@@ -96,9 +88,9 @@ def _side_statistics(
     n_rays: int,
     rng: np.random.Generator,
 ) -> tuple[Array, Array]:
-    """Share of even and of free rays on each side of some faces, (k, 2) each."""
-    # One evenly spread set in the 4-cube (Roberts' additive recurrence; two numbers
-    # place the origin in the face, two the direction), shifted for every face.
+    """Fraction of even and of free rays on each side of some faces, (k, 2) each."""
+    # One low-discrepancy set in the 4-cube (Roberts' additive recurrence; two numbers
+    # for the origin in the face, two for the direction), shifted for every face.
     ratio = 1.1673039782614187  # positive root of x⁵ = x + 1
     lattice = np.arange(1, n_rays + 1)[:, None] * ratio ** -np.arange(1.0, 5.0) % 1.0
     even, free = _vote(
@@ -121,7 +113,7 @@ def _vote(
     lift: float,
     tree: RayTree,
 ) -> tuple[Array, Array]:
-    """Cast the rays, in the face's own frame: they move with the mesh."""
+    """Cast the rays in the face's frame, so that they move with the mesh."""
     n_rays = len(lattice)
     even, free = np.zeros((len(which), 2)), np.zeros((len(which), 2))
     for j in range(len(which)):
@@ -175,18 +167,15 @@ def _shared_edges(mesh: TriangleMesh) -> _SharedEdges:
     _, begin, count = np.unique(key[order], return_index=True, return_counts=True)
     pairs = begin[count == 2]
     a, b = order[pairs], order[pairs + 1]
-    # neighbours that agree run through their common edge in opposite directions
+    # faces of equal winding traverse their common edge in opposite directions
     return _SharedEdges(a // 3, b // 3, start[a] != start[b])
 
 
 def consistent_patches(mesh: TriangleMesh) -> tuple[NDArray[np.bool_], IntArray]:
     """Join faces across edges of exactly two faces into consistently wound patches.
 
-    Args:
-        mesh: Any mesh.
-
     Returns:
-        Whether a face must be turned to agree with its patch's first face, (k,), and
+        Whether a face must be reversed to agree with its patch's first face, (k,), and
         the number of its patch, (k,). Faces of a patch that cannot be wound
         consistently (a Möbius strip) are patches of their own.
     """
@@ -195,8 +184,8 @@ def consistent_patches(mesh: TriangleMesh) -> tuple[NDArray[np.bool_], IntArray]
 
     k = len(mesh.faces)
     shared = _shared_edges(mesh)
-    # Each face has two copies, as it is (f) and turned (f + k); an edge joins the
-    # copies that agree. A patch is consistent when its two copies stay apart.
+    # Each face has two copies, original (f) and reversed (f + k); an edge joins the
+    # copies that agree. A patch is consistent when its two copies are not connected.
     other = np.where(shared.agree, shared.second, shared.second + k)
     other_turned = np.where(shared.agree, shared.second + k, shared.second)
     rows = np.concatenate([shared.first, shared.first + k])

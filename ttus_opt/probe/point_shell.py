@@ -1,8 +1,8 @@
 """The point shell: the probe's surface as evenly spread points with inward normals.
 
-Under the contact rows (eqs. 6, 7) every point pushes the probe along its normal, so
-a normal points INTO the probe, and each point stands for its share of the area.
-Points are in the probe's frame.
+In the contact rows (eqs. 6, 7) every point pushes the probe along its normal, so
+normals point INTO the probe, and each point carries its share of the area. Points are
+in the probe's frame.
 """
 
 from __future__ import annotations
@@ -12,13 +12,12 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, get_args
-from warnings import warn
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError, TtusWarning
+from ttus_opt.errors import GeometryError, InputError, warn
 from ttus_opt.probe.even_sampling import (
     FINE,
     SurfaceSamples,
@@ -26,16 +25,20 @@ from ttus_opt.probe.even_sampling import (
     match_moments,
     spread_evenly,
 )
-from ttus_opt.probe.mesh import TriangleMesh, read_mesh, require_plausible_extent
+from ttus_opt.probe.mesh import (
+    SUFFIXES,
+    TriangleMesh,
+    read_mesh,
+    require_plausible_extent,
+)
 from ttus_opt.probe.orientation import orient_faces
 
 Seed = int | np.random.Generator
 
 SurfaceChoice = Literal["outer", "all", "hull"]
 
-#: Faces that see less than this share of the sky are inner walls or the sides of
-#: narrow grooves. Between 0.25 and 0.4 the outer area of a real probe's housing
-#: changes by 3 %.
+#: Faces with less exposure are inner walls or the sides of narrow grooves; from 0.25 to
+#: 0.4 the outer area of a real probe's housing changes by 3 % [–]
 LEAST_EXPOSURE = 1 / 3
 
 #: Most points of a shell
@@ -135,13 +138,13 @@ class PointShell:
             path: STL, PLY or OBJ.
             n_points: Number of points M, at least 4 [–].
             unit: Unit of length of the file: m, cm, mm or in.
-            surface: "outer" leaves out what cannot touch (the inner walls of a
+            surface: "outer" leaves out faces that cannot touch (the inner walls of a
                 housing); "all" keeps every face; "hull" takes the convex hull, for
                 a housing whose contact face is missing.
             seed: Of the sampling; the same seed gives the same shell.
 
         Returns:
-            The shell in the file's own frame.
+            The shell in the file's frame.
 
         Raises:
             FileError: Missing or unreadable file.
@@ -168,12 +171,12 @@ class PointShell:
         Args:
             vertices: Shape (n, 3) [m].
             faces: Vertex indices, shape (k, 3) [–].
-            n_points: As of `from_mesh`.
-            surface: As of `from_mesh`.
-            seed: As of `from_mesh`.
+            n_points: As in `from_mesh`, like ``surface`` and ``seed``.
+            surface: "outer", "all" or "hull".
+            seed: Of the sampling.
 
         Raises:
-            InputError: Arrays that are no mesh, or too few points.
+            InputError: Arrays that are not a mesh, or too few points.
             GeometryError: No area, no inside, or not the size of a probe.
         """
         if surface not in get_args(SurfaceChoice):
@@ -272,7 +275,7 @@ class PointShell:
         surface: SurfaceChoice = "outer",
         seed: Seed = 0,
     ) -> PointShell:
-        """A probe as it is written on the command line.
+        """A probe from its description on the command line.
 
         Args:
             spec: ``ellipsoid:a,b,c`` (semi-axes), ``sphere:r``, ``box:a,b,c`` (full
@@ -284,7 +287,7 @@ class PointShell:
 
         Raises:
             FileError: Missing or unreadable mesh.
-            InputError: A primitive that is written wrongly.
+            InputError: An invalid primitive.
             GeometryError: No area, or not the size of a probe.
 
         Examples:
@@ -299,10 +302,8 @@ class PointShell:
             "sphere": (1, cls.sphere),
             "box": (3, cls.box),
         }
-        looks_like_file = os.path.exists(text) or text.lower().endswith(
-            (".stl", ".ply", ".obj")
-        )
         if kind not in builders:
+            looks_like_file = os.path.exists(text) or text.lower().endswith(SUFFIXES)
             if colon and not looks_like_file:
                 raise _bad_spec(text)
             return cls.from_mesh(text, n_points, unit=unit, surface=surface, seed=seed)
@@ -334,7 +335,7 @@ def _from_outward_mesh(
 
 
 def _outer(mesh: TriangleMesh, exposure: Array) -> TriangleMesh:
-    """The faces that can touch; a warning when they leave a large opening."""
+    """The faces that can touch, with a warning if they leave a large opening."""
     keep = exposure >= LEAST_EXPOSURE
     if not keep.any():
         raise GeometryError(
@@ -350,8 +351,7 @@ def _outer(mesh: TriangleMesh, exposure: Array) -> TriangleMesh:
             f"the probe's outer surface is open by {1e4 * size:.3g} cm² "
             f"({100 * size / outer.area:.1f} %) towards ({x:.2f}, {y:.2f}, {z:.2f}): "
             "if its contact face is missing, close the mesh or use surface='hull'",
-            TtusWarning,
-            stacklevel=3,
+            2,
         )
     return outer
 

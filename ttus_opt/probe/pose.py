@@ -1,14 +1,14 @@
-"""One pose or many, from the forms that others hold them in.
+"""One pose or many, from any common representation.
 
 A pose is the rotation matrix R from probe to patient axes and the position of the probe
-frame's origin in the patient frame. Callers hold R as a matrix, as a SciPy `Rotation`,
-as a unit quaternion whose order they name, or within a homogeneous 4×4 matrix.
+frame's origin in the patient frame. R may be given as a matrix, a SciPy `Rotation`, a
+unit quaternion whose order is named, or within a homogeneous 4×4 matrix.
 
 A rotation matrix rounded to float32 has an ‖RᵀR − I‖ of about 1e-6. Up to `ROUNDING` it
-is brought back to the nearest rotation by the Newton-Schulz iteration for the polar
+is replaced by the nearest rotation, by the Newton-Schulz iteration for the polar
 factor, R ← R (3I − RᵀR)/2, which squares the error (Björck & Bowie, An iterative
 algorithm for computing the best estimate of an orthogonal matrix, SIAM J. Numer. Anal.
-8, 1971). Beyond that a matrix is refused: scale or shear is no rounding.
+8, 1971). A matrix farther off has scale or shear, and is refused.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ QuaternionOrder = Literal["wxyz", "xyzw"]
 #: What `Renderer.render` takes as a rotation, or as a whole pose
 PoseLike: TypeAlias = "ArrayLike | Rotation | RigidTransform"
 
-#: Largest entry of |RᵀR − I| that is taken for rounding, and the largest that is left
-#: as it is [–]
+#: Largest entry of |RᵀR − I| that is corrected as rounding, and largest that is
+#: accepted without correction [–]
 ROUNDING, EXACT = 1e-5, 1e-12
 
 #: Newton-Schulz steps: 1e-5 → 1e-10 → below `EXACT`
 STEPS = 2
 
-#: A quaternion's length may differ from 1 by so much; it is normalised [–]
+#: Largest deviation of a quaternion's length from 1, before normalisation [–]
 QUATERNION_TOLERANCE = 0.01
 
 
 class Pose(NamedTuple):
-    """Where the probe is, once or at T times.
+    """Pose of the probe, once or at T times.
 
     Attributes:
         rotation: Probe to patient, shape (3, 3) or (T, 3, 3) [–].
@@ -57,7 +57,7 @@ def pose_of(
     position: ArrayLike | None = None,
     order: QuaternionOrder | None = None,
 ) -> Pose:
-    """A pose from any of its forms.
+    """A pose from any representation.
 
     Args:
         rotation: Matrix (3, 3), SciPy `Rotation`, quaternion (4,); or the whole pose
@@ -69,8 +69,8 @@ def pose_of(
         Matrix and position; the matrix is not checked, see `rotations`.
 
     Raises:
-        InputError: Another form, a position missing or given twice, a quaternion
-            without its order, or one that is not of unit length.
+        InputError: Another shape, a position missing or given twice, a quaternion
+            without its order or not of unit length.
 
     Examples:
         >>> pose_of([0.0, 0.0, 0.0, 1.0], [0.1, 0.0, 0.0], "xyzw").rotation.tolist()
@@ -105,7 +105,7 @@ def poses_of(
     orientations: PoseLike,
     order: QuaternionOrder | None = None,
 ) -> Pose:
-    """Poses from any of their forms.
+    """Poses from any representation.
 
     Args:
         positions: Shape (T, 3) [m]; None with whole poses.
@@ -117,8 +117,8 @@ def poses_of(
         Matrices and positions; the matrices are not checked, see `rotations`.
 
     Raises:
-        InputError: Another form, positions missing or given twice, quaternions without
-            their order, or some that are not of unit length.
+        InputError: Another shape, positions missing or given twice, quaternions without
+            their order or not of unit length.
     """
     as_matrix = getattr(orientations, "as_matrix", None)
     given = orientations if as_matrix is None else as_matrix()
@@ -129,28 +129,25 @@ def poses_of(
         raise InputError(f"order {order!r} is of quaternions (T, 4) and positions")
     elif matrices.ndim == 3 and matrices.shape[1:] == (4, 4) and positions is None:
         for matrix in matrices:
-            pose_of(matrix)  # its last row
+            pose_of(matrix)  # validates its last row
         return Pose(matrices[:, :3, :3], matrices[:, :3, 3])
     at = np.asarray(np.nan if positions is None else positions, dtype=np.float64)
     if matrices.shape[1:] != (3, 3) or at.shape != (len(matrices), 3):
-        told = "no positions" if positions is None else f"positions {at.shape}"
+        found = "no positions" if positions is None else f"positions {at.shape}"
         raise InputError(
             "poses need orientations (T, 3, 3), a SciPy Rotation or quaternions "
             "(T, 4), and positions (T, 3) [m]; or matrices (T, 4, 4) alone; got "
-            f"orientations {matrices.shape} and {told}"
+            f"orientations {matrices.shape} and {found}"
         )
     return Pose(matrices, at)
 
 
 def from_quaternions(quaternions: Array, order: QuaternionOrder | None) -> Array:
-    """Rotation matrices of unit quaternions.
+    """Rotation matrices of unit quaternions, shape (T, 3, 3) [–].
 
     Args:
         quaternions: Shape (T, 4) [–]; lengths within 1 % of 1 are normalised.
         order: ``wxyz`` or ``xyzw``.
-
-    Returns:
-        Shape (T, 3, 3) [–].
 
     Raises:
         InputError: No order, or lengths that are not 1.
@@ -184,7 +181,7 @@ def to_quaternions(matrices: Array) -> Array:
 
 
 def rotations(matrices: Array) -> Array:
-    """Rotation matrices, brought back to orthonormal where they were rounded.
+    """Rotation matrices, orthonormalised where they were rounded.
 
     Args:
         matrices: Shape (T, 3, 3), or one of shape (3, 3) [–].
@@ -193,8 +190,8 @@ def rotations(matrices: Array) -> Array:
         The same shape; the same array where nothing was rounded.
 
     Raises:
-        InputError: Values that are not finite, a matrix that is further than
-            `ROUNDING` from orthonormal, or a reflection; told with its frame.
+        InputError: Values that are not finite, a matrix farther than `ROUNDING` from
+            orthonormal, or a reflection; the message has the frame's number.
     """
     if not np.isfinite(matrices).all():
         raise InputError("a rotation contains NaN or infinite values")

@@ -1,7 +1,7 @@
-"""How often a ray crosses a triangle mesh: a bounding-volume tree, compiled.
+"""How often a ray crosses a triangle mesh: a bounding-volume hierarchy, compiled.
 
-Own and small because the orientation vote casts a million short-lived rays, which
-must be made where they are used, not stored.
+Written here because the orientation vote casts a million rays, which are generated
+inside the kernel instead of being stored.
 """
 
 from __future__ import annotations

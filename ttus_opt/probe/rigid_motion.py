@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TypeAlias
 
@@ -81,6 +82,14 @@ def inverse(motion: Array) -> Array:
     """The inverses of motions (…, 4, 4)."""
     turn = np.swapaxes(motion[..., :3, :3], -1, -2)
     return homogeneous(turn, -(turn @ motion[..., :3, 3:])[..., 0])
+
+
+def composed(motions: Iterable[PoseLike]) -> Array:
+    """One motion (4, 4) from several, applied in order; `InputError` as above."""
+    matrix = np.eye(4)
+    for motion in motions:
+        matrix = rigid_motion(motion) @ matrix
+    return matrix
 
 
 def moved(points: Array, motion: Array) -> Array:

@@ -1,8 +1,8 @@
 """Tables of numbers as text: separators, comments and column names of other programs.
 
-A header names the columns. Comment lines (``#``, ``%``, ``//``) may stand before it; a
+A header names the columns. Comment lines (``#``, ``%``, ``//``) may precede it; the
 header may itself be one. Cells are separated by commas, semicolons, tabs or blanks.
-Names are taken in any case, and as ROS exports them (``pose.position.x``,
+Names are accepted in any case, and as ROS exports them (``pose.position.x``,
 ``/robot/pose/orientation/w``, ``field.wrench.force.z``).
 """
 
@@ -23,7 +23,7 @@ from ttus_opt.errors import FileError, InputError
 #: Marks of a comment line
 COMMENT = re.compile(r"^\s*(#|%|//)\s*")
 
-#: Ends of ROS names in dots, and the columns they stand for
+#: Endings of ROS names, and the columns they stand for
 ROS = {
     **{f"position.{c}": f"p{c}" for c in "xyz"},
     **{f"orientation.{c}": f"q{c}" for c in "wxyz"},
@@ -37,10 +37,10 @@ ROS = {
     "stamp": "t",
 }
 
-#: A stamp above this is in nanoseconds, as ROS writes whole numbers [s]
+#: Time stamps above this are in nanoseconds, as ROS writes integers [s]
 NANOSECONDS = 1e14
 
-#: Of a header without the required columns an error shows so much [characters]
+#: Longest part of a header that an error shows [characters]
 LONGEST_HEADER = 200
 
 
@@ -49,10 +49,10 @@ class TextTable:
     """Cells of a file, not yet read as numbers.
 
     Attributes:
-        file: Where they are from.
-        names: Of the columns, in the package's words where they are known.
+        file: Their source.
+        names: Of the columns, the package's names where known.
         cells: One list per row, all of the same length.
-        line: Number of each row's line, from 1, shape (T,).
+        line: Line number of each row, from 1, shape (T,).
     """
 
     file: Path
@@ -64,7 +64,7 @@ class TextTable:
         """Some columns as numbers, shape (T, len(wanted)).
 
         Raises:
-            FileError: A cell is no number; the message names its line.
+            FileError: A cell is not a number; the message names its line.
         """
         where = [self.names.index(name) for name in wanted]
         picked = [[row[c] for c in where] for row in self.cells]
@@ -76,14 +76,13 @@ class TextTable:
     def _first_fault(
         self, picked: Sequence[Sequence[str]], wanted: Sequence[str]
     ) -> FileError:
-        """The first cell that is no number."""
+        """The error for the first cell that is not a number."""
         for row, cells in enumerate(picked):
             for name, cell in zip(wanted, cells, strict=True):
                 try:
                     float(cell)
                 except ValueError:
-                    told = io.shortened(cell)
-                    found = f"{told}, not a number" if cell else "empty"
+                    found = f"{io.shortened(cell)}, not a number" if cell else "empty"
                     comma = (
                         ", with a decimal comma? write a point" if "," in cell else ""
                     )
@@ -101,16 +100,13 @@ def read_text_table(
 
     Args:
         file: The file.
-        required: Columns there must be, in the package's words.
-        columns: The file's own names of columns, by the package's.
-
-    Returns:
-        The table.
+        required: Columns that must exist, by the package's names.
+        columns: The file's names of columns, by the package's.
 
     Raises:
-        FileError: No text, no such header, no rows, or a row with another number of
+        FileError: Not text, no such header, no rows, or a row with another number of
             cells than the header.
-        InputError: ``columns`` names a column that is not there.
+        InputError: ``columns`` names a column that does not exist.
     """
     try:
         lines = file.read_text(encoding="utf-8-sig").splitlines()
@@ -146,7 +142,7 @@ def read_text_table(
 
 
 def known_name(name: str) -> str:
-    """A column's name in the package's words, where it is one that is known.
+    """The package's name for a column, or its own name where it is unknown.
 
     >>> known_name("/robot/pose/orientation/w"), known_name("FX"), known_name("gain")
     ('qw', 'fx', 'gain')
@@ -169,7 +165,7 @@ def _header(
     required: Sequence[str],
     columns: Mapping[str, str],
 ) -> tuple[int, str | None, list[str]]:
-    """The header's place, the separator and the names."""
+    """The header's line index, the separator and the names."""
     closest: list[str] | None = None
     for place, line in enumerate(lines):
         if not line.strip():
@@ -190,18 +186,17 @@ def _header(
         found = f"{found[:LONGEST_HEADER]}… ({len(closest or []):,} in all)"
     raise FileError(
         f"{file} has no column {', '.join(missing)}: the header must name "
-        f"{','.join(required)}, got {found}; say which is which by columns, for "
-        "instance px=x"
+        f"{','.join(required)}, got {found}; map them by columns, for instance px=x"
     )
 
 
 def _renamed(given: Sequence[str], columns: Mapping[str, str]) -> list[str]:
-    """Names in the package's words: those the user tells, then those that are known."""
-    told = {theirs: ours for ours, theirs in columns.items()}
+    """The package's names: those that the user maps, then those that are known."""
+    mapped = {theirs: ours for ours, theirs in columns.items()}
     return [
-        told[name]
-        if name in told
-        else f"{name} (unused)"  # told to be another column
+        mapped[name]
+        if name in mapped
+        else f"{name} (unused)"  # the user maps another column to this name
         if known_name(name) in columns
         else known_name(name)
         for name in given
@@ -217,7 +212,7 @@ def _refuse_absent(given: Sequence[str], columns: Mapping[str, str]) -> None:
 
 
 def _separator(header: str) -> str | None:
-    """What stands between names; None for blanks."""
+    """The separator of a line; None for blanks."""
     return next((mark for mark in (",", ";", "\t") if mark in header), None)
 
 

@@ -1,4 +1,4 @@
-"""Fewer frames of a dense recording: every so many, or so many a second."""
+"""Fewer frames of a dense recording: every n-th frame, or a given rate."""
 
 from __future__ import annotations
 
@@ -7,27 +7,24 @@ import numpy as np
 from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
-#: No recording has more frames a second [Hz]
+#: Largest accepted rate [Hz]
 HIGHEST = 1e9
 
 
 def thinned(
     trajectory: Trajectory, *, every: int = 1, rate: float | None = None
 ) -> Trajectory:
-    """Some of the frames of every recording, the first one among them.
+    """Some of the frames of every recording, including its first; none is averaged.
 
     Args:
         trajectory: Of one recording or several.
-        every: Every how many frames one is kept [–].
-        rate: At most how many frames are kept per second of the recording, before
-            `every` counts; None for all [Hz].
-
-    Returns:
-        The frames that are left, as they were measured: nothing is averaged.
+        every: Keep every n-th frame [–].
+        rate: Most frames per second of the recording, applied before ``every``; None
+            for all [Hz].
 
     Raises:
-        InputError: `every` is no positive whole number, or `rate` is not positive or
-            beyond `HIGHEST`.
+        InputError: ``every`` is not a positive whole number, or ``rate`` is not
+            positive or beyond `HIGHEST`.
 
     >>> from ttus_opt import example
     >>> from ttus_opt.probe.trajectory import read_trajectory
@@ -44,7 +41,7 @@ def thinned(
         frames = np.flatnonzero(trajectory.segment == segment)
         if rate is not None:
             passed = trajectory.time[frames] - trajectory.time[frames[0]]
-            # rounding of the times must not put a frame into the interval before
+            # rounding of the times must not move a frame to the previous interval
             interval = np.floor(passed * rate + 1e-6)
             frames = frames[np.diff(interval, prepend=-1.0) > 0.0]
         kept.append(frames[::every])

@@ -1,9 +1,9 @@
-"""Probe poses over time, with the measured wrenches where there are any.
+"""Probe poses over time, with measured wrenches or without.
 
 Pose: probe-to-patient rotation and position. Wrench: force ON the probe and torque
 about the point shell's reference point, both in patient axes. The file is a CSV
-with the header ``t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz``. A recording from another
-frame is carried to the patient's by `Trajectory.transformed`.
+with the header ``t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz``. `Trajectory.transformed`
+maps a recording from another frame to the patient's.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ttus_opt import io
 from ttus_opt.arrays import Array, IntArray
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.errors import FileError, InputError, located
 from ttus_opt.probe.pose import (
     PoseLike,
     QuaternionOrder,
@@ -28,7 +28,7 @@ from ttus_opt.probe.pose import (
     rotations,
     to_quaternions,
 )
-from ttus_opt.probe.rigid_motion import rigid_motion
+from ttus_opt.probe.rigid_motion import composed
 from ttus_opt.probe.trajectory_csv import (
     FORCE,
     POSITION,
@@ -52,9 +52,9 @@ class Trajectory:
         force: On the probe, patient axes, shape (T, 3) [N]; None when not measured.
         torque: About the shell's reference, patient axes, shape (T, 3) [N·m]; None
             when not measured, as by a sensor of forces alone.
-        segment: Which recording a frame is from; frames of a recording stand
-            together, and nothing is differenced across recordings; shape (T,) [–].
-            One recording when not given.
+        segment: Number of the recording each frame is from, shape (T,) [–]; frames of
+            a recording are contiguous, and no derivative is taken across recordings.
+            One recording by default.
     """
 
     time: Array
@@ -97,7 +97,7 @@ class Trajectory:
         runs = 1 + np.count_nonzero(np.diff(self.segment))
         if runs != len(np.unique(self.segment)):
             raise InputError(
-                "frames of a segment must stand together: sort the frames by segment, "
+                "frames of a segment must be contiguous: sort the frames by segment, "
                 "then by time"
             )
 
@@ -147,7 +147,7 @@ class Trajectory:
         *,
         order: QuaternionOrder | None = None,
     ) -> Trajectory:
-        """A trajectory from arrays, in the forms that others hold them in.
+        """A trajectory from arrays in any common form.
 
         Args:
             positions: Of the probe frame, shape (T, 3) [m]; None with whole poses.
@@ -156,16 +156,13 @@ class Trajectory:
                 `RigidTransform`.
             forces: On the probe, patient axes, shape (T, 3) [N].
             torques: About the shell's reference, patient axes, shape (T, 3) [N·m].
-            times: Shape (T,) [s]; one frame a second when not given: give them where
-                friction counts.
-            order: Of quaternions, which is never guessed: ``wxyz``, or ``xyzw`` as in
-                ROS and SciPy.
-
-        Returns:
-            The trajectory, one recording.
+            times: Shape (T,) [s]; by default one frame per second: give them where
+                friction matters.
+            order: Of quaternions, never guessed: ``wxyz``, or ``xyzw`` as in ROS and
+                SciPy.
 
         Raises:
-            InputError: Forms or shapes that do not fit, as of `Trajectory`.
+            InputError: Forms or shapes that do not match, as in `Trajectory`.
 
         Examples:
             >>> t = Trajectory.from_arrays([[0, 0, 1]], [[0, 0, 0, 1]], order="xyzw")
@@ -189,20 +186,17 @@ class Trajectory:
     def transformed(self, *motions: PoseLike) -> Trajectory:
         """The same trajectory in another frame, poses and wrenches.
 
-        A wrench is turned with its frame; the point that torques are about moves with
-        the probe, so that they stay torques about it.
+        Wrenches are rotated only: the reference point of torques moves with the probe.
 
         Args:
-            motions: One after the other, each a matrix (4, 4) or a SciPy
-                `RigidTransform` that maps coordinates of the frame before to those of
-                the next: ``transformed(base_to_scan, axis.scan_to_patient)``.
+            motions: Applied in order, each a matrix (4, 4) or a SciPy `RigidTransform`
+                that maps coordinates of one frame to the next:
+                ``transformed(base_to_scan, axis.scan_to_patient)``.
 
         Raises:
-            InputError: One is no rigid motion.
+            InputError: One is not a rigid motion.
         """
-        matrix = np.eye(4)
-        for motion in motions:
-            matrix = rigid_motion(motion) @ matrix
+        matrix = composed(motions)
         turn = matrix[:3, :3]
         return replace(
             self,
@@ -264,9 +258,9 @@ class Trajectory:
         return np.concatenate([self.velocity(), self.angular_velocity()], axis=1)
 
     def _arrays(self) -> dict[str, Any]:
-        """What there is of every frame, by name."""
-        told = {own.name: getattr(self, own.name) for own in fields(self)}
-        return {name: values for name, values in told.items() if values is not None}
+        """The arrays that are not None, by name."""
+        found = {own.name: getattr(self, own.name) for own in fields(self)}
+        return {name: values for name, values in found.items() if values is not None}
 
     def _segments(self) -> list[slice]:
         cuts = np.flatnonzero(np.diff(self.segment)) + 1
@@ -274,15 +268,13 @@ class Trajectory:
         return [slice(a, b) for a, b in itertools.pairwise(edges)]
 
     def select(self, frames: slice | NDArray[np.bool_] | IntArray) -> Trajectory:
-        """Some of the frames, in their order.
-
-        Velocities of the result are differences of the frames that are left.
+        """Some of the frames, in order; velocities follow from these frames alone.
 
         Args:
             frames: A slice, a mask (T,) or increasing indices.
 
         Raises:
-            InputError: No frame is left, or a mask of another length.
+            InputError: No frame is selected, or a mask of another length.
         """
         if isinstance(frames, np.ndarray) and frames.dtype == np.bool_:
             if frames.shape != (len(self),):
@@ -325,14 +317,14 @@ class Trajectory:
         return cls(**joined | {"segment": np.concatenate(numbers)})
 
     def save(self, path: str | os.PathLike[str], *, digits: int = 17) -> None:
-        """Write the CSV, replacing ``path`` only when the writing succeeded.
+        """Write the CSV, replacing ``path`` only on success.
 
-        A column ``segment`` is added when there are several.
+        A column ``segment`` is added when there are several recordings.
 
         Args:
             path: The file.
-            digits: Significant digits; by default all, so that reading gives every
-                number back.
+            digits: Significant digits; by default all, so that reading restores every
+                number exactly.
 
         Raises:
             FileError: The folder cannot be written to.
@@ -343,8 +335,8 @@ class Trajectory:
             if values is not None:
                 names += own
                 columns.append(values)
-        told = repr if digits >= 17 else f"{{:.{digits}g}}".format
-        lines = [",".join(map(told, row)) for row in np.hstack(columns).tolist()]
+        written = repr if digits >= 17 else f"{{:.{digits}g}}".format
+        lines = [",".join(map(written, row)) for row in np.hstack(columns).tolist()]
         if len(self._segments()) > 1:
             names.append(SEGMENT)
             lines = [f"{a},{s}" for a, s in zip(lines, self.segment, strict=True)]
@@ -361,24 +353,20 @@ def read_trajectory(
     integer column ``segment`` keeps several recordings apart; other columns are
     ignored. Quaternions within 1 % of unit length are normalised.
 
-    Names are taken in any case and as ROS exports them (``pose.position.x``), cells
+    Names are accepted in any case and as ROS exports them (``pose.position.x``), cells
     separated by commas, semicolons, tabs or blanks, comment lines before the header.
 
     Args:
         path: The CSV file.
-        columns: The file's own names of columns, by the names above, where they are
-            neither: ``{"px": "tip_x"}``.
-
-    Returns:
-        The trajectory.
+        columns: Other names of columns, by the names above: ``{"px": "tip_x"}``.
 
     Raises:
         FileError: Missing, empty or truncated file, a missing column, a cell that is
-            no finite number, times that do not increase, quaternions that are not
+            not a finite number, times that do not increase, quaternions that are not
             unit, or values in another unit. The message names the line.
     """
     read = read_trajectory_columns(path, columns)
-    try:
+    with located(f"trajectory {os.fspath(path)}", FileError):
         return Trajectory(
             read.time,
             read.position,
@@ -387,5 +375,3 @@ def read_trajectory(
             read.torque,
             read.segment,
         )
-    except InputError as error:
-        raise FileError(f"trajectory {os.fspath(path)}: {error}") from error

@@ -1,25 +1,24 @@
-"""Which way a body lies: its front from its back, its head from its feet.
+"""Which side of a body is its front, and which end its head.
 
 A person lies with the back on the support. Without a support the back is the flatter
-side: more of the skin lies near it, so the mean of the skin's points is nearer to the
-back than the middle between back and front is. The head is where the trunk is deeper:
-a chest or belly stands higher than a pelvis. With D(z) the depth of sections (above
-the support, or from back to front), the sign of z is that of the slope of the straight
-line through D(z) over the middle four fifths of the length.
+side: more skin lies near it, so the mean of the skin's points is nearer to the back
+than the midpoint between back and front. The head is at the deeper end of the trunk: a
+chest or belly stands higher than a pelvis. With D(z) the depth of sections (above the
+support, or from back to front), the sign of z is the sign of the slope of a line fitted
+to D(z) over the middle four fifths of the length.
 
-Both rules look at the body alone, so that turning the scan does not change them. Both
-are guesses: below `CLEAR` a warning says so, and what the user states is never guessed.
+Both rules use the body alone, so that turning the scan does not change them. Both are
+guesses: below `CLEAR` a warning says so, and what the user states is never guessed.
 """
 
 from __future__ import annotations
 
 import itertools
-import warnings
 
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import GeometryError, InputError, TtusWarning
+from ttus_opt.errors import GeometryError, InputError, warn
 
 #: A difference between the sides below this share of the depth is doubtful [–]
 CLEAR = 0.02
@@ -27,7 +26,7 @@ CLEAR = 0.02
 #: Sections along the body, and the share of its length they cover in the middle
 SECTIONS, MIDDLE = 16, 0.8
 
-#: A direction to the head within this angle of the body's axis is a sign [rad]
+#: Largest angle between the stated direction to the head and the body's axis [rad]
 LARGEST_ANGLE = np.radians(75.0)
 
 
@@ -53,8 +52,8 @@ def head_along(z: Array, depth: Array, *, supported: bool) -> float:
     Args:
         z: Of skin points, along the body in either direction, shape (n,) [m].
         depth: The points' coordinate towards the front, shape (n,) [m].
-        supported: Depths are heights above the support, so that the highest points
-            of a section say how deep it is; else the lowest ones count too.
+        supported: Depths are heights above the support, so that the highest points of
+            a section give its depth; otherwise highest minus lowest.
 
     Returns:
         1.0, or -1.0 where the head lies at smaller z.
@@ -120,8 +119,4 @@ def _doubt_head() -> None:
 
 
 def _doubt(what: str, remedy: str) -> None:
-    warnings.warn(
-        f"the scan hardly tells {what}, which is a guess: {remedy}",
-        TtusWarning,
-        stacklevel=6,
-    )
+    warn(f"the scan hardly tells {what}, which is a guess: {remedy}", 5)

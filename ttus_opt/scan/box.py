@@ -23,8 +23,8 @@ def inside(cloud: Array, box: Sequence[float]) -> NDArray[np.bool_]:
         A mask, shape (n,).
 
     Raises:
-        InputError: No six numbers, a lower limit that is not below the upper, or no
-            point inside; the message tells where the points are.
+        InputError: Not six numbers, a lower limit that is not below the upper, or no
+            point inside; the message gives the extent of the points.
 
     Examples:
         >>> inside(np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]), [-1, 1, -1, 1, -1, 1])
@@ -51,7 +51,7 @@ def inside(cloud: Array, box: Sequence[float]) -> NDArray[np.bool_]:
 
 
 def extent_words(cloud: Array) -> str:
-    """From where to where the points (n, 3) reach, in words."""
+    """The extent of points (n, 3) along each axis, as text."""
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     return ", ".join(
         f"{axis} {a:.3g} to {b:.3g}"

@@ -1,4 +1,4 @@
-"""Sections of a scan: the points near each spoke of each slice, and where they end.
+"""Candidate radii of every spoke of a scan, and the usable range of heights.
 
 A spoke is the half-line from the axis at angle θ in the slice at height z. Its
 candidates (paper, before eq. 1) are the radii of the points within a threshold
@@ -16,19 +16,19 @@ from ttus_opt.arrays import Array
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.errors import GeometryError
 
-#: Points closer to the axis than this are inside any torso: strays [m].
+#: Points closer to the axis than this are inside any torso: outliers [m].
 LEAST_RADIUS = 0.01
 _STRAY_CELL = 0.01  # [m]
 _BIN, _SECTORS = 0.005, 36  # resolution of the search for the usable heights [m], [–]
-_LEAST_SEEN = 9  # sectors (90°) that a usable section must show
-_STEEP = 0.010  # deviation of r in a sector that only an end of the body has [m]
+_LEAST_SEEN = 9  # fewest sectors (90°) of a usable section
+_STEEP = 0.010  # deviation of r in a sector that only occurs at a body's ends [m]
 _STEEP_SHARE = 0.25
-_BRIDGE = 6  # bins without points (30 mm) that do not end the body
+_BRIDGE = 6  # most empty bins (30 mm) within the body
 
 
 @dataclass(frozen=True)
 class ZRange:
-    """Heights that show the body's side all along.
+    """Heights at which the scan shows the body's side.
 
     Attributes:
         z_min: Lowest usable height [m].
@@ -47,10 +47,10 @@ class Candidates:
         radius: Sorted along the last axis, padded with inf,
             shape (n_theta, n_z, n_most) [m].
         count: Number of points near the spoke before thinning, shape (n_theta, n_z).
-        std: Standard deviations of the radii, shape of them, 1 where padded [m]; None
+        std: Standard deviations of the radii, same shape, 1 where padded [m]; None
             where the points have none.
-        offset: How far the points are off the spoke and the slice, as an angle around
-            the axis, shape of the radii, 0 where padded [rad]; None with ``std``.
+        offset: Distance of the points from spoke and slice, as an angle about the
+            axis, same shape as the radii, 0 where padded [rad]; None like ``std``.
     """
 
     radius: Array
@@ -60,16 +60,10 @@ class Candidates:
 
 
 def stray(points: Array) -> NDArray[np.bool_]:
-    """Points with few others around: flying pixels, remains of the bed.
+    """Mask of outliers among points (n, 3) [m]: flying pixels, remains of the bed.
 
-    Few is less than four, or than a tenth of the median number, in the cube of 3³ cells
-    around: a seen surface fills at least a whole layer of that cube.
-
-    Args:
-        points: Shape (n, 3) [m].
-
-    Returns:
-        Which points are stray, shape (n,).
+    An outlier has fewer than four points, or than a tenth of the median number, in the
+    cube of 3³ cells around it: a surface fills at least a whole layer of that cube.
     """
     cell = ((points - points.min(axis=0)) / _STRAY_CELL).astype(np.int64) + 1
     shape = cell.max(axis=0) + 2
@@ -83,16 +77,13 @@ def stray(points: Array) -> NDArray[np.bool_]:
 
 
 def usable_range(points: Array) -> ZRange:
-    """The longest stretch of heights whose sections show the body's side.
+    """The longest range of heights whose sections show the body's side.
 
-    A section is left out when it shows less than a quarter turn, or when the radii
-    in a quarter of its sectors scatter as only an end of the body does (a cut).
+    A section is left out when it shows less than a quarter turn, or when the radii in a
+    quarter of its sectors scatter as much as at an end of the body (a cut).
 
     Args:
         points: Body points, patient frame, shape (n, 3) [m].
-
-    Returns:
-        The heights.
 
     Raises:
         GeometryError: No section shows a quarter turn around the axis, or too few.
@@ -132,7 +123,7 @@ def usable_range(points: Array) -> ZRange:
 
 
 def _runs(usable: NDArray[np.bool_], empty: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First and last index of each stretch of usable bins, across short empty gaps."""
+    """First and last index of each run of usable bins, across short empty gaps."""
     runs: list[tuple[int, int]] = []
     for k in np.flatnonzero(usable).tolist():
         gap = slice(runs[-1][1] + 1, k) if runs else slice(0)
@@ -162,10 +153,7 @@ def collect(
         spoke_distance: Largest distance from the spoke within the slice [m].
         slice_distance: Largest distance from the slice [m].
         std: Standard deviations of the points, shape (n,) [m].
-        n_most: A spoke with more candidates keeps this many, evenly among them.
-
-    Returns:
-        The candidates.
+        n_most: Most candidates of a spoke; more are thinned evenly.
 
     Raises:
         GeometryError: No point is near any spoke.
@@ -186,7 +174,7 @@ def collect(
     node, point = node[order], point[order]
     count = np.bincount(node, minlength=shape[0] * shape[1])
     rank = np.arange(len(node)) - (np.cumsum(count) - count)[node]
-    # Thinning keeps every candidate whose place is the first of its share.
+    # Thinning keeps the first candidate of each of the n_most equal parts.
     kept = np.minimum(count[node], n_most)
     place = rank * kept // count[node]
     first = (rank == 0) | (place != (rank - 1) * kept // count[node])

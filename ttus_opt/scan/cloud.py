@@ -1,8 +1,8 @@
-"""Reading a depth scan: an (n, 3) array of points in metres, or a clear refusal.
+"""Reading a scan as an (n, 3) array of points in metres.
 
 PLY, PCD, text (XYZ, CSV, TXT, PTS, ASC) and NPY. The unit is converted here and nowhere
-else; a cloud whose extent cannot be a torso in that unit is refused, because
-millimetres read as metres would otherwise fail much later and far from their cause.
+else; an extent that is implausible for a torso is refused, because millimetres read as
+metres would otherwise fail much later, far from the cause.
 """
 
 from __future__ import annotations
@@ -44,21 +44,21 @@ def read_cloud(
 
     Args:
         path: A .ply, .pcd, .xyz, .csv, .txt, .pts, .asc or .npy file. Text has x, y
-            and z first, or a line that names them among its columns; colours, normals
-            and intensities are left out (`ttus_opt.scan.xyz`).
-        unit: Unit of the file's coordinates; metres are assumed when not given.
-        drop_nan: Leave points out that have a NaN or infinite coordinate (cameras
-            write them where they saw nothing) instead of refusing the file.
-        box: xmin, xmax, ymin, ymax, zmin, zmax in the scan's frame [m]: what is read of
-            a room; everything when not given.
+            and z first, or a line that names the columns; colours, normals and
+            intensities are ignored (`ttus_opt.scan.xyz`).
+        unit: Unit of the file's coordinates; by default metres.
+        drop_nan: Leave out points with NaN or infinite coordinates (cameras write them
+            where they saw nothing) instead of refusing the file.
+        box: xmin, xmax, ymin, ymax, zmin, zmax in the scan's frame [m], to crop a room;
+            everything by default.
 
     Returns:
         Points in the scan's frame, shape (n, 3) [m].
 
     Raises:
         FileError: Missing, empty, truncated, of unknown kind, or wrong columns.
-        InputError: An unknown unit, coordinates that are not finite, or an extent
-            that no torso has in this unit; a box without points.
+        InputError: An unknown unit, coordinates that are not finite, an extent that is
+            implausible for a torso, or a box without points.
     """
     if unit is not None and unit not in UNITS:
         raise InputError(f"unit must be one of 'm', 'cm', 'mm', got {unit!r}")
@@ -99,7 +99,7 @@ def _read_points(file: Path) -> Array:
 
 
 def _check_extent(file: Path, extent: float, unit: Unit | None) -> None:
-    """Refuse an extent [the file's unit] that no torso has."""
+    """Refuse an extent [the file's unit] that is implausible for a torso."""
     least, largest = EXTENT_LIMITS
     assumed = unit or "m"
     if least <= extent * UNITS[assumed] <= largest:
@@ -107,10 +107,9 @@ def _check_extent(file: Path, extent: float, unit: Unit | None) -> None:
     better = [
         name for name, scale in UNITS.items() if least <= extent * scale <= largest
     ]
-    names = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
     if better:
-        guess = better[-1]
-        advice = f"are these {names[guess]}? pass unit='{guess}'"
+        names = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
+        advice = f"are these {names[better[-1]]}? pass unit='{better[-1]}'"
     else:
         advice = (
             f"a torso has {least:g} to {largest:g} m: check its unit, or crop a room "
@@ -133,7 +132,7 @@ def _read_ply(file: Path) -> Array:
     for line in head.split(b"end_header")[0].splitlines():
         words = line.split()
         if words[:2] == [b"element", b"vertex"] and len(words) == 3:
-            # a number of more digits than any file has bytes is no number
+            # no file has that many bytes
             announced = int(words[2]) if re.fullmatch(rb"\d{1,15}", words[2]) else 0
     if announced == 0:
         raise FileError(f"{file} announces no vertices: record or export it again")
@@ -157,15 +156,7 @@ def _read_ply(file: Path) -> Array:
 
 
 def _read_npy(file: Path) -> Array:
-    try:
-        # mapped: a header that announces more than the file holds allocates nothing
-        values = np.lib.format.open_memmap(file, mode="r")
-        points = np.array(values, dtype=np.float64)
-    except Exception as error:  # numpy raises nearly every class on damaged headers
-        raise FileError(
-            f"{file} does not read as a NPY array of numbers ({type(error).__name__}): "
-            "truncated or damaged? save it again"
-        ) from error
+    points = io.read_npy(file).astype(np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         hint = "transposed?" if points.shape[:1] == (3,) else "save x, y, z columns"
         raise FileError(f"{file}: points must be (n, 3), got {points.shape}: {hint}")

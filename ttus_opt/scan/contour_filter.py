@@ -1,28 +1,27 @@
 """The contour of a section: a Kalman filter over the angle (paper, eqs. 1-5).
 
 The state is the radius d and its slope g = dd/dθ, an integrated Ornstein-Uhlenbeck
-process: a smooth contour whose slope forgets itself over `slope_angle`, so that a
-long unseen stretch drifts to a level and not away. The measurement is the
-probabilistic data association of the candidates r_i of a spoke,
+process: a smooth contour whose slope is correlated over `slope_angle`, so that the
+radius levels off over a long unseen stretch. The measurement is the probabilistic data
+association of the candidates r_i of a spoke,
 
     β_i ∝ Normal(r_i; d̂, S) · D_i,   y = Σ β_i r_i.
 
-Three departures from the paper. r_i stands where it prints y in y's own definition. S
-is the variance of the innovation r_i - d̂, as data association needs it: that of the
-prediction and that of a point, S = P + σ². And D, which makes a far surface (the bed)
-unlikely, is one number per *surface*: candidates closer than `_SAME_SURFACE` σ to the
-next belong together and share the D of their mean. D then chooses between surfaces
-but not among the noisy points of one, where it would favour the near ones and pull
-the contour inwards by 2hσ²/(h² + σ²).
+Three departures from the paper. r_i replaces the y that it prints in y's own
+definition. S is the variance of the innovation r_i - d̂, S = P + σ², the sum of those of
+the prediction and of a point. And D, which makes a far surface (the bed) unlikely, is
+one number per *surface*: candidates closer than `_SAME_SURFACE` σ to the next belong
+together and share the D of their mean. D then chooses between surfaces but not among
+the noisy points of one, where it would favour the near points and pull the contour
+inwards by 2hσ²/(h² + σ²).
 
-Where points have a deviation of their own (a depth camera's noise model), σ² is that of
-each, and what the contour's slope adds on the way from the spoke to the point,
-σ_i² + (slope_std · offset_i)²; a surface's points are then weighed by 1/σ² as well.
+Where points have standard deviations of their own (a depth camera's noise model), each
+has σ² = σ_i² + (slope_std · offset_i)², with the second term for the contour's slope
+between spoke and point; points of a surface are then also weighted by 1/σ².
 
-All slices are filtered at once. Two laps close the contour; a Rauch-Tung-Striebel
-pass backwards uses what comes after a spoke as well as what comes before, and the
-candidates are then weighed again around that smoothed contour, which removes the lag
-that weighing around a prediction has.
+All slices are filtered at once. Two laps close the contour. A Rauch-Tung-Striebel
+smoother runs backwards, and the candidates are weighted again around the smoothed
+contour, which removes the lag of weighting around a prediction.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.scan.candidates import Candidates
 
-_GATE = 4.0  # candidates further than this many deviations do not belong
+_GATE = 4.0  # candidates more deviations away than this are ignored
 _SAME_SURFACE = 4.0  # gap between two surfaces, in depth deviations
 _JUMP = 0.015  # deviation added per spoke whose candidates are all outside [m]
 _N_REWEIGHT = 2  # rounds of weighing around the smoothed contour
@@ -45,13 +44,13 @@ _N_REWEIGHT = 2  # rounds of weighing around the smoothed contour
 
 @dataclass(frozen=True)
 class ContourModel:
-    """What the filter assumes.
+    """Assumptions of the filter.
 
     Attributes:
         depth_noise: Standard deviation σ of a point's radius, where the points have
             none of their own [m].
         slope_std: Standard deviation of the contour's slope dr/dθ [m/rad].
-        slope_angle: Angle over which the slope forgets itself [rad].
+        slope_angle: Correlation angle of the slope [rad].
     """
 
     depth_noise: float = 0.003
@@ -70,7 +69,7 @@ class ContourModel:
 
         The process dd = g dθ, dg = -g dθ/ℓ + s √(2/ℓ) dW with slope_angle ℓ and
         slope_std s, integrated over the step: s is the slope's stationary deviation
-        however many spokes there are.
+        for any number of spokes.
 
         Args:
             step: Angle between two spokes [rad].
@@ -126,7 +125,7 @@ class _Measurement:
 def associate(
     radius: Array, predicted: Array, variance: Array, depth_noise: float | Array
 ) -> _Measurement:
-    """Weigh candidates around a prediction (eqs. 3-5, D per surface).
+    """Weight candidates around a prediction (eqs. 3-5, D per surface).
 
     Args:
         radius: Candidates sorted along the last axis, padded with inf, (…, m) [m].
@@ -191,7 +190,7 @@ def _far_weight(
     mean = np.bincount(key, counted * values.reshape(-1), values.size)
     mean = (mean / np.maximum(size, 1.0))[key].reshape(values.shape)
     low = np.where(within, mean, np.inf).min(axis=1, keepdims=True)
-    # Half a gap further than the farthest surface: unlikely, not impossible.
+    # Half a gap beyond the farthest surface: its weight is small but not zero.
     room = gap[rows] if isinstance(gap, np.ndarray) else gap
     high = np.where(within, mean, -np.inf).max(axis=1, keepdims=True) + room / 2
     D[rows] = (1.0 - (mean - low) / (high - low)) ** 2
@@ -199,15 +198,7 @@ def _far_weight(
 
 
 def follow(candidates: Candidates, model: ContourModel) -> Contour:
-    """Filter all sections over the angle.
-
-    Args:
-        candidates: Radii near the spokes.
-        model: What the filter assumes.
-
-    Returns:
-        The contours.
-    """
+    """Contours of all sections, filtered over the angle."""
     radius, noise = candidates.radius, _noise(candidates, model)
     prior = _prior_radius(radius)
     jump = np.zeros(radius.shape[:2])
@@ -238,7 +229,7 @@ def _prior_radius(radius: Array) -> Array:
 
 @dataclass(frozen=True)
 class _Lap:
-    """What every lap begins with; ``jump`` (n_theta, n_z) is filled by the first."""
+    """Input of every lap; ``jump`` (n_theta, n_z) is filled by the first."""
 
     radius: Array
     noise: float | Array

@@ -1,8 +1,8 @@
 """From a scan to a surface: sections, contour filter, filling.
 
-The steps: leave the supporting plane out, cut the body in slices, collect the points
-near the spokes (`ttus_opt.scan.candidates`), follow the contour over the angle
-(`ttus_opt.scan.contour_filter`, eqs. 1-5), fill what no camera saw
+The steps: remove the supporting plane, cut the body into slices, collect the points
+near the spokes (`ttus_opt.scan.candidates`), filter the contour over the angle
+(`ttus_opt.scan.contour_filter`, eqs. 1-5), fill the unseen part
 (`ttus_opt.scan.fill`).
 """
 
@@ -26,7 +26,7 @@ SPOKE_DISTANCE = 0.004
 
 _LARGEST_RADIUS = 0.5  # of a body [m]
 _LEAST_POINTS = 100
-_LEAST_OBSERVED = 0.05  # share of nodes below which nothing was really seen
+_LEAST_OBSERVED = 0.05  # least fraction of observed nodes
 
 
 def extract_surface(  # noqa: PLR0913  public, all but two by name
@@ -50,23 +50,23 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
         n_theta: Number of spokes over the full turn.
         n_z: Number of slices.
         z_range: First and last height in the patient frame [m]; by default the
-            longest stretch whose sections show the body's side (no cut ends).
-        spoke_distance: Points up to this far from a spoke are its candidates [m].
-        slice_distance: Points up to this far from a slice belong to it [m]; by
-            default half the distance of the slices, from 3 to 6 mm.
-        model: Depth noise and smoothness the filter assumes.
-        support: The plane the body lies on, in the scan's frame, whose points are left
-            out; "find" for the one the frame knows (`Axis.support`), looked for where
-            it knows of none yet; None when the scan has none.
-        point_std: Standard deviation of every point, shape (n,) [m], as a depth
-            camera's noise model gives it (`ttus_opt.sensors.depth`); without, the
-            model's ``depth_noise`` is that of all.
+            longest range whose sections show the body's side (no cut ends).
+        spoke_distance: Largest distance of candidates from their spoke [m].
+        slice_distance: Largest distance of points from their slice [m]; by default
+            half the distance between slices, from 3 to 6 mm.
+        model: Depth noise and smoothness that the filter assumes.
+        support: The supporting plane, in the scan's frame, whose points are left out;
+            "find" to take `Axis.support`, or to search for it where that is unknown;
+            None when the scan has none.
+        point_std: Standard deviation of every point, shape (n,) [m], as from a depth
+            camera's noise model (`ttus_opt.sensors.depth`); by default the model's
+            ``depth_noise``.
 
     Returns:
-        The surface: closed, with its deviation, marked where it was observed.
+        The closed surface, with standard deviations and a mask of observed nodes.
 
     Raises:
-        InputError: Counts, distances, deviations or a cloud that cannot be used.
+        InputError: Invalid counts, distances, deviations or cloud.
         GeometryError: The cloud never meets the axis or shows no body around it.
     """
     _check(cloud, n_theta, n_z, spoke_distance, slice_distance)
@@ -91,19 +91,19 @@ def followed(
     model: ContourModel | None = None,
     point_std: Array | None = None,
 ) -> Contour:
-    """The contours of a scan on a given grid, however little of it the scan shows.
+    """The contours of a scan on a given grid, also where it shows little of it.
 
     Args:
         cloud: Scan, shape (n, 3) [m].
         axis: The patient frame in the scan.
-        plane: The plane the body lies on; None when there is none.
+        plane: The supporting plane; None when there is none.
         theta: Angles from 0, equally spaced, shape (n_theta,) [rad].
         z: Heights, equally spaced, shape (n_z,) [m].
-        model: Depth noise and smoothness the filter assumes.
+        model: Depth noise and smoothness that the filter assumes.
         point_std: Standard deviation of every point, shape (n,) [m].
 
     Raises:
-        InputError: Deviations or a cloud that cannot be used.
+        InputError: Invalid deviations or cloud.
         GeometryError: The cloud never meets the axis.
     """
     _check(cloud, len(theta), len(z), SPOKE_DISTANCE, None)
@@ -120,7 +120,7 @@ def _contours(
     reach: tuple[float, float | None],
     model: ContourModel | None,
 ) -> Contour:
-    """Follow body points (patient frame); ``reach`` off a spoke and a slice [m]."""
+    """Contours of body points; ``reach`` is the distance from spoke and slice [m]."""
     spoke, of_slice = reach
     by_default = float(np.clip((z[1] - z[0]) / 2, 0.003, 0.006))
     candidates = collect(
@@ -141,7 +141,7 @@ def filled_surface(
     axis: Axis,
     plane: SupportingPlane | None,
 ) -> Surface:
-    """A surface of contours, what was not seen filled smoothly."""
+    """A surface from contours, with the unseen part filled smoothly."""
     filled = fill_smoothly(
         contour.radius,
         contour.variance,
@@ -208,7 +208,7 @@ def _check_std(point_std: Array | None, n: int) -> None:
 def _body_points(
     cloud: Array, std: Array | None, axis: Axis, plane: SupportingPlane | None
 ) -> tuple[Array, Array | None]:
-    """Points without support and strays, patient frame, and their deviations [m]."""
+    """Points without support and outliers, patient frame, and their deviations [m]."""
     index = np.arange(len(cloud)) if plane is None else plane.above(cloud).nonzero()[0]
     points = axis.to_patient(cloud[index])
     near = np.hypot(points[:, 0], points[:, 1]) < _LARGEST_RADIUS

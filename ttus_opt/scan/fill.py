@@ -1,12 +1,12 @@
-"""The unseen part of a surface: the smoothest one through what was seen.
+"""The unseen part of a surface, filled smoothly.
 
-A thin plate on an elastic bed over the unrolled surface (periodic in θ, free at both
-ends), for the difference u between the radius and an ellipse-like outline of the body
-(`ttus_opt.scan.outline`): least Σ (u − u_seen)²/variance + (∫ bending + u²/ℓ⁴)/c². Near
-what was seen it continues smoothly; ℓ further on it is the outline. Where a supporting
-plane is known the surface cannot be behind it: the unseen part is held at the plane
-where the plate would pass through it. What was seen is smoothed by the plate too,
-within its own deviation.
+The difference u between the radius and an ellipse-like outline of the body
+(`ttus_opt.scan.outline`) is a thin plate on an elastic foundation over the unrolled
+surface, periodic in θ and free at both ends: it minimises
+Σ (u − u_seen)²/variance + (∫ bending + u²/ℓ⁴)/c². It continues the seen part smoothly
+and returns to the outline over the length ℓ. The surface cannot lie behind a supporting
+plane: where the plate would pass through it, the unseen part is held at the plane. The
+plate also smooths the seen part, within its standard deviation.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from ttus_opt.scan.outline import outline
 
 #: Scale c of the plate's curvature, as the deviation of white noise [1/m · m].
 CURVATURE = 0.4
-#: Distance ℓ over which the plate returns to the outline [m].
+#: Length ℓ over which the plate returns to the outline [m].
 RETURN_LENGTH = 0.03
-#: Growth of the unseen radius' deviation with the distance from what was seen [–].
+#: Growth of the unseen radius' deviation with the distance from the seen part [–].
 GROWTH = 0.15
 _LEAST_RADIUS = 0.02  # [m]
 _HELD_STD = 0.002  # of a radius held at the supporting plane [m]
@@ -52,7 +52,7 @@ def fill_smoothly(
     z_step: float,
     limit: Array | None = None,
 ) -> Filled:
-    """Fill what was not observed.
+    """Fill the unobserved part.
 
     Args:
         radius: Radii, meaningful where observed, shape (n_theta, n_z) [m].
@@ -62,7 +62,7 @@ def fill_smoothly(
         limit: Largest possible radius (the support), same shape; inf for none [m].
 
     Returns:
-        Radius everywhere; its deviation grows with the distance from what was seen.
+        Radius everywhere; its deviation grows with the distance from the seen part.
     """
     shape = radius.shape
     arc = float(np.median(radius[observed])) * 2.0 * np.pi / shape[0]

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
+from ttus_opt.probe.rigid_motion import homogeneous, inverse
 from ttus_opt.scan.frame_estimate import Lying, estimate_frame
 from ttus_opt.scan.supporting_plane import SupportingPlane, find_supporting_plane
 
@@ -79,20 +80,19 @@ class Axis:
         """Estimate the patient frame from a scan (`ttus_opt.scan.frame_estimate`).
 
         x points to the patient's right, y to the front, z to the head, and the origin
-        is inside the body. The front is away from the plane the body lies on, the head
-        where the trunk is deeper (`ttus_opt.scan.body_sides`). The plane is kept in
+        is inside the body. The front is away from the supporting plane, the head at the
+        deeper end of the trunk (`ttus_opt.scan.body_sides`). The plane is kept in
         ``support``.
 
         Args:
             cloud: Scan, shape (n, 3) [m].
             head: Direction to the head in the scan, shape (3,); guessed when not given.
-            flip: The head is at the end opposite to the one that would be found.
+            flip: Take the opposite end for the head.
             prone: The patient lies on the front.
             rng: Draws trial planes; a fixed seed when not given.
 
         Returns:
-            The frame. Where the scan hardly tells head from feet a `TtusWarning` says
-            so.
+            The frame. A `TtusWarning` says if head and feet are hardly distinguishable.
 
         Raises:
             InputError: The cloud is not (n, 3) or has fewer than 100 points, or a
@@ -103,10 +103,7 @@ class Axis:
         return cls(*estimate_frame(cloud, Lying(towards, flip, prone), rng=rng))
 
     def supporting_plane(self, cloud: Array) -> SupportingPlane | None:
-        """The plane kept in the frame; found in the scan where it is unknown.
-
-        Args:
-            cloud: The scan, shape (n, 3) [m].
+        """The stored plane; where unknown, the one found in the scan (n, 3) [m].
 
         Raises:
             InputError: The cloud is not (n, 3) or has fewer than 100 points.
@@ -118,10 +115,7 @@ class Axis:
     @property
     def scan_to_patient(self) -> Array:
         """The rigid motion x_patient = R x_scan + t, shape (4, 4) [–, m]."""
-        motion = np.eye(4)
-        motion[:3, :3] = self.rotation.T
-        motion[:3, 3] = -self.rotation.T @ self.origin
-        return motion
+        return inverse(homogeneous(self.rotation, self.origin))
 
     def to_patient(self, points: Array) -> Array:
         """Scan points (n, 3) [m] in the patient frame, shape (n, 3) [m]."""
@@ -143,7 +137,7 @@ class Axis:
         """Read what `attributes` wrote; the identity where a file has none.
 
         Raises:
-            InputError: One of the two is missing, or is no array of numbers.
+            InputError: One of the two is missing, or not an array of numbers.
         """
         if not {"axis_origin", "axis_rotation"} & set(attributes):
             return cls.identity()
@@ -154,7 +148,7 @@ class Axis:
 
 
 def _json_numbers(attributes: Mapping[str, Any], name: str) -> Array:
-    """An attribute's array; InputError where it is none."""
+    """An attribute's array; `InputError` where it is not one."""
     given = attributes.get(name)
     try:
         if isinstance(given, str):

@@ -8,11 +8,11 @@ upper half was seen. Without one, z comes from the surface normals alone, the or
 the centre of the circle that fits the cross-section best, and y points to the side
 that was seen or, on a body seen all around, along the shorter diameter.
 
-z is the direction the body's sides run along: surface normals stand across it, so
-the sum of (n·z)² is least. The squares are cut off, because the ends of a torso (a
-shoulder, a cut) face along z and would otherwise outvote its sides; a second term
-prefers the direction in which the body is long. Which of its ends is the head, and
-which side the front where no support says so, is found in `ttus_opt.scan.body_sides`.
+z is the direction along the body's sides: surface normals are perpendicular to it, so
+it minimises the sum of (n·z)². The squares are clipped, because the ends of a torso (a
+shoulder, a cut) face along z and would outvote the sides; a second term prefers the
+direction in which the body is long. `ttus_opt.scan.body_sides` finds which end is the
+head and, without a support, which side is the front.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from ttus_opt.scan.supporting_plane import (
     find_supporting_plane,
 )
 
-_CELL = 0.012  # edge of the cells that even out the density of points [m]
-_CUT = 0.25  # (n·z)² beyond which a normal counts no more, 60° from the axis
+_CELL = 0.012  # edge of the cells that equalise the density of points [m]
+_CUT = 0.25  # (n·z)² is clipped here, at 60° from the axis
 #: Weight of the ratio of variances (longest/along) beside the mean cut (n·z)².
 _LENGTH_WEIGHT = 0.05
 _NEARBY = np.cos(np.radians(20.0))
@@ -64,7 +64,7 @@ class Lying:
 
     Attributes:
         head: Direction to the head in the scan, shape (3,); None to find it.
-        flip: The head is at the end opposite to the one that would be found.
+        flip: Take the opposite end for the head.
         prone: The patient lies on the front.
     """
 
@@ -84,7 +84,7 @@ def estimate_frame(
         rng: Draws the trial planes; a fixed seed when not given.
 
     Returns:
-        The frame. Where the scan hardly tells head from feet a `TtusWarning` says so.
+        The frame. A `TtusWarning` says if head and feet are hardly distinguishable.
 
     Raises:
         InputError: The cloud is not (n, 3) or has fewer than 100 points, or a
@@ -120,7 +120,7 @@ def estimate_frame(
 
 
 def _thinned(points: Array) -> Array:
-    """Means of the points in cubic cells: density no longer counts."""
+    """Means of the points in cubic cells, so that density does not matter."""
     cell = np.floor((points - points.min(axis=0)) / _CELL).astype(np.int64)
     size = cell.max(axis=0) + 1
     key = (cell[:, 0] * size[1] + cell[:, 1]) * size[2] + cell[:, 2]
@@ -142,7 +142,7 @@ def _normals(points: Array) -> Array:
 
 
 def _along(points: Array, normals: Array, candidates: Array, basis: Array) -> Array:
-    """The direction that fits as the body's long axis, shape (3,).
+    """The direction that fits best as the body's long axis, shape (3,).
 
     Args:
         points: Shape (n, 3) [m].
@@ -153,11 +153,11 @@ def _along(points: Array, normals: Array, candidates: Array, basis: Array) -> Ar
     facing = np.minimum((normals @ candidates.T) ** 2, _CUT).mean(axis=0)
     spread = (points @ candidates.T).var(axis=0)
     coarse = candidates[np.argmin(facing + _LENGTH_WEIGHT * spread.max() / spread)]
-    # The outline decides which way the body lies, its sides how exactly.
+    # The outline gives the coarse direction, the sides the exact one.
     nearby = np.abs(candidates @ coarse) > _NEARBY
     z = candidates[np.argmin(np.where(nearby, facing, np.inf))]
-    # From there the least squares of the normals within the cut, until those stay the
-    # same: the minimum itself, wherever the candidates stand.
+    # Refine by least squares over the unclipped normals until their set is constant, so
+    # that the minimum does not depend on the candidates.
     within = np.zeros(len(normals), dtype=bool)
     for _ in range(_STEPS):
         before, within = within, (normals @ z) ** 2 < _CUT
@@ -170,7 +170,7 @@ def _along(points: Array, normals: Array, candidates: Array, basis: Array) -> Ar
 
 
 class _Lengthwise(NamedTuple):
-    """A frame whose z may be turned round; `upward` points away from the support."""
+    """A frame whose z may be reversed; `upward` points away from the support."""
 
     origin: Array
     upward: Array

@@ -1,10 +1,10 @@
-"""The ellipse-like outline that stands in for what no camera saw of a body.
+"""The ellipse-like outline that replaces the unseen part of a body.
 
-One conic per height, q₁x² + q₂xy + q₃y² + q₄x + q₅y = 1 with coefficients linear in
-z, in least squares over everything that is known: the radii that were seen; where a
-supporting plane is known, that the body touches it; and, weakly, that an unseen
-spoke is about as long as the one opposite. The last keeps the conic an ellipse when
-little was seen.
+One conic per height, q₁x² + q₂xy + q₃y² + q₄x + q₅y = 1 with coefficients linear in z,
+fitted by least squares to three kinds of data: the seen radii; contact with the
+supporting plane, where one is known; and, with a small weight, that an unseen spoke is
+about as long as the opposite one. The last keeps the conic an ellipse when little was
+seen.
 """
 
 from __future__ import annotations

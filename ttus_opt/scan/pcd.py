@@ -26,7 +26,7 @@ MOST_VALUES = 2**16
 
 @dataclass(frozen=True)
 class _Header:
-    """What the text part of a PCD file says."""
+    """The text part of a PCD file."""
 
     fields: tuple[str, ...]
     types: tuple[str, ...]  # numpy codes, little-endian
@@ -69,7 +69,7 @@ def read_pcd(path: Path) -> Array:
 
 
 def _entries(path: Path, raw: bytes) -> tuple[dict[str, list[str]], int]:
-    """Words of the header's lines by their first, and where the data begin."""
+    """Words of the header's lines by the first word, and the offset of the data."""
     entries: dict[str, list[str]] = {}
     start = 0
     while "DATA" not in entries:
@@ -124,7 +124,7 @@ def _read_header(path: Path) -> _Header:
 
 
 def truncated(path: Path, expected: int, found: int) -> FileError:
-    """What to raise for a file that holds fewer points than its header announces."""
+    """The error for a file that holds fewer points than its header announces."""
     return FileError(
         f"{path} is truncated: its header announces {expected} points, it holds "
         f"{found}: record or copy it again"

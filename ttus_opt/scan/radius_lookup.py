@@ -1,9 +1,9 @@
 """The surface's radius R(θ, z) at a place: bilinear, periodic in θ, constant beyond z.
 
-The one lookup of the package: `Surface.radius_at`, the rows of the fit and the haptic
-frame all use it, so that they agree to the last bit on what is inside. It has two
-steps that compiled loops can keep apart: finding the cell is arithmetic only and
-becomes vector instructions; reading its corners is what is left.
+The only lookup of the package: `Surface.radius_at`, the rows of the fit and the haptic
+frame all use it, so that they agree to the last bit on what is inside. Finding the cell
+and interpolating are separate functions, because the first is arithmetic only, which
+compiled loops vectorise.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ttus_opt.compiled import compiled
 
 
 class RadiusLayout(NamedTuple):
-    """Where a surface's nodes lie.
+    """Positions of a surface's nodes.
 
     Attributes:
         theta_0: First angle, in [0, 2π) [rad].
@@ -36,7 +36,7 @@ class RadiusLayout(NamedTuple):
 def radius_cell(
     theta: float, z: float, n_theta: int, n_z: int, layout: RadiusLayout
 ) -> tuple[int, int, float, float]:
-    """The cell of the surface's nodes around a place, without a branch (compiled).
+    """The cell of nodes around a place, without a branch (compiled).
 
     Args:
         theta: Angle in [0, 2π) [rad].
@@ -61,34 +61,20 @@ def radius_cell(
 
 @compiled(inline="always")
 def radius_between(here: int, after: int, a: float, b: float, radius: Array) -> float:
-    """Bilinear radius at a place found by `radius_cell` (compiled).
-
-    Args:
-        here: Flat index of the node before.
-        after: Flat index of the next angle's node.
-        a: Local θ in [0, 1].
-        b: Local z in [0, 1].
-        radius: Of the nodes, flat [m].
-
-    Returns:
-        The radius [m].
-    """
+    """Bilinear radius at a place found by `radius_cell`, nodes flat [m] (compiled)."""
     first: float = (1.0 - b) * radius[here] + b * radius[here + 1]
     second: float = (1.0 - b) * radius[after] + b * radius[after + 1]
     return (1.0 - a) * first + a * second
 
 
 def radii_at(theta: Array, z: Array, radius: Array, layout: RadiusLayout) -> Array:
-    """Radii at places.
+    """Radii at places, shape (n,) [m].
 
     Args:
         theta: Angles in [0, 2π), shape (n,) [rad].
         z: Heights, shape (n,) [m].
         radius: Of the nodes, shape (n_theta, n_z) [m].
         layout: `Surface.kernel_layout`.
-
-    Returns:
-        Shape (n,) [m].
     """
     out = np.empty(theta.size)
     _set_radii(out, theta, z, radius.reshape(-1), radius.shape, layout)
@@ -104,7 +90,7 @@ def _set_radii(
     nodes: tuple[int, int],
     layout: RadiusLayout,
 ) -> None:
-    """`radii_at`, the radii flat (compiled); no array is made here."""
+    """`radii_at` for flat radii (compiled)."""
     for m in range(out.size):
         here, after, a, b = radius_cell(theta[m], z[m], nodes[0], nodes[1], layout)
         out[m] = radius_between(here, after, a, b, radius)

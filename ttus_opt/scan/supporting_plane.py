@@ -1,8 +1,8 @@
-"""The plane a body lies on (table, bed, floor), found in its scan.
+"""The plane on which a body lies (table, bed, floor), found in its scan.
 
-A plane through three points at random, many times (RANSAC); what tells a support
-from a flat part of the body is that everything else stands on one side of it and
-that it reaches beyond the body's outline, wide in both directions.
+Planes through random triples of points (RANSAC). A support differs from a flat part of
+the body in that everything else lies on one side of it, and that it is wide in both
+directions and extends beyond the body's outline.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 
-#: Points this close to the plane may belong to it [m]: tables in depth scans wave.
+#: Points this close to the plane may belong to it [m]: tables in scans are uneven.
 TOLERANCE = 0.010
-#: A support is at least this wide in its narrower direction [m]; the patch in which
-#: a torso (radius of curvature below about 0.3 m) touches a plane is narrower.
+#: Least width of a support in its narrower direction [m]; a torso (radius of curvature
+#: below about 0.3 m) touches a plane over a narrower patch.
 LEAST_WIDTH = 0.17
 _LEAST_SHARE = 0.02  # of all points
 _MOST_BELOW = 0.02  # of all points, further below than the tolerance
@@ -34,7 +34,7 @@ class SupportingPlane:
     Attributes:
         normal: Unit normal towards the body, shape (3,) [–].
         offset: Distance from the scan's origin along the normal [m].
-        thickness: Heights up to this are not told apart from the plane [m].
+        thickness: Points up to this height count as the plane [m].
     """
 
     normal: Array
@@ -53,15 +53,12 @@ class SupportingPlane:
 def find_supporting_plane(
     cloud: Array, *, rng: np.random.Generator | None = None
 ) -> SupportingPlane | None:
-    """Find the plane the body lies on.
+    """The plane on which the body lies, or None when the scan shows none.
 
     Args:
         cloud: Scan, shape (n, 3) [m].
         rng: Draws the trial planes; a fixed seed when not given, so that the same
             scan gives the same plane.
-
-    Returns:
-        The plane, or None when the scan shows none.
 
     Raises:
         InputError: The cloud is not (n, 3) or has fewer than 100 points.
@@ -72,7 +69,7 @@ def find_supporting_plane(
         raise InputError(f"a cloud of {len(cloud)} points is too small: 100 at least")
     rng = rng or np.random.default_rng(0)
     sample = rng.permutation(cloud)[:_N_SAMPLE]
-    for _ in range(_N_ROUNDS):  # a bed that shows little may escape one round
+    for _ in range(_N_ROUNDS):  # one round may miss a bed of which little is seen
         found = _one_round(sample, rng)
         if found is not None:
             return _finish(cloud, *found)
@@ -80,20 +77,20 @@ def find_supporting_plane(
 
 
 def across(direction: Array) -> Array:
-    """Two unit vectors across a unit vector (3,), and each other, shape (2, 3)."""
+    """Two unit vectors orthogonal to a given one (3,) and each other, (2, 3)."""
     first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(direction, first)])
 
 
 def _one_round(sample: Array, rng: np.random.Generator) -> tuple[Array, float] | None:
-    """The best of many trial planes that is a support, if there is one."""
+    """The best trial plane that is a support; None without one."""
     normals, offsets = _trial_planes(sample, rng)
     heights = normals @ sample.T - offsets[:, None]
     below = (heights < -TOLERANCE).mean(axis=1)
     near = (np.abs(heights) < TOLERANCE).mean(axis=1)
     score = np.where((below < 3 * _MOST_BELOW) & (near > _LEAST_SHARE), near, 0.0)
-    # All of them: a body's flank may hold more points than what is seen of the bed.
+    # All are tried: a body's flank may hold more points than the visible bed.
     for best in np.argsort(-score):
         if score[best] == 0:
             return None
@@ -106,8 +103,8 @@ def _one_round(sample: Array, rng: np.random.Generator) -> tuple[Array, float] |
 def _trial_planes(sample: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     """Planes through three points, each in both orientations.
 
-    Three quarters of the triples are neighbours: a bed that shows little is hardly
-    ever met by three points from anywhere.
+    Three quarters of the triples are neighbours: three points from anywhere hardly ever
+    lie on a bed of which little is seen.
     """
     from scipy.spatial import cKDTree
 

@@ -1,10 +1,8 @@
 """The patient's surface as a radius over angle and height, r = R(θ, z).
 
-It is called surface all over the package; "skin" is the tissue that lies there. The
-contour filter (`ttus_opt.scan.extraction`) produces it, the voxmap consumes it, and it
-has a netCDF file. Between nodes the radius is bilinear, periodic in θ; above the last
-and below the first slice it keeps the nearest slice's value
-(`ttus_opt.scan.radius_lookup`).
+The contour filter (`ttus_opt.scan.extraction`) produces it, the voxmap consumes it, and
+it is stored as netCDF. Between nodes the radius is bilinear, periodic in θ; beyond the
+first and last slice it is constant in z (`ttus_opt.scan.radius_lookup`).
 """
 
 from __future__ import annotations
@@ -39,7 +37,7 @@ class Surface:
         radius: Radius R, shape (n_theta, n_z) [m].
         radius_std: Standard deviation of the radius, same shape [m].
         observed: False where no point was seen and the radius was filled in.
-        axis: Where the patient frame lies in the scan.
+        axis: The patient frame in the scan.
     """
 
     theta: Array
@@ -86,7 +84,7 @@ class Surface:
         if not ((self.radius_std >= 0) & (self.radius_std <= LARGEST)).all():
             raise InputError(
                 f"radius_std must lie between 0 and {LARGEST:g} m everywhere: give 0 "
-                "where nothing is known of it"
+                "where it is unknown"
             )
         bad = ~(np.isfinite(self.radius) & (self.radius > 0))
         if bad.any():
@@ -99,15 +97,12 @@ class Surface:
     def from_radius(
         cls, radius: Array, z: Array, *, axis: Axis | None = None
     ) -> Surface:
-        """A surface known exactly, for phantoms and tests.
+        """A surface known exactly: zero deviation, observed everywhere.
 
         Args:
             radius: Shape (n_theta, n_z) [m]; angles start at 0.
             z: Heights, shape (n_z,) [m].
             axis: Patient frame in the scan; the scan's own frame when not given.
-
-        Returns:
-            The surface, with zero deviation, observed everywhere.
         """
         radius = np.asarray(radius, dtype=float)
         if radius.ndim != 2:
@@ -127,7 +122,7 @@ class Surface:
 
     @property
     def kernel_layout(self) -> RadiusLayout:
-        """Where the nodes lie, for compiled kernels."""
+        """Positions of the nodes, for compiled kernels."""
         return RadiusLayout(
             float(self.theta[0] % TURN),
             len(self.theta) / TURN,
@@ -171,7 +166,7 @@ class Surface:
         return card("Surface", self._facts(), sections_svg(sections))
 
     def _facts(self) -> dict[str, str]:
-        """What it is in a few words, by name."""
+        """A short description, by name."""
         low, high = 100 * self.radius.min(), 100 * self.radius.max()
         return {
             "nodes": f"{len(self.theta)} θ × {len(self.z)} z",
@@ -213,9 +208,9 @@ class Surface:
             )
         dataset = dataset.transpose("theta", "z", ...).sortby("theta").sortby("z")
         for name in ("radius", "radius_std", "z"):
-            told = dataset[name].attrs if name in dataset.variables else {}
+            attributes = dataset[name].attrs if name in dataset.variables else {}
             # only the radius must state its unit; none may state another one
-            units = told.get("units", None if name == "radius" else "m")
+            units = attributes.get("units", None if name == "radius" else "m")
             if units != "m":
                 raise FileError(
                     f"{path}: {name} has units {units!r}, expected 'm': convert it and "

@@ -1,49 +1,48 @@
-"""A later scan updates a surface: what is still valid stays.
+"""Update of a surface by a later scan.
 
-The later scan is followed on the earlier surface's own grid and frame. Node by node:
-seen by both and alike, the two are averaged by their variances; seen by both and
-different, the later one holds; seen once, that one holds; never seen, the surface is
-filled anew from all that was seen. Radii are alike when they differ by less than
-three standard deviations of their difference.
+The later scan's contours are found on the earlier surface's grid and frame. At nodes
+seen by both scans, radii that agree are averaged by their variances, otherwise the
+later one replaces the earlier; at nodes seen by one, that radius is used; the unseen
+part is filled anew. Radii agree when they differ by less than three standard deviations
+of their difference.
 """
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.errors import InputError, warn
 from ttus_opt.scan.contour_filter import Contour, ContourModel
 from ttus_opt.scan.extraction import filled_surface, followed
 from ttus_opt.scan.supporting_plane import SupportingPlane
 from ttus_opt.scan.surface import Surface
 
-#: Radii this many deviations apart are of a patient who changed
+#: Largest difference of radii that agree [standard deviations]
 ALIKE = 3.0
 
-#: A median difference beyond this [m], over more than this share of what the earlier
-#: scan saw, is of a patient who lies elsewhere
+#: A larger median difference [m], over more than this fraction of the nodes that the
+#: earlier scan saw, means that the patient has moved
 MOVED, MOVED_SHARE = 0.008, 0.25
 
-#: Least deviation of a known radius [m]
+#: Least standard deviation of a known radius [m]
 LEAST_STD = 1e-4
 
 
 @dataclass(frozen=True)
 class Updated:
-    """An updated surface, and how it came about.
+    """An updated surface, and fractions of its nodes.
 
     Attributes:
-        surface: The surface, on the earlier one's grid and in its frame.
-        kept: Share of the nodes that only the earlier scan saw [–].
-        averaged: Share that both saw alike [–].
-        replaced: Share that both saw and that changed [–].
-        added: Share that only the later scan saw [–].
-        difference: Median of later - earlier where both saw it [m]; NaN where nowhere.
+        surface: On the earlier one's grid and in its frame.
+        kept: Nodes that only the earlier scan saw [–].
+        averaged: Nodes where both scans agree [–].
+        replaced: Nodes that both saw and that changed [–].
+        added: Nodes that only the later scan saw [–].
+        difference: Median of later - earlier where both saw a node [m]; NaN for none.
     """
 
     surface: Surface
@@ -69,14 +68,13 @@ def update_surface(
         cloud: The later scan, in the frame of the earlier one, shape (n, 3) [m].
         point_std: Standard deviation of every point, shape (n,) [m].
         model: Depth noise and smoothness the filter assumes.
-        support: As of `ttus_opt.extract_surface`.
+        support: As in `ttus_opt.extract_surface`.
 
     Returns:
-        The updated surface. A `TtusWarning` says when the patient seems to have moved.
+        The updated surface. A `TtusWarning` says if the patient seems to have moved.
 
     Raises:
-        InputError: A cloud that cannot be used, or a surface whose angles do not begin
-            at 0.
+        InputError: An invalid cloud, or a surface whose angles do not begin at 0.
         GeometryError: The scan never meets the surface's axis.
     """
     if abs(earlier.theta[0]) > 1e-9:
@@ -107,11 +105,9 @@ def update_surface(
     )
     difference = float(np.median(change[both])) if both.any() else float("nan")
     if abs(difference) > MOVED and both.sum() > MOVED_SHARE * earlier.observed.sum():
-        warnings.warn(
+        warn(
             f"the later scan lies {1e3 * difference:+.0f} mm off the earlier one in "
-            "the median: has the patient moved? Extract the surface anew then",
-            TtusWarning,
-            stacklevel=2,
+            "the median: has the patient moved? Extract the surface anew then"
         )
     return Updated(
         filled_surface(merged, earlier.theta, earlier.z, axis, plane),

@@ -1,10 +1,10 @@
-"""Point clouds as text: x y z and what others write beside them.
+"""Point clouds as text: x y z, and further columns.
 
 Cells are separated by commas, semicolons, tabs or blanks. Comment lines (``#``, ``%``,
-``//``), a first line with the number of points (PTS) and a line with the names of the
-columns, itself a comment or not, may stand before the points. Without names the first
-three columns are the coordinates, and what follows must be what clouds usually have:
-an intensity, a colour, a normal, or these together.
+``//``), a line with the number of points (PTS) and a line with the names of the
+columns, itself a comment or not, may precede the points. Without names the first three
+columns are the coordinates, followed by an intensity, a colour, a normal, or several of
+these.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ WIDTHS = (3, 4, 6, 7, 9, 10)
 
 @dataclass(frozen=True)
 class _Line:
-    """A line with something on it, and its number in the file."""
+    """A non-empty line and its number in the file."""
 
     number: int
     text: str
@@ -47,8 +47,8 @@ def read_xyz(file: Path) -> Array:
         Points, shape (n, 3) [the file's unit].
 
     Raises:
-        FileError: No text, no points, columns that cannot be told, or fewer or more
-            points than the file announces.
+        FileError: Not text, no points, ambiguous columns, or another number of points
+            than the file announces.
     """
     try:
         text = file.read_text(encoding="utf-8-sig")
@@ -91,7 +91,7 @@ def read_xyz(file: Path) -> Array:
 
 
 def _preamble(lines: Sequence[_Line]) -> tuple[list[str], int | None, list[_Line]]:
-    """Names of the columns, the number of points that is announced, and the points."""
+    """Names of the columns, the announced number of points, and their lines."""
     names: list[str] = []
     announced: int | None = None
     rows: list[_Line] = []
@@ -112,7 +112,7 @@ def _preamble(lines: Sequence[_Line]) -> tuple[list[str], int | None, list[_Line
 
 
 def _columns(file: Path, names: Sequence[str], width: int) -> list[int]:
-    """Places of x, y and z, or `FileError` where they cannot be told."""
+    """Columns of x, y and z; `FileError` where they are ambiguous."""
     if names:
         if not {"x", "y", "z"} <= set(names):
             raise FileError(
@@ -135,7 +135,7 @@ def _columns(file: Path, names: Sequence[str], width: int) -> list[int]:
 
 
 def _refuse_a_counter(file: Path, points: Array) -> None:
-    """The first of unnamed columns may count the points, as tables do."""
+    """Refuse unnamed columns whose first counts the points, as in some tables."""
     first = points[:, 0]
     if len(first) > 2 and (np.diff(first) == 1.0).all():
         raise FileError(
@@ -151,7 +151,7 @@ def _words(text: str) -> list[str]:
 
 
 def _separator(text: str) -> str | None:
-    """What stands between cells; None for blanks and tabs."""
+    """The separator of a line; None for blanks and tabs."""
     return next((mark for mark in (",", ";") if mark in text), None)
 
 

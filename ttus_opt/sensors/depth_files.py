@@ -77,32 +77,13 @@ def read_depth(path: str | os.PathLike[str], unit: str | None = None) -> Array:
 def _read(file: Path) -> NDArray[Any]:
     suffix = file.suffix.lower()
     if suffix == ".npy":
-        return read_array(file)
+        return io.read_npy(file)
     if suffix not in SUFFIXES:
         raise FileError(
             f"{file} has the suffix {suffix!r}, expected one of {', '.join(SUFFIXES)}: "
             "export the depth image as one of these"
         )
     return _decoded(file)
-
-
-def read_array(file: Path) -> NDArray[Any]:
-    """An array of numbers from NPY.
-
-    Raises:
-        FileError: Damaged, or not numbers.
-    """
-    try:
-        # mapped: a header that announces more than the file holds allocates nothing
-        values = np.lib.format.open_memmap(file, mode="r")
-    except Exception as error:  # numpy raises nearly every class on damaged headers
-        raise FileError(
-            f"{file} does not read as a NPY array ({type(error).__name__}): truncated "
-            "or damaged? save it again"
-        ) from error
-    if values.dtype.kind not in "iuf":
-        raise FileError(f"{file} holds {values.dtype}, expected numbers: save it again")
-    return np.array(values)
 
 
 def _decoded(file: Path) -> NDArray[Any]:

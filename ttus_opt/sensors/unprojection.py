@@ -15,7 +15,6 @@ import numpy as np
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError, located
-from ttus_opt.sensors.depth_files import read_array
 from ttus_opt.sensors.intrinsics import Intrinsics
 
 #: Largest error of a ray after distorting again [pixel]
@@ -109,7 +108,7 @@ def read_unprojection(path: str | os.PathLike[str]) -> Unprojection:
     file = io.existing_file(path, "unprojection table")
     if file.suffix.lower() != ".npy":
         raise FileError(f"{file}: an unprojection table is a NPY array: save it so")
-    values = read_array(file)
+    values = io.read_npy(file)
     if values.ndim != 3 or values.shape[2] not in (2, 3):
         raise FileError(
             f"{file}: an unprojection table is (height, width, 3) or (height, width, "

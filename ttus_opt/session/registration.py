@@ -14,7 +14,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.probe.rigid_motion import inverse
+from ttus_opt.probe.rigid_motion import composed, inverse
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 from ttus_opt.sensors.hand_eye import HandEye, hand_eye, read_pose_pairs
@@ -56,10 +56,7 @@ class Registration:
 
     def rotation_to_patient(self, frame: str) -> Array:
         """Rotation from a frame to the patient's, shape (3, 3); errors as above."""
-        turn = np.eye(3)
-        for motion in self.to_patient(frame):
-            turn = motion[:3, :3] @ turn
-        return turn
+        return composed(self.to_patient(frame))[:3, :3]
 
     def facts(self) -> dict[str, Any]:
         """The motions by name, with units, for JSON."""

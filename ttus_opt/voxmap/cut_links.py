@@ -1,16 +1,16 @@
 """Links of voxels to the surface layer, and where the surface cuts them.
 
 With φ = (R − r)/Δr at every voxel, positive inside, the field is about proportional to
-φ near the surface. So a link from a free voxel a to a voxel b of the surface layer
-meets the value of the surface at the part φ_a/(φ_a − φ_b) of its way, and conducts
+φ near the surface. A link from a free voxel a to a voxel b of the surface layer meets
+the surface after the fraction φ_a/(φ_a − φ_b) of its length, and so conducts
 
     1 − φ_b/φ_a
 
-times what it conducts to a value at b itself: ghost values, eliminated (F. Gibou,
-R. Fedkiw, L.-T. Cheng, M. Kang, J. Comput. Phys. 176, 2002, 205-227). The voxels of the
-layer being the nearest to the surface, |φ_a| > ½: along r a link is ½ to 1½ steps long
-and no factor is large, however near to the surface a centre lies. Second order in the
-field, and as the factor belongs to the link, the operator stays symmetric.
+times as much as to a value at b: eliminated ghost values (F. Gibou, R. Fedkiw, L.-T.
+Cheng, M. Kang, J. Comput. Phys. 176, 2002, 205-227). The layer's voxels are the nearest
+to the surface, so |φ_a| > ½: along r a link is ½ to 1½ steps long and no factor is
+large. The field is second order, and since the factor belongs to the link, the operator
+stays symmetric.
 
 Links to the wall of a sector have the factor 0: nothing flows through its sides.
 """
@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 
-#: |φ_a| is taken for this much at least [–]. Where a region is that of its surface it
-#: is above ½ and nothing changes. A decoded field has the sender's region beside a
-#: rounded surface: both ends predict with the same links, and what the prediction
-#: lacks is sent. A scene over such a voxmap warns (`CutLinks.misplaced`)
+#: Lower limit of |φ_a| [–]. It is above ½ where regions follow from the surface. A
+#: decoded field has the sender's regions with a rounded surface: both ends predict with
+#: the same links, and the remainder is sent. A scene on such a voxmap warns
+#: (`CutLinks.misplaced`)
 LEAST_DEPTH = 0.25
 
 
@@ -39,9 +39,8 @@ class CutLinks:
         voxels: Flat indices of a, shape (k,).
         neighbours: Flat indices of b, shape (k,).
         axes: 0, 1 or 2 for a link along r, θ or z, shape (k,).
-        factors: What multiplies the link's conductance, not negative, shape (k,) [–].
-        misplaced: Links whose free voxel lies nearer to the surface than any does where
-            the region is that of the surface.
+        factors: Factor of the link's conductance, not negative, shape (k,) [–].
+        misplaced: Number of links whose |φ_a| is below `LEAST_DEPTH`.
     """
 
     voxels: IntArray = field(repr=False)
@@ -60,13 +59,13 @@ class CutLinks:
     def of(
         cls, region: NDArray[np.int8], place: Array, wall: int | None = None
     ) -> CutLinks:
-        """Find the links around a surface layer, those between Dirichlet voxels too.
+        """Find the links around a surface layer, including those to Dirichlet voxels.
 
         Args:
             region: Above, at and below zero inside, on and outside the surface layer,
                 shape (n_r, n_theta, n_z).
             place: Of the surface, (R − r_inner)/Δr, shape (n_theta, n_z) [layers].
-            wall: Spoke through whose links nothing flows; it is in the layer.
+            wall: Spoke of the layer through whose links nothing flows.
         """
         shape = region.shape
         layer = np.nonzero(region == 0)
@@ -86,7 +85,7 @@ class CutLinks:
                 side = np.sign(region[a])
                 misplaced += int((side * own < LEAST_DEPTH).sum())
                 own = side * np.maximum(side * own, LEAST_DEPTH)
-                # outside a wall may lean over: then nothing flows
+                # outside, a steep surface may give a negative factor: nothing flows
                 factor = np.maximum(1.0 - other / own, 0.0)
                 factor[b[1] == wall] = 0.0
                 links = (

@@ -1,25 +1,25 @@
-"""What a shell point samples of the field: the place at its own depth.
+"""How a shell point samples the field: at its own depth on the neighbouring spokes.
 
 A point at (r, θ, z) lies d = R(θ, z) − r below the surface. On a spoke (θ_j, z_k) of
-the grid the place at that depth is ρ = R_jk − d. The layer nearest to R_jk holds the
-surface; a is the layer below it, the outermost one that is sampled. Along the spoke
+the grid the same depth is at ρ = R_jk − d. The layer nearest to R_jk holds the surface;
+a is the layer below it, the outermost one that is sampled. Along the spoke
 
     p(ρ) = linear between the layers          r_inner ≤ ρ ≤ r_a
     p(ρ) = p_a · d / (R_jk − r_a)             r_a ≤ ρ ≤ R_jk
     p(ρ) = p of the inner layer               ρ < r_inner
 
 - ``trilinear``: bilinear between the four spokes of the point's (θ, z) cell. It is
-  continuous in the pose, 0 at the surface, and nowhere negative where the field inside
-  is not; R_jk − r_a is half a radial step to one and a half.
+  continuous in the pose, 0 at the surface, and not negative where the field inside is
+  not; R_jk − r_a is half a radial step to one and a half.
 - ``voxel-mean`` (the paper): the nearest voxel. A point that has not passed the inner
   face of the surface layer, by radius and by depth on its spoke, samples nothing: the
-  paper ignores values below zero, and the surface layer's own value is 0. Force starts
-  from 0 at first touch; where a point crosses a voxel's face it jumps, as in the paper.
-  Beyond r_inner all points on a spoke share the inner layer's voxel, and its means.
+  paper ignores negative values, and the surface layer's value is 0. Force starts from 0
+  at first touch and jumps where a point crosses a voxel's face, as in the paper. Below
+  r_inner all points on a spoke share the inner layer's voxel and its means.
 
-In both, nothing outside or on the surface layer is sampled, so that touch cannot pull
-where the field inside is positive. Linear in p. The rows of the fit
-(`ttus_opt.contact.rows`) and the haptic frame (`ttus_opt.haptic.frame`) sample by these
+In both, nothing on or outside the surface layer is sampled, so that contact cannot pull
+where the field inside is positive. Both are linear in p. The rows of the fit
+(`ttus_opt.contact.rows`) and the haptic frame (`ttus_opt.haptic.frame`) share these
 functions.
 """
 
@@ -35,10 +35,7 @@ from ttus_opt.voxmap.voxmap import Voxmap, surface_layer
 
 
 def spoke_table(voxmap: Voxmap) -> Array:
-    """The surface on every spoke of the grid, from grid and surface alone.
-
-    Args:
-        voxmap: Grid and surface.
+    """The surface on every spoke of the grid.
 
     Returns:
         Per spoke, in C order of (j, k): the surface's place, (R_jk − r_inner)/Δr; the
@@ -71,7 +68,7 @@ def spoke_cell(
 def on_spoke(
     depth: float, place: float, outermost: float, slope: float
 ) -> tuple[int, float, float]:
-    """Where along a spoke a depth lies; lengths in radial steps (compiled).
+    """Layers and weights of a depth on a spoke; lengths in radial steps (compiled).
 
     Args:
         depth: d / Δr.
@@ -80,9 +77,9 @@ def on_spoke(
         slope: 1 / (place − outermost).
 
     Returns:
-        A layer, its share, and the share of the next one outwards.
+        A layer, its weight, and the weight of the next one outwards.
     """
-    reached = min(depth, place)  # the inner layer's value goes on beyond it
+    reached = min(depth, place)  # constant below the inner layer
     u = place - reached
     i = min(np.floor(u), outermost)
     last = u >= outermost
@@ -103,7 +100,7 @@ def nearest_voxel(
     shape: NDArray[np.int64],
     spokes: Array,
 ) -> tuple[int, bool]:
-    """Flat index of the voxel a point lies in, and whether it samples it (compiled)."""
+    """Flat index of a point's voxel, and whether the point samples it (compiled)."""
     i = max(int((r - limits.r_inner) * limits.per_r + 0.5), 0)
     j = int(spoke_place(theta, limits) + 0.5)
     if j >= shape[1]:
@@ -124,7 +121,7 @@ def corner_sample(
     spokes: Array,
     counts: tuple[int, int],
 ) -> tuple[int, float, float]:
-    """What a place samples of one of the four spokes around it (compiled).
+    """Sample on one of the four spokes around a place (compiled).
 
     Args:
         corner: 0 to 3: twice the next angle, once the next slice.
@@ -134,7 +131,7 @@ def corner_sample(
         counts: n_theta and n_z.
 
     Returns:
-        A voxel's flat index, its share, and the share of the next one outwards.
+        A voxel's flat index, its weight, and the weight of the next one outwards.
     """
     j, j_next, k, v, w = cell
     cj, ck = corner >> 1, corner & 1
@@ -155,7 +152,7 @@ def spoke_samples(
     voxels: NDArray[np.int64],
     shares: Array,
 ) -> int:
-    """Voxels and shares of one point, trilinear (compiled).
+    """Voxels and weights of one point, trilinear (compiled).
 
     Args:
         theta: Angle in [0, 2π) [rad].
@@ -165,10 +162,10 @@ def spoke_samples(
         shape: Voxel counts, shape (3,).
         spokes: `spoke_table`.
         voxels: Out: flat indices, shape (8,).
-        shares: Out: their shares, shape (8,).
+        shares: Out: their weights, shape (8,).
 
     Returns:
-        How many there are.
+        Number of voxels.
     """
     counts = (shape[1], shape[2])
     cell = spoke_cell(theta, z, limits, counts[0], counts[1])

@@ -1,9 +1,9 @@
-"""How sure a press is, as a map over the skin that a frame looks up.
+"""Relative uncertainty of the force of a press, as a map over the surface.
 
-The map holds, for places θ and z, the standard deviation of the force of one press over
-that force. A frame's standard deviation is the map's value under the probe, bilinear
-between places, times the frame's force. That takes doubt for proportional to force and
-for the same in all orientations; `ttus_opt.fitting.doubt` takes neither for granted.
+For places θ and z, the map holds the standard deviation of a press's force over that
+force. A frame's standard deviation is the map's value under the probe, bilinear between
+places, times the frame's force. This assumes that uncertainty is proportional to force
+and independent of orientation; `ttus_opt.fitting.doubt` assumes neither.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 #: Variable of a field file, and its dimensions
 VARIABLE, DIMS = "doubt", ("doubt_theta", "doubt_z")
 
-#: Steps are equal up to this [rad, m]
+#: Tolerance of equal steps [rad, m]
 STEP = 1e-6
 
 
@@ -64,7 +64,7 @@ class DoubtMap:
 
     @cached_property
     def _rows(self) -> list[list[float]]:
-        """The values as plain numbers: a look-up of one place is faster than NumPy."""
+        """The values as plain numbers: faster than NumPy for a single place."""
         return [[float(v) for v in row] for row in self.relative]
 
     @cached_property
@@ -89,7 +89,7 @@ class DoubtMap:
         return low + t * (one[k + 1] + s * (other[k + 1] - one[k + 1]) - low)
 
     def variables(self) -> dict[str, Any]:
-        """What a field file has of it: variables and coordinates with units."""
+        """Variables and coordinates with units, for a field file."""
         note = "standard deviation of a press's force over that force"
         return {
             VARIABLE: (DIMS, self.relative, {"units": "1", "long_name": note}),
@@ -99,10 +99,10 @@ class DoubtMap:
 
     @classmethod
     def of_file(cls, data: xr.Dataset) -> DoubtMap | None:
-        """The map of a field file's content; None where it has none.
+        """The map in a field file; None without one.
 
         Raises:
-            InputError: Other dimensions or units, or no map.
+            InputError: Other dimensions or units, or an invalid map.
         """
         if VARIABLE not in data.variables:
             return None
@@ -114,7 +114,7 @@ class DoubtMap:
 
 
 def _in_steps(values: Array) -> bool:
-    """Whether they increase in equal steps; false with NaN."""
+    """Whether values increase in equal steps; false with NaN."""
     steps = np.diff(values)
     equal = np.abs(steps - steps.mean()) < STEP if len(steps) else np.isfinite(values)
     return bool(equal.all() and (steps > 0.0).all())

@@ -1,7 +1,7 @@
 """The fitted potential field: values on a voxmap, and its netCDF file.
 
-The file holds all that rendering needs (grid, surface, regions, sampling) and where
-the field came from.
+The file holds all that rendering needs (grid, surface, regions, sampling) and the
+field's provenance.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ KIND, VERSION = "field", 1
 #: Dimensions of voxel values and of the surface in the file
 DIMS, ON_SURFACE = ("r", "theta", "z"), ("surface_theta", "surface_z")
 
-#: Variable of a file with draws of the field's posterior, read where asked for
+#: Variable with draws from the field's posterior, read on request only
 DRAWS = "doubt_draws"
 
 #: Unit of the field for each sampling (docs/method.md, Unit of the field)
@@ -55,10 +55,10 @@ class PotentialField:
         values: p per voxel, shape ``grid.shape`` [N when voxel-mean, else N/cm²].
         sampling: How contact samples it: ``voxel-mean``, ``trilinear`` or
             ``contact-size``.
-        parameters: What was identified beside the field, by name (boundary_scale).
+        parameters: Parameters identified with the field, by name (boundary_scale).
         provenance: Free text by key: formulation, solver, trajectory, …
-        standard_errors: Of those parameters that have one, by name.
-        doubt: How sure presses are over the skin; None where that is not known.
+        standard_errors: Of the parameters, by name, where known.
+        doubt: Relative uncertainty of presses; None where unknown.
     """
 
     voxmap: Voxmap
@@ -101,7 +101,7 @@ class PotentialField:
         return card("PotentialField", self._facts(), signed_map(self._section()))
 
     def _section(self) -> Array:
-        """P at mid-height as seen along z, y upwards; zero beyond the grid, (n, n)."""
+        """P at mid-height seen along z, y upwards; zero outside the grid, (n, n)."""
         grid = self.voxmap.grid
         across = np.linspace(-grid.r_outer, grid.r_outer, SIZE // 2)
         x, y = across[None, :], across[::-1, None]
@@ -116,7 +116,7 @@ class PotentialField:
         return np.where(inside, values, 0.0)
 
     def _facts(self) -> dict[str, str]:
-        """What it is in a few words, by name."""
+        """A short description, by name."""
         low, high = self.values.min(), self.values.max()
         unit = "N" if self.sampling == "voxel-mean" else "N/cm²"
         facts = {
@@ -126,8 +126,8 @@ class PotentialField:
         }
         for name, value in self.parameters.items():
             error = self.standard_errors.get(name)
-            told = f"{value:.4g}" if error is None else f"{value:.4g} ± {error:.2g}"
-            facts[name] = f"{name} {told}"
+            doubt = "" if error is None else f" ± {error:.2g}"
+            facts[name] = f"{name} {value:.4g}{doubt}"
         return facts
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -140,9 +140,9 @@ class PotentialField:
         Returns:
             ``potential`` and ``region`` over (r, theta, z) and the surface over
             (surface_theta, surface_z), with units and coordinates on every variable;
-            ``doubt`` over (doubt_theta, doubt_z) where it is known; the rest as
-            attributes. Over a sector the attribute ``sector`` says from where to where
-            [rad], and the last angle is the wall beyond it, without a field.
+            ``doubt`` over (doubt_theta, doubt_z) where known; the rest as attributes.
+            For a sector the attribute ``sector`` holds its two angles [rad], and the
+            last spoke is the wall beyond it, without a field.
         """
         import xarray as xr
 
@@ -199,8 +199,8 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
     """The field that `PotentialField.save` wrote.
 
     Raises:
-        InputError: A variable that is missing, has other dimensions or units, or
-            does not fit the grid; also KeyError, TypeError or ValueError.
+        InputError: A variable is missing, has other dimensions or units, or does not
+            match the grid; also KeyError, TypeError or ValueError.
     """
     sampling = io.text_of(data.attrs, "sampling")
     if sampling not in FIELD_UNIT:
@@ -227,7 +227,7 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
         Axis.from_attributes(data.attrs),
     )
     region = io.array_of(data, "region", DIMS, "1")
-    # files from before there was a choice
+    # older files have no boundary
     boundary = io.text_of(data.attrs, "boundary", "staircase")
     return PotentialField(
         Voxmap(grid, surface, region, boundary),
@@ -241,12 +241,12 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
 
 
 def _sector_attributes(grid: CylindricalGrid) -> dict[str, str]:
-    """What a file says of a sector; nothing where the grid covers the full turn."""
+    """The attribute of a sector; none for the full turn."""
     return {} if grid.sector is None else {"sector": json.dumps(list(grid.sector))}
 
 
 def _by_name(attribute: str, attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """What an attribute, a JSON object, has by name; nothing where it is absent."""
+    """An attribute that is a JSON object; empty where it is absent."""
     text = io.text_of(attributes, attribute, "{}")
     found = json.loads(text)
     if not isinstance(found, dict):

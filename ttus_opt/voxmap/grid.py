@@ -1,13 +1,12 @@
-"""The cylindrical voxel grid: where its centres are and how arrays are laid out.
+"""The cylindrical voxel grid: positions of its voxels, and the layout of arrays.
 
-Voxel values have shape (n_r, n_theta, n_z) and are flattened in C order. This
-module is the only place that knows it; the compiled kernels take the strides from
-here (`flat_index`).
+Voxel values have shape (n_r, n_theta, n_z) and are flattened in C order. Only this
+module knows the order; compiled kernels use its `flat_index`.
 
 A grid covers the full turn, or a sector of θ with zero flux at its two sides. Spokes of
-a sector lie at the middle of equal parts, so that its sides are faces of voxels. Its
-last spoke is none of them: it is a wall, which parts the circle that all neighbours
-in θ are taken on. Its voxels are fixed, and their links conduct nothing
+a sector lie at the centres of equal parts, so that its sides are faces of voxels. One
+more spoke, the last, is a wall: it interrupts the circle on which neighbours in θ are
+taken. Its voxels are fixed, and their links conduct nothing
 (`ttus_opt.voxmap.cut_links`).
 """
 
@@ -25,10 +24,10 @@ from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
 from ttus_opt.cylindrical import TURN
 from ttus_opt.errors import GeometryError, InputError
-from ttus_opt.voxmap.sector import Sector, checked_sector, holds, told
+from ttus_opt.voxmap.sector import Sector, checked_sector, holds, in_degrees
 
-#: Bytes a fit by the structured solver takes per voxel (L, the multigrid, a
-#: dozen vectors): 420 measured on case L with 400 poses, voxel-mean
+#: Memory of a fit by the structured solver per voxel (L, the multigrid, a dozen
+#: vectors): 420 measured on case L with 400 poses, voxel-mean [byte]
 BYTES_PER_VOXEL = 450
 
 #: Most voxels along an axis
@@ -46,10 +45,10 @@ class GridLimits(NamedTuple):
         z_min: Height of the first slice [m].
         per_z: Slices per metre.
         z_max: Height of the last slice [m].
-        theta_0: Where the grid begins, in [0, 2π) [rad].
+        theta_0: First angle of the grid, in [0, 2π) [rad].
         width: Angle that it covers [rad].
-        shift: From there to the first spoke, in spokes.
-        last_cell: Number of the last pair of neighbouring spokes.
+        shift: From ``theta_0`` to the first spoke, in spokes.
+        last_cell: Index of the last pair of neighbouring spokes.
     """
 
     r_inner: float
@@ -75,8 +74,8 @@ class CylindricalGrid:
         z_min: Height of the first slice [m].
         z_max: Height of the last slice [m].
         shape: Counts (n_r, n_theta, n_z); of a sector the wall counts as a spoke [–].
-        sector: Angles from and to which the grid reaches, with zero flux at both [rad];
-            None for the full turn.
+        sector: First and last angle of the grid, with zero flux at both [rad]; None for
+            the full turn.
     """
 
     r_inner: float
@@ -90,7 +89,7 @@ class CylindricalGrid:
         """Validate the grid.
 
         Raises:
-            InputError: Too few layers, limits that are not finite, or no sector.
+            InputError: Too few layers, limits not finite, or an invalid sector.
             GeometryError: Limits out of order, or the first layer on the axis.
         """
         minima = {"n_r": 4, "n_theta": 4, "n_z": 3}
@@ -131,8 +130,8 @@ class CylindricalGrid:
 
     @property
     def extent(self) -> str:
-        """Counts and where they lie, to be read."""
-        sector = "" if self.sector is None else f"θ {told(self.sector)}, "
+        """Counts and extent, as text."""
+        sector = "" if self.sector is None else f"θ {in_degrees(self.sector)}, "
         return (
             f"{self.sizes}, r {100 * self.r_inner:.1f} to {100 * self.r_outer:.1f} cm, "
             f"{sector}z {100 * self.z_min:.1f} to {100 * self.z_max:.1f} cm"
@@ -140,7 +139,7 @@ class CylindricalGrid:
 
     @property
     def sizes(self) -> str:
-        """Counts and their product, to be read."""
+        """Counts and their product, as text."""
         return f"{'×'.join(map(str, self.shape))} = {self.n_voxels:,} voxels"
 
     @property
@@ -157,7 +156,7 @@ class CylindricalGrid:
 
     @property
     def wall(self) -> int | None:
-        """The spoke that parts the circle, the last one; None in a full turn."""
+        """The wall of a sector, the last spoke; None for the full turn."""
         return None if self.sector is None else self.shape[1] - 1
 
     @property
@@ -222,7 +221,7 @@ class CylindricalGrid:
 
     @property
     def kernel_limits(self) -> GridLimits:
-        """What compiled kernels need."""
+        """Extent and steps, for compiled kernels."""
         return GridLimits(
             float(self.r_inner),
             1.0 / self.r_step,
@@ -246,12 +245,7 @@ class CylindricalGrid:
 def nodes_of(
     voxels: NDArray[np.integer], shape: tuple[int, int, int]
 ) -> tuple[NDArray[np.int64], ...]:
-    """Layer, spoke and slice of voxels, shape (k,) each [–].
-
-    Args:
-        voxels: Flat indices, shape (k,).
-        shape: Of the grid.
-    """
+    """Layer, spoke and slice of voxels with flat indices (k,), shape (k,) each [–]."""
     return np.unravel_index(voxels, shape)
 
 
@@ -263,21 +257,16 @@ def flat_index(i: int, j: int, k: int, n_theta: int, n_z: int) -> int:
 
 @compiled(inline="always")
 def around(theta: float, limits: GridLimits) -> float:
-    """Angle from where the grid begins, in [0, 2π) (compiled) [rad].
-
-    Args:
-        theta: In [0, 2π) [rad].
-        limits: `CylindricalGrid.kernel_limits`.
-    """
+    """Angle in [0, 2π) from the grid's first one, theta likewise (compiled) [rad]."""
     u = theta - limits.theta_0
     return u + TURN if u < 0.0 else u
 
 
 @compiled(inline="always")
 def spoke_place(theta: float, limits: GridLimits) -> float:
-    """Where an angle lies among the spokes: 0 at the first (compiled).
+    """Position of an angle among the spokes, 0 at the first (compiled).
 
-    Beyond the outermost spokes of a sector it stays on them: nothing flows there.
+    Clamped to the outermost spokes of a sector, where there is no flux.
     """
     place = around(theta, limits) * limits.per_theta - limits.shift
     kept: float = min(max(place, 0.0), limits.last_cell + 1.0)

@@ -1,8 +1,8 @@
-"""A sector of θ: two angles, and whether the skin was seen between them.
+"""A sector of θ: two angles, and whether the surface was seen between them.
 
-An organ, or a belly seen from the front, needs no back: a grid over the sector that was
-seen asks for no skin that was not. Nothing flows through its sides, as if the body went
-on beyond each as its mirror image.
+An organ, or a belly seen from the front, needs no back: a grid over the seen sector
+does not depend on the unseen surface. Nothing flows through its sides, as if the body
+continued beyond each as its mirror image.
 """
 
 from __future__ import annotations
@@ -20,22 +20,21 @@ from ttus_opt.scan.surface import Surface
 #: From and to [rad]
 Sector = tuple[float, float]
 
-#: The narrowest: on a body 10 mm of skin, less than a probe, and multigrid still
-#: converges on the thin voxels of as many spokes as a full turn has [rad]
+#: The narrowest sector: about 10 mm on a body, less than a probe's width, where
+#: multigrid still converges with as many spokes as a full turn has [rad]
 NARROWEST = math.radians(5.0)
 
 
 def checked_sector(sector: Sector | None) -> Sector | None:
-    """A sector, or a sentence.
+    """The sector, validated.
 
     Raises:
-        InputError: No two finite angles, none that leave a part of the turn, or a
-            sector too narrow.
+        InputError: Not two finite angles, not less than a full turn, or too narrow.
     """
     if sector is None:
         return None
     if len(sector) != 2 or not all(abs(v) <= 2.0 * TURN for v in sector):
-        with np.errstate(over="ignore"):  # infinity says it as well
+        with np.errstate(over="ignore"):  # infinity is shown as such
             got = " to ".join(f"{v:.4g}°" for v in np.degrees(sector[:3]))
         raise InputError(
             f"a sector is two angles between -720° and 720°, got {got or 'none'}"
@@ -44,7 +43,8 @@ def checked_sector(sector: Sector | None) -> Sector | None:
     if not 0.0 < high - low < TURN:
         raise InputError(
             "a sector goes from an angle to a larger one, by less than a full turn, "
-            f"got {told(sector)}: across 0° write -60,60, for the whole leave it out"
+            f"got {in_degrees(sector)}: across 0° write -60,60, for the whole leave it "
+            "out"
         )
     if high - low < NARROWEST * (1.0 - 1e-9):
         raise InputError(
@@ -54,10 +54,10 @@ def checked_sector(sector: Sector | None) -> Sector | None:
     return low, high
 
 
-def told(sector: Sector) -> str:
-    """A sector in degrees, to be read.
+def in_degrees(sector: Sector) -> str:
+    """A sector in degrees, as text.
 
-    >>> told((0.0, 3.14159265))
+    >>> in_degrees((0.0, 3.14159265))
     '0° to 180°'
     """
     low, high = np.degrees(sector)
@@ -85,10 +85,11 @@ def check_seen(surface: Surface, sector: Sector | None) -> None:
     unseen = int((inside & ~seen).sum())
     if unseen:
         known = _longest(seen, surface.theta)
-        advice = "scan it" if known is None else f"choose one within {told(known)}"
+        part = "" if known is None else in_degrees(known)
+        advice = f"choose one within {part}" if part else "scan it"
         raise InputError(
             f"the scan saw no skin at {unseen} of {int(inside.sum())} angles of the "
-            f"sector {told(sector)}: {advice}"
+            f"sector {in_degrees(sector)}: {advice}"
         )
 
 
@@ -102,7 +103,7 @@ def largest_radius(surface: Surface, sector: Sector | None) -> float:
 
 
 def _longest(seen: NDArray[np.bool_], theta: Array) -> Sector | None:
-    """The longest run of angles that were seen, around the circle; None for none."""
+    """The longest run of seen angles around the circle; None without any."""
     if not seen.any():
         return None
     n = len(seen)

@@ -1,18 +1,18 @@
 """The voxmap: which voxels lie inside the patient, on its surface, and outside.
 
-The voxels nearest to the surface R(θ, z) along their spoke form the surface layer,
-which is closed where it steps between neighbouring spokes: inside and outside never
+The voxels nearest to the surface R(θ, z) along their spoke form the surface layer. It
+is closed at its steps between neighbouring spokes, so that inside and outside never
 couple (docs/method.md, Voxmap). Where the surface is a grid layer, the surface layer is
 exactly that layer. There are two ways to close it, and two meanings of its value:
 
-- ``subvoxel``: every voxel below the layer stays inside; those outside that would touch
-  one join the layer. Its value is that of the field at the true radius, where the
+- ``subvoxel``: every voxel below the layer stays inside; voxels outside that would
+  touch one join the layer. The layer's value holds at the true radius, where the
   surface cuts the links to it (`ttus_opt.voxmap.cut_links`).
 - ``staircase`` (the paper): of each pair that would touch, the voxel nearer to the
-  surface joins the layer. Its value is that of the field at the voxels' centres.
+  surface joins the layer. The layer's value holds at the voxels' centres.
 
-Over a sector of θ the wall (`ttus_opt.voxmap.grid`) belongs to the layer as a whole: it
-is fixed, and couples nothing.
+The wall of a sector (`ttus_opt.voxmap.grid`) belongs to the layer entirely: it is
+fixed, and couples nothing.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ from ttus_opt.voxmap.sector import (
     largest_radius,
 )
 
-#: How far the grid reaches beyond the largest surface radius by default [m]
+#: Default distance of the outer layer from the largest surface radius [m]
 OUTER_MARGIN = 0.02
 
 INSIDE, SURFACE, OUTSIDE = 1, 0, -1
 
-#: Where the surface layer's value stands: at the true radius, or at the voxels' centres
+#: Where the surface layer's value holds: at the true radius, or at the voxels' centres
 Boundary = Literal["subvoxel", "staircase"]
 
 
@@ -101,19 +101,16 @@ class Voxmap:
             r_inner: Radius of the inner layer, inside the patient everywhere [m].
             r_outer: Radius of the outer layer; by default the largest surface
                 radius and 20 mm more [m].
-            memory_limit: Most memory a fit on this grid may take; by default what
-                the machine has free [bytes].
+            memory_limit: Most memory a fit on this grid may take; by default the
+                machine's free memory [bytes].
             boundary: ``subvoxel``, or ``staircase`` as in the paper.
-            sector: Angles from and to which the grid reaches, with zero flux at both
-                [rad]; None for the full turn. One spoke of ``shape`` parts the circle.
-
-        Returns:
-            The voxmap.
+            sector: First and last angle of the grid, with zero flux at both [rad]; None
+                for the full turn. One spoke of ``shape`` is then the wall.
 
         Raises:
-            InputError: A count is too small or no whole number, an unknown boundary,
-                no sector or one in which the skin was not seen, or the grid would not
-                fit in memory (the estimate is told before anything is allocated).
+            InputError: An invalid count, an unknown boundary, an invalid sector or one
+                in which the surface was not seen, or a grid that would not fit in
+                memory (estimated before anything is allocated).
             GeometryError: The surface does not lie between the two layers.
         """
         checked_boundary(boundary)
@@ -181,11 +178,7 @@ class Voxmap:
 
 
 def checked_boundary(boundary: str) -> str:
-    """The boundary's name, or a sentence.
-
-    Raises:
-        InputError: There is no such boundary.
-    """
+    """The boundary's name; `InputError` where it is unknown."""
     if boundary not in get_args(Boundary):
         raise InputError(
             f"boundary must be one of {', '.join(get_args(Boundary))}, got "
@@ -195,14 +188,10 @@ def checked_boundary(boundary: str) -> str:
 
 
 def check_memory(grid: CylindricalGrid, limit: float | None = None) -> None:
-    """Estimate what a fit on a grid takes.
-
-    Args:
-        grid: The grid.
-        limit: Most memory it may take; by default what the machine has free [bytes].
+    """Compare the memory of a fit on a grid with a limit; default: free memory [byte].
 
     Raises:
-        InputError: It takes more.
+        InputError: It needs more.
     """
     if limit is None:
         limit = float(os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
@@ -231,16 +220,8 @@ def _check_radius(radius: Array, grid: CylindricalGrid) -> None:
 
 
 def surface_layer(grid: CylindricalGrid, radius: Array) -> NDArray[np.int64]:
-    """The layer of voxels nearest to a surface, the lower one of two.
-
-    Args:
-        grid: The grid.
-        radius: Of the surface, any shape [m].
-
-    Returns:
-        Layers, the same shape.
-    """
-    # a radius on a layer stays on that layer whatever rounding did to it
+    """The layer nearest to a surface of any shape [m], the lower one of two equals."""
+    # the margin keeps a radius on a layer at that layer despite rounding
     layer = np.ceil((radius - grid.r_inner) / grid.r_step - 0.5 - 1e-9)
     return np.asarray(layer.astype(np.int64))
 
@@ -273,7 +254,7 @@ def _thickened(grid: CylindricalGrid, radius: Array) -> NDArray[np.int8]:
     region = _layers(grid, radius)
     closed = region.copy()
     for axis, wraps in ((1, True), (2, False)):
-        # ``out`` is a view: what is written there is closed
+        # ``out`` is a view of ``closed``
         out, own, far = (np.moveaxis(a, axis, 0) for a in (closed, region, distance))
         here = np.arange(len(own) if wraps else len(own) - 1)
         there = (here + 1) % len(own)
