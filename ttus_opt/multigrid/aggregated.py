@@ -1,9 +1,9 @@
 """Multigrid where voxels of a spoke are aggregated: one value for a pooled block.
 
-The operator is PᵀA P, P giving every voxel of a block its block's one value. Blocks lie
-in radial lines, which the smoother solves exactly, blocks included: in single precision
-the links within a block are so strong that both ends have the same value. What is left
-to do is to sum residuals over blocks.
+The operator is PᵀA P, where P gives every voxel of a block the value of its block.
+Blocks lie in radial lines, which the smoother solves exactly; links within a block are
+so strong that, in single precision, both ends have the same value. All that is left is
+to sum residuals over blocks.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 
 
 class AggregatedMultigrid(Multigrid):
-    """Solver of PᵀA P z = b; z and b stand at one voxel of every block.
+    """Solver of PᵀA P z = b, with z and b stored at one voxel of every block.
 
     Vectors are (V,) as those of `Multigrid`, zero but at free voxels outside blocks
-    and at every block's leader. In all else it is a `Multigrid`.
+    and at every block's leader. In all other respects it is a `Multigrid`.
     """
 
     def __init__(

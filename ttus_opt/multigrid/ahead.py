@@ -1,7 +1,7 @@
-"""The multigrid compiled by a process of its own, while another reads its data.
+"""Compiling the multigrid in a second process while the first reads its data.
 
-Compiling it takes most of a first run and holds the interpreter's lock. This process
-finds in the cache what the other has compiled, and waits for what that is compiling
+Compiling takes most of a first run and holds the interpreter's lock. Each process takes
+from the cache what the other has compiled, and waits for what the other is compiling
 (`ttus_opt.compiled`).
 """
 
@@ -21,13 +21,13 @@ from ttus_opt.multigrid.refinement import add_flat
 from ttus_opt.multigrid.solver import Multigrid
 from ttus_opt.voxmap.grid import CylindricalGrid
 
-#: What a solve compiles last, and what takes longest
+#: The functions that are compiled last, or take longest
 LAST = (add_flat, operate, v_cycle)
 
 
 @contextlib.contextmanager
 def compiling_ahead() -> Iterator[None]:
-    """Let another process compile the multigrid meanwhile, unless that was done."""
+    """Compile the multigrid in another process meanwhile, unless that was done."""
     helper = None
     if not all(map(is_kept, LAST)):
         helper = subprocess.Popen(
@@ -45,11 +45,11 @@ def compiling_ahead() -> Iterator[None]:
 
 
 def compile_multigrid() -> None:
-    """Solve on a small grid: what is compiled does not depend on the size.
+    """Solve on a small grid: compiled code does not depend on the size.
 
-    First the V-cycle, half of the whole, then what a solve needs, from its end to its
-    beginning: a process that gets to its own first solve meanwhile begins there, and
-    the two share what is left.
+    First the V-cycle, which is half of the work, then the other kernels of a solve from
+    last to first: a process that starts its own first solve meanwhile begins at the
+    other end, and the two share the rest.
     """
     grid = CylindricalGrid(0.03, 0.18, 0.0, 0.3, shape=(8, 16, 8))
     free = np.zeros(grid.shape, dtype=np.bool_)

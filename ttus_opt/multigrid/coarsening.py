@@ -44,14 +44,14 @@ R, THETA, Z = 0, 1, 2
 
 @dataclass(frozen=True)
 class Grounds:
-    """What links to fixed neighbours conduct more or less than on an even grid.
+    """Corrections to the conductance of links that the boundary cuts.
 
-    A boundary that lies between two nodes cuts their link: see
-    `ttus_opt.voxmap.cut_links`. Other fixed neighbours keep the plain conductance.
+    A boundary between two nodes shortens their link, which then conducts more
+    (`ttus_opt.voxmap.cut_links`). Links to other fixed neighbours are not corrected.
 
     Attributes:
-        voxels: Flat indices, ascending, each once, shape (k,).
-        changes: Along r, θ and z, shape (k, 3) [m].
+        voxels: Flat indices of the free ends, ascending and unique, shape (k,).
+        changes: What is added along r, θ and z, shape (k, 3) [m].
     """
 
     voxels: IntArray = field(repr=False)
@@ -66,21 +66,20 @@ class Grounds:
         return Grounds(voxels[order], self.changes[there][order])
 
     def where(self, free: NDArray[np.bool_]) -> Grounds:
-        """Those of free voxels, shape (V,)."""
+        """The corrections at free voxels; ``free`` has shape (V,)."""
         kept = free[self.voxels]
         return Grounds(self.voxels[kept], self.changes[kept])
 
 
 @dataclass(frozen=True)
 class Added:
-    """What is added to the operator of a grid, on arrays of its shape.
+    """Additions to the operator of a grid, on arrays of its shape.
 
     Attributes:
-        screening: Added to the diagonal of free nodes, not negative [m]; None for
-            nothing.
-        links: Per direction what is added to the conductance to the next node, their
-            sum not negative [m]; empty for nothing.
-        grounds: What is added to the conductance to fixed nodes; None for nothing.
+        screening: Added to the diagonal of free nodes, not negative [m]; or None.
+        links: Per direction, added to the conductance to the next node, which must stay
+            non-negative [m]; may be empty.
+        grounds: Added to the conductance to fixed nodes; or None.
     """
 
     screening: Array | None = field(default=None, repr=False)
@@ -94,7 +93,7 @@ class Added:
         shape: tuple[int, int, int],
         grounds: Grounds | None = None,
     ) -> Added | None:
-        """Screening that is the same all over a layer, shape (n_r,).
+        """Screening that is constant within each layer, shape (n_r,).
 
         Args:
             screening: One number per layer [m]; None for nothing.
@@ -102,7 +101,7 @@ class Added:
             grounds: See the class.
 
         Returns:
-            None where nothing is added at all.
+            None if there is nothing to add.
         """
         if screening is None:
             return None if grounds is None else cls(grounds=grounds)
@@ -254,7 +253,7 @@ def finest(grid: Box, free: NDArray[np.bool_]) -> Network:
         free: Unknown voxels, shape ``grid.shape``.
 
     Returns:
-        Its network; a link is never cut between two free voxels.
+        Its network; links between two free voxels are never cut.
     """
     links, grounds = [], []
     for axis, value in enumerate(conductances(grid)):
@@ -324,7 +323,7 @@ def coarsen(network: Network, axis: int) -> Network:
 
 
 def plan(grid: Box) -> Iterator[tuple[bool, bool, bool]]:
-    """Which directions each step of coarsening takes, as long as any is left.
+    """The directions to coarsen, step by step, until none can be coarsened.
 
     Args:
         grid: The finest grid.

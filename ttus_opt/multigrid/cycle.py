@@ -1,7 +1,7 @@
 """One symmetric V-cycle on all levels, in one call of compiled code.
 
-Pieces of work on a small grid take microseconds, and solves side by side would spend
-their time waiting for the interpreter's lock between them.
+On a small grid each kernel takes microseconds: with Python in between, solves side by
+side would spend their time waiting for the interpreter's lock.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def v_cycle(
         places: Flat places of the coarsest level's unknowns.
         inverse: Inverse of the coarsest level's matrix [1/m].
         sweeps: Before and after on the finest level [–].
-        has_red: Whether the finest right-hand side has red values; else they are taken
-            to be zero, whatever is there.
+        has_red: Whether the finest right-hand side has red values; if not, they count
+            as zero whatever is stored.
     """
     last = len(table) - 1
     whole = (np.int64(0), np.int64(1))

@@ -109,10 +109,9 @@ class Hierarchy:
         inverse: Inverse of the coarsest level's matrix [1/m].
         table: A `LevelIndex` per level, for compiled code.
         fields: Coefficients of all levels.
-        work_size: Numbers that the vectors of all levels take.
-        cut: Places of the finest level's nodes with other grounds than an even grid's,
-            ascending, shape (k,).
-        cut_grounds: What their diagonal has more for it, shape (k,) [m].
+        work_size: Length of an array that holds the vectors of all levels.
+        cut: Places of the finest level's nodes with cut links, ascending, shape (k,).
+        cut_grounds: What this adds to their diagonal, shape (k,) [m].
     """
 
     levels: tuple[Level, ...]
@@ -177,7 +176,7 @@ class Hierarchy:
 def _cuts(
     layout: Layout, free: NDArray[np.bool_], grounds: Grounds | None
 ) -> tuple[NDArray[np.int64], Single]:
-    """Places whose grounds are not those of an even grid, and what is added there."""
+    """Places of nodes with cut links, and what these add to the diagonal."""
     if grounds is None:
         return np.zeros(0, np.int64), np.zeros(0, np.float32)
     own = grounds.where(free.reshape(-1))

@@ -1,15 +1,15 @@
-"""Compiled kernels of the multigrid: what a level is to them, and loops over vectors.
+"""Compiled kernels of the multigrid: the index of a level, and loops over vectors.
 
 All coefficients of a hierarchy lie in one array, ``fields``; all vectors of a solve lie
 in another, ``work``. A `LevelIndex` says where each begins, in red-black order
 (`red_black`). This keeps compiling short: a function of two flat arrays compiles in a
 fraction of the time of one of ten arrays and their slices. Places are unsigned in
-loops: a signed one might count from the end, which every access would have to allow
-for. A constant colour is passed as ``np.int64``: a function is compiled again for every
-literal it is called with.
+loops: a signed index may be negative, which every access would have to check. A
+constant colour is passed as ``np.int64``: numba compiles a function again for every
+literal argument.
 
-Kernels release the interpreter's lock: several solves may run side by side, each on one
-core, which wastes less than sharing one among cores.
+Kernels release the interpreter's lock: several solves may run side by side, and on
+large grids several cores share one (`workspace`).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class LevelIndex(NamedTuple):
         varies: Whether all do; else there is one per layer and direction.
         along: In ``fields``: conductances along r, one per layer, as without blocks;
             on the finest level only [m].
-        own: What else the diagonal has, one number per layer; likewise [m].
+        own: Screening on the diagonal, one number per layer; likewise [m].
         R: Conductances to the next layer [m].
         T: Conductances to the next spoke [m].
         Z: Conductances to the next slice [m].
@@ -61,8 +61,8 @@ class LevelIndex(NamedTuple):
         b: In ``work``: the right-hand side.
         x: The correction.
         residual: The residual of black nodes.
-        zeros: Zeros, as many as a row and its neighbours; given in the place of a
-            whole vector, they stand for a vector of zeros.
+        zeros: As many zeros as a row and its neighbours have; passed in place of a
+            vector, they stand for a vector of zeros.
         scratch: Scratch space of transfers.
     """
 
@@ -290,10 +290,10 @@ def flow(
     kept: float,
     part: Part,
 ) -> None:
-    """What flows into black nodes from red ones (compiled).
+    """Flow into black nodes from red ones (compiled).
 
-    Right after black lines were solved from zero and red ones after them, this is the
-    residual of black nodes; after a second sweep it is what the residual has grown by.
+    After one sweep from zero, black lines first, this is the residual of the black
+    nodes; after a further sweep it is the change of that residual.
 
     Args:
         row: The level.

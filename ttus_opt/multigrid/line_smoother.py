@@ -35,9 +35,9 @@ TILE = 1024
 def inverse_pivots(aside: Single, R: Single) -> Single:
     """Inverse pivots of Thomas' algorithm for every line.
 
-    A node is held by its own conductance aside and, through their link in series, by
-    the line before it. No differences are taken, so that links of any stiffness leave
-    the others their digits.
+    A node is grounded by the conductances of its own row outside the line and, through
+    the link in series, by the part of the line before it. No differences are formed, so
+    that stiff links cost the others no digits.
 
     Args:
         aside: Diagonal of the operator without links along lines, zero at fixed nodes
@@ -57,7 +57,7 @@ def inverse_pivots(aside: Single, R: Single) -> Single:
 def _invert_pivots(inverse: Single, aside: Single, R: Single, held: Array) -> None:
     """Set ``inverse`` of `inverse_pivots` (compiled).
 
-    R has three dimensions; ``held`` is what lines hold their last nodes with [m].
+    R has three dimensions; ``held`` is scratch, one number a line [m].
     """
     own_r = 1 if R.shape[2] > 1 else 0
     for c in range(2):

@@ -1,9 +1,9 @@
-"""A⁻¹ approximately, by one V-cycle, of A with more conductances and screening.
+"""A⁻¹ approximated by one V-cycle, where A may have added conductances and screening.
 
-The map b ↦ x is linear, symmetric and positive definite up to single precision: what a
-preconditioner has to be. Several sweeps on the finest level make it close to A⁻¹ in
-the sense of b and x themselves, and not only of their energy: two such maps, one after
-the other, are then spectrally equivalent to A⁻².
+The map b ↦ x is linear, symmetric and positive definite up to single precision, as a
+preconditioner must be. With several sweeps on the finest level it is close to A⁻¹ in
+the Euclidean norm and not only in the energy norm: two such maps in a row are then
+spectrally equivalent to A⁻².
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ class OneCycle:
             free: Unknown voxels, shape (V,).
             added: What is added to the operator; None for nothing.
             pooled: Voxels pooled with the next one outwards, shape (V,); None for none.
-            leads: With pooled, the voxels at which values stand, as of
-                `AggregatedMultigrid`.
+            leads: With pooled, the leaders of blocks and the free voxels outside them,
+                as in `AggregatedMultigrid`.
             grounds: What cut links change in the operator; None for nothing.
         """
         if grounds is not None:
@@ -75,10 +75,10 @@ class OneCycle:
 
         Args:
             rhs: b, shape (V,); values at fixed voxels are left out.
-            rtol: Has no meaning here: a V-cycle is as exact as it is.
+            rtol: Ignored: the accuracy of one V-cycle is fixed.
 
         Returns:
-            The answer, and that it took one cycle; its residual is not computed.
+            The answer after one cycle; its residual is not computed.
         """
         x = np.zeros_like(rhs)
         most, least = (f(where=self._free, initial=0.0) for f in (rhs.max, rhs.min))

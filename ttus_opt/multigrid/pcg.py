@@ -1,9 +1,8 @@
 """Conjugate gradients in single precision, preconditioned by a V-cycle.
 
-As red nodes follow exactly from black ones, conjugate gradients run on black nodes
-alone (the Schur complement), unless an odd number of spokes spoils the colouring.
-Pooled blocks lie in lines of one colour, which are solved exactly, so that this holds
-for them too.
+Red nodes follow exactly from black ones, so conjugate gradients run on black nodes
+alone (the Schur complement), unless an odd number of spokes spoils the colouring. The
+same holds with pooled blocks: each lies in one line, and lines are solved exactly.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from ttus_opt.multigrid.workspace import Workspace
 
 
 class Vectors(Workspace):
-    """What one solve writes to: conjugate gradients beside the V-cycle.
+    """Vectors of one solve: those of conjugate gradients beside the V-cycle's.
 
     Attributes:
         answer: Correction in red-black order, shape (2, n_r, width).
@@ -45,7 +44,7 @@ class Vectors(Workspace):
 
         Args:
             hierarchy: The levels.
-            blocks: Voxels that move as one; None where there are none.
+            blocks: Pooled blocks; None where there are none.
         """
         super().__init__(hierarchy, more=6)
         layout = hierarchy.levels[0].layout
@@ -287,7 +286,7 @@ def operate(
 def add_grounds(
     work: Single, places: NDArray[np.int64], grounds: Single, out: int, own: int
 ) -> float:
-    """Add to A p what some nodes have on their diagonal; returns p · that (compiled).
+    """Add the diagonal of cut links to A p; returns its share of p · A p (compiled).
 
     Args:
         work: Vectors.

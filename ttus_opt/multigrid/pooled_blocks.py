@@ -1,8 +1,8 @@
-"""Pooled blocks: neighbours along a spoke that have one value.
+"""Pooled blocks: neighbours along a spoke that share one value.
 
-With P giving every voxel of a block its block's one value, vectors of unknowns z are
-kept where the blocks' leaders are, zero at the others: `PooledBlocks.prolong` makes P z
-of them, `PooledBlocks.restrict` makes Pᵀ b.
+P gives every voxel of a block the value of its block. The unknowns z are stored at the
+leaders of the blocks, with zeros at the other voxels: `PooledBlocks.prolong` computes
+P z in place, `PooledBlocks.restrict` Pᵀ b.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ def block_heads(pooled: Mask, stride: int) -> IntArray:
 
 @dataclass(frozen=True)
 class PooledBlocks:
-    """Which voxels have the value of which other.
+    """Voxels that follow the value of another.
 
     Attributes:
         followers: Voxels, shape (k,).
-        leaders: The voxel at which the block of each stands, shape (k,).
+        leaders: The leader of each follower's block, shape (k,).
     """
 
     followers: IntArray = field(repr=False)
@@ -70,11 +70,11 @@ class PooledBlocks:
         return 1 + int(np.unique(self.leaders, return_counts=True)[1].max())
 
     def prolong(self, z: Array) -> None:
-        """Turn unknowns into values, shape (V,), in place."""
+        """Set followers to their leader's value, in place; shape (V,)."""
         z[self.followers] = z[self.leaders]
 
     def restrict(self, b: Array) -> None:
-        """Turn loads into those of unknowns, shape (V,), in place."""
+        """Sum the loads of each block at its leader, in place; shape (V,)."""
         np.add.at(b, self.leaders, b[self.followers])
         b[self.followers] = 0.0
 

@@ -29,8 +29,8 @@ class Operator(NamedTuple):
         free: Unknown voxels, shape (V,).
         layers: Per layer the conductances to the layers before and after, to the next
             spoke and to the next slice, and the diagonal, shape (n_r, 5) [m].
-        cut: Voxels with other grounds than an even grid's, ascending, shape (k,).
-        cut_grounds: What their diagonal has more for it, shape (k,) [m].
+        cut: Voxels with cut links, ascending, shape (k,).
+        cut_grounds: What these add to the diagonal, shape (k,) [m].
         cut_layers: Where each layer's begin among them, shape (n_r + 1,).
         n_theta: Spokes [–].
         n_z: Slices [–].
@@ -61,8 +61,8 @@ class Operator(NamedTuple):
             free: Unknown voxels, shape (V,).
             conductances: Along r, θ and z, shape (n_r,) each [m].
             sizes: Spokes, slices and pitch [–].
-            own: What else the diagonal has, shape (n_r,) [m]; None for nothing.
-            grounds: What cut links change; None for nothing.
+            own: Screening on the diagonal, shape (n_r,) [m]; None for nothing.
+            grounds: Corrections of cut links; None for nothing.
         """
         n_r = len(conductances[0])
         own = np.zeros(n_r) if own is None else own

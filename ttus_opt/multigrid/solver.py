@@ -31,7 +31,7 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: By how much one correction reduces the residual; single precision gives no more.
 REDUCTION = 1e-4
-#: Right-hand sides up to this, and from its inverse on, are taken as they are.
+#: Right-hand sides up to this, and from its inverse on, are not rescaled.
 MODERATE = 1e100
 #: Corrections in a row that may fail to halve the residual.
 PATIENCE = 3
@@ -85,13 +85,11 @@ class Multigrid:
             grid: The grid.
             free: Unknown voxels, shape ``grid.shape``; none in the first and last
                 layer and slice.
-            pooled: Those of them that have the value of the next one outwards, same
-                shape: for `AggregatedMultigrid`, which knows what that means for a
-                residual.
-            screening: What is added to the diagonal in every layer, not negative,
-                shape (n_r,) [m]; None for nothing.
-            grounds: What links to fixed voxels conduct more or less than on an even
-                grid; None for nothing.
+            pooled: Free voxels pooled with the next one outwards, same shape; for
+                `AggregatedMultigrid`, which treats residuals accordingly.
+            screening: Added to the diagonal of each layer, not negative, shape (n_r,)
+                [m]; None for nothing.
+            grounds: Corrections of links that the boundary cuts; None for nothing.
 
         Raises:
             InputError: The mask has another shape, or frees a voxel on the rim.
@@ -161,8 +159,8 @@ class Multigrid:
         """One V-cycle at a time, in arrays of its own and without copies.
 
         Args:
-            near: Flat indices of the voxels at which it matters, shape (k,): it may
-                know of a box around them only. None for all voxels.
+            near: Flat indices of the voxels where it must be accurate, shape (k,): it
+                may cover only a box around them. None for all voxels.
         """
         pooled = None if self._pooled is None else self.grid.flatten(self._pooled)
         whole = (self.hierarchy, self.grid, self.free, pooled, self._added)
@@ -178,9 +176,9 @@ class Multigrid:
     ) -> MultigridResult:
         """Solve A x = b.
 
-        Done when ‖b - A x‖ ≤ rtol ‖b‖, or when the residual is down to rounding:
+        It ends when ‖b - A x‖ ≤ rtol ‖b‖, or when the residual is down to rounding:
         ‖b - A x‖ ≤ ε (‖A‖ ‖x‖ + ‖b‖) with ε = 2.2e-16 and a bound for ‖A‖. The
-        result says which residual was reached.
+        result states the residual that was reached.
 
         Args:
             rhs: b, shape (V,); values at fixed voxels are left out.

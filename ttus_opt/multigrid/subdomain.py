@@ -26,7 +26,7 @@ Index = NDArray[np.integer]
 REACH, MARGIN = 0.5, 4
 #: Spokes of a box are a multiple: an odd number on some level spoils the colouring
 SPOKES = 8
-#: A box with this share of the grid or more is taken to be the whole [–]
+#: From this share of the grid on, a box becomes the whole grid [–]
 LARGE = 0.7
 
 
@@ -46,7 +46,7 @@ class Subdomain:
 
     @classmethod
     def around(cls, grid: CylindricalGrid, voxels: Index | None) -> Subdomain:
-        """A box around voxels with a margin, or the whole grid if that is hardly more.
+        """A box around voxels with a margin; the whole grid if that is little larger.
 
         Args:
             grid: The grid.
@@ -106,7 +106,7 @@ class Subdomain:
         return np.ascontiguousarray(part[:, spokes])
 
     def free(self, free: Mask) -> Mask:
-        """Unknown voxels of the grid that are unknown here: its rim is fixed."""
+        """Unknown voxels inside the subdomain, whose rim is fixed."""
         inside = self.restrict(free)
         inside[[0, -1]] = False
         inside[:, :, [0, -1]] = False

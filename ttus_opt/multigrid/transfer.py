@@ -5,12 +5,12 @@ Operator-dependent interpolation as in black-box multigrid (Dendy, J. Comput. Ph
 through a Dirichlet node. Restriction is exactly the transpose.
 
 Residuals live on black nodes alone: a sweep ends with the red ones, whose equations
-then hold, and what is added to red nodes would be overwritten by the sweep that
-follows. Black are the nodes whose spoke and slice are both even (nodes of a coarse
-level) or both odd (in the middle of four of them). In a layer, even spoke j starts at
-place (j + 1)·pitch // 2 with slice 0, odd spoke j with slice 1. Spokes j and j + 2 lie
-a whole pitch apart, so that one loop runs over all spokes of a layer; where a formula
-is meant for odd spokes only, it leaves values in even ones that nobody reads.
+then hold, and a correction of red nodes would be overwritten by the next sweep. A node
+is black if its spoke and slice are both even (a node of the coarse level) or both odd
+(in the middle of four such nodes). In a layer, even spoke j starts at place
+(j + 1)·pitch // 2 with slice 0, odd spoke j with slice 1. Spokes j and j + 2 lie a
+whole pitch apart, so that one loop runs over all spokes of a layer; a formula for odd
+spokes leaves values in the even ones that are never read.
 """
 
 from __future__ import annotations

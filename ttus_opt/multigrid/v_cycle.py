@@ -1,9 +1,9 @@
 """One V-cycle as a preconditioner, on vectors in red-black order.
 
-A V-cycle costs a tenth of a solve, as long as its right-hand side and answer are not
-copied to whole grids in double precision and back. A caller that needs A⁻¹
-approximately, at some voxels only and many times over, writes and reads these vectors
-directly, on a part of the grid where that is enough (`subdomain`).
+A V-cycle costs a tenth of a solve if its right-hand side and answer are not copied to
+whole grids in double precision and back. A caller that needs an approximate A⁻¹ at a
+few voxels, many times over, writes and reads these vectors directly, on a part of the
+grid where that suffices (`subdomain`).
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 class VCycle:
     """x ≈ A⁻¹ b by one V-cycle, b and x flat, in red-black order.
 
-    The map is linear, symmetric and positive definite up to single precision. It
-    works in arrays of its own: several may run side by side.
+    The map is linear, symmetric and positive definite up to single precision. Each
+    instance has its own arrays: several may run side by side.
 
     Attributes:
         b: Right-hand side, to be written to; zero at fixed voxels and where the
@@ -66,7 +66,7 @@ class VCycle:
         pooled: NDArray[np.bool_] | None = None,
         added: Added | None = None,
     ) -> VCycle:
-        """As exact as one V-cycle can be at some voxels, and no larger than needed.
+        """A V-cycle that is accurate at some voxels, on no larger a grid than needed.
 
         Args:
             voxels: Flat indices, shape (k,); None for all, and the plain V-cycle.
