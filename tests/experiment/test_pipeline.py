@@ -153,7 +153,7 @@ def test_a_file_named_like_something_else_that_is_kept_is_refused(tmp_path):
         (tmp_path / f"{name}.py").write_text(words)
     for name in ("eq10", "laplace_scaled", "surface", "boundary"):
         plan = experiment.Plan(formulations=(str(tmp_path / f"{name}.py"),))
-        with pytest.raises(InputError, match=f"keeps, {name}: rename the file"):
+        with pytest.raises(InputError, match=f"in the folder, {name}: rename it"):
             plan.settings  # noqa: B018
     (tmp_path / "mine.py").write_text(words)
     (tmp_path / "mine_auto.py").write_text(words)

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ttus_opt.probe.rigid_motion import inverse
+from ttus_opt.probe.rigid_motion import homogeneous, inverse
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.session import synthetic
 from ttus_opt.session.synthetic import Truth, write_recording
@@ -70,7 +70,8 @@ def calibrated(seconds: float = 20.0, seed: int = 0) -> dict[str, Trajectory]:
     moved, stretches = synthetic._motion_of_all(seconds, tilts)
     tracked = synthetic._tracked(moved, truth, noise)
     to_patient = inverse(synthetic._patient_to_scan()) @ truth.tracker_to_scan
-    poses = to_patient @ synthetic._matrices(tracked) @ inverse(truth.target_to_probe)
+    target = homogeneous(tracked.rotation, tracked.position)
+    poses = to_patient @ target @ inverse(truth.target_to_probe)
     known = synthetic._at(moved, tracked.time)
     seen = Trajectory(
         tracked.time,

@@ -1,12 +1,12 @@
-"""Other ways from measurements to forces, on the same data and by the same interface.
+"""Other contact models from the literature, on the same data and with one interface.
 
     from ttus_opt import comparators
     rival = comparators.create("kelvin_voigt", surface=surface, shell=shell)
     wrench = rival.fit([press, sweep]).render(rotation, position, twist)
 
-`available` lists them, `compare` sets several against each other on recordings that
-none has seen. Each stands in a file of its own with its source; a file added to this
-folder with a class over `Comparator` is one more. See docs/comparators.md.
+`available` lists them, `compare` compares several on unseen recordings. Each is in its
+own file with its source; a new one is a file in this folder with a subclass of
+`Comparator`. See docs/comparators.md.
 """
 
 from __future__ import annotations

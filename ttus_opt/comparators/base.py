@@ -1,8 +1,8 @@
-"""What every comparator is: fitted to recordings, then a wrench for every pose.
+"""The base of every comparator: fitted to recordings, it gives a wrench for every pose.
 
-A comparator is another way from measurements to forces, on the same data and by the
-same interface as the potential field. One is added by adding a file to this folder
-with a class over `Comparator`.
+A comparator is another model of contact forces, on the same data and with the same
+interface as the potential field. A new one is a file in this folder with a subclass of
+`Comparator`.
 """
 
 from __future__ import annotations
@@ -25,26 +25,26 @@ from ttus_opt.probe.pose import PoseLike, pose_of, rotations
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 
-#: A frame whose measured force is smaller tells a fit nothing [N]
+#: Frames with a smaller measured force are not fitted to [N]
 LEAST_FORCE = 0.1
 
 
 class WrenchSource(Protocol):
-    """What judging asks for: wrenches along a recording."""
+    """Anything that gives wrenches along a recording."""
 
     @property
     def name(self) -> str:
-        """As it is printed."""
+        """For tables."""
 
     def wrenches(self, trajectory: Trajectory) -> Array:
         """The wrench of every frame, shape (n, 6) [N, N·m]."""
 
 
 class RendersWrenches(WrenchSource, Protocol):
-    """What every comparator has."""
+    """The interface of every comparator."""
 
     def fit(self, trajectories: Trajectory | Sequence[Trajectory]) -> Self:
-        """Find the parameters from recordings with forces; returns itself."""
+        """Fit the parameters to recordings with forces; returns itself."""
 
     def render(
         self, rotation: PoseLike, position: ArrayLike, twist: Array | None = None
@@ -53,7 +53,7 @@ class RendersWrenches(WrenchSource, Protocol):
 
 
 class Given(TypedDict):
-    """What every comparator is made from, as its subclasses hand it on."""
+    """Constructor arguments of every comparator, as its subclasses pass them on."""
 
     surface: Surface
     shell: PointShell
@@ -61,15 +61,15 @@ class Given(TypedDict):
 
 
 class Comparator(ABC):
-    """A way to render forces, checked at its door: subclasses see sound input only.
+    """A contact model; public methods validate their input, subclasses need not.
 
     Attributes:
-        name: By which `ttus_opt.comparators.create` finds it.
+        name: For `ttus_opt.comparators.create`.
         summary: One line: what it is and whose.
         needs_fit: Whether `render` needs a `fit` before.
         continuous: Whether the force is continuous in the pose.
         turns: Whether turning the scene about z turns the wrench, to rounding.
-        on_surface: Whether it touches where the surface is; else a shape of its own.
+        on_surface: Whether contact begins at the surface; otherwise at another shape.
         surface: The patient.
         shell: The probe.
         cloud: Points of the surface, patient frame, shape (n, 3) [m].
@@ -95,17 +95,11 @@ class Comparator(ABC):
 
     @cached_property
     def geometry(self) -> ContactGeometry:
-        """Probe and surface as a spline."""
+        """The probe, and the surface as a spline."""
         return ContactGeometry(self.surface, self.shell)
 
     def fit(self, trajectories: Trajectory | Sequence[Trajectory]) -> Self:
-        """Find the parameters from recordings.
-
-        Args:
-            trajectories: One or several, with forces in contact.
-
-        Returns:
-            Itself.
+        """Fit the parameters to one or several recordings; returns itself.
 
         Raises:
             InputError: No recording, no forces, no contact, or forces that pull.
@@ -143,7 +137,7 @@ class Comparator(ABC):
             Force [N] and torque about the shell's reference [N·m], patient axes.
 
         Raises:
-            InputError: Not fitted yet, or a pose or twist that cannot be used.
+            InputError: Not fitted yet, or an invalid pose or twist.
         """
         self._require_fit()
         R, at = pose_of(rotation, position)
@@ -159,13 +153,7 @@ class Comparator(ABC):
         return Wrench(wrench[:3], wrench[3:], touching, in_grid=True)
 
     def wrenches(self, trajectory: Trajectory) -> Array:
-        """The wrench of every frame, by its pose and twist.
-
-        Args:
-            trajectory: Poses over time.
-
-        Returns:
-            Force, then torque, as of `render`, shape (n, 6) [N, N·m].
+        """Force, then torque, of every frame, as from `render`, shape (n, 6) [N, N·m].
 
         Raises:
             InputError: Not fitted yet.
@@ -177,7 +165,7 @@ class Comparator(ABC):
         return np.array([self._wrench(*frame)[0] for frame in frames])
 
     def parameters(self) -> dict[str, float]:
-        """What was fitted, by name with its unit; empty where it is a whole field."""
+        """Fitted parameters, by name with unit; empty for a field."""
         return {}
 
     def _require_contact(self, recording: Trajectory, force: Array) -> None:
@@ -206,15 +194,15 @@ class Comparator(ABC):
 
     @abstractmethod
     def _wrench(self, R: Array, at: Array, twist: Array) -> tuple[Array, int]:
-        """Force and torque of a sound pose, shape (6,), and points in contact."""
+        """Force and torque of a valid pose, shape (6,), and points in contact."""
 
 
 class OneStiffness(Comparator):
-    """A comparator whose wrench is one stiffness times a shape known from the pose.
+    """A comparator whose wrench is one stiffness times a function of the pose.
 
     Attributes:
         stiffness: Fitted by least squares to the measured forces.
-        stiffness_unit: Of it.
+        stiffness_unit: Its unit.
     """
 
     stiffness_unit: ClassVar[str] = "N/m³"

@@ -1,10 +1,9 @@
-"""Several comparators, fitted to the same recordings, judged on others.
+"""Several comparators, fitted to the same recordings and evaluated on others.
 
-Errors are those of `ttus_opt.report.metrics`. *Ripple* is what the rendered force
-has of short waves while the probe slides slowly along a straight line, where nothing
-changes as fast: root mean square of the force less its smooth part (a cubic over
-10 mm), over its mean. Milliseconds hold for one machine and run: compare them within
-a table only.
+Errors are those of `ttus_opt.report.metrics`. *Ripple* is the short-wave part of the
+rendered force while the probe slides slowly along a straight line: root mean square of
+the force minus its smooth part (a cubic over 10 mm), over its mean. Milliseconds depend
+on machine and run: compare them within a table only.
 """
 
 from __future__ import annotations
@@ -20,13 +19,12 @@ from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import RendersWrenches, WrenchSource
 from ttus_opt.comparators.registry import available, create
 from ttus_opt.errors import InputError, TtusError
-from ttus_opt.haptic.field_wrench import FieldWrenches
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report import metrics
 from ttus_opt.scan.surface import Surface
 
-#: Length and speed of the slide, and the window its smooth part is taken over
+#: Length and speed of the slide, and the window of its smooth part
 SLIDE, SPEED, WINDOW = 0.03, 0.01, 0.01  # [m], [m/s], [m]
 
 #: Poses of the slide [–]
@@ -35,11 +33,11 @@ N_POSES = 301
 
 @dataclass(frozen=True)
 class Row:
-    """One comparator on one recording that it has not seen.
+    """One comparator on one unseen recording.
 
     Attributes:
         comparator: Its name.
-        recording: The recording's.
+        recording: The recording's name.
         force_magnitude_error_N: Mean |‖f‖ − ‖f̂‖|.
         force_angle_error_deg: Mean angle over frames in contact.
         torque_magnitude_error_Nm: Mean |‖τ‖ − ‖τ̂‖|.
@@ -47,7 +45,7 @@ class Row:
         ms_per_frame: Processor time of a frame [ms].
         ripple: Short waves of the force on a slow straight slide, over its mean [–].
         seconds_fit: Processor time of the fit [s].
-        failure: Why there are no figures; empty where there are.
+        failure: Why there are no figures; empty otherwise.
     """
 
     comparator: str
@@ -62,7 +60,7 @@ class Row:
     failure: str = ""
 
     def as_dict(self) -> dict[str, float | str]:
-        """All of it by name, for JSON."""
+        """The row by name, for JSON."""
         return asdict(self)
 
 
@@ -76,23 +74,22 @@ def compare(
     cloud: Array | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> tuple[Row, ...]:
-    """Fit each comparator and judge it on recordings it has not seen.
+    """Fit each comparator and evaluate it on unseen recordings.
 
     Args:
-        names: Of `available`; all of them when None.
+        names: From `available`; all of them when None.
         surface: The patient.
         shell: The probe.
         fitted: Recordings to fit to.
-        unseen: Recordings to judge by, by the name a table shows.
+        unseen: Recordings to evaluate on, by name.
         cloud: Points of the surface for those that work on a cloud, (n, 3) [m].
         progress: Called with each name as it begins.
 
     Returns:
-        A row per comparator and recording. One that cannot be fitted to these
-        recordings has rows that say why.
+        A row per comparator and recording, with the reason where a fit failed.
 
     Raises:
-        InputError: An unknown name, or no recording to judge by.
+        InputError: An unknown name, or no unseen recording.
     """
     chosen = list(available()) if names is None else list(names)
     if not unseen:
@@ -124,13 +121,13 @@ def judged(
     recording: Trajectory,
     seconds_fit: float = math.nan,
 ) -> Row:
-    """One fitted comparator on one recording.
+    """Errors of one fitted comparator on one recording.
 
     Args:
         comparator: Fitted.
         label: The recording's name.
         recording: With forces.
-        seconds_fit: What the fit took, as it is told in the row [s].
+        seconds_fit: Processor time of the fit, for the row [s].
 
     Raises:
         InputError: The recording has no forces.
@@ -139,11 +136,7 @@ def judged(
     begin = time.process_time()
     wrench = comparator.wrenches(recording)
     frame = (time.process_time() - begin) / len(recording)
-    within = np.ones(len(recording), dtype=bool)
-    rendered = FieldWrenches(
-        wrench[:, :3], wrench[:, 3:], within, np.zeros(len(recording), dtype=np.int64)
-    )
-    errors = metrics.compare(recording, rendered).errors
+    errors = metrics.compare(recording, metrics.as_rendered(wrench)).errors
     return Row(
         comparator.name,
         label,
@@ -158,15 +151,14 @@ def judged(
 
 
 def ripple(comparator: WrenchSource, recording: Trajectory) -> float:
-    """Short waves of the force on a slow straight slide through a firm touch.
+    """Ripple of the force on a slow straight slide (module's docstring).
 
     Args:
         comparator: Fitted.
         recording: The slide goes along z through the pose of its largest force.
 
     Returns:
-        Root mean square of the short waves over the mean force [–]; NaN where the
-        comparator gives no force there.
+        Root mean square of the short waves over the mean force [–]; NaN without force.
     """
     from scipy.signal import savgol_filter
 
@@ -186,7 +178,7 @@ def slow_slide(recording: Trajectory) -> Trajectory:
         InputError: The recording has no forces.
     """
     if recording.force is None:
-        raise InputError("a slide is laid through the largest force: there are none")
+        raise InputError("a slide goes through the largest force: there are none")
     firm = int(np.linalg.norm(recording.force, axis=1).argmax())
     along = np.linspace(-SLIDE / 2, SLIDE / 2, N_POSES)
     position = recording.position[firm] + along[:, None] * [0.0, 0.0, 1.0]
@@ -198,9 +190,9 @@ def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
     """The rows as a Markdown table, the smallest force error first, times as ratios.
 
     Args:
-        rows: Of `compare`.
-        reference: The comparator whose mean time of a frame is 1; the fastest where it
-            is not among the rows.
+        rows: From `compare`.
+        reference: The comparator whose mean time of a frame is 1; the fastest if it is
+            not among the rows.
     """
     timed = [row for row in rows if not row.failure]
     if reference not in {row.comparator for row in timed} and timed:

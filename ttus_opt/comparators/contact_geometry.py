@@ -1,14 +1,14 @@
-"""How deep a probe is in the patient, and where: the geometry the comparators share.
+"""Penetration of a probe into the patient: the geometry that comparators share.
 
-The surface r = R(θ, z) is a cubic spline through its nodes here, periodic in θ and
-constant beyond both ends, so that normals are continuous. The depth of a point x is
-the signed distance to it, found by walking to the foot point c with the outward
-normal n = ∇F/|∇F|, F = r − R(θ, z):
+Here the surface r = R(θ, z) is a cubic spline through its nodes, periodic in θ and
+constant beyond both ends, so that normals are continuous. The depth of a point x is the
+signed distance to it, found by iterating for the foot point c with the outward normal
+n = ∇F/|∇F|, F = r − R(θ, z):
 
     depth = −n·(x − c) − F(c)/|∇F(c)|,   c ← x + depth n,
 
-a fixed number of times, so that depth and normal are continuous in x. One step
-shrinks the error by about depth times the difference of curvatures.
+a fixed number of times, so that depth and normal are continuous in x. One step reduces
+the error by about depth times the difference of curvatures.
 """
 
 from __future__ import annotations
@@ -25,25 +25,21 @@ from ttus_opt.compiled import compiled
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scan.surface import Surface
 
-#: Steps towards the foot point: the distance is then exact to 0.01 mm on a torso
+#: Iterations for the foot point; the distance is then exact to 0.01 mm on a torso
 STEPS = 4
 
 #: Angles repeated on both sides of the seam, for a periodic spline
 WRAP = 4
 
-#: Nodes of the spline's table per node of the surface, each way [–]
+#: Nodes of the spline's table per node of the surface, in each direction [–]
 FINER = 4
 
-#: Radii are not taken for smaller: the axis has no angle [m]
+#: Lower limit of radii: the axis has no angle [m]
 LEAST_RADIUS = 0.005
 
 
 class SmoothSurface:
-    """The surface as a spline, with its signed distance.
-
-    Attributes:
-        surface: As it was given.
-    """
+    """A surface as a spline, with its signed distance."""
 
     def __init__(self, surface: Surface) -> None:
         from scipy.interpolate import RectBivariateSpline
@@ -59,7 +55,7 @@ class SmoothSurface:
             kx=3,
             ky=min(3, n_z - 1),
         )
-        # R, R_θ and R_z at nodes so fine that what is linear between them is smooth
+        # R, R_θ and R_z on nodes fine enough for linear interpolation
         theta = surface.theta[0] + np.arange(n * FINER) * (step / FINER)
         z = np.linspace(surface.z[0], surface.z[-1], (n_z - 1) * FINER + 1)
         parts = [spline(theta, z), spline(theta, z, dx=1), spline(theta, z, dy=1)]
@@ -144,7 +140,7 @@ def _walk(
 
 @dataclass(frozen=True)
 class Touch:
-    """Shell points below the surface in one pose, patient axes.
+    """Shell points in contact in one pose, patient axes.
 
     Attributes:
         index: Of the shell's points, shape (k,).
@@ -182,20 +178,20 @@ class Touch:
 
     @cached_property
     def patch(self) -> Patch:
-        """The contact patch in few numbers."""
+        """The contact patch."""
         return Patch.of(self)
 
 
 @dataclass(frozen=True)
 class Patch:
-    """A contact patch; all of it is continuous in the pose, and nothing without touch.
+    """A contact patch; all values are continuous in the pose, and zero without contact.
 
     Attributes:
         depth: Of the deepest point [m].
-        area: (Σ a d)²/Σ a d²: the area of a patch of even depth [m²].
+        area: (Σ a d)²/Σ a d², the area for uniform depth [m²].
         unit: Wrench on the probe for a normal force of 1 N, shape (6,) [–, m].
-        centre: Mean contact point by depth, patient frame, shape (3,) [m].
-        arm: From the shell's reference to it [m].
+        centre: Contact point, averaged by depth, patient frame, shape (3,) [m].
+        arm: From the shell's reference to the centre [m].
     """
 
     depth: float
@@ -206,7 +202,7 @@ class Patch:
 
     @classmethod
     def of(cls, touch: Touch) -> Patch:
-        """Summary of the points in contact."""
+        """The patch of the points in contact."""
         if not len(touch):
             nothing = np.zeros(3)
             return cls(0.0, 0.0, np.zeros(6), nothing, nothing)
@@ -239,12 +235,7 @@ class Patch:
 
 
 class ContactGeometry:
-    """A probe and a patient: what touches in a pose.
-
-    Attributes:
-        surface: The patient's, with distances.
-        shell: The probe.
-    """
+    """A probe and a patient's surface, with their contact in any pose."""
 
     def __init__(self, surface: Surface, shell: PointShell) -> None:
         self.surface, self.shell = SmoothSurface(surface), shell
@@ -260,7 +251,7 @@ class ContactGeometry:
         reference = R @ self.shell.reference + at
         arm = (self.shell.points - self.shell.reference) @ R.T
         points = reference + arm
-        # only what is near the surface or below it is measured exactly
+        # exact distances are only needed near and below the surface
         near = np.flatnonzero(self._may_touch(points))
         depth, normals = self.surface.depth(points[near])
         inside = depth > 0.0
@@ -276,22 +267,17 @@ class ContactGeometry:
         )
 
     def _may_touch(self, points: Array) -> Array:
-        """False for points that are surely outside."""
+        """False for points that are certainly outside."""
         r = np.hypot(points[:, 0], points[:, 1])
         if r.min() > self._reach:
             return np.zeros(len(points), dtype=bool)
         theta = np.arctan2(points[:, 1], points[:, 0])
-        # the spline leaves the bilinear surface by less
+        # the margin is larger than the spline's distance from the bilinear surface
         return np.asarray(
             r < self.surface.surface.radius_at(theta, points[:, 2]) + 0.005
         )
 
 
 def wrench_of(forces: Array, arms: Array) -> Array:
-    """Sum of forces and of their torques, shape (6,).
-
-    Args:
-        forces: Shape (k, 3) [N].
-        arms: From the point torques are about, shape (k, 3) [m].
-    """
+    """Sum of forces (k, 3) [N] and of their torques about the arms' origin, (6,)."""
     return np.concatenate([forces.sum(axis=0), np.cross(arms, forces).sum(axis=0)])

@@ -1,8 +1,9 @@
 """The torso as one ellipsoid with a fitted stiffness.
 
-The ellipsoid |A (x − c)| = 1 that fits the surface best in least squares of radial
-distance replaces it; a probe point pushes along the probe's normal by stiffness times
-area times depth. The depth is the level 1 − q, q = |A (x − c)|, over its gradient,
+The surface is replaced by the ellipsoid |A (x − c)| = 1 that fits it best in least
+squares of radial distance; a probe point pushes along the probe's normal by stiffness
+times area times depth. The depth is the level 1 − q, q = |A (x − c)|, over its
+gradient,
 
     d = (1 − q) q / |Aᵀ A (x − c)|,
 
@@ -29,8 +30,7 @@ from ttus_opt.comparators.contact_geometry import wrench_of
 #: Most surface points that the ellipsoid is fitted to [–]
 MOST_POINTS = 5000
 
-#: Semi-axes are not taken for longer than this many times the cloud's size: an open
-#: tube has no ends that would bound them [–]
+#: Upper limit of semi-axes over the cloud's size: an open tube does not bound them [–]
 LONGEST = 5.0
 
 
@@ -56,7 +56,7 @@ class EllipsoidTorso(OneStiffness):
         local = (points - self.centre) @ self.axes / self.semi_axes
         q = np.linalg.norm(local, axis=1)
         steep = np.linalg.norm(local / self.semi_axes, axis=1)
-        # the centre itself has no direction: there the shortest axis is its depth
+        # the centre has no direction: its depth is the shortest semi-axis
         steep = np.maximum(steep, 1e-12 / self.semi_axes.min())
         return np.asarray((1.0 - q) * np.maximum(q, 1e-12) / steep)
 

@@ -22,10 +22,10 @@ from ttus_opt.comparators.patch_law import Estimator, PatchLaw
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
 
-#: First ln K, n and B/K [s/10 mm], and what they may be off by over the noise of ln f
+#: Initial ln K, n and B/K [s/10 mm], and their deviations over the noise of ln f
 FIRST, SPREAD = np.array([math.log(5.0), 1.5, 0.0]), np.array([20.0, 5.0, 1.0])
 
-#: Smaller exponents would make a force that does not start from zero [–]
+#: Lower limit of the exponent, below which force does not start from zero [–]
 LEAST_EXPONENT = 0.5
 
 

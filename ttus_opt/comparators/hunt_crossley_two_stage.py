@@ -1,4 +1,4 @@
-"""Hunt-Crossley contact by two recursions that feed each other.
+"""Hunt-Crossley contact by two coupled recursions.
 
     stage 1, n known:      f = hⁿ (K + B ḣ)              for K and B,
     stage 2, K, B known:   ln(f / (K + B ḣ)) = n ln h    for n,
@@ -24,14 +24,14 @@ from ttus_opt.comparators.patch_law import Estimator, PatchLaw
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
 
-#: First K [N], B [N s/10 mm] and n, and what they may be off by over the noise
+#: Initial K [N], B [N s/10 mm] and n, and their deviations over the noise
 FIRST, SPREAD = np.array([5.0, 0.0]), np.array([50.0, 5.0])
 FIRST_EXPONENT, EXPONENT_SPREAD = np.array([1.5]), np.array([5.0])
 
-#: Largest exponent that a stage may hand to the other [–]
+#: Upper limit of the exponent in the first stage [–]
 LARGEST_EXPONENT = 4.0
 
-#: K + B ḣ is not taken for less than this share of K in the logarithm [–]
+#: Lower limit of K + B ḣ in the logarithm, over K [–]
 LEAST_SHARE = 0.2
 
 

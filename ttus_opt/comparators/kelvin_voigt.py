@@ -21,7 +21,7 @@ from ttus_opt.comparators.patch_law import Estimator, PatchLaw
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
 
-#: First K [N per 10 mm] and B [N s per 10 mm], and what they may be off by
+#: Initial K [N per 10 mm] and B [N s per 10 mm], and their deviations over the noise
 FIRST, SPREAD = np.array([5.0, 0.0]), np.array([50.0, 5.0])
 
 

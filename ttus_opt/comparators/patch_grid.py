@@ -1,7 +1,7 @@
-"""Contact patches: a coarse grid over the surface with a share of each at a place.
+"""Contact patches: a coarse grid over the surface, with bilinear weights.
 
-A place belongs to the four nodes around it, bilinear in angle and height, so that
-parameters kept per patch are continuous over the surface.
+A place belongs to the four nodes around it, bilinearly in angle and height, so that
+parameters per patch are continuous over the surface.
 """
 
 from __future__ import annotations
@@ -25,15 +25,11 @@ class PatchGrid:
 
     @property
     def n_patches(self) -> int:
-        """How many there are [–]."""
+        """Number of patches [–]."""
         return AROUND * self._along
 
     def shares(self, place: Array) -> list[tuple[int, float]]:
-        """Nodes a place belongs to and its shares, which add up to 1.
-
-        Args:
-            place: Patient frame, shape (3,) [m].
-        """
+        """Nodes and weights, which add up to 1, of a place (3,), patient frame [m]."""
         u = np.arctan2(place[1], place[0]) / (2.0 * np.pi) * AROUND
         v = (place[2] - self._low) * self._per_metre
         v = float(min(max(v, 0.0), self._along - 1.0))

@@ -1,8 +1,7 @@
-"""A law with a few parameters per contact patch, estimated by recursions.
+"""A contact law with a few parameters per patch, estimated recursively.
 
-First one recursion over all samples; it is what every patch begins with. Then each
-patch goes on with the samples it has a share of. Rendering blends the parameters of
-the patches around the place.
+A first recursion over all samples initialises every patch; each patch then continues
+with its own samples. Rendering interpolates the parameters between patches.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ from ttus_opt.comparators.patch_grid import PatchGrid
 from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.errors import InputError
 
-#: Forgetting factor: a recording of 400 frames keeps two thirds of its first one [–]
+#: Forgetting factor: after 400 frames the first has two thirds of its weight [–]
 FORGETTING = 0.999
 
 
@@ -27,14 +26,14 @@ class Estimator(Protocol):
     """A recursion that estimates a law's parameters."""
 
     def take(self, sample: Sample, weight: float) -> None:
-        """One sample of a weight."""
+        """Update with one weighted sample."""
 
     def as_prior(self) -> Self:
-        """Where a patch begins."""
+        """A copy to initialise a patch."""
 
     @property
     def parameters(self) -> Array:
-        """The law's parameters as they are now."""
+        """The current parameters of the law."""
 
 
 class PatchLaw(PatchModel):

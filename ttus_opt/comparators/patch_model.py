@@ -1,7 +1,7 @@
-"""Comparators that see a contact as a depth, a rate and a place.
+"""Comparators that reduce a contact to a depth, a rate and a place.
 
 The normal force acts along the patch's unit wrench (`contact_geometry.Patch`); a
-subclass says how large it is for a depth h, a rate of approach ḣ and a place on the
+subclass gives its magnitude for a depth h, a rate of approach ḣ and a place on the
 surface. It never pulls.
 """
 
@@ -18,13 +18,13 @@ from ttus_opt.comparators.contact_geometry import Patch, Touch
 from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
-#: Depths are in units of this: K h^n is then a force at 10 mm, whatever n [m]
+#: Unit of depths, so that K in K h^n is the force at 10 mm for any n [m]
 DEPTH_UNIT = 0.01
 
-#: Frames less deep than this tell a law of the depth nothing [m]
+#: Frames with a smaller depth are not fitted to [m]
 LEAST_DEPTH = 0.0005
 
-#: Fewest frames in contact that a law is fitted to [–]
+#: Fewest frames in contact for a fit [–]
 FEWEST_FRAMES = 5
 
 
@@ -37,7 +37,7 @@ class Contact:
         rate: Of approach, ḣ [10 mm/s].
         place: Foot of the patch's centre on the surface, patient frame, (3,) [m].
         sliding: Velocity along the surface, shape (3,) [m/s].
-        patch: All of it.
+        patch: The contact patch.
     """
 
     depth: float
@@ -79,7 +79,7 @@ class PatchModel(Comparator):
         )
 
     def samples(self, recording: Trajectory, force: Array) -> list[Sample]:
-        """Frames that touch and whose force pushes, in their order.
+        """Frames in contact whose force pushes, in order.
 
         Raises:
             InputError: Fewer than `FEWEST_FRAMES` of them.
@@ -126,8 +126,8 @@ class PatchModel(Comparator):
 
     @abstractmethod
     def _fit_law(self, samples: list[Sample]) -> None:
-        """Find the law's parameters."""
+        """Fit the law's parameters."""
 
     @abstractmethod
     def _normal_force(self, contact: Contact) -> float:
-        """Size of the normal force [N]; below zero counts as zero."""
+        """Magnitude of the normal force [N]; negative values count as zero."""

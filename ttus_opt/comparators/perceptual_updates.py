@@ -1,19 +1,19 @@
-"""Point-cloud model with stiffness and friction sent when a hand could tell.
+"""Point-cloud model whose stiffness and friction are sent when perceptibly different.
 
-The remote side estimates a stiffness K and a friction coefficient μ of the contact as
-it goes, with a short memory:
+The remote side estimates stiffness K and friction coefficient μ of the current contact,
+with a short memory:
 
     f_n = K h,   |f_t| = μ f_n while sliding.
 
-An estimate is sent, with the place it holds at, when it differs from what the model on
-the operator's side has there by more than a just noticeable difference (Weber's law).
-That model renders f_n = K(s) h and Coulomb drag; between places it weighs what was sent
-by inverse squared distance (Shepard), so that the force has no steps.
+An estimate is sent with its place when it differs from the operator-side model there by
+more than a just noticeable difference (Weber's law). That model renders f_n = K(s) h
+and Coulomb drag; between places it weights updates by inverse distance (Shepard), so
+that the force has no steps.
 
 Source: X. Xu, B. Cizmeci, A. Al-Nuaimi, E. Steinbach, Point cloud-based model-mediated
 teleoperation with dynamic and perception-based model updating, IEEE Trans. Instrum.
-Meas. 63 (2014) 2558–2569. Its point cloud gives the surface; here that is the patient's
-surface, the same for all. Thresholds: 10 % for stiffness, 20 % or 0.05 for friction.
+Meas. 63 (2014) 2558–2569. Its surface comes from the point cloud; here it is the
+patient's, as for all. Thresholds: 10 % for stiffness, 20 % or 0.05 for friction.
 """
 
 from __future__ import annotations
@@ -30,30 +30,30 @@ from ttus_opt.comparators.patch_model import Contact, PatchModel, Sample
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
 from ttus_opt.errors import InputError
 
-#: Just noticeable differences, as parts of the value, and least one of friction [–]
+#: Just noticeable differences, relative, and absolute lower limit for friction [–]
 STIFFNESS_JND, FRICTION_JND, LEAST_FRICTION_JND = 0.10, 0.20, 0.05
 
-#: Memory of the estimates: about ten frames [–]
+#: Forgetting factor: a memory of about ten frames [–]
 FORGETTING = 0.9
 
-#: Speed above which the probe slides, and over which drag rises when rendered [m/s]
+#: Speed above which the probe slides; width of the rendered drag's transition [m/s]
 SLIDING = 0.003
 
-#: Two places nearer than this are one [m]
+#: Smoothing length of the interpolation between places [m]
 NEAR = 0.003
 
-#: Beyond this from frame to frame the probe was lifted and set down elsewhere [m]
+#: A larger step between frames means that the probe was lifted [m]
 LIFTED = 0.01
 
-#: Estimates before this many samples of a contact are not sent [–]
+#: Fewest samples of a contact before an estimate is sent [–]
 SETTLED = 3.0
 
 
 class Update(NamedTuple):
-    """What is sent.
+    """A model update.
 
     Attributes:
-        place: Where it was estimated, patient frame, shape (3,) [m].
+        place: Place of the estimate, patient frame, shape (3,) [m].
         stiffness: K [N per 10 mm].
         friction: μ [–].
     """
@@ -68,8 +68,8 @@ class PerceptualUpdates(PatchModel):
 
     Attributes:
         stiffness_jnd: Just noticeable difference of the stiffness [–].
-        updates: What was sent.
-        samples_seen: Frames that could have been sent [–].
+        updates: Updates sent.
+        samples_seen: Number of frames in contact [–].
     """
 
     name = "perceptual_updates"
@@ -86,16 +86,12 @@ class PerceptualUpdates(PatchModel):
         self.samples_seen = 0
 
     def parameters(self) -> dict[str, float]:
-        """How many updates were sent, and their share of the frames in contact."""
+        """Number of updates, and their fraction of the frames in contact."""
         sent = float(len(self.updates))
         return {"updates sent": sent, "share": sent / max(self.samples_seen, 1)}
 
     def model_at(self, place: Array) -> tuple[float, float]:
-        """K and μ of the operator's model.
-
-        Args:
-            place: On the surface, shape (3,) [m].
-        """
+        """K and μ of the operator's model at a place (3,) on the surface [m]."""
         square = ((self._places - place) ** 2).sum(axis=1)
         weights = 1.0 / (square + NEAR**2) ** 2
         stiffness, friction = weights @ self._values / weights.sum()
@@ -108,7 +104,7 @@ class PerceptualUpdates(PatchModel):
         for sample in samples:
             contact = sample.contact
             if before is None or np.linalg.norm(contact.place - before.place) > LIFTED:
-                # a new contact: what was learnt elsewhere is a first guess only
+                # in a new contact the old estimate is only an initial guess
                 stiffness.covariance[:] = 50.0**2
                 stiffness.samples = 0.0
             before = contact
@@ -133,7 +129,7 @@ class PerceptualUpdates(PatchModel):
         stiffness: RecursiveLeastSquares,
         friction: RecursiveLeastSquares,
     ) -> None:
-        """Send the estimates when the model has noticeably others there."""
+        """Send the estimates if they differ noticeably from the operator's model."""
         found = max(float(stiffness.estimate[0]), 0.0)
         mu = max(float(friction.estimate[0]), 0.0)
         if self.updates:

@@ -1,8 +1,8 @@
 """Pressure field contact: traction integrated over the surface of equal pressure.
 
-The patient has a pressure k d that grows with the depth d below its surface; the probe
-one that grows with the depth s below its own, ρ times as steep, or is rigid. Where the
-two are equal lies the contact surface; along the probe's inward normal n̂ from a vertex
+In the patient a pressure k d grows with the depth d below the surface; in the probe one
+grows with the depth s below its own, ρ times as steep, unless it is rigid. The contact
+surface is where both are equal; along the probe's inward normal n̂ from a vertex
 
     k d(x + s n̂) = ρ k s,
 
@@ -27,7 +27,7 @@ from ttus_opt.comparators.base import Given, OneStiffness
 from ttus_opt.errors import InputError
 from ttus_opt.probe.mesh import TriangleMesh
 
-#: Steps towards equal pressure
+#: Newton steps to equal pressure
 STEPS = 3
 
 
@@ -80,7 +80,7 @@ def integrated(arm: Array, faces: IntArray, pressure: Array) -> Array:
     """Force and torque of a pressure, linear on triangles and never below zero.
 
     Args:
-        arm: Vertices from the point torques are about, shape (n, 3) [m].
+        arm: Vertices from the reference point of torques, shape (n, 3) [m].
         faces: Counter-clockwise seen from outside the probe, shape (f, 3).
         pressure: Of the vertices, below zero where there is no contact, (n,) [Pa].
 
@@ -94,7 +94,7 @@ def integrated(arm: Array, faces: IntArray, pressure: Array) -> Array:
     one = (p > 0.0).sum(axis=1) == 1
     two = (p > 0.0).sum(axis=1) == 2
     total[one], moment[one] = _one_above(corners[one], p[one])
-    # what is above zero is everything less what is below
+    # the positive part is the whole minus the negative part
     below, below_moment = _one_above(corners[two], -p[two])
     total[two] += below
     moment[two] += below_moment
@@ -112,7 +112,7 @@ def _linear(corners: Array, p: Array) -> tuple[Array, Array]:
 
 
 def _one_above(corners: Array, p: Array) -> tuple[Array, Array]:
-    """The same of max(p, 0) where one corner is above zero: over a smaller triangle."""
+    """As `_linear` for max(p, 0) with one positive corner: over a smaller triangle."""
     rows = np.arange(len(p))
     top = p.argmax(axis=1)
     peak, value = corners[rows, top], p[rows, top]

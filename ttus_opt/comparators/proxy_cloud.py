@@ -1,19 +1,19 @@
 """Proxy on a point cloud, 3 degrees of freedom.
 
 One point of the probe, its tip, is the haptic interface point h. A proxy P stays on the
-cloud: in each step it moves in the tangent plane of the points around it to where it
-is nearest to h,
+cloud: each step moves it within the tangent plane of the points around it to the
+position nearest to h,
 
     P ← h + n (n·(c − h)),
 
 with c and n the weighted mean and normal (smallest principal axis, outwards) of the
-points near P. The force is a spring's, f = k (P − h), where h lies below the plane.
+points near P. A spring gives the force f = k (P − h) where h lies below the plane.
 
 Source: F. Rydén, H. J. Chizeck, A proxy method for real-time 3-DOF haptic rendering of
-streaming point cloud data, IEEE Trans. Haptics 6 (2013) 257–267. There points count
-within radii r₁ < r₂ < r₃ of the proxy; here they fade out smoothly within one radius
-(compact weights, A. Adamson, M. Alexa, Ray tracing point set surfaces, SMI 2003), so
-that the force has no steps. The tip is where the recordings touch, when not given.
+streaming point cloud data, IEEE Trans. Haptics 6 (2013) 257–267. There points within
+radii r₁ < r₂ < r₃ of the proxy count; here their weights fall smoothly to zero within
+one radius (A. Adamson, M. Alexa, Ray tracing point set surfaces, SMI 2003), so that the
+force has no steps. By default the tip is the mean contact point of the recordings.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from ttus_opt.comparators.contact_geometry import ContactGeometry
 from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 
-#: Steps of the proxy: it moves by less than 0.01 mm in the last
+#: Steps of the proxy; the last is less than 0.01 mm
 STEPS = 8
 
-#: Fewer points than this make no plane: the proxy moves freely beside the cloud [–]
+#: Fewest points for a plane; with fewer there is no contact [–]
 FEWEST = 6
 
-#: The radius within which points count, in mean distances of the cloud's points [–]
+#: Radius of the weights, in mean distances of the cloud's points [–]
 RADIUS_IN_SPACINGS = 3.0
 
 
 class ProxyCloud(OneStiffness):
-    """A proxy sphere of no size on a cloud, one stiffness.
+    """A point proxy on a cloud, one stiffness.
 
     Attributes:
-        tip: The point that touches, probe frame, shape (3,) [m]; None before a fit.
-        radius: Within which the cloud's points count [m].
+        tip: The contact point, probe frame, shape (3,) [m]; None before a fit.
+        radius: Of the weights of the cloud's points [m].
     """
 
     name = "proxy_cloud"
@@ -84,7 +84,7 @@ class ProxyCloud(OneStiffness):
         return np.concatenate([pushed, np.cross(arm, pushed)]), 1
 
     def _proxy(self, interface: Array) -> Array:
-        """Where the proxy comes to rest; the interface point itself in the air."""
+        """Final position of the proxy; the interface point itself without contact."""
         place = self.cloud[self._tree.query(interface)[1]]
         height = 0.0
         for _ in range(STEPS):
@@ -97,7 +97,7 @@ class ProxyCloud(OneStiffness):
         return place if height > 0.0 else interface
 
     def _plane(self, place: Array) -> tuple[Array, Array] | None:
-        """Mean and outward normal of the points around a place; None beside them."""
+        """Mean and outward normal of the points around a place; None without any."""
         near = self.cloud[self._tree.query_ball_point(place, self.radius)]
         if len(near) < FEWEST:
             return None
@@ -113,7 +113,7 @@ class ProxyCloud(OneStiffness):
 
 
 def mean_tip(geometry: ContactGeometry, recording: Trajectory) -> Array:
-    """The mean contact point over a recording, by depth, on the probe's skin, (3,) [m].
+    """Shell point nearest to the mean contact point of a recording, (3,) [m].
 
     Raises:
         InputError: The probe touches in no frame.

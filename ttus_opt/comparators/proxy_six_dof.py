@@ -1,15 +1,15 @@
-"""Proxy with 6 degrees of freedom by constraints: Gauss' least constraint.
+"""Constraint-based proxy with 6 degrees of freedom: Gauss' least constraint.
 
-The proxy is the whole probe, held out of the patient. Among the small motions
-ξ = (δ, θ) of the probe from its pose it takes the least one, in the metric
-M = diag(1, ℓ²) of its inertia, that leaves no shell point below the surface:
+The proxy is the whole probe, held out of the patient. Among small motions ξ = (δ, θ) of
+the probe from its pose it takes the smallest, in the metric M = diag(1, ℓ²) of its
+inertia, that leaves no shell point below the surface:
 
     min ½ ξᵀ M ξ   subject to   n_m·(δ + θ × r_m) ≥ d_m   for every point m,
 
 which is the constrained acceleration of the proxy towards the hand's pose. The
-constraints are linear about the proxy's own pose and taken anew there. A coupling
-between hand and proxy gives the wrench k M ξ: a sum of contact forces along the
-surface's normals, which never pull.
+constraints are linearised anew at the proxy's pose. A coupling between hand and proxy
+gives the wrench k M ξ, a sum of contact forces along the surface's normals that never
+pull.
 
 Source: M. Ortega, S. Redon, S. Coquillart, A six degree-of-freedom god-object method
 for haptic display of rigid bodies with surface properties, IEEE Trans. Vis. Comput.
@@ -28,16 +28,16 @@ from scipy.spatial.transform import Rotation
 from ttus_opt.arrays import Array
 from ttus_opt.comparators.base import OneStiffness
 
-#: Linearisations: the last moves the proxy by less than 0.1 mm
+#: Linearisations; the last moves the proxy by less than 0.1 mm
 STEPS = 4
 
-#: Points less than this above the surface constrain the motion [m]
+#: Points within this height above the surface constrain the motion [m]
 NEAR = 0.03
 
-#: Compliance of constraints that cannot all hold, over that of the coupling [–]
+#: Compliance of infeasible constraints, over that of the coupling [–]
 SOFT = 0.3
 
-#: Residual of the dual below which the constraints contradict each other [–]
+#: Residual of the dual below which the constraints are infeasible [–]
 LEAST_REST = 1e-10
 
 
@@ -64,7 +64,7 @@ class ProxySixDof(OneStiffness):
             rows = np.hstack(
                 [normals[near], np.cross(arm[near], normals[near]) / length]
             )
-            # of the whole motion: what it has done already is known to the rows
+            # constraints on the whole motion, including the previous steps
             motion = least_motion(rows, depth[near] + rows @ motion)
         return np.concatenate([motion[:3], motion[3:] * length]), len(first)
 
@@ -72,8 +72,7 @@ class ProxySixDof(OneStiffness):
 def least_motion(rows: Array, least: Array) -> Array:
     """The shortest ξ with rows ξ ≥ least, by its dual.
 
-    Where no motion holds all of them, deep in the patient, they are springs of the
-    compliance `SOFT`.
+    Infeasible constraints, deep in the patient, are relaxed with the compliance `SOFT`.
 
     Args:
         rows: Constraints, shape (k, n).
@@ -89,12 +88,12 @@ def least_motion(rows: Array, least: Array) -> Array:
     if motion is None:
         soft = np.hstack([rows, SOFT * np.eye(len(rows))])
         motion = _shortest(soft, least)
-    assert motion is not None  # springs can always give way
+    assert motion is not None  # relaxed constraints are feasible
     return motion[:n]
 
 
 def _shortest(rows: Array, least: Array) -> Array | None:
-    """The same, None where there is none."""
+    """The shortest ξ, or None where the constraints are infeasible."""
     n, scale = rows.shape[1], float(least.max())
     matrix = np.vstack([rows.T, least / scale])
     target = np.zeros(n + 1)

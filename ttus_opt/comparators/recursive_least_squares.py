@@ -1,9 +1,9 @@
-"""Recursive least squares with forgetting: y = xᵀ φ, one sample after the other.
+"""Recursive least squares with forgetting for y = xᵀ φ.
 
     k = P x / (λ/w + xᵀ P x),   φ ← φ + k (y − xᵀ φ),   P ← (P − k xᵀ P)/λ,
 
-for a sample of the weight w. Without forgetting, λ = 1, it is least squares with the
-prior P₀⁻¹ about φ₀.
+for a sample of weight w. Without forgetting, λ = 1, it is least squares with the prior
+information P₀⁻¹ about φ₀.
 
 Source: L. Ljung, System Identification: Theory for the User, 2nd ed. (1999), §11.2.
 """
@@ -16,7 +16,7 @@ import numpy as np
 
 from ttus_opt.arrays import Array
 
-#: Samples of the whole recording that a patch's first estimate is worth [–]
+#: Weight of a patch's initial estimate, in samples [–]
 PRIOR_SAMPLES = 10.0
 
 
@@ -26,9 +26,9 @@ class RecursiveLeastSquares:
 
     Attributes:
         estimate: φ, shape (n,).
-        covariance: P, up to the noise's variance, shape (n, n).
+        covariance: P, over the noise's variance, shape (n, n).
         forgetting: λ, in (0, 1] [–].
-        samples: How many it has seen, by weight [–].
+        samples: Number of samples, by weight [–].
     """
 
     estimate: Array
@@ -40,13 +40,7 @@ class RecursiveLeastSquares:
     def start(
         cls, estimate: Array, spread: Array, forgetting: float
     ) -> RecursiveLeastSquares:
-        """Before the first sample.
-
-        Args:
-            estimate: First φ, shape (n,).
-            spread: Its deviations, over that of the noise, shape (n,).
-            forgetting: λ.
-        """
+        """The initial state: φ and its deviations over the noise's, shape (n,) each."""
         return cls(
             np.array(estimate, dtype=float),
             np.diag(np.asarray(spread, dtype=float) ** 2),
@@ -54,13 +48,7 @@ class RecursiveLeastSquares:
         )
 
     def update(self, x: Array, y: float, weight: float = 1.0) -> None:
-        """Take one sample.
-
-        Args:
-            x: Regressors, shape (n,).
-            y: What was measured.
-            weight: 1 for a whole sample [–].
-        """
+        """Update with one sample: regressors x (n,), measurement y and weight [–]."""
         spread = self.covariance @ x
         gain = spread / (self.forgetting / weight + x @ spread)
         self.estimate = self.estimate + gain * (y - x @ self.estimate)
@@ -69,6 +57,6 @@ class RecursiveLeastSquares:
         self.samples += weight
 
     def as_prior(self) -> RecursiveLeastSquares:
-        """The same estimate, worth `PRIOR_SAMPLES`: where a patch begins."""
+        """The same estimate with the weight of `PRIOR_SAMPLES`, to start a patch."""
         widened = max(self.samples / PRIOR_SAMPLES, 1.0) * self.covariance
         return RecursiveLeastSquares(self.estimate.copy(), widened, self.forgetting)

@@ -1,4 +1,4 @@
-"""The comparators there are, found by looking into this folder."""
+"""The comparators, discovered in this folder."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _kinds() -> dict[str, type[Comparator]]:
 
 
 def available() -> dict[str, str]:
-    """Names of the comparators, each with one line on what it is."""
+    """Names of the comparators with their summaries."""
     return {name: kind.summary for name, kind in _kinds().items()}
 
 
@@ -55,14 +55,11 @@ def create(
         surface: The patient.
         shell: The probe.
         cloud: Points of the surface, patient frame, for those that work on a cloud,
-            shape (n, 3) [m]; the surface's nodes when not given.
-        options: The comparator's own, see its class.
-
-    Returns:
-        The comparator.
+            shape (n, 3) [m]; by default the surface's nodes.
+        options: Of the comparator, see its class.
 
     Raises:
-        InputError: Unknown name or option, or a cloud that cannot be used.
+        InputError: Unknown name or option, or an invalid cloud.
     """
     made = kind(name)
     common = {"self", "given", "surface", "shell", "cloud"}

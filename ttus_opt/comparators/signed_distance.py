@@ -1,16 +1,15 @@
 """Point shell against a signed distance field, in its penalty form.
 
-Each point of the probe that lies at the depth d below the surface pushes along the
-probe's own normal,
+Each point of the probe at a depth d below the surface pushes along the probe's normal,
 
     f = k Σ_m a_m d(x_m) n̂_m,   τ = Σ_m (x_m − x_0) × f_m,
 
-with the points' areas a_m, so that k does not depend on how many there are.
+with the points' areas a_m, so that k does not depend on their number.
 
 Source: H. Xu, J. Barbič, 6-DoF haptic rendering using continuous collision detection
 between points and signed distance fields, IEEE Trans. Haptics 10 (2017) 151–161. Its
-continuous collision detection keeps the points of stiff bodies from passing through
-thin ones and adds nothing at measured poses within a thick patient: left out.
+continuous collision detection is left out: it keeps points from passing through thin
+bodies, and adds nothing at measured poses in a thick patient.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Stiffness map: a power law of the depth whose stiffness is kriged over the surface.
+"""Stiffness map: a power law of the depth with stiffness kriged over the surface.
 
     f = K(s) hᵃ,   K(s) = K₀ (1 + g(s)),
 
-with g a Gaussian process of deviation σ and Matérn 3/2 covariance of length ℓ over the
-places s of contact. The measured normal forces are Gaussian with the covariance
+with g a Gaussian process of standard deviation σ and Matérn 3/2 covariance of length ℓ
+over the places s of contact. The measured normal forces are Gaussian with covariance
 
     C = K₀² σ² hᵢᵃ hⱼᵃ k(sᵢ, sⱼ) + σ_n² δᵢⱼ ,
 
-so that a, ℓ, σ and σ_n are chosen by their evidence, with weak log-normal priors, and
-K(s) is the mean of g given the forces (kriging).
+so that a, ℓ, σ and σ_n are chosen by evidence, with weak log-normal priors, and K(s)
+follows from the mean of g given the forces (kriging).
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), §§2.2, 5.4.1; stiffness maps from palpation by Gaussian processes: P. Chalasani,
@@ -34,16 +34,16 @@ from ttus_opt.terms.posterior_mode import posterior_mode
 MEDIANS = np.log([1.3, 0.03, 0.4, 0.15])
 WIDTHS = np.array([0.25, 0.3, 0.5, 1.0])
 
-#: Most samples that are used, evenly thinned: evidence costs their number cubed [–]
+#: Most samples, evenly thinned: the evidence costs their number cubed [–]
 MOST_SAMPLES = 300
 
-#: Forces are not taken for more exact than this part of their size [–]
+#: Lower limit of σ_n over the root-mean-square force [–]
 LEAST_NOISE = 1e-4
 
 
 @dataclass(frozen=True)
 class PowerLaw:
-    """What the evidence chooses.
+    """Hyperparameters chosen by evidence.
 
     Attributes:
         exponent: a [–].
@@ -98,7 +98,7 @@ class StiffnessMap(PatchModel):
     """A power law with kriged stiffness.
 
     Attributes:
-        law: What the evidence chose; None before a fit.
+        law: The hyperparameters; None before a fit.
         mean_stiffness: K₀, the mean force at a depth of 10 mm [N].
     """
 
@@ -121,11 +121,7 @@ class StiffnessMap(PatchModel):
         }
 
     def stiffness_at(self, place: Array) -> float:
-        """K(s) [N at 10 mm].
-
-        Args:
-            place: On the surface, shape (3,) [m].
-        """
+        """K(s) [N at 10 mm] at a place (3,) on the surface [m]."""
         assert self.law is not None
         near = matern(place[None], self._places, self.law.length)[0]
         return self.mean_stiffness + float(near @ self._weights)

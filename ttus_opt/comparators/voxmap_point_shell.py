@@ -1,17 +1,17 @@
 """Voxmap PointShell: two bits per voxel and a plane through the voxel's centre.
 
 Voxels are free, surface or interior. A point of the probe in a surface voxel meets a
-plane through the voxel's centre, square to the point's own normal n̂ (into the probe);
-below that plane it pushes by Hooke's law (the tangent-plane force):
+plane through the voxel's centre, perpendicular to the point's normal n̂ (into the
+probe); below that plane it pushes by Hooke's law (the tangent-plane force):
 
     d = n̂·(c − x),   f = k Σ_m max(d_m, 0) n̂_m.
 
 Source: W. A. McNeely, K. D. Puterbaugh, J. J. Troy, Six degree-of-freedom haptic
 rendering using voxel sampling, SIGGRAPH 1999, 401–408, section 4. There a virtual
 coupling keeps the points within the surface layer. Measured poses on soft tissue are
-deeper, so a point in an interior voxel here takes the plane of the surface voxel that
-is nearest to its own. Points are weighted by their areas. The force jumps where a
-point crosses a voxel's face, by up to k times the voxel's edge, as in the source.
+deeper: here a point in an interior voxel takes the plane of the nearest surface voxel.
+Points are weighted by their areas. The force jumps where a point crosses a voxel's
+face, by up to k times the voxel's edge, as in the source.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ EDGE = 0.003
 #: The two bits of a voxel
 FREE, INTERIOR, SURFACE = 0, 1, 2
 
-#: Most voxels that are laid out [–]
+#: Most voxels [–]
 MOST_VOXELS = 20_000_000
 
 
@@ -64,7 +64,7 @@ class VoxmapPointShell(OneStiffness):
         reference = R @ self.shell.reference + at
         arm = (self.shell.points - self.shell.reference) @ R.T
         place = (reference + arm - self.corner) / self.edge
-        # beyond the ends the patient goes on as its last slice
+        # beyond its ends the patient continues with the last slice
         place[:, 2] = np.clip(place[:, 2], 0.0, self.voxels.shape[2] - 1.0)
         voxel = np.rint(place).astype(np.int64)
         within = ((voxel >= 0) & (voxel < self.voxels.shape)).all(axis=1)
@@ -80,7 +80,7 @@ class VoxmapPointShell(OneStiffness):
 
 
 def _voxelised(surface: Surface, edge: float) -> tuple[Array, NDArray[np.uint8]]:
-    """Corner and voxels: interior by their centre, surface where free is beside."""
+    """Corner and voxels; surface voxels are interior ones next to a free one."""
     from scipy.ndimage import binary_erosion
 
     reach = float(surface.radius.max()) + 2.0 * edge

@@ -1,7 +1,7 @@
-"""How much the boundary value matters, before and after measured forces.
+"""Sensitivity to the boundary value, without and with measured forces.
 
-The paper picks the value of the inner layer by hand. Here it runs over a decade around
-the one that suits the Laplace field best, and the error on unseen motion is reported
+The paper chooses the value of the inner layer by hand. Here it varies over a decade
+around the best one for the Laplace field, and the error on unseen motion is reported
 for each value.
 """
 
@@ -33,10 +33,10 @@ class BoundaryError:
 
     Attributes:
         patient: Name.
-        factor: Of the boundary value that suits the Laplace field best [–].
+        factor: Boundary value over the best one for the Laplace field [–].
         inner: The value on the inner layer [N/cm²].
         before_N: Mean magnitude error of the Laplace field on unseen motion.
-        after_N: The same of eq. 10.
+        after_N: Mean magnitude error of eq. 10.
     """
 
     patient: str
@@ -50,36 +50,36 @@ class BoundaryError:
         return asdict(self)
 
     @classmethod
-    def from_dict(cls, told: dict[str, Any]) -> BoundaryError:
-        """What `as_dict` gave; NaN is null in a file."""
-        after = told["after_N"]
-        return cls(**{**told, "after_N": float("nan") if after is None else after})
+    def from_dict(cls, values: dict[str, Any]) -> BoundaryError:
+        """Inverse of `as_dict`; NaN is null in a file."""
+        after = values["after_N"]
+        return cls(**{**values, "after_N": float("nan") if after is None else after})
 
 
 def boundary_errors(
     fits: PatientFits, weight: float, file: Path, digest: str
 ) -> tuple[BoundaryError, ...]:
-    """Errors over a decade of boundary values, or those an earlier call kept.
+    """Errors over a decade of boundary values, computed or from the cache.
 
     Args:
         fits: Of the patient.
         weight: λ_f = λ_τ of eq. 10.
-        file: Where they are kept.
-        digest: A word that changes when they would.
+        file: The cache.
+        digest: Checksum of their input.
     """
-    told = {"digest": digest, "weight": weight, "factors": list(FACTORS)}
+    key = {"digest": digest, "weight": weight, "factors": list(FACTORS)}
     kept = read_kept(
-        file, told, lambda told: tuple(map(BoundaryError.from_dict, told["rows"]))
+        file, key, lambda found: tuple(map(BoundaryError.from_dict, found["rows"]))
     )
     if kept is not None:
         return kept
     rows = [_at(fits, weight, factor) for factor in FACTORS]
-    write_kept(file, {**told, "rows": [row.as_dict() for row in rows]})
+    write_kept(file, {**key, "rows": [row.as_dict() for row in rows]})
     return tuple(rows)
 
 
 def spread(values: Sequence[float]) -> float:
-    """Largest less smallest."""
+    """Largest minus smallest."""
     return max(values) - min(values)
 
 

@@ -16,20 +16,17 @@ from ttus_opt.report import plots
 from ttus_opt.report.document import Picture
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
 
-#: In a picture's palette: no difference is seen, and it fits into a page
+#: Colours of a picture's palette: visually lossless, and small enough to embed
 COLOURS = 96
 
 
 def draw(folder: Path, result: ExperimentResult, best: str) -> list[Picture]:
-    """Draw everything and write it.
+    """Draw and write all pictures, in the order of the report.
 
     Args:
         folder: Of the report.
         result: Of the experiment.
-        best: The setting that stands for "with measured forces".
-
-    Returns:
-        The pictures, in the order they are shown.
+        best: The setting shown as "with measured forces".
     """
     pictures = []
     for each in result.patients:
@@ -95,7 +92,7 @@ def _of_patient(folder: Path, each: PatientResult, best: str) -> list[Picture]:
 
 
 def _saved(figure: Figure, folder: Path, name: str, caption: str) -> Picture:
-    """Write a figure with a palette of colours: a third of the size."""
+    """Write a figure with a palette, a third of the size."""
     from PIL import Image  # comes with Matplotlib
 
     path = folder / FIGURES / f"{name}.png"

@@ -1,4 +1,4 @@
-"""Fits of one patient: a field per setting, judged on all recordings, kept in files."""
+"""Fits of one patient: a field per setting, evaluated on all recordings, and cached."""
 
 from __future__ import annotations
 
@@ -10,10 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from ttus_opt import io
-from ttus_opt.arrays import Array
 from ttus_opt.errors import TtusWarning
 from ttus_opt.experiment.patients import PROBE_SPEC
 from ttus_opt.experiment.recordings import Examination
@@ -21,7 +18,6 @@ from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import GIVEN, Setting
 from ttus_opt.fitting.batch import fit
 from ttus_opt.fitting.weight_words import choice_of
-from ttus_opt.haptic.field_wrench import FieldWrenches
 from ttus_opt.json_values import plain
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.problem.solution import Status
@@ -29,10 +25,10 @@ from ttus_opt.report.metrics import Evaluation, evaluate
 from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.field import PotentialField
 
-#: The recordings that fields are fitted to
+#: The recordings to which fields are fitted
 FITTED = ("press_fit", "sweep_fit")
 
-#: What a rendering is held against
+#: The wrenches with which a rendering is compared
 AGAINST = ("measured", "true")
 
 Kept = TypeVar("Kept")
@@ -60,9 +56,9 @@ class PatientFits:
 
     Args:
         examination: The patient's recordings.
-        folder: Where fields and errors are kept.
+        folder: For cached fields and errors.
         shape: Voxels in r, θ and z [–].
-        digest: A word that changes when the recordings would.
+        digest: Checksum of the input of the recordings.
 
     Attributes:
         examination: As given.
@@ -84,7 +80,7 @@ class PatientFits:
         self._scenes: dict[tuple[object, ...], Scene] = {}
 
     def scene(self, setting: Setting) -> Scene:
-        """The scene of a setting over the recordings that fields are fitted to."""
+        """The scene of a setting over the recordings in `FITTED`."""
         key = setting.scene_key
         if key not in self._scenes:
             plan = ScenePlan(
@@ -101,15 +97,15 @@ class PatientFits:
         return self._scenes[key]
 
     def fitted(self, setting: Setting) -> Fitted:
-        """Fit a setting, or read what an earlier call kept."""
+        """Fit a setting, or read the cached result."""
         file = self._folder / f"{setting.name}.json"
-        told = {
+        key = {
             "digest": self._digest,
             "shape": list(self._shape),
             "setting": setting.as_dict(),
             **setting.source,
         }
-        kept = read_kept(file, told, lambda told: self._kept(setting, told))
+        kept = read_kept(file, key, lambda found: self._kept(setting, found))
         if kept is not None:
             return kept
         begin = time.process_time()
@@ -118,8 +114,8 @@ class PatientFits:
             word, name, options = setting.weights, setting.formulation, setting.options
             choice = choice_of(word, scene, name, options, strict=False)
             solution = fit(choice.scene, choice.formulation)
-            told_of_scene = {"sampling": choice.scene.sampling}
-            weights = {"weights_chosen": choice.as_dict() | told_of_scene}
+            sampling = {"sampling": choice.scene.sampling}
+            weights = {"weights_chosen": choice.as_dict() | sampling}
         else:
             solution = fit(scene, setting.formulation, **setting.options)
         facts: dict[str, Any] = {
@@ -138,7 +134,7 @@ class PatientFits:
             found.save(self._folder / f"{setting.name}.nc")
             rows = self.judged(setting.name, found)
         write_kept(
-            file, {**told, "facts": facts, "rows": [row.as_dict() for row in rows]}
+            file, {**key, "facts": facts, "rows": [row.as_dict() for row in rows]}
         )
         return Fitted(setting.name, rows, facts, found)
 
@@ -154,7 +150,7 @@ class PatientFits:
     def evaluation(
         self, found: PotentialField, recording: str, against: str
     ) -> Evaluation:
-        """A field rendered along a recording, beside what stands in it."""
+        """A field rendered along a recording, compared with its wrenches."""
         own = getattr(self.examination, against)[recording]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", TtusWarning)
@@ -167,35 +163,28 @@ class PatientFits:
             patient, recording, recording in FITTED, name, against, Score.of(errors)
         )
 
-    def _kept(self, setting: Setting, told: Mapping[str, Any]) -> Fitted:
-        """A kept result with its field, which is there where there are rows."""
-        rows = tuple(Row.from_dict(row) for row in told["rows"])
+    def _kept(self, setting: Setting, content: Mapping[str, Any]) -> Fitted:
+        """A cached result with its field, which exists where there are rows."""
+        rows = tuple(Row.from_dict(row) for row in content["rows"])
         file = self._folder / f"{setting.name}.nc"
         found = PotentialField.load(file) if rows else None
-        return Fitted(setting.name, rows, told["facts"], found)
-
-
-def as_rendered(wrench: Array) -> FieldWrenches:
-    """Wrenches from elsewhere, shape (T, 6) [N, N·m], as `compare` takes them."""
-    n = len(wrench)
-    within, none = np.ones(n, dtype=bool), np.zeros(n, dtype=np.int64)
-    return FieldWrenches(wrench[:, :3], wrench[:, 3:], within, none)
+        return Fitted(setting.name, rows, content["facts"], found)
 
 
 def read_kept(
-    file: Path, told: Mapping[str, Any], read: Callable[[dict[str, Any]], Kept]
+    file: Path, key: Mapping[str, Any], read: Callable[[dict[str, Any]], Kept]
 ) -> Kept | None:
-    """A kept result, None where there is none of the same making, or it is damaged.
+    """A cached result; None if it is missing, damaged or has another key.
 
     Args:
-        file: Where it is kept.
-        told: What it was made of.
-        read: Makes it of what the file has; a `FileError` says that another file of it
-            is missing or damaged.
+        file: The cache.
+        key: The input of the result.
+        read: Makes the result from the file's content; a `FileError` means that
+            another file of it is missing or damaged.
     """
     try:
         kept = json.loads(file.read_text(encoding="utf-8"))
-        same = all(kept.get(name) == plain(value) for name, value in told.items())
+        same = all(kept.get(name) == plain(value) for name, value in key.items())
         return read(kept) if same else None
     except (OSError, ValueError, RecursionError):
         return None

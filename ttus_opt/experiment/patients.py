@@ -1,9 +1,9 @@
 """Three phantom patients of different build, stiffness, ribs and lumps.
 
-Two have a superellipse for a cross-section. The third has the skin of a scan where one
-is given, and the mean of the others' shapes otherwise. Tissue is linear elastic; the
-moduli are those of relaxed to tense muscle and fat (15 to 32 kPa), ribs are ten times
-as stiff, which is enough for a probe to feel them as rigid.
+Two have superelliptic cross-sections. The third has the skin of a given scan, otherwise
+the mean of the others' shapes. Tissue is linear elastic; the moduli are those of
+relaxed to tense muscle and fat (15 to 32 kPa). Ribs are ten times as stiff, so that
+they feel rigid to a probe.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from ttus_opt.phantom.torso import Torso, TorsoMesh
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 
-#: The probe of every recording, as the phantom and as the package know it
+#: The probe of every recording, for the phantom and for the package
 PROBE, PROBE_SPEC = (
     EllipsoidProbe((0.030, 0.0125, 0.018)),
     "ellipsoid:0.030,0.0125,0.018",
 )
 
-#: Recordings of every patient: two to fit, two of new motion, and the seeds' offsets
+#: Recordings of every patient, two to fit and two of new motion, with offsets of seeds
 RECORDINGS = {"press_fit": 0, "sweep_fit": 10, "press_test": 20, "sweep_test": 30}
 
 #: Name of the patient with the skin of a scan
 SCANNED = "scanned"
 
-#: Half width of the skin that may be pressed, measured along it [m]
+#: Half width of the skin that may be pressed, as arc length [m]
 REACH = 0.052
 
 
@@ -42,7 +42,7 @@ class Patient:
 
     Attributes:
         name: Of files and table rows.
-        build: In words.
+        build: A description.
         torso: Shape and tissue.
         deepest: Depth of the deepest press [m].
         sweep_depth: Smallest and largest depth of a sweep [m].
@@ -61,14 +61,14 @@ class Patient:
     seed: int
 
     def mesh(self, resolution: float) -> TorsoMesh:
-        """How its body is meshed; 1 is fine, 2 coarse."""
+        """The mesh of its body; resolution 1 is fine, 2 coarse."""
         torso = self.torso
         front = float(torso.radius(np.array(np.pi / 2), np.array(torso.length / 2)))
         half = REACH / front
         return TorsoMesh(resolution, (np.pi / 2 - half, np.pi / 2 + half))
 
     def handling(self, recording: str) -> Handling:
-        """What the examiner's hand does in one of `RECORDINGS`."""
+        """The examiner's motion in one of `RECORDINGS`."""
         rng = np.random.default_rng(self.seed + RECORDINGS[recording])
         if recording.startswith("press"):
             return push_handling(rng, deepest=self.deepest)
@@ -80,20 +80,20 @@ class Patient:
         return self.handling(recording).poses(self.torso, PROBE)
 
     def surface(self) -> Surface:
-        """The true skin, 2° by 5 mm; bilinear between nodes it is true to 0.1 mm."""
+        """The true skin, 2° by 5 mm; bilinear interpolation is accurate to 0.1 mm."""
         theta = np.linspace(0.0, 2.0 * np.pi, 180, endpoint=False)
         z = np.linspace(0.0, self.torso.length, 61)
         return Surface.from_radius(self.torso.radius(theta[:, None], z), z)
 
     def digest(self, resolution: float) -> str:
-        """A word that changes when its recordings would."""
+        """Checksum of the input of its recordings."""
         skin = self.surface().radius.round(7).tobytes()
-        told = repr((self, self.torso, self.mesh(resolution), PROBE, RECORDINGS))
-        return hashlib.sha256(told.encode() + skin).hexdigest()[:16]
+        text = repr((self, self.torso, self.mesh(resolution), PROBE, RECORDINGS))
+        return hashlib.sha256(text.encode() + skin).hexdigest()[:16]
 
 
 def names(*, scanned: bool) -> tuple[str, ...]:
-    """Names of the three patients, without a look at the scan."""
+    """Names of the three patients, without reading the scan."""
     *made_up, third = (each.name for each in patients())
     return (*made_up, SCANNED if scanned else third)
 

@@ -14,7 +14,7 @@ from ttus_opt import io
 from ttus_opt.errors import InputError
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import BoundaryError, boundary_errors
-from ttus_opt.experiment.fits import Fitted, PatientFits, as_rendered, write_kept
+from ttus_opt.experiment.fits import Fitted, PatientFits, write_kept
 from ttus_opt.experiment.patients import Patient, names, patients
 from ttus_opt.experiment.recordings import Examination, examine
 from ttus_opt.experiment.rivals import Rival
@@ -36,12 +36,12 @@ from ttus_opt.experiment.settings import (
 from ttus_opt.experiment.side_by_side import do_ahead
 from ttus_opt.fitting.weight_words import checked_word
 from ttus_opt.problem.formulation import LARGEST
-from ttus_opt.report.metrics import compare
+from ttus_opt.report.metrics import as_rendered, compare
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.grid import CylindricalGrid
 from ttus_opt.voxmap.voxmap import check_memory
 
-#: Written at the end, and the folder of the pictures
+#: Files written at the end, and the folder of the pictures
 REPORTS, FIGURES = ("report.md", "report.html", "results.json"), "figures"
 
 #: The phantom's own wrench at the reported poses, as a setting
@@ -50,22 +50,22 @@ ITSELF = "phantom_itself"
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done.
+    """Options of the experiment.
 
     Attributes:
         shape: Voxels in r, θ and z [–].
-        formulations: Compared, names or paths.
+        formulations: Formulations to compare, names or paths.
         weight: λ_f = λ_τ of formulations that do not choose their own.
-        weights: ``auto`` fits those once more, with weights chosen from the recordings
-            by marginal likelihood; ``recipe`` adds to these what the recipe chooses;
+        weights: ``auto`` fits these once more, with weights chosen from the recordings
+            by marginal likelihood; ``recipe`` also adds what the recipe chooses;
             ``given`` does neither.
-        jobs: Patients and settings at the same time.
+        jobs: Number of parallel tasks.
         dask: Address of a dask scheduler for them, whose workers see the folder; ""
             for this machine.
-        resolution: Of the finite elements: multiplies every node spacing; 1 is fine.
-        torso: A scan whose skin the third patient has; None for a made-up one.
+        resolution: Factor of every node spacing of the finite elements; 1 is fine.
+        torso: A scan for the skin of the third patient; None for a made-up one.
         torso_unit: Of that file.
-        patients: Names of those examined; all when empty.
+        patients: Names of the patients; all when empty.
         comparators: Names of comparators, or ``("all",)``; none when empty.
     """
 
@@ -85,8 +85,8 @@ class Plan:
         """Validate numbers and words.
 
         Raises:
-            InputError: A weight or resolution out of range, no job, a word that is not
-                of `WEIGHTS`, or a shape that is too small or would not fit in memory.
+            InputError: A weight or resolution out of range, no job, a word not in
+                `WEIGHTS`, or a shape that is too small or would not fit in memory.
         """
         if self.jobs < 1:
             raise InputError(f"jobs must be at least 1, got {self.jobs}")
@@ -97,15 +97,15 @@ class Plan:
                 f"resolution from 0.3 to 10, got {self.weight:g} and "
                 f"{self.resolution:g}"
             )
-        # of any size: what is checked are the counts
+        # only the counts matter here
         check_memory(CylindricalGrid(0.03, 0.06, 0.0, 0.1, self.shape))
 
     @property
     def settings(self) -> tuple[Setting, ...]:
-        """Everything that is fitted, the tables' own first.
+        """All settings to fit, those of the paper's tables first.
 
         Raises:
-            InputError: An unknown formulation, or a file of a name that is taken.
+            InputError: An unknown formulation, or a file whose name is taken.
         """
         others = compared(self.formulations, self.weight)
         eq10 = compared(("eq10",), self.weight)
@@ -116,17 +116,13 @@ class Plan:
 
     @property
     def rivals(self) -> tuple[str, ...]:
-        """Names of the comparators asked for.
-
-        Raises:
-            InputError: An unknown name.
-        """
+        """Names of the comparators; `InputError` for an unknown one."""
         return rivals.chosen(self.comparators)
 
 
 @dataclass(frozen=True)
 class PatientResult:
-    """What was found on one patient.
+    """Results of one patient.
 
     Attributes:
         examination: The recordings.
@@ -144,7 +140,7 @@ class PatientResult:
 
     @property
     def patient(self) -> Patient:
-        """Who."""
+        """The patient."""
         return self.examination.patient
 
     @property
@@ -157,11 +153,11 @@ class PatientResult:
 
 @dataclass(frozen=True)
 class ExperimentResult:
-    """What the experiment found.
+    """Results of the experiment.
 
     Attributes:
-        plan: What was done.
-        patients: What was found, a patient each.
+        plan: Its options.
+        patients: Results per patient.
     """
 
     plan: Plan
@@ -169,7 +165,7 @@ class ExperimentResult:
 
     @property
     def rows(self) -> tuple[Row, ...]:
-        """A row per patient, recording, setting and truth."""
+        """A row per patient, recording, setting and reference wrench."""
         return tuple(row for patient in self.patients for row in patient.rows)
 
     @property
@@ -203,21 +199,18 @@ def run(
     *,
     progress: Callable[[str], None] | None = None,
 ) -> ExperimentResult:
-    """Do the experiment; a second call in the same folder goes on where one stopped.
+    """Run the experiment; a second call in the same folder resumes it.
 
     Args:
         folder: For recordings, fields, errors, figures, ``report.md``,
             ``report.html`` and ``results.json``; made when missing.
-        plan: What is done; the defaults when not given.
-        progress: Called with what begins, `n_stages` times at most.
-
-    Returns:
-        All errors.
+        plan: Its options.
+        progress: Called with every stage that begins, `n_stages` times at most.
 
     Raises:
         InputError: An unknown formulation, patient or comparator.
         MissingPackageError: scikit-fem is not installed (extra ``phantom``) and the
-            recordings are not there yet; or joblib or dask, where they are asked for.
+            recordings do not exist yet; or joblib or dask, where requested.
         FileError: The folder cannot be written to.
     """
     from ttus_opt.experiment.report import write_reports
@@ -250,18 +243,14 @@ def run(
 
 
 def n_stages(plan: Plan) -> int:
-    """How often `run` reports progress, at most."""
+    """Most calls of ``progress`` by `run`."""
     each = 3 + len(plan.settings) + len(plan.rivals)
     passes = 2 if plan.jobs > 1 or plan.dask else 1
     return 2 + passes * each * len(plan.patients or patients())
 
 
 def _wanted(plan: Plan) -> tuple[str, ...]:
-    """Names of those examined, each once.
-
-    Raises:
-        InputError: An unknown name.
-    """
+    """Names of the patients, each once; `InputError` for an unknown one."""
     everyone = names(scanned=plan.torso is not None)
     for name in plan.patients:
         if name not in everyone:

@@ -1,9 +1,9 @@
-"""Recordings of a phantom patient, simulated once and kept in a folder.
+"""Recordings of a phantom patient, simulated once and cached in a folder.
 
-Every recording is kept three times: as measured (reported poses, noisy wrench), true
-(true poses, true wrench), and as the phantom itself would render it (true wrench at the
-reported poses). The last has no error of a model: what is left of it beside the
-measured wrench is what noise alone makes, and no model is better.
+Every recording has three versions: measured (reported poses, noisy wrench), true (true
+poses, true wrench), and as the phantom itself would render it (true wrench at the
+reported poses). The last has no model error: its difference from the measured wrench is
+due to noise alone, a lower limit for every model.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from ttus_opt.phantom.torso import torso_body
 from ttus_opt.probe.trajectory import Trajectory, read_trajectory
 from ttus_opt.scan.surface import Surface
 
-#: How the file of a recording ends: as measured, true, as the phantom itself has it
+#: Ends of file names: measured, true, and the phantom at the reported poses
 KINDS = ("", "_true", "_itself")
 
-#: All that is kept of a patient beside the skin's compliance
+#: Files of a patient, beside the skin's compliance
 FILES = ("surface.nc", *(f"{name}{kind}.csv" for name in RECORDINGS for kind in KINDS))
 
 #: Digits of the files' numbers: below a nanometre and a micronewton
@@ -39,11 +39,11 @@ class Examination:
     """A patient's surface and recordings.
 
     Attributes:
-        patient: Who.
+        patient: The patient.
         surface: The true skin.
         measured: Reported poses with noisy wrenches, by name.
         true: True poses with true wrenches.
-        itself: Reported poses with the wrenches the phantom has there.
+        itself: Reported poses with the phantom's true wrenches there.
     """
 
     patient: Patient
@@ -59,24 +59,24 @@ def examine(
     resolution: float,
     progress: Callable[[str], None] | None = None,
 ) -> Examination:
-    """Simulate a patient's recordings, or read those of an earlier call.
+    """Simulate a patient's recordings, or read them from the cache.
 
     Args:
-        patient: Who.
-        folder: Where they are kept; made when missing.
+        patient: The patient.
+        folder: The cache; made when missing.
         resolution: Of the finite elements, see `phantom.torso.TorsoMesh`.
-        progress: Called with what begins, when it is not there already.
+        progress: Called with every stage that begins.
 
     Raises:
-        MissingPackageError: scikit-fem is not installed, and nothing is kept.
-        GeometryError: A path that leaves the meshed skin.
+        MissingPackageError: scikit-fem is not installed, and there is no cache.
+        GeometryError: A path leaves the meshed skin.
     """
     begin = progress or (lambda stage: None)
     stamp, digest = folder / "digest.txt", patient.digest(resolution)
     kept = stamp.read_bytes() if stamp.exists() else b""
     there = all((folder / name).exists() for name in FILES)
     if not there or kept != digest.encode():
-        # until all recordings are of one making none are
+        # the stamp is written only when all recordings are complete
         stamp.unlink(missing_ok=True)
         begin(f"{patient.name}: finite elements")
         patch = _skin(patient, folder, resolution)
@@ -93,10 +93,10 @@ def examine(
 
 
 def skin_file(patient: Patient, folder: Path, resolution: float) -> Path:
-    """Where the skin's compliance is kept; it does not depend on the paths."""
+    """The file of the skin's compliance, which does not depend on the paths."""
     skin = patient.surface().radius.round(7).tobytes()
-    told = repr((patient.torso, patient.mesh(resolution))).encode()
-    return folder / f"skin-{hashlib.sha256(told + skin).hexdigest()[:12]}.npz"
+    text = repr((patient.torso, patient.mesh(resolution))).encode()
+    return folder / f"skin-{hashlib.sha256(text + skin).hexdigest()[:12]}.npz"
 
 
 def _skin(patient: Patient, folder: Path, resolution: float) -> SkinPatch:
@@ -114,8 +114,7 @@ def _record(patient: Patient, name: str, patch: SkinPatch, folder: Path) -> None
     drag = CoulombDrag(patient.drag)
     true = record(patch, PROBE, patient.poses(name), drag=drag, damping=patient.damping)
     reported = add_pose_noise(true, rng)
-    # the phantom at the reported poses, with the motion of the true ones: a tracker's
-    # noise moves no probe
+    # reported poses with the velocities of the true ones: tracker noise is not motion
     itself = record(
         patch, PROBE, reported, drag=drag, damping=patient.damping, moving=true
     )

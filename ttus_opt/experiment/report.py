@@ -1,4 +1,4 @@
-"""The report of an experiment: what was done, the tables, the figures, the aims."""
+"""The report of an experiment: options, tables, figures and aims."""
 
 from __future__ import annotations
 
@@ -34,11 +34,7 @@ TITLE = "The paper's experiment on three phantom patients"
 
 
 def write_reports(folder: Path, result: ExperimentResult) -> None:
-    """Draw the figures and write ``report.md`` and ``report.html``.
-
-    Args:
-        folder: Where to.
-        result: Of the experiment.
+    """Draw the figures and write ``report.md`` and ``report.html`` into a folder.
 
     Raises:
         FileError: The folder cannot be written to.
@@ -50,10 +46,10 @@ def write_reports(folder: Path, result: ExperimentResult) -> None:
 
 
 def best_setting(result: ExperimentResult) -> str:
-    """Of the formulations compared, the one a hand can tell from the truth least.
+    """The compared formulation whose forces are hardest to distinguish from the truth.
 
-    By the mean share of frames told apart on new trajectories, true wrenches. The
-    choice is made after the fact, and the report says so.
+    By the mean fraction of distinguishable frames on new trajectories, true wrenches.
+    The choice is made in hindsight, and the report says so.
     """
     rows = tables.select(result.rows, seen=False, against="true")
     apart = {PAPER_WITHOUT.name, PAPER_WITH.name, LAPLACE.name}
@@ -190,7 +186,7 @@ _ABOUT_AIMS = Text(
 
 
 def _chosen_weights(result: ExperimentResult) -> list[Block]:
-    """What was chosen from the recordings; nothing where nothing was to be."""
+    """Weights chosen from the recordings; nothing where none were to be chosen."""
     table = tables.weights_table(result)
     if table is None:
         return []
@@ -206,7 +202,7 @@ _ABOUT_WEIGHTS = Text(
 
 
 def _aims(result: ExperimentResult, best: str) -> list[Block]:
-    """What is missed by each setting, and by how much by the best one."""
+    """The aims that each setting misses, and by how much the best one does."""
     lines = []
     for against in ("true", "measured"):
         rows = tables.select(result.rows, seen=False, against=against, setting=best)

@@ -1,7 +1,7 @@
-"""Other ways from measurements to forces, on the same recordings.
+"""Comparators on the same recordings.
 
-`ttus_opt.comparators` is imported when asked for. Rows of a comparator have its name
-after `PREFIX`, for some of them are formulations as well.
+`ttus_opt.comparators` is imported on demand. Rows of a comparator have its name after
+`PREFIX`, because some are formulations as well.
 """
 
 from __future__ import annotations
@@ -19,14 +19,13 @@ from ttus_opt.experiment.fits import (
     AGAINST,
     FITTED,
     PatientFits,
-    as_rendered,
     read_kept,
     write_kept,
 )
 from ttus_opt.experiment.scores import Row
-from ttus_opt.report.metrics import compare
+from ttus_opt.report.metrics import as_rendered, compare
 
-#: Of the settings of comparators' rows
+#: Begins the setting of a comparator's rows
 PREFIX = "comparator "
 
 
@@ -37,8 +36,8 @@ class Rival:
     Attributes:
         name: Its name.
         rows: Its errors; none where it could not be fitted.
-        facts: ``ms_per_frame``, ``ripple`` [–], ``processor_seconds`` of its fit, and
-            ``failure`` where there is one.
+        facts: ``ms_per_frame``, ``ripple`` [–] and ``processor_seconds`` of its fit; or
+            ``failure``.
     """
 
     name: str
@@ -47,7 +46,7 @@ class Rival:
 
 
 def chosen(names: Sequence[str]) -> tuple[str, ...]:
-    """Names of comparators; ``all`` stands for those there are.
+    """Names of comparators; ``all`` stands for every one.
 
     Raises:
         InputError: An unknown name.
@@ -66,20 +65,18 @@ def chosen(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def rival(fits: PatientFits, name: str, folder: Path, digest: str) -> Rival:
-    """Fit and judge one comparator, or read what an earlier call kept."""
-    file, told = folder / f"rival-{name}.json", {"digest": digest, "rival": name}
-    kept = read_kept(
-        file,
-        told,
-        lambda told: Rival(
-            name, tuple(map(Row.from_dict, told["rows"])), told["facts"]
-        ),
-    )
+    """Fit and evaluate one comparator, or read the cached result."""
+    file, key = folder / f"rival-{name}.json", {"digest": digest, "rival": name}
+
+    def read(content: Mapping[str, Any]) -> Rival:
+        return Rival(name, tuple(map(Row.from_dict, content["rows"])), content["facts"])
+
+    kept = read_kept(file, key, read)
     if kept is not None:
         return kept
     found = _judged(fits, name)
     rows = [row.as_dict() for row in found.rows]
-    write_kept(file, {**told, "facts": found.facts, "rows": rows})
+    write_kept(file, {**key, "facts": found.facts, "rows": rows})
     return found
 
 
@@ -94,7 +91,6 @@ def _judged(fits: PatientFits, name: str) -> Rival:
             name,
             surface=examined.surface,
             shell=fits.shell,
-            cloud=examined.surface.points().reshape(-1, 3),
         )
         model.fit([examined.measured[recording] for recording in FITTED])
     except TtusError as error:

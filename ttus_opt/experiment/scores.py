@@ -1,4 +1,4 @@
-"""How one rendering of one recording is judged, and the aims it is compared with."""
+"""The score of one rendering of one recording, and the aims."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ttus_opt.report.perception import NOTICEABLE_FORCE, NOTICEABLE_SHARE
 #: Largest mean angle of force [°], relative error of torque [–] and its angle [°]
 AIM_ANGLE, AIM_TORQUE, AIM_TORQUE_ANGLE = 3.0, 0.15, 10.0
 
-#: The frames with the largest errors that are told apart from the rest [–]
+#: Fraction of the frames that counts as the worst [–]
 WORST = 0.05
 
 
@@ -57,7 +57,7 @@ class Score:
 
     @classmethod
     def of(cls, found: Evaluation) -> Score:
-        """Judge a rendering; NaN where no frame is in contact."""
+        """The score of an evaluation; NaN where no frame is in contact."""
         errors = found.errors
         size = np.linalg.norm(found.measured_force, axis=1)
         touching = size > FORCE_THRESHOLD
@@ -101,8 +101,8 @@ class Row:
         recording: Name.
         seen: Whether the setting was fitted to it.
         setting: Name.
-        against: ``measured`` (reported poses, noisy wrench) or ``true`` (true poses,
-            true wrench).
+        against: Reference: ``measured`` (reported poses, noisy wrench) or ``true``
+            (true poses, true wrench).
         score: Its errors.
     """
 
@@ -119,10 +119,10 @@ class Row:
         return {**own, **asdict(self.score)}
 
     @classmethod
-    def from_dict(cls, told: dict[str, Any]) -> Row:
-        """What `as_dict` gave."""
+    def from_dict(cls, values: dict[str, Any]) -> Row:
+        """Inverse of `as_dict`."""
         rest: dict[str, Any] = {
-            k: float("nan") if v is None else v for k, v in told.items()
+            k: float("nan") if v is None else v for k, v in values.items()
         }
         own: dict[str, Any] = {k: rest.pop(k) for k in _KEYS}
         return cls(**own, score=Score(**rest))

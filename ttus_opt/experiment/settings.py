@@ -1,4 +1,4 @@
-"""What is compared: a way to build the scene, a formulation and its options."""
+"""Settings to compare: how the scene is built, a formulation and its options."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from ttus_opt.fitting import weight_words
 from ttus_opt.fitting.weight_choice import has_weights
 from ttus_opt.problem.formulation import available, option_names
 
-#: Compared by default, after those of the tables
+#: Formulations compared by default
 FORMULATIONS = ("eq10", "coulomb_global", "depth_map", "depth_map_coulomb")
 
 #: λ_f = λ_τ of formulations that do not choose their own
 WEIGHT = 1.0
 
-#: What `Plan.weights` takes: given weights alone, those by marginal likelihood as well,
-#: and the recipe too
+#: Values of `Plan.weights`: given weights only, also by marginal likelihood, also by
+#: the recipe
 WEIGHTS = (GIVEN, AUTO, RECIPE) = ("given", weight_words.AUTO, weight_words.RECIPE)
 
-#: Ends the name of a setting whose weights are chosen from the recordings
+#: Suffix of settings whose weights are chosen from the recordings
 CHOSEN = "_auto"
 
-#: What a patient's folder has beside the fits, each in files of its name
+#: Names of other files in a patient's folder
 RESERVED = ("boundary", "surface")
 
 
@@ -44,7 +44,7 @@ class Setting:
         outer: p_out; where p_in is fitted the ratio p_out / p_in.
         sampling: ``trilinear`` or ``voxel-mean``.
         boundary: ``subvoxel`` or ``staircase``.
-        weights: How they are chosen, one of `WEIGHTS`.
+        weights: How weights are chosen, one of `WEIGHTS`.
     """
 
     name: str
@@ -63,16 +63,16 @@ class Setting:
 
     @property
     def source(self) -> dict[str, str]:
-        """Checksum of a user's own file, so that an edit is noticed; else nothing."""
+        """Checksum of a user's own file, so that an edit invalidates the cache."""
         file = Path(self.formulation or "")
         return {"sha256": io.sha256(file)} if file.suffix == ".py" else {}
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON, and for knowing whether a kept result is of this setting."""
-        told = {**vars(self), "options": dict(self.options)}
-        del told["weights"]  # results kept before there were three words stay valid
+        """For JSON, and the cache's key."""
+        values = {**vars(self), "options": dict(self.options)}
+        del values["weights"]  # so that older caches stay valid
         chosen = {AUTO: True, RECIPE: RECIPE}.get(self.weights)
-        return told | ({"chooses": chosen} if chosen else {})
+        return values | ({"chooses": chosen} if chosen else {})
 
 
 #: The paper's: without and with measured forces, its boundary, values and weights
@@ -133,28 +133,24 @@ def chosen(formulations: Sequence[str], weights: str) -> tuple[Setting, ...]:
 
 
 def distinct(settings: Sequence[Setting]) -> tuple[Setting, ...]:
-    """The settings, each of a name of its own.
+    """The settings, checked for unique names.
 
     Raises:
-        InputError: A user's file has the name of something else that is kept.
+        InputError: A user's file has a name that the folder uses otherwise.
     """
     taken = set(RESERVED)
     for each in settings:
         if each.name in taken:
             raise InputError(
-                f"{each.formulation} has the name of something else that the folder "
-                f"keeps, {each.name}: rename the file"
+                f"{each.formulation} has the name of another file in the folder, "
+                f"{each.name}: rename it"
             )
         taken.add(each.name)
     return tuple(settings)
 
 
 def _weights(name: str, weight: float) -> Mapping[str, float]:
-    """Options for a formulation's weights; none where the data choose them.
-
-    Raises:
-        InputError: There is no such formulation.
-    """
+    """Options for a formulation's weights; none where the data choose them."""
     known = option_names(name) or ()
     defaults = {info.name: info.options for info in available()}.get(name, {})
     if "force_weight" not in known or defaults.get("force_weight", weight) is None:

@@ -1,8 +1,8 @@
-"""Patients and settings of an experiment side by side, by joblib, on dask where asked.
+"""Patients and settings of an experiment in parallel, by joblib or on dask.
 
-All that is found is kept in files (`fits`, `boundary`, `rivals`), so that a task
-returns no more than what it did; the experiment then reads the files in its own order.
-A task that was interrupted is done again by the next call, the others are not.
+All results are cached in files (`fits`, `boundary`, `rivals`), so that a task returns
+only its name; the experiment then reads the files in order. The next call repeats
+interrupted tasks only.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def do_ahead(
     """Examine all patients, then do every task of each, several at a time.
 
     Args:
-        patients: Who.
-        plan: What is done, by how many tasks at a time, and where.
+        patients: The patients.
+        plan: Options, with ``jobs`` and ``dask``.
         folder: Of the experiment; every worker must see it.
-        begin: Called with what is done.
+        begin: Called with the name of every finished task.
 
     Raises:
         MissingPackageError: joblib or dask is not installed.
@@ -48,11 +48,11 @@ def do_ahead(
     delayed = optional.load("joblib", "parallel").delayed
     tasks: list[Task] = [*plan.settings, None, *plan.rivals]
     with _pool(plan.jobs, plan.dask) as run:
-        for told in run(delayed(_examined)(who, plan, folder) for who in patients):
-            begin(told)
+        for done in run(delayed(_examined)(who, plan, folder) for who in patients):
+            begin(done)
         work = ((who, plan, folder, task) for task in tasks for who in patients)
-        for told in run(delayed(_done)(*each) for each in work):
-            begin(told)
+        for done in run(delayed(_done)(*each) for each in work):
+            begin(done)
 
 
 def _examined(patient: Patient, plan: Plan, folder: Path) -> str:
@@ -76,12 +76,7 @@ def _done(patient: Patient, plan: Plan, folder: Path, task: Task) -> str:
 
 @contextlib.contextmanager
 def _pool(jobs: int, address: str) -> Iterator[Any]:
-    """Runs joblib's tasks in processes here, or on a dask cluster.
-
-    Raises:
-        MissingPackageError: joblib or dask is not installed.
-        InputError: No scheduler answers.
-    """
+    """Run joblib's tasks in processes here, or on a dask cluster; errors as above."""
     joblib = optional.load("joblib", "parallel")
     if not address:
         yield joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")

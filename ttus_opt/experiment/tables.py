@@ -24,6 +24,7 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.report.document import Table
 from ttus_opt.report.hysteresis import hysteresis_share
 from ttus_opt.report.metrics import FORCE_THRESHOLD
+from ttus_opt.report.tables import number
 
 Reading = Callable[[Score], float]
 
@@ -45,12 +46,12 @@ _ANGLE: Reading = lambda s: s.force_angle_error_deg  # noqa: E731
 def title(setting: str) -> str:
     """A setting's name as a table prints it."""
     plain = setting.removesuffix(CHOSEN)
-    told = TITLES.get(plain, plain)
-    return told if plain == setting else f"{told}, weights by evidence"
+    name = TITLES.get(plain, plain)
+    return name if plain == setting else f"{name}, weights by evidence"
 
 
 def select(rows: Iterable[Row], **wanted: object) -> list[Row]:
-    """Rows whose attributes are as wanted."""
+    """Rows with the given attributes."""
     return [r for r in rows if all(getattr(r, k) == v for k, v in wanted.items())]
 
 
@@ -58,11 +59,6 @@ def mean(rows: Sequence[Row], reading: Reading) -> float:
     """Mean over rows; NaN without any."""
     values = [reading(row.score) for row in rows]
     return float(np.mean(values)) if values else math.nan
-
-
-def number(value: float, form: str = ".2f") -> str:
-    """A number, or a dash."""
-    return "–" if math.isnan(value) else format(value, form)
 
 
 def paper_tables(result: ExperimentResult, best: str) -> dict[str, Table]:
@@ -95,7 +91,7 @@ def _errors(
     form: str,
     paper_row: Sequence[str],
 ) -> Table:
-    """A row per patient and recording, the mean, and what the paper has."""
+    """A row per patient and recording, the mean, and the paper's values."""
     rows = select(result.rows, seen=seen, against="measured")
     places = dict.fromkeys((r.patient, r.recording) for r in rows)
     lines = []
@@ -124,7 +120,7 @@ def _paper_row(name: str, seen: bool) -> list[str]:
 
 
 def recordings_table(result: ExperimentResult) -> Table:
-    """What was recorded: contact, force, torque, and work that is not given back."""
+    """The recordings: contact, force, torque, and hysteresis."""
     shell = PointShell.from_spec(PROBE_SPEC)
     lines = []
     for each in result.patients:
@@ -256,7 +252,7 @@ def _missed(score: Score) -> str:
 
 
 def weights_table(result: ExperimentResult) -> Table | None:
-    """What was chosen from the recordings, and why not where it was not."""
+    """Weights chosen from the recordings, or why none were."""
     lines = []
     for each in result.patients:
         for name, fit in each.fits.items():

@@ -10,7 +10,7 @@ from ttus_opt.message.envelope import FIELD, NAMES, SURFACE, SURFACE_DELTA, Read
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 
-#: A message, or a surface's and its changes in their order
+#: A message, or a surface's message and its changes in order
 Base = bytes | Sequence[bytes]
 
 
@@ -24,19 +24,16 @@ def encode(
 
     Args:
         what: The surface, or the field.
-        max_error: Largest error of what is decoded: of a radius (0.25 mm by default)
-            [m], of a potential where contact reads it (0.005 by default, 0.01 if its
+        max_error: Largest error after decoding: of a radius (0.25 mm by default) [m],
+            of a potential where contact reads it (0.005 by default, 0.01 if its
             surface was rounded after the fit) [its unit].
         base: What the receiver has: for a field the message of its surface; for a
-            surface an earlier message, and only what changed is sent. With changes
-            since, all messages in their order.
-
-    Returns:
-        The message.
+            surface an earlier message, so that only changes are sent. With changes
+            since, all messages in order.
 
     Raises:
-        InputError: A field without its surface's message, a bound that makes no sense,
-            or a base of another grid or frame.
+        InputError: A field without its surface's message, an invalid bound, or a base
+            of another grid or frame.
         MissingPackageError: pcodec is not installed.
     """
     if isinstance(what, Surface):
@@ -58,18 +55,14 @@ def decode(
     base: Base | None = None,
     max_voxels: int = field_message.MOST_VOXELS,
 ) -> Surface | PotentialField:
-    """What a message holds.
+    """The content of a message; untrusted ones are safe.
 
-    A message from anywhere may be given: sizes are checked before anything is
-    allocated.
+    Sizes are checked before anything is allocated.
 
     Args:
         message: The bytes.
-        base: The message it builds on; with changes since, all in their order.
-        max_voxels: Larger fields are refused.
-
-    Returns:
-        The surface or the field.
+        base: The message it builds on; with changes since, all in order.
+        max_voxels: Largest field that is accepted.
 
     Raises:
         InputError: It is damaged, hostile, of another version, or builds on another
@@ -94,10 +87,10 @@ def decode(
 
 
 def _surface(base: Base) -> tuple[Surface, int]:
-    """The surface that messages give together, and the last one's name.
+    """The surface after all messages, and the last one's name.
 
     Raises:
-        InputError: The first is no surface, or one does not follow from those before.
+        InputError: The first is not a surface, or one does not follow from the last.
     """
     messages = [base] if isinstance(base, bytes | bytearray) else list(base)
     if not messages:

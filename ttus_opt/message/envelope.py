@@ -1,9 +1,9 @@
-"""What is around every message: mark, version, kind, length, checksum.
+"""The envelope of every message: mark, version, kind, length, checksum.
 
     mark "TTUM" | version u8 | kind u8 | length u32 | body | CRC-32 u32
 
-Numbers are little-endian; the length counts all bytes. The checksum, of all that stands
-before it, is also the message's name: a message that builds on another one holds it.
+Numbers are little-endian; the length counts all bytes. The checksum covers everything
+before it. It is also the message's name, by which others refer to it.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ VERSION: Final = 3
 
 SURFACE, SURFACE_DELTA, FIELD = 1, 2, 3
 
-#: What kinds are called in errors
+#: Names of the kinds, for errors
 NAMES = {SURFACE: "surface", SURFACE_DELTA: "change of a surface", FIELD: "field"}
 
 HEAD = struct.Struct("<4sBBI")
 CHECKSUM = struct.Struct("<I")
 
-#: Longest message that is looked at [bytes]; a surface of the most nodes fits
+#: Longest message [bytes]; the largest surface fits
 LONGEST = 2**24
 
 
@@ -40,16 +40,16 @@ class Writer:
         self._parts.append(struct.pack(f"<{layout}", *values))
 
     def block(self, content: bytes) -> None:
-        """Append bytes with their count before them."""
+        """Append bytes, preceded by their count."""
         self.number("I", len(content))
         self._parts.append(content)
 
     def packed(self, content: bytes) -> None:
-        """Append bytes by zlib."""
+        """Append bytes, compressed by zlib."""
         self.block(zlib.compress(content, 9))
 
     def message(self, kind: int) -> bytes:
-        """All of it in its envelope."""
+        """The body in its envelope."""
         body = b"".join(self._parts)
         length = HEAD.size + len(body) + CHECKSUM.size
         if length > LONGEST:
@@ -62,13 +62,10 @@ class Writer:
 
 
 class Reader:
-    """A message that arrived, its envelope checked before anything is read.
-
-    Args:
-        message: The bytes.
+    """A received message, its envelope checked before anything is read.
 
     Raises:
-        InputError: No message of ours, another version, cut off, too long, or damaged.
+        InputError: Not a message, another version, truncated, too long, or damaged.
     """
 
     def __init__(self, message: bytes) -> None:
@@ -120,15 +117,11 @@ class Reader:
         return self.numbers(layout)[0]
 
     def block(self) -> bytes:
-        """The next bytes, whose count stands before them."""
+        """The next bytes, preceded by their count."""
         return self._take(self.number("I"))
 
     def unpacked(self, most: int) -> bytes:
-        """The next bytes, out of zlib.
-
-        Args:
-            most: Their number at most; more is damage.
-        """
+        """The next bytes, decompressed by zlib; more than ``most`` are damage."""
         expand = zlib.decompressobj()
         try:
             content = expand.decompress(self.block(), most)
@@ -139,11 +132,7 @@ class Reader:
         return content
 
     def end(self) -> None:
-        """Everything has been read.
-
-        Raises:
-            InputError: There is more.
-        """
+        """Check that everything has been read; `InputError` otherwise."""
         if self._at != self._end:
             raise InputError(
                 f"the message is damaged: {self._end - self._at} bytes too many"

@@ -1,9 +1,9 @@
-"""A field as what it adds to the Laplace field of a surface the receiver has.
+"""A field as its difference from the Laplace field of a surface the receiver has.
 
-The receiver decodes the surface, lays the grid over it, solves Laplace's equation for
-both boundary values (docs/method.md, 17.3) and adds the difference, sent within an
-error bound. If the surface was rounded after the fit, so that its Laplace field is
-another one, the bound holds where contact reads, and no bytes are spent elsewhere.
+The receiver decodes the surface, makes the grid, solves Laplace's equation for both
+boundary values (docs/method.md, 17.3) and adds the difference, sent within an error
+bound. If the surface was rounded after the fit, which changes its Laplace field, the
+bound holds only where contact reads the field, and no bytes are spent elsewhere.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from ttus_opt.voxmap.voxmap import Boundary, Voxmap
 #: Default bound of the potential [N, or N/cm² when trilinear]
 MAX_ERROR = 0.005
 
-#: The same where the surface was rounded after the fit: by 0.25 mm, that alone changes
-#: forces by more [N, or N/cm² when trilinear]
+#: Default bound if the surface was rounded after the fit: rounding by 0.25 mm changes
+#: forces by more than this [N, or N/cm² when trilinear]
 MAX_ERROR_ROUNDED = 0.01
 
-#: Bounds that make sense [as the potential]
+#: Accepted range of bounds [as the potential]
 LEAST_BOUND, GREATEST_BOUND = 1e-9, 1e6
 
-#: Most voxels of a field that is decoded, unless told otherwise: case L twice
+#: Default limit of voxels, twice case L
 MOST_VOXELS = 2_500_000
 
 #: Larger boundary values are refused [as the potential]
 LARGEST_BOUNDARY = 1e9
 
-#: Bytes of parameters at most, and characters of a name
+#: Most bytes of parameters
 PARAMETER_BYTES = 2**16
 
 SAMPLINGS, BOUNDARIES = tuple(FIELD_UNIT), get_args(Boundary)
 
 
 class Grid(NamedTuple):
-    """Where the voxels are: all but the heights, which are the surface's."""
+    """The voxel grid without its heights, which are the surface's."""
 
     n_r: int
     n_theta: int
@@ -61,10 +61,10 @@ class Grid(NamedTuple):
 
 
 def _scheme(voxmap: Voxmap) -> Scheme:
-    """Heights first, radii last; from the third level on finer, as that pays.
+    """Heights first, radii last; finer from the third level on, which saves bytes.
 
-    Inside, layer and outside are predicted apart: the surface cuts their links, and the
-    field has a kink there. The wall of a sector has no field, and is not sent.
+    Inside, layer and outside are predicted separately, because the field has a kink at
+    the surface. The wall of a sector has no field, and is not sent.
     """
     wall = voxmap.grid.wall
     region = voxmap.region[:, :wall]
@@ -92,14 +92,14 @@ def encode_field(
     Args:
         field: The field.
         surface: Its surface as the receiver has it.
-        name: Of the message that gave the surface.
+        name: Of the surface's message.
         max_error: Largest error of the potential at voxels that contact reads; None for
-            `MAX_ERROR`, or `MAX_ERROR_ROUNDED` if the field is of a surface that was
-            rounded after the fit [as the potential].
+            `MAX_ERROR`, or `MAX_ERROR_ROUNDED` if the surface was rounded after the fit
+            [as the potential].
 
     Raises:
-        InputError: A bound that makes no sense, or a grid that does not begin and end
-            with the surface.
+        InputError: An invalid bound, or a grid that does not begin and end with the
+            surface.
         GeometryError: The surface does not fit the grid: it is another patient's.
     """
     own = field.voxmap
@@ -130,7 +130,7 @@ def encode_field(
             np.where(read, laplace[1], before[1]),
         )
     values = of.flatten(field.values)
-    # least squares for any field, whatever its formulation said of the boundary
+    # least squares for any field, independent of its formulation's boundary values
     scales = np.linalg.lstsq(np.stack(laplace, axis=1), values, rcond=None)[0]
     rest = of.unflatten(values - scales[0] * laplace[0] - scales[1] * laplace[1])
     try:
@@ -139,8 +139,8 @@ def encode_field(
         raise InputError(
             f"max_error {bound:g} is too small for this field: choose a larger one"
         ) from error
-    told = json.dumps([dict(field.parameters), dict(field.standard_errors)])
-    if len(told) > PARAMETER_BYTES:
+    tables = json.dumps([dict(field.parameters), dict(field.standard_errors)])
+    if len(tables) > PARAMETER_BYTES:
         raise InputError("the field has more parameters than a message takes")
     writer = Writer()
     writer.number("I", name)
@@ -149,7 +149,7 @@ def encode_field(
     writer.number("2B3d", *kinds, *scales, bound)
     writer.number("B", grid.sector is not None)
     writer.number(f"{len(grid.sector or ())}d", *(grid.sector or ()))
-    writer.packed(told.encode())
+    writer.packed(tables.encode())
     write_integers(writer, np.concatenate(passes))
     return writer.message(FIELD)
 
@@ -162,8 +162,8 @@ def decode_field(
     Args:
         reader: The message.
         surface: The surface it builds on.
-        name: Of the message that gave the surface.
-        most_voxels: Larger fields are refused before anything is allocated.
+        name: Of the surface's message.
+        most_voxels: Largest field, checked before anything is allocated.
 
     Raises:
         InputError: It builds on another surface, is too large, damaged or hostile.
@@ -232,11 +232,7 @@ def _laplace_fields(voxmap: Voxmap) -> tuple[Array, Array]:
 
 
 def _sector(reader: Reader) -> Sector | None:
-    """The sector of the grid; None for the full turn.
-
-    Raises:
-        InputError: No sector.
-    """
+    """The sector of the grid; None for the full turn."""
     kind = reader.number("B")
     if kind > 1:
         raise InputError("the message is damaged: its sector: ask for it again")
@@ -259,7 +255,7 @@ def _parameters(content: bytes) -> tuple[dict[str, float], dict[str, float]]:
 
 
 def _numbers(table: object) -> bool:
-    """Whether it is a table of finite numbers by name."""
+    """Whether ``table`` maps names to finite numbers."""
     return isinstance(table, dict) and all(
         type(value) in (int, float) and abs(value) < 1e300 for value in table.values()
     )

@@ -1,7 +1,7 @@
 """Whole numbers as bytes, by pcodec, dense or sparse, whichever is shorter.
 
-The receiver knows how many numbers there are before it decodes them and decodes into an
-array of that length; what does not fill it exactly is damaged.
+The receiver knows their count in advance and decodes into an array of that length;
+anything that does not fill it exactly is damaged.
 """
 
 from __future__ import annotations
@@ -18,19 +18,14 @@ from ttus_opt.optional import load
 
 DENSE, SPARSE = 0, 1
 
-#: Highest level of pcodec: the arrays are small
+#: Highest compression level of pcodec: the arrays are small
 LEVEL = 12
 
 DAMAGED = "the message is damaged: its numbers cannot be decoded: ask for it again"
 
 
 def write_integers(writer: Writer, values: IntArray) -> None:
-    """Append numbers.
-
-    Args:
-        writer: The message.
-        values: Shape (n,), within 32 bits.
-    """
+    """Append numbers within 32 bits, shape (n,)."""
     at = np.flatnonzero(values)
     gaps = np.diff(at, prepend=-1)
     dense = _compressed(values)
@@ -46,14 +41,7 @@ def write_integers(writer: Writer, values: IntArray) -> None:
 
 
 def read_integers(reader: Reader, count: int) -> IntArray:
-    """Numbers that `write_integers` appended.
-
-    Args:
-        reader: The message.
-        count: How many there must be.
-
-    Returns:
-        Shape (count,).
+    """Numbers that `write_integers` appended, shape (count,).
 
     Raises:
         InputError: They are damaged or of another count.

@@ -2,14 +2,13 @@
 
 A regular array is sent from coarse to fine. Each pass halves the step of one axis; the
 new nodes are predicted by cubic interpolation of those already *decoded*, and only the
-rounded difference is kept, so that errors do not add up. After Zhao and others,
+rounded difference is sent, so that errors do not accumulate. After Zhao and others,
 Optimizing error-bounded lossy compression for scientific data by dynamic spline
 interpolation, ICDE 2021.
 
-All of it is arithmetic of whole numbers: sender and receiver agree to the last bit,
-whatever machine they run on.
+All arithmetic is in integers: sender and receiver agree to the last bit on any machine.
 
-An array with a kink at a surface is predicted on either side by itself.
+An array with a kink at a surface is predicted separately on either side.
 """
 
 from __future__ import annotations
@@ -25,41 +24,41 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 
-#: Parts of a quantum in which nodes are predicted
+#: Resolution of predictions [parts per quantum]
 PARTS = 256
 
 #: Denominator of the weights of interpolation
 WEIGHT = 4096
 
-#: Nodes a prediction is made from, and how many of them where all lie on one side of
-#: the node: more would magnify their rounding
+#: Nodes of a stencil, and of one whose nodes all lie on one side of the predicted node,
+#: where more would amplify rounding
 STENCIL, STENCIL_BEYOND = 4, 2
 
 #: A quantum in units of the error bound: half a quantum, and half a part of rounding
 QUANTUM = 2 * PARTS / (PARTS + 1)
 
-#: Of a difference, so that it fits 32 bits
+#: Largest difference, in 32 bits
 LARGEST = 2**31 - 1
 
-#: Of an array, per axis
+#: Indices per axis
 _Indices = tuple[IntArray, ...]
 
 
 @dataclass(frozen=True)
 class Scheme:
-    """In what order an array is sent, and how finely.
+    """Order and resolution in which an array is sent.
 
     Attributes:
         shape: Of the array.
-        periodic: Which axes close.
+        periodic: Which axes are periodic.
         axes: Order in which a level refines them; the best predicted one comes last.
-        divisors: Parts of a quantum that differences are rounded to, finest level
-            first, then the next coarser one, the last for all beyond; what is
-            predicted from finer values needs fewer differences.
-        sides: On which side of a surface every node lies, of the array's shape; a node
-            is predicted from those of its own side. Where positive, the array is 0 on
-            the surface, and so the middle two of four nodes count where they lie
-            beyond it. None where there is no surface.
+        divisors: Fractions of a quantum to which differences are rounded, from the
+            finest level to coarser ones, the last for all beyond; predictions from
+            more exact values leave smaller differences.
+        sides: Side of a surface on which every node lies, of the array's shape; a node
+            is predicted from those on its side. On positive sides the array is 0 at the
+            surface, so that the middle two of four nodes count as 0 beyond it. None
+            where there is no surface.
     """
 
     shape: tuple[int, ...]
@@ -74,7 +73,7 @@ class Scheme:
         return math.prod(self.shape)
 
     def passes(self) -> Iterator[_Pass]:
-        """The passes from coarse to fine; the first predicts nothing."""
+        """The passes from coarse to fine; the first has no prediction."""
         step = 1
         while STENCIL * step < max(self.shape):
             step *= 2
@@ -96,19 +95,19 @@ class Scheme:
             level -= 1
 
     def _parts(self, level: int) -> int:
-        """Parts of one difference on a level, 0 the finest."""
+        """Parts of one difference on a level, 0 being the finest."""
         return PARTS // self.divisors[min(level, len(self.divisors) - 1)]
 
 
 @dataclass(frozen=True)
 class _Stencils:
-    """From what new nodes along an axis are predicted.
+    """Stencils of new nodes along an axis.
 
     Attributes:
         nodes: Indices along the axis, shape (new, count).
-        kind: Row of ``weights`` of every new node, shape (new,).
-        weights: Per kind and per subset of the nodes that may be used, bit i for node
-            i, shape (kinds, 2**count, count) [1/`WEIGHT`].
+        kind: Row of ``weights`` for every new node, shape (new,).
+        weights: Per kind and per subset of usable nodes, bit i for node i, shape
+            (kinds, 2**count, count) [1/`WEIGHT`].
     """
 
     nodes: IntArray
@@ -118,15 +117,14 @@ class _Stencils:
 
 @dataclass(frozen=True)
 class _Pass:
-    """Nodes that come together, predicted along one axis.
+    """Nodes of one pass, predicted along one axis.
 
     Attributes:
         target: Their indices, per axis.
         parts: Parts of a quantum in one difference.
         axis: The axis.
         known: Indices known so far, per axis.
-        stencils: Which of them the nodes are predicted from, and their weights; None
-            for the coarsest.
+        stencils: Of the nodes; None for the coarsest pass.
     """
 
     target: _Indices
@@ -136,7 +134,7 @@ class _Pass:
     stencils: _Stencils | None = None
 
     def predicted(self, values: IntArray, sides: NDArray[np.int8] | None) -> IntArray:
-        """The nodes from known ones, rounded; 0 where none may be used."""
+        """The predicted nodes, rounded; 0 where no known node is usable."""
         shape = [len(indices) for indices in self.target]
         if self.stencils is None:
             return np.zeros(shape, np.int64)
@@ -156,7 +154,7 @@ class _Pass:
     def _on_one_side(
         self, known: list[IntArray], sides: NDArray[np.int8], nodes: list[_Indices]
     ) -> tuple[list[IntArray], IntArray]:
-        """Values of nodes, 0 on other sides, and which predict: bit i for node i."""
+        """Values of nodes, 0 on other sides, and usable nodes: bit i for node i."""
         own = sides[np.ix_(*self.target)]
         usable = np.zeros(own.shape, np.int64)
         seen = []
@@ -168,7 +166,7 @@ class _Pass:
         return seen, usable
 
     def _there(self, node: IntArray) -> _Indices:
-        """Indices of known nodes, moved along the axis."""
+        """Indices of known nodes, with others along the axis."""
         across = [*self.known]
         across[self.axis] = node
         return np.ix_(*across)
@@ -176,15 +174,12 @@ class _Pass:
 
 @functools.lru_cache(maxsize=256)
 def _stencils(n: int, step: int, periodic: bool) -> _Stencils:
-    """Nodes and weights of cubic interpolation, exact for cubic polynomials.
+    """Stencils of up to four nodes, exact for cubic polynomials.
 
     Args:
         n: Nodes along the axis.
-        step: Every second multiple of it is known, those between are predicted.
-        periodic: Whether the axis closes.
-
-    Returns:
-        At most four nodes each; fewer where fewer are known.
+        step: Even multiples of it are known, odd multiples are predicted.
+        periodic: Whether the axis is periodic.
     """
     known, new = np.arange(0, n, 2 * step), np.arange(step, n, 2 * step)
     around = np.concatenate([known - n, known, known + n]) if periodic else known
@@ -201,11 +196,7 @@ def _stencils(n: int, step: int, periodic: bool) -> _Stencils:
 
 
 def _weights(offsets: Sequence[int]) -> IntArray:
-    """Weights of nodes for the value at 0, per subset (2**count, count) [1/`WEIGHT`].
-
-    Args:
-        offsets: Of the nodes, shape (count,).
-    """
+    """Weights for the value at 0, per node subset, (2**count, count) [1/`WEIGHT`]."""
     count = len(offsets)
     out = np.zeros((1 << count, count), np.int64)
     for subset in range(1, 1 << count):
@@ -218,7 +209,7 @@ def _weights(offsets: Sequence[int]) -> IntArray:
 
 
 def _lagrange(offsets: Sequence[int]) -> list[int]:
-    """Weights of the values at some offsets for the value at 0 [1/`WEIGHT`]."""
+    """Lagrange weights of values at some offsets for the value at 0 [1/`WEIGHT`]."""
     weights = []
     for i, own in enumerate(offsets):
         others = [other for j, other in enumerate(offsets) if j != i]
@@ -233,7 +224,7 @@ def _lagrange(offsets: Sequence[int]) -> list[int]:
 def differences(
     values: Array, max_error: float, scheme: Scheme
 ) -> tuple[list[IntArray], Array]:
-    """What to send of an array.
+    """The differences that encode an array.
 
     Args:
         values: The array, of the scheme's shape.
@@ -241,7 +232,7 @@ def differences(
         scheme: Order of sending.
 
     Returns:
-        Differences of each pass, flat, and the array as it will be decoded.
+        Differences of each pass, flat, and the decoded array.
 
     Raises:
         OverflowError: The bound is so small that a difference exceeds 32 bits.
@@ -252,50 +243,44 @@ def differences(
     exact = np.rint(values / part).astype(np.int64)
     sent: list[IntArray] = []
 
-    def told(target: _Indices, predicted: IntArray, parts: int) -> IntArray:
+    def difference(target: _Indices, predicted: IntArray, parts: int) -> IntArray:
         rest = exact[np.ix_(*target)] - predicted
         sent.append((rest + parts // 2) // parts)
         return sent[-1]
 
-    decoded = _refined(scheme, told)
+    decoded = _refined(scheme, difference)
     if max(np.abs(some).max(initial=0) for some in sent) > LARGEST:
         raise OverflowError
     return [some.reshape(-1) for some in sent], np.asarray(decoded * part, np.float64)
 
 
 def restored(sent: IntArray, max_error: float, scheme: Scheme) -> Array:
-    """The array that `differences` decoded, from its differences.
-
-    Args:
-        sent: Differences of all passes, shape (scheme.size,).
-        max_error: As sent.
-        scheme: As sent.
-    """
+    """The array from the differences of all passes, shape (scheme.size,)."""
     at = 0
 
-    def told(target: _Indices, predicted: IntArray, parts: int) -> IntArray:
+    def difference(target: _Indices, predicted: IntArray, parts: int) -> IntArray:
         nonlocal at
         shape = tuple(len(indices) for indices in target)
         here = sent[at : at + math.prod(shape)].reshape(shape)
         at += here.size
         return here
 
-    return np.asarray(_refined(scheme, told) * (QUANTUM * max_error / PARTS))
+    return np.asarray(_refined(scheme, difference) * (QUANTUM * max_error / PARTS))
 
 
 def _refined(
-    scheme: Scheme, told: Callable[[_Indices, IntArray, int], IntArray]
+    scheme: Scheme, difference: Callable[[_Indices, IntArray, int], IntArray]
 ) -> IntArray:
-    """Values [parts] built up pass by pass.
+    """Values [parts], pass by pass.
 
     Args:
         scheme: Order of sending.
-        told: Gives the differences of a pass from its target, the prediction and the
-            parts of one difference.
+        difference: Gives the differences of a pass from its target, the prediction and
+            the parts of one difference.
     """
     values = np.zeros(scheme.shape, np.int64)
     for step in scheme.passes():
         predicted = step.predicted(values, scheme.sides)
-        found = predicted + step.parts * told(step.target, predicted, step.parts)
-        values[np.ix_(*step.target)] = found
+        rest = step.parts * difference(step.target, predicted, step.parts)
+        values[np.ix_(*step.target)] = predicted + rest
     return values

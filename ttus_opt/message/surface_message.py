@@ -1,8 +1,8 @@
-"""A surface as a message, whole or as what changed since an earlier one.
+"""A surface as a message, whole or as changes since an earlier one.
 
-Sent are the radii within an error bound, the observed mask, the grid, the patient frame
-and two standard deviations: the median where the surface was observed and where it was
-filled in. A decoded surface has those two in ``radius_std``.
+A message holds the radii within an error bound, the observed mask, the grid, the
+patient frame and two standard deviations, the medians where the surface was observed
+and where it was filled in. A decoded surface has these two in ``radius_std``.
 """
 
 from __future__ import annotations
@@ -27,25 +27,18 @@ from ttus_opt.scan.surface import LARGEST, Surface
 #: Default bound of the radius [m]
 MAX_ERROR = 0.25e-3
 
-#: Bounds that make sense [m]
+#: Accepted range of bounds [m]
 LEAST_BOUND, GREATEST_BOUND = 1e-6, 1.0
 
-#: Most nodes of a surface that is decoded: 720 × 1,440
+#: Most nodes of a surface: 720 × 1,440
 MOST_NODES = 2**20
 
-#: Angles, heights and frames that differ by less are the same [rad, m, 1]
+#: Tolerance of equal angles, heights and frames [rad, m, 1]
 SAME = 1e-9
 
 
 class Window(NamedTuple):
-    """Nodes from a first angle and height on; angles wrap.
-
-    Attributes:
-        theta: First angle.
-        n_theta: Angles.
-        z: First height.
-        n_z: Heights.
-    """
+    """A rectangle of nodes, given by first index and count; angles wrap."""
 
     theta: int
     n_theta: int
@@ -61,12 +54,12 @@ class Window(NamedTuple):
 
     @classmethod
     def around(cls, changed: Mask) -> Window:
-        """The smallest that holds all marked nodes; one node where none is."""
+        """The smallest window with all marked nodes; one node without any."""
         heights = np.flatnonzero(changed.any(axis=0))
         angles = np.flatnonzero(changed.any(axis=1))
         if len(angles) == 0:
             return cls(0, 1, 0, 1)
-        # what is left out is the widest gap on the circle
+        # the window leaves out the widest gap on the circle
         gaps = np.diff(angles, append=angles[0] + len(changed))
         widest = len(gaps) - 1 - int(gaps[::-1].argmax())  # the last of equal ones
         first = int(angles[(widest + 1) % len(angles)])
@@ -75,16 +68,12 @@ class Window(NamedTuple):
 
 
 def _scheme(n_theta: int, n_z: int, *, closed: bool) -> Scheme:
-    """Heights first: angles lie closer and are predicted better."""
+    """Heights first: angles are closer and better predicted."""
     return Scheme((n_theta, n_z), (closed, False), (1, 0))
 
 
 def check_bound(max_error: float, least: float, greatest: float, unit: str) -> float:
-    """Validate an error bound.
-
-    Raises:
-        InputError: It is no number in the range that makes sense.
-    """
+    """Validate an error bound; `InputError` where it is out of range."""
     if not least <= max_error <= greatest:
         raise InputError(
             f"max_error must lie between {least:g} and {greatest:g} {unit}, got "
@@ -94,14 +83,10 @@ def check_bound(max_error: float, least: float, greatest: float, unit: str) -> f
 
 
 def encode_surface(surface: Surface, max_error: float = MAX_ERROR) -> bytes:
-    """A surface as a message of its own.
-
-    Args:
-        surface: The surface.
-        max_error: Largest error of a radius [m].
+    """A whole surface as a message, radii within ``max_error`` [m].
 
     Raises:
-        InputError: A bound that makes no sense, or too many nodes.
+        InputError: An invalid bound, or too many nodes.
     """
     bound = check_bound(max_error, LEAST_BOUND, GREATEST_BOUND, "m")
     n_theta, n_z = surface.radius.shape
@@ -145,19 +130,18 @@ def decode_surface(reader: Reader) -> Surface:
 def encode_surface_delta(
     surface: Surface, base: Surface, base_name: int, max_error: float = MAX_ERROR
 ) -> bytes:
-    """What changed since a message that the receiver has.
+    """Changes since a message that the receiver has.
 
-    Only the window of angles and heights is sent outside of which the receiver's
-    surface is within the bound already.
+    Only a window is sent, outside of which the receiver's surface is within the bound.
 
     Args:
-        surface: The surface as it is now.
-        base: As the receiver has it.
-        base_name: Name of the message that gave it.
+        surface: The current surface.
+        base: The receiver's surface.
+        base_name: Name of the receiver's last message.
         max_error: Largest error of a radius [m].
 
     Raises:
-        InputError: A bound that makes no sense, or another grid or frame.
+        InputError: An invalid bound, or another grid or frame.
     """
     bound = check_bound(max_error, LEAST_BOUND, GREATEST_BOUND, "m")
     _check_same_grid(surface, base)
@@ -173,12 +157,12 @@ def encode_surface_delta(
 
 
 def decode_surface_delta(reader: Reader, base: Surface, base_name: int) -> Surface:
-    """A surface with a message's change.
+    """A surface with the changes of a message.
 
     Args:
         reader: The message.
         base: The surface it changes.
-        base_name: Name of the message that gave it.
+        base_name: Name of the surface's message.
 
     Raises:
         InputError: It changes another surface, or is damaged or hostile.
@@ -204,11 +188,7 @@ def decode_surface_delta(reader: Reader, base: Surface, base_name: int) -> Surfa
 
 
 def check_base(wanted: int, given: int) -> None:
-    """Validate the message that another one builds on.
-
-    Raises:
-        InputError: It is another one.
-    """
+    """Refuse a base other than the one a message builds on."""
     if wanted != given:
         raise InputError(
             f"the message builds on message {wanted:08x}, got {given:08x} as base: "
@@ -218,7 +198,7 @@ def check_base(wanted: int, given: int) -> None:
 
 @dataclass(frozen=True)
 class _Nodes:
-    """What `_read_nodes` found: radii or changes, mask, standard deviations."""
+    """Radii or changes, mask, and standard deviations."""
 
     radius: Array
     observed: Mask
@@ -249,7 +229,7 @@ def _write_nodes(
         writer.number("f", np.median(surface.radius_std[part]) if part.any() else 0.0)
     writer.number("d", bound)
     writer.packed(np.packbits(mask).tobytes())
-    # the last pass is half of all and nearly zero: numbers of their own kind
+    # the last pass is half of all numbers and nearly zero: it compresses best alone
     write_integers(writer, np.concatenate([*passes[:-1], passes[-1][:0]]))
     write_integers(writer, passes[-1])
 
@@ -275,12 +255,8 @@ def _read_nodes(reader: Reader, n_theta: int, n_z: int, *, closed: bool) -> _Nod
 
 
 def _check_counts(n_theta: int, n_z: int) -> None:
-    if (
-        n_theta < 4
-        or n_z < 2
-        or n_theta * n_z > MOST_NODES
-        or max(n_theta, n_z) > 2**15
-    ):
+    few, many = n_theta < 4 or n_z < 2, n_theta * n_z > MOST_NODES
+    if few or many or max(n_theta, n_z) > 2**15:
         raise InputError(
             f"a surface that is sent has at least 4 x 2 and at most {MOST_NODES:,} "
             f"nodes, got {n_theta} x {n_z}: extract it with fewer spokes or slices"

@@ -111,10 +111,10 @@ def evaluate(
     force_threshold: float = FORCE_THRESHOLD,
     torque_threshold: float = TORQUE_THRESHOLD,
 ) -> Evaluation:
-    """Render a trajectory and compare with what was measured on it.
+    """Render a trajectory and compare it with the measured wrenches.
 
-    A field that was fitted with drag is rendered with it, from the motion: what is
-    judged is the wrench of `ttus_opt.haptic.field_wrench`, which a renderer gives too.
+    A field that was fitted with drag is rendered with it, from the motion: the wrench
+    is that of `ttus_opt.haptic.field_wrench`, the same as a renderer's.
 
     Args:
         potential: The field.
@@ -122,9 +122,6 @@ def evaluate(
         trajectory: Poses with wrenches, or with forces alone.
         force_threshold: Least measured force of a frame in contact [N].
         torque_threshold: Least measured torque with a direction [N·m].
-
-    Returns:
-        Errors and both series.
 
     Raises:
         InputError: The trajectory has no forces.
@@ -144,13 +141,13 @@ def compare(
     force_threshold: float = FORCE_THRESHOLD,
     torque_threshold: float = TORQUE_THRESHOLD,
 ) -> Evaluation:
-    """Compare wrenches with what was measured; the last part of `evaluate`.
+    """Compare rendered with measured wrenches, the last step of `evaluate`.
 
     Args:
         trajectory: Poses with wrenches.
-        rendered: What the probe feels in its frames.
-        force_threshold: As of `evaluate` [N].
-        torque_threshold: As of `evaluate` [N·m].
+        rendered: Wrenches at its frames.
+        force_threshold: As in `evaluate` [N].
+        torque_threshold: As in `evaluate` [N·m].
 
     Raises:
         InputError: The trajectory has no forces.
@@ -175,6 +172,13 @@ def compare(
         rendered.in_grid,
         rendered.beyond_inner,
     )
+
+
+def as_rendered(wrench: Array) -> FieldWrenches:
+    """Wrenches of another source, shape (T, 6) [N, N·m], for `compare`."""
+    n = len(wrench)
+    within, none = np.ones(n, dtype=bool), np.zeros(n, dtype=np.int64)
+    return FieldWrenches(wrench[:, :3], wrench[:, 3:], within, none)
 
 
 def angles(a: Array, b: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Tables of errors before and after fitting, and the report they stand in."""
+"""Tables of errors before and after fitting, and the report around them."""
 
 from __future__ import annotations
 
@@ -48,14 +48,7 @@ _COLUMNS: tuple[tuple[str, Callable[[Errors], float], str], ...] = (
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table whose columns are aligned, to be read as text as well.
-
-    Args:
-        header: Names of the columns.
-        rows: One sequence of cells per row.
-
-    Returns:
-        The lines, without a line break at the end.
+    """A Markdown table with aligned columns, without a final line break.
 
     >>> print(table(["a", "number"], [["x", "1"]]))
     | a | number |
@@ -73,14 +66,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def error_table(comparisons: Sequence[Comparison]) -> str:
-    """Errors before → after, a row per recording, with the frames in contact.
-
-    Args:
-        comparisons: The recordings.
-
-    Returns:
-        A table as of `table`.
-    """
+    """Errors before → after, a row per recording, with the frames in contact."""
     return table(*error_cells(comparisons))
 
 
@@ -96,7 +82,7 @@ def error_cells(
         cells = [f"{case.recording} ({kind})"]
         cells.append(f"{after.frames_in_contact}/{after.frames}")
         cells += [
-            f"{_number(read(before), form)} → {_number(read(after), form)}"
+            f"{number(read(before), form)} → {number(read(after), form)}"
             for _, read, form in _COLUMNS
         ]
         rows.append(cells)
@@ -115,8 +101,8 @@ def write_report(
     Args:
         path: The file.
         comparisons: Errors before and after.
-        facts: What was done, a line each, by name.
-        pictures: Caption by file name, in the order they are shown.
+        facts: A line each, by name.
+        pictures: Caption by file name, in order.
     """
     threshold = comparisons[0].after.errors.force_threshold_N
     parts = [
@@ -136,5 +122,6 @@ def write_report(
     io.write_text(path, "\n\n".join(parts) + "\n")
 
 
-def _number(value: float, form: str) -> str:
+def number(value: float, form: str = ".2f") -> str:
+    """A number as text; a dash for NaN."""
     return "–" if math.isnan(value) else format(value, form)
