@@ -20,7 +20,7 @@ from dataclasses import fields
 from typing import Any
 
 from ttus_opt.benchmark import reference_cases
-from ttus_opt.multigrid.hierarchy import Workspace
+from ttus_opt.multigrid.workspace import Workspace
 from ttus_opt.problem import formulation
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
