@@ -55,7 +55,7 @@ RIBS = 0.035, 0.5
 #: Noise of a component: of force [N], relative [–]; of torque [N·m]
 NOISE = 0.02, 0.03, 2e-3
 
-GRID = {"shape": (20, 90, 30), "r_inner": 0.12}
+SHAPE, R_INNER = (20, 90, 30), 0.12
 
 
 class Recipe(FieldModel):
@@ -132,7 +132,7 @@ def recording(body: str, probe: str, rng: np.random.Generator) -> Trajectory:
             rotation.append(turn)
             size = force(body, probe, depth, z) if depth > 0.0 else 0.0
             forces.append(size * outward)
-    time_ = 0.2 * np.arange(len(position))
+    time_ = 0.2 * np.arange(len(position), dtype=float)
     return Trajectory(time_, np.array(position), np.array(rotation), np.array(forces))
 
 
@@ -155,11 +155,13 @@ def error(model: str, body: str, probe: str, sampling: str, seed: int) -> float:
     unseen = whole.select(np.arange(half, 2 * half))
     surface = Surface.from_radius(np.full((90, 31), BODY), np.linspace(0, HEIGHT, 31))
     kind = Recipe if model == "recipe" else comparators.kind(model)
-    grid = GRID if hasattr(kind, "formulation") else {}
-    made = kind(surface=surface, shell=probes()[probe][0], **grid)
-    if grid:
-        made.plan = replace(made.plan, sampling=sampling)
-    fitted = made.fit(told)
+    shell = probes()[probe][0]
+    if issubclass(kind, FieldModel):
+        ours = kind(surface=surface, shell=shell, shape=SHAPE, r_inner=R_INNER)
+        ours.plan = replace(ours.plan, sampling=sampling)
+        fitted: comparators.Comparator = ours.fit(told)
+    else:
+        fitted = kind(surface=surface, shell=shell).fit(told)
     assert unseen.force is not None
     size = np.linalg.norm(unseen.force, axis=1)
     touching = size > 0.0

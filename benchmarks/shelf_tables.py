@@ -42,8 +42,9 @@ PENALTIES = ("robust", "sparse_sources", "total_variation")
 OWN = ("depth_weighted", "along_z", "skin_graph")
 
 #: In the README: one row for each kind
-SHORT = ("tikhonov", *OWN, "free_surface", "robust", "sparse_sources")
-SHORT += ("total_variation",)
+SHORT = (
+    "tikhonov", *OWN, "free_surface", "robust", "sparse_sources", "total_variation"
+)  # fmt: skip
 
 
 def read(folders: Iterable[Path], *, wall: bool = False) -> list[Row]:
@@ -133,7 +134,8 @@ def growth(rows: Sequence[Row]) -> float:
     told = [(row["voxels"], row["cpu_first"]) for row in rows if solved(row)]
     if len({size for size, _ in told}) < 2:
         return math.nan
-    return float(np.polyfit(*np.log(told).T, 1)[0])
+    sizes, seconds = np.log(np.array(told, dtype=float)).T
+    return float(np.polyfit(sizes, seconds, 1)[0])
 
 
 def shelf_table(rows: Sequence[Row]) -> str:
