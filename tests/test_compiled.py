@@ -204,6 +204,35 @@ def test_code_nobody_asks_for_is_removed(load: Load, tmp_path: Path) -> None:
     assert sorted(left) == ["haunted.callee.step"] + ["haunted.caller.twice"] * 2
 
 
+def test_kept_code_is_of_today_again_where_it_is_older_than_a_day(
+    tmp_path: Path,
+) -> None:
+    """Once a day will do: a file that is written to all the time wears a disk."""
+    path, day = tmp_path / "code", 86400.0
+    path.write_bytes(b"code")
+    for age, renewed in ((0.5 * day, False), (2.0 * day, True), (40.0 * day, True)):
+        then = time.time() - age
+        os.utime(path, (then, then))
+        assert kept._content_of(path) == b"code"
+        assert (path.stat().st_mtime > then + 1.0) == renewed
+    assert kept._content_of(tmp_path / "none") is None
+
+
+def test_where_nothing_can_be_kept_nothing_is_missing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Without a folder, without numba, or with a cache of numba's own."""
+
+    def double(x: int) -> int:
+        return 2 * x
+
+    own = compiled()(double)
+    assert not is_kept(own)
+    assert is_kept(double) and is_kept(numba.njit(double))
+    monkeypatch.setattr(kept, "cache_folder", lambda: None)
+    assert is_kept(own)
+
+
 @pytest.mark.slow
 def test_what_another_process_compiles_is_waited_for(
     load: Load, tmp_path: Path

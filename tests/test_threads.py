@@ -24,6 +24,12 @@ def test_an_error_reaches_the_caller() -> None:
         side_by_side(lambda a: 1 / a, [1, 0])
 
 
+def test_cores_are_those_of_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = {0: {2, 5, 7}}  # by the number of a process, 0 for this one
+    monkeypatch.setattr(os, "sched_getaffinity", own.__getitem__, raising=False)
+    assert usable_cores() == 3
+
+
 @pytest.mark.parametrize(("told", "cores"), [(3, 3), (None, 1)])
 def test_systems_without_affinity(
     told: int | None, cores: int, monkeypatch: pytest.MonkeyPatch

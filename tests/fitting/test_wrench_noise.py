@@ -112,6 +112,15 @@ def test_a_place_never_errs_by_more_than_fields_can_bear() -> None:
     assert wild.estimate(1.0)[1].place_share == MOST_SHARE
 
 
+def test_a_sensor_ten_times_worse_than_usual_is_believed_to_be() -> None:
+    """Priors are weak: what 24 frames show of it moves by a tenth at most."""
+    given, sensor = recorded(24, 8, 2), np.repeat([0.5, 0.02], 3)
+    errors = sensor * np.random.default_rng(8).normal(size=(24, 6))
+    found = replace(given, misfit=errors).estimate(1.0)[1]
+    size = np.sqrt((errors**2).reshape(24, 2, 3).mean(axis=(0, 2)))
+    assert (found.force, found.torque) == pytest.approx(size, rel=0.1)
+
+
 def test_frames_are_thinned_evenly_to_the_most(monkeypatch: pytest.MonkeyPatch) -> None:
     given = recorded(9, 3)
     for most, frames in ((9, range(9)), (8, range(0, 9, 2)), (4, range(0, 9, 3))):

@@ -47,8 +47,8 @@ def test_separators(tmp_path: Path, separator: str) -> None:
 
 @pytest.mark.parametrize("mark", ["#", "%", "//"])
 def test_comments_and_a_header_that_is_one(tmp_path: Path, mark: str) -> None:
-    header = f"{mark} recorded by hand, in a hurry\n{mark} {','.join(OURS).upper()}"
-    body = [lines(",")[0], f"{mark} a pause", *lines(",")[1:]]
+    header = f"\n{mark} recorded by hand, in a hurry\n{mark} {','.join(OURS).upper()}"
+    body = [lines(",")[0], f"{mark} a pause", "", *lines(",")[1:]]
     read = tt.read_trajectory(write(tmp_path, header, body))
     np.testing.assert_array_equal(read.force, [row[8:11] for row in ROWS])
 

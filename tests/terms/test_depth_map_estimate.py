@@ -72,6 +72,37 @@ def test_evidence_is_the_log_density_of_the_forces() -> None:
     )
     constant = 0.5 * len(problem.force) * np.log(2.0 * np.pi)
     assert evidence == pytest.approx(expected + constant, abs=1e-6)
+    # no other profile without negative coefficients makes them likelier
+    rng = np.random.default_rng(6)
+    for other in np.maximum(c * (1.0 + 0.01 * rng.normal(size=(9, 2))), 0.0):
+        assert problem.evidence(chosen, varied, other)[0] < evidence
+    assert problem.evidence(chosen, varied, c)[0] == pytest.approx(evidence)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "first", "best"), [(0.3, (0.0, 1e3), 2), (1.0, (20.0, 0.0), 1)]
+)
+def test_of_the_rounds_of_a_profile_the_likeliest_counts(
+    deviation: float, first: tuple[float, float], best: int
+) -> None:
+    """Each begins with what the last one found; it may be no better."""
+    scene = drawn(0, 40)
+    problem = depth_map_estimate._Problem.of(scene, scene.N, EXPONENTS, 0.015)
+    chosen = depth_map_estimate._Chosen(0.03, deviation, 0.1, 0.05, 1.0)
+    rounds = [np.array(first)]
+    for _ in range(2):
+        rounds.append(problem.evidence(chosen, rounds[-1])[1])
+    own = [problem.evidence(chosen, c, c)[0] for c in rounds]
+    assert max(own) == own[best] and own[best] > 1.0 + own[best - 1]
+    np.testing.assert_array_equal(problem.profile(chosen, rounds[0]), rounds[best])
+
+
+def test_noise_is_never_less_than_a_covariance_needs() -> None:
+    scene = drawn(0, 40)
+    problem = depth_map_estimate._Problem.of(scene, scene.N, EXPONENTS, 0.015)
+    silent = depth_map_estimate._Chosen(0.03, 0.3, 1e-9, 1e-9, 1.0)
+    rms = np.sqrt((problem.force**2).sum() / (len(problem.force) / 3))
+    np.testing.assert_allclose(np.sqrt(problem.variances(silent)), 1e-4 * rms)
 
 
 def test_it_finds_profile_and_noise_of_drawn_fields() -> None:

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.special import k1
+import scipy.sparse as sp
+from scipy.special import gamma, k1, kv
 
 from tests.conftest import small_scene
-from ttus_opt.terms.matern import MaternFactor, SeparableCovariance
+from ttus_opt.terms import matern as matern_module
+from ttus_opt.terms.matern import MaternFactor, SeparableCovariance, matern
+
+
+def test_matern_32_is_that_of_bessel_functions() -> None:
+    d, length, nu = np.linspace(0.001, 0.1, 9), 0.03, 1.5
+    u = np.sqrt(2.0 * nu) * d / length
+    expected = 2.0 ** (1.0 - nu) / gamma(nu) * u**nu * kv(nu, u)
+    np.testing.assert_allclose(matern(d, length), expected, rtol=1e-12)
 
 
 def test_a_line_has_the_matern_32_covariance_to_second_order() -> None:
@@ -79,3 +88,59 @@ def test_rows_columns_and_products_agree_with_dense_algebra() -> None:
     assert np.abs(columns.times(some) - dense[:, voxels] @ some).max() < 1e-8 * size
     every = np.cos(np.arange(V))
     assert np.abs(covariance.times(every) - dense @ every).max() < 1e-7 * size
+
+
+def test_blocks_of_rows_agree_with_dense_algebra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also where the surface's part is solved for in several goes."""
+    monkeypatch.setattr(matern_module, "AT_ONCE", 7)
+    voxmap = small_scene("voxel-mean", (7, 12, 8), 2).voxmap
+    V, rng = voxmap.grid.n_voxels, np.random.default_rng(1)
+    covariance = SeparableCovariance.over(voxmap, rng.uniform(0.5, 2.0, V), 0.05, 0.02)
+    rows = sp.csr_array(sp.random_array((12, V), density=0.02, rng=rng))
+    whole = np.stack([covariance.times(row) for row in rows.toarray()]) @ rows.T
+    blocks = [whole[i : i + 3, i : i + 3] for i in range(0, 12, 3)]
+    np.testing.assert_allclose(covariance.among_rows(rows, 3), blocks, rtol=1e-8)
+
+
+def test_the_rows_make_white_noise_of_a_drawn_field() -> None:
+    voxmap = small_scene("voxel-mean", (7, 12, 8), 2).voxmap
+    scale = np.random.default_rng(0).uniform(0.5, 2.0, voxmap.grid.n_voxels)
+    covariance = SeparableCovariance.over(voxmap, scale, 0.05, 0.02)
+    drawn = covariance.draw(np.random.default_rng(3))
+    white = np.random.default_rng(3).standard_normal(len(drawn))
+    np.testing.assert_allclose(covariance.rows @ drawn, white, atol=1e-9)
+
+
+def uneven_tube() -> np.ndarray:
+    """Nodes around and along an ellipse's tube, at uneven steps of both."""
+    rng = np.random.default_rng(5)
+    theta = np.sort(rng.uniform(0.0, 2.0 * np.pi, 14))[:, None]
+    z = np.sort(rng.uniform(0.0, 0.3, 9))
+    x, y = 0.12 * np.cos(theta) + 0.0 * z, 0.09 * np.sin(theta) + 0.0 * z
+    return np.stack([x, y, np.broadcast_to(z, x.shape)], axis=-1)
+
+
+def test_a_tube_is_the_same_from_either_side_and_end() -> None:
+    points = uneven_tube()
+    whole = MaternFactor.on_surface(points, 0.05, ratio=2.0).operator.toarray()
+    for flip in (np.s_[::-1], np.s_[:, ::-1]):
+        order = np.arange(points[..., 0].size).reshape(points.shape[:2])[flip].ravel()
+        turned = MaternFactor.on_surface(points[flip], 0.05, ratio=2.0).operator
+        np.testing.assert_allclose(turned.toarray(), whole[np.ix_(order, order)])
+
+
+def test_an_open_tube_stands_apart_from_its_wall() -> None:
+    points = uneven_tube()
+    n_theta, n_z, _ = points.shape
+    factor = MaternFactor.on_surface(points, 0.05, is_open=True)
+    field = factor.covariance(np.arange(n_z)).reshape(n_theta, n_z, n_z)
+    assert not field[-1].any()  # of the first line, none at the wall
+    links = factor.stiffness.toarray().reshape(n_theta, n_z, n_theta, n_z)
+    assert not links[0, :, -2].any() and not links[-1, :, -2].any()
+    assert links[0, :, 1].any() and links[-3, :, -2].any()
+    # the wall is as far from the first line as the second is
+    around, along = points[1, 0] - points[0, 0], points[0, 1] - points[0, 0]
+    area = np.linalg.norm(around) * np.linalg.norm(along) / 2.0
+    assert factor.volumes[0] == pytest.approx(area)

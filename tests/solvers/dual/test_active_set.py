@@ -84,6 +84,37 @@ def test_violations_that_may_remain_settle_it_after_some_working_sets() -> None:
     assert settled == [False, False, True, True]
 
 
+def test_what_may_remain_is_a_part_of_the_tolerance() -> None:
+    """By default a tenth, and of one field all of it."""
+    first = iteration(Accuracy(1e-8))
+    worst = first.solve(first.active, 1e-8).worst
+    settled = []
+    for tolerance in (9.9 * worst, 10.1 * worst):
+        at = iteration(Accuracy(1e-8), tolerance=tolerance, acceptable_sets=0)
+        at.solve(at.active, 1e-8)
+        settled.append(at.settled)
+    assert settled == [False, True]
+
+
+def test_a_model_is_asked_where_bounds_alone_are_violated(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(LimitedField, "predicted", lambda self, active, *_: active)
+    at = iteration(Accuracy(1e-8))
+    found = at.solve(at.active, 1e-8)
+    assert at.predicted(found) is at.active
+    links = np.where(np.arange(len(found.links)) == 3, 1e-3, -np.inf)
+    assert at.predicted(replace(found, links=links)) is None
+    at.active.links[3] = True
+    assert at.predicted(found) is None
+    # of soft values it needs a minimiser, of a second field less will do
+    assert not at.predicts_roughly
+    scene = contested_pair(1, noise=0.2)
+    pair = FieldPair.of(coulomb(scene, 1.0, largest_friction=0.1).compile())
+    start = ActiveSetIteration(pair, pair.limits, None, 1e-6, Accuracy(1e-8))
+    assert start.predicts_roughly
+
+
 def test_violations_that_may_remain_count_by_the_smaller_field() -> None:
     """The KKT residuals of a second field are relative to its own size."""
     scene = contested_pair(1, noise=0.2, mu=0.0)
@@ -106,16 +137,20 @@ def test_solves_are_as_exact_as_their_working_set_is_for(
 ) -> None:
     """At the accuracy asked for to rounding, before it as far as that needs."""
     asked: list[Accuracy] = []
+    steps: list[int] = []
     plain = Subproblem.solve
 
     def noted(self: Subproblem, accuracy: Accuracy, last: Array | None) -> DualAnswer:
         asked.append(accuracy)
-        return plain(self, accuracy, last)
+        answer = plain(self, accuracy, last)
+        steps.append(answer.steps)
+        return answer
 
     monkeypatch.setattr(Subproblem, "solve", noted)
     at = iteration(Accuracy(1e-8))
     for rtol in (1e-3, 1e-8):
         at.solve(at.active, rtol)
+    assert at.steps == sum(steps) > steps[0]
     assert [a.rtol for a in asked] == [1e-3, 1e-8]
     share = at.problem.options.field_accuracy
     assert [a.field_rtol for a in asked] == [share * 1e-3, RTOL]

@@ -363,21 +363,3 @@ def test_case_s_with_a_share_below_what_was_put_in() -> None:
     assert solution.kkt.worst_relative <= TOLERANCE
     found = np.abs(solution.duals_by_name["drag_limit"])
     assert np.count_nonzero(found > 1e-6 * found.max()) > 300
-
-
-def test_a_start_at_the_answer_needs_no_working_set_but_its_own() -> None:
-    program = coulomb(contested(1, scale=-3.0), 1.0, largest_friction=0.1).compile()
-    cold = solved(program)
-    assert cold.x is not None
-    warm = Structured().prepare(program, Request(TOLERANCE, 120.0))
-    warm.start_at(cold.x, cold.duals)
-    found = warm.solve()
-    assert found.x is not None
-    np.testing.assert_allclose(found.x, cold.x, atol=1e-5 * np.abs(cold.x).max())
-    # one solved loosely, and again to the tolerance
-    assert working_sets(found) == 2
-    assert found.iterations < cold.iterations
-
-
-def working_sets(candidate: Candidate) -> int:
-    return int(candidate.detail.split(" working sets")[0])

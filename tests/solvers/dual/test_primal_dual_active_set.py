@@ -10,6 +10,7 @@ from typing import cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.ndimage import generate_binary_structure, maximum_filter
 
 import ttus_opt as tt
 from tests.conftest import some, torso
@@ -30,12 +31,15 @@ from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.active_set import LimitedProblem
 from ttus_opt.solvers.dual.limits import SpokeLimits
 from ttus_opt.solvers.dual.optimality import Violations
-from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.primal_dual_active_set import (
     _Choice,
     _near_worst,
+    _peak,
+    _Progress,
     _Safeguard,
     _strong,
+    primal_dual_active_set,
 )
 from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.dual.working_set import WorkingSet
@@ -587,6 +591,121 @@ def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back() ->
     assert risen.bounds.tolist() == [-1, -1, 0, 0, 0, 0]
 
 
+def test_patience_ends_where_nothing_gets_better() -> None:
+    """Better: the worst or the number falls by a part, or more limits are active."""
+
+    def violations(worst: float, count: int) -> Violations:
+        sizes = np.where(np.arange(9) < count, worst, -INF)
+        return Violations(sizes, np.ones(9, np.int8), np.full(9, -INF))
+
+    def active(count: int) -> WorkingSet:
+        return WorkingSet((np.arange(9) < count).astype(np.int8), np.zeros(9, bool))
+
+    progress = _Progress(DualOptions(patience=2, progress=0.5))
+    told = []
+    for worst, count, size in (
+        (1.0, 8, 1),
+        (0.9, 8, 1),  # not by half
+        (0.4, 8, 1),  # by more
+        (0.4, 5, 1),
+        (0.4, 3, 1),  # by more than half of eight, not of five
+        (0.4, 2, 1),  # by more
+        (0.9, 9, 1),
+        (0.9, 9, 2),  # one more is active
+        (0.3, 9, 2),
+        (0.3, 9, 1),
+    ):
+        progress.note(violations(worst, count), active(size))
+        told.append(progress.stalled)
+    assert told == [*[False] * 4, True, *[False] * 4, True]
+
+
+def test_peaks_are_those_of_a_filter_over_six_neighbours() -> None:
+    """With plateaus; around the patient the last spoke is beside the first."""
+    sizes = np.random.default_rng(0).integers(0, 4, (2, 6, 9, 7)).astype(float)
+    cross = generate_binary_structure(3, 1)[None]
+    wrapped = np.pad(sizes, ((0, 0), (0, 0), (1, 1), (0, 0)), mode="wrap")
+    largest = maximum_filter(wrapped, footprint=cross)[:, :, 1:-1]
+    np.testing.assert_array_equal(_peak(sizes), (sizes > 0) & (sizes == largest))
+
+
+def test_links_of_every_field_join_by_their_peaks() -> None:
+    shape = (3, 2, 2)
+    problem = SimpleNamespace(
+        options=DualOptions(), shape=shape, alone=False, links_hold_slopes=False
+    )
+    links = np.full((2, *shape), -INF)
+    links[0, :, 0, 0], links[1, :, 1, 1] = [0.1, 0.3, 0.2], [0.5, 0.4, 0.5]
+    n = links.size
+    found = Violations(np.full(n, -INF), np.ones(n, np.int8), links.reshape(-1))
+    chosen = _Choice(cast(LimitedProblem, problem)).peaks(found, WorkingSet.empty(n))
+    assert sorted(chosen.links[chosen.links > 0.0]) == [0.3, 0.5, 0.5]
+
+
+def test_how_exactly_working_sets_are_solved(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Roughly on the way, by the worst violation; the last one to the end."""
+    n, script = 400, list[tuple[int, float, int | None]]()
+    nothing = np.full(n, -INF)
+    told: list[tuple[float, int]] = []
+
+    class Scripted:
+        """Violations come as written: number, size, limits of a prediction."""
+
+        predicts_roughly = True
+
+        def __init__(self, problem: SimpleNamespace, limits: SpokeLimits, *_: object):
+            self.limits, self.p, self.active = limits, nothing, WorkingSet.empty(n)
+
+        @property
+        def over(self) -> bool:
+            return not script
+
+        def predicted(self, _: Violations) -> WorkingSet | None:
+            if self._following is None:
+                return None
+            bounds = (np.arange(n) < self._following).astype(np.int8)
+            return WorkingSet(bounds, np.zeros(n, bool))
+
+        def solve(self, active: WorkingSet, rtol: float) -> Violations:
+            self.active = active
+            told.append((rtol, active.count))
+            count, size, self._following = script.pop(0)
+            sizes = np.where(np.arange(n) >= n - count, size, -INF)
+            return Violations(sizes, np.ones(n, np.int8), nothing)
+
+    options = DualOptions(patience=2, subproblem_accuracy=1e-2)
+    problem = SimpleNamespace(
+        options=options, shape=(n, 1, 1), alone=True, links_hold_slopes=False
+    )
+    problem.objective = lambda _: 0.0
+    free = np.full(n, INF)
+    limits = SpokeLimits((n, 1, 1), -free, free, np.zeros(n, bool), -free, {})
+    module = "ttus_opt.solvers.dual.primal_dual_active_set.ActiveSetIteration"
+    monkeypatch.setattr(module, Scripted)
+
+    def asked(*lines: tuple[int, float, int | None]) -> list[tuple[float, int]]:
+        script[:] = lines
+        told.clear()
+        primal_dual_active_set(
+            cast(LimitedProblem, problem), limits, None, 1e-6, Accuracy(1e-9)
+        )
+        return told
+
+    # without a model by the worst violation, 1e-3 at most; to the end with none left
+    plain = asked((8, 0.5, None), (6, 0.02, None), (0, 0.0, None), (0, 0.0, None))
+    assert [rtol for rtol, _ in plain] == pytest.approx([1e-3, 1e-3, 2e-4, 1e-9])
+    # with one 1e-2 will do, a hundredth of it where that left no fewer violations, and
+    # a prediction that hardly differs is solved to the end
+    guided = asked((9, 0.5, 200), (9, 0.5, 300), (4, 0.5, 304), (2, 0.5, 150))
+    assert guided[1:] == [(1e-2, 200), (1e-4, 300), (1e-9, 304)]
+    # stalled: the same to the end first, and only then the safeguard
+    stuck = asked(*[(3, 0.5, None)] * 8)
+    assert stuck == [
+        *zip([1e-3] * 5, [0, 3, 0, 3, 0], strict=True),
+        *zip([1e-9] * 3, [0, 3, 0], strict=True),
+    ]
+
+
 def test_what_joins_is_a_share_of_the_worst_around() -> None:
     """The smaller the worst of all, the more joins."""
     options = DualOptions(share=0.5, neighbourhood=1)
@@ -598,19 +717,6 @@ def test_what_joins_is_a_share_of_the_worst_around() -> None:
     }
     for size, expected in joins.items():
         assert _strong(size * profile, options).reshape(-1).tolist() == expected
-
-
-def test_a_start_at_the_answer_needs_no_working_set_but_its_own() -> None:
-    scene = contested(2, scale=-3.0)
-    program = eq10(scene, 1.0, *limits_of(scene, "sign, some slope")).compile()
-    cold = solved(program)
-    assert cold.x is not None
-    warm = Structured().prepare(program, Request(TOLERANCE, 60.0))
-    warm.start_at(cold.x, cold.duals)
-    found = warm.solve()
-    assert found.x is not None
-    np.testing.assert_allclose(found.x, cold.x, atol=1e-5 * np.abs(cold.x).max())
-    assert working_sets(found) == 2 < working_sets(cold)
 
 
 def test_bounds_near_the_peaks_join_as_long_as_signs_stay_right() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,37 @@ def test_held_are_those_of_the_equation_itself(weight: float) -> None:
     assert np.count_nonzero(predicted != held) <= 0.02 * len(held)
 
 
+@pytest.fixture
+def goals(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """What is asked of every run of conjugate gradients."""
+    asked: list[float] = []
+    plain = soft_values.conjugate_gradients
+
+    def noted(*given: Any) -> tuple[Array, int]:
+        asked.append(given[2])
+        return plain(*given)
+
+    monkeypatch.setattr(soft_values, "conjugate_gradients", noted)
+    return asked
+
+
+def test_steps_end_where_the_working_set_stays_whatever_its_size(
+    goals: list[float],
+) -> None:
+    model = SoftValues(data().system, DualOptions())
+    rng = np.random.default_rng(2)
+    p, natural = rng.normal(size=(2, len(model.voxels)))
+    lower = np.full(len(p), -0.1)
+    held = model.held(p, natural, lower)
+    steps = len(goals)
+    again = model.held(1e6 * p, 1e6 * natural, 1e6 * lower)
+    assert held is not None and again is not None
+    assert 0 < held.sum() < len(held)
+    np.testing.assert_array_equal(again, held)
+    assert 1 < steps < soft_values.STEPS
+    np.testing.assert_allclose(goals[steps:], 1e6 * np.array(goals[:steps]), rtol=1e-3)
+
+
 def test_a_free_surface_takes_few_working_sets(monkeypatch: pytest.MonkeyPatch) -> None:
     program = shelf.load("free_surface", SCENE).compile()
     found = Structured().prepare(program, Request(1e-6)).solve()
@@ -87,12 +120,15 @@ def test_a_free_surface_takes_few_working_sets(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_where_directions_do_not_suffice_nothing_is_predicted(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, goals: list[float]
 ) -> None:
+    """It is found out once, by one step."""
     monkeypatch.setattr(soft_values, "MOST_DIRECTIONS", 1)
     monkeypatch.setattr(soft_values, "RESIDUAL", 1e-9)
     of = data()
     model = SoftValues(of.system, DualOptions())
     k = len(model.voxels)
     natural = np.random.default_rng(1).normal(size=k)
-    assert model.held(natural, natural, np.zeros(k)) is None
+    for _ in range(2):
+        assert model.held(natural, natural, np.zeros(k)) is None
+    assert len(goals) == 1

@@ -69,6 +69,23 @@ def test_steps_are_those_of_all_refinements(taken: list[int]) -> None:
     assert answer.steps == sum(taken) > 0
 
 
+def test_what_is_exact_enough_is_not_refined(taken: list[int]) -> None:
+    data = data_of(1.0)
+    answer = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-6))
+    assert taken == [answer.steps]
+
+
+@pytest.mark.parametrize(("rtol", "is_used"), [(1e-2, False), (1e-4, True)])
+def test_a_guess_is_used_where_much_is_asked_for(rtol: float, is_used: bool) -> None:
+    """It costs a response; where less is asked for it gains less than that."""
+    data = data_of(1.0)
+    cold = DualSolver(data.system).solve(data.b, data.t, Accuracy(rtol))
+    guess = DualSolver(data.system).solve(data.b, data.t, Accuracy(1e-9)).p
+    warm = DualSolver(data.system).solve(data.b, data.t, Accuracy(rtol), guess)
+    assert (warm.steps < cold.steps) == is_used
+    assert np.array_equal(warm.p, cold.p) != is_used
+
+
 def test_out_of_time_there_is_one_refinement(taken: list[int]) -> None:
     data = data_of(1.0)
     late = Accuracy(1e-9, deadline=0.0)

@@ -1,0 +1,89 @@
+"""Clocks of the two streams, and contact wrenches in other frames."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.session.recordings import changed, copied
+from ttus_opt.errors import InputError
+from ttus_opt.phantom.example_data import true_surface
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.sensors.streams import WrenchStream
+from ttus_opt.session.description import Description, read_description
+from ttus_opt.session.readings import (
+    contact_wrenches,
+    joined_streams,
+    read_forces,
+    synchronise,
+)
+from ttus_opt.session.registration import probe_poses, register
+from ttus_opt.session.synthetic import Truth, perfect
+
+SURFACE = true_surface()
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    return copied(tmp_path)
+
+
+def offset(session: Description, later: float) -> float:
+    """Of raw readings whose clock shows so much more [s]."""
+    frames = register(session.tracker, SURFACE)
+    poses, wrenches = probe_poses(session.tracker, frames), read_forces(session)
+    wrenches = replace(wrenches, time=wrenches.time + later)
+    return synchronise(session, poses, wrenches, SURFACE, frames).offset
+
+
+def test_offsets_of_raw_readings_are_found_as_far_as_is_looked(recording: Path) -> None:
+    """About zero, or where clocks of other epochs would begin together."""
+    truth = Truth().offset
+    changed(recording, "clock", {"by": "gravity", "largest_offset": 1.5})
+    session = read_description(recording)
+    assert offset(session, 2.0) == pytest.approx(truth - 2.0, abs=0.002)
+    changed(recording, "clock.together", True)
+    session = read_description(recording)
+    # the sensor's first reading is `truth` behind its clock's zero
+    assert offset(session, 1e6) == pytest.approx(truth - 1e6, abs=0.002)
+    # nothing within reach goes with the weight: a chance likeness is not believed
+    changed(recording, "clock", {"by": "gravity", "largest_offset": 0.2})
+    with pytest.raises(InputError, match="forces in free air follow the tilts"):
+        offset(read_description(recording), 0.0)
+
+
+@pytest.mark.parametrize("frame", ["probe", "patient", "scan", "tracker"])
+def test_contact_wrenches_of_a_frame_are_turned_to_the_patient(
+    recording: Path, frame: str
+) -> None:
+    """Of a perfect sensor, whose clock is found by contact."""
+    own = perfect(5.0)["press_fit"]
+    assert own.force is not None and own.torque is not None
+    for key in ("free", "clock", "force"):
+        changed(recording, key, None)
+    changed(recording, "force", {"file": "force.nc", "frame": frame})
+    session = read_description(recording)
+    frames = register(session.tracker, SURFACE)
+    turn = np.eye(3)
+    for motion in () if frame == "probe" else frames.to_patient(frame):
+        turn = motion[:3, :3] @ turn
+    turns = own.rotation if frame == "probe" else np.tile(turn, (len(own), 1, 1))
+    force, torque = (
+        np.einsum("tji,tj->ti", turns, values) for values in (own.force, own.torque)
+    )
+    wrenches = WrenchStream(own.time - 0.35, force, torque)
+    poses = replace(own, force=None, torque=None)
+    timing = synchronise(session, poses, wrenches, SURFACE, frames)
+    assert timing.offset == pytest.approx(0.35, abs=0.02)
+    assert timing.second is not None
+    assert set(timing.second.values) == {0.0, 1.0}
+    joined = joined_streams(session, poses, wrenches, replace(timing, offset=0.35))
+    shell = PointShell.from_spec(session.probe)
+    found, load = contact_wrenches(session, joined, shell, frames, 0.0)
+    assert load is None and found.force is not None and found.torque is not None
+    at = np.searchsorted(own.time, found.time)
+    np.testing.assert_allclose(found.force, own.force[at], atol=1e-6)
+    np.testing.assert_allclose(found.torque, own.torque[at], atol=1e-8)
