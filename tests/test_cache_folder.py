@@ -41,12 +41,12 @@ def test_what_cannot_be_made_or_written_to_is_passed_over(
     assert folder is not None and folder.parent == tmp_path / "not" / "yet"
     assert folder.name == f"ttus_opt-{os.getuid()}"  # one of each user's
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with pytest.warns(RuntimeWarning, match="compiled code is not kept"):
+    with pytest.warns(RuntimeWarning, match="compiled code is not saved"):
         assert choose() is None
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "file"))
     with pytest.warns(RuntimeWarning) as warned:
         assert choose() is None
-    assert "cannot be made" in str(warned[0].message)
+    assert "cannot be created" in str(warned[0].message)
 
 
 def test_without_a_cache_of_the_user_s_own_it_lies_in_their_home(
@@ -69,7 +69,7 @@ def test_without_a_cache_of_the_user_s_own_it_lies_in_their_home(
     expected.chmod(0o700)
     monkeypatch.setattr(os, "getuid", lambda: owner + 1)  # now it is another's
     monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
-    with pytest.warns(RuntimeWarning, match="compiled code is not kept"):
+    with pytest.warns(RuntimeWarning, match="compiled code is not saved"):
         assert choose() is None
 
 

@@ -283,7 +283,7 @@ def test_a_folder_that_cannot_be_written_to_is_no_failure(
     caller = load()
     assert cache_folder() == tmp_path / "cache" / "ttus_opt"
     (tmp_path / "cache" / "ttus_opt").rmdir()
-    with pytest.warns(RuntimeWarning, match="compiled code is not kept"):
+    with pytest.warns(RuntimeWarning, match="compiled code is not saved"):
         assert caller.twice(0) == 2
 
 

@@ -150,5 +150,5 @@ def test_a_global_that_cannot_be_told_is_refused() -> None:
     def function() -> bool:
         return reads is None
 
-    with pytest.raises(TypeError, match="whose content cannot be told"):
+    with pytest.raises(TypeError, match="whose content cannot be identified"):
         content_stamp(function)

@@ -83,7 +83,7 @@ def test_a_folder_that_cannot_be_written_to_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     target = tmp_path / "file" / "a.txt"
     with (
-        pytest.raises(FileError, match=r"cannot write .*is no folder"),
+        pytest.raises(FileError, match=r"cannot write .*is not a folder"),
         io.replacing(target),
     ):
         pass
@@ -102,7 +102,7 @@ def test_an_output_that_is_an_input_needs_force(tmp_path: Path) -> None:
     (tmp_path / "scan.ply").write_text("precious")
     (tmp_path / "link.ply").symlink_to(tmp_path / "scan.ply")
     for output in ("scan.ply", "link.ply"):
-        with pytest.raises(FileError, match="would be overwritten"):
+        with pytest.raises(FileError, match="would overwrite the input"):
             io.check_output(tmp_path / output, inputs=[tmp_path / "scan.ply"])
         io.check_output(tmp_path / output, inputs=[tmp_path / "scan.ply"], force=True)
 
@@ -110,7 +110,7 @@ def test_an_output_that_is_an_input_needs_force(tmp_path: Path) -> None:
 def test_a_pipe_and_a_folder_are_no_output(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with (
-        pytest.raises(FileError, match="no plain file"),
+        pytest.raises(FileError, match="not a regular file"),
         io.replacing(tmp_path / "pipe"),
     ):
         pass
@@ -169,9 +169,9 @@ def test_kind_and_version_are_checked(tmp_path: Path) -> None:
     [
         ({"ttus_opt_kind": np.arange(2.0)}, "ttus_opt_kind must be text, got array"),
         ({"ttus_opt_kind": 5.0}, "ttus_opt_kind must be text, got np.float64"),
-        ({"ttus_opt_version": "two"}, "which version of a surface"),
-        ({"ttus_opt_version": np.arange(2)}, "which version of a surface"),
-        ({"ttus_opt_version": 1.5}, "which version of a surface"),
+        ({"ttus_opt_version": "two"}, "does not state its surface version"),
+        ({"ttus_opt_version": np.arange(2)}, "does not state its surface version"),
+        ({"ttus_opt_version": 1.5}, "does not state its surface version"),
     ],
 )
 def test_stamps_of_another_type(

@@ -53,10 +53,10 @@ def test_regions_of_another_surface_warn() -> None:
 
 def test_no_contact_warns_that_the_fit_is_laplace_only() -> None:
     away = replace(TRAJECTORY, position=TRAJECTORY.position * [1.3, 1.3, 1.0])
-    with pytest.warns(TtusWarning, match="Laplace only"):
+    with pytest.warns(TtusWarning, match="Laplace field alone"):
         Scene.assemble(VOXMAP, SHELL, away)
     with (
-        pytest.warns(TtusWarning, match="Laplace only"),
+        pytest.warns(TtusWarning, match="Laplace field alone"),
         pytest.raises(InputError, match="never touches"),
     ):
         Scene.assemble(VOXMAP, SHELL, away, inner="fit")

@@ -26,8 +26,8 @@ def cache_folder() -> Path | None:
         if _made(folder) and _trusted(folder, owners=(0,)):
             return folder
         warnings.warn(
-            f"{folder} is not used for compiled code: it cannot be made, or others may "
-            "write to it: change its owner and mode, or NUMBA_CACHE_DIR",
+            f"{folder} is not used for compiled code: it cannot be created, or others "
+            "may write to it: change its owner and mode, or NUMBA_CACHE_DIR",
             RuntimeWarning,
             stacklevel=2,
         )
@@ -40,8 +40,8 @@ def cache_folder() -> Path | None:
         if _private(folder):
             return folder
     warnings.warn(
-        f"compiled code is not kept: {home} cannot be written to; set NUMBA_CACHE_DIR "
-        "to a folder that can",
+        f"compiled code is not saved: {home} is not writable; set NUMBA_CACHE_DIR to "
+        "a writable folder",
         RuntimeWarning,
         stacklevel=2,
     )

@@ -272,7 +272,7 @@ class _Kept(caching._Cache):
             new.unlink(missing_ok=True)
             self.disable()
             warnings.warn(
-                f"compiled code is not kept: {error}", RuntimeWarning, stacklevel=3
+                f"compiled code is not saved: {error}", RuntimeWarning, stacklevel=3
             )
 
 

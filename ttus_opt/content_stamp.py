@@ -93,8 +93,8 @@ def _leaf_content(value: Any) -> str:
     if callable(value) and hasattr(value, "__name__"):  # of numpy or Python itself
         return f"{getattr(value, '__module__', None)}.{value.__name__}"
     raise TypeError(
-        f"a compiled function reads a {type(value).__name__}, whose content cannot "
-        "be told: make it a number, a tuple or an array"
+        f"a compiled function reads a {type(value).__name__}, whose content cannot be "
+        "identified: make it a number, a tuple or an array"
     )
 
 

@@ -46,7 +46,7 @@ def shelf() -> ModuleType:
             sys.modules[SHORT] = module
         return module
     raise FileError(
-        f"the formulations are not beside {package}: install ttus-opt again, or run "
+        f"the formulations are not next to {package}: install ttus-opt again, or run "
         "from a whole checkout"
     )
 

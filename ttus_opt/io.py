@@ -114,26 +114,28 @@ def check_output(
     if target.is_dir():
         raise FileError(f"cannot write {path}: it is a folder: name a file in it")
     if target.exists() and not target.is_file():
-        raise FileError(f"cannot write {path}: it is no plain file: name another")
+        raise FileError(
+            f"cannot write {path}: it is not a regular file: choose another name"
+        )
     if not force and target.exists():
         same = [i for i in inputs if Path(i).exists() and target.samefile(i)]
         if same:
             raise FileError(
-                f"{path} is read as {same[0]} and would be overwritten: name another "
-                "output, or pass force"
+                f"{path} would overwrite the input {same[0]}: choose another output, "
+                "or pass force"
             )
     folder = target.parent
     while not folder.exists():
         folder = folder.parent
     if not folder.is_dir():
-        raise FileError(f"cannot write {path}: {folder} is no folder")
+        raise FileError(f"cannot write {path}: {folder} is not a folder")
     if not os.access(folder, os.W_OK | os.X_OK):
         raise FileError(f"cannot write {path}: no permission in {folder}")
     free = shutil.disk_usage(folder).free
     if free < size:
         raise FileError(
             f"cannot write {path}: it takes about {size / 2**20:.0f} MiB and "
-            f"{free / 2**20:.0f} MiB are free: make room or name another folder"
+            f"{free / 2**20:.0f} MiB are free: make room or choose another folder"
         )
 
 
@@ -285,7 +287,7 @@ def read_dataset(
         raise FileError(f"{file} holds {found}, expected a {kind}: wrong file?")
     given = dataset.attrs.get("ttus_opt_version")
     if not isinstance(given, numbers.Integral):
-        raise FileError(f"{file} does not say which version of a {kind} it is")
+        raise FileError(f"{file} does not state its {kind} version")
     if (given := int(given)) != version:
         raise FileError(
             f"{file} is {kind} version {given}, this ttus_opt reads version "

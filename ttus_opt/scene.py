@@ -113,7 +113,7 @@ class Scene:
         if not isinstance(trajectory, Trajectory):
             raise InputError(
                 f"a scene takes one trajectory, got {type(trajectory).__name__}: join "
-                "several by Trajectory.concatenate"
+                "several with Trajectory.concatenate"
             )
         checked_sampling(sampling)
         if isinstance(inner, str) and inner != "fit":
@@ -355,15 +355,15 @@ def _report_contact(rows: ContactRows, r_inner: float) -> None:
     off = int(n_poses - rows.in_grid.sum())
     if off:
         warnings.warn(
-            f"{off} of {n_poses} poses lie outside the grid and give zero: check the "
-            "trajectory's frame and unit",
+            f"{off} of {n_poses} poses lie outside the grid and give zero force: "
+            "check the trajectory's frame and unit",
             TtusWarning,
             stacklevel=3,
         )
     if not (rows.contact_points > 0).any():
         warnings.warn(
             f"the probe touches the patient in none of {n_poses} poses: the fit is "
-            "Laplace only",
+            "the Laplace field alone",
             TtusWarning,
             stacklevel=3,
         )
@@ -371,8 +371,8 @@ def _report_contact(rows: ContactRows, r_inner: float) -> None:
     if deep:
         warnings.warn(
             f"{deep} of {n_poses} poses press shell points ({rows.beyond_inner.sum()} "
-            f"in all) beyond the inner layer at {r_inner:.4g} m, where the field "
-            "continues with that layer's values: choose a smaller r_inner",
+            f"in all) beyond the inner layer at {r_inner:.4g} m, where that layer's "
+            "values continue: choose a smaller r_inner",
             TtusWarning,
             stacklevel=3,
         )

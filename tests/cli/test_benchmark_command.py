@@ -105,7 +105,7 @@ def test_an_interrupt_says_that_the_same_call_goes_on(
     monkeypatch.setattr(suite, "run_isolated", stopped)
     assert typed("--parts", "ripple", "-o", str(tmp_path)) == 130
     told = capsys.readouterr().err
-    assert f"{tmp_path / 'rows.jsonl'}: the same call goes on from there" in told
+    assert f"{tmp_path / 'rows.jsonl'}: repeat the call to continue" in told
 
 
 def test_perturbed_cases_by_either_name(

@@ -136,16 +136,19 @@ def test_the_frame_of_a_held_probe_and_a_later_scan(
     [
         (["0.png"], "give --intrinsics or --rays"),
         (["0.png", "1.png", "--intrinsics", "camera.json"], "give --poses"),
-        (["0.png", "--intrinsics", "camera.json", "--refine"], "no other"),
+        (["0.png", "--intrinsics", "camera.json", "--refine"], "more than one scan"),
         (
             ["0.png", "--intrinsics", "camera.json", "--poses", "poses.csv"],
             "3 poses, there is 1 image",
         ),
-        (["0.png", "--intrinsics", "camera.json", "--noise", "loud"], "noise is one"),
+        (
+            ["0.png", "--intrinsics", "camera.json", "--noise", "loud"],
+            "noise must be one",
+        ),
         (["0.png", "--intrinsics", "camera.json", "--unit", "m"], "another unit"),
         (["0.png", "--intrinsics", "poses.csv"], "JSON or YAML|camera_matrix"),
         (["poses.csv", "--noise", "structured-light"], "need depth images"),
-        (["poses.csv", "poses.csv"], "one is read"),
+        (["poses.csv", "poses.csv"], "expected one"),
         (
             ["0.png", "--intrinsics", "camera.json", "--depth-kind", "disparity"],
             "depth_kind|--depth-kind",
@@ -160,7 +163,7 @@ def test_the_frame_of_a_held_probe_and_a_later_scan(
                 *("0.png", "1.png", "2.png", "--intrinsics", "camera.json"),
                 *("--poses", "poses.csv", "--refine", "--pose-std", "5,1"),
             ],
-            "--pose-std: a pose's deviations",
+            "--pose-std: a pose's standard deviations",
         ),
     ],
 )

@@ -64,7 +64,7 @@ def test_what_is_refused(
     refused(run(f"encode {files / 'press.csv'} {to}"), "netCDF", "press.csv")
     refused(run(f"encode {tmp_path / 'no.nc'} {to}"), "not found")
     refused(run(f"encode {surface} -o {surface}"), "--force")
-    refused(run(f"decode {surface} {to}"), "no message of ttus_opt")
+    refused(run(f"decode {surface} {to}"), "not a message of ttus_opt")
     (tmp_path / "empty.msg").touch()
     refused(run(f"decode {tmp_path / 'empty.msg'} {to}"), "empty")
     refused(run(f"decode {tmp_path} {to}"), "folder")

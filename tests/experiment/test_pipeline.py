@@ -175,7 +175,7 @@ def test_what_stands_in_the_way_is_told_before_the_work(tmp_path, monkeypatch):
         folder = tmp_path / name
         folder.mkdir()
         (folder / name).touch()
-        with pytest.raises(FileError, match=f"{name} is no folder"):
+        with pytest.raises(FileError, match=f"{name} is not a folder"):
             experiment.run(folder)
     folder = tmp_path / "report"
     (folder / "report.html").mkdir(parents=True)

@@ -103,7 +103,7 @@ def test_a_candidate_that_fails_its_check_is_never_in_field() -> None:
         _ = wrong.field
     assert caught.value.solution is wrong
     assert caught.value.solution.program.n_variables == SCENE.n_voxels
-    assert "take another solver" in str(caught.value)
+    assert "use another solver" in str(caught.value)
     assert judge(dense_minimum(0.1)).status is Status.SOLVED
 
 
@@ -339,7 +339,7 @@ def test_a_search_that_finds_nothing_is_timed_too() -> None:
 
 def test_what_cannot_be_fitted() -> None:
     other = replace(SCENE)
-    with pytest.raises(InputError, match="is of another scene"):
+    with pytest.raises(InputError, match="belongs to another scene"):
         fit(other, eq10())
     with pytest.raises(InputError, match="force weight must be finite and not"):
         fit(SCENE, "eq10", force_weight=-1.0)

@@ -56,10 +56,10 @@ def test_error_in_the_order_of_doubt_has_rank_correlation_one() -> None:
     assert found.force_coverage == 1.0 and np.isnan(found.torque_coverage)
     assert np.isnan(found.torque_total_rank_correlation)
     away = replace(truth, position=1.5 * truth.position)
-    with pytest.raises(InputError, match="fewer than three"):
+    with pytest.raises(InputError, match="three frames in contact"):
         there = tt.evaluate(field, exact().scene.shell, away)
         check_doubt(exact(), there, away)
-    with pytest.raises(InputError, match="of another recording"):
+    with pytest.raises(InputError, match="belongs to another recording"):
         check_doubt(exact(), rendered, truth.select(slice(3)))
 
 

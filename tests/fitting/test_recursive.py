@@ -142,7 +142,7 @@ def test_downdate_leaves_what_the_others_make() -> None:
     assert fit.measurements == 10
     left = batch(scene, [1, 2, 4, 5, 6, 7, 8, 9, 10, 11])
     assert difference(fit, closed_form(left, **WEIGHTS)) < 1e-10
-    with pytest.raises(InputError, match="measurement 3 is not held"):
+    with pytest.raises(InputError, match="measurement 3 is not in the fit"):
         fit.downdate(3)
 
 
@@ -248,7 +248,7 @@ def test_an_outlier_is_reported_and_left_out() -> None:
     kept = [t for t in range(30) if t not in (20, 25)]
     good = batch(replace(scene, trajectory=told), kept)
     assert difference(fit, closed_form(good, **WEIGHTS)) < 1e-10
-    with pytest.raises(InputError, match="measurement 20 is not held"):
+    with pytest.raises(InputError, match="measurement 20 is not in the fit"):
         fit.downdate(20)
     # without a test everything is in
     everything = RecursiveFit(
@@ -314,7 +314,7 @@ def test_capacity_is_a_limit() -> None:
     with pytest.raises(InputError, match=f"capacity of {n - 1} measurements"):
         RecursiveFit(scene, **WEIGHTS, capacity=n - 1)
     fit = RecursiveFit(scene, **WEIGHTS, capacity=n)
-    with pytest.raises(InputError, match="forget old ones"):
+    with pytest.raises(InputError, match="forget old measurements"):
         fold(fit, scene.trajectory, [first])
     assert fit.measurements == 12
     fit.forget(window=12 - first - 1)

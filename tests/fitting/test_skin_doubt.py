@@ -54,11 +54,11 @@ def test_what_gives_no_map_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="too short"):
         doubt_map(drawn(), fitted().field, spacing=5.0)
     other = Voxmap.from_surface(torso(), shape=(9, 24, 10), r_inner=0.03)
-    with pytest.raises(InputError, match="of another grid"):
+    with pytest.raises(InputError, match="with another grid"):
         doubt_map(drawn(), PotentialField(other, other.region + 0.0, "trilinear"))
     mean = replace(fitted().field, sampling="voxel-mean")
     with pytest.raises(InputError, match="of another sampling"):
         save_with_doubt(mean, drawn(), tmp_path / "a.nc")
     assert not (tmp_path / "a.nc").exists()
-    with pytest.raises(InputError, match="deeper than draws are kept"):
+    with pytest.raises(InputError, match="deeper than the saved draws"):
         doubt_map(drawn().sampled(5, 0.001), fitted().field, depth=0.06)

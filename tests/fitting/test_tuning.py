@@ -121,7 +121,7 @@ def test_what_cannot_be_tuned_is_refused(given: dict, told: str) -> None:  # typ
 def test_without_contact_nothing_is_tuned() -> None:
     scene = small_scene("trilinear")
     away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
-    with pytest.warns(tt.TtusWarning, match="Laplace only"):
+    with pytest.warns(tt.TtusWarning, match="Laplace field alone"):
         off = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
     with pytest.raises(InputError, match="measured in contact"):
         tune(off)

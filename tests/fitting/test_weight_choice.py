@@ -62,9 +62,9 @@ def test_what_is_chosen_is_what_tune_finds_and_says_how_sure() -> None:
 def test_without_contact() -> None:
     scene = small_scene("trilinear")
     away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)
-    with pytest.warns(TtusWarning, match="Laplace only"):
+    with pytest.warns(TtusWarning, match="Laplace field alone"):
         off = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
-    refused(off, "touches the patient in no frame; those of eq10 are used")
+    refused(off, "touches the patient in no frame; the weights of eq10 are used")
 
 
 def test_too_few_frames() -> None:

@@ -47,7 +47,7 @@ def test_terms_may_share_a_weight() -> None:
         ({}, "values by term"),
         ([1.0], "values by term"),
         ({"forse": [1.0]}, "no term 'forse'"),
-        ({"force": [1.0], ("torque", "force"): [1.0]}, "two series"),
+        ({"force": [1.0], ("torque", "force"): [1.0]}, "two lists"),
         ({"force": [0.0, 1.0]}, "positive"),
         ({"force": [-1.0]}, "positive"),
         ({"force": [np.nan]}, "positive"),

@@ -251,7 +251,7 @@ def test_an_update_must_fit(what: str) -> None:
         voxmap = Voxmap.from_surface(voxmap.surface, shape=(9, 20, 11), r_inner=0.03)
     else:
         voxmap = Voxmap(voxmap.grid, torso(40, 12), voxmap.region)
-    with pytest.raises(InputError, match=f"keep the field's {what}"):
+    with pytest.raises(InputError, match=f"cannot change the field's {what}"):
         renderer.update(PotentialField(voxmap, np.zeros(voxmap.grid.shape), sampling))
 
 

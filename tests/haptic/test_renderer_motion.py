@@ -55,7 +55,7 @@ def test_drag_that_an_update_takes_away_is_told_until_it_is_gone(scene: Scene) -
     [
         ({"twist": np.zeros(3)}, r"angular velocity .*\(6,\), got \(3,\)"),
         ({"twist": np.full(6, np.nan)}, "twist contains NaN"),
-        ({"twist": np.zeros(6), "time": 0.0}, "twist or time, not both"),
+        ({"twist": np.zeros(6), "time": 0.0}, "either twist or time"),
         ({"time": float("nan")}, "time must be finite"),
         ({"time": float("inf")}, "time must be finite and not go back"),
         ({"time": -1.0}, "not go back .*got -1.0 after 0.0"),

@@ -144,7 +144,7 @@ def test_two_threads_that_render_at_once_are_told(scene: Scene, call: str) -> No
         renderer._set_motion = within  # type: ignore[method-assign]
 
         def other() -> None:
-            with pytest.raises(InputError, match="give each a Renderer of its own"):
+            with pytest.raises(InputError, match="give each thread its own Renderer"):
                 frame()
             told.append(True)
 

@@ -65,7 +65,9 @@ def test_a_scale_the_forces_do_not_bear_is_one_and_said() -> None:
     rng = np.random.default_rng(0)
     chance = 0.02 * TRAJECTORY.force + rng.normal(0.0, 3.0, TRAJECTORY.force.shape)
     noise = replace(TRAJECTORY, force=chance)
-    with pytest.warns(TtusWarning, match=r"cannot tell the boundary scale.*1 is used"):
+    with pytest.warns(
+        TtusWarning, match=r"cannot determine the boundary scale.*1 is used"
+    ):
         scene = Scene.assemble(VOXMAP, SHELL, noise, inner="fit", outer=0.5)
     assert (scene.inner, scene.outer) == (1.0, 0.5)
     assert scene.parameters == {"boundary_scale": 1.0}

@@ -40,7 +40,7 @@ def test_every_byte_counts() -> None:
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
-        (b"", "0 bytes are no message"),
+        (b"", "0 bytes are not a message"),
         (b"CDF\x01" * 10, "begins with TTUM"),
         (message()[:-1], "header says"),
         (message() + b"x", "header says"),
@@ -69,7 +69,7 @@ def test_a_body_that_ends_early_or_late() -> None:
 def test_a_packed_part_does_not_grow_beyond_what_is_expected() -> None:
     writer = Writer()
     writer.packed(bytes(10_000_000))
-    with pytest.raises(InputError, match="another length"):
+    with pytest.raises(InputError, match="the wrong length"):
         Reader(writer.message(SURFACE)).unpacked(1000)
     writer = Writer()
     writer.block(b"no zlib")

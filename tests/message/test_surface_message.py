@@ -161,7 +161,7 @@ def test_messages_in_the_wrong_places() -> None:
         decode(change, base=change)
     with pytest.raises(InputError, match="in their order"):
         decode(change, base=[whole, whole])
-    with pytest.raises(InputError, match="names no message"):
+    with pytest.raises(InputError, match="base is empty"):
         decode(change, base=[])
 
 

@@ -77,7 +77,7 @@ def test_select():
 def test_concatenate_refuses():
     with pytest.raises(InputError, match="at least one"):
         Trajectory.concatenate([])
-    with pytest.raises(InputError, match="some have none"):
+    with pytest.raises(InputError, match="only some of the trajectories have wrenches"):
         Trajectory.concatenate([made(), made(wrench=False)])
 
 
@@ -261,5 +261,5 @@ def test_forces_alone_are_written_read_and_joined(tmp_path: Path) -> None:
         np.ones((3, 3)),
         np.ones((3, 3)),
     )
-    with pytest.raises(InputError, match="some have forces only"):
+    with pytest.raises(InputError, match="others only forces"):
         Trajectory.concatenate([own, whole])

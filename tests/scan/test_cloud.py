@@ -202,7 +202,7 @@ def test_header_promises_more_points_than_the_file_holds(tmp_path: Path) -> None
         ("c.xyz", "0 9 9 9\n1 9 9 9\n2 9 9 9\n", "the first column counts"),
         ("c.pts", "3\n0 0 0\n1 1 1\n", "announces 3 points .* holds 2"),
         ("c.csv", "x,y,z,r\n0,0,0\n", "names 4 columns, its points have 3"),
-        ("c.csv", "x,y,z\n0,0,0\n1,abc,1\n", "no number"),
+        ("c.csv", "x,y,z\n0,0,0\n1,abc,1\n", "not a number"),
         ("c.csv", "x,y,w\n0,0,0\n", "expected x, y and z"),
         ("c.csv", "x,y,z\n", "no points"),
         ("c.txt", "# nothing\n", "no points"),

@@ -174,7 +174,7 @@ def test_unusable_clouds() -> None:
         extract_surface(cloud.T, axis=axis)
     with pytest.raises(InputError, match="100 or more"):
         extract_surface(cloud[:50], axis=axis)
-    with pytest.raises(GeometryError, match="never meets the axis"):
+    with pytest.raises(GeometryError, match="is nowhere near the axis"):
         extract_surface(cloud + np.array([2.0, 0, 0]), axis=axis, support=None)
     with pytest.raises(GeometryError, match="quarter turn around the axis"):
         extract_surface(cloud + np.array([0.4, 0, 0]), axis=axis, support=None)

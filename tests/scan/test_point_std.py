@@ -97,8 +97,8 @@ def test_good_points_among_bad_ones_decide() -> None:
 @pytest.mark.parametrize(
     ("std", "words"),
     [
-        (np.full(5, 0.001), "one deviation"),
-        (np.full((20_000, 1), 0.001), "one deviation"),
+        (np.full(5, 0.001), "one standard deviation"),
+        (np.full((20_000, 1), 0.001), "one standard deviation"),
         (np.full(20_000, 0.0), "between 0 and 0.1 m"),
         (np.full(20_000, np.nan), "between 0 and 0.1 m"),
         (np.full(20_000, 2.0), "give metres"),

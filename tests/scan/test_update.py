@@ -100,7 +100,7 @@ def test_refusals(earlier: Surface) -> None:
     turned = replace(earlier, theta=earlier.theta + 0.01)
     with pytest.raises(InputError, match="expected 0"):
         update_surface(turned, cloud)
-    with pytest.raises(GeometryError, match="never meets the axis"):
+    with pytest.raises(GeometryError, match="is nowhere near the axis"):
         update_surface(earlier, cloud + np.array([2.0, 0, 0]), support=None)
     with pytest.raises(InputError, match="unit='mm'"):
         update_surface(earlier, 1000 * cloud, support=None)

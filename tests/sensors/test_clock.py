@@ -133,7 +133,7 @@ def test_what_is_refused() -> None:
     with pytest.raises(InputError, match="must increase"):
         clock_offset(sound, Signal(np.zeros(20), np.arange(20.0)))
     poses = Trajectory(time, np.ones((1000, 3)), np.tile(np.eye(3), (1000, 1, 1)))
-    with pytest.raises(InputError, match="into contact and off"):
+    with pytest.raises(InputError, match="makes and breaks contact"):
         contact_of_poses(poses, None, 1.0)  # type: ignore[arg-type]
 
 

@@ -138,7 +138,7 @@ def test_deviations_are_those_of_the_noise() -> None:
 
 def test_refusals(tmp_path: Path) -> None:
     z = seen()
-    with pytest.raises(InputError, match="depth_kind is"):
+    with pytest.raises(InputError, match="depth_kind must be"):
         DepthImage(z, rays(), "disparity")  # type: ignore[arg-type]
     with pytest.raises(InputError, match="transposed"):
         DepthImage(z.T, rays())

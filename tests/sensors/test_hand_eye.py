@@ -119,7 +119,7 @@ def test_loops_that_hardly_close() -> None:
     A[:, :3, 3] *= 1.3  # a marker larger than was said
     with pytest.raises(InputError, match="do not close"):
         hand_eye(A, B, "fixed")
-    with pytest.warns(TtusWarning, match="solvers' cameras differ"):
+    with pytest.warns(TtusWarning, match="solvers' results differ"):
         hand_eye(*pairs("fixed", 5, noise=0.004), "fixed", largest_twist=1.0)
 
 

@@ -201,7 +201,7 @@ SPOILT: dict[str, Callable[[xr.Dataset], xr.Dataset]] = {
         ("transposed", "transpose it"),
         ("swapped", "are y, x, z, expected x, y, z"),
         ("missing", "no variable quaternion"),
-        ("text", "no numbers"),
+        ("text", "not hold numbers"),
         ("gone", "NaN"),
         ("late", "increase"),
         ("long", "check units"),

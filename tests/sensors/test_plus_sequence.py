@@ -64,7 +64,7 @@ def test_several_transforms_are_named(tmp_path: Path) -> None:
         ("= 1.000000", "= 1.0 2.0", "16 numbers"),
         ("= 1.000000", "= nan", "not finite"),
         ("= 1.000000", "= one", "one"),
-        ("ObjectType = Image", "solid probe", "no MetaImage"),
+        ("ObjectType = Image", "solid probe", "not a MetaImage"),
         ("Timestamp = 100.050", "Timestamp = 100.000", "increase"),
     ],
 )

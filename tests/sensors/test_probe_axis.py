@@ -118,7 +118,7 @@ def test_refusals() -> None:
     with pytest.raises(InputError, match="each one of"):
         axis_from_probe(probe(), cloud, held=("down", "x"))
     for depth in (0.0, 80.0, float("nan")):
-        with pytest.raises(InputError, match="in metres"):
+        with pytest.raises(InputError, match="give metres"):
             axis_from_probe(probe(), cloud, depth=depth)
     with pytest.raises(GeometryError, match="no skin"):
         axis_from_probe(probe(at=np.array([2.0, 0, 0])), cloud)
@@ -130,7 +130,7 @@ def test_refusals() -> None:
     )
     with pytest.raises(InputError, match="held still"):
         axis_from_probe(walked, cloud)
-    with pytest.raises(InputError, match="state how deep"):
+    with pytest.raises(InputError, match="give the origin's depth"):
         axis_from_probe(probe(), cloud[:12_000])
     side = np.array([[0.0, 0, -1], [-1, 0, 0], [0, 1, 0]])
     beside = probe(rotation=side, at=np.array([0.25, 0.1, 0.0]))

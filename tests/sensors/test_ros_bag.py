@@ -112,7 +112,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
         read_bag_poses(tmp_path / "no.bag")
     for name in ("text.bag", "text.mcap"):
         (tmp_path / name).write_text("no recording")
-        with pytest.raises(FileError, match="does not read as a ROS recording"):
+        with pytest.raises(FileError, match="cannot be read as a ROS recording"):
             read_bag_poses(tmp_path / name)
 
 

@@ -137,7 +137,7 @@ def test_refusals(monkeypatch: pytest.MonkeyPatch) -> None:
         stitch(shots, POSES[:1])
     with pytest.raises(InputError, match="0 images"):
         stitch([], [])
-    with pytest.raises(InputError, match="no other"):
+    with pytest.raises(InputError, match="more than one scan"):
         stitch(shots[:1], POSES[:1], refine=PoseDoubt())
     with pytest.raises(InputError, match="millimetres"):
         stitch(shots[:1], [np.array(POSES[0]) + 1e3 * np.eye(4, k=3)])

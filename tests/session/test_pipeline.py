@@ -141,8 +141,8 @@ def test_nothing_is_written_where_nothing_is_to_be(tmp_path: Path) -> None:
         run_session(recording, recording)
     other = tmp_path / "other"
     other.mkdir()
-    (other / "surface.nc").write_text("of other work")
-    with pytest.raises(FileError, match="files of other work"):
+    (other / "surface.nc").write_text("unrelated files")
+    with pytest.raises(FileError, match="unrelated files"):
         run_session(recording, other)
     changed(recording, "tracker.file", "none.csv")
     with pytest.raises(FileError, match="which is not in"):
@@ -152,7 +152,7 @@ def test_nothing_is_written_where_nothing_is_to_be(tmp_path: Path) -> None:
 
 def test_the_recording_goes_into_a_folder_of_its_own(tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").touch()
-    with pytest.raises(FileError, match="holds other files, thesis"):
+    with pytest.raises(FileError, match="holds other files, for instance thesis"):
         write_recording(tmp_path)
     assert described(made())["title"] == "Synthetic recording"
 

@@ -70,7 +70,7 @@ def test_a_folder_of_other_work_is_refused(
     """Another recording's description, too: it has the summary's name."""
     folder = filled(tmp_path)
     before = set(folder.iterdir())
-    with pytest.raises(FileError, match="holds files of other work"):
+    with pytest.raises(FileError, match="holds unrelated files"):
         Results(folder, silent).check([])
     assert set(folder.iterdir()) == before
 

@@ -111,7 +111,10 @@ def test_what_makes_no_sense_is_told_in_one_sentence(what: str) -> None:
         (None, "must return LinearRows, ConeRows or Bounds, got NoneType"),
         (Bounds("p", np.zeros(V), np.zeros(V - 1)), "lower limits and .* upper ones"),
         (Bounds("p", np.zeros(V), None), "upper limit must be a vector"),  # type: ignore[arg-type]
-        (LinearRows({"p": ROWS}, np.zeros(3), np.full(3, -np.inf)), "nothing obeys"),
+        (
+            LinearRows({"p": ROWS}, np.zeros(3), np.full(3, -np.inf)),
+            "no value satisfies",
+        ),
         (LinearRows({"p": ROWS}, np.zeros(2), np.ones(2)), "3 rows over p, and 2"),
         (LinearRows({"p": np.eye(3, V)}, np.zeros(3), np.ones(3)), "must be sparse"),  # type: ignore[dict-item]
         (LinearRows({"p": ROWS}, [0, 0, np.nan], np.ones(3)), "lower limit holds nan"),  # type: ignore[arg-type]

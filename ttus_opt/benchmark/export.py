@@ -42,7 +42,7 @@ def export_program(program: Program, folder: Path, name: str) -> tuple[Path, Pat
     reduced = reduce(program).program
     if not reduced.is_quadratic:
         raise InputError(
-            f"{name} has a group norm, which is no QP: leave it out of the export"
+            f"{name} has a group norm and is not a QP: leave it out of the export"
         )
     rows = TwoSided.of(reduced.least_squares_qp())
     # ½ ‖√2 u‖² is the whole objective: no constant beside it

@@ -43,8 +43,8 @@ def options_of(given: str | Path | Solver) -> dict[str, Any]:
         return {"solver": solver.name}
     if solver.name in solvers():
         raise InputError(
-            f"a solver of your own is called {solver.name!r} as one of the package: "
-            "give it another name"
+            f"your solver has the name of one of the package's, {solver.name!r}: give "
+            "it another name"
         )
     if isinstance(given, Solver):
         return {"solver": solver.name, "own": {"pickle": _pickled(given)}}

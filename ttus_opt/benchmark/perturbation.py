@@ -43,8 +43,8 @@ def perturbed(trajectory: Trajectory, how: str) -> Trajectory:
     force, torque = trajectory.force, trajectory.torque
     if force is None or torque is None:
         raise InputError(
-            f"perturbation {how!r} changes measured wrenches, the trajectory has none: "
-            "add columns fx, fy, fz, tx, ty, tz"
+            f"perturbation {how!r} changes measured wrenches, but the trajectory has "
+            "none: add columns fx, fy, fz, tx, ty, tz"
         )
     rng = np.random.default_rng(SEED)
     if how == "noise":

@@ -214,8 +214,8 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
             )
         except KeyboardInterrupt:
             bar.close()
-            done = f"what is done is in {suite.rows_file}"
-            typer.echo(f"{done}: the same call goes on from there", err=True)
+            done = f"finished runs are in {suite.rows_file}"
+            typer.echo(f"{done}: repeat the call to continue", err=True)
             raise
     report = write_report(
         suite.output,

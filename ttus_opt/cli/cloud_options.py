@@ -48,7 +48,7 @@ class CloudOptions:
 
         if len(self.scans) > 1:
             raise InputError(
-                f"{len(self.scans)} clouds are given, one is read: depth images need "
+                f"got {len(self.scans)} point clouds, expected one: depth images need "
                 "--intrinsics or --rays"
             )
         return read_cloud(
@@ -173,7 +173,7 @@ class AxisOptions:
         size = float(np.linalg.norm(x))
         if size < 0.1:
             raise GeometryError(
-                f"--axis-direction {direction} stands up from the support: give a "
+                f"--axis-direction {direction} points away from the support: give a "
                 "direction along the body"
             )
         x /= size

@@ -113,8 +113,8 @@ class DepthOptions:
             raise InputError("give either --intrinsics or --rays, not both")
         if len(files) > 1 and len(files) != len(cloud.scans):
             raise InputError(
-                f"{len(cloud.scans)} images have {len(files)} --intrinsics: give one "
-                "for all or one for each"
+                f"got {len(files)} --intrinsics for {len(cloud.scans)} images: give "
+                "one for all or one for each"
             )
         cameras: list[Any] = [read_intrinsics(file) for file in files]
         if self.rays is not None:

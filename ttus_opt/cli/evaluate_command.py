@@ -123,9 +123,8 @@ def warn_of_poses(in_grid: NDArray[np.bool_], beyond: NDArray[np.int64]) -> None
     deep = int((beyond > 0).sum())
     if deep:
         warnings.warn(
-            f"{deep} of {beyond.size} poses reach below the field's innermost "
-            "layer, where it continues with that layer's values: fit with a smaller "
-            "--r-inner",
+            f"{deep} of {beyond.size} poses reach below the field's innermost layer, "
+            "where that layer's values continue: fit with a smaller --r-inner",
             TtusWarning,
             stacklevel=2,
         )

@@ -123,7 +123,7 @@ def fit(
     from ttus_opt.scan.surface import Surface
 
     if weighting.paper and weighting.weights in ("auto", "recipe"):
-        raise InputError("--paper has weights of its own: leave --weights out")
+        raise InputError("--paper sets the weights: leave --weights out")
     options = weighting.options(problem, torque_length)
     if weighting.paper:
         grid = grid.as_in_the_paper()
@@ -256,7 +256,7 @@ def _write(
     except InputError as error:
         found.save(output)
         warnings.warn(
-            f"{output} is written without doubt: {error}", TtusWarning, stacklevel=2
+            f"{output} was written without doubt: {error}", TtusWarning, stacklevel=2
         )
         return
     if picture is not None:

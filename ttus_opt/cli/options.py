@@ -93,4 +93,4 @@ def check_outputs(
         except FileError as error:
             raise FileError(str(error).replace("pass force", "add --force")) from error
     if len({os.path.realpath(output) for output in given}) < len(given):
-        raise FileError(f"{given[0]} is named for two outputs: name another")
+        raise FileError(f"{given[0]} is given for two outputs: give two names")

@@ -89,7 +89,7 @@ def path(
             one = replace(recordings, trajectory=[file])
             unseen[file.name] = one.read(one.as_written(), shell, patient)
         if len(unseen) < len(others):
-            raise InputError("--held-out names two files of one name: rename one")
+            raise InputError("two --held-out files have the same name: rename one")
         begin("assembling (first run compiles)")
         scene = plan.build(patient, shell, recorded)
     found = solution_path(

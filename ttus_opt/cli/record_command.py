@@ -42,11 +42,11 @@ def record(
     from ttus_opt.sensors import open_igt_link as igt
 
     if poses is None and wrenches is None:
-        raise InputError("give --poses or --wrenches: where to write what comes")
+        raise InputError("no output file: give --poses or --wrenches")
     check_outputs([poses, wrenches], [], force=False)
     host, _, port = server.partition(":")
     if port and not port.isdigit():
-        raise InputError(f"SERVER is HOST or HOST:PORT, got {server!r}")
+        raise InputError(f"SERVER must be HOST or HOST:PORT, got {server!r}")
     shown = _counter()
     received = igt.record(host, int(port or igt.PORT), seconds=seconds, progress=shown)
     told: dict[str, object] = {"messages": received.count}

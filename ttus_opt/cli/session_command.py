@@ -33,7 +33,7 @@ def session(
         _write_example(folder, output, json)
         return
     if output is None:
-        raise InputError("--output is missing: name a folder for the results")
+        raise InputError("--output is missing: give a folder for the results")
     from ttus_opt.report.document import markdown
     from ttus_opt.session import run_session
     from ttus_opt.session.report import summary

@@ -101,7 +101,7 @@ def warn_of_another_probe(
     own_about = recordings.conventions.torque_about
     if about and about != own_about:
         _warn(
-            f"the field was fitted to torques about {about}, these are about "
+            f"the field was fitted to torques about {about}, but these are about "
             f"{own_about}: is --torque-about right?"
         )
 

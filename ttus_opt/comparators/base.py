@@ -109,7 +109,7 @@ class Comparator(ABC):
         recording = Trajectory.concatenate(list(trajectories))
         if recording.force is None:
             raise InputError(
-                f"{self.name} is fitted to forces, the recordings have none: add "
+                f"{self.name} is fitted to forces, but the recordings have none: add "
                 "columns fx, fy, fz"
             )
         if not (np.linalg.norm(recording.force, axis=1) > LEAST_FORCE).any():

@@ -98,9 +98,9 @@ class PatchModel(Comparator):
                 found.append(Sample(contact, normal, rest))
         if len(found) < FEWEST_FRAMES:
             raise InputError(
-                f"{self.name} needs {FEWEST_FRAMES} frames that touch and push, got "
-                f"{len(found)} of {touching} that touch: record more contact, and give "
-                "the force ON the probe in patient axes"
+                f"{self.name} needs {FEWEST_FRAMES} frames with contact and a pushing "
+                f"force, got {len(found)} of {touching} in contact: record more "
+                "contact, and give the force ON the probe in patient axes"
             )
         return found
 

@@ -90,7 +90,7 @@ def _check_sides(owner: str, lower: Array, upper: Array) -> None:
     for name, wrong in (("lower", lower == np.inf), ("upper", upper == -np.inf)):
         if wrong.any():
             raise InputError(
-                f"{owner}: {int(wrong.sum())} {name} limits are infinite on the "
-                "wrong side, nothing obeys them: use -inf below and inf above "
+                f"{owner}: {int(wrong.sum())} {name} limits are infinite on the wrong "
+                "side, so that no value satisfies them: use -inf below and inf above "
                 "where there is no limit"
             )

@@ -167,8 +167,8 @@ class Sliding:
             )
         if n_theta * n_z > MOST_REGIONS:
             raise InputError(
-                f"regions are at most {MOST_REGIONS:,}, got {n_theta}×{n_z}: choose "
-                "fewer sectors or bands"
+                f"expected at most {MOST_REGIONS:,} regions, got {n_theta}×{n_z}: "
+                "choose fewer sectors or bands"
             )
         grid = voxmap.grid
         _, theta, z = cylindrical(self.position)

@@ -95,7 +95,9 @@ def fit(
     watch = Stopwatch()
     declared = shelf.load(usual, scene, **options)
     if declared.scene is not scene:
-        raise InputError("the formulation is of another scene: build it for this one")
+        raise InputError(
+            "the formulation belongs to another scene: build it for this one"
+        )
     request = Request(tolerance, time_limit)
     doubts = declared.not_identifiable()
     declared = declared.with_neutral(doubts)

@@ -39,7 +39,7 @@ def warn_of_one_spot(scene: Scene) -> None:
     if spread < SPOT:
         warnings.warn(
             f"all frames in contact lie within {1e3 * spread:.1f} mm of one spot: "
-            "elsewhere the field is the prior's, record presses at several places",
+            "elsewhere the field is only the prior; record presses at several places",
             TtusWarning,
             stacklevel=2,
         )

@@ -148,7 +148,9 @@ class Doubt:
         if kept is not None and kept.depth == depth and 1 < count <= len(kept.values):
             return PosteriorDraws(kept.values[:count], kept.voxels, depth)
         if not (isinstance(count, int | np.integer) and count > 1):
-            raise InputError(f"draws need a whole count above 1, got {count}")
+            raise InputError(
+                f"the number of draws must be a whole number above 1, got {count}"
+            )
         voxels = skin_voxels(self.scene.voxmap, depth)
         return PosteriorDraws(self._posterior.draw(count, voxels), voxels, depth)
 
@@ -187,8 +189,8 @@ def doubt(
     """
     if not isinstance(solution, Solution):
         raise InputError(
-            f"doubt is of what ttus_opt.fit gives, got a {type(solution).__name__}: "
-            "comparators state none"
+            "doubt needs a Solution of ttus_opt.fit, got a "
+            f"{type(solution).__name__}: comparators have no doubt"
         )
     if method is not None and method not in get_args(Method):
         raise InputError(f"method must be exact or samples, got {method!r}")
@@ -196,7 +198,7 @@ def doubt(
     program = solution.program
     prior = _prior_of(solution)
     if program.laplace is not scene.laplace:
-        raise InputError("the solution is of another scene: give the one it is of")
+        raise InputError("the solution belongs to another scene: pass its own scene")
     measured = [t for t in program.terms if t.weight > 0.0 and t is not prior]
     frames = len(scene.trajectory)
     if not measured or any(len(t.target) != 3 * frames for t in measured):
@@ -239,7 +241,7 @@ def _prior_of(solution: Solution) -> ProgramTerm:
     one_field = program.n_variables == len(program.laplace.free)
     if prior is None or not (one_field and program.is_quadratic):
         raise InputError(
-            f"no doubt of {solution.formulation}: it needs one field, a prior (a "
+            f"{solution.formulation} has no doubt: it needs one field, a prior (a "
             "Laplace term or one of known covariance) and squares of measured rows"
         )
     return prior
@@ -265,8 +267,8 @@ def _errors(
     others = [t.name for t in measured if t.name not in COMPONENTS]
     if others:
         raise InputError(
-            f"no doubt with the term {others[0]}: the noise of forces and torques "
-            "alone is known"
+            f"no doubt with the term {others[0]}: only the noise of forces and "
+            "torques is known"
         )
     values, frames = potential.values.reshape(-1), len(scene.trajectory)
     wrench, scale = np.zeros((frames, 6)), np.empty(3 * len(measured))

@@ -100,13 +100,14 @@ def check_doubt(
     """
     if not np.array_equal(evaluation.time, trajectory.time):
         raise InputError(
-            "the evaluation is of another recording: give the one it was made on"
+            "the evaluation belongs to another recording: pass the recording it was "
+            "made on"
         )
     stated = doubt.std(trajectory)
     touching = stated.known & (stated.force_size > 0.0)
     if np.count_nonzero(touching) < LEAST:
         raise InputError(
-            "doubt is checked on frames in contact, the recording has fewer than three"
+            "a check of doubt needs three frames in contact, the recording has fewer"
         )
     press = runs(touching, trajectory.segment)[touching]
     place = places(press, trajectory.position[touching])

@@ -168,8 +168,9 @@ class DualRecursion:
             projection, columns = self._projected(block)
         if (least := _least(projection)) < LEAST_SCHUR:
             raise NumericalError(
-                f"the innovation's covariance is {least:.2g} of the noise where it is "
-                "at least 1: the weights are too large for the solves, lower them"
+                f"the innovation's covariance is {least:.2g} of the noise, expected "
+                "at least 1: the weights are too large for the accuracy of the "
+                "solves, lower them"
             )
         prior = self.prior_field[block.voxels] @ block.values
         known = prior
@@ -257,8 +258,8 @@ class DualRecursion:
             self._reset_field()
             raise NumericalError(
                 f"the field's dual residual stays at {left:.1e} after {FIELD_ROUNDS} "
-                f"rounds, {FIELD_RTOL:.0e} was asked for: the weights are too large "
-                "for the solves, lower them"
+                f"rounds, {FIELD_RTOL:.0e} was requested: the weights are too large "
+                "for the accuracy of the solves, lower them"
             )
         self._rest, self._information = np.zeros(self.n_rows), np.zeros(self.rank)
         return self.prior_field + self._shift

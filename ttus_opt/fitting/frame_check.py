@@ -72,8 +72,8 @@ def warn_of_another_frame(
         share = share_near_skin(other.read(poses, np.zeros(3), place), shell, surface)
         if share > MANY:
             warnings.warn(
-                f"the recordings lie beside the skin in the {told.frame}'s frame, and "
-                f"{100 * share:.0f} % of the poses near it {where}: {remedy}",
+                f"the recordings lie off the skin in the {told.frame} frame, but "
+                f"{100 * share:.0f} % of the poses lie near it {where}: {remedy}",
                 TtusWarning,
                 stacklevel=2,
             )
@@ -85,7 +85,7 @@ def warn_of_another_frame(
         remedy = "give --frame scan, or --base-to-scan for a robot's or tracker's"
     warnings.warn(
         f"only {100 * own:.0f} % of the poses are within {100 * NEAR:.0f} cm of the "
-        f"skin in the {told.frame}'s frame: {remedy}",
+        f"skin in the {told.frame} frame: {remedy}",
         TtusWarning,
         stacklevel=2,
     )
@@ -104,4 +104,4 @@ def _others(told: Conventions) -> Iterator[tuple[Conventions, str, str]]:
         if frame != told.frame:
             other = replace(told, frame=frame, wrench_frame="", base_to_scan=None)
             remedy = f"read them with --frame {frame}"
-            yield other, f"in the {frame}'s", remedy
+            yield other, f"in the {frame} frame", remedy

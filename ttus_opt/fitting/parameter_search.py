@@ -163,14 +163,14 @@ def _least(search: Search, solve: Solve) -> float:
     name = search.parameter
     if not solved:
         raise _NoMinimumError(
-            f"none of the fits along the search for {name} was solved, the last: "
-            f"{advice}",
+            f"the search for {name} solved none of its fits, the last: {advice}",
             search.build(search.neutral_value),
         )
     best = min(solved, key=solved.__getitem__)
     if not found.success:
         raise _NoMinimumError(
-            f"the search for {name} did not end in {MOST_FITS} fits: narrow its range",
+            f"the search for {name} did not converge in {MOST_FITS} fits: narrow its "
+            "range",
             search.build(best),
         )
     return best
@@ -280,7 +280,7 @@ def _settled(
     errors = parabola.errors(variance)
     if not settled and (errors <= SHARE * (high - low)).all():
         names = ", ".join(one.parameter for one in ranges)
-        raise _NoMinimumError(f"the search for {names} does not settle", placed(at))
+        raise _NoMinimumError(f"the search for {names} does not converge", placed(at))
     if (errors < NARROW * step).any():
         # J is not quadratic over many standard errors: again with a smaller step
         step = np.clip(2.0 * errors, NEAREST * step, step)

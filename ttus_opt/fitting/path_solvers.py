@@ -68,9 +68,8 @@ class _WithoutCriteria:
     def prepare_criteria(self, largest: Formulation) -> None:
         """Refuse."""
         raise InputError(
-            f"no criteria for {largest.name}: they need a problem without limits, of "
-            "one field, a Laplace term and measured squares; judge by held-out "
-            "recordings"
+            f"no criteria for {largest.name}: they need one field without limits, a "
+            "Laplace term and measured squares; use held-out recordings"
         )
 
 
@@ -169,7 +168,7 @@ class _CommonBasis:
         if not self.common:
             raise InputError(
                 f"no criteria for {largest.name}: they need a problem without limits; "
-                "judge by held-out recordings"
+                "use held-out recordings"
             )
         frames = len(largest.scene.trajectory)
         terms = {

@@ -267,8 +267,8 @@ class RecursiveFit:
             del self._slots[slot]
         else:
             raise InputError(
-                f"measurement {index} is not held: it was rejected, removed before or "
-                f"never made ({self.measurements} are held of {self._count})"
+                f"measurement {index} is not in the fit: it was rejected, removed "
+                f"before or never made ({self.measurements} are held of {self._count})"
             )
 
     def forget(self, factor: float | None = None, *, window: int | None = None) -> None:
@@ -285,7 +285,9 @@ class RecursiveFit:
             InputError: None or both are given, or a value is out of range.
         """
         if (factor is None) == (window is None):
-            raise InputError("forget takes a factor or a window: give one of them")
+            raise InputError(
+                "forget takes either a factor or a window: give one of them"
+            )
         if factor is not None:
             self._system.fade(factor)
             return
@@ -321,7 +323,7 @@ class RecursiveFit:
             if len(self._slots) >= self.capacity:
                 raise InputError(
                     f"capacity of {self.capacity} measurements in contact is reached: "
-                    "forget old ones or start with a larger capacity"
+                    "forget old measurements or start with a larger capacity"
                 )
             forecast = self._system.forecast(block)
             surprise, schur = target - forecast.mean, forecast.schur

@@ -127,7 +127,7 @@ def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
     data = io.read_dataset(path, kind=field_file.KIND, version=field_file.VERSION)
     if FACTS not in data.attrs or field_file.DRAWS not in data.variables:
         raise InputError(
-            f"{path} says nothing of its doubt, or in an older form: fit again with "
+            f"{path} has no saved doubt, or an older form of it: fit again with "
             "ttus-opt fit --doubt"
         )
     try:

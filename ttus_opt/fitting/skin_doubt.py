@@ -67,7 +67,7 @@ def doubt_map(
     stated = doubt.std(presses)
     if not stated.known.all():
         raise InputError(
-            f"presses of {depth:g} m reach deeper than draws are kept: give doubt a "
+            f"presses of {depth:g} m reach deeper than the saved draws: give doubt a "
             "larger depth"
         )
     std = stated.force_size
@@ -95,7 +95,7 @@ def require_own(doubt: Doubt, field: PotentialField) -> None:
     for name, same in alike.items():
         if not same:
             raise InputError(
-                f"the doubt is of a field of another {name}: give the one it is of"
+                f"the doubt belongs to a field with another {name}: pass its own field"
             )
 
 

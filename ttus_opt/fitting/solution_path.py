@@ -124,11 +124,13 @@ def _declared(
 ) -> Formulation:
     if scene is None:
         if not isinstance(formulation, Formulation):
-            raise InputError("solution_path needs a scene beside a formulation's name")
+            raise InputError("solution_path needs a scene with a formulation's name")
         scene = formulation.scene
     declared = shelf.load(formulation, scene, **options)
     if declared.scene is not scene:
-        raise InputError("the formulation is of another scene: build it for this one")
+        raise InputError(
+            "the formulation belongs to another scene: build it for this one"
+        )
     return declared
 
 

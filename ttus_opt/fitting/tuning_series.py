@@ -232,7 +232,8 @@ def _slope(
     expected = rows + (middle - low) * slope
     if abs(at(middle) - expected).max() > AFFINE * abs(expected).max():
         raise InputError(
-            "a formulation that searches for a number is tuned where its measured "
-            "rows are affine in it: choose its weights by ttus-opt path"
+            "a formulation that searches for a number can be tuned only if its "
+            "measured rows are affine in that number: choose its weights by ttus-opt "
+            "path"
         )
     return sp.csr_array(slope)

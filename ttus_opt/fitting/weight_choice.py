@@ -191,7 +191,7 @@ def _own(
     """A formulation with its own weights, and a warning that says why."""
     weights = (f"{t.name} {t.weight:g}" for t in own.terms if t.measures)
     warnings.warn(
-        f"weights were not chosen from the recordings: {reason}; those of "
+        f"weights were not chosen from the recordings: {reason}; the weights of "
         f"{own.name} are used ({', '.join(weights)})",
         TtusWarning,
         stacklevel=3,
@@ -258,7 +258,7 @@ def _too_little(scene: Scene) -> str:
     if not touching.any():
         return "the probe touches the patient in no frame"
     if touching.sum() < LEAST_FRAMES:
-        return f"{touching.sum()} frames in contact are too few, record longer"
+        return f"{touching.sum()} frames in contact are too few: record longer"
     if BOUNDARY_SCALE in scene.not_identified:
         return scene.not_identified[BOUNDARY_SCALE]
     count = len(np.unique(presses(scene)[touching]))
@@ -266,7 +266,7 @@ def _too_little(scene: Scene) -> str:
     if count == 1 and spread < scene.shell.rms_radius:
         return (
             f"one press within {1e3 * spread:.0f} mm, less than the probe's own size, "
-            "tells nothing of other places: press at several"
+            "says nothing about other places: press at several"
         )
     if spread < SPOT:
         return f"all presses within {1e3 * spread:.1f} mm: press at several places"

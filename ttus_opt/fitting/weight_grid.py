@@ -75,7 +75,7 @@ class WeightGrid:
             if name not in known:
                 raise InputError(f"no term {name!r}, there are {', '.join(known)}")
             if named.count(name) > 1:
-                raise InputError(f"term {name!r} has two series of weights: give one")
+                raise InputError(f"term {name!r} has two lists of weights: give one")
         grid = cls(tuple(axes))
         if grid.size > MOST:
             raise InputError(f"{grid.size:,} points of weights: give at most {MOST:,}")

@@ -65,7 +65,7 @@ def word_for(
         checked_word(word)
     if word == RECIPE and (formulation is not None or options):
         raise InputError(
-            'weights="recipe" chooses the formulation and its options: give neither'
+            'weights="recipe" chooses the formulation and its options: leave both out'
         )
     given = [name for name in options if is_weight(name)]
     if word == AUTO and given:

@@ -114,5 +114,5 @@ def require_alike(old: PotentialField, new: PotentialField) -> None:
     for name, same in alike.items():
         if not same:
             raise InputError(
-                f"an update must keep the field's {name}: make a new Renderer"
+                f"an update cannot change the field's {name}: make a new Renderer"
             )

@@ -243,8 +243,8 @@ class Renderer:
         """Take the buffers, or `InputError`: another thread has them."""
         if not self._turn.acquire(blocking=False):
             raise InputError(
-                "two threads render with one Renderer at once: give each a Renderer "
-                "of its own"
+                "two threads use one Renderer at once: give each thread its own "
+                "Renderer"
             )
 
     def _render(
@@ -293,7 +293,7 @@ class Renderer:
             return "left out" if time is None else "estimated"
         if time is not None:
             raise InputError(
-                "give twist or time, not both: time is to estimate a twist"
+                "give either twist or time: time is for estimating the twist"
             )
         if np.shape(twist) != (6,):
             raise InputError(
@@ -319,8 +319,9 @@ class Renderer:
         """Warn, once, that drag is left out."""
         self._warned = True
         warnings.warn(
-            f"the field has drag ({drag}) and the probe's motion is not known: frames "
-            "are rendered without it; give render a twist, or the time of each pose",
+            f"the field has drag ({drag}), but the probe's motion is unknown, so "
+            "frames are rendered without drag; give render a twist, or the time of "
+            "each pose",
             TtusWarning,
             stacklevel=4,
         )

@@ -84,9 +84,9 @@ def _boundary_scale(
     square = float(unit @ unit)
     if square == 0.0:
         raise InputError(
-            'inner="fit" needs measured forces in contact, the probe never touches '
-            "the patient: check the recordings' frame and unit, or give inner as a "
-            "number"
+            'inner="fit" needs measured forces in contact, but the probe never '
+            "touches the patient: check the recordings' frame and unit, or give "
+            "inner as a number"
         )
     scale = float(unit @ force) / square
     contact = np.repeat(touching, 3)
@@ -102,8 +102,8 @@ def _report_scale(scale: float, error: float) -> str:
     if scale < -2.0 * error:
         reason = f"the forces push into the patient ({scale:.3g} ± {error:.2g})"
     warnings.warn(
-        f'inner="fit" cannot tell the boundary scale: {reason}: 1 is used: record more '
-        "contact, or give inner as a number",
+        f'inner="fit" cannot determine the boundary scale ({reason}), so 1 is used: '
+        "record more contact, or give inner as a number",
         TtusWarning,
         stacklevel=4,
     )

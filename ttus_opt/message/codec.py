@@ -43,8 +43,8 @@ def encode(
         return surface_message.encode_surface_delta(what, *_surface(base), bound)
     if base is None:
         raise InputError(
-            "a field is sent as what it adds to the Laplace field of its surface: give "
-            "base, the surface's message"
+            "a field is encoded as its difference from the Laplace field of its "
+            "surface: give the surface's message as base"
         )
     return field_message.encode_field(what, *_surface(base), max_error)
 
@@ -73,7 +73,7 @@ def decode(
     reader = Reader(message)
     if reader.kind == SURFACE:
         if base is not None:
-            raise InputError("a whole surface builds on no base: leave it out")
+            raise InputError("a whole surface needs no base: leave it out")
         return surface_message.decode_surface(reader)
     if base is None:
         raise InputError(
@@ -94,7 +94,7 @@ def _surface(base: Base) -> tuple[Surface, int]:
     """
     messages = [base] if isinstance(base, bytes | bytearray) else list(base)
     if not messages:
-        raise InputError("base names no message: give the surface's")
+        raise InputError("base is empty: give the surface's message")
     first, *changes = [Reader(message) for message in messages]
     if first.kind != SURFACE:
         raise InputError(

@@ -54,7 +54,7 @@ class Writer:
         length = HEAD.size + len(body) + CHECKSUM.size
         if length > LONGEST:
             raise InputError(
-                f"the message would take {length:,} bytes of at most {LONGEST:,}: "
+                f"the message would take {length:,} bytes, more than {LONGEST:,}: "
                 "choose a larger max_error or a coarser grid"
             )
         sealed = HEAD.pack(MARK, VERSION, kind, length) + body
@@ -70,11 +70,11 @@ class Reader:
 
     def __init__(self, message: bytes) -> None:
         if not isinstance(message, bytes | bytearray | memoryview):
-            raise InputError(f"a message is bytes, got {type(message).__name__}")
+            raise InputError(f"a message must be bytes, got {type(message).__name__}")
         size = len(message)
         if size < HEAD.size + CHECKSUM.size or bytes(message[:4]) != MARK:
             raise InputError(
-                f"these {size} bytes are no message of ttus_opt, which begins with "
+                f"these {size} bytes are not a message of ttus_opt, which begins with "
                 f"{MARK.decode()}: wrong file?"
             )
         _, version, self.kind, length = HEAD.unpack_from(message)
@@ -128,7 +128,7 @@ class Reader:
         except zlib.error as error:
             raise InputError(f"the message is damaged: {error}") from error
         if not expand.eof or expand.unused_data:
-            raise InputError("the message is damaged: a part has another length")
+            raise InputError("the message is damaged: a part has the wrong length")
         return content
 
     def end(self) -> None:

@@ -113,7 +113,7 @@ def encode_field(
     grid = Grid(*of.shape, of.r_inner, of.r_outer, of.sector)
     if of.n_voxels > MOST_VOXELS:
         raise InputError(
-            f"a field that is sent has at most {MOST_VOXELS:,} voxels, got "
+            f"a message takes fields of at most {MOST_VOXELS:,} voxels, got "
             f"{of.n_voxels:,}: fit it on a coarser grid"
         )
     laid = _laid_over(surface, grid, own.boundary)

@@ -245,7 +245,7 @@ def _read_nodes(reader: Reader, n_theta: int, n_z: int, *, closed: bool) -> _Nod
     size = n_theta * n_z
     bits = np.frombuffer(reader.unpacked((size + 7) // 8), np.uint8)
     if len(bits) != (size + 7) // 8:
-        raise InputError("the message is damaged: its mask has another length")
+        raise InputError("the message is damaged: its mask has the wrong length")
     mask = np.unpackbits(bits, count=size).astype(bool).reshape(n_theta, n_z)
     scheme = _scheme(n_theta, n_z, closed=closed)
     last = math.prod(len(indices) for indices in [*scheme.passes()][-1].target)
@@ -258,7 +258,7 @@ def _check_counts(n_theta: int, n_z: int) -> None:
     few, many = n_theta < 4 or n_z < 2, n_theta * n_z > MOST_NODES
     if few or many or max(n_theta, n_z) > 2**15:
         raise InputError(
-            f"a surface that is sent has at least 4 x 2 and at most {MOST_NODES:,} "
+            f"a message takes surfaces of at least 4 x 2 and at most {MOST_NODES:,} "
             f"nodes, got {n_theta} x {n_z}: extract it with fewer spokes or slices"
         )
 

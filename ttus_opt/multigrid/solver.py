@@ -102,8 +102,8 @@ class Multigrid:
             )
         if free[[0, -1]].any() or free[:, :, [0, -1]].any():
             raise InputError(
-                "free voxels in the first or last layer or slice: these have no "
-                "neighbour beyond, mark them False"
+                "free voxels in the first or last layer or slice, which have no "
+                "neighbour beyond: mark them False"
             )
         self.grid = grid
         self.free = grid.flatten(free)
@@ -250,7 +250,7 @@ class Multigrid:
             if failures == PATIENCE or iterations >= limit:
                 raise NumericalError(
                     f"multigrid reached a relative residual of {now / size:.1e} after "
-                    f"{iterations} cycles, {rtol:.1e} was asked for: allow more "
+                    f"{iterations} cycles, {rtol:.1e} was requested: allow more "
                     "cycles or a larger rtol"
                 )
             goal = max(REDUCTION, 0.5 * target / now)

@@ -72,7 +72,8 @@ class ElasticBody:
             )
         if self.fixed.sum() < 6:
             raise InputError(
-                "fewer than 6 displacements are held: the body would float, fix more"
+                "fewer than 6 displacements are fixed, so that the body would float: "
+                "fix more"
             )
         k = len(self.patch)
         if self.normals.shape != (k, 3) or self.rim.shape != (k,):

@@ -138,8 +138,8 @@ def press(
     nodes = under[touch]
     if patch.rim[nodes].any():
         raise GeometryError(
-            "the probe touches the border of the skin patch, where the patch's answer "
-            "ends: keep it further inside or mesh a larger patch"
+            "the probe touches the border of the skin patch, beyond which nothing is "
+            "computed: keep it further inside or mesh a larger patch"
         )
     inward, outward = -patch.normals[nodes], reach.normals[nodes]
     normal_forces = forces[touch] / np.einsum("ij,ij->i", outward, inward)
@@ -174,8 +174,8 @@ def _check_above(patch: SkinPatch, position: Array) -> None:
         )
     if away[nearest] @ patch.normals[nearest] <= 0.0:
         raise GeometryError(
-            f"probe centre ({place}) m is below the undeformed skin: linear elasticity "
-            "does not go that far, press less deep"
+            f"probe centre ({place}) m is below the undeformed skin, which is too "
+            "deep for linear elasticity: press less deep"
         )
 
 

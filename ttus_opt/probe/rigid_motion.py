@@ -45,7 +45,7 @@ def rigid_motion(motion: PoseLike) -> Array:
         >>> rigid_motion(np.diag([2.0, 2.0, 2.0, 1.0]))
         Traceback (most recent call last):
         ...
-        ttus_opt.errors.InputError: no rigid motion: it scales by 2: remove the scale
+        ttus_opt.errors.InputError: not a rigid motion: it scales by 2: remove the scale
     """
     as_matrix = getattr(motion, "as_matrix", None)
     matrix = np.asarray(motion if as_matrix is None else as_matrix(), dtype=np.float64)
@@ -57,11 +57,13 @@ def rigid_motion(motion: PoseLike) -> Array:
     scale = float(np.sqrt((turn**2).sum() / 3.0))
     uniform = np.abs(turn.T @ turn - scale**2 * np.eye(3)).max() < ROUNDING * scale**2
     if uniform and abs(scale - 1.0) > ROUNDING:
-        raise InputError(f"no rigid motion: it scales by {scale:.6g}: remove the scale")
+        raise InputError(
+            f"not a rigid motion: it scales by {scale:.6g}: remove the scale"
+        )
     most = float(np.abs(shift).max())
     if most > LARGEST_SHIFT:
         raise InputError(
-            f"a rigid motion shifts by {most:.6g} m, over {LARGEST_SHIFT:g}: "
+            f"a rigid motion shifts by {most:.6g} m, more than {LARGEST_SHIFT:g}: "
             "millimetres? divide the shift by 1000"
         )
     with located("no rigid motion"):
@@ -131,8 +133,8 @@ def _from_file(name: str) -> Array:
             values = _numbers(file.read_text(encoding="utf-8-sig"))
     except Exception as error:  # numpy raises nearly every class on damaged headers
         raise FileError(
-            f"{file} does not read as a rigid motion ({type(error).__name__}): write a "
-            "matrix (4, 4), or x,y,z,qx,qy,qz,qw"
+            f"{file} cannot be read as a rigid motion ({type(error).__name__}): write "
+            "a matrix (4, 4), or x,y,z,qx,qy,qz,qw"
         ) from error
     with located(file, FileError):
         return _motion(values)

@@ -207,7 +207,7 @@ def _refuse_absent(given: Sequence[str], columns: Mapping[str, str]) -> None:
     absent = [theirs for theirs in columns.values() if theirs not in given]
     if absent:
         raise InputError(
-            f"columns names {', '.join(absent)}, the header has {', '.join(given)}"
+            f"columns names {', '.join(absent)}, but the header has {', '.join(given)}"
         )
 
 

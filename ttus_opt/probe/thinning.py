@@ -33,9 +33,11 @@ def thinned(
     (134, 100)
     """
     if not (isinstance(every, int) and every >= 1):
-        raise InputError(f"every must be a whole number from 1 on, got {every!r}")
+        raise InputError(f"every must be a whole number of at least 1, got {every!r}")
     if rate is not None and not 0.0 < rate <= HIGHEST:
-        raise InputError(f"rate must be positive, up to {HIGHEST:g} Hz, got {rate}")
+        raise InputError(
+            f"rate must be positive and at most {HIGHEST:g} Hz, got {rate}"
+        )
     kept = []
     for segment in dict.fromkeys(trajectory.segment.tolist()):
         frames = np.flatnonzero(trajectory.segment == segment)

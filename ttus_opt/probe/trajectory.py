@@ -297,13 +297,12 @@ class Trajectory:
             raise InputError("concatenate needs at least one trajectory, got none")
         if len({p.has_wrench for p in parts}) > 1:
             raise InputError(
-                "some of the trajectories have wrenches and some have none: leave out "
-                "those without"
+                "only some of the trajectories have wrenches: leave out those without"
             )
         if len({p.has_torque for p in parts}) > 1:
             raise InputError(
-                "some of the trajectories have torques and some have forces only: "
-                "leave out the ones or the others"
+                "some of the trajectories have torques and others only forces: join "
+                "one kind only"
             )
         numbers, first = [], 0
         for part in parts:

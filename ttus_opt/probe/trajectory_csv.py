@@ -135,7 +135,7 @@ def _refuse_half_a_wrench(file: Path, names: Sequence[str]) -> None:
     if TORQUE[0] in names and FORCE[0] not in names:
         raise FileError(
             f"trajectory {file} has no column {', '.join(FORCE)}: torques need forces "
-            "beside them"
+            "too"
         )
 
 

@@ -23,15 +23,15 @@ NEGLIGIBLE = 1e-6
 class Status(enum.Enum):
     """What came of a solve; the value is advice."""
 
-    SOLVED = "the optimality conditions hold to the tolerance asked for"
+    SOLVED = "the optimality conditions hold to the requested tolerance"
     INACCURATE = (
-        "the answer fails its own check: loosen the tolerance, allow more iterations "
-        "or take another solver"
+        "the answer fails verification: loosen the tolerance, allow more iterations "
+        "or use another solver"
     )
     INFEASIBLE = "the constraints contradict each other: drop or soften one"
-    UNBOUNDED = "the objective has no minimum: add a term that ties every variable"
-    TIME_LIMIT = "the time limit struck: allow more time or take a faster solver"
-    FAILED = "the solver gave up: take another solver"
+    UNBOUNDED = "the objective has no minimum: add a term that bounds every variable"
+    TIME_LIMIT = "the time limit was reached: allow more time or use a faster solver"
+    FAILED = "the solver gave up: use another solver"
 
 
 @dataclass(frozen=True)

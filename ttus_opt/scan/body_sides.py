@@ -89,7 +89,9 @@ def checked_direction(head: Array) -> Array:
         raise InputError(f"head must be a direction x,y,z in the scan, got {head}")
     length = float(np.linalg.norm(direction))
     if length == 0.0:
-        raise InputError("head must not be zero: a direction in the scan, like 0,0,1")
+        raise InputError(
+            "head must not be zero: give a direction in the scan, like 0,0,1"
+        )
     return direction / length
 
 

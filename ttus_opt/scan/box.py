@@ -38,8 +38,8 @@ def inside(cloud: Array, box: Sequence[float]) -> NDArray[np.bool_]:
     for axis, a, b in zip("xyz", low, high, strict=True):
         if not a < b:
             raise InputError(
-                f"the box has {axis}min {a:g} and {axis}max {b:g}: the first must be "
-                "smaller"
+                f"the box has {axis}min {a:g} and {axis}max {b:g}: the minimum must "
+                "be smaller"
             )
     within = ((cloud >= low) & (cloud <= high)).all(axis=1)
     if not within.any():

@@ -110,7 +110,7 @@ def usable_range(points: Array) -> ZRange:
     if not runs:
         raise GeometryError(
             "no section of the scan shows a quarter turn around the axis: does the "
-            "axis run inside the body, along it? give another or estimate it"
+            "axis run inside the body and along it? give another axis or estimate it"
         )
     first, last = max(runs, key=lambda run: run[1] - run[0])
     if last - first < 4:
@@ -168,7 +168,7 @@ def collect(
     if len(node) == 0:
         raise GeometryError(
             f"no point of the scan lies near the axis between z = {z[0]:.3f} and "
-            f"{z[-1]:.3f} m: the cloud never meets the axis, check axis and unit"
+            f"{z[-1]:.3f} m: the cloud is nowhere near the axis, check axis and unit"
         )
     order = np.lexsort((r[point], node))
     node, point = node[order], point[order]

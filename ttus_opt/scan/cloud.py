@@ -135,7 +135,9 @@ def _read_ply(file: Path) -> Array:
             # no file has that many bytes
             announced = int(words[2]) if re.fullmatch(rb"\d{1,15}", words[2]) else 0
     if announced == 0:
-        raise FileError(f"{file} announces no vertices: record or export it again")
+        raise FileError(
+            f"the header of {file} declares no vertices: record or export it again"
+        )
     if announced > file.stat().st_size:
         raise FileError(
             f"{file} is truncated: its header announces {announced} points, it has "
@@ -147,7 +149,7 @@ def _read_ply(file: Path) -> Array:
         points = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
     except Exception as error:  # trimesh raises nearly every class on damaged files
         raise FileError(
-            f"{file} does not read as PLY ({type(error).__name__}): its header "
+            f"{file} cannot be read as PLY ({type(error).__name__}): its header "
             f"announces {announced} points, truncated or damaged? export it again"
         ) from error
     if len(points) != announced:

@@ -195,8 +195,8 @@ def _check_std(point_std: Array | None, n: int) -> None:
         return
     if point_std.shape != (n,):
         raise InputError(
-            f"point_std must be one deviation [m] for each of {n} points, got shape "
-            f"{point_std.shape}"
+            f"point_std must be one standard deviation [m] for each of {n} points, "
+            f"got shape {point_std.shape}"
         )
     if not (np.isfinite(point_std) & (point_std > 0)).all() or point_std.max() > 0.1:
         raise InputError(
@@ -216,8 +216,8 @@ def _body_points(
     if len(points) < _LEAST_POINTS:
         raise GeometryError(
             f"only {len(points)} of {len(cloud)} points are within "
-            f"{_LARGEST_RADIUS:g} m of the axis and off the support: the cloud never "
-            "meets the axis, check axis and unit"
+            f"{_LARGEST_RADIUS:g} m of the axis and off the support: the cloud is "
+            "nowhere near the axis, check axis and unit"
         )
     kept = ~stray(points)
     return points[kept], None if std is None else std[index[kept]]

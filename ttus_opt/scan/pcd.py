@@ -185,7 +185,7 @@ def _compressed(header: _Header, path: Path) -> Array:
         raw = lzf_decompress(packed, size)
     except (IndexError, ValueError) as error:
         raise FileError(
-            f"{path} does not unpack ({error}): damaged, export it again"
+            f"{path} cannot be unpacked ({error}): damaged, export it again"
         ) from error
     widths = [
         np.dtype(code).itemsize * count

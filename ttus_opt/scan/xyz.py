@@ -83,7 +83,9 @@ def read_xyz(file: Path) -> Array:
         )
     except ValueError as error:
         reason = str(error).splitlines()[0]
-        raise FileError(f"{file} has a value that is no number ({reason})") from error
+        raise FileError(
+            f"{file} has a value that is not a number ({reason})"
+        ) from error
     points = np.asarray(values, dtype=np.float64)
     if not names and width > 3:
         _refuse_a_counter(file, points)
@@ -129,7 +131,7 @@ def _columns(file: Path, names: Sequence[str], width: int) -> list[int]:
         raise FileError(
             f"{file} has {width} columns, expected x, y, z alone or with intensity, "
             "colour or normal (3, 4, 6, 7, 9 or 10): name x, y and z in a first line "
-            "to pick them"
+            "to select them"
         )
     return [0, 1, 2]
 
@@ -140,7 +142,7 @@ def _refuse_a_counter(file: Path, points: Array) -> None:
     if len(first) > 2 and (np.diff(first) == 1.0).all():
         raise FileError(
             f"{file}: the first column counts the points: name x, y and z in a first "
-            "line to pick them"
+            "line to select them"
         )
 
 

@@ -96,7 +96,7 @@ def contact_of_poses(poses: Trajectory, surface: Surface, share: float) -> Signa
     if not 0.0 < share < 1.0:
         raise InputError(
             f"{100 * share:.0f} % of the forces are in contact: the offset needs a "
-            "recording that goes into contact and off it"
+            "recording that makes and breaks contact"
         )
     x, y, z = poses.position.T
     depth = surface.radius_at(np.arctan2(y, x), z) - np.hypot(x, y)
@@ -231,8 +231,8 @@ def _step(signal: Signal) -> float:
         raise InputError("times of a signal must increase [s]: sort them")
     if np.ptp(signal.values) == 0.0:
         raise InputError(
-            "a signal is constant: nothing turns, or nothing touches, in one of the "
-            "recordings"
+            "a signal is constant: in one of the recordings nothing turns, or "
+            "nothing touches"
         )
     return step
 

@@ -71,7 +71,7 @@ def column_map(given: Mapping[str, Any]) -> dict[str, str]:
     for name, value in given.items():
         if isinstance(value, list):
             if name not in (*VECTORS, QUATERNION):
-                raise InputError(f"columns: {name} is one column, got a list")
+                raise InputError(f"columns: {name} must be one column, got a list")
             for own, theirs in zip(_parts(name, value, order), value, strict=True):
                 out[own] = _name(name, theirs)
         else:
@@ -81,7 +81,9 @@ def column_map(given: Mapping[str, Any]) -> dict[str, str]:
     named = [value for name, value in out.items() if name != ORDER]
     twice = [value for value in named if named.count(value) > 1]
     if twice:
-        raise InputError(f"columns names {twice[0]} twice: each column is one thing")
+        raise InputError(
+            f"columns names {twice[0]} twice: give each column one meaning"
+        )
     return out
 
 

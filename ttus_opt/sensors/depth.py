@@ -89,13 +89,13 @@ class DepthImage:
         """
         if self.depth_kind not in get_args(DepthKind):
             raise InputError(
-                "depth_kind is 'z' (along the optical axis) or 'range' (along the "
-                f"ray), got {self.depth_kind!r}"
+                "depth_kind must be 'z' (along the optical axis) or 'range' (along "
+                f"the ray), got {self.depth_kind!r}"
             )
         if self.depth.shape != self.camera.shape:
             found, expected = self.depth.shape, self.camera.shape
             raise InputError(
-                f"{self.name} has shape {found}, the camera's rays {expected}: of "
+                f"{self.name} has shape {found}, the camera's rays {expected}: "
                 "another camera, or transposed?"
             )
         depth = self.depth[~np.isnan(self.depth)]

@@ -133,7 +133,7 @@ def _check_png(file: Path, content: bytes) -> None:
         kinds.append(kind)
         at += 12 + length
     if size > LARGEST_IMAGE:
-        raise FileError(f"{file} announces {size} pixels: no depth image")
+        raise FileError(f"{file} declares {size} pixels: not a depth image")
     if not kinds or kinds[0] != b"IHDR" or kinds[-1] != b"IEND":
         raise FileError(
             f"{file} is a damaged or truncated PNG: copy or export it again"

@@ -90,13 +90,13 @@ class Stereo:
         """
         if not 0.0 < self.baseline < LARGEST:
             raise InputError(
-                f"a stereo baseline is between 0 and {LARGEST:g} m, got "
+                f"a stereo baseline must be between 0 and {LARGEST:g} m, got "
                 f"{self.baseline:g}: millimetres? divide by 1000"
             )
         if not 0.0 < self.disparity_std < 100.0:
             raise InputError(
-                f"a disparity's deviation is above 0 pixels, got {self.disparity_std:g}"
-                f": {DISPARITY_STD:g} is usual"
+                "a disparity's standard deviation must be above 0 pixels, got "
+                f"{self.disparity_std:g}: {DISPARITY_STD:g} is usual"
             )
 
     def along_ray(self, pixels: Pixels) -> Array:
@@ -123,8 +123,8 @@ class TimeOfFlight:
         """
         if not 0.0 < self.std < LARGEST:
             raise InputError(
-                f"a deviation of distances is between 0 and {LARGEST:g} m, got "
-                f"{self.std:g}: millimetres? divide by 1000"
+                f"a standard deviation of distances must be between 0 and {LARGEST:g} "
+                f"m, got {self.std:g}: millimetres? divide by 1000"
             )
 
     def along_ray(self, pixels: Pixels) -> Array:
@@ -164,4 +164,4 @@ def noise_model(text: str) -> NoiseModel:
             return Stereo(*values)
         case "time-of-flight", 1:
             return TimeOfFlight(*values)
-    raise InputError(f"noise is one of {', '.join(NAMES)}, got {text!r}")
+    raise InputError(f"noise must be one of {', '.join(NAMES)}, got {text!r}")

@@ -134,7 +134,7 @@ def read_pose_pairs(path: str | os.PathLike[str]) -> tuple[Array, Array]:
             pairs = np.array(content, dtype=np.float64)
     except Exception as error:  # numpy raises nearly every class on damaged headers
         raise FileError(
-            f"{file} does not read as pairs of poses ({type(error).__name__}): write "
+            f"{file} cannot be read as pairs of poses ({type(error).__name__}): write "
             "JSON or NPY of shape (n, 2, 4, 4)"
         ) from error
     if pairs.ndim != 4 or pairs.shape[1:] != (2, 4, 4):
@@ -208,7 +208,7 @@ def hand_eye(
     )
     if answer.spread > LARGEST_SPREAD:
         warn(
-            f"the solvers' cameras differ by {1e3 * answer.spread:.2g} mm: record "
+            f"the solvers' results differ by {1e3 * answer.spread:.2g} mm: record "
             "larger turns about more axes"
         )
     return answer

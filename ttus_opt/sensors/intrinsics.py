@@ -107,8 +107,8 @@ def read_intrinsics(path: str | os.PathLike[str]) -> Intrinsics:
             raise
         except (TypeError, ValueError, OverflowError) as error:
             raise InputError(
-                "the camera matrix, its distortion or size are no numbers: export the "
-                "calibration again"
+                "the camera matrix, its distortion or size are not numbers: export "
+                "the calibration again"
             ) from error
 
 
@@ -116,8 +116,8 @@ def _from_mapping(found: Mapping[str, Any]) -> Intrinsics:
     matrix = _numbers(found, MATRIX)
     if matrix is None or matrix.size != 9:
         raise InputError(
-            f"a camera matrix of nine numbers ({' or '.join(MATRIX[:2])}) is expected: "
-            "name the calibration's file"
+            f"a camera matrix of nine numbers ({' or '.join(MATRIX[:2])}) is "
+            "expected: give the calibration's file"
         )
     distortion = _numbers(found, DISTORTION)
     sides = [_first(found, names) for names in (WIDTH, HEIGHT)]

@@ -35,11 +35,11 @@ def read_mapping(path: str | os.PathLike[str], what: str) -> Mapping[str, Any]:
         raise
     except Exception as error:  # the parsers raise nearly every class
         raise FileError(
-            f"{file} does not read as YAML or JSON{_place(error)}: a {what} is a "
+            f"{file} cannot be read as YAML or JSON{_place(error)}: a {what} is a "
             "mapping of names to values"
         ) from error
     if not isinstance(found, Mapping) or not all(isinstance(k, str) for k in found):
-        raise FileError(f"{file} is no {what}: it must map names to values")
+        raise FileError(f"{file} is not a {what}: it must map names to values")
     return found
 
 

@@ -98,7 +98,7 @@ class Board:
         """
         if not (1 <= self.columns <= 100 and 1 <= self.rows <= 100):
             raise InputError(
-                f"a board has 1 to 100 columns and rows, got {self.columns} x "
+                f"a board must have 1 to 100 columns and rows, got {self.columns} x "
                 f"{self.rows}"
             )
         _check_length("marker", self.marker)
@@ -265,8 +265,8 @@ def _detected(
     corners, numbers, _ = detector.detectMarkers(image)
     if numbers is None or len(numbers) == 0:
         raise InputError(
-            f"no marker of {dictionary} is seen: another dictionary, or a blurred or "
-            "dark photo?"
+            f"no marker of {dictionary} is seen: is the dictionary another one, or "
+            "the photo blurred or dark?"
         )
     return list(corners), np.asarray(numbers).reshape(-1).astype(np.int64)
 
@@ -320,7 +320,7 @@ def _refined(
     rest = (projected.reshape(-1, 2) - pixels).reshape(-1)
     square = float(rest @ rest)
     if not np.isfinite(square):
-        raise InputError("no pose puts the corners where they are: check intrinsics")
+        raise InputError("no pose explains the corners: check intrinsics")
     J = np.asarray(jacobian)[:, :6] @ _from_turns(
         np.asarray(turn, np.float64).reshape(3)
     )

@@ -66,7 +66,7 @@ def read_apart(file: Path) -> dict[str, Variable]:
             env={**os.environ, **ONE_THREAD},
         )
     except subprocess.TimeoutExpired as error:
-        raise ValueError("reading takes for ever") from error
+        raise ValueError("reading takes too long") from error
     if done.returncode:
         raise ValueError(f"its reader ended with status {done.returncode}")
     return unpacked(done.stdout)

@@ -135,7 +135,7 @@ def _opened(
     single = [name for name in told if name not in ("t", ORDER, *UNITS)]
     if single:
         raise FileError(
-            f"{file}: netCDF holds whole vectors: name position, quaternion, force or "
+            f"{file}: netCDF holds whole vectors: map position, quaternion, force or "
             f"torque, not {single[0]}"
         )
     try:
@@ -191,7 +191,7 @@ def _numbers(found: xr.DataArray) -> Array:
         InputError: They are not numbers.
     """
     if found.dtype.kind not in "fiu":
-        raise InputError(f"{found.name} holds no numbers: wrong variable?")
+        raise InputError(f"{found.name} does not hold numbers: wrong variable?")
     return np.asarray(found.to_numpy(), dtype=np.float64)
 
 
@@ -203,7 +203,9 @@ def _time(data: xr.Dataset, told: Mapping[str, str]) -> Array:
     """
     found = _variable(data, "time", told)
     if found.ndim != 1:
-        raise InputError(f"{found.name} has {found.ndim} dimensions, times have one")
+        raise InputError(
+            f"{found.name} has {found.ndim} dimensions, expected one for times"
+        )
     unit = str(found.attrs.get("units", "")).partition(" since ")[0]
     values = _factor(found, "time", unit) * _numbers(found)
     if not np.isfinite(values).all():

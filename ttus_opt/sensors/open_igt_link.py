@@ -102,8 +102,8 @@ class Received:
         sizes = {len(value) for value in values}
         if sizes not in ({3}, {6}):
             raise InputError(
-                f"{name} sent {', '.join(map(str, sorted(sizes)))} numbers, expected 3 "
-                "forces, or 3 forces and 3 torques, always the same"
+                f"{name} sent {', '.join(map(str, sorted(sizes)))} numbers, expected "
+                "always 3 forces, or always 3 forces and 3 torques"
             )
         numbers = np.array(values)
         torque = numbers[:, 3:].copy() if sizes == {6} else None
@@ -137,16 +137,18 @@ def record(
         MissingPackageError: pyigtl is not installed.
     """
     if not (1 <= port <= 65535 and 0.0 < patience < np.inf):
-        raise InputError(f"a port is 1 to 65535, got {port}")
+        raise InputError(f"a port must be 1 to 65535, got {port}")
     if seconds is not None and not 0.0 < seconds < np.inf:
-        raise InputError(f"a recording lasts a positive time [s], got {seconds}")
+        raise InputError(
+            f"the duration of a recording must be positive [s], got {seconds}"
+        )
     received = Received()
     igtl: Any = load("pyigtl", "live")
     try:
         connection = socket.create_connection((host, port), timeout=patience)
     except (OSError, UnicodeError) as error:
         raise InputError(
-            f"nobody listens at {host}:{port}: check host, port and server"
+            f"no server answers at {host}:{port}: check host, port and server"
         ) from error
     lasts = np.inf if seconds is None else seconds
     listening = _listening(igtl, connection, received)
@@ -284,7 +286,7 @@ def _stream(
     if not kept:
         told = ", ".join(f"{name} ({what})" for name, what in others.items())
         came = f", but {told}" if told else ""
-        raise InputError(f"no {kind} came{came}: what does the server send?")
+        raise InputError(f"no {kind} arrived{came}: what does the server send?")
     if device is None and len(kept) > 1:
         raise InputError(f"several devices sent {kind}: name one of {', '.join(kept)}")
     name = next(iter(kept)) if device is None else device

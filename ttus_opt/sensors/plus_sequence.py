@@ -56,7 +56,7 @@ def read_plus_sequence(
         }
     )
     if not known:
-        raise FileError(f"{file} has no transforms: no PLUS sequence with tracking")
+        raise FileError(f"{file} has no transforms: not a PLUS sequence with tracking")
     if transform is None and len(known) > 1:
         raise FileError(
             f"{file} has several transforms: name one of {', '.join(known)}"
@@ -83,7 +83,7 @@ def _frames(file: os.PathLike[str]) -> dict[int, dict[str, str]]:
             read += len(line)
             text = line.decode("latin-1").strip()
             if read == len(line) and "=" not in text:
-                raise FileError(f"{file} is no MetaImage file: a .mha is expected")
+                raise FileError(f"{file} is not a MetaImage file: expected a .mha")
             if text.startswith("ElementDataFile") or read > LONGEST_TEXT:
                 break
             found = LINE.fullmatch(text)

@@ -71,7 +71,7 @@ def axis_from_probe(
     into, head = _axes(held)
     if depth is not None and not 0.01 <= depth <= 0.3:
         raise InputError(
-            f"the origin lies 0.01 to 0.3 m below the skin, got {depth:g}: it is in "
+            f"the origin must be 0.01 to 0.3 m below the skin, got {depth:g}: give "
             "metres"
         )
     rotation, at = _mean_pose(poses)
@@ -141,8 +141,9 @@ def _mean_pose(poses: Trajectory) -> tuple[Array, Array]:
     if turned > STILL_TURN or shifted > STILL_SHIFT:
         raise InputError(
             f"the probe moved by {1e3 * shifted:.0f} mm and {np.rad2deg(turned):.0f}° "
-            f"in {len(poses)} poses, expected less than {1e3 * STILL_SHIFT:.0f} mm and "
-            f"{np.rad2deg(STILL_TURN):.0f}°: keep the part where it is held still"
+            f"in {len(poses)} poses, expected less than {1e3 * STILL_SHIFT:.0f} mm "
+            f"and {np.rad2deg(STILL_TURN):.0f}°: keep only the part where it is held "
+            "still"
         )
     return mean.as_matrix(), at
 
@@ -175,8 +176,8 @@ def _half_way(plane: SupportingPlane | None, skin: Array, inward: Array) -> floa
     """
     if plane is None:
         raise InputError(
-            "the scan shows no plane that the body lies on: state how deep below the "
-            "skin the origin lies (depth)"
+            "the scan shows no plane that the body lies on: give the origin's depth "
+            "below the skin (depth)"
         )
     upright = -float(plane.normal @ inward)
     if upright < LEAST_UPRIGHT:

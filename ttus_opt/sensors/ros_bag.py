@@ -112,8 +112,8 @@ def _read(
         raise
     except (Exception, MemoryError) as error:  # damaged files raise nearly every class
         raise FileError(
-            f"{place} does not read as a ROS recording ({type(error).__name__}): name "
-            "a .bag or .mcap file, or the folder of a ROS 2 recording"
+            f"{place} cannot be read as a ROS recording ({type(error).__name__}): "
+            "name a .bag or .mcap file, or the folder of a ROS 2 recording"
         ) from error
     if not (np.isfinite(rows.time).all() and np.isfinite(rows.values).all()):
         raise FileError(f"{place}: messages hold NaN or infinity: record it again")
@@ -148,7 +148,7 @@ def _rows(
             time.append(stamp.sec + 1e-9 * stamp.nanosec)
             values.append(row(message))
             if len(time) > MOST_MESSAGES:
-                raise FileError(f"{place} has too many messages of {name}: cut it")
+                raise FileError(f"{place} has too many messages of {name}: shorten it")
     if not time:
         raise FileError(f"{place} has no message of {name}: was it published?")
     return _Rows(np.array(time, np.float64), np.array(values, np.float64))

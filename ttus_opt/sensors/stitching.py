@@ -72,8 +72,9 @@ class PoseDoubt:
         """
         if not (0.0 < self.shift < 0.2 and 0.0 < self.turn < 0.5):
             raise InputError(
-                "a pose's deviations are between 0 and 0.2 m and between 0 and 0.5 "
-                f"rad, got {self.shift:g} and {self.turn:g}: another unit?"
+                "a pose's standard deviations must be between 0 and 0.2 m and "
+                f"between 0 and 0.5 rad, got {self.shift:g} and {self.turn:g}: "
+                "another unit?"
             )
 
 
@@ -165,7 +166,7 @@ def stitch(
             f"{len(images)} images have {len(poses)} poses: give one pose for each"
         )
     if refine is not None and len(images) == 1:
-        raise InputError("one scan has no other to be refined to: leave refine out")
+        raise InputError("refining needs more than one scan: leave refine out")
     motions = np.stack([rigid_motion(pose) for pose in poses])
     clouds = [image.to_cloud(noise=noise) for image in images]
     refinements: tuple[Refinement, ...] = ()
@@ -273,8 +274,9 @@ def _one_refined(
         shift, turn = (float(np.linalg.norm(v)) for v in (step[3:], step[:3]))
         raise InputError(
             f"{scan} would be moved by {1e3 * shift:.1f} mm and "
-            f"{np.rad2deg(turn):.2f}°, {off:.1f} deviations of its measured pose, up "
-            f"to {LEAVES:g} are accepted: check the pose, or state a larger deviation"
+            f"{np.rad2deg(turn):.2f}°, {off:.1f} deviations of its measured pose, at "
+            f"most {LEAVES:g} are accepted: check the pose, or state a larger "
+            "deviation"
         )
     turned = Rotation.from_rotvec(fused[:3]).as_matrix()
     pose = measured @ homogeneous(turned, fused[3:])
@@ -335,7 +337,7 @@ def _held(scan: str, source: _Surfels, target: _Surfels, pose: Array) -> _Pairs:
         raise InputError(
             f"{scan} slides on the others ({condition:.0f} to 1 between the best and "
             f"the worst held direction, up to {LARGEST_CONDITION:.0f} is accepted): "
-            "what they share is flat or round: show more, or leave refine out"
+            "their common part is flat or round: show more, or leave refine out"
         )
     return pairs
 

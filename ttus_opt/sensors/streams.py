@@ -48,7 +48,7 @@ class WrenchStream:
         """
         n = len(self.time)
         if n < 2:
-            raise InputError(f"a stream of wrenches has at least 2 readings, got {n}")
+            raise InputError(f"a stream of wrenches needs at least 2 readings, got {n}")
         shapes = {"time": (n,), "force": (n, 3), "torque": (n, 3)}
         for name, shape in shapes.items():
             values = getattr(self, name)
@@ -127,7 +127,7 @@ def with_wrenches(
     if not keep.any():
         raise InputError(
             f"poses from {poses.time[0]:.6g} to {poses.time[-1]:.6g} s have no "
-            f"wrenches, which are from {time[0]:.6g} to {time[-1]:.6g} s: check the "
+            f"wrenches; these run from {time[0]:.6g} to {time[-1]:.6g} s: check the "
             "offset"
         )
     out = poses.select(keep)
@@ -166,7 +166,7 @@ def poses_at(poses: Trajectory, time: Array, *, largest_gap: float) -> Trajector
     if not 0.0 < largest_gap < np.inf:
         raise InputError(f"the largest gap must be positive [s], got {largest_gap}")
     if len(poses) < 2 or len(np.unique(poses.segment)) > 1:
-        raise InputError("poses of one segment are interpolated, 2 or more: split it")
+        raise InputError("interpolation needs 2 or more poses of one segment: split it")
     keep = _within(time, poses.time, largest_gap)
     if not keep.any():
         raise InputError(

@@ -236,8 +236,8 @@ def _check_axes(force: Array, u: Array, told: bool, sensor: ForceSensor) -> None
         )
     nearest = int(np.argmin(np.diag(map_)))
     raise InputError(
-        "the sensor's axes are left-handed: no rotation fits its readings, "
-        f"the {'xyz'[nearest]} axis reads reversed: negate its column of forces and of "
+        "the sensor's axes are left-handed: no rotation fits its readings, the "
+        f"{'xyz'[nearest]} axis is reversed: negate its column of forces and of "
         "torques"
     )
 

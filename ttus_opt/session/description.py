@@ -237,7 +237,7 @@ def _found(path: Path) -> Path:
         if (path / name).is_file():
             return path / name
     raise FileError(
-        f"{path} has no {NAMES[0]} that says what is where: write one, or copy that of "
+        f"{path} has no {NAMES[0]} that describes it: write one, or copy that of "
         "ttus-opt session DIR --example"
     )
 

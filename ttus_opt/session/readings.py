@@ -91,7 +91,7 @@ def synchronise(
         raise InputError(
             "forces in free air follow the tilts of the probe with a correlation of "
             f"{found.correlation:.2f} at best, {LEAST_GRAVITY:g} is needed: is free "
-            "the stretch in free air, and largest_offset large enough?"
+            "the interval in free air, and largest_offset large enough?"
         )
     return Timing(found.seconds, first, second, found.correlation)
 

@@ -66,15 +66,15 @@ class Results:
             own = file.resolve().parent
             if own == self.folder.resolve():
                 raise FileError(
-                    f"{self.folder} holds the recording: name another folder for the "
-                    "results"
+                    f"{self.folder} holds the recording: choose another folder for "
+                    "the results"
                 )
         io.check_output(self.folder / SUMMARY)
         # a recording's description may have the summary's name
         if self._existing() and "complete" not in _read(self.folder):
             raise FileError(
-                f"{self.folder} holds files of other work, {self._existing()[0].name}: "
-                "name another folder"
+                f"{self.folder} holds unrelated files, for instance "
+                f"{self._existing()[0].name}: choose another folder"
             )
 
     @contextlib.contextmanager

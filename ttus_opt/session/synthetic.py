@@ -149,7 +149,8 @@ def write_recording(
     foreign = [f for f in place.glob("*") if f.name not in FILES]
     if foreign:
         raise FileError(
-            f"{place} holds other files, {foreign[0].name}: name a folder of its own"
+            f"{place} holds other files, for instance {foreign[0].name}: choose an "
+            "empty folder"
         )
     io.check_output(place / "session.json")
     moved, stretches = _motion_of_all(seconds, tilts)

@@ -215,12 +215,12 @@ class CvxpyRows(Term):
         found = [name for name, count in others.items() if count]
         if found:
             raise InputError(
-                f"term {self.name} needs {' and '.join(found)} cones, whose answers "
-                "are not verified here: take an expression of linear and second-order "
-                "cones (norms, squares, huber, tv)"
+                f"term {self.name} needs {' and '.join(found)} cones, which cannot be "
+                "verified here: use an expression of linear and second-order cones "
+                "(norms, squares, huber, tv)"
             )
         if any(data.get(key) is not None for key in ("lower_bounds", "upper_bounds")):
             raise InputError(
-                f"term {self.name}: variables with bounds of their own are not taken: "
-                "add a constraint"
+                f"term {self.name}: variables with their own bounds are not "
+                "supported: add a constraint"
             )

@@ -52,8 +52,8 @@ def _matrix(owner: str, variable: str, matrix: Any, n_rows: int) -> sp.csr_array
     rows: sp.csr_array = given
     if rows.shape[0] != n_rows:
         raise InputError(
-            f"{owner}: {rows.shape[0]} rows over {variable}, and {n_rows} entries "
-            "beside them: give one for every row"
+            f"{owner}: {rows.shape[0]} rows over {variable}, and {n_rows} entries in "
+            "its vector: give one for every row"
         )
     wrong = ~np.isfinite(rows.data)
     if wrong.any():
@@ -61,7 +61,7 @@ def _matrix(owner: str, variable: str, matrix: Any, n_rows: int) -> sp.csr_array
         row = int(np.searchsorted(rows.indptr, at, side="right")) - 1
         raise InputError(
             f"{owner}: its rows over {variable} hold {rows.data[at]} (row {row}, "
-            f"{int(wrong.sum())} in all): check the data they are made of"
+            f"{int(wrong.sum())} in all): check the data they are made from"
         )
     return rows
 

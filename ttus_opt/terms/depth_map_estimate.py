@@ -188,8 +188,9 @@ class _Problem:
         frames = np.flatnonzero((scene.rows.contact_points > 0) & (size > LEAST_FORCE))
         if not len(frames):
             raise InputError(
-                "depth_map needs forces measured in contact, the probe never touches "
-                "the patient: check the trajectory's frame, or fit laplace_only"
+                "depth_map needs forces measured in contact, but the probe never "
+                "touches the patient: check the trajectory's frame, or fit "
+                "laplace_only"
             )
         frames = frames[:: -(-len(frames) // MOST_FRAMES)]
         chosen = (3 * frames[:, None] + np.arange(3)).ravel()

@@ -132,7 +132,7 @@ def check_structure(
     if declared is not None and not _are_laplace(declared, blocks, laplace):
         raise InputError(
             f"{owner}: it declares the rows of the scene's L over "
-            f"{declared.variable!r}, its rows are others: drop the tag LaplaceRows"
+            f"{declared.variable!r}, but its rows differ: drop the tag LaplaceRows"
         )
     known = known_covariance(tags)
     if known is not None and not _has_covariance(known, blocks, laplace):
@@ -142,8 +142,8 @@ def check_structure(
         )
     if Tag.DIRICHLET in tags and not _are_dirichlet(blocks, laplace):
         raise InputError(
-            f"{owner}: it declares a row for each Dirichlet voxel of p, its rows are "
-            "others: drop the tag DIRICHLET"
+            f"{owner}: it declares a row for each Dirichlet voxel of p, but its rows "
+            "differ: drop the tag DIRICHLET"
         )
 
 

@@ -52,7 +52,9 @@ class DoubtMap:
                 f"got {self.relative.shape}"
             )
         if not (np.isfinite(self.relative).all() and (self.relative >= 0.0).all()):
-            raise InputError("a doubt map needs standard deviations, none negative")
+            raise InputError(
+                "a doubt map needs standard deviations that are not negative"
+            )
         if not (_in_steps(self.theta) and abs(self.theta[0]) < STEP and self._closed()):
             raise InputError("a doubt map needs angles from 0 in equal steps around")
         if not _in_steps(self.z):

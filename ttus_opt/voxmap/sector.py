@@ -49,7 +49,7 @@ def checked_sector(sector: Sector | None) -> Sector | None:
     if high - low < NARROWEST * (1.0 - 1e-9):
         raise InputError(
             f"a sector of {math.degrees(high - low):.4g}° is less than the width of a "
-            f"probe: take {math.degrees(NARROWEST):g}° at least"
+            f"probe: give at least {math.degrees(NARROWEST):g}°"
         )
     return low, high
 

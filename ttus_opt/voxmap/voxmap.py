@@ -215,7 +215,7 @@ def _check_radius(radius: Array, grid: CylindricalGrid) -> None:
     if high > grid.r_outer:
         raise GeometryError(
             f"the surface reaches {high:.4g} m, r_outer is {grid.r_outer:.4g} m: "
-            "choose a larger r_outer or none"
+            "choose a larger r_outer or leave it out"
         )
 
 

@@ -77,7 +77,9 @@ def _checked(evaluations: Mapping[str, Evaluation]) -> Evaluation:
         raise InputError(f"give one or two evaluations, got {len(evaluations)}")
     first, *rest = evaluations.values()
     if any(not np.array_equal(e.time, first.time) for e in rest):
-        raise InputError("the evaluations are of different trajectories: draw each")
+        raise InputError(
+            "the evaluations belong to different trajectories: draw them separately"
+        )
     return first
 
 

@@ -73,7 +73,9 @@ def pose_picture(
     segments = np.unique(trajectory.segment)
     names = names or [f"recording {number}" for number in segments]
     if len(names) != len(segments):
-        raise InputError(f"{len(segments)} recordings need as many names: {len(names)}")
+        raise InputError(
+            f"{len(segments)} recordings need as many names, got {len(names)}"
+        )
     shown = segments[:RECORDINGS]
     views = _views(surface)
     longest = _largest_force(trajectory)

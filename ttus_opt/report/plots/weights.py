@@ -37,7 +37,7 @@ def weight_path(path: xr.Dataset, title: str = "") -> Figure:
         InputError: No path, more than two weights, or no point that was solved.
     """
     if "term_value" not in path:
-        raise InputError("weight_path draws what solution_path returns")
+        raise InputError("weight_path takes the result of solution_path")
     dims = [str(dim) for dim in path["status"].dims]
     if len(dims) > 2:
         raise InputError(
