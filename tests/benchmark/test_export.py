@@ -55,6 +55,6 @@ def test_group_norms_are_not_exported(tmp_path: Path) -> None:
     from ttus_opt.terms.penalties.groups import Groups
 
     bent = program([term(np.eye(2), [0, 0], 1.0, Groups(2))])
-    with pytest.raises(InputError, match="no QP"):
+    with pytest.raises(InputError, match="not a QP"):
         export_program(bent, tmp_path, "bent")
     assert not list(tmp_path.iterdir())

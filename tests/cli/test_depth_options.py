@@ -146,7 +146,7 @@ def test_the_frame_of_a_held_probe_and_a_later_scan(
             "noise must be one",
         ),
         (["0.png", "--intrinsics", "camera.json", "--unit", "m"], "another unit"),
-        (["0.png", "--intrinsics", "poses.csv"], "JSON or YAML|camera_matrix"),
+        (["0.png", "--intrinsics", "poses.csv"], "not a camera calibration"),
         (["poses.csv", "--noise", "structured-light"], "need depth images"),
         (["poses.csv", "poses.csv"], "expected one"),
         (

@@ -45,7 +45,7 @@ def test_a_folder_that_cannot_be_is_told_before_the_work(
     monkeypatch.setattr(pipeline, "_on_patient", work)
     (output / "file").write_text("kept")
     for folder in ("file", "file/results"):
-        refused(run(f"experiment -o {output / folder}"), "file is no folder")
+        refused(run(f"experiment -o {output / folder}"), "file is not a folder")
     refused(
         run(f"experiment -o {output / ('x' * 300)}"), "cannot write", "too long: choose"
     )

@@ -85,8 +85,9 @@ def test_recordings_of_the_scan_read_as_the_patients_are_told(
 ) -> None:
     recording().transformed(inverse(PLACE)).save(tmp_path / "scan.csv")
     wrong = run(fit_words(tmp_path / "scan.csv", tmp_path / "wrong.nc"))
-    assert "100 % of the poses near it in the scan's: read them with --frame scan" in (
-        wrong.err
+    assert (
+        "100 % of the poses lie near it in the scan frame: read them with --frame scan"
+        in (wrong.err)
     )
     right = run(fit_words(tmp_path / "scan.csv", tmp_path / "r.nc", "--frame scan"))
     assert "--frame" not in right.err

@@ -131,7 +131,7 @@ def test_a_probes_file_that_changed_is_told(
     ("about", "told"),
     [
         ("centroid", ""),
-        ("origin", "torques about origin, these are about centroid"),
+        ("origin", "torques about origin, but these are about centroid"),
         ([0.0, 0.1, 0.0], r"torques about \(0.0, 0.1, 0.0\)"),
     ],
 )

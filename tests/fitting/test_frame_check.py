@@ -50,7 +50,7 @@ def test_nothing_is_said_of_the_right_frame() -> None:
 
 
 def test_the_frame_that_fits_is_named() -> None:
-    with pytest.warns(TtusWarning, match=r"100 % .* in the scan's: .*--frame scan"):
+    with pytest.warns(TtusWarning, match=r"100 % .* in the scan frame: .*--frame scan"):
         told(OWN.transformed(inverse(PLACE)), Conventions())
     with pytest.warns(TtusWarning, match="read them with --frame patient"):
         told(OWN, Conventions(frame="scan"))

@@ -102,7 +102,7 @@ def test_no_fit_along_the_search_was_solved(monkeypatch: pytest.MonkeyPatch) -> 
     solution = fit(SILENT, declared(depth=100.0))
     assert solution.status is Status.INACCURATE
     assert solution.detail.startswith(
-        "none of the fits along the search for value was solved, the last: "
+        "the search for value solved none of its fits, the last: "
     )
     with pytest.raises(NoSolutionError):
         _ = solution.field
@@ -125,7 +125,7 @@ def test_a_search_that_does_not_end_is_not_solved(
     monkeypatch.setattr(parameter_search, "MOST_FITS", 3)
     solution = fit(SILENT, declared(depth=100.0))
     assert solution.status is Status.INACCURATE
-    assert "did not end in 3 fits: narrow its range" in solution.detail
+    assert "did not converge in 3 fits: narrow its range" in solution.detail
 
 
 @pytest.mark.parametrize(("best", "limit"), [(1.4, "upper limit 1"), (-0.4, "lower")])

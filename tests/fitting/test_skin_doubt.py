@@ -57,7 +57,7 @@ def test_what_gives_no_map_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="with another grid"):
         doubt_map(drawn(), PotentialField(other, other.region + 0.0, "trilinear"))
     mean = replace(fitted().field, sampling="voxel-mean")
-    with pytest.raises(InputError, match="of another sampling"):
+    with pytest.raises(InputError, match="with another sampling"):
         save_with_doubt(mean, drawn(), tmp_path / "a.nc")
     assert not (tmp_path / "a.nc").exists()
     with pytest.raises(InputError, match="deeper than the saved draws"):

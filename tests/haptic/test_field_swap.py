@@ -127,10 +127,10 @@ def test_after_a_swap_the_field_in_force_is_its_target(scene: Scene) -> None:
 def test_a_field_of_another_sampling_or_grid_is_refused(scene: Scene) -> None:
     field = random_field(scene)
     other = {"trilinear": "voxel-mean", "voxel-mean": "trilinear"}[scene.sampling]
-    with pytest.raises(InputError, match="must keep the field's sampling"):
+    with pytest.raises(InputError, match="cannot change the field's sampling"):
         require_alike(field, replace(field, sampling=other))
     finer = small_scene(shape=(9, 20, 11), n_poses=2)
-    with pytest.raises(InputError, match="must keep the field's grid"):
+    with pytest.raises(InputError, match="cannot change the field's grid"):
         require_alike(field, replace(random_field(finer), sampling=field.sampling))
 
 
@@ -143,5 +143,5 @@ def test_a_field_on_another_surface_is_refused(scene: Scene) -> None:
     moved = Surface.from_radius(own.surface.radius + 1e-6, own.surface.z)
     require_alike(field, random_field(scene))
     other = replace(field, voxmap=Voxmap(own.grid, moved, own.region, own.boundary))
-    with pytest.raises(InputError, match="must keep the field's surface"):
+    with pytest.raises(InputError, match="cannot change the field's surface"):
         require_alike(field, other)

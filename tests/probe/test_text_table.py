@@ -92,7 +92,7 @@ def test_of_two_poses_one_is_chosen(tmp_path: Path) -> None:
 
 def test_a_told_column_that_is_not_there(tmp_path: Path) -> None:
     file = write(tmp_path, ",".join(OURS), lines(","))
-    with pytest.raises(InputError, match="columns names tip, the header has t, px"):
+    with pytest.raises(InputError, match="columns names tip, but the header has t, px"):
         tt.read_trajectory(file, columns={"fx": "tip"})
 
 

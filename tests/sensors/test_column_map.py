@@ -61,7 +61,7 @@ def test_one_file_for_both_streams(tmp_path: Path) -> None:
         ({"quaternion": list("abc"), "quaternion_order": "xyzw"}, "has 4 components"),
         ({"position": ["a", "b"]}, "has 3 components"),
         ({"position": ["a", "b", 3]}, "must name a column, got 3"),
-        ({"t": ["a"]}, "t is one column"),
+        ({"t": ["a"]}, "t must be one column"),
         ({"speed": "v"}, "columns has no 'speed'"),
         ({"px": "x", "py": "x"}, "names x twice"),
         ({"px": ""}, "must name a column"),

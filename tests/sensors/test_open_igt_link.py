@@ -124,7 +124,7 @@ def test_what_came_is_checked() -> None:
     with pytest.raises(InputError, match="no SENSOR arrived"):
         two.wrenches()
     text = received(pyigtl.StringMessage("hello", device_name="Text"))
-    with pytest.raises(InputError, match=r"no TRANSFORM came, but Text \(STRING\)"):
+    with pytest.raises(InputError, match=r"no TRANSFORM arrived, but Text \(STRING\)"):
         text.trajectory()
     with pytest.raises(InputError, match="sent 3, 6 numbers"):
         received(sensor(0), sensor(1, 3)).wrenches()
