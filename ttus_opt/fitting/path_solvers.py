@@ -68,8 +68,8 @@ class _WithoutCriteria:
     def prepare_criteria(self, largest: Formulation) -> None:
         """Refuse."""
         raise InputError(
-            f"no criteria for {largest.name}: they need a problem without limits, with one "
-            "field, a Laplace term and measured squares; use held-out recordings"
+            f"no criteria for {largest.name}: they need a problem without limits, with "
+            "one field, a Laplace term and measured squares; use held-out recordings"
         )
 
 
