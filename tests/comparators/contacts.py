@@ -1,0 +1,40 @@
+"""Contacts at the front of the small torso, and laws to fit to them."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tests.conftest import ellipsoid, torso
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.contact_geometry import Patch
+from ttus_opt.comparators.patch_law import PatchLaw
+from ttus_opt.comparators.patch_model import Contact, Sample
+
+#: For laws that look at depth, rate and place alone, at rest along the surface
+NO_PATCH = Patch(0.0, 0.0, np.zeros(6), np.zeros(3), np.zeros(3))
+STILL = np.zeros(3)
+
+
+def contacts(n: int, rng: np.random.Generator, rate: float = 1.0) -> list[Contact]:
+    """Depths of 2 to 12 mm at the front, approached and left."""
+    angles, heights = rng.uniform(0.5, 2.5, n), rng.uniform(0.05, 0.15, n)
+    places = [
+        [0.1 * math.cos(a), 0.1 * math.sin(a), z]
+        for a, z in zip(angles, heights, strict=True)
+    ]
+    return [
+        Contact(float(h), float(v), np.array(s), STILL, NO_PATCH)
+        for h, v, s in zip(
+            rng.uniform(0.2, 1.2, n), rate * rng.normal(size=n), places, strict=True
+        )
+    ]
+
+
+def samples(found: list[Contact], forces: Array) -> list[Sample]:
+    return [Sample(c, float(f), STILL) for c, f in zip(found, forces, strict=True)]
+
+
+def made(kind: type[PatchLaw], **options: float) -> PatchLaw:
+    return kind(surface=torso(), shell=ellipsoid(), **options)

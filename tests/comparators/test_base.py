@@ -1,0 +1,90 @@
+"""What the base class checks and fits, against least squares."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.comparators.recordings import facing, recordings
+from tests.conftest import ellipsoid, torso
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.base import LEAST_FORCE, OneStiffness, positive_scale
+from ttus_opt.errors import InputError
+
+
+class Straight(OneStiffness):
+    """A unit force away from the axis wherever the probe is."""
+
+    name = "straight"
+
+    def _unit_wrench(self, R: Array, at: Array) -> tuple[Array, int]:
+        out = at * [1.0, 1.0, 0.0]
+        return np.concatenate([out / np.linalg.norm(out), np.zeros(3)]), 1
+
+
+def test_the_scale_is_that_of_least_squares() -> None:
+    rng = np.random.default_rng(0)
+    shape = rng.normal(size=(20, 3))
+    force = 3.0 * shape + rng.normal(size=(20, 3))
+    expected, *_ = np.linalg.lstsq(shape.reshape(-1, 1), force.ravel(), rcond=None)
+    assert positive_scale(shape, force, "it") == pytest.approx(expected[0])
+
+
+def test_a_scale_that_would_pull_or_says_nothing_is_refused() -> None:
+    shape = np.eye(3)
+    with pytest.raises(InputError, match="it: the measured forces pull"):
+        positive_scale(shape, -shape, "it")
+    with pytest.raises(InputError, match="it: the measured forces pull"):
+        positive_scale(shape, np.roll(shape, 1, axis=0), "it")
+    with pytest.raises(InputError, match="in no frame"):
+        positive_scale(0.0 * shape, shape, "it")
+
+
+def test_one_stiffness_is_the_mean_force_along_the_shape() -> None:
+    made = Straight(surface=torso(), shell=ellipsoid())
+    press, _ = recordings()
+    assert press.force is not None
+    assert repr(made) == "<straight: not fitted>"
+    assert repr(made.fit(press)) == "<straight: fitted>"
+    out = press.position * [1.0, 1.0, 0.0]
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    mean = float(np.einsum("ti,ti->t", out, press.force).mean())
+    assert made.parameters() == {"stiffness [N/m³]": pytest.approx(mean)}
+    R, at = facing(torso(), 1.0, 0.1, 0.003)
+    found = made.render(R, at)
+    np.testing.assert_allclose(np.linalg.norm(found.force), mean)
+    np.testing.assert_array_equal(found.torque, np.zeros(3))
+
+
+def test_forces_too_small_to_be_contact_are_told() -> None:
+    made = Straight(surface=torso(), shell=ellipsoid())
+    press, _ = recordings()
+    assert press.force is not None
+    largest = float(np.linalg.norm(press.force, axis=1).max())
+    for share, enough in ((0.99, False), (1.01, True)):
+        faint = replace(press, force=press.force * (share * LEAST_FORCE / largest))
+        if enough:
+            assert made.fit(faint).fitted
+        else:
+            with pytest.raises(InputError, match=r"no force is above 0\.1 N"):
+                made.fit(faint)
+
+
+@pytest.mark.parametrize(
+    ("cloud", "words"),
+    [
+        (np.zeros((9, 3)), r"at least 10 points .*\(9, 3\)"),
+        (np.zeros((20, 2)), r"at least 10 points .*\(20, 2\)"),
+        (np.full((20, 3), np.nan), "NaN or infinite"),
+    ],
+)
+def test_a_cloud_that_is_none_is_told(cloud: Array, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        Straight(surface=torso(), shell=ellipsoid(), cloud=cloud)
+
+
+def test_without_a_cloud_the_surface_s_own_points_are_it() -> None:
+    made = Straight(surface=torso(), shell=ellipsoid())
+    np.testing.assert_array_equal(made.cloud, torso().points().reshape(-1, 3))

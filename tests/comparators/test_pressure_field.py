@@ -1,0 +1,68 @@
+"""The surface of equal pressure on blocks, balls and single triangles."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.comparators.walls import (
+    AREA,
+    BLOCK,
+    DEPTH,
+    block,
+    check_cap_of_a_ball,
+    pressed,
+    wall,
+)
+from ttus_opt.comparators.pressure_field import PressureField, integrated
+from ttus_opt.probe.point_shell import PointShell
+
+
+def test_pressure_field_gives_a_rigid_block_area_times_depth() -> None:
+    signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(8, 3)
+    shell = PointShell(
+        0.5 * signs * BLOCK, -signs / 3.0**0.5, np.full(8, 1e-4), np.zeros(3)
+    )
+    unit, touching = PressureField(surface=wall(), shell=shell)._unit_wrench(
+        *pressed(DEPTH)
+    )
+    assert touching == 4
+    # the wall falls off by 0.006 mm towards the block's long edges
+    np.testing.assert_allclose(
+        unit[:3], [AREA * DEPTH, 0.0, 0.0], atol=0.005 * AREA * DEPTH
+    )
+    np.testing.assert_allclose(unit[3:], 0.0, atol=1e-10)
+
+
+def test_a_pressed_ball_displaces_its_cap() -> None:
+    check_cap_of_a_ball(PressureField)
+
+
+def test_pressures_are_equal_on_the_contact_surface_like_springs_in_series() -> None:
+    made = PressureField(surface=wall(), shell=block(), ratio=3.0)
+    arm, depth = made._contact_surface(*pressed(DEPTH))
+    R, _ = pressed(DEPTH)
+    shift = np.linalg.norm(arm - block().points @ R.T, axis=1)
+    np.testing.assert_allclose(np.abs(depth), 3.0 * shift, atol=1e-9)
+    face = block().normals[:, 2] > 0.99  # below the block: its inward normal is up
+    np.testing.assert_allclose(depth[face], 0.75 * DEPTH, rtol=0.02)
+
+
+def test_triangles_are_integrated_as_by_many_small_ones() -> None:
+    rng = np.random.default_rng(1)
+    corners = rng.normal(size=(6, 3, 3))
+    pressure = rng.normal(size=(6, 3))
+    n = 400
+    u, v = (np.stack(np.meshgrid(np.arange(n), np.arange(n))).reshape(2, -1) + 0.5) / n
+    u, v = np.where(u + v > 1.0, (1.0 - u, 1.0 - v), (u, v))
+    shares = np.stack([1.0 - u - v, u, v])
+    expected = np.zeros(6)
+    for x, p in zip(corners, pressure, strict=True):
+        value = np.maximum(p @ shares, 0.0)
+        into = -0.5 * np.cross(x[1] - x[0], x[2] - x[0])
+        force = value[:, None] * into / len(u)
+        expected[:3] += force.sum(axis=0)
+        expected[3:] += np.cross((x.T @ shares).T, force).sum(axis=0)
+    found = integrated(
+        corners.reshape(-1, 3), np.arange(18).reshape(6, 3), pressure.ravel()
+    )
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())

@@ -1,0 +1,97 @@
+"""The proxy on clouds whose surface is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.comparators.recordings import facing
+from tests.comparators.walls import block, pressed, wall
+from tests.conftest import ellipsoid, torso
+from ttus_opt.arrays import Array
+from ttus_opt.comparators.contact_geometry import ContactGeometry
+from ttus_opt.comparators.proxy_cloud import ProxyCloud, mean_tip
+from ttus_opt.errors import InputError
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+
+
+def test_the_proxy_on_a_flat_cloud_is_above_the_tip() -> None:
+    y, z = np.meshgrid(np.arange(-0.05, 0.05, 0.004), np.arange(-0.05, 0.05, 0.004))
+    cloud = np.stack([np.full(y.size, 9.0), y.ravel(), z.ravel()], axis=1)
+    made = ProxyCloud(
+        surface=wall(), shell=block(), cloud=cloud, tip=(0.001, 0.002, -0.01)
+    )
+    R, at = pressed(0.003)
+    unit, touching = made._unit_wrench(R, at)
+    assert touching == 1
+    np.testing.assert_allclose(unit[:3], [0.003, 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(unit[3:], np.cross(R @ made.tip, unit[:3]), atol=1e-12)
+    assert made._unit_wrench(*pressed(-0.001))[1] == 0
+
+
+def ball(radius: float = 0.1, n: int = 4000) -> Array:
+    """A Fibonacci sphere about the origin."""
+    k = np.arange(n) + 0.5
+    z, angle = 1.0 - 2.0 * k / n, np.pi * (1.0 + 5.0**0.5) * k
+    r = np.sqrt(1.0 - z**2)
+    return radius * np.stack([r * np.cos(angle), r * np.sin(angle), z], axis=1)
+
+
+def test_on_a_ball_the_force_is_along_the_radius() -> None:
+    """Weights (1 − ρ²/h²)² have the mean ρ²/2R = h²/8R: so deep lies the plane."""
+    made = ProxyCloud(surface=torso(), shell=ellipsoid(), cloud=ball(), tip=(0, 0, 0))
+    sagged = made.radius**2 / (8.0 * 0.1)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        out = rng.normal(size=3) * [1.0, 1.0, 0.2]
+        out /= np.linalg.norm(out)
+        unit, touching = made._unit_wrench(np.eye(3), 0.094 * out)
+        assert touching == 1
+        np.testing.assert_allclose(unit[:3], (0.006 - sagged) * out, atol=6e-5)
+        np.testing.assert_array_equal(made._unit_wrench(np.eye(3), 0.101 * out)[0], 0.0)
+
+
+def test_the_plane_is_the_weighted_one() -> None:
+    """Against a least-squares plane through the same points, by its own equations."""
+    rng = np.random.default_rng(1)
+    made = ProxyCloud(surface=torso(), shell=ellipsoid(), tip=(0.0, 0.0, 0.0))
+    place = torso().points()[20, 15] + rng.normal(0.0, 1e-3, 3)
+    found = made._plane(place)
+    assert found is not None
+    middle, normal = found
+    square = ((made.cloud - place) ** 2).sum(axis=1) / made.radius**2
+    weights = np.where(square < 1.0, (1.0 - square) ** 2, 0.0)
+    np.testing.assert_allclose(middle, weights @ made.cloud / weights.sum())
+
+    def misfit(n: Array) -> float:
+        return float(weights @ ((made.cloud - middle) @ n) ** 2)
+
+    for _ in range(20):
+        other = normal + rng.normal(0.0, 0.05, 3)
+        assert misfit(normal) <= misfit(other / np.linalg.norm(other))
+    assert normal[:2] @ place[:2] > 0.0
+    assert made._plane(np.array([0.0, 5.0, 0.0])) is None
+
+
+def test_the_tip_is_where_a_ball_is_pressed() -> None:
+    """A probe without tilt touches the patient with the point that faces it."""
+    shell = PointShell.sphere(0.02, n_points=2000)
+    poses = [facing(torso(), angle, 0.1, 0.004) for angle in (1.0, 1.5, 2.0)]
+    rotation = np.array([R for R, _ in poses])
+    position = np.array([at for _, at in poses])
+    position += 0.005 * rotation @ [0.0, 0.0, -1.0]  # the ball is 20 mm, not 15
+    press = Trajectory(np.arange(3.0), position, rotation)
+    geometry = ContactGeometry(torso(), shell)
+    np.testing.assert_allclose(mean_tip(geometry, press), [0, 0, 0.02], atol=2e-3)
+    away = Trajectory(np.arange(3.0), 2.0 * position, rotation)
+    with pytest.raises(InputError, match="in no frame"):
+        mean_tip(geometry, away)
+
+
+def test_a_tip_or_radius_that_is_none_is_told() -> None:
+    with pytest.raises(InputError, match="tip must be a point"):
+        ProxyCloud(surface=torso(), shell=ellipsoid(), tip=(0.0, 0.0))
+    for radius in (0.0, -1.0, np.nan):
+        with pytest.raises(InputError, match="radius must be positive"):
+            ProxyCloud(surface=torso(), shell=ellipsoid(), radius=radius)
