@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.comparators.recordings import facing
 from tests.comparators.walls import block, pressed, wall
@@ -74,19 +75,25 @@ def test_the_plane_is_the_weighted_one() -> None:
     assert made._plane(np.array([0.0, 5.0, 0.0])) is None
 
 
-def test_the_tip_is_where_a_ball_is_pressed() -> None:
-    """A probe without tilt touches the patient with the point that faces it."""
-    shell = PointShell.sphere(0.02, n_points=2000)
-    poses = [facing(torso(), angle, 0.1, 0.004) for angle in (1.0, 1.5, 2.0)]
-    rotation = np.array([R for R, _ in poses])
-    position = np.array([at for _, at in poses])
-    position += 0.005 * rotation @ [0.0, 0.0, -1.0]  # the ball is 20 mm, not 15
-    press = Trajectory(np.arange(3.0), position, rotation)
-    geometry = ContactGeometry(torso(), shell)
-    np.testing.assert_allclose(mean_tip(geometry, press), [0, 0, 0.02], atol=2e-3)
-    away = Trajectory(np.arange(3.0), 2.0 * position, rotation)
+def test_the_tip_is_the_mean_of_contacts_by_area_and_depth() -> None:
+    """A ball pressed 1 mm with its pole and 5 mm with a point 0.8 rad beside it.
+
+    A cap's area times its mean depth grows with the square of the depth: 1 to 25.
+    """
+    points, turn = ball(0.02, 6000), 0.8
+    areas = np.full(len(points), 4.0 * np.pi * 0.02**2 / len(points))
+    shell = PointShell(points, -points / 0.02, areas, np.zeros(3))
+    R, at = facing(torso(), 1.5, 0.1, 0.001)
+    at = at + 0.005 * R @ [0.0, 0.0, -1.0]  # the ball is 20 mm, not 15
+    deeper = at + 0.004 * R @ [0.0, 0.0, 1.0]
+    turned = R @ Rotation.from_rotvec([turn, 0.0, 0.0]).as_matrix()
+    press = Trajectory(np.arange(2.0), np.stack([at, deeper]), np.stack([R, turned]))
+    tip = mean_tip(ContactGeometry(torso(), shell), press)
+    assert np.linalg.norm(tip) == pytest.approx(0.02, rel=1e-3)
+    assert np.arctan2(tip[1], tip[2]) == pytest.approx(turn * 25.0 / 26.0, abs=0.05)
+    away = Trajectory(press.time, 2.0 * press.position, press.rotation)
     with pytest.raises(InputError, match="in no frame"):
-        mean_tip(geometry, away)
+        mean_tip(ContactGeometry(torso(), shell), away)
 
 
 def test_a_tip_or_radius_that_is_none_is_told() -> None:

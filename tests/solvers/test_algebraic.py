@@ -161,17 +161,3 @@ def test_refuses_what_others_know_more_of() -> None:
     assert "normal_equations" in SOLVER.refusal(laplace)
     limited = Formulation([Ridge(SCENE)], [Sign(SCENE)]).compile()
     assert SOLVER.refusal(limited)
-
-
-def test_a_chain_is_factorised_and_a_volume_is_not() -> None:
-    n = 30
-    chain = sp.diags_array([-np.ones(n**3 - 1)], offsets=[1], shape=(n**3,) * 2)
-    one, line = sp.eye_array(n), sp.diags_array([-np.ones(n - 1)], offsets=[1])
-    line = sp.csr_array((-np.ones(n - 1), (np.arange(n - 1), np.arange(1, n))), (n, n))
-    volume = sum(
-        sp.kron(sp.kron(*pair), last)
-        for *pair, last in ((line, one, one), (one, line, one), (one, one, line))
-    )
-    for upper, by_factor in ((chain, True), (volume, False)):
-        Q = sp.csr_array(upper + upper.T + 7.0 * sp.eye_array(n**3))
-        assert Estimate.of(Q).by_factor is by_factor

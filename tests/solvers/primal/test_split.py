@@ -1,0 +1,63 @@
+"""A split program has the objective of the whole one, over the prior's weight."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.conftest import small_scene
+from tests.solvers.own_terms import AlongZ, DepthWeighted
+from ttus_opt.problem import formulation as shelf
+from ttus_opt.problem.program import Program
+from ttus_opt.solvers.dual.data import laplace_prior
+from ttus_opt.solvers.primal.split import Split, wide_terms
+
+SCENE = small_scene("trilinear", shape=(6, 8, 6), n_poses=3)
+
+#: Terms of more rows are wide; the force has three a frame
+FEW = 100
+
+CASES = ["eq10", "free_surface", "coulomb_global"]
+
+
+def made(name: str, prior: float = 2.5) -> Program:
+    weights = {"force_weight": 0.3, "torque_weight": 0.1}
+    whole = shelf.load(name, SCENE, **weights) + AlongZ(SCENE, 3.0)
+    program = (whole + replace(DepthWeighted(SCENE), weight=0.0)).compile()
+    first = laplace_prior(program)
+    assert first is not None
+    return program.with_weights(**{first.name: prior})
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_parts_add_up_to_the_objective(name: str) -> None:
+    program, rng = made(name), np.random.default_rng(0)
+    split = Split.of(program, FEW)
+    few, V = split.few, len(split.few.b)
+    for _ in range(3):
+        x = rng.normal(size=program.n_variables)
+        p, c = x[:V], x[V:]
+        parts = split.prior.cost(p) + sum(term.cost(p) for term in split.wide)
+        rows = few.system.measure(p) + few.columns @ c - few.t
+        assert (parts + rows @ rows) * 2.5 == pytest.approx(program.objective(x))
+
+
+def test_terms_are_sorted_by_their_rows_and_weights() -> None:
+    program = made("eq10")
+    split = Split.of(program, FEW)
+    assert split.prior.weight == 1.0
+    assert [(t.name, t.weight) for t in split.wide] == [("along_z", 3.0 / 2.5)]
+    assert len(split.few.t) == 6 * len(SCENE.trajectory)
+    names = [t.name for t in wide_terms(program, FEW)]
+    assert names == ["along_z", "depth_weighted"]
+    assert wide_terms(program, 10**6) == []
+    # measurements are few however many they are
+    assert {"force", "torque"}.isdisjoint(t.name for t in wide_terms(program, 0))
+
+
+def test_its_operator_and_given_values_are_the_program_s() -> None:
+    split = Split.of(made("eq10"), FEW)
+    np.testing.assert_array_equal(split.operator.L.toarray(), SCENE.laplace.L.toarray())
+    np.testing.assert_array_equal(split.given, np.where(split.moving, 0.0, SCENE.b))

@@ -1,0 +1,70 @@
+"""Newton steps over all variables, by all ways, against dense algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.solvers.proximal.dense_steps import (
+    RTOL,
+    compared,
+    expected,
+    gradient_of,
+    none_of,
+    problem_of,
+    slopes_of,
+)
+from ttus_opt.solvers.proximal import field_newton
+from ttus_opt.solvers.proximal.field_newton import FieldNewton
+from ttus_opt.terms.penalties.base import Slope
+
+
+@pytest.mark.parametrize("how", ["factor", "diagonal", "multigrid"])
+@pytest.mark.parametrize("name", ["total_variation", "robust"])
+def test_over_the_field(name: str, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = problem_of(name)
+    slopes = slopes_of(problem, 1, 0.05)
+    if how != "factor":
+        monkeypatch.setattr(field_newton, "SMALL", 0)
+    monkeypatch.setattr(field_newton, "FEW_ROWS", 50)  # what lies over all voxels here
+    monkeypatch.setattr(field_newton, "MOST_STEPS", 2000)
+    system = FieldNewton(problem, None)
+    system._by_multigrid = how == "multigrid"
+    gradient = gradient_of(problem)
+    step, steps = system.step(gradient, none_of(problem), slopes, RTOL, None)
+    compared(step, expected(problem, slopes, gradient))
+    assert (steps == 1) == (how == "factor")
+
+
+def test_many_steps_ask_for_another_preconditioner(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(field_newton, "SMALL", 0)
+    monkeypatch.setattr(field_newton, "FEW_ROWS", 50)
+    monkeypatch.setattr(field_newton, "MANY", 12)
+    problem = problem_of("total_variation")
+    slopes = slopes_of(problem, 2, 0.05)
+    system, gradient = FieldNewton(problem, None), gradient_of(problem)
+    _, by_diagonal = system.step(gradient, none_of(problem), slopes, 1e-6, None)
+    assert by_diagonal > field_newton.MANY
+    _, by_multigrid = system.step(gradient, none_of(problem), slopes, 1e-6, None)
+    assert by_multigrid < by_diagonal
+
+
+def test_groups_are_no_longer_stiff_along_their_length(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(field_newton, "SMALL", 0)
+    monkeypatch.setattr(field_newton, "MOST_STEPS", 2000)
+    problem = problem_of("total_variation")
+    slopes = slopes_of(problem, 4, 0.0)
+    at = next(k for k, b in enumerate(problem.blocks) if not b.exact)
+    factor = np.repeat(slopes[at].factor[::3], 3)
+    along = np.random.default_rng(5).normal(size=(len(factor) // 3, 3))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    slopes[at] = Slope(factor, along.reshape(-1), 3)
+    gradient = gradient_of(problem)
+    step, _ = FieldNewton(problem, None).step(
+        gradient, none_of(problem), slopes, RTOL, None
+    )
+    compared(step, expected(problem, slopes, gradient))

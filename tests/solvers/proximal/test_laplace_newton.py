@@ -1,0 +1,70 @@
+"""Newton steps through the dual against dense algebra."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.solvers.proximal.dense_steps import (
+    RTOL,
+    SCENE,
+    compared,
+    expected,
+    gradient_of,
+    none_of,
+    problem_of,
+    slopes_of,
+)
+from ttus_opt.solvers.proximal.laplace_newton import LaplaceNewton
+from ttus_opt.terms.penalties.base import Slope
+
+
+@pytest.mark.parametrize("name", ["robust", "sparse_sources"])
+@pytest.mark.parametrize("bent", [0.0, 0.4, 1.0])
+def test_through_the_dual(name: str, bent: float) -> None:
+    """Few rows may all have bent; of Laplace's rows it is squares that are meant."""
+    problem = problem_of(name)
+    slopes = slopes_of(problem, 0, bent)
+    for k, rows in enumerate(problem.declared):
+        if rows is not None:
+            factor = slopes[k].factor
+            slopes[k] = Slope(np.where(factor > 0.0, factor, factor.max() + 1e-2))
+    system = LaplaceNewton(
+        SCENE.laplace, problem.blocks, problem.declared, problem.fixed
+    )
+    gradient = gradient_of(problem)
+    step, _ = system.step(gradient, none_of(problem), slopes, RTOL, None)
+    compared(step, expected(problem, slopes, gradient))
+
+
+def test_heavy_rows_balance_the_others() -> None:
+    """A rough step is rough beside the step, not beside what heavy rows pull at."""
+    problem = problem_of("robust")
+    slopes = slopes_of(problem, 0, 0.0)
+    few = [k for k, rows in enumerate(problem.declared) if rows is None]
+    for k in few:
+        slopes[k] = Slope(1e8 * slopes[k].factor)
+    system = LaplaceNewton(
+        SCENE.laplace, problem.blocks, problem.declared, problem.fixed
+    )
+    rng, x = np.random.default_rng(8), np.zeros(len(problem.fixed))
+    residuals = [rng.normal(size=len(b.target)) for b in problem.blocks]
+    for k, rows in enumerate(problem.declared):
+        if rows is not None:
+            residuals[k][:] = 0.0
+    first = None
+    for _ in range(2):  # the second one mends what the first left
+        y = [
+            s.factor * (r + b.matrix @ x)
+            for b, s, r in zip(problem.blocks, slopes, residuals, strict=True)
+        ]
+        gradient = np.sum(
+            [b.adjoint(own) for b, own in zip(problem.blocks, y, strict=True)], axis=0
+        )
+        exact = expected(problem, slopes, gradient)
+        step, _ = system.step(gradient, y, slopes, 1e-4, None)
+        system.taken(1.0)
+        first = exact if first is None else first
+        np.testing.assert_allclose(step, exact, atol=1e-3 * np.abs(first).max())
+        x = x + step
+        assert gradient @ step < 0.0
