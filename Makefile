@@ -30,19 +30,20 @@ PYTHON ?= $(firstword $(foreach name,python3 python3.14 python3.13 python3.12 \
 	docs-check clean
 
 help:
-	@echo "make demo     the whole method on the bundled example, into demo/"
-	@echo "make test     the tests; make slow for those over ten seconds, notebooks too"
-	@echo "make long     those that make slow leaves out: many mutations, every solver"
-	@echo "make notebooks  runs the notebooks"
-	@echo "make lab      opens the notebooks"
-	@echo "make oldest   the tests with the oldest versions pyproject.toml allows"
-	@echo "make newest   the tests with the newest there are, pre-releases too"
-	@echo "make mutants  small mistakes put into core modules: how many the tests tell"
-	@echo "make check    format, lint, types, layers"
-	@echo "make picture  the README's picture, docs/overview.png"
-	@echo "make docs     the documentation, notebooks run, into site/"
-	@echo "make docs-check  every page, link, public name and example, no notebook run"
-	@echo "make clean    removes what the other targets made"
+	@echo "make demo        run the whole method on the bundled example, into demo/"
+	@echo "make test        run the fast tests"
+	@echo "make slow        run the tests over ten seconds, and the notebooks"
+	@echo "make long        run the longest tests: many mutations, every solver"
+	@echo "make check       check format, lint, types and layers"
+	@echo "make notebooks   run the notebooks"
+	@echo "make lab         open the notebooks in JupyterLab"
+	@echo "make docs        build the documentation into site/, notebooks included"
+	@echo "make docs-check  check pages, links, public names and examples, no notebooks"
+	@echo "make picture     draw the README's picture, docs/overview.png"
+	@echo "make oldest      run the fast tests with the oldest versions allowed"
+	@echo "make newest      run the fast tests with the newest versions, pre-releases too"
+	@echo "make mutants     put small mistakes into the code, count those the tests find"
+	@echo "make clean       remove everything that the other targets made"
 
 demo: $(STAMP)
 	$(BIN)/ttus-opt demo -o demo
@@ -104,7 +105,7 @@ clean:
 
 $(STAMP): pyproject.toml constraints.txt
 	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || { \
-		echo "error: '$(PYTHON)' is no Python 3.11 or newer: install one, or name \
+		echo "error: '$(PYTHON)' is not Python 3.11 or newer: install one, or name \
 	it: make PYTHON=/path/to/python3" >&2; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check \
