@@ -187,12 +187,10 @@ TARGETS = (
     Target("fitting/agreement.py", ("fitting/test_agreement.py",)),
     Target("probe/conventions.py", ("probe/test_conventions.py",)),
     Target("probe/text_table.py", ("probe/test_text_table.py",)),
-    Target(
-        "session/readings.py", ("session/test_readings.py", "session/test_steps.py")
-    ),
+    Target("session/readings.py", ("session/test_readings.py",)),
     Target(
         "session/registration.py",
-        ("session/test_registration.py", "session/test_steps.py"),
+        ("session/test_registration.py", "session/test_readings.py"),
     ),
     Target("cli/command.py", ("cli/test_command.py",)),
     Target("compiled.py", ("test_compiled.py",)),

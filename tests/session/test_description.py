@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 
 from tests.hostile import only_our_errors
-from tests.session.recordings import changed, copied, described
+from tests.session.recordings import changed, described
 from ttus_opt.errors import FileError, TtusError
 from ttus_opt.session.description import read_description
-
-
-@pytest.fixture
-def recording(tmp_path: Path) -> Path:
-    return copied(tmp_path)
 
 
 def test_the_example_is_understood(recording: Path) -> None:

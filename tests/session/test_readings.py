@@ -1,4 +1,4 @@
-"""Clocks of the two streams, and contact wrenches in other frames."""
+"""Clock and contact wrenches, against the truth."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.session.recordings import changed, copied
+from tests.session.recordings import changed
+from tests.session.single_steps import SURFACE, streams
 from ttus_opt.errors import InputError
-from ttus_opt.phantom.example_data import true_surface
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.sensors.streams import WrenchStream
 from ttus_opt.session.description import Description, read_description
@@ -20,15 +20,9 @@ from ttus_opt.session.readings import (
     read_forces,
     synchronise,
 )
+from ttus_opt.session.recordings import cut
 from ttus_opt.session.registration import probe_poses, register
 from ttus_opt.session.synthetic import Truth, perfect
-
-SURFACE = true_surface()
-
-
-@pytest.fixture
-def recording(tmp_path: Path) -> Path:
-    return copied(tmp_path)
 
 
 def offset(session: Description, later: float) -> float:
@@ -87,3 +81,54 @@ def test_contact_wrenches_of_a_frame_are_turned_to_the_patient(
     at = np.searchsorted(own.time, found.time)
     np.testing.assert_allclose(found.force, own.force[at], atol=1e-6)
     np.testing.assert_allclose(found.torque, own.torque[at], atol=1e-8)
+
+
+def test_poses_clock_and_load(recording: Path) -> None:
+    """Against the truth, on the true surface: nothing but noise is left."""
+    session, truth = read_description(recording), Truth()
+    frames, poses, wrenches = streams(session)
+    timing = synchronise(session, poses, wrenches, SURFACE, frames)
+    assert timing.offset == pytest.approx(truth.offset, abs=0.002)
+    joined = joined_streams(session, poses, wrenches, timing)
+    shell = PointShell.from_spec(session.probe)
+    begin = float(poses.time[0])
+    contact, load = contact_wrenches(session, joined, shell, frames, begin)
+    assert load is not None
+    assert load.mass == pytest.approx(truth.mass, abs=0.001)
+    found = cut(contact, session.recordings, begin)
+    for part in session.recordings:
+        own, seen = perfect(5.0)[part.name], found[part.name]
+        assert own.force is not None
+        assert seen.force is not None
+        at = own.time + part.start
+        for values, true, most in (
+            (seen.position, own.position, 1e-3),
+            (seen.force, own.force, 0.1),
+        ):
+            again = [np.interp(at, seen.time, column) for column in values.T]
+            assert np.abs(np.array(again).T[5:-5] - true[5:-5]).mean() < most
+
+
+def test_contact_wrenches_of_another_frame(recording: Path) -> None:
+    """Readings that were compensated before, probe axes: turned, and by contact."""
+    session = read_description(recording)
+    frames, poses, _ = streams(session)
+    own = perfect(5.0)["press_fit"]
+    assert own.force is not None
+    assert own.torque is not None
+    force = np.einsum("tji,tj->ti", own.rotation, own.force)
+    WrenchStream(own.time + 1.0, force, 0 * force).save(recording / "contact.csv")
+    for key in ("free", "clock", "force"):
+        changed(recording, key, None)
+    changed(recording, "force", {"file": "contact.csv", "frame": "probe"})
+    changed(recording, "clock", {"offset": 22.0})
+    changed(recording, "tracker.columns", {"position": ["px", "py", "pz"]})
+    session = read_description(recording)
+    timing = synchronise(session, poses, read_forces(session), SURFACE, frames)
+    joined = joined_streams(session, poses, read_forces(session), timing)
+    shell = PointShell.from_spec(session.probe)
+    contact, load = contact_wrenches(session, joined, shell, frames, 0.0)
+    assert load is None
+    assert contact.force is not None
+    again = [np.interp(contact.time, own.time + 23.0, c) for c in own.force.T]
+    assert np.abs(contact.force - np.array(again).T).mean() < 0.03

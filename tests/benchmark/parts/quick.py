@@ -1,0 +1,40 @@
+"""Every part on a small case, in little time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.benchmark.tiny import TINY as TINIER
+from ttus_opt.benchmark.parts.base import Part
+from ttus_opt.benchmark.parts.registry import parts
+from ttus_opt.benchmark.progress import Progress
+from ttus_opt.benchmark.row import MEASURED, Row
+from ttus_opt.benchmark.settings import Settings
+
+TINY = replace(TINIER, n_poses=24, n_points=1500)
+
+
+SETTINGS = Settings(solvers=["structured"], closed_form="", time_limit=60.0)
+
+
+#: Options with which a part is quick
+QUICK: dict[str, dict[str, Any]] = {
+    "assembly": {"repeats": 1},
+    "recursion": {"updates": 30, "compared": 20},
+    "rendering": {"passes": 2},
+    "ripple": {"voxel": 0.004, "n_points": 600, "n_poses": 20},
+}
+
+
+every_part = pytest.mark.parametrize("part", parts().values(), ids=lambda p: p.name)
+
+
+def measured(part: Part, folder: Path) -> list[Row]:
+    spec = part.plan([TINY], SETTINGS)[0]
+    spec = replace(spec, options={**spec.options, **QUICK.get(part.name, {})})
+    rows = part.measure(spec, Progress(folder))
+    return [part.row(spec, MEASURED, "") | row for row in rows]

@@ -1,0 +1,57 @@
+"""Lines over time are the series that were given."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.conftest import ellipsoid, presses, torso
+from tests.report.plots.drawn import lines
+from ttus_opt.errors import InputError
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report import plots
+from ttus_opt.report.metrics import Evaluation, evaluate
+from ttus_opt.voxmap.field import PotentialField
+
+
+def test_force_lines_are_the_series(evaluations: dict[str, Evaluation]) -> None:
+    figure = plots.force_over_time(evaluations, "presses")
+    magnitude, *components = figure.axes
+    drawn = lines(magnitude)
+    assert list(drawn) == ["measured", "Laplace alone", "fitted"]
+    fitted = evaluations["fitted"]
+    np.testing.assert_allclose(
+        drawn["fitted"][1], np.linalg.norm(fitted.rendered_force, axis=1)
+    )
+    for i, axes in enumerate(components):
+        np.testing.assert_array_equal(
+            lines(axes)["measured"][1], fitted.measured_force[:, i]
+        )
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert all(label.endswith("[N]") for label in labels)
+    assert components[-1].get_xlabel() == "time [s]"
+
+
+def test_recordings_stand_one_after_the_other_with_a_gap(
+    fields: tuple[PotentialField, PotentialField],
+) -> None:
+    shell = ellipsoid()
+    one = presses(torso(), 10, np.random.default_rng(0))
+    both = evaluate(fields[0], shell, Trajectory.concatenate([one, one]))
+    clock, values = lines(plots.force_over_time({"rendered": both}).axes[0])["rendered"]
+    (gap,) = np.flatnonzero(np.isnan(values))
+    assert gap == 10
+    assert (np.diff(clock[np.isfinite(clock)]) > 0).all()
+    np.testing.assert_allclose(values[:10], values[11:])
+
+
+def test_force_of_different_trajectories_is_refused(
+    evaluations: dict[str, Evaluation],
+    fields: tuple[PotentialField, PotentialField],
+) -> None:
+    shell = ellipsoid()
+    other = evaluate(fields[0], shell, presses(torso(), 9, np.random.default_rng(1)))
+    with pytest.raises(InputError, match="different trajectories"):
+        plots.force_over_time({"a": evaluations["fitted"], "b": other})
+    with pytest.raises(InputError, match="one or two"):
+        plots.force_over_time({})

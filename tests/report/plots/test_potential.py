@@ -1,0 +1,90 @@
+"""Slices show what changed, on scales that end at round numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.conftest import torso
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.report import plots
+from ttus_opt.report.plots.potential import colour_limit, local_change, round_up
+from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
+
+
+@pytest.mark.slow
+def test_potential_shows_the_slice_that_changed_most(
+    fields: tuple[PotentialField, PotentialField],
+) -> None:
+    figure = plots.potential_slices(*fields)
+    z = fields[0].voxmap.grid.z[4]
+    assert figure.get_suptitle().startswith(f"Potential at z = {100 * z:.1f} cm")
+    bars = [a.get_xlabel() for a in figure.axes if "p [" in a.get_xlabel()]
+    assert bars == ["p [N/cm²]", "p [N/cm²]", "Δp [N/cm²]"]
+    # the enlarged part is centred where the dent is: on +y, 8 cm from the axis
+    part = figure.axes[5]
+    assert np.mean(part.get_xlim()) == pytest.approx(0.0, abs=0.7)
+    assert np.mean(part.get_ylim()) == pytest.approx(8.0, abs=0.7)
+
+
+def test_what_another_boundary_value_changes_everywhere_is_left_out(
+    fields: tuple[PotentialField, PotentialField],
+) -> None:
+    before, after = fields
+    scaled = PotentialField(after.voxmap, 1.5 * after.values, after.sampling)
+    dent = np.argmax(local_change(before, scaled))
+    assert dent == np.argmax(np.abs(after.values - before.values))
+    inside = before.voxmap.inside
+    assert not local_change(before, scaled)[~inside].any()
+
+
+def _data(line: Any) -> tuple[Array, Array]:
+    return line.get_xdata(), line.get_ydata()
+
+
+def test_one_field_in_one_slice(
+    fields: tuple[PotentialField, PotentialField],
+) -> None:
+    grid = fields[0].voxmap.grid
+    figure = plots.field_slice(fields[0], z=grid.z[7])
+    axes, bar = figure.axes
+    assert axes.get_title(loc="left") == f"Potential at z = {100 * grid.z[7]:.1f} cm"
+    assert bar.get_ylabel() == "p [N/cm²]"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [cm]", "y [cm]")
+    x, y = (
+        np.concatenate(parts) for parts in zip(*map(_data, axes.lines), strict=True)
+    )
+    skin = fields[0].voxmap.surface.radius_at(np.array(0.0), np.array(grid.z[7]))
+    assert np.nanmax(np.hypot(x, y)) == pytest.approx(100 * float(skin), rel=0.05)
+    with pytest.raises(InputError, match="in metres"):
+        plots.field_slice(fields[0], z=10.0)
+
+
+def test_colours_are_centred_at_zero(
+    fields: tuple[PotentialField, PotentialField],
+) -> None:
+    figure = plots.potential_slices(*fields)
+    for axes in figure.axes[:6]:
+        filled = axes.collections[0]
+        assert filled.norm.vmin == pytest.approx(-filled.norm.vmax)
+    assert 0.5 < colour_limit(fields[0], 4) < 5.0
+
+
+def test_fields_on_two_grids_are_refused(
+    fields: tuple[PotentialField, PotentialField],
+) -> None:
+    voxmap = Voxmap.from_surface(torso(), shape=(20, 40, 12))
+    other = PotentialField(voxmap, np.zeros((20, 40, 12)), "trilinear")
+    with pytest.raises(InputError, match="one grid"):
+        plots.potential_slices(fields[0], other)
+
+
+@pytest.mark.parametrize(
+    ("value", "up"), [(0.0, 1.0), (0.16, 0.2), (2.0, 2.0), (9.4, 10.0), (73.0, 80.0)]
+)
+def test_scales_end_at_a_round_number(value: float, up: float) -> None:
+    assert round_up(value) == pytest.approx(up)

@@ -1,0 +1,25 @@
+"""Outlines are the surface, and tell what was seen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tests.report.plots.drawn import half_seen, lines
+from ttus_opt.report import plots
+
+
+def test_outline_is_the_surface_and_tells_seen_from_filled() -> None:
+    surface = half_seen()
+    figure = plots.surface_picture(surface)
+    section = next(a for a in figure.axes if a.get_title(loc="left")[:4] == "z = ")
+    drawn = lines(section)
+    z = float(np.quantile(surface.z, 0.2))
+    for label in ("surface, seen", "filled"):
+        x, y = drawn[label]
+        shown = np.isfinite(x)
+        assert shown.any() and not shown.all()
+        theta = np.arctan2(y[shown], x[shown])
+        r = 100.0 * surface.radius_at(theta % (2 * np.pi), np.full(shown.sum(), z))
+        np.testing.assert_allclose(np.hypot(x[shown], y[shown]), r, rtol=1e-3)
+    assert drawn["surface, seen"][1][np.isfinite(drawn["surface, seen"][1])].max() > 5
+    assert drawn["filled"][1][np.isfinite(drawn["filled"][1])].max() < 0

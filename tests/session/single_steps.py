@@ -1,0 +1,19 @@
+"""What single steps of a session start from."""
+
+from __future__ import annotations
+
+from ttus_opt.phantom.example_data import true_surface
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.streams import WrenchStream
+from ttus_opt.session.description import Description
+from ttus_opt.session.readings import read_forces
+from ttus_opt.session.registration import Registration, probe_poses, register
+
+SURFACE = true_surface()
+
+
+def streams(
+    session: Description,
+) -> tuple[Registration, Trajectory, WrenchStream]:
+    frames = register(session.tracker, SURFACE)
+    return frames, probe_poses(session.tracker, frames), read_forces(session)
