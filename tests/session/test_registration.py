@@ -10,6 +10,7 @@ import pytest
 
 from tests.session.recordings import copied
 from ttus_opt.errors import InputError
+from ttus_opt.json_values import plain
 from ttus_opt.phantom.example_data import true_surface
 from ttus_opt.session.description import read_description
 from ttus_opt.session.registration import Registration, register
@@ -29,14 +30,14 @@ def test_each_frame_has_its_own_way_to_the_patient() -> None:
     np.testing.assert_array_equal(second, scan_to_patient)
     unknown = Registration(None, scan_to_patient, None)
     assert unknown.to_patient("patient") == []
-    with pytest.raises(InputError, match="frame tracker is not known here"):
+    with pytest.raises(InputError, match="frame tracker is unknown here"):
         unknown.to_patient("tracker")
 
 
 def test_facts_are_what_was_found_and_nothing_else(tmp_path: Path) -> None:
     session = read_description(copied(tmp_path))
     frames = register(session.tracker, true_surface())
-    told = json.loads(json.dumps(frames.facts()))
+    told = json.loads(json.dumps(plain(frames.facts())))
     found = np.array(told["tracker_to_scan"])
     np.testing.assert_allclose(found, TRUTH.tracker_to_scan, atol=2e-3)
     place = true_surface().axis.scan_to_patient
@@ -44,5 +45,5 @@ def test_facts_are_what_was_found_and_nothing_else(tmp_path: Path) -> None:
     assert told["pairs"] == 60
     # the noise of one pair of poses, and less
     assert told["loop_m"] < 2e-3 and told["loop_degrees"] < 0.3
-    stated = json.loads(json.dumps(Registration(None, place, None).facts()))
+    stated = json.loads(json.dumps(plain(Registration(None, place, None).facts())))
     assert stated == {"tracker_to_scan": None, "scan_to_patient": place.tolist()}
