@@ -5,7 +5,8 @@ min_{p,q,m} ‖L p - b‖² + α ‖L q - m b‖²
 s.t.  0 ≤ q ≤ μ_max p inside, q = 0 on the surface, μ_max p ≤ q ≤ 0 outside,
       0 ≤ m ≤ μ_max
 
-F q = t̂ (n̂ᵀ N q) with t̂ the direction of sliding, n̂ the contact's normal; jointly
+F q is drag of every point of the probe, or t̂ (n̂ᵀ N q) of the whole patch, t̂ its
+direction of sliding and n̂ its normal (``acts_at``, see `coulomb_global`); jointly
 convex in (p, q, m). m is the mean friction coefficient: where it holds, q = m p.
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """

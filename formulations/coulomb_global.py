@@ -2,11 +2,14 @@
 
 min_μ min_s min_p ‖L p - s b‖² + λ_f ‖(N - μ F) p - f‖² + λ_τ ‖((W - μ G) p - τ)/ℓ‖²
 
-F p = t̂ (n̂ᵀ N p) with t̂ the direction of sliding, n̂ the contact's normal: convex in p
-for every μ. s rescales boundary values that the scene has fitted (``inner="fit"``), by
-the same objective and at the μ found; given ones stay, s = 1. The scene's own fit
-takes the residual of the Laplace field for noise, alike in all frames, where most of
-it is what the field is about to learn: its scale is 2 to 6 % too large at λ = 1e-2.
+F p is drag per unit of μ: that of every point of the probe by its own normal force and
+against its own sliding (``points``), or t̂ (n̂ᵀ N p) of the whole patch, t̂ its direction
+of sliding and n̂ its normal; "auto" takes what fits better. Convex in p for every μ.
+
+s rescales boundary values that the scene has fitted (``inner="fit"``), by the same
+objective and at the μ found; given ones stay, s = 1. The scene's own fit takes the
+residual of the Laplace field for noise, alike in all frames, where most of it is what
+the field is about to learn: its scale is 2 to 6 % too large at λ = 1e-2.
 
 What is left afterwards is the field's: forces with drag are fitted as well as eq. 10
 fits the same contacts without any. Drag lengthens a force by up to √(1 + μ²), which

@@ -26,7 +26,7 @@ def build(
     acts_at: str = "auto",
 ) -> Formulation:
     """Weights λ [–], length ℓ [m], regions around and along, where drag acts."""
-    where = estimate_drag(scene, acts_at).acts_at
+    where = estimate_drag(scene, acts_at, places=("contact", "reference")).acts_at
     drag = Viscous(scene, where, sectors=sectors, bands=bands)
     return Formulation(
         terms=[

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.conftest import ellipsoid, torso
-from ttus_opt.contact.friction import Sliding, coulomb_rows
+from ttus_opt.contact.friction import Sliding
+from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -39,7 +40,7 @@ def dragged_scene(
     )
     p = scene.laplace.solve(scene.b)
     sliding = Sliding.of(voxmap, shell, bare, acts_at)
-    rows = coulomb_rows(sliding, scene.rows)
+    rows = drag_rows(scene.rows, sliding, voxmap, shell, bare, sampling="trilinear")
     force = (scene.N @ p - mu * (rows.force @ p)).reshape(-1, 3)
     force -= viscous * sliding.velocity
     torque = (scene.W @ p - mu * (rows.torque @ p)).reshape(-1, 3)

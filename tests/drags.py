@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tests.conftest import ellipsoid, torso
+from ttus_opt.contact.rows import contact_rows
 from ttus_opt.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.field import PotentialField
@@ -37,6 +38,13 @@ LAWS: dict[str, dict[str, float]] = {
         "drag_at_reference": 1.0,
         **_AXIS,
     },
+    "coulomb-points": {"friction_coefficient": 0.3, "drag_at_points": 1.0},
+    "points-slow-viscous": {
+        "friction_coefficient": 0.3,
+        "drag_at_points": 1.0,
+        "drag_deadband": 0.05,
+        "viscous_coefficient": 20.0,
+    },
     "viscous": {"viscous_coefficient": 20.0},
     "viscous-reference": {
         "viscous_coefficient": 20.0,
@@ -61,8 +69,56 @@ def pushing(sampling: str, parameters: dict[str, float]) -> PotentialField:
     return PotentialField(VOXMAP, 100 * depth * bumps, sampling, parameters)
 
 
+def normal_forces(
+    field: PotentialField, shell: PointShell, places: np.ndarray
+) -> np.ndarray:
+    """Of every point at its place: what a probe of that point alone would feel."""
+    n = len(places)
+    dot = PointShell(
+        np.zeros((4, 3)),
+        np.tile([1.0, 0.0, 0.0], (4, 1)),
+        np.full(4, 2.5e-5),  # 1 cm² in all
+        np.zeros(3),
+    )
+    rows = contact_rows(
+        field.voxmap,
+        dot,
+        np.tile(np.eye(3), (n, 1, 1)),
+        places,
+        sampling=field.sampling,
+    ).N[::3]
+    felt = np.asarray(rows @ field.values.reshape(-1))
+    if field.sampling != "voxel-mean":
+        return felt * shell.areas / 1e-4
+    sampled = np.diff(rows.indptr) > 0
+    voxel = rows.indices  # of each that samples one
+    felt[sampled] /= np.bincount(voxel)[voxel]
+    return felt
+
+
+def drag_by_points(
+    field: PotentialField,
+    shell: PointShell,
+    R: np.ndarray,
+    at: np.ndarray,
+    twist: np.ndarray,
+) -> np.ndarray:
+    """Coulomb drag of every point against its own sliding, shape (6,)."""
+    points = shell.points @ R.T + at
+    pressed = np.maximum(normal_forces(field, shell, points), 0.0)
+    normals = shell.normals @ R.T
+    moved = twist[:3] + np.cross(twist[3:], points - at)
+    slid = moved - normals * np.sum(normals * moved, axis=1)[:, None]
+    speed = np.linalg.norm(slid, axis=1)
+    slow = field.parameters.get("drag_deadband", 2e-3)
+    mu = field.parameters["friction_coefficient"]
+    force = -mu * (pressed / np.maximum(speed, slow))[:, None] * slid
+    arms = points - (R @ shell.reference + at)
+    return np.concatenate([force.sum(axis=0), np.cross(arms, force).sum(axis=0)])
+
+
 def drag_by_hand(
-    parameters: dict[str, float],
+    field: PotentialField,
     shell: PointShell,
     R: np.ndarray,
     at: np.ndarray,
@@ -70,6 +126,7 @@ def drag_by_hand(
     contact_force: np.ndarray,
 ) -> np.ndarray:
     """Force and torque of drag from every point's depth, shape (6,)."""
+    parameters = field.parameters
     points = shell.points @ R.T + at
     r, theta, z = cylindrical(points)
     depth = SURFACE.radius_at(theta, z) - r
@@ -89,7 +146,10 @@ def drag_by_hand(
     slid = slid - across * (across @ slid)
     speed = np.linalg.norm(slid)
     force = np.zeros(3)
-    if mu := parameters.get("friction_coefficient"):
+    by_points = np.zeros(6)
+    if parameters.get("drag_at_points"):
+        by_points = drag_by_points(field, shell, R, at, twist)
+    elif mu := parameters.get("friction_coefficient"):
         size = mu * max(normal @ contact_force, 0.0)
         force -= size * slid / max(speed, parameters.get("drag_deadband", 2e-3))
     if c := parameters.get("viscous_coefficient"):
@@ -99,4 +159,4 @@ def drag_by_hand(
         share = (centre[2] - grid.z_min) / (grid.z_max - grid.z_min)
         region = int(turned * sectors) * bands + int(np.clip(share, 0, 0.999) * bands)
         force -= parameters.get(f"viscous_coefficient_{region}", c) * slid
-    return np.concatenate([force, np.cross(acts - reference, force)])
+    return by_points + np.concatenate([force, np.cross(acts - reference, force)])

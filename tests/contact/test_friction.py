@@ -159,12 +159,13 @@ def test_viscous_rows_put_each_pose_into_its_region() -> None:
         sliding.regions(0, 2, scene.voxmap)
 
 
-@pytest.mark.parametrize("acts_at", ["contact", "reference"])
+@pytest.mark.parametrize("acts_at", ["contact", "reference", "points"])
 def test_coulomb_global_finds_what_was_put_in(acts_at: str) -> None:
     scene = dragged_scene(acts_at)
     solution = tt.fit(scene, "coulomb_global", force_weight=1e-2, torque_weight=1e-2)
     assert solution.parameters["friction_coefficient"] == pytest.approx(0.3, abs=2e-3)
     assert solution.parameters["drag_at_reference"] == float(acts_at == "reference")
+    assert solution.parameters["drag_at_points"] == float(acts_at == "points")
     assert solution.timings.search is not None
     errors = evaluate(solution.field, scene.shell, scene.trajectory).errors
     assert errors.force_angle_error_deg < 0.2

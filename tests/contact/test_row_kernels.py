@@ -9,8 +9,10 @@ from tests.conftest import ellipsoid, small_scene
 from ttus_opt.compiled import compiled
 from ttus_opt.contact.row_kernels import (
     REFERENCE_AREA,
+    Poses,
     Rows,
     Scratch,
+    Slip,
     VoxmapArrays,
     _sort,
     pose_rows,
@@ -38,11 +40,12 @@ def test_rows_go_on_where_there_was_no_room() -> None:
     """Made in many small pieces they are those made in one."""
     scene = small_scene("trilinear")
     trajectory, V = scene.trajectory, scene.n_voxels
-    poses = (trajectory.rotation, trajectory.position, shell_arrays(scene.shell))
-    arrays, scratch = VoxmapArrays.of(scene.voxmap), Scratch.of(V, len(scene.shell))
+    poses = Poses(trajectory.rotation, trajectory.position, Slip.none())
+    given = (poses, shell_arrays(scene.shell), VoxmapArrays.of(scene.voxmap))
+    scratch = Scratch.of(V, len(scene.shell))
     rows, done, pieces = Rows.empty(len(trajectory), 8), 0, 0
     while True:
-        done = pose_rows(done, True, *poses, arrays, rows, scratch)
+        done = pose_rows(done, True, *given, rows, scratch)
         if done == len(trajectory):
             break
         pieces += 1

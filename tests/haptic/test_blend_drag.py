@@ -83,12 +83,15 @@ def test_energy_is_reckoned_without_drag() -> None:
         assert dry.blend == rubbed.blend
 
 
-@pytest.mark.parametrize("other", [{}, {"viscous_coefficient": 3.0}])
+@pytest.mark.parametrize(
+    "other", [{}, {"viscous_coefficient": 3.0}, {"drag_at_points": 1.0}]
+)
 def test_an_update_amid_a_swap_of_drags_does_not_show(other: dict[str, float]) -> None:
     R, at = np.eye(3), np.array([0.0, 0.093, 0.1])
     moving = np.array([0.03, 0.0, 0.02, 0.1, 0.3, -0.2])
     law = BlendLaw(force_rate=1.0, reserve=1.0)
-    renderer = Renderer(dragging(1.0, 0.3), shell(), blend=law)
+    alike = {k: v for k, v in other.items() if k == "drag_at_points"}
+    renderer = Renderer(dragging(1.0, 0.3, **alike), shell(), blend=law)
     before = renderer.render(R, at, moving).force
     for stiffness, friction in ((1.5, 0.05), (0.2, 0.8), (3.0, 0.0), (1.0, 0.6)):
         renderer.update(dragging(stiffness, friction, **other))

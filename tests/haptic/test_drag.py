@@ -11,7 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.drags import LAWS, SHELL, SURFACE, VOXMAP, drag_by_hand, pushing
+from tests.drags import (
+    LAWS,
+    SHELL,
+    SURFACE,
+    VOXMAP,
+    drag_by_hand,
+    drag_by_points,
+    normal_forces,
+    pushing,
+)
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.drag import DragLaw
 from ttus_opt.haptic.renderer import Renderer
@@ -35,13 +44,13 @@ def random_pose(rng: np.random.Generator, highest: float = 0.02) -> Pose:
 @pytest.mark.parametrize("law", LAWS)
 def test_drag_is_that_of_the_points_depths(law: str, sampling: str) -> None:
     rng = np.random.default_rng(4)
-    renderer = Renderer(pushing(sampling, LAWS[law]), SHELL)
-    bare = Renderer(pushing(sampling, {}), SHELL)
+    field = pushing(sampling, LAWS[law])
+    renderer, bare = Renderer(field, SHELL), Renderer(pushing(sampling, {}), SHELL)
     dragged = 0
     for _ in range(60):
         R, at, twist = random_pose(rng)
         contact, whole = bare.render(R, at), renderer.render(R, at, twist)
-        drag = drag_by_hand(LAWS[law], SHELL, R, at, twist, contact.force)
+        drag = drag_by_hand(field, SHELL, R, at, twist, contact.force)
         np.testing.assert_allclose(
             whole.force, contact.force + drag[:3], rtol=1e-9, atol=1e-11
         )
@@ -73,8 +82,45 @@ def test_friction_only_takes_energy(seed: int) -> None:
     assert power <= 1e-12 * scale
 
 
-def test_no_motion_or_no_contact_no_drag() -> None:
-    renderer = Renderer(pushing("trilinear", LAWS["coulomb"]), SHELL)
+@pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
+def test_a_point_that_pulls_does_not_drag(sampling: str) -> None:
+    """Where points pull and others press: of these alone."""
+    rng, pulled = np.random.default_rng(8), 0
+    field = pushing(sampling, LAWS["coulomb-points"])
+    bumps = np.sign(np.sin(7.0 * VOXMAP.grid.theta))[:, None]
+    field = replace(field, values=field.values * bumps)
+    renderer = Renderer(field, SHELL)
+    bare = Renderer(replace(field, parameters={}), SHELL)
+    for _ in range(20):
+        R, at, twist = random_pose(rng)
+        whole, contact = renderer.render(R, at, twist), bare.render(R, at)
+        drag = drag_by_points(field, SHELL, R, at, twist)
+        np.testing.assert_allclose(whole.force, contact.force + drag[:3], atol=1e-11)
+        np.testing.assert_allclose(whole.torque, contact.torque + drag[3:], atol=1e-12)
+        pressed = normal_forces(field, SHELL, SHELL.points @ R.T + at)
+        pulled += bool((pressed < 0.0).any() and (pressed > 0.0).any())
+    assert pulled > 8
+
+
+def test_a_straight_press_is_resisted_by_the_flanks() -> None:
+    """The patch slides nowhere; its points do, so that a press takes energy."""
+    angle, z = np.array(1.2), np.array(0.1)
+    r = float(SURFACE.radius_at(angle, z))
+    out = np.array([np.cos(1.2), np.sin(1.2), 0.0])
+    at = (r + 0.003) * out + [0.0, 0.0, 0.1] - SHELL.reference
+    speed = 0.02 * np.concatenate([out, np.zeros(3)])
+    renderer = Renderer(pushing("trilinear", LAWS["coulomb-points"]), SHELL)
+    into, rest, out_of = (
+        float(renderer.render(np.eye(3), at, s * speed).force @ out) for s in (-1, 0, 1)
+    )
+    assert rest > 1.0
+    assert into - rest == pytest.approx(rest - out_of)
+    assert 0.02 * rest < into - rest < 0.3 * rest
+
+
+@pytest.mark.parametrize("law", ["coulomb", "coulomb-points"])
+def test_no_motion_or_no_contact_no_drag(law: str) -> None:
+    renderer = Renderer(pushing("trilinear", LAWS[law]), SHELL)
     bare = Renderer(pushing("trilinear", {}), SHELL)
     R, at, twist = random_pose(np.random.default_rng(1), highest=0.0)
     still = renderer.render(R, at, np.zeros(6))
@@ -105,6 +151,7 @@ def test_no_motion_or_no_contact_no_drag() -> None:
         ),
         ({**LAWS["coulomb-reference"], "drag_axis_x": 0.9}, "unit length"),
         ({"viscous_sectors": 0.0}, "at least one sector"),
+        ({**LAWS["coulomb-reference"], "drag_at_points": 1.0}, "cannot have both"),
     ],
 )
 def test_what_is_no_drag(parameters: dict[str, float], word: str) -> None:
@@ -134,9 +181,7 @@ def test_points_weigh_by_their_area() -> None:
     for _ in range(10):
         R, at, twist = random_pose(rng)
         force = contact.render(R, at).force
-        expected = (
-            force + drag_by_hand(LAWS["coulomb"], uneven, R, at, twist, force)[:3]
-        )
+        expected = force + drag_by_hand(field, uneven, R, at, twist, force)[:3]
         np.testing.assert_allclose(
             renderer.render(R, at, twist).force, expected, rtol=1e-9, atol=1e-11
         )

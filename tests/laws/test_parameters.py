@@ -16,6 +16,7 @@ from ttus_opt.scene import Scene
 GIVEN = {
     friction.DRAG_DEADBAND,
     friction.DRAG_AT_REFERENCE,
+    friction.DRAG_AT_POINTS,
     friction.SECTORS,
     friction.BANDS,
     *friction.DRAG_AXIS,

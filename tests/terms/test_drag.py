@@ -125,6 +125,7 @@ def test_what_is_identified_renders_as_the_rows_say() -> None:
     p = field()
     for model in (
         GlobalCoulomb(scene(), "reference", DEADBAND, MU),
+        GlobalCoulomb(scene(), "points", DEADBAND, MU),
         Viscous(scene(), "contact", DEADBAND),
         Viscous(scene(), "reference", DEADBAND, SECTORS, BANDS),
     ):

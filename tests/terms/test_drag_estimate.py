@@ -12,7 +12,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.terms.drag_estimate import estimate_drag
 
 
-@pytest.mark.parametrize("acts_at", ["contact", "reference"])
+@pytest.mark.parametrize("acts_at", ["contact", "reference", "points"])
 def test_the_estimate_finds_what_was_put_in(acts_at: str) -> None:
     estimate = estimate_drag(dragged_scene(acts_at))
     assert estimate.acts_at == acts_at

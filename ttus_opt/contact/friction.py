@@ -14,7 +14,9 @@ is the deadband: below it drag shrinks in proportion, at rest there is none.
 Where drag acts: on the patch and along it (``contact``), where it has an arm about the
 shell's reference and slides with the probe's turning too; or as a tool sees it
 (``reference``), through the reference point and across the probe's pressing axis:
-its own axis of symmetry nearest to the mean of n̂. The mean alone leans as the probe
+its own axis of symmetry nearest to the mean of n̂; or at every point of the shell for
+itself (``points``, `ttus_opt.contact.point_drag`), where viscous drag is that of the
+patch. The mean alone leans as the probe
 was tilted while it was pressed, and by half a degree of that a plunge of 10 mm/s
 counts as sliding of 0.1 mm/s, which near rest turns t̂ by several degrees.
 """
@@ -48,7 +50,7 @@ from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cel
 from ttus_opt.voxmap.grid import GridLimits
 from ttus_opt.voxmap.voxmap import Voxmap
 
-ActsAt = Literal["contact", "reference"]
+ActsAt = Literal["contact", "reference", "points"]
 
 #: Principal moments of a shell are equal to within this share [–]
 EQUAL_MOMENTS = 0.05
@@ -72,7 +74,8 @@ class Sliding:
         position: Of the patch in the patient frame, shape (T, 3) [m].
         axis: The pressing axis in the probe frame, unit length; zero without any
             contact; shape (3,) [–].
-        acts_at: ``contact`` or ``reference``.
+        acts_at: ``contact``, ``reference`` or ``points``; of the last, all else is
+            as of ``contact``.
     """
 
     normal: Array = field(repr=False)
@@ -97,7 +100,7 @@ class Sliding:
             voxmap: Grid and surface.
             shell: The probe.
             trajectory: Poses over time; their differences give the velocity.
-            acts_at: Where drag acts, ``contact`` or ``reference``.
+            acts_at: Where drag acts, ``contact``, ``reference`` or ``points``.
             axis: The pressing axis in the probe frame, shape (3,); by default the
                 shell's own, see `pressing_axis`.
 
@@ -119,13 +122,14 @@ class Sliding:
         )
         touching = (normal != 0.0).any(axis=1)
         reference = np.einsum("tij,j->ti", rotation, shell.reference)
-        arm = centre if acts_at == "contact" else np.zeros_like(centre)
+        as_tool = acts_at == "reference"
+        arm = np.zeros_like(centre) if as_tool else centre
         turning = np.cross(trajectory.angular_velocity(), reference + arm)
         moved = trajectory.velocity() + turning
         moved[~touching] = 0.0
         if axis is None:
             axis = pressing_axis(shell, np.einsum("tij,ti->j", rotation, normal))
-        across = normal if acts_at == "contact" else rotation @ axis
+        across = rotation @ axis if as_tool else normal
         along = moved - across * np.einsum("ti,ti->t", across, moved)[:, None]
         where = position + reference + centre
         return cls(normal, arm, along, where, axis, acts_at)  # type: ignore[arg-type]
@@ -263,6 +267,7 @@ def viscous_rows(
 #: Names under which a fitted field carries its drag
 FRICTION, VISCOUS = "friction_coefficient", "viscous_coefficient"
 DRAG_DEADBAND, DRAG_AT_REFERENCE = "drag_deadband", "drag_at_reference"
+DRAG_AT_POINTS = "drag_at_points"
 DRAG_AXIS = ("drag_axis_x", "drag_axis_y", "drag_axis_z")
 SECTORS, BANDS = "viscous_sectors", "viscous_bands"
 

@@ -77,6 +77,38 @@ def beside(x: float, y: float, limits: GridLimits) -> bool:
     return limits.width < TURN and around(turn_angle(x, y), limits) > limits.width
 
 
+class Slip(NamedTuple):
+    """How the shell's points slide, for rows of drag in place of those of contact.
+
+    Attributes:
+        twist: Velocity of the shell's reference and angular velocity, patient axes,
+            shape (T, 6) [m/s, rad/s]; (0, 6) for rows of contact.
+        deadband: A point that slides slower drags in proportion [m/s].
+    """
+
+    twist: Array
+    deadband: float
+
+    @classmethod
+    def none(cls) -> Slip:
+        """Rows of contact."""
+        return cls(np.empty((0, 6)), 1.0)
+
+
+class Poses(NamedTuple):
+    """Poses of the probe, and how its points slide.
+
+    Attributes:
+        rotation: Probe to patient, shape (T, 3, 3) [–].
+        position: Of the probe frame's origin, shape (T, 3) [m].
+        slip: For rows of drag; `Slip.none` for those of contact.
+    """
+
+    rotation: Array
+    position: Array
+    slip: Slip
+
+
 class VoxmapArrays(NamedTuple):
     """A voxmap for the kernels.
 
@@ -176,7 +208,8 @@ class Scratch(NamedTuple):
         order: In which they ascend.
         voxels: Voxels that one point samples, shape (8,).
         shares: Their shares, shape (8,).
-        own: A point's normal and lever arm × normal, patient axes, shape (6,).
+        own: A point's normal, or the direction in which it slides, and lever arm ×
+            that, patient axes, shape (6,).
     """
 
     slot: NDArray[np.int32]
@@ -260,14 +293,46 @@ def _sample(
     return 1 if sampled else 0
 
 
+@compiled(inline="always")
+def slipping(
+    n: tuple[float, float, float],
+    lever: tuple[float, float, float],
+    twist: tuple[float, float, float, float, float, float],
+    deadband: float,
+) -> tuple[float, float, float]:
+    """Direction in which a point slides, shorter than 1 below the deadband (compiled).
+
+    Args:
+        n: Its unit normal.
+        lever: From the shell's reference to it [m].
+        twist: Velocity of the reference [m/s] and angular velocity [rad/s], all in
+            the same axes.
+        deadband: v₀ [m/s].
+    """
+    vx, vy, vz, wx, wy, wz = twist
+    ux = vx + (wy * lever[2] - wz * lever[1])
+    uy = vy + (wz * lever[0] - wx * lever[2])
+    uz = vz + (wx * lever[1] - wy * lever[0])
+    along = n[0] * ux + n[1] * uy + n[2] * uz
+    ux, uy, uz = ux - along * n[0], uy - along * n[1], uz - along * n[2]
+    k = 1.0 / max(math.sqrt(ux * ux + uy * uy + uz * uz), deadband)
+    return k * ux, k * uy, k * uz
+
+
 @compiled(inner=True, forceinline=True)
-def _set_own(own: Array, R: Array, shell: ShellArrays, m: int) -> None:
-    """Set (n̂, r×n̂) of shell point m, patient axes (compiled)."""
+def _set_own(
+    own: Array, R: Array, shell: ShellArrays, m: int, slip: Slip, t: int
+) -> None:
+    """Set (n̂, r×n̂) of shell point m, or (t̂, r×t̂), patient axes (compiled)."""
     normal, point, reference = shell.normals[m], shell.points[m], shell.reference
     nx, ny, nz = rotated(R, normal[0], normal[1], normal[2])
     lx, ly, lz = rotated(
         R, point[0] - reference[0], point[1] - reference[1], point[2] - reference[2]
     )
+    if len(slip.twist):
+        a = slip.twist[t]
+        twist = a[0], a[1], a[2], a[3], a[4], a[5]
+        nx, ny, nz = slipping((nx, ny, nz), (lx, ly, lz), twist, slip.deadband)
     own[0], own[1], own[2] = nx, ny, nz
     own[3] = ly * nz - lz * ny
     own[4] = lz * nx - lx * nz
@@ -319,8 +384,7 @@ def _keep(t: int, count: int, trilinear: bool, rows: Rows, scratch: Scratch) -> 
 def pose_rows(
     first: int,
     trilinear: bool,
-    rotation: Array,
-    position: Array,
+    poses: Poses,
     shell: ShellArrays,
     v: VoxmapArrays,
     rows: Rows,
@@ -328,12 +392,15 @@ def pose_rows(
 ) -> int:
     """Rows of poses from the first one on, as long as there is room (compiled).
 
+    Where points slip every point pushes along the direction in which it slides.
+
     Returns:
         The pose for which there was no room, or the number of poses.
     """
     voxels, shares = scratch.voxels, scratch.shares
-    for t in range(first, len(position)):
-        R, at = rotation[t], position[t]
+    slip = poses.slip
+    for t in range(first, len(poses.position)):
+        R, at = poses.rotation[t], poses.position[t]
         count = int(np.int64(0))  # a literal would be a type of its own to numba
         in_grid, in_contact, beyond = False, 0, 0
         for m in range(len(shell.points)):
@@ -357,7 +424,7 @@ def pose_rows(
                 trilinear, place, v.limits, v.shape, v.spokes, voxels, shares
             )
             if n_samples:
-                _set_own(scratch.own, R, shell, m)
+                _set_own(scratch.own, R, shell, m, slip, t)
                 weight = shell.areas[m] if trilinear else 1.0
                 count = _add(weight, n_samples, count, scratch)
         _keep(t, count, trilinear, rows, scratch)
@@ -366,4 +433,4 @@ def pose_rows(
         rows.in_grid[t] = in_grid
         rows.contact_points[t] = in_contact
         rows.beyond_inner[t] = beyond
-    return len(position)
+    return len(poses.position)

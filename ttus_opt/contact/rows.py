@@ -28,7 +28,14 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.contact.contact_size import size_factors
 from ttus_opt.contact.row_kernels import REFERENCE_AREA as REFERENCE_AREA
-from ttus_opt.contact.row_kernels import Rows, Scratch, VoxmapArrays, pose_rows
+from ttus_opt.contact.row_kernels import (
+    Poses,
+    Rows,
+    Scratch,
+    Slip,
+    VoxmapArrays,
+    pose_rows,
+)
 from ttus_opt.contact.row_kernels import beside as beside
 from ttus_opt.contact.row_kernels import rotated as rotated
 from ttus_opt.contact.row_kernels import shell_arrays as shell_arrays
@@ -110,6 +117,7 @@ def contact_rows(
     position: Array,
     *,
     sampling: str = "voxel-mean",
+    slip: Slip | None = None,
 ) -> ContactRows:
     """Make N and W for a whole trajectory at once.
 
@@ -119,6 +127,8 @@ def contact_rows(
         rotation: Probe to patient, shape (T, 3, 3) [–].
         position: Of the probe frame's origin, patient frame, shape (T, 3) [m].
         sampling: ``voxel-mean``, ``trilinear`` or ``contact-size``.
+        slip: How points slide, for rows of drag (`contact.point_drag`) in place of
+            those of contact.
 
     Returns:
         The rows.
@@ -130,10 +140,11 @@ def contact_rows(
     arrays, shape = VoxmapArrays.of(voxmap), (3 * len(position), voxmap.grid.n_voxels)
     scratch = Scratch.of(shape[1], len(shell.points))
     rows = Rows.empty(len(position), 1024)
-    poses, done = (rotation, position, shell_arrays(shell)), 0
+    poses = Poses(rotation, position, Slip.none() if slip is None else slip)
+    given, done = (poses, shell_arrays(shell), arrays), 0
     trilinear = checked_sampling(sampling) != "voxel-mean"
     while True:
-        done = pose_rows(done, trilinear, *poses, arrays, rows, scratch)
+        done = pose_rows(done, trilinear, *given, rows, scratch)
         if done == len(position):
             break
         rows = rows.grown(3 * done, len(position) / (done + 1))

@@ -9,13 +9,14 @@ import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.contact.friction import (
+    DRAG_AT_POINTS,
     DRAG_AT_REFERENCE,
     DRAG_AXIS,
     DRAG_DEADBAND,
     FRICTION,
     Sliding,
-    coulomb_rows,
 )
+from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -89,9 +90,13 @@ def wrench_rows(
     mu = parameters.get(FRICTION, 0.0)
     if mu:
         at = "reference" if parameters.get(DRAG_AT_REFERENCE) else "contact"
+        at = "points" if parameters.get(DRAG_AT_POINTS) else at
         axis = np.array([parameters[name] for name in DRAG_AXIS])
         sliding = Sliding.of(voxmap, shell, trajectory, at, axis)
-        drag = coulomb_rows(sliding, rows, deadband=parameters[DRAG_DEADBAND])
+        how = (rows, sliding, voxmap, shell, trajectory)
+        drag = drag_rows(
+            *how, sampling=potential.sampling, deadband=parameters[DRAG_DEADBAND]
+        )
         N, W = N - mu * drag.force, W - mu * drag.torque
     both = sp.csr_array(sp.vstack([N, W], format="csr"))
     T = len(trajectory)

@@ -13,6 +13,9 @@ reference and across the probe's pressing axis (a = 0, ê = R·axis),
     u = v + ω × (R x₀ + a),   v_t = u − ê (êᵀu)
     f_d = −(μ max(n̂ᵀf, 0) / max(‖v_t‖, v₀) + c_region) v_t,   τ_d = a × f_d
 
+A law may have Coulomb drag at every point of the shell for itself in place of the term
+in μ, `ttus_opt.haptic.point_drag`; the term in c is then that of the patch.
+
 Its power is f_dᵀ(v + ω × R x₀) + τ_dᵀω = f_dᵀu = −k ‖v_t‖² with k ≥ 0: drag takes
 energy and never gives any, whatever pose, twist and field. For this a contact that
 pulls (n̂ᵀf < 0) has no drag, and negative coefficients are refused. Where nothing
@@ -37,11 +40,17 @@ from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.grid import CylindricalGrid
 
-#: Places in `DragLaw.numbers`: 1 with any drag; μ [–]; v₀ [m/s]; 1 at the reference;
-#: the pressing axis; sectors and bands; lowest height and length of the grid [m]; then
-#: c of every region, sector by sector [N·s/m]
-ACTIVE, FRICTION, DEADBAND, AT_REFERENCE, AXIS = 0, 1, 2, 3, 4
+#: Places in `DragLaw.numbers`: 1 with any drag, `BY_PATCH` with any of the patch; μ
+#: [–]; v₀ [m/s]; where it acts; the pressing axis; sectors and bands; lowest height and
+#: length of the grid [m]; then c of every region, sector by sector [N·s/m]
+ACTIVE, FRICTION, DEADBAND, ACTS_AT, AXIS = 0, 1, 2, 3, 4
 SECTORS, BANDS, LOWEST, LENGTH, VISCOUS = 7, 8, 9, 10, 11
+
+#: Drag at `ACTIVE` that needs the patch, not the points alone
+BY_PATCH = 2.0
+
+#: Values at `ACTS_AT`; 0 on the contact
+AT_REFERENCE, AT_POINTS = 1.0, 2.0
 
 
 @dataclass(frozen=True)
@@ -67,8 +76,8 @@ class DragLaw:
             parameters: ``friction_coefficient`` [–], ``viscous_coefficient`` [N·s/m]
                 with ``viscous_sectors``, ``viscous_bands`` and one
                 ``viscous_coefficient_<i>`` for each region where they are regional,
-                ``drag_deadband`` [m/s], ``drag_at_reference`` (1 or 0) and
-                ``drag_axis_x, _y, _z``.
+                ``drag_deadband`` [m/s], ``drag_at_points`` and
+                ``drag_at_reference`` (1 or 0) and ``drag_axis_x, _y, _z``.
             grid: The field's, along which bands are counted.
 
         Raises:
@@ -79,7 +88,15 @@ class DragLaw:
         numbers = np.zeros(VISCOUS)
         numbers[FRICTION] = _coefficient(parameters, friction.FRICTION, 0.0)
         numbers[DEADBAND] = parameters.get(friction.DRAG_DEADBAND, friction.DEADBAND)
-        numbers[AT_REFERENCE] = bool(parameters.get(friction.DRAG_AT_REFERENCE, 0.0))
+        as_tool = bool(parameters.get(friction.DRAG_AT_REFERENCE, 0.0))
+        numbers[ACTS_AT] = AT_REFERENCE if as_tool else 0.0
+        if parameters.get(friction.DRAG_AT_POINTS, 0.0):
+            if as_tool:
+                raise InputError(
+                    "drag acts at the reference or at every point: a field cannot have "
+                    f"both {friction.DRAG_AT_REFERENCE} and {friction.DRAG_AT_POINTS}"
+                )
+            numbers[ACTS_AT] = AT_POINTS
         counts = [int(parameters.get(n, 1)) for n in (friction.SECTORS, friction.BANDS)]
         numbers[SECTORS], numbers[BANDS] = counts
         numbers[LOWEST], numbers[LENGTH] = grid.z_min, grid.z_max - grid.z_min
@@ -92,13 +109,17 @@ class DragLaw:
             _coefficient(parameters, f"{friction.VISCOUS}_{i}", mean)
             for i in range(counts[0] * counts[1])
         ]
-        numbers[ACTIVE] = numbers[FRICTION] > 0.0 or max(viscosity) > 0.0
+        by_points = numbers[ACTS_AT] == AT_POINTS
+        if max(viscosity) > 0.0 or (numbers[FRICTION] > 0.0 and not by_points):
+            numbers[ACTIVE] = BY_PATCH
+        elif numbers[FRICTION] > 0.0:
+            numbers[ACTIVE] = 1.0
         if not (math.isfinite(numbers[DEADBAND]) and numbers[DEADBAND] > 0.0):
             raise InputError(
                 f"{friction.DRAG_DEADBAND} must be positive [m/s], got "
                 f"{numbers[DEADBAND]}"
             )
-        if numbers[AT_REFERENCE]:
+        if as_tool:
             numbers[AXIS : AXIS + 3] = _axis(parameters)
         return cls(np.concatenate([numbers, viscosity]))
 
@@ -201,7 +222,7 @@ def drag_of(
         return
     x, y, z = rotated(R, reference[0], reference[1], reference[2])
     ax, ay, az, ex, ey, ez = patch[3], patch[4], patch[5], nx, ny, nz
-    if numbers[AT_REFERENCE] != 0.0:
+    if numbers[ACTS_AT] == AT_REFERENCE:
         ax, ay, az = 0.0, 0.0, 0.0
         ex, ey, ez = rotated(R, numbers[AXIS], numbers[AXIS + 1], numbers[AXIS + 2])
     lx, ly, lz = x + ax, y + ay, z + az
@@ -213,7 +234,8 @@ def drag_of(
     speed = math.sqrt(ux * ux + uy * uy + uz * uz)
     f = contact_wrench
     pressed = max(nx * f[0] + ny * f[1] + nz * f[2], 0.0)
-    k = numbers[FRICTION] * pressed / max(speed, numbers[DEADBAND])
+    friction = 0.0 if numbers[ACTS_AT] == AT_POINTS else numbers[FRICTION]
+    k = friction * pressed / max(speed, numbers[DEADBAND])
     place = at[0] + x + patch[3], at[1] + y + patch[4], at[2] + z + patch[5]
     k += numbers[VISCOUS + _region(place[0], place[1], place[2], numbers)]
     fx, fy, fz = -k * ux, -k * uy, -k * uz

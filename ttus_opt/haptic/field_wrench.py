@@ -6,8 +6,8 @@ the probe, about its shell's reference, patient axes:
     f = N(R, x) p + f_d,   τ = W(R, x) p + τ_d
 
 with the contact rows N, W of `ttus_opt.contact.rows` (eqs. 6, 7) and the drag (f_d,
-τ_d) of `ttus_opt.haptic.drag`, which depends on pose, twist and N p. At rest there is
-no drag.
+τ_d) of `ttus_opt.haptic.drag`, which depends on pose, twist and contact. At rest there
+is no drag.
 
 `wrenches_along` gives it for a whole recording, from the rows; `ttus_opt.Renderer` for
 one pose, compiled, to rounding the same. `evaluate` judges by the first, `ttus-opt
@@ -27,7 +27,10 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.contact.rows import ContactRows, contact_rows
-from ttus_opt.haptic.drag import DragLaw, drag_of
+from ttus_opt.haptic.drag import ACTS_AT, AT_POINTS, DragLaw, drag_of
+from ttus_opt.haptic.frame import touch, wrench_of
+from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.haptic.point_drag import add_point_drag
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
@@ -145,4 +148,30 @@ def _drags(
         # copied: whatever an array's layout, nothing is compiled anew
         R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
         drag_of(R, at, twist[t], reference, patch[t], contact[t], law.numbers, drag[t])
+    if law.numbers[ACTS_AT] == AT_POINTS:
+        _add_point_drags(law, potential, shell, trajectory, drag)
     return drag
+
+
+def _add_point_drags(
+    law: DragLaw,
+    potential: PotentialField,
+    shell: PointShell,
+    trajectory: Trajectory,
+    drag: Array,
+) -> None:
+    """Add the drag of the shell's points in every frame, as frames have it."""
+    sampling, twist = potential.sampling, trajectory.twist()
+    data = FrameData.of(
+        potential.voxmap,
+        shell,
+        trilinear=sampling != "voxel-mean",
+        by_size=sampling == "contact-size",
+    )
+    values = np.array(potential.values, dtype=np.float64, order="C").reshape(-1)
+    R, at, wrench = np.empty((3, 3)), np.empty(3), np.empty(6)
+    for t in range(len(trajectory)):
+        R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
+        n = touch(R, at, data)[0]
+        wrench_of(values, n, R, data, wrench)
+        add_point_drag(R, twist[t], n, data, law.numbers, drag[t])

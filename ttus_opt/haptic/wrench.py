@@ -16,7 +16,10 @@ from ttus_opt.compiled import compiled
 from ttus_opt.haptic.blend import PROGRESS, advance, follow, pose_of
 from ttus_opt.haptic.drag import (
     ACTIVE,
+    ACTS_AT,
+    AT_POINTS,
     BANDS,
+    BY_PATCH,
     FRICTION,
     SECTORS,
     VISCOUS,
@@ -26,6 +29,7 @@ from ttus_opt.haptic.drag import (
 from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import MOTION, estimate_twist
+from ttus_opt.haptic.point_drag import add_point_drag
 from ttus_opt.probe.pose import EXACT, ROUNDING, STEPS
 
 #: What a frame returns in place of a count when its input is unusable
@@ -131,15 +135,16 @@ def render_frame(
         return BAD_TWIST, False, 0, False
     contact, in_grid, beyond = touch(R, at, data)
     wrench_of(pair.target, contact, R, data, wrench)
-    if _may_drag(pair, twist):
+    moves = _may_drag(pair, twist)
+    if moves and max(pair.target_drag[ACTIVE], pair.current_drag[ACTIVE]) == BY_PATCH:
         patch_of(R, contact, data.touched, data.depth, limits.weights, patch)
     else:
         _clear(patch)
-    drag_of(R, at, twist, reference, patch, wrench, pair.target_drag, drag)
+    _drag(buffers, moves, contact, data, pair.target_drag, WRENCH, DRAG)
     if ledger[PROGRESS] < 1.0:
         old, old_drag = rows[OLD], rows[OLD_DRAG]
         wrench_of(pair.current, contact, R, data, old)
-        drag_of(R, at, twist, reference, patch, old, pair.current_drag, old_drag)
+        _drag(buffers, moves, contact, data, pair.current_drag, OLD, OLD_DRAG)
         if may_write:
             motion = follow(ledger, R, at, reference)
             limit = numbers[BLEND:FORCE]
@@ -151,6 +156,24 @@ def render_frame(
     for c in range(6):
         wrench[c] += drag[c]
     return contact, in_grid, beyond, _cut(wrench, numbers[FORCE])
+
+
+@compiled(inline="always")
+def _drag(
+    buffers: FrameBuffers,
+    moves: bool,
+    contact: int,
+    data: FrameData,
+    numbers: Array,
+    of: int,
+    into: int,
+) -> None:
+    """The drag of the field that was sampled last, row ``of`` its wrench (compiled)."""
+    R, rows = buffers.R, buffers.rows
+    twist, reference, drag = rows[TWIST], data.reference, rows[into]
+    drag_of(R, buffers.at, twist, reference, rows[PATCH], rows[of], numbers, drag)
+    if moves and numbers[ACTS_AT] == AT_POINTS and numbers[FRICTION] > 0.0:
+        add_point_drag(R, twist, contact, data, numbers, drag)
 
 
 @compiled(inline="always")
@@ -248,7 +271,8 @@ def mixed_drag(
     """The drag law of a mixture of two fields, when an update comes amid a swap.
 
     At the ledger's pose its μ gives the force that both laws together gave there, so
-    that force does not jump; viscosities are mixed by their shares. Deadband, regions
+    that force does not jump (drag at every point: as far as both fields are alike over
+    the patch); viscosities are mixed by their shares. Deadband, regions
     and where drag acts are taken from the field with the larger share: where the other
     field's differ, direction and size of drag change by as much.
 
@@ -285,7 +309,8 @@ def mixed_drag(
             + share * frictions[1] * pressed[1]
         ) / pressed[2]
     numbers = major.copy()
-    numbers[ACTIVE], numbers[FRICTION] = 1.0, min(friction, max(frictions))
+    numbers[ACTIVE] = max(old[ACTIVE], new[ACTIVE])
+    numbers[FRICTION] = min(friction, max(frictions))
     if (old[SECTORS : BANDS + 1] == new[SECTORS : BANDS + 1]).all():
         numbers[VISCOUS:] = (1.0 - share) * old[VISCOUS:] + share * new[VISCOUS:]
     return numbers

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array
 from ttus_opt.contact import friction
 from ttus_opt.contact.friction import DragRows, Sliding
+from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import Fitted
@@ -33,13 +34,20 @@ Blocks = dict[str, sp.csr_array]
 AT_REST = 1e-3
 
 
+def coulomb_rows_over(scene: Scene, sliding: Sliding, deadband: float) -> DragRows:
+    """Coulomb drag in a scene per unit of μ p, where ``sliding`` says it acts."""
+    where = (scene.voxmap, scene.shell, scene.trajectory)
+    how = {"sampling": scene.sampling, "deadband": deadband}
+    return drag_rows(scene.rows, sliding, *where, **how)  # type: ignore[arg-type]
+
+
 @dataclass(frozen=True)
 class DragModel(abc.ABC):
     """How the skin drags on the probe.
 
     Attributes:
         scene: Probe, motion and rows.
-        acts_at: Where drag acts, ``contact`` or ``reference``.
+        acts_at: Where drag acts, ``contact``, ``reference`` or ``points``.
         deadband: Sliding slower than this is on its way to rest [m/s].
     """
 
@@ -61,9 +69,7 @@ class DragModel(abc.ABC):
     @cached_property
     def rows(self) -> DragRows:
         """Drag per unit of what drives it."""
-        return friction.coulomb_rows(
-            self.sliding, self.scene.rows, deadband=self.deadband
-        )
+        return coulomb_rows_over(self.scene, self.sliding, self.deadband)
 
     def force_blocks(self) -> Blocks:
         """Force rows by variable: the field's N and what drag takes away."""
@@ -115,6 +121,7 @@ class DragModel(abc.ABC):
         return self.identified(values) | {
             friction.DRAG_DEADBAND: self.deadband,
             friction.DRAG_AT_REFERENCE: float(self.acts_at == "reference"),
+            friction.DRAG_AT_POINTS: float(self.acts_at == "points"),
             **dict(zip(friction.DRAG_AXIS, self.sliding.axis.tolist(), strict=True)),
         }
 

@@ -2,8 +2,8 @@
 
 With p₁ the Laplace field of boundary value 1, forces s (N − μ F) p₁ and torques are
 linear in (s, s μ). A least squares problem of two unknowns gives μ, the boundary
-scale with drag included, and whether drag acts at the contact or through the probe's
-reference point.
+scale with drag included, and whether drag acts at the contact, through the probe's
+reference point, or at every point of the probe for itself.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ttus_opt.contact.friction import DEADBAND, Sliding, coulomb_rows
+from ttus_opt.contact.friction import DEADBAND, Sliding
 from ttus_opt.scene import Scene
+from ttus_opt.terms.drag import coulomb_rows_over
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class DragEstimate:
     Attributes:
         friction_coefficient: μ, not negative [–].
         boundary_scale: Factor on the scene's boundary values [–].
-        acts_at: ``contact`` or ``reference``.
+        acts_at: ``contact``, ``reference`` or ``points``.
         misfit: Root mean square of force residuals and, where they were measured,
             torque residuals over ℓ [N].
     """
@@ -35,19 +36,23 @@ class DragEstimate:
 
 
 def estimate_drag(
-    scene: Scene, acts_at: str = "auto", deadband: float = DEADBAND
+    scene: Scene,
+    acts_at: str = "auto",
+    deadband: float = DEADBAND,
+    places: tuple[str, ...] = ("points", "contact", "reference"),
 ) -> DragEstimate:
     """Estimate drag by least squares.
 
     Args:
         scene: With measured wrenches.
-        acts_at: ``contact``, ``reference``, or "auto" for what fits better.
+        acts_at: ``contact``, ``reference``, ``points``, or "auto" for what fits best.
         deadband: Sliding slower than this is on its way to rest [m/s].
+        places: Those among which "auto" chooses.
 
     Returns:
         The estimate; μ is 0 where nothing slides.
     """
-    places = ("contact", "reference") if acts_at == "auto" else (acts_at,)
+    places = places if acts_at == "auto" else (acts_at,)
     p = scene.laplace.solve(scene.b)
     measured, pressed = scene.f, scene.N @ p
     scale = 1.0 / scene.torque_length
@@ -57,7 +62,7 @@ def estimate_drag(
     found = []
     for place in places:
         sliding = Sliding.of(scene.voxmap, scene.shell, scene.trajectory, place)
-        rows = coulomb_rows(sliding, scene.rows, deadband=deadband)
+        rows = coulomb_rows_over(scene, sliding, deadband)
         dragged = rows.force @ p
         if not scene.measures_force_only:
             dragged = np.concatenate([dragged, scale * (rows.torque @ p)])
