@@ -117,3 +117,30 @@ def test_an_image_beyond_single_precision_is_kept_conjugate() -> None:
     d, images = subspace._kept
     assert np.isfinite(images).all()
     assert float(d[0].astype(float) @ images[0]) == pytest.approx(1.0, rel=1e-5)
+
+
+@pytest.mark.parametrize("kept_as", [np.float64, np.float32])
+def test_a_vector_is_its_parts_and_a_conjugate_rest(kept_as: type) -> None:
+    system = Dense(np.ones(M))
+    subspace, rng = RecycledSubspace(system, kept_as), np.random.default_rng(6)
+    for direction in rng.normal(size=(5, M)):
+        subspace.extend(direction, 0.0)
+    y = rng.normal(size=M)
+    parts, rest = subspace.parts(y)
+    d = subspace.directions.astype(float)
+    np.testing.assert_allclose(parts @ d + rest, y, atol=1e-5)
+    size = np.sqrt(y @ system.S @ y)
+    np.testing.assert_allclose(parts, d @ system.S @ y, atol=1e-5 * size)
+    np.testing.assert_allclose(d @ system.S @ rest, 0.0, atol=1e-5 * size)
+
+
+def test_dependent_directions_are_dropped_with_other_weights() -> None:
+    subspace, rng = RecycledSubspace(Dense(np.ones(M))), np.random.default_rng(7)
+    for direction in rng.normal(size=(3, M)):
+        subspace.extend(direction, 0.0)
+    subspace._store[:, 3:5], subspace._count = subspace._store[:, 1:3], 5
+    second = Dense(np.linspace(0.5, 2.0, M))
+    subspace.adopt(second)
+    assert len(subspace) == 3
+    gram = subspace.directions @ second.S @ subspace.directions.T
+    np.testing.assert_allclose(gram, np.eye(3), atol=1e-8)
