@@ -7,6 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from tests.conftest import small_scene
+from ttus_opt.problem import kkt
 from ttus_opt.problem.distance import CLOSE
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.gradient_blocks import _least_gradient
@@ -78,6 +79,33 @@ def test_bounds_have_multipliers_of_their_own() -> None:
     x, z = np.array([1.0, -1.0, 0.0]), np.array([2.0, -2.0, 0.0])
     assert_optimal(kkt_residuals(problem, x, Duals({}, z)))
     assert kkt_residuals(problem, x, Duals()).dual == pytest.approx(np.sqrt(8))
+
+
+def test_a_point_is_judged_anew_where_anything_of_it_has_changed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    of = program(1, [squares([3.0])], (rows("limit", [[1.0]], -np.inf, 1.0),))
+    judged = []
+    whole = kkt._residuals
+    monkeypatch.setattr(kkt, "_residuals", lambda *a: judged.append(a) or whole(*a))
+    x, y = np.array([1.0]), np.array([4.0])
+    first = kkt_residuals(of, x, Duals({"limit": y}))
+    assert kkt_residuals(of, x.copy(), Duals({"limit": y.copy()})) is first
+    assert len(judged) == 1
+    y[0] = 5.0  # in place
+    assert kkt_residuals(of, x, Duals({"limit": y})).dual > 0.5
+    y[0], x[0] = 4.0, 2.0
+    assert kkt_residuals(of, x, Duals({"limit": y})).primal == 1.0
+    kkt_residuals(of, x, Duals({"limit": y}), tolerance=1e-9)
+    kkt_residuals(of, x, Duals({}, None, {"limit": y}))
+    assert len(judged) == 5
+    other = program(1, [squares([2.0])], (rows("limit", [[1.0]], -np.inf, 1.0),))
+    assert kkt_residuals(other, x, Duals({"limit": y})) != first
+    key = id(of)
+    assert key in kkt._last
+    judged.clear()
+    del of
+    assert key not in kkt._last
 
 
 def test_a_point_outside_is_measured_by_its_violation() -> None:

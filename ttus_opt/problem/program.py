@@ -388,7 +388,19 @@ def _stack(
     """Blocks side by side in the order of the variables, zero where absent."""
     if len(sizes) == 1:  # no copy in the usual case of p alone
         return blocks["p"]
-    parts = [
-        blocks.get(name, sp.csr_array((n_rows, size))) for name, size in sizes.items()
-    ]
-    return sp.csr_array(sp.hstack(parts))
+    starts = np.concatenate([[0], np.cumsum(list(sizes.values()))])
+    placed = dict(zip(sizes, starts, strict=False))
+    own = [(placed[name], blocks[name]) for name in sizes if name in blocks]
+    if not own:
+        return sp.csr_array((n_rows, int(starts[-1])))
+    # absent blocks move columns; to stack them too takes five times as long
+    matrix = own[0][1] if len(own) == 1 else sp.hstack([b for _, b in own], "csr")
+    widths = [block.shape[1] for _, block in own]
+    before = np.concatenate([[0], np.cumsum(widths)[:-1]])
+    index = sp.get_index_dtype(maxval=int(starts[-1]))
+    moved = np.repeat(np.array([s for s, _ in own]) - before, widths).astype(index)
+    columns = matrix.indices.astype(index)
+    if moved.any():
+        columns += moved[matrix.indices]
+    parts = (matrix.data, columns, matrix.indptr.astype(index))
+    return sp.csr_array(parts, shape=(n_rows, int(starts[-1])))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import touched_limits
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.optimality import Multipliers
-from ttus_opt.solvers.dual.touched_limits import TouchedLimits, complementary
+from ttus_opt.solvers.dual.touched_limits import TouchedLimits, complementary, telling
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.structured import Structured
 
@@ -56,11 +57,75 @@ def test_response_is_nearly_the_inverse_of_the_second_derivative(
     """Nearer than what the first field, which follows, makes of it: 3 and 1 %."""
     of = pair(weight, smoothness, 0.3, False)
     made = model(of)
-    exact = dense_response(of, made.voxels + len(of.limits.given) // 2)
+    n = len(of.limits.given)
+    # the unknown beside the fields is the last
+    exact = dense_response(of, np.append(made.voxels + n // 2, n))
     # in its own measure: eigenvalues of the exact inverse times the model
     size = np.linalg.eigvals(np.linalg.solve(exact, made.response)).real
     assert size.min() > 0.993
     assert size.max() < 1.03
+
+
+@pytest.mark.parametrize("weight", [1e-4, 1e-3])
+def test_many_measurements_and_few_that_tell_anything_make_one_response(
+    weight: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    of = pair(weight, 1.0, 0.3, False)
+    monkeypatch.setattr(touched_limits, "BLOCK", 4)
+    monkeypatch.setattr(touched_limits, "FEW", 1)
+    found = []
+    of_range = touched_limits.telling
+
+    def noted(*arguments: Any) -> Array | None:
+        found.append(of_range(*arguments))
+        return found[-1]
+
+    monkeypatch.setattr(touched_limits, "telling", noted)
+    few = model(of).response
+    monkeypatch.setattr(touched_limits, "telling", lambda *_: None)
+    all_rows = model(of).response
+    assert found[0] is not None
+    assert 0 < found[0].shape[1] < len(of.rows.t)
+    np.testing.assert_allclose(few, all_rows, atol=1e-3 * np.abs(all_rows).max())
+    assert np.linalg.eigvalsh(few).min() > 0.0
+
+
+def test_telling_is_the_range_but_for_what_may_be_left_out() -> None:
+    rng = np.random.default_rng(0)
+    turn = np.linalg.qr(rng.normal(size=(200, 200)))[0]
+    size = np.zeros(200)
+    size[:90] = np.logspace(4, -5, 90)
+    matrix = (turn * size) @ turn.T
+    found = telling(lambda values: matrix @ values, 200, 200)
+    assert found is not None
+    assert found.shape[1] < 200
+    np.testing.assert_allclose(found.T @ found, np.eye(found.shape[1]), atol=1e-12)
+    left = np.eye(200) - found @ found.T
+    assert np.linalg.norm(left @ matrix @ left, 2) < touched_limits.UNTOLD
+    assert telling(lambda values: matrix @ values, 200, 64) is None
+
+
+@pytest.mark.parametrize("at_upper", [False, True])
+def test_a_bound_of_the_unknown_beside_is_a_limit_like_others(at_upper: bool) -> None:
+    """Released or held, as the minimum over two limits by trying all has it."""
+    bounds = (0.0, 1.0)
+    root = np.array([[2.0, 0.0], [-0.9 if at_upper else 0.9, 1.0]])
+    response = root @ root.T
+    c, sign = (1.0, -1.0) if at_upper else (0.0, 1.0)
+    made = TouchedLimits(np.array([5]), response, bounds)
+    for slack, z_y, slope in itertools.product(
+        (-0.5, 0.3), (0.0, 0.4), (-0.6, 0.0, 0.8)
+    ):
+        found = made.active(np.array([slack]), np.array([z_y]), (c, slope))
+        turned = response * np.outer([1.0, sign], [1.0, sign])
+        constant = np.array([slack, 0.0]) - turned @ [z_y, sign * slope]
+        right = [
+            active
+            for active in itertools.product([False, True], repeat=2)
+            if not wrong_signs(turned, constant, np.array(active)).any()
+        ]
+        assert found is not None
+        assert found.tolist() in [[active[0]] for active in right]
 
 
 def test_its_voxels_are_those_that_rows_touch_and_limits_leave_open() -> None:
@@ -80,7 +145,9 @@ def test_its_voxels_are_those_that_rows_touch_and_limits_leave_open() -> None:
     stacked = sp.csr_array(sp.vstack([rows.rows, added]))
     assert stacked.nnz == rows.rows.nnz + 6
     weights = np.append(rows.root_weights, [1.0, 1.0])
-    made = TouchedLimits.of(replace(rows, rows=stacked, root_weights=weights), limited)
+    column = np.append(rows.measured_column, [0.0, 0.0])
+    longer = replace(rows, rows=stacked, root_weights=weights, measured_column=column)
+    made = TouchedLimits.of(longer, limited)
     assert made is not None
     np.testing.assert_array_equal(made.voxels, np.flatnonzero(touched & limited))
 

@@ -129,8 +129,9 @@ class FieldPair:
         data = L.data * np.repeat(units[:V], np.diff(L.indptr)) * units[L.indices]
         compliance = np.ones(2 * V)
         compliance[V:] = first.weight / prior.weight / units[V:] ** 2
-        both = sp.vstack([first.matrix, prior.matrix], format="csr")
-        column = both[:, self.others].sum(axis=1) / units
+        beside = np.zeros(program.n_variables)
+        beside[self.others] = 1.0
+        column = np.concatenate([t.matrix @ beside for t in (first, prior)]) / units
         b = np.concatenate([first.target, prior.target]) / units
         given = self.limits.given
         compliance[given], column[given] = 0.0, 0.0
@@ -157,7 +158,7 @@ class FieldPair:
             sp.csr_array(matrix[:, self.places] @ sp.diags_array(units)),
             root,
             root * np.concatenate([t.target for t in measured]),
-            root * matrix[:, self.others].sum(axis=1),
+            root * (matrix @ beside),
             self.bounds,
         )
 
@@ -183,7 +184,8 @@ class FieldPair:
         if (active.bounds[at] > 0).any():
             return None
         z = -signs.bounds[at] / (2.0 * first.weight)
-        held = model.active((p - self.limits.lower)[at], z)
+        beside = self.rows.beside_and_slope(p)
+        held = model.active((p - self.limits.lower)[at], z, beside)
         if held is None:
             return None
         bounds = active.bounds.copy()

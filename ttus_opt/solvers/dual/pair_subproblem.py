@@ -79,6 +79,10 @@ class PairRows:
 
     def beside(self, x: Array) -> float:
         """The best c between its bounds beside two fields, (2V,)."""
+        return self.beside_and_slope(x)[0]
+
+    def beside_and_slope(self, x: Array) -> tuple[float, float]:
+        """The same, and the slope of half the objective in c there."""
         soft = self.compliance > 0.0
         root = 1.0 / np.sqrt(self.compliance[soft])
         column = np.concatenate([root * self.column[soft], self.measured_column])
@@ -88,9 +92,10 @@ class PairRows:
                 self.t - self.root_weights * (self.rows @ x),
             ]
         )
-        square = float(column @ column)
-        best = float(column @ misfit) / square if square > 0.0 else 0.0
-        return float(np.clip(best, *self.bounds))
+        square, along = float(column @ column), float(column @ misfit)
+        best = along / square if square > 0.0 else 0.0
+        c = float(np.clip(best, *self.bounds))
+        return c, (c - best) * square
 
 
 def of_both(matrix: sp.csr_array, values: NDArray[Any]) -> NDArray[Any]:
@@ -241,7 +246,10 @@ class PairSubproblem:
             near = self._whole.beside(last)
             z = np.where(self._unknowns.own, last - self._unknowns.offset, 0.0)
             z += near * self._made
-        answer = self._solver.solve(self._b, self._t, accuracy, z, np.array([near]))
+        # from a bound that does not hold c in the end all directions are lost
+        at_bound = last is not None and near in self._whole.bounds
+        at = None if at_bound else np.array([near])
+        answer = self._solver.solve(self._b, self._t, accuracy, z, at)
         z = answer.p - answer.c[0] * self._made
         p = np.asarray(self._unknowns.expansion @ z + self._unknowns.offset)
         return replace(answer, p=p)

@@ -48,7 +48,7 @@ MANY_WRONG, STRICTER = 0.25, 0.7
 FEW_WRONG, LAXER = 0.1, 0.75
 
 #: A predicted working set is solved to the end where it differs in this share [–]
-FEW = 0.02
+FEW = 0.15
 
 #: By how much more exactly a predicted set is solved where the last left no fewer
 #: violations: its prediction may have been no better than its accuracy [–]

@@ -9,6 +9,7 @@ next one by a linear complementarity problem:
 
     y' = y + Γ (z' - z),   y' ≥ l,   z' ≥ 0,   z'ᵀ(y' - l) = 0.
 
+An unknown c beside the fields is one more entry of y, and a bound of it one more limit.
 In the prior's part of Γ a V-cycle stands for each L⁻¹, as in `preconditioner`; Γ errs
 by a few per cent, and so does the next working set, whose minimiser leads to a better
 one: Newton's method with an approximate derivative. All limits of all voxels are
@@ -17,6 +18,7 @@ judged by what `optimality` finds, not by this.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,6 +42,15 @@ FREE = 1e4
 #: Rounding of the prior's part, in single precision, over its mean variance [–]
 ROUNDING = 1e-6
 
+#: Random combinations at a time [–]
+BLOCK = 64
+
+#: Where more than this part of the voxels' number do not do, none are left out [–]
+FEW = 3
+
+#: What measurements left out may tell, as their covariance over their noise's [–]
+UNTOLD = 1e-2
+
 #: Exchanges of all wrong signs that may fail to leave fewer, and exchanges at most
 TRIES, MOST_EXCHANGES = 10, 300
 
@@ -50,11 +61,14 @@ class TouchedLimits:
 
     Attributes:
         voxels: Those, shape (k,).
-        response: Γ, shape (k, k).
+        response: Γ, shape (k, k); of the unknown c beside the fields as well, as the
+            last, where it makes a field, (k + 1, k + 1).
+        bounds: Of c.
     """
 
     voxels: IntArray
     response: Array = field(repr=False)
+    bounds: tuple[float, float]
 
     @classmethod
     def of(cls, rows: PairRows, limited: Mask) -> TouchedLimits | None:
@@ -72,43 +86,127 @@ class TouchedLimits:
         if not 0 < k <= MOST_VOXELS:
             return None
         G = _prior_covariance(rows, voxels)
+        G[np.diag_indices(k)] += ROUNDING * np.trace(G) / k
         ratio = rows.compliance[voxels[0]] / rows.compliance[V + voxels[0]]
         weighted = sp.diags_array(rows.root_weights) @ rows.rows
         x, y = (sp.csr_array(weighted[:, at]) for at in (voxels, V + voxels))
-        of_x, of_y, of_both = (
-            (one.T @ other).toarray() for one, other in ((x, x), (y, y), (x, y))
-        )
-        mean = rows.laplace.solve(rows.column[V:], rtol=MEAN_RTOL)[voxels]
+        mean = -rows.laplace.solve(rows.column[V:], rtol=MEAN_RTOL)[voxels]
+        size = float(mean @ mean)
+        if size > 0.0:
+            mean = np.sqrt(FREE * np.trace(G) / size) * np.append(mean, 1.0)
+            y = sp.csr_array(
+                sp.hstack([y, sp.csr_array(rows.measured_column[:, None])])
+            )
         try:
-            # of y beside an x that follows as measured rows and its prior have it
-            follows = _posterior(ratio * G, of_x)
-            told = of_y - of_both.T @ follows @ of_both
-            size = float(mean @ mean)
-            if size > 0.0:
-                G += (FREE * np.trace(G) / size) * np.outer(mean, mean)
-            return cls(voxels, _posterior(G, (told + told.T) / 2.0))
+            return cls(voxels, _response(G, mean, ratio, x, y), rows.bounds)
         except np.linalg.LinAlgError:  # weights so large that rounding is all
             return None
 
-    def active(self, slack: Array, multipliers: Array) -> Mask | None:
+    def active(
+        self, slack: Array, multipliers: Array, beside: tuple[float, float]
+    ) -> Mask | None:
         """Where y ≥ l is active next, shape (k,); None where rounding hides it.
 
         Args:
             slack: y - l of the last working set, shape (k,).
             multipliers: z there, of half the objective, shape (k,).
+            beside: c, and the slope of half the objective in c.
         """
-        constant = slack - self.response @ multipliers
-        return complementary(self.response, constant, multipliers != 0.0)
+        response, k = self.response, len(self.voxels)
+        if len(response) > k:
+            (c, slope), (lower, upper) = beside, self.bounds
+            if c == upper:  # its limit as one from below
+                response = response.copy()
+                response[k], response[:k, k] = -response[k], -response[:k, k]
+                response[k, k] *= -1.0
+            at = (upper - c, -slope) if c == upper else (c - lower, slope)
+            slack, multipliers = np.append(slack, at[0]), np.append(multipliers, at[1])
+        constant = slack - response @ multipliers
+        found = complementary(response, constant, multipliers != 0.0)
+        return None if found is None else found[:k]
+
+
+def _response(
+    prior: Array, mean: Array, ratio: float, x: sp.csr_array, y: sp.csr_array
+) -> Array:
+    """Γ: the covariance of y, and of c, after measurements with noise of variance 1.
+
+    With G' = G + m mᵀ, where G has no part in c, and Q the combinations of measured
+    rows that tell anything,
+
+        Γ = G' - G'YᵀQ (I + Qᵀ(ρ X G Xᵀ + Y G'Yᵀ)Q)⁻¹ QᵀY G'.
+
+    Where these are many, no rows are left out, and what they tell of the first field is
+    eliminated before: its covariance follows, and then that of the second.
+
+    Args:
+        prior: G, covariance of the second field before, shape (k, k).
+        mean: m, the field that c makes and c itself, shape (k + 1,); zeros (k,) where
+            it makes none.
+        ratio: ρ, variance of the first field over that of the second [–].
+        x: X, measured rows of the first field, shape (m, k).
+        y: Y, of the second and of c, shape (m, k + 1) or (m, k).
+    """
+    k = len(prior)
+
+    def measured(ends: Array) -> tuple[Array, Array]:
+        """QᵀY G' and Qᵀ(ρ X G Xᵀ + Y G'Yᵀ) of some combinations Q."""
+        own = np.asarray(ends.T @ y)
+        moved = np.outer(own @ mean, mean)
+        moved[:, :k] += own[:, :k] @ prior
+        first = ratio * np.asarray(ends.T @ x) @ prior
+        return moved, np.asarray(x @ first.T + y @ moved.T).T
+
+    whole = np.outer(mean, mean)
+    whole[:k, :k] += prior
+    most = k // FEW
+    told = telling(lambda ends: measured(ends)[1].T, x.shape[0], most)
+    if told is None:
+        of_x, of_y, of_both = (
+            (one.T @ other).toarray() for one, other in ((x, x), (y, y), (x, y))
+        )
+        follows = _posterior(ratio * prior, of_x)
+        left = of_y - of_both.T @ follows @ of_both
+        return _posterior(whole, (left + left.T) / 2.0)
+    moved, kernel = measured(told)
+    inner = np.eye(told.shape[1]) + kernel @ told
+    factor = scipy.linalg.cholesky(
+        (inner + inner.T) / 2.0, lower=True, check_finite=False
+    )
+    half = scipy.linalg.solve_triangular(factor, moved, lower=True, check_finite=False)
+    return np.asarray(whole - half.T @ half)
+
+
+def telling(operator: Callable[[Array], Array], n: int, most: int) -> Array | None:
+    """Orthonormal columns, (n, r), off which an operator does next to nothing.
+
+    The range of random combinations (Halko, Martinsson, Tropp, SIAM Rev. 53, 2011),
+    a block at a time: what one adds tells what those before it have missed.
+
+    Args:
+        operator: Symmetric positive semidefinite, (n, k) to (n, k).
+        n: Its size.
+        most: Most columns; None is the answer where these do not do.
+    """
+    rng = np.random.default_rng(0)
+    found = np.zeros((n, 0))
+    while True:
+        block = operator(rng.standard_normal((n, BLOCK)))
+        for _ in range(2):
+            block -= found @ (found.T @ block)
+        if np.linalg.norm(block) <= UNTOLD * np.sqrt(BLOCK):
+            return found
+        if found.shape[1] + BLOCK > min(n, most):
+            return None
+        block = np.linalg.qr(block)[0]
+        block -= found @ (found.T @ block)  # what rounding left of them is large now
+        found = np.hstack([found, np.linalg.qr(block)[0]])
 
 
 def _posterior(covariance: Array, information: Array) -> Array:
     """(G⁻¹ + H)⁻¹, positive definite, of G and H, shape (k, k) each."""
-    k = len(covariance)
-    jitter = ROUNDING * np.trace(covariance) / k
-    root = scipy.linalg.cholesky(
-        covariance + jitter * np.eye(k), lower=True, check_finite=False
-    )
-    inner = np.eye(k) + root.T @ information @ root
+    root = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
+    inner = np.eye(len(root)) + root.T @ information @ root
     factor = scipy.linalg.cholesky(inner, lower=True, check_finite=False)
     half = scipy.linalg.solve_triangular(factor, root.T, lower=True, check_finite=False)
     return np.asarray(half.T @ half)
