@@ -1,4 +1,4 @@
-"""How far wrenches disagree with the geometry, against least squares by SciPy."""
+"""Agreement with the geometry against SciPy; torques about an exactly known point."""
 
 from __future__ import annotations
 
@@ -7,12 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.optimize
+from scipy.spatial.transform import Rotation
 
 from tests.conftest import small_scene
-from ttus_opt.fitting.agreement import agreement
+from ttus_opt.fitting.agreement import agreement, torque_offset
 
 SCENE = small_scene("trilinear")
 PRIOR = SCENE.laplace.solve(SCENE.b)
+RNG = np.random.default_rng(0)
+N = 30
+TURN = Rotation.random(N, rng=1).as_matrix()
+FORCE = RNG.normal(0.0, 3.0, (N, 3))
+EXPECTED = RNG.normal(0.0, 0.1, (N, 3))
 
 
 def left(expected: np.ndarray, measured: np.ndarray) -> tuple[float, float]:
@@ -51,3 +57,21 @@ def test_where_nothing_is_expected_all_disagrees_that_is_measured() -> None:
     silent = replace(frames, force=0.0 * frames.force, torque=0.0 * frames.torque)
     assert agreement(SCENE, PRIOR, silent).disagreement == 0.0
     assert agreement(SCENE, none, silent).torque_ratio == 0.0
+
+
+@pytest.mark.parametrize("factor", [1.0, 7.0])
+def test_an_offset_is_found_beside_any_factor(factor: float) -> None:
+    c = np.array([0.01, -0.03, 0.08])
+    torque = factor * EXPECTED - np.cross(TURN @ c, FORCE)
+    assert torque_offset(torque, EXPECTED, FORCE, TURN) == pytest.approx(c)
+    assert torque_offset(factor * EXPECTED, EXPECTED, FORCE, TURN) == pytest.approx(
+        np.zeros(3), abs=1e-12
+    )
+
+
+def test_pushes_along_one_axis_tell_nothing_along_it() -> None:
+    force = 3.0 * TURN[:, :, 2]
+    c = np.array([0.01, -0.03, 0.08])
+    torque = -np.cross(TURN @ c, force)
+    found = torque_offset(torque, np.zeros((N, 3)), force, TURN)
+    assert found == pytest.approx([0.01, -0.03, 0.0])

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.fitting.posterior import MeasuredRows, kept_rows
+from ttus_opt.fitting.posterior import WeightedData, kept_rows
 
 
 def test_solve_is_the_dense_inverse() -> None:
     rng = np.random.default_rng(1)
     B, values = 0.5 * rng.normal(size=(6, 80)), rng.normal(size=80)
-    measured = MeasuredRows.of(B, values)
+    measured = WeightedData.of(B, values)
     dense = np.linalg.solve(np.eye(80) + B.T @ B, values)
     np.testing.assert_allclose(measured.solve(values), dense, atol=1e-9)
 

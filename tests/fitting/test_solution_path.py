@@ -98,7 +98,7 @@ def test_a_drag_coefficient_is_a_variable() -> None:
     assert float(found[1]) == pytest.approx(value, rel=1e-4, abs=1e-6)
 
 
-class Stumbling(path_solvers._WithoutCriteria):
+class Stumbling(path_solvers.PointSolver):
     """Solves until a point, where it does something else."""
 
     def __init__(self, solve: Any, at: int, what: Any) -> None:

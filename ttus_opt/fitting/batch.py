@@ -11,7 +11,7 @@ from ttus_opt.compiled import Stopwatch
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.breakdown import Guarded
 from ttus_opt.fitting.identification import fitted_estimates, with_estimates
-from ttus_opt.fitting.parameter_search import Found, searched
+from ttus_opt.fitting.parameter_search import SearchResult, search_parameters
 from ttus_opt.fitting.verdict import check_candidate
 from ttus_opt.fitting.verdict import judged as judged
 from ttus_opt.problem import formulation as shelf
@@ -26,14 +26,14 @@ from ttus_opt.solvers.base import Prepared, Request, Solver
 if TYPE_CHECKING:
     from ttus_opt.fitting.weight_words import Word
 
-#: KKT tolerance of the fits along a search; the last one has the tolerance asked for
+#: KKT tolerance of the fits during a search; the final fit has the requested one
 SEARCH_TOLERANCE = 1e-4
 
-#: What is fitted where nothing is asked for
-USUAL = "eq10"
+#: The formulation where none is given
+DEFAULT_FORMULATION = "eq10"
 
-#: After these, "auto" goes on to the next solver
-_GOES_ON = (Status.INACCURATE, Status.FAILED)
+#: Statuses after which "auto" tries the next solver
+_TRY_NEXT = (Status.INACCURATE, Status.FAILED)
 
 
 def fit(
@@ -52,29 +52,30 @@ def fit(
         scene: Patient, probe and measurements.
         formulation: A name, a path to a file with ``build``, or a Formulation; None
             for eq. 10.
-        solver: A solver's name, "auto", the path of a file with ``SOLVERS``, or an
-            object of a class over `ttus_opt.solvers.base.Solver`.
+        solver: A solver's name, "auto", the path of a file with ``SOLVERS``, or a
+            `ttus_opt.solvers.base.Solver`.
         tolerance: Largest relative KKT residual of a solution [–].
-        time_limit: Most seconds the solver may take, each time it is called [s].
-        weights: "auto" chooses weights and boundary scale by their marginal likelihood
-            (`ttus_opt.tune`), or takes the formulation's own with a `TtusWarning`
-            where the recordings do not bear it, or presses left out are predicted
-            worse; so does a depth map give way to eq. 10. "recipe" chooses formulation
-            and sampling as well, by presses left out: give no formulation
-            (`ttus_opt.fitting.recipe`). "own" or None takes the formulation's own.
-        options: The formulation's own (``force_weight``, ``torque_weight``, …).
+        time_limit: Most time of every call of the solver [s].
+        weights: "auto" chooses weights and boundary scale by marginal likelihood
+            (`ttus_opt.tune`). Where the recordings do not determine them, or they
+            predict left-out presses worse, the formulation's own weights are used with
+            a `TtusWarning`; likewise, eq. 10 replaces a depth map. "recipe" chooses
+            formulation and sampling as well, by left-out presses
+            (`ttus_opt.fitting.recipe`): give no formulation. "own" or None takes the
+            formulation's own weights.
+        options: Options of the formulation (``force_weight``, ``torque_weight``, …).
 
-    Returns: The solution; its ``field`` is there only when its residuals, computed
-    here, hold to the tolerance. Parameters beside the field come with standard errors,
-    see `ttus_opt.fitting.identification`; those that the data do not bear have their
-    neutral value, for which the field is fitted, and are named.
+    Returns: The solution. It has a ``field`` only when its residuals, computed here,
+    meet the tolerance. Parameters beside the field have standard errors
+    (`ttus_opt.fitting.identification`); those that the data do not determine are named
+    and have their neutral value, with which the field is fitted.
 
     Raises:
         InputError: Unknown formulation, option or solver, or a solver that cannot
             take the problem.
         SolverUnavailableError: The solver's package is not installed.
     """
-    usual = USUAL if formulation is None else formulation
+    usual = DEFAULT_FORMULATION if formulation is None else formulation
     if weights not in (None, "own"):
         from ttus_opt.fitting.weight_words import RECIPE, choice_of
 
@@ -102,32 +103,32 @@ def fit(
     doubts = declared.not_identifiable()
     declared = declared.with_neutral(doubts)
     if declared.search is None:
-        return _told(Found(declared, {}), doubts, solver, request, watch)
+        unsearched = SearchResult(declared, {})
+        return _fit_identified(unsearched, doubts, solver, request, watch)
     loose = replace(request, tolerance=max(SEARCH_TOLERANCE, request.tolerance))
-    sought = searched(
-        declared.search, Again(solver, loose), Again(solver, request), doubts
-    )
-    sought = replace(sought, formulation=sought.formulation.named(declared.name))
-    return _told(sought, doubts, solver, request, None, watch)
+    fits = RepeatedFit(solver, loose), RepeatedFit(solver, request)
+    result = search_parameters(declared.search, *fits, doubts)
+    result = replace(result, formulation=result.formulation.named(declared.name))
+    return _fit_identified(result, doubts, solver, request, None, watch)
 
 
-def _told(
-    found: Found,
+def _fit_identified(
+    found: SearchResult,
     doubts: Mapping[str, str],
     solver: str | Path | Solver,
     request: Request,
     declaring: Stopwatch | None,
     searching: Stopwatch | None = None,
 ) -> Solution:
-    """The fit of what a search found, until the data bear every parameter in it.
+    """Fit, setting parameters to neutral until the data determine all others.
 
     Args:
-        found: The formulation, and estimates of what was searched for.
+        found: The formulation, and estimates of the searched parameters.
         doubts: Why a parameter is not identified, by name.
         solver: As of `fit`.
         request: Tolerance and time limit.
-        declaring: Runs since declaring it began; None where a search came between.
-        searching: Runs since the search began; None without one.
+        declaring: Started with the declaration; None after a search.
+        searching: Started with the search; None without one.
     """
     declared = found.formulation
     known = dict(doubts)
@@ -148,7 +149,7 @@ def _told(
         compiled += watch.compile
         more = {n: e.doubt for n, e in estimates.items() if e.doubt}
         if not any(estimates[name].value for name in more):
-            # nothing is in doubt, or what is has its neutral value already
+            # all are identified, or have their neutral value already
             known |= more
             break
         declared = declared.with_neutral(more)
@@ -163,8 +164,8 @@ def _told(
     return with_estimates(solution, declared.scene, estimates, known, found.trouble)
 
 
-class Again:
-    """Fits of one formulation after the other by one solver that keeps its state."""
+class RepeatedFit:
+    """Fits a sequence of formulations by one solver that keeps its state."""
 
     def __init__(self, solver: str | Path | Solver, request: Request) -> None:
         self._solver, self._request = solver, request
@@ -180,16 +181,16 @@ class Again:
 
 
 class Fitter:
-    """A formulation with a solver loaded, for solving again with other data.
+    """A formulation with a solver loaded, for repeated solves with other data.
 
-    ``update(declared.with_weights(force=1e-2))`` and ``solve()`` give the solution for
-    other weights from what the solver has kept.
+    ``update(declared.with_weights(force=1e-2))`` and ``solve()`` solve for other
+    weights, reusing the solver's state.
 
     Args:
         declared: The formulation.
         solver: As of `fit`.
         request: Tolerance and time limit.
-        watch: Runs since declaring it began.
+        watch: Started with the declaration.
     """
 
     def __init__(
@@ -228,7 +229,7 @@ class Fitter:
 
     @property
     def solver(self) -> Solver:
-        """The solver that was chosen."""
+        """The chosen solver."""
         return self._backend
 
     @property
@@ -237,7 +238,7 @@ class Fitter:
         return self._backend.name
 
     def update(self, declared: Formulation) -> None:
-        """Take other weights or data; the solver keeps what it can."""
+        """Take other weights or data, keeping the solver's state."""
         watch = Stopwatch()
         self._declared = declared
         self._reduction = self._reduced()
@@ -246,15 +247,15 @@ class Fitter:
         self._compile += watch.compile
 
     def solve(self) -> Solution:
-        """Solve what is loaded and verify the answer.
+        """Solve and verify.
 
-        With "auto" a solver whose answer does not hold gives way to the next one, now
-        and for later solves; `Solution.attempts` tells.
+        With "auto", a solver whose answer fails its check is replaced by the next one,
+        for later solves too; `Solution.attempts` lists them.
         """
         solution = self._solved()
         attempts: list[Attempt] = []
         best = solution
-        while solution.status in _GOES_ON and self._others:
+        while solution.status in _TRY_NEXT and self._others:
             attempts.append(Attempt.of(solution))
             self._take_next()
             solution = self._solved()
@@ -267,12 +268,12 @@ class Fitter:
         return replace(best, attempts=tuple(attempts))
 
     def _reduced(self) -> Reduction:
-        """The program as solvers get it, and as answers are judged by."""
+        """The program for the solver, and the one for the verdict."""
         reduction = reduce(self._declared.compile())
         return replace(reduction, program=self._compression(reduction.program))
 
     def _loaded(self) -> Prepared:
-        """The solver in charge with the program."""
+        """The current solver with the program loaded."""
         return Guarded(self._backend, self._reduction.program, self._request)
 
     def _take_next(self) -> None:
@@ -284,7 +285,7 @@ class Fitter:
         self._first = None
 
     def _solved(self) -> Solution:
-        """What the solver in charge answers, verified."""
+        """Solve with the current solver and verify."""
         watch = Stopwatch()
         candidate = self._prepared.solve()
         check_candidate(candidate, self._reduction.program, self._backend.name)

@@ -1,7 +1,7 @@
-"""A solver whose arithmetic breaks down gives no answer: no error of the fit.
+"""A solver whose arithmetic breaks down has no answer; the fit itself does not fail.
 
-Numbers of very different size in one problem end in a factorisation that fails or an
-iteration that does not settle. ``solver="auto"`` then goes on to the next solver.
+Badly scaled problems make factorisations fail or iterations diverge. ``solver="auto"``
+then continues with the next solver.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from ttus_opt.user_code import told_by_line
 
 T = TypeVar("T")
 
-#: What arithmetic raises; of a user's own solver it is told with its line
+#: Exceptions of arithmetic; from a user's own solver they become an `InputError`
 BREAKDOWNS = (ArithmeticError, np.linalg.LinAlgError)
 
 
 class Guarded(Prepared):
-    """A solver with a program loaded, whose breakdowns are answers without a point.
+    """A solver with a program loaded, whose breakdowns become candidates without x.
 
     Args:
         solver: The solver.
-        program: What it is to load.
+        program: The program to load.
         request: Tolerance and time limit.
     """
 
@@ -43,7 +43,7 @@ class Guarded(Prepared):
         self.update(program)
 
     def update(self, program: Program) -> None:
-        """Take other data; all anew after a breakdown."""
+        """Take other data; prepare anew after a breakdown."""
         kept, self._prepared = self._prepared, None
 
         def load() -> Prepared:
@@ -55,7 +55,7 @@ class Guarded(Prepared):
         self._prepared = self._tried(load)
 
     def solve(self) -> Candidate:
-        """The solver's answer, or none and why."""
+        """The solver's answer, or a candidate with the reason."""
         found = None
         if self._prepared is not None:
             found = self._tried(self._prepared.solve)
@@ -64,7 +64,7 @@ class Guarded(Prepared):
         return found
 
     def _tried(self, act: Callable[[], T]) -> T | None:
-        """What it returns; None where it broke down."""
+        """The result of a call; None where it broke down."""
         try:
             with told_by_line(f"solver {self._solver.name}"):
                 return act()

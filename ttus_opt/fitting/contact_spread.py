@@ -1,4 +1,4 @@
-"""Do recordings touch the patient in more than one spot? A field learns only there."""
+"""Do recordings touch the patient in more than one spot? Elsewhere the prior holds."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from ttus_opt.errors import TtusWarning
 from ttus_opt.scene import Scene
 
-#: Contacts within this distance of their middle, along the surface, are one spot [m]
+#: Contacts within this distance of their centre, along the surface, are one spot [m]
 SPOT = 0.005
 
-#: Fewer frames in contact than this are a try, not a recording [–]
+#: Fewest frames in contact for a spread [–]
 LEAST = 20
 
 
 def contact_spread(scene: Scene) -> float:
-    """Largest distance of a contact from their middle, along the surface [m].
+    """Largest distance of a contact from the contacts' centre, along the surface [m].
 
-    Depth does not count. NaN where fewer than `LEAST` frames are in contact.
+    NaN where fewer than `LEAST` frames are in contact.
     """
     touching = scene.rows.contact_points > 0
     if touching.sum() < LEAST:
@@ -34,7 +34,7 @@ def contact_spread(scene: Scene) -> float:
 
 
 def warn_of_one_spot(scene: Scene) -> None:
-    """Say when all contacts are in one spot."""
+    """Warn when all contacts are in one spot."""
     spread = contact_spread(scene)
     if spread < SPOT:
         warnings.warn(

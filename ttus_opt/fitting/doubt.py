@@ -1,18 +1,17 @@
-"""How sure a fitted field is of the wrenches that it renders, and of itself.
+"""Uncertainty of a fitted field and of the wrenches that it renders.
 
-A quadratic fit takes a prior p ~ N(p₀, C), measured rows D and their weights W² for the
-estimate p₀ + C Dᵀ(W⁻² + D C Dᵀ)⁻¹(t - D p₀). How far that is from the truth depends on
-what prior and measurements really are: p ~ N(p₀, v C), and noise of covariance Σ, both
-found by marginal likelihood (`wrench_noise`). With G = C Dᵀ(W⁻² + D C Dᵀ)⁻¹ any rows N
-of the field have errors of the covariance
+A quadratic fit has the prior p ~ N(p₀, C), measured rows D and their weights W², and
+the estimate p₀ + G (t - D p₀), G = C Dᵀ(W⁻² + D C Dᵀ)⁻¹. Its error depends on the true
+variances, p ~ N(p₀, v C) and noise of covariance Σ, which are found by marginal
+likelihood (`wrench_noise`). Rows N of the field then have errors of covariance
 
     N ((1 - G D) v C (1 - G D)ᵀ + G Σ Gᵀ) Nᵀ.
 
-C is L⁻¹Ω L⁻ᵀ where a Laplace term is the prior (`laplace_posterior`), or known by
-itself (`covariance_posterior`). Where solves per row cost too much, the covariance is
-that of errors drawn, kept near the skin (`posterior_draws`).
+C is L⁻¹Ω L⁻ᵀ for a Laplace prior (`laplace_posterior`), or known by itself
+(`covariance_posterior`). Where one solve per row is too expensive, the covariance is
+that of random draws of the error, kept near the skin (`posterior_draws`).
 
-Limits are left out: the doubt is that of the estimate without them.
+The error is that of the estimate without limits.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ from ttus_opt.fitting.posterior_draws import (
     skin_voxels,
 )
 from ttus_opt.fitting.weight_criteria import presses
-from ttus_opt.fitting.wrench_doubt import WrenchDoubt, rendered, wrench_rows
+from ttus_opt.fitting.wrench_doubt import WrenchDoubt
 from ttus_opt.fitting.wrench_noise import (
     ErrorModel,
     MeasuredWrenches,
@@ -53,19 +52,19 @@ from ttus_opt.voxmap.field import PotentialField
 
 Method = Literal["exact", "samples"]
 
-#: Largest grid whose rows are solved for one by one [voxels]
+#: Largest grid on which every rendered row is solved for [voxels]
 MOST_VOXELS = 60_000
 
-#: Draws of the posterior where they are not: standard deviations to 4 % [–]
+#: Draws on larger grids, for standard deviations to 4 % [–]
 DRAWS = 256
 
-#: How far below the skin draws are kept [m]
+#: Depth below the skin down to which draws are kept [m]
 DEPTH = 0.03
 
-#: Least prior variance about which the likeliest is looked for: of exact data [–]
+#: Least median of the prior variance, for exact data [–]
 LEAST_VARIANCE = 1e-12
 
-#: Which components of a wrench a measured term has
+#: Components of a wrench by measured term
 COMPONENTS = {"force": slice(0, 3), "torque": slice(3, 6)}
 
 
@@ -76,9 +75,9 @@ class Doubt:
     Attributes:
         scene: Patient, probe and measurements.
         potential: The fitted field.
-        method: Whether rows are solved for, or drawn errors are rendered.
-        variance: v, of the field's prior over that of the fit [–].
-        noise: What a measured wrench shows beside the field.
+        method: "exact" solves for rows, "samples" renders draws of the error.
+        variance: v, the prior variance over that assumed by the fit [–].
+        noise: Noise of measured wrenches.
     """
 
     scene: Scene = field(repr=False)
@@ -90,7 +89,7 @@ class Doubt:
     _draws: PosteriorDraws | None = field(repr=False)
 
     def std(self, trajectory: Trajectory) -> WrenchDoubt:
-        """How sure the field is of what it renders along a trajectory.
+        """Uncertainty of the wrenches rendered along a trajectory.
 
         Args:
             trajectory: Poses; with drag their motion counts.
@@ -98,23 +97,22 @@ class Doubt:
         Returns:
             NaN in frames that reach deeper than draws are kept.
         """
-        rows = wrench_rows(self.potential, self.scene.shell, trajectory)
-        noise = self.noise.covariance(rendered(self.potential, rows))
-        return WrenchDoubt(self.covariance(rows, 6), noise)
+        at = self.potential, self.scene.shell, trajectory
+        return WrenchDoubt.of(*at, self.covariance, self.noise)
 
     def covariance(self, rows: sp.csr_array, height: int = 1) -> Array:
-        """Covariance of the errors of consecutive rows of a field.
+        """Covariance of the errors of blocks of consecutive rows of the field.
 
         Args:
             rows: N, shape (k · height, V).
             height: Rows of a block [–].
 
         Returns:
-            The blocks, shape (k, height, height); NaN where rows touch voxels at which
-            draws are not kept.
+            Shape (k, height, height); NaN where a block touches voxels at which draws
+            are not kept.
 
         Raises:
-            InputError: Another number of voxels, or rows that are no whole blocks.
+            InputError: Another number of voxels, or an incomplete block.
         """
         if rows.shape[1] != self.scene.n_voxels or rows.shape[0] % height:
             raise InputError(
@@ -125,24 +123,24 @@ class Doubt:
         return self._posterior.covariance(rows, height)
 
     def potential_std(self) -> Array:
-        """Standard deviation of the field, shape (n_r, n_θ, n_z) [of the field].
+        """Standard deviation of the field, shape (n_r, n_θ, n_z) [unit of the field].
 
-        By draws, whatever the method.
+        Always from draws.
         """
         draws = self._posterior.draw(DRAWS)
         std = np.sqrt(np.mean(draws.astype(np.float64) ** 2, axis=0))
         return np.asarray(self.scene.voxmap.grid.unflatten(std))
 
     def draws(self, count: int = DRAWS, depth: float = DEPTH) -> PosteriorDraws:
-        """Errors of the field drawn at random, near the skin.
+        """Random draws of the error near the skin.
 
         Args:
-            count: How many; standard deviations are known to 1/√(2 count) [–].
-            depth: How far below the skin [m].
+            count: Number of draws, at least 2; standard deviations are accurate to
+                1/√(2 count) [–].
+            depth: Down to which depth below the skin [m].
 
         Raises:
-            InputError: Another count than 2 or more, or a depth that is not positive
-                or above 1 m.
+            InputError: A smaller count, or a depth that is not between 0 and 1 m.
         """
         kept = self._draws
         if kept is not None and kept.depth == depth and 1 < count <= len(kept.values):
@@ -155,7 +153,7 @@ class Doubt:
         return PosteriorDraws(self._posterior.draw(count, voxels), voxels, depth)
 
     def sampled(self, count: int = DRAWS, depth: float = DEPTH) -> Doubt:
-        """The same by draws, that are made once.
+        """The same by the method "samples".
 
         Args:
             count: As of `draws` [–].
@@ -171,21 +169,20 @@ def doubt(
     method: Method | None = None,
     depth: float = DEPTH,
 ) -> Doubt:
-    """How far the field of a solution may be from the truth.
+    """Uncertainty of the field of a solution.
 
     Args:
-        solution: Of one field: a prior, Laplace's or of known covariance, and squares
-            of measured rows.
-        scene: Which it was fitted to.
+        solution: Of one field with a prior (a Laplace term or one of known covariance)
+            and squares of measured rows.
+        scene: The scene it was fitted to.
         method: "exact" solves for every rendered row, "samples" draws `DRAWS` fields
-            once; None takes the latter on more than 60,000 voxels where a Laplace term
-            is the prior.
-        depth: How far below the skin draws, and on more than 60,000 voxels the basis,
-            are kept [m].
+            once; None takes "samples" for a Laplace prior on more than 60,000 voxels.
+        depth: Depth below the skin down to which draws and, on more than 60,000 voxels,
+            the basis are kept [m].
 
     Raises:
-        InputError: The problem has another prior or other unknowns, the scene is
-            another, nothing was measured, or an unknown method or unusable depth.
+        InputError: Another kind of problem, another scene, no measurements, an unknown
+            method or an unusable depth.
     """
     if not isinstance(solution, Solution):
         raise InputError(
@@ -223,18 +220,18 @@ def doubt(
         )
     potential = solution.field
     variance, noise, errors = _errors(scene, potential, prior, measured, posterior)
-    told = posterior.with_errors(errors)
+    posterior = posterior.with_errors(errors)
     draws = None
     if voxels is not None and method == "samples":
-        draws = PosteriorDraws(told.draw(DRAWS, voxels), voxels, depth)
-    return Doubt(scene, potential, method, variance, noise, told, draws)
+        draws = PosteriorDraws(posterior.draw(DRAWS, voxels), voxels, depth)
+    return Doubt(scene, potential, method, variance, noise, posterior, draws)
 
 
 def _prior_of(solution: Solution) -> ProgramTerm:
-    """The term that is the prior of the field.
+    """The prior of the field.
 
     Raises:
-        InputError: There is none, or there are other unknowns.
+        InputError: There is none, or there are unknowns beside the field.
     """
     program = solution.program
     prior = _known_prior(program) or laplace_prior(program)
@@ -259,10 +256,10 @@ def _errors(
     measured: list[ProgramTerm],
     posterior: Posterior,
 ) -> tuple[float, WrenchNoise, ErrorModel]:
-    """The prior's variance, the noise, and what they are of the weighted rows.
+    """The prior's variance, the noise, and both for the weighted rows.
 
     Raises:
-        InputError: A measured term that is neither force nor torque.
+        InputError: A measured term other than force and torque.
     """
     others = [t.name for t in measured if t.name not in COMPONENTS]
     if others:
@@ -274,14 +271,15 @@ def _errors(
     wrench, scale = np.zeros((frames, 6)), np.empty(3 * len(measured))
     for k, term in enumerate(measured):
         unit = 1.0
-        if term.name == "torque":  # its rows are over a length
+        if term.name == "torque":  # its rows are divided by a length
             size = float(np.linalg.norm(term.target))
-            told = float(np.linalg.norm(scene.tau))
-            unit = told / size if size > 0.0 else scene.torque_length
+            measured_size = float(np.linalg.norm(scene.tau))
+            unit = measured_size / size if size > 0.0 else scene.torque_length
         rows = unit * (term.matrix @ values)
         wrench[:, COMPONENTS[term.name]] = rows.reshape(frames, 3)
         scale[3 * k : 3 * k + 3] = np.sqrt(term.weight / prior.weight) / unit
-    row = np.where(posterior.told, np.cumsum(posterior.told) - 1, -1)
+    informative = posterior.informative
+    row = np.where(informative, np.cumsum(informative) - 1, -1)
     touching = scene.rows.contact_points > 0
     at = row.reshape(len(measured), frames, 3)[:, touching]
     at = at.transpose(1, 0, 2).reshape(len(wrench[touching]), -1)

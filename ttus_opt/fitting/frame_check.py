@@ -1,8 +1,7 @@
-"""Are recordings in the frame that was stated? The skin tells.
+"""Are recordings in the stated frame? A measuring probe is near the skin.
 
-A probe that measures is near the skin. Recordings written in the scan's frame but read
-as in the patient's usually lie somewhere else, and near the skin once they are
-carried over.
+Recordings that were written in the scan's frame but read as the patient's usually lie
+away from the skin, and near it once they are transformed.
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ from ttus_opt.probe.rigid_motion import as_rows, inverse
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
 
-#: A probe's centroid this near the skin is near it [m]
+#: Distance of a probe's centroid from the skin up to which it is near [m]
 NEAR = 0.1
 
-#: Shares of frames near the skin: below the first a frame is doubted, above the second
-#: another one is named [–]
+#: Shares of frames near the skin: below the first there is a warning, above the second
+#: another frame is suggested [–]
 FEW, MANY = 0.2, 0.6
 
 
@@ -54,14 +53,14 @@ def warn_of_another_frame(
     surface: Surface,
     told: Conventions,
 ) -> None:
-    """Say when recordings lie on the skin in another frame than the one told.
+    """Warn when recordings lie on the skin in another frame than the stated one.
 
     Args:
-        as_written: With the file's numbers taken at their word.
-        read: By what was told.
+        as_written: The file's numbers, without any conversion.
+        read: As converted by ``told``.
         shell: The probe.
         surface: The patient's.
-        told: How they were read.
+        told: The conventions of the file.
     """
     own = share_near_skin(read, shell, surface)
     if own >= FEW:
@@ -92,7 +91,7 @@ def warn_of_another_frame(
 
 
 def _others(told: Conventions) -> Iterator[tuple[Conventions, str, str]]:
-    """Other frames of the poses, in words, and what to do."""
+    """Other frames of the poses, their names in a sentence, and the remedy."""
     if told.base_to_scan is not None and told.frame == "base":
         back = as_rows(inverse(np.array(told.base_to_scan)))
         yield (

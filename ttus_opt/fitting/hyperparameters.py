@@ -1,8 +1,8 @@
-"""Hyperparameters with weak priors, found by maximum a posteriori.
+"""Hyperparameters with weak priors, by maximum a posteriori.
 
-Data that say little of a hyperparameter would send it anywhere. Weak log-normal priors
-keep each near a value that makes sense; where the data make it hardly more certain
-than its prior, it keeps the prior's median and is named.
+Weak log-normal priors keep hyperparameters that the data hardly determine near sensible
+values. One that is hardly more certain than its prior gets the prior's median and is
+reported as not determined.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), section 5.4; the Hessian's use after D. J. C. MacKay, Neural Comput. 4 (1992).
@@ -19,8 +19,8 @@ import scipy.optimize
 
 from ttus_opt.arrays import Array
 
-#: A hyperparameter is determined where its posterior standard deviation is below this
-#: part of its prior's [–]
+#: Largest posterior standard deviation of a determined hyperparameter, over its prior's
+#: [–]
 DETERMINED = 0.7
 
 #: Step of the Hessian's differences, in prior standard deviations [–]
@@ -36,15 +36,14 @@ ACCURACY, LOG_ACCURACY, MOST = 0.03, 0.05, 250
 
 @dataclass(frozen=True)
 class Prior:
-    """A weak prior of one positive number.
+    """A weak prior of one hyperparameter.
 
     Attributes:
-        name: Of the hyperparameter.
-        median: Its prior value.
-        spread: Standard deviation of its logarithm; of itself where it is linear [–].
+        name: Its name.
+        median: Median.
+        spread: Standard deviation of the logarithm, or of the value if linear [–].
         unit: Its unit.
-        linear: Whether the prior is normal around the median and cut at 0, not
-            log-normal.
+        linear: Whether the prior is normal and cut at 0, not log-normal.
         highest: Largest value.
     """
 
@@ -63,24 +62,24 @@ class Prior:
         return min(self.median * math.exp(self.spread * x), self.highest)
 
     def bounds(self, x: float) -> bool:
-        """Whether a value that many standard deviations away is a bound."""
+        """Whether the value x standard deviations from the median is a bound."""
         return abs(x) >= FARTHEST or self.value(x) >= self.highest
 
 
 @dataclass(frozen=True)
 class Hyperparameter:
-    """One that was looked for.
+    """An estimated hyperparameter.
 
     Attributes:
         name: Its name.
-        value: What is used.
+        value: The value to use.
         prior_value: The prior's median.
-        spread: Posterior standard deviation of its logarithm, or of itself where the
-            prior is linear; NaN where it was not determined [–].
-        determined: Whether the data bear it; where not, the prior value is used.
+        spread: Posterior standard deviation of the logarithm, or of the value if the
+            prior is linear; NaN where not determined [–].
+        determined: Whether the data determine it; else the value is the prior's.
         unit: Its unit.
-        at_bound: Whether the value ended where none larger, or none smaller, is looked
-            for; a coefficient of 0 is no bound but its absence.
+        at_bound: Whether the value lies at the end of its range; a coefficient of 0
+            does not count.
     """
 
     name: str
@@ -99,8 +98,8 @@ class Maximum:
     Attributes:
         found: In the order of the priors.
         log_posterior: Log density of data and hyperparameters there [–].
-        log_marginal: The same with the hyperparameters integrated out around there,
-            by Laplace's approximation: what models are compared by [–].
+        log_marginal: The same, with the hyperparameters integrated out by Laplace's
+            approximation; for comparing models [–].
     """
 
     found: tuple[Hyperparameter, ...]
@@ -109,7 +108,7 @@ class Maximum:
 
 
 def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> Maximum:
-    """Find the likeliest values, and which of them the data bear.
+    """Find the likeliest values, and which of them the data determine.
 
     Args:
         log_density: Of the data, given values in the order of the priors.
@@ -117,8 +116,15 @@ def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> 
     """
     free = list(range(len(priors)))
     x = np.zeros(len(priors))
+
+    def cost(of_free: Array) -> float:
+        """Minus the log posterior, hyperparameters that are not free at 0."""
+        steps = np.zeros(len(priors))
+        steps[free] = of_free
+        values = [p.value(float(s)) for p, s in zip(priors, steps, strict=True)]
+        return float(0.5 * of_free @ of_free - log_density(np.array(values)))
+
     while True:
-        cost = _Cost(log_density, priors, free)
         x[free] = _minimum(cost, x[free])
         hessian = _hessian(cost, x[free])
         spread = _spreads(hessian)
@@ -144,30 +150,12 @@ def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> 
         )
         for i, prior in enumerate(priors)
     )
-    peak = -_Cost(log_density, priors, free)(x[free])
+    peak = -cost(x[free])
     occam = 0.0 if not free else -0.5 * float(np.linalg.slogdet(hessian)[1])
     return Maximum(found, peak, peak + occam)
 
 
-class _Cost:
-    """Minus the log posterior of some of the hyperparameters, the others at 0."""
-
-    def __init__(
-        self,
-        log_density: Callable[[Array], float],
-        priors: Sequence[Prior],
-        free: Sequence[int],
-    ) -> None:
-        self._log_density, self._priors, self._free = log_density, priors, list(free)
-
-    def __call__(self, x: Array) -> float:
-        steps = np.zeros(len(self._priors))
-        steps[self._free] = x
-        values = [p.value(float(s)) for p, s in zip(self._priors, steps, strict=True)]
-        return float(0.5 * x @ x - self._log_density(np.array(values)))
-
-
-def _minimum(cost: _Cost, start: Array) -> Array:
+def _minimum(cost: Callable[[Array], float], start: Array) -> Array:
     if not len(start):
         return start
     found = scipy.optimize.minimize(
@@ -184,7 +172,7 @@ def _minimum(cost: _Cost, start: Array) -> Array:
     return np.asarray(found.x)
 
 
-def _hessian(cost: _Cost, x: Array) -> Array:
+def _hessian(cost: Callable[[Array], float], x: Array) -> Array:
     """Second differences."""
     n, h = len(x), STEP * np.eye(len(x))
     out, middle = np.empty((n, n)), cost(x)
@@ -200,5 +188,5 @@ def _hessian(cost: _Cost, x: Array) -> Array:
 def _spreads(hessian: Array) -> Array:
     """Posterior standard deviations in units of the priors'."""
     values, turn = np.linalg.eigh(hessian)
-    # a direction that curves less than the prior alone is rounding, or no minimum
+    # the prior alone has curvature 1: much less is rounding, or no minimum
     return np.asarray(np.sqrt((turn**2 / np.maximum(values, 0.25)).sum(axis=1)))

@@ -1,7 +1,7 @@
-"""Standard errors of the parameters beside the field; whether they are identified.
+"""Standard errors of the parameters beside the field, and their identifiability.
 
 A fit minimises J(x) = ‖L p - b‖² + Σ λ ‖M x - t‖² over the field and a few parameters
-c. The prior's rows and the measured rows, each times √λ, are taken as normal with one
+c. The prior's rows and the measured rows, each times √λ, are assumed normal with one
 common variance σ²: λ fixes their ratio, σ² is estimated. For a given c
 
     J(c) = min over all else = -2 σ² log L(c) + constant,
@@ -15,14 +15,13 @@ measured rows of poses in contact, and k fitted parameters take k of them:
     σ̂² = J_min/(m - k),   standard error of c = √(2 σ̂² (J''⁻¹)_cc)
 
 (Bates and Watts, 1988, Nonlinear Regression Analysis, sec. 2.3 and 6.1). Rows of poses
-without contact are constant and are not counted. Where residuals are correlated, as
-when the model is wrong in the same way over many frames, the standard error is too
-small.
+without contact are constant and are not counted. With correlated residuals, for example
+from a model error common to many frames, the standard error is too small.
 
-J'' of a searched parameter is a finite difference of fits (`parameter_search`). That of
-a parameter among the variables, cᵢ = aᵢᵀx, is found by a pseudo-measurement: with
+J'' of a searched parameter is a finite difference of fits (`parameter_search`). For a
+parameter among the variables, cᵢ = aᵢᵀx, it follows from pseudo-measurements: with
 Σ w (aᵢᵀx - vᵢ)² added, a change of v moves the solution by R = X (I + X)⁻¹ times that
-change, X = 2w A J''⁻¹ Aᵀ, whatever the solver and the limits on the field.
+change, X = 2w A J''⁻¹ Aᵀ, for any solver and any limits on the field.
 """
 
 from __future__ import annotations
@@ -58,8 +57,8 @@ AT_LIMIT = 1e-4
 #: parameter then responds with 1 to 99 % of the change [–]
 PRECISION = 0.1
 
-#: A response below `FAINT` is measured again with a more precise pseudo-measurement; a
-#: response above 1 - `FLAT` means that the objective is flat [–]
+#: Below a response of `FAINT` the pseudo-measurement is repeated with more precision;
+#: above 1 - `FLAT` the objective is flat [–]
 FAINT, FLAT = 1e-3, 1e-6
 
 NO_SLOPE = "the objective does not depend on it"
@@ -73,8 +72,8 @@ class Estimate:
 
     Attributes:
         value: Its value.
-        standard_error: NaN where it is unknown.
-        doubt: Why it is not identified; empty when it is.
+        standard_error: NaN where unknown.
+        doubt: Why it is not identified; empty where it is.
         remark: Further information.
     """
 
@@ -93,10 +92,10 @@ def noise_variance(
         declared: The formulation.
         program: Its matrices.
         x: Its minimiser, shape (n,).
-        n_parameters: How many parameters were fitted beside the field [–].
+        n_parameters: Number of parameters fitted beside the field [–].
 
     Returns:
-        σ̂², or NaN where there are no more measured rows than parameters.
+        σ̂²; NaN unless there are more measured rows than parameters.
     """
     names = {term.name for term in declared.terms if term.measures}
     cost, count = program.objective(x), 0
@@ -124,8 +123,8 @@ def judged_estimate(
         value: Its value.
         standard_error: Its standard error.
         span: Width of its plausible range.
-        low: Its least value.
-        high: Its largest.
+        low: Its lower limit.
+        high: Its upper limit.
         neutral: Its neutral value; a limit equal to it is a valid estimate.
     """
     near = AT_LIMIT * (span if math.isfinite(span) else 1.0)
@@ -156,11 +155,11 @@ def fitted_estimates(
         declared: The formulation.
         solution: Its solution.
         request: Tolerance and time limit of the additional fits.
-        n_searched: How many parameters were searched for [–].
-        solver: Who is asked; by default the one that solved it, by its name.
+        n_searched: Number of searched parameters [–].
+        solver: Solver of the additional fits; by default the solution's, by name.
 
     Returns:
-        By name; empty where nothing was solved or there are none.
+        By name; empty without a solved fit or such parameters.
     """
     if solution.status is not Status.SOLVED or solution.candidate is None:
         return {}
@@ -187,7 +186,7 @@ def fitted_estimates(
         name: judged_estimate(values[name], error, one.span, 0.0, pseudo.upper(one))
         for (name, one), error in zip(fitted.items(), errors, strict=True)
     }
-    # a value at a limit is in doubt whatever its standard error
+    # a value at a limit is not identified, whatever its standard error
     return {
         name: estimate
         if estimate.doubt or not remark
@@ -224,7 +223,7 @@ class _PseudoMeasurements:
         # where the field is zero, the span of drag is zero too
         self._deviation = PRECISION * SHARE * np.where(spans > 0.0, spans, 1.0)
         self._box = program.box
-        # limits of the parameters themselves would hide the curvature
+        # the parameters' own limits would hide the curvature
         small = [
             part
             for name, part in program.variables.items()
@@ -236,7 +235,7 @@ class _PseudoMeasurements:
         inside = [
             _within(x[part], *(limit[part] for limit in self._box)) for part in small
         ]
-        #: whether the solution is also the minimum without these limits
+        # whether the solution is also the minimum without these limits
         self._settled = all(inside)
         # with noise-free data the variance is rounding error
         size = sum(
@@ -266,7 +265,7 @@ class _PseudoMeasurements:
         response = self._response()
         faint = np.diagonal(response) < FAINT
         if faint.any():
-            # as precise as the first response tells, within what can be resolved
+            # scaled by the first response, down to what can be resolved
             known = np.sqrt(np.maximum(np.diagonal(response), FAINT**3))
             self._deviation = self._deviation * np.where(faint, known, 1.0)
             response = self._response()
@@ -285,7 +284,7 @@ class _PseudoMeasurements:
         return np.asarray(spread)
 
     def _response(self) -> Array:
-        """Response of the parameters per unit change of each pseudo-measurement."""
+        """Change of the parameters per unit change of each pseudo-measurement."""
         root = np.sqrt(self._energy) / self._deviation
         matrix = sp.csr_array(sp.diags_array(root) @ self._rows)
         changes = np.diag(self._deviation)
@@ -352,14 +351,14 @@ def with_estimates(
     doubts: Mapping[str, str],
     trouble: str = "",
 ) -> Solution:
-    """A solution with standard errors and doubts of its parameters.
+    """Add standard errors of the parameters, and reasons where there are none.
 
     Args:
-        solution: With neutral values of the parameters in doubt.
+        solution: With neutral values of parameters that are not identified.
         scene: Its own estimates are included.
         estimates: Of the parameters, by name.
         doubts: Why a parameter is not identified, by name.
-        trouble: Why the search failed; such a solution is not solved.
+        trouble: Why the search failed; the solution then does not count as solved.
     """
     errors = dict(scene.standard_errors)
     for name, estimate in estimates.items():
@@ -372,7 +371,7 @@ def with_estimates(
     field = solution.verified_field
     if field is not None:
         field = replace(field, standard_errors=errors)
-    told = replace(
+    solution = replace(
         solution,
         standard_errors=errors,
         not_identified={**scene.not_identified, **doubts},
@@ -384,11 +383,11 @@ def with_estimates(
         verified_field=field,
     )
     if not trouble:
-        return told
-    solved = told.status is Status.SOLVED
+        return solution
+    solved = solution.status is Status.SOLVED
     return replace(
-        told,
-        status=Status.INACCURATE if solved else told.status,
-        detail=f"{trouble}: {told.detail}" if told.detail else trouble,
+        solution,
+        status=Status.INACCURATE if solved else solution.status,
+        detail=f"{trouble}: {solution.detail}" if solution.detail else trouble,
         verified_field=None,
     )

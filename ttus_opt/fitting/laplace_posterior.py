@@ -1,18 +1,18 @@
 """The posterior of a field with a Laplace prior, by a reduced basis.
 
 The prior is p ~ N(p₀, C), C = L⁻¹Ω L⁻ᵀ. N C Nᵀ takes one solve with Lᵀ per row. The
-rest is known by the basis of `solvers.dual.weight_sweep`: fields ψᵢ, orthonormal in the
-prior's energy, whose coefficients have the prior N(0, 1) and, with B their weighted
-images, the estimate M⁻¹B y of y = Bᵀc + e, M = 1 + BBᵀ. Where c has the variance v
-and e the covariance Σ, the error of that estimate has v M⁻² + M⁻¹BΣBᵀM⁻¹. A draw is
-one of the prior, corrected by what its own noisy measurements say of it (Matheron's
-rule: A. G. Journel, C. J. Huijbregts, Mining Geostatistics, 1978). See docs/method.md,
-Doubt.
+measurements enter through the basis of `solvers.dual.weight_sweep`: fields ψᵢ,
+orthonormal in the prior's energy, with coefficients c ~ N(0, 1). With B their weighted
+images, c is estimated from y = Bᵀc + e by M⁻¹B y, M = 1 + BBᵀ. If c has the variance v
+and e the covariance Σ, that estimate's error has the covariance v M⁻² + M⁻¹BΣBᵀM⁻¹. A
+draw is a draw of the prior minus its estimate from its own noisy measurements
+(Matheron's rule: A. G. Journel, C. J. Huijbregts, Mining Geostatistics, 1978). See
+docs/method.md, Doubt.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -20,52 +20,50 @@ import scipy.linalg
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.fitting.posterior import MeasuredRows, Single, kept_rows
-from ttus_opt.fitting.wrench_noise import ErrorModel
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.fitting.posterior import (
+    Float32Array,
+    Posterior,
+    WeightedData,
+    kept_rows,
+)
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep
 
-#: Trace of the covariance, in units of the noise, that the basis may miss: what is
-#: missed counts as unknown [–]
+#: Trace of the covariance, in units of the noise, that the basis may miss; it counts as
+#: unknown [–]
 MISSING = 0.2
 
-#: Draws that are corrected together: the basis is read once for all of them
+#: Draws corrected together, so that the basis is read once for all of them
 BATCH = 32
 
 #: Relative residual of the solves [–]
 RTOL = 1e-6
 
-#: Prior standard deviation of a fitted boundary scale, over the field's σ: the data
-#: alone tell it [–]
+#: Prior standard deviation of a fitted boundary scale, over the field's σ: practically
+#: without influence [–]
 SCALE_DEVIATION = 1e3
 
 
 @dataclass(frozen=True)
-class LaplacePosterior:
-    """The error of a fit.
+class LaplacePosterior(Posterior):
+    """The error of a fit with a Laplace prior.
 
     Attributes:
         system: Dual of its problem.
-        told: Rows that say something of the field, shape (m,).
-        measured: What they say.
         base: p₀ times the deviation of its scale, shape (V,); None where it is known.
-        fields: ψ at ``voxels``, shape (k, n); in single precision where that is not
-            everywhere.
-        gain: M⁻¹, its last row and column of p₀ where that one's scale is unknown.
+        fields: ψ at ``voxels``, shape (k, n), in single precision; everywhere in double
+            precision where ``voxels`` is None.
+        gain: M⁻¹; its last row and column belong to p₀ where ``base`` is there.
         voxels: Where the fields are kept; None for everywhere.
-        errors: The prior's variance and the rows' noise; None before they are known.
     """
 
     system: DualSystem = field(repr=False)
-    told: Mask = field(repr=False)
-    measured: MeasuredRows = field(repr=False)
     base: Array | None = field(repr=False)
     fields: NDArray[np.floating] = field(repr=False)
     gain: Array = field(repr=False)
     voxels: IntArray | None = field(default=None, repr=False)
-    errors: ErrorModel | None = field(default=None, repr=False)
 
     @classmethod
     def of(
@@ -75,7 +73,7 @@ class LaplacePosterior:
 
         Args:
             data: The problem.
-            root: Roots of the weights of its rows, shape (m,) [–].
+            root: Roots of the rows' weights, shape (m,) [–].
             scale: Whether the scale of p₀ is unknown.
             voxels: Where fields are kept, shape (n,); None for everywhere.
         """
@@ -87,19 +85,15 @@ class LaplacePosterior:
             base = SCALE_DEVIATION * sweep.base
             image = np.asarray(data.system.rows[sweep.told] @ base)
             images = np.concatenate([images, image[None]])
-        measured = MeasuredRows.of(images * own, own * sweep.misfit)
+        measured = WeightedData.of(images * own, own * sweep.misfit)
         gram = measured.weighted @ measured.weighted.T
         gram[np.diag_indices_from(gram)] += 1.0
         gain = scipy.linalg.inv(gram)
-        return cls(data.system, sweep.told, measured, base, fields, gain, voxels)
-
-    def with_errors(self, errors: ErrorModel) -> LaplacePosterior:
-        """The same with the prior's variance and the rows' noise as they are."""
-        return replace(self, errors=errors)
+        return cls(sweep.told, measured, data.system, base, fields, gain, voxels)
 
     @cached_property
     def inner(self) -> Array:
-        """Covariance of the coefficients' error, of p₀'s too, as of `gain`."""
+        """Covariance of the coefficients' errors, ordered as `gain`."""
         assert self.errors is not None
         noise = self.gain @ self.errors.roots(self.measured.weighted)
         return np.asarray(
@@ -107,7 +101,7 @@ class LaplacePosterior:
         )
 
     def covariance(self, rows: sp.csr_array, height: int) -> Array:
-        """Of blocks of rows, by a solve for each row that has an entry.
+        """As of `Posterior`, by one solve per nonempty row.
 
         NaN where a block touches voxels at which the basis is not kept.
         """
@@ -122,9 +116,9 @@ class LaplacePosterior:
         if self.base is not None:
             known = np.column_stack([known, rows @ self.base])
         out = np.zeros((rows.shape[0] // height, height, height))
-        told = np.diff(rows.indptr).reshape(-1, height) > 0
+        filled = np.diff(rows.indptr).reshape(-1, height) > 0
         out[missing] = np.nan
-        for k in np.flatnonzero(told.any(axis=1) & ~missing).tolist():
+        for k in np.flatnonzero(filled.any(axis=1) & ~missing).tolist():
             block = slice(k * height, (k + 1) * height)
             loads = rows[block].toarray()
             slopes = np.stack(
@@ -135,20 +129,14 @@ class LaplacePosterior:
             out[k] = rest + a @ self.inner @ a.T
         return out
 
-    def draw(self, count: int, voxels: IntArray | None = None) -> Single:
-        """Draws of the fit's error, shape (count, n).
-
-        Args:
-            count: How many [–].
-            voxels: Where, shape (n,); None for everywhere. Where the basis is not kept
-                there, a draw takes three solves instead of one.
-        """
+    def draw(self, count: int, voxels: IntArray | None = None) -> Float32Array:
+        """As of `Posterior`: a solve per draw, three where the basis is not kept."""
         assert self.errors is not None
         rng, laplace = np.random.default_rng(0), self.system.laplace
         deviation = np.sqrt(self.errors.variance)
         root, V = np.sqrt(self.system.compliance), self.system.rows.shape[1]
-        rows = self.system.rows[self.told]
-        weights = self.system.root_weights[self.told]
+        rows = self.system.rows[self.informative]
+        weights = self.system.root_weights[self.informative]
         at = slice(None) if voxels is None else voxels
         by_basis = self.voxels is None or voxels is self.voxels
         coefficients = np.empty((count, len(self.fields)), self.fields.dtype)
@@ -158,27 +146,27 @@ class LaplacePosterior:
             if self.base is not None:
                 p += rng.standard_normal() * self.base
             p *= deviation
-            said = weights * (rows @ p) + self.errors.draw(rng)
+            samples = weights * (rows @ p) + self.errors.draw(rng)
             if by_basis:
-                c = self.gain @ (self.measured.weighted @ said)
+                c = self.gain @ (self.measured.weighted @ samples)
                 coefficients[k] = c[: len(self.fields)]
-                if self.base is not None:  # far larger than a draw: in double
+                if self.base is not None:  # far larger than a draw: double precision
                     p -= c[-1] * self.base
                 out[k] = p[at]
             else:
-                out[k] = p[at] - self._told_by(said, voxels)
+                out[k] = p[at] - self._estimate(samples, voxels)
         if by_basis:
             for start in range(0, count, BATCH):
                 batch = slice(start, start + BATCH)
-                told = coefficients[batch] @ self.fields
-                out[batch] -= told if self.voxels is not None else told[:, at]
+                estimate = coefficients[batch] @ self.fields
+                out[batch] -= estimate if self.voxels is not None else estimate[:, at]
         return out
 
-    def _told_by(self, said: Array, voxels: IntArray | None) -> Array:
-        """The mean field given measurements alone, at some voxels, by two solves."""
-        y = self.measured.solve(said)
-        spread = np.zeros(len(self.told))
-        spread[self.told] = y
+    def _estimate(self, samples: Array, voxels: IntArray | None) -> Array:
+        """The estimate from weighted measurements at some voxels, by two solves."""
+        y = self.measured.solve(samples)
+        spread = np.zeros(len(self.informative))
+        spread[self.informative] = y
         p = self.system.response(spread, RTOL)
         if self.base is not None:
             p += (self.measured.weighted[-1] @ y) * self.base

@@ -1,11 +1,11 @@
-"""Does a richer model predict presses that it has not seen worse than a simpler one?
+"""Does a richer model predict left-out presses worse than a simpler one?
 
-All hyperparameters given, what every press but one says of that one is a closed form
-(`weight_criteria.left_out_errors`), so that no fit is made again. Frames of one press
-are alike: a press is one witness, by the mean length of f - f̂ over its frames. The
-richer model was chosen for its evidence, which counts its freedom already; so it gives
-way only where it is worse by more than the presses scatter. See docs/method.md,
-"Tuning".
+With fixed hyperparameters, the prediction of one press from all others has a closed
+form (`weight_criteria.left_out_errors`) and needs no new fit. Frames of one press are
+alike, so a press counts once, with the mean length of f - f̂ over its frames. The richer
+model was chosen by its evidence, which already accounts for its flexibility; it is
+rejected only where its error is larger by more than a standard error over the presses.
+See docs/method.md, "Tuning".
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.terms.structure import known_covariance
 
-#: With fewer presses, those that remain do not lie at several places [–]
+#: Fewest presses for a comparison, so that the remaining ones lie at several places [–]
 LEAST_PRESSES = 3
 
-#: Most frames that a prior of known covariance looks at [–]
+#: Most frames used for a prior of known covariance [–]
 MOST_FRAMES = 200
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """Errors of forces on presses left out in turn.
+    """Force errors on presses left out in turn.
 
     Attributes:
-        model: What was fitted to the others, in words.
-        frames: Which frames of the trajectory, increasing, shape (n,) [–].
+        model: The fitted model, in words.
+        frames: Frames of the trajectory, increasing, shape (n,) [–].
         errors: ‖f - f̂‖ there, shape (n,) [N].
     """
 
@@ -48,19 +48,19 @@ class LeftOut:
         """Mean over presses of their mean error [N].
 
         Args:
-            press: Which press each of the frames belongs to, shape (n,) [–].
+            press: The press of every frame in ``frames``, shape (n,) [–].
         """
         return float(_means(self.errors, press).mean())
 
 
 @dataclass(frozen=True)
 class Check:
-    """A richer model beside a simpler one, by presses left out.
+    """Comparison of a richer with a simpler model on presses left out.
 
     Attributes:
-        richer: In words.
-        simpler: In words.
-        presses: How many there are [–].
+        richer: The richer model, in words.
+        simpler: The simpler model, in words.
+        presses: Number of presses [–].
         richer_error: Mean over presses left out; NaN with too few [N].
         simpler_error: The same [N].
         difference_error: Standard error of their difference, over the presses [N].
@@ -75,12 +75,12 @@ class Check:
 
     @classmethod
     def between(cls, richer: LeftOut, simpler: LeftOut, press: IntArray) -> Self:
-        """Compare them press by press, on the frames that both have looked at.
+        """Compare press by press, on the frames that both have.
 
         Args:
-            richer: The richer model.
-            simpler: The simpler one.
-            press: Which press every frame of the trajectory belongs to, shape (T,) [–].
+            richer: Errors of the richer model.
+            simpler: Errors of the simpler one.
+            press: The press of every frame of the trajectory, shape (T,) [–].
         """
         frames, *at = np.intersect1d(
             richer.frames, simpler.frames, assume_unique=True, return_indices=True
@@ -98,22 +98,22 @@ class Check:
 
     @property
     def made(self) -> bool:
-        """Whether there were presses enough."""
+        """Whether there were enough presses."""
         return self.presses >= LEAST_PRESSES
 
     @property
     def holds(self) -> bool:
-        """Whether the richer one stays: not worse by more than a standard error."""
+        """Whether the richer model is not worse by more than a standard error."""
         return not self.made or self._excess <= self.difference_error
 
     @property
     def better(self) -> bool:
-        """Whether the richer one has the smaller error."""
+        """Whether the richer model has the smaller error."""
         return self.made and self._excess < 0.0
 
     @property
     def clear(self) -> bool:
-        """Whether it is smaller by more than a standard error."""
+        """Whether its error is smaller by more than a standard error."""
         return self.made and -self._excess > self.difference_error
 
     @property
@@ -141,17 +141,16 @@ class Check:
 
 
 def _means(errors: Array, press: IntArray) -> Array:
-    """Mean of every press, in the order of their numbers."""
+    """Mean per press, in the order of their numbers."""
     _, place, count = np.unique(press, return_inverse=True, return_counts=True)
     return np.asarray(np.bincount(place, errors) / count)
 
 
 def left_out_of(declared: Formulation) -> LeftOut:
-    """Presses left out of a formulation whose prior has a known covariance.
+    """Leave presses out of a formulation whose prior has a known covariance.
 
-    Its options, a coefficient to be searched for too, are as declared. At most
-    `MOST_FRAMES` frames are looked at, evenly, each with the weight of those that it
-    stands for.
+    Its options, and a searched coefficient, are as declared. At most `MOST_FRAMES`
+    evenly spaced frames are used, each weighted by the number it stands for.
 
     Raises:
         InputError: Its prior is of another kind, or no force is measured in contact.
@@ -169,17 +168,20 @@ def left_out_of(declared: Formulation) -> LeftOut:
     rows = (3 * frames[:, None] + np.arange(3)).ravel()
     thinned = [_some(term, rows, every) for term in measured]
     found = CovariancePosterior.of(program, prior, thinned)
-    of_rows = np.tile(np.repeat(presses(scene)[frames], 3), len(thinned))[found.told]
+    of_rows = np.tile(np.repeat(presses(scene)[frames], 3), len(thinned))[
+        found.informative
+    ]
     own, at = found.measured, [t.name for t in thinned].index("force")
     root = np.sqrt(thinned[at].weight / prior.weight)
-    error = np.zeros(len(found.told))
-    error[found.told] = left_out_errors(own.half, own.solve(own.misfit), of_rows) / root
+    error = np.zeros(len(found.informative))
+    left_out = left_out_errors(own.half, own.solve(own.misfit), of_rows)
+    error[found.informative] = left_out / root
     force = error[at * len(rows) : (at + 1) * len(rows)].reshape(-1, 3)
     return LeftOut(declared.name, frames, np.linalg.norm(force, axis=1))
 
 
 def _some(term: ProgramTerm, rows: IntArray, every: int) -> ProgramTerm:
-    """Some rows of a measured term, each for so many."""
+    """Some rows of a measured term, each standing for ``every`` rows."""
     return replace(
         term,
         weight=every * term.weight,

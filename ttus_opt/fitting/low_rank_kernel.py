@@ -1,11 +1,11 @@
-"""A low-rank factor of K, the kernel of the measured rows, that grows and shrinks.
+"""A low-rank factor of K, the kernel of the measured rows, with updates and downdates.
 
-Measurements of one place are nearly dependent: K has far fewer large eigenvalues than
-rows. A few rows are chosen as pivots; the column of K of any other row is a linear
+Measurements at one place are nearly dependent, and K has far fewer large eigenvalues
+than rows. A few rows are chosen as pivots; every other column of K is a linear
 combination of theirs, up to an error far below the measurement noise. So K ≈ R Rᵀ with
-R of n rows and k columns. The rows of R at the pivots are the Cholesky factor C of
-their block of K. The rows of R of the others are the columns of N = C⁻¹ times their
-entries of K with the pivots. Then
+R of n rows and k columns. Its rows at the pivots are the Cholesky factor C of their
+block of K; its other rows are the columns of N, C⁻¹ times their entries of K with the
+pivots. Then
 
     (I + R Rᵀ)⁻¹ = I - R M⁻¹Rᵀ,    M = I + RᵀR = I + CᵀC + N Nᵀ = E Eᵀ.
 
@@ -14,14 +14,14 @@ efficient Gaussian process calculations", J. Mach. Learn. Res. 10 (2009) 857-882
 
 Rows may be added and removed any number of times without loss of accuracy:
 
-- C is built only from entries of K that were solved for, never from entries of R Rᵀ.
-  Those carry an error that C⁻¹ has amplified and would amplify again.
-- A pivot is removed by Givens rotations of the columns. They leave all other products
-  unchanged and one column to drop. What that column held of a row is added to the
-  row's residual variance. `LowRankKernel.remove` names the rows that must replace what
-  was lost; the caller solves for their columns of K again.
-- E is downdated (Golub, Van Loan, Matrix Computations, 4th ed., section 6.5.4) and
-  computed anew after as many removals as there are rows.
+- C is built only from entries of K that were solved for, never from entries of R Rᵀ,
+  whose error C⁻¹ has amplified and would amplify again.
+- A pivot is removed by Givens rotations of the columns, which leave all other products
+  unchanged and one column to drop. The squares of its entries are added to the rows'
+  residual variances. `LowRankKernel.remove` returns the rows that must replace the
+  lost ones; the caller solves for their columns of K again.
+- E is downdated (Golub, Van Loan, Matrix Computations, 4th ed., section 6.5.4), and
+  recomputed after as many removals as there are rows.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.fitting import packed_triangle as triangle
 from ttus_opt.fitting.pivots import incomplete_cholesky, replacements
 
-#: Least growth of the packed factors, and of the rows and columns of N [numbers]
+#: Least growth of the packed factors, and of the rows and columns of N [entries]
 ROOM, MORE = 2**12, 8
 
 
@@ -46,10 +46,10 @@ class Projection:
     """New rows projected on the columns of R.
 
     Attributes:
-        held: Their coordinates in the k columns held, shape (m, k).
-        new: Their coordinates in p new columns, shape (m, p).
-        chosen: Which of them are the pivots of the new columns, shape (p,).
-        residual: Variance of each that no column holds, shape (m,).
+        held: Coordinates in the k present columns, shape (m, k).
+        new: Coordinates in p new columns, shape (m, p).
+        chosen: Pivots of the new columns among the rows, shape (p,).
+        residual: Variance of each row outside all columns, shape (m,).
         schur: Schur complement of I + K, shape (m, m).
         gain: M⁻¹ times ``held`` transposed, shape (k, m).
     """
@@ -71,7 +71,7 @@ class LowRankKernel:
     """R and E of the rows held.
 
     Attributes:
-        pivots: Rows that have a column of their own, in its order, shape (k,).
+        pivots: Rows with a column of their own, in the columns' order, shape (k,).
         others: The other rows, in the order of N's columns, shape (n - k,).
     """
 
@@ -83,7 +83,7 @@ class LowRankKernel:
         self._residual = np.zeros(0)
         self.pivots = np.zeros(0, dtype=np.int64)
         self.others = np.zeros(0, dtype=np.int64)
-        # rows that E was downdated by since it was made
+        # number of downdates since E was computed
         self._downdated = 0
 
     def __len__(self) -> int:
@@ -97,7 +97,7 @@ class LowRankKernel:
 
     @property
     def memory_bytes(self) -> int:
-        """Size of all arrays, room to grow included."""
+        """Size of all arrays, spare room included."""
         arrays = (self._C, self._E, self._N, self._residual, self.pivots, self.others)
         return sum(a.nbytes for a in arrays)
 
@@ -237,9 +237,9 @@ class LowRankKernel:
             tolerance: As in `project`.
 
         Returns:
-            Rows that replace what was lost with the pivots, by their numbers now:
-            `drop` and `append` them with newly solved entries of K, or their
-            residual variance stays large.
+            New numbers of the rows that replace the pivots: `drop` them and `append`
+            them again with newly solved entries of K, or their residual variance stays
+            large.
 
         Raises:
             InputError: Rows that are not there.
@@ -269,10 +269,10 @@ class LowRankKernel:
         """Remove rows that are no pivots, to `append` them again; O(k²) per row.
 
         Args:
-            rows: Their numbers; they stay reserved until the rows are back.
+            rows: Their numbers, which stay reserved.
 
         Raises:
-            InputError: One of them is a pivot, or not there.
+            InputError: One of them is a pivot or does not exist.
         """
         mask = np.isin(self.others, rows)
         if np.count_nonzero(mask) != len(rows):
@@ -299,7 +299,7 @@ class LowRankKernel:
         for j, row in enumerate(out):
             row -= corner[j, :j] @ out[:j]
             row /= corner[j, j]
-            # but for rounding, an entry is at most the root of the residual variance
+            # up to rounding, an entry is at most the root of the residual variance
             most = np.sqrt(self._residual)
             np.clip(row, -most, most, out=row)
             self._residual = np.maximum(self._residual - row**2, 0.0)
@@ -333,7 +333,7 @@ class LowRankKernel:
         return loss
 
     def _drop(self, mask: NDArray[np.bool_]) -> IntArray:
-        """Drop others; the former places of those that stay."""
+        """Drop others; return the former places of the remaining ones."""
         o, k = len(self.others), self.rank
         gone = np.flatnonzero(mask)
         sound = triangle.downdate(self._E, np.ascontiguousarray(self._N[:k, gone].T))

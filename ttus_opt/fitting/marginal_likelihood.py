@@ -1,29 +1,29 @@
-"""Marginal likelihood of measured wrenches whose errors are alike within a press.
+"""Marginal likelihood of measured wrenches with errors correlated along a press.
 
 A reduced basis of response fields has the images K, so that the prior's covariance of
-the rows is KᵀK (docs/method.md, "Many weights"). The error of a frame is what the
-sensor adds and what no field of this kind can give. The latter changes slowly along a
-press: frames are no independent witnesses, and taken for such they call for weights a
-thousand times too large. So every component of the error is an Ornstein-Uhlenbeck
-process, of variance σ²/λ and correlation time T, that begins anew with every press:
+the rows is KᵀK (docs/method.md, "Many weights"). The error of a frame is sensor noise
+plus what the model cannot represent, which changes slowly along a press. Taking frames
+as independent would give weights a thousand times too large. Every component of the
+error is therefore an Ornstein-Uhlenbeck process of variance σ²/λ and correlation time
+T, independent between presses:
 
     e(t) = φ e(t - δ) + √(1 - φ²) n,    φ = exp(-δ/T).
 
 A is this recursion solved for n: bidiagonal, so that A √λ (f - N p) is white. With B
-the images whitened so, s the scale of the boundary values and u what the Laplace field
-of scale 1 gives, whitened as the targets t are,
+the whitened images, t the whitened targets, s the scale of the boundary values and u
+the whitened rows of the Laplace field for s = 1,
 
     log p = -½ (m log(2π J/m) + log det(1 + B Bᵀ) - 2 log det(A √λ) + m),
     J = (t - s u)ᵀ(1 + BᵀB)⁻¹(t - s u),    s of generalised least squares.
 
 (Rasmussen and Williams, 2006, eq. 2.30; A after R. H. Jones, Technometrics 22, 1980).
 
-A formulation takes frames for independent. With the weights c λ its estimate has, where
-the errors are correlated as above, at the measured rows the mean squared error
+A formulation assumes independent frames. Under the correlated errors above, its
+estimate with the weights c λ has the mean squared error at the measured rows
 
     Σᵢ gᵢ (1 + c² rᵢ)/(1 + c gᵢ)²,    B₀ B₀ᵀ = V diag(g) Vᵀ,    r = diag(Vᵀ B₀ R B₀ᵀ V),
 
-B₀ the images times √λ, R = (AᵀA)⁻¹: its minimum is the share c that is used.
+with B₀ the images times √λ and R = (AᵀA)⁻¹. The share c that minimises it is used.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ import scipy.optimize
 
 from ttus_opt.arrays import Array, IntArray
 
-#: Least share of the weights that a fit of independent frames is given [–]
+#: Least share c of the weights [–]
 LEAST_SHARE = 1e-4
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a set of hyperparameters is worth.
+    """Evidence of a set of hyperparameters.
 
     Attributes:
-        log_density: Of the measurements, σ² and s at their likeliest [–].
+        log_density: Of the measurements, with the likeliest σ² and s [–].
         scale: s [–].
         scale_error: Its standard error [–].
         variance: σ², of a row of weight 1 [N²].
@@ -58,17 +58,17 @@ class Evidence:
 
 @dataclass(frozen=True)
 class MeasuredSeries:
-    """Measured rows by term, frame and component, as a reduced basis sees them.
+    """Measured rows by term, frame and component, over a reduced basis.
 
-    Rows may have a part that is multiplied by a coefficient, such as drag's by μ.
+    Part of the rows may be multiplied by a coefficient, such as drag by μ.
 
     Attributes:
         terms: Names of the measured terms.
         images: K, shape (k, terms, frames, 3).
-        base: What the Laplace field gives, shape (terms, frames, 3) [N].
-        target: What was measured, shape (terms, frames, 3) [N].
+        base: Values of the Laplace field, shape (terms, frames, 3) [N].
+        target: Measurements, shape (terms, frames, 3) [N].
         time: Of the frames [s].
-        press: Which press a frame belongs to, shape (frames,) [–].
+        press: Press of every frame, shape (frames,) [–].
         slope: Images and base of the part with the coefficient; None without one.
     """
 
@@ -86,7 +86,7 @@ class MeasuredSeries:
         return len(self.time)
 
     def at(self, coefficient: float) -> MeasuredSeries:
-        """With the coefficient as given, and none left."""
+        """The series at a value of its coefficient."""
         if self.slope is None:
             return self
         images, base = self.slope
@@ -98,7 +98,7 @@ class MeasuredSeries:
         )
 
     def thinned(self, every: int) -> MeasuredSeries:
-        """Every so many frames of every press."""
+        """Every n-th frame of every press."""
         if every <= 1:
             return self
         starts = np.flatnonzero(np.diff(self.press, prepend=self.press[:1] - 1))
@@ -128,7 +128,7 @@ class MeasuredSeries:
         return np.where(begins, 0.0, phi)
 
     def independent_share(self, weights: Array, correlation_time: float) -> float:
-        """What of the weights a fit that takes frames for independent should have.
+        """Share c of the weights for a fit that assumes independent frames.
 
         Args:
             weights: λ by term, shape (terms,) [–].
@@ -158,7 +158,7 @@ class MeasuredSeries:
     def evidence(
         self, weights: Array, correlation_time: float, scale: float | None = None
     ) -> Evidence:
-        """The marginal likelihood, of rows without a coefficient left.
+        """The marginal likelihood of rows without a coefficient.
 
         Args:
             weights: λ by term, shape (terms,) [–].
@@ -177,7 +177,7 @@ class MeasuredSeries:
         gram[np.diag_indices_from(gram)] += 1.0
         lower = np.linalg.cholesky(gram)
         both = np.stack([u, t], axis=1)
-        # not scipy's: its threads and numpy's would keep each other waiting
+        # numpy's solver, as numpy's and scipy's threads would wait for each other
         half = np.linalg.solve(lower, B @ both)
         (uu, ut), (_, tt) = both.T @ both - half.T @ half
         if scale is None:

@@ -1,7 +1,8 @@
 """Weighted measured rows D that grow and shrink, one block of rows per measurement.
 
-The rows of one pose have the same voxels (`ttus_opt.contact.rows`), so a block is a
-list of voxels with m numbers each: a third to a sixth of a sparse matrix's indices.
+The rows of one pose touch the same voxels (`ttus_opt.contact.rows`), so a block is a
+list of voxels with m numbers each, with a third to a sixth of the indices of a sparse
+matrix.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from ttus_opt.errors import InputError
 
 Voxels = NDArray[np.int32]
 
-#: Entries for which there is room at first
+#: Entries allocated at first
 ROOM = 4096
 
 
@@ -81,11 +82,7 @@ class MeasuredRows:
         self._starts = np.append(self._starts, end)
 
     def keep(self, blocks: NDArray[np.int64]) -> None:
-        """Keep only these blocks, in their order.
-
-        Args:
-            blocks: Increasing block numbers.
-        """
+        """Keep only these blocks, given by increasing numbers."""
         counts, end = np.diff(self._starts)[blocks], 0
         for s, count in zip(blocks, counts, strict=True):
             start, new = int(self._starts[s]), slice(end, end + int(count))
@@ -98,12 +95,12 @@ class MeasuredRows:
             self._resize(2 * end)
 
     def block(self, s: int) -> Block:
-        """Block s, as views of what is held until the next change."""
+        """Block s, as views that are valid until the next change."""
         at = slice(int(self._starts[s]), int(self._starts[s + 1]))
         return Block(self._voxels[at], self._values[at])
 
     def row(self, i: int) -> tuple[Voxels, Array]:
-        """Voxels and values of row i, views until the next change."""
+        """Voxels and values of row i, as views likewise."""
         block = self.block(i // self._height)
         return block.voxels, block.values[:, i % self._height]
 

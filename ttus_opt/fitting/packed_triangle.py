@@ -1,10 +1,9 @@
-"""Lower triangular factors whose rows lie one after the other, changed in place.
+"""Lower triangular factors in packed rows, with updates and downdates in place.
 
-Row i starts at i(i + 1)/2 and has i + 1 numbers. Adding and taking out rows of what a
-factor is made of: Gill, Golub, Murray and Saunders, "Methods for modifying matrix
-factorizations", Mathematics of Computation 28 (1974) 505-535. Rotations are as
-accurate as a factorisation anew; a downdate is accurate as long as enough digits are
-left: Bojanczyk, Brent, Van Dooren and de Hoog, "A note on downdating the Cholesky
+Row i starts at i(i + 1)/2 and has i + 1 entries. Updates follow Gill, Golub, Murray and
+Saunders, "Methods for modifying matrix factorizations", Mathematics of Computation 28
+(1974) 505-535. They are as accurate as a new factorisation; a downdate loses digits:
+Bojanczyk, Brent, Van Dooren and de Hoog, "A note on downdating the Cholesky
 factorization", SIAM J. Sci. Stat. Comput. 8 (1987) 210-221.
 """
 
@@ -17,15 +16,15 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
 
-#: A row that leaves less than this of what is known of it takes too many digits along
+#: Least pivot of a downdate [–]; below, too many digits are lost
 LEAST_LEFT = 1e-6
 
-#: Columns that are rotated at a time, so that they stay in the fastest cache
+#: Columns rotated at a time, so that they stay in the L1 cache
 TILE = 512
 
 
 def packed_size(k: int) -> int:
-    """How many numbers a factor of k rows has."""
+    """Number of entries of a factor with k rows."""
     return k * (k + 1) // 2
 
 
@@ -129,7 +128,7 @@ def downdate(E: Array, gone: Array) -> bool:
         gone: Rows w, overwritten, shape (m, k).
 
     Returns:
-        Whether enough digits are left; E is spoilt if not.
+        Whether enough digits are left; if not, E is invalid.
     """
     m, k = gone.shape
     cosines, sines = np.empty(k), np.empty(k)
@@ -156,14 +155,14 @@ def downdate(E: Array, gone: Array) -> bool:
 
 @compiled(nogil=True, fastmath={"contract"})
 def delete_row(C: Array, k: int, q: int, cosines: Array, sines: Array) -> None:
-    """Take row q out of C, of k rows, and turn columns until it is a factor (compiled).
+    """Delete row q of C, and rotate columns until C is triangular again (compiled).
 
     Args:
-        C: The factor; afterwards its first k - 1 rows count.
+        C: The factor; k - 1 rows remain.
         k: Number of rows.
-        q: Row that goes.
-        cosines: Set to those of the rotations of columns s and s + 1, one after the
-            other from s = q to k - 2, shape (k,).
+        q: The row to delete.
+        cosines: Set to those of the rotations of columns s and s + 1, in turn from
+            s = q to k - 2, shape (k,).
         sines: Likewise.
     """
     for i in range(q + 1, k):

@@ -1,7 +1,7 @@
-"""The least objective J(v) near its minimum, a parabola through fits.
+"""Quadratic model of J(v), the minimum of the objective, near its own minimum.
 
-Fits at distances of one step give the gradient and the second derivatives of J by
-central differences. Their error is bounded by the fits' duality gaps and rounding.
+Fits one step apart give the gradient and the second derivatives of J by central
+differences. Their error is bounded by the fits' duality gaps and rounding.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ class UnsolvedError(Exception):
 
 @dataclass(frozen=True)
 class Parabola:
-    """J near its minimum, through fits at distances of one step.
+    """J near its minimum.
 
     Attributes:
-        centre: Its middle point, shape (k,).
-        solution: Of the fit there.
+        centre: The central point, shape (k,).
+        solution: The fit there.
         gradient: Of J at the centre, shape (k,).
         curvature: Second derivatives of J, shape (k, k).
         noise: Error bound of the diagonal of the curvature, shape (k,).
@@ -51,26 +51,24 @@ class Parabola:
 
         Args:
             fitted: The fit at given values.
-            centre: The point, shape (k,).
+            centre: Shape (k,).
             step: Distance of the other fits, shape (k,).
 
         Raises:
             UnsolvedError: One of them was not solved.
         """
-        k, doubt = len(centre), 0.0
-
+        k, error = len(centre), 0.0
         unit = np.eye(k, dtype=int)
         pairs = list(itertools.combinations(range(k), 2))
         places = [unit[0] * 0, *unit, *-unit, *(unit[i] + unit[j] for i, j in pairs)]
         found: dict[tuple[int, ...], Solution] = {}
-        # sorted: consecutive fits differ in the last parameters only, and solvers keep
-        # most of their state
+        # sorted, so that consecutive fits differ in the last parameters only
         for signs in sorted(tuple(place.tolist()) for place in places):
             solution = fitted(centre + np.array(signs) * step)
             if solution.status is not Status.SOLVED or solution.kkt is None:
                 raise UnsolvedError("a fit beside it was not solved")
             rounding = ROUNDING * abs(solution.objective)
-            doubt = max(doubt, solution.kkt.gap + rounding)
+            error = max(error, solution.kkt.gap + rounding)
             found[signs] = solution
 
         def at(place: NDArray[np.int64]) -> float:
@@ -87,7 +85,7 @@ class Parabola:
             found[(0,) * k],
             (plus - minus) / (2.0 * step),
             curvature,
-            4.0 * doubt / step**2,
+            4.0 * error / step**2,
         )
 
     @property
@@ -100,7 +98,7 @@ class Parabola:
 
     @property
     def doubt(self) -> str:
-        """What to say where it is flat."""
+        """The reason to report where it is flat."""
         bent = (np.diagonal(self.curvature) < -2.0 * self.noise).any()
         return "the objective has no least value in its range" if bent else NO_SLOPE
 
@@ -111,5 +109,5 @@ class Parabola:
 
     @property
     def vertex(self) -> Array:
-        """Where it is least, shape (k,)."""
+        """The minimum of the parabola, shape (k,)."""
         return np.asarray(self.centre - np.linalg.solve(self.curvature, self.gradient))

@@ -1,9 +1,9 @@
-"""Search for a parameter that is not a variable of the program, with standard error.
+"""Search for parameters that are not variables of the program, with standard errors.
 
-J(v) is the least objective for given values v of the searched parameters. It is first
-minimised one parameter after the other (Brent's bounded search, fits of low accuracy).
-A parabola through accurate fits around that point then gives the value (its vertex) and
-the standard errors (from its curvature, see `identification`).
+J(v) is the minimum of the objective for given values v of the searched parameters. It
+is first minimised over one parameter after the other (Brent's bounded search, fits of
+low accuracy). A parabola through accurate fits around that point then gives the values
+(its vertex) and the standard errors (its curvature, see `identification`).
 """
 
 from __future__ import annotations
@@ -32,31 +32,30 @@ Solve = Callable[[Formulation], Solution]
 #: Accuracy of the search, as a share of the range, and its largest number of fits
 ACCURACY, MOST_FITS = 2e-2, 25
 
-#: Objective of an unsolved fit: above all others, and finite, for the search computes
-#: with it
+#: Objective of an unsolved fit: above all others but finite, for Brent's method
 UNSOLVED = 1e100
 
-#: Distance of the parabola's points, as a share of the range: J is nearly quadratic
-#: over it, and differences of fits stand above their noise [–]
+#: Distance of the parabola's points, as a share of the range: small enough for J to be
+#: nearly quadratic, large enough for differences of fits to exceed their noise [–]
 STEP = 0.02
 
 #: Standard errors below this share of the step call for a smaller step; the smallest
 #: step, as a share of the first [–]
 NARROW, NEAREST = 0.25, 0.02
 
-#: How often the parabola may be centred again on its own vertex
+#: Most parabolas, each centred on the vertex of the last one
 ROUNDS = 3
 
 
 @dataclass(frozen=True)
-class Found:
-    """What a search gives.
+class SearchResult:
+    """Result of a search.
 
     Attributes:
         formulation: At the values found, without a search.
-        estimates: Of the searched parameters, by name; those in doubt have their
+        estimates: Of the searched parameters, by name; those not identified have their
             neutral value.
-        trouble: Why the search failed; empty when it did not.
+        trouble: Why the search failed; empty when it succeeded.
     """
 
     formulation: Formulation = field(repr=False)
@@ -64,20 +63,19 @@ class Found:
     trouble: str = ""
 
 
-def searched(
+def search_parameters(
     search: Search, loose: Solve, tight: Solve, doubts: Mapping[str, str]
-) -> Found:
-    """Search for a parameter, and for those that its formulations name in turn.
+) -> SearchResult:
+    """Search for a parameter, and for those of nested searches.
+
+    A parameter that is not identified gets its neutral value, and the others are
+    searched again.
 
     Args:
         search: The first parameter.
         loose: Fits of low accuracy, to find the neighbourhood.
         tight: Fits accurate enough for differences of objectives.
-        doubts: Parameters that are known not to be identified, with the reason.
-
-    Returns:
-        Values and estimates. A parameter that is not identified gets its neutral value
-        and the others are searched again.
+        doubts: Why a parameter is not identified, by name, as far as known.
     """
     known = dict(doubts)
     while True:
@@ -85,7 +83,7 @@ def searched(
             values, chain = _minimum(search, loose, known)
             values, estimates = _estimates(search, chain, values, tight, known)
         except _NoMinimumError as trouble:
-            return Found(trouble.nearest, {}, str(trouble))
+            return SearchResult(trouble.nearest, {}, str(trouble))
         doubted = {n: e.doubt for n, e in estimates.items() if e.doubt}
         if not doubted:
             break
@@ -96,7 +94,7 @@ def searched(
         if each.parameter in known:
             doubt = known[each.parameter]
             estimates[each.parameter] = Estimate(each.neutral_value, math.nan, doubt)
-    return Found(_at(search, values), estimates)
+    return SearchResult(_at(search, values), estimates)
 
 
 class _NoMinimumError(Exception):
@@ -119,7 +117,7 @@ def _at(search: Search, values: Sequence[float]) -> Formulation:
 def _minimum(
     search: Search, solve: Solve, known: Mapping[str, str]
 ) -> tuple[list[float], list[Search]]:
-    """Minimise over one parameter after the other; those in doubt are neutral."""
+    """Minimise over one parameter after the other; those in ``known`` are neutral."""
     values, chain = [], []
     level: Search | None = search
     while level is not None:
@@ -132,7 +130,7 @@ def _minimum(
 
 
 def _least(search: Search, solve: Solve) -> float:
-    """The value of the least objective among solved fits.
+    """The value with the least objective among solved fits.
 
     Raises:
         _NoMinimumError: No fit was solved, or the search did not end.
@@ -176,8 +174,8 @@ def _least(search: Search, solve: Solve) -> float:
     return best
 
 
-class _DoubtedError(Exception):
-    """Standard errors are unknown; carries the doubts instead."""
+class _UnidentifiedError(Exception):
+    """Standard errors are unknown; carries the reasons instead."""
 
     def __init__(self, values: Array, doubts: Sequence[str], remark: str = "") -> None:
         super().__init__(remark)
@@ -210,7 +208,7 @@ def _estimates(
     start = np.array([values[i] for i in free])
     try:
         best = _settled(ranges, placed, solve, start)
-    except _DoubtedError as said:
+    except _UnidentifiedError as said:
         placed(said.values)
         return every, {
             one.parameter: Estimate(value, math.nan, doubt, said.remark)
@@ -227,7 +225,7 @@ def _estimates(
 
 @dataclass(frozen=True)
 class _Optimum:
-    """Where J is least.
+    """The minimum of J.
 
     Attributes:
         values: Of the parameters, shape (k,).
@@ -250,7 +248,7 @@ def _settled(
 
     Raises:
         _NoMinimumError: It does not settle.
-        _DoubtedError: There is none, or a fit was not solved.
+        _UnidentifiedError: There is none, or a fit was not solved.
     """
     low, high = np.array([(one.low, one.high) for one in ranges]).T
     step, at, settled = STEP * (high - low), start, False
@@ -265,9 +263,9 @@ def _settled(
             parabola = parabola_at(at)
         except UnsolvedError as trouble:
             remark = f"its standard error is unknown: {trouble}"
-            raise _DoubtedError(at, nothing, remark) from trouble
+            raise _UnidentifiedError(at, nothing, remark) from trouble
         if parabola.flat.any():
-            raise _DoubtedError(
+            raise _UnidentifiedError(
                 at, [parabola.doubt * bool(flat) for flat in parabola.flat]
             )
         at = np.clip(parabola.vertex, low, high)
@@ -276,13 +274,13 @@ def _settled(
             break
     variance = _variance(placed(parabola.centre), parabola.solution, len(ranges))
     if math.isnan(variance):
-        raise _DoubtedError(at, [NOTHING_WEIGHS] * len(ranges))
+        raise _UnidentifiedError(at, [NOTHING_WEIGHS] * len(ranges))
     errors = parabola.errors(variance)
     if not settled and (errors <= SHARE * (high - low)).all():
         names = ", ".join(one.parameter for one in ranges)
         raise _NoMinimumError(f"the search for {names} does not converge", placed(at))
     if (errors < NARROW * step).any():
-        # J is not quadratic over many standard errors: again with a smaller step
+        # the step covers many standard errors: again with a smaller one
         step = np.clip(2.0 * errors, NEAREST * step, step)
         with contextlib.suppress(UnsolvedError):
             near = parabola_at(at)
@@ -294,7 +292,7 @@ def _settled(
 def _reported(
     one: Search, k: int, best: _Optimum, placed: Callable[[Array], Formulation]
 ) -> Estimate:
-    """The k-th parameter's estimate in the unit in which it is reported."""
+    """The k-th parameter's estimate, in its reported unit."""
 
     def reported(value: float) -> float:
         moved = best.values.copy()

@@ -11,7 +11,7 @@ import numpy as np
 from ttus_opt import io
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError
-from ttus_opt.fitting.weight_criteria import TOLD
+from ttus_opt.fitting.weight_criteria import CRITERIA
 from ttus_opt.fitting.weight_grid import Index, WeightGrid
 from ttus_opt.haptic.field_wrench import wrenches_by_rows
 from ttus_opt.probe.trajectory import Trajectory
@@ -169,7 +169,7 @@ class PathRecord:
                 about = {"units": unit, "long_name": f"{figure} of evaluate"}
                 out[name] = ((*dims, "held_out"), self._errors[name], about)
         for name, values in self._criteria.items():
-            unit, meaning = TOLD[name]
+            unit, meaning = CRITERIA[name]
             out[name] = (dims, values, {"units": unit, "long_name": meaning})
         for name, values in self._parameters.items():
             about = {"units": PARAMETER_UNITS.get(name, "1")}

@@ -1,14 +1,14 @@
-"""How the points of a path are solved: each from what those before have left."""
+"""Solvers for the points of a path; each point reuses the state of those before."""
 
 from __future__ import annotations
 
+import abc
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.batch import Again, fit
+from ttus_opt.fitting.batch import RepeatedFit, fit
 from ttus_opt.fitting.verdict import judged
 from ttus_opt.fitting.weight_criteria import Criteria, criteria_of
 from ttus_opt.problem.formulation import Formulation
@@ -26,47 +26,34 @@ from ttus_opt.solvers.dual.weight_sweep import (
     value_duals,
 )
 
-#: Energy of the error over that of the objective, both as roots, in units of the KKT
-#: tolerance: the gap is its square, far below the tolerance, so that fields agree with
-#: those of single fits [–]
+#: Energy norm of the error over that of the objective, in units of the KKT tolerance.
+#: The gap is its square, so that fields agree with those of single fits [–]
 ENERGY = 10.0
 
-#: Where the KKT residuals do not hold, the energy is made smaller by this, so often [–]
+#: Factor on that energy where the KKT residuals do not hold, and how often [–]
 TIGHTENING, TIGHTENINGS = 1e-2, 2
 
 
-class PointSolver(Protocol):
+class PointSolver(abc.ABC):
     """Solves a formulation for one set of weights after the other."""
 
-    @property
-    def common(self) -> bool:
-        """Whether points share what they need, so that it pays to begin at the ends."""
+    #: Whether all points share one basis, so that the ends should be solved first
+    common = False
 
+    @abc.abstractmethod
     def __call__(self, declared: Formulation) -> Solution:
         """Solve for the weights of a formulation, and verify."""
 
     def criteria(self, declared: Formulation) -> Mapping[str, float]:
-        """What measurements say of these weights, as `weight_criteria.TOLD`."""
+        """`weight_criteria.CRITERIA` for these weights; none by default."""
+        return {}
 
     def prepare_criteria(self, largest: Formulation) -> None:
         """Compute what `criteria` needs, for weights up to these.
 
         Raises:
-            InputError: The problem has none.
+            InputError: The problem has no criteria.
         """
-
-
-class _WithoutCriteria:
-    """A way to solve that knows no criteria."""
-
-    common = False
-
-    def criteria(self, declared: Formulation) -> Mapping[str, float]:
-        """Nothing."""
-        return {}
-
-    def prepare_criteria(self, largest: Formulation) -> None:
-        """Refuse."""
         raise InputError(
             f"no criteria for {largest.name}: they need a problem without limits, with "
             "one field, a Laplace term and measured squares; use held-out recordings"
@@ -97,12 +84,12 @@ def point_solver(
     return _InTurn(solver, request)
 
 
-class _InTurn(Again, _WithoutCriteria):
-    """Any solver, with what it keeps from point to point."""
+class _InTurn(RepeatedFit, PointSolver):
+    """Any solver, keeping its state from point to point."""
 
 
-class _Searching(_WithoutCriteria):
-    """A formulation with a number to search for: a fit per point."""
+class _Searching(PointSolver):
+    """A formulation with a searched parameter: a fit per point."""
 
     def __init__(self, solver: str | Path | Solver, request: Request) -> None:
         self._solver, self._request = solver, request
@@ -117,11 +104,11 @@ class _Searching(_WithoutCriteria):
         )
 
 
-class _CommonBasis:
-    """The structured solver's reduced basis; single fits where that does not do.
+class _CommonBasis(PointSolver):
+    """The structured solver's reduced basis.
 
-    A minimiser without limits that keeps them all the same is that with limits. Where
-    it does not, the working set of the last such point starts the next.
+    A minimiser without limits that satisfies them is that with limits. Other points are
+    fitted one by one, each from the working set of the last.
     """
 
     def __init__(self, program: Program, request: Request) -> None:
@@ -164,7 +151,7 @@ class _CommonBasis:
         return self._alone(declared)
 
     def prepare_criteria(self, largest: Formulation) -> None:
-        """Complete the basis, and find out which rows are whose."""
+        """Complete the basis and sort the rows."""
         if not self.common:
             raise InputError(
                 f"no criteria for {largest.name}: they need a problem without limits; "
@@ -178,14 +165,14 @@ class _CommonBasis:
         }
         if any(n != 3 * frames for n in terms.values()):
             raise InputError("criteria need terms with three rows per frame")
-        told = self._sweep.told
-        if sum(terms.values()) != len(told):
+        informative = self._sweep.told
+        if sum(terms.values()) != len(informative):
             raise InputError("criteria need a Laplace term and measured ones only")
-        self._criteria = criteria_of(largest.scene, terms, told)
+        self._criteria = criteria_of(largest.scene, terms, informative)
         self._sweep.complete(root_weights(largest.compile()))
 
     def criteria(self, declared: Formulation) -> Mapping[str, float]:
-        """By the basis."""
+        """Criteria by the basis."""
         if self._criteria is None:
             return {}
         root = root_weights(declared.compile())[self._sweep.told]

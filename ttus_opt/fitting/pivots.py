@@ -1,6 +1,6 @@
 """Choice of pivots for a low-rank factor: Cholesky factors with pivoting.
 
-See `ttus_opt.fitting.low_rank_kernel`, which grows and shrinks by them.
+Used by `ttus_opt.fitting.low_rank_kernel`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from ttus_opt.arrays import Array, IntArray
 #: well conditioned when rows are nearly dependent
 JITTER = 0.1
 
-#: Replacements lose at least this share of the largest loss; the newest is taken, for
-#: it will be held longest
+#: Least loss of a replacement over the largest; among these the newest row is taken, as
+#: it stays longest
 SHARE = 0.25
 
 
@@ -52,8 +52,8 @@ def replacements(
 
     Args:
         lost: The dropped columns, shape (g, n).
-        residual: Variance of each row that no column holds, shape (n,).
-        numbers: The rows' numbers, larger for newer ones, shape (n,).
+        residual: Variance of each row outside all columns, shape (n,).
+        numbers: Numbers of the rows, larger for newer ones, shape (n,).
         tolerance: Residual variance below which a row needs no column of its own.
 
     Returns:

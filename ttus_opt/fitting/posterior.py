@@ -1,14 +1,15 @@
-"""A Gaussian prior and weighted measured rows: what the fit's error is made of.
+"""A Gaussian prior with weighted measured rows, and the error of its fit.
 
-With C the prior's covariance, D the measured rows times their weights' roots
-and BᵀB = D C Dᵀ, (1 + D C Dᵀ)⁻¹ = 1 − XᵀX with X = L⁻¹B, L Lᵀ = 1 + BBᵀ: all that is
-needed of the measurements is B, with as many rows as they tell of the field.
+With C the prior's covariance, D the measured rows times the roots of their weights and
+BᵀB = D C Dᵀ, (1 + D C Dᵀ)⁻¹ = 1 − XᵀX with X = E⁻¹B, E Eᵀ = 1 + BBᵀ. B has as many rows
+as there are independent measurements of the field.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Protocol
+import abc
+from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 import scipy.linalg
@@ -18,31 +19,72 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.fitting.wrench_noise import ErrorModel
 
-Single = NDArray[np.float32]
+Float32Array = NDArray[np.float32]
 
 #: 95 % of a normal distribution lie within so many standard deviations [–]
 NORMAL = 1.959964
 
 
-class Posterior(Protocol):
-    """The error of a fit, given the errors of what it was fitted to."""
+@dataclass(frozen=True)
+class WeightedData:
+    """Measurements in terms of B.
 
-    @property
-    def told(self) -> Mask:
-        """Rows of the problem that say something of the field, shape (m,)."""
+    Attributes:
+        weighted: B, shape (k, rows).
+        misfit: Measurement minus the prior's mean, times the weights' roots, (rows,).
+        half: X, shape (k, rows).
+        log_determinant: log det(1 + BBᵀ) [–].
+    """
 
-    @property
-    def measured(self) -> MeasuredRows:
-        """What they say."""
+    weighted: Array = field(repr=False)
+    misfit: Array = field(repr=False)
+    half: Array = field(repr=False)
+    log_determinant: float
 
-    def with_errors(self, errors: ErrorModel) -> Posterior:
-        """The same with the prior's variance and the rows' noise as they are."""
+    @classmethod
+    def of(cls, weighted: Array, misfit: Array) -> WeightedData:
+        """Factorise 1 + BBᵀ."""
+        gram = weighted @ weighted.T
+        gram[np.diag_indices_from(gram)] += 1.0
+        lower = np.linalg.cholesky(gram)
+        half = scipy.linalg.solve_triangular(lower, weighted, lower=True)
+        return cls(weighted, misfit, half, 2.0 * float(np.log(np.diag(lower)).sum()))
 
+    def solve(self, values: Array) -> Array:
+        """(1 + BᵀB)⁻¹ values, shape (rows,)."""
+        return np.asarray(values - self.half.T @ (self.half @ values))
+
+
+@dataclass(frozen=True)
+class Posterior(abc.ABC):
+    """The error of a fit, given the errors of its prior and its measurements.
+
+    Attributes:
+        informative: Rows of the problem that depend on the field, shape (m,).
+        measured: Their measurements.
+        errors: The prior's variance and the rows' noise; None before they are known.
+    """
+
+    informative: Mask = field(repr=False)
+    measured: WeightedData = field(repr=False)
+    errors: ErrorModel | None = field(default=None, repr=False, kw_only=True)
+
+    def with_errors(self, errors: ErrorModel) -> Self:
+        """The same with known errors of prior and measurements."""
+        return replace(self, errors=errors)
+
+    @abc.abstractmethod
     def covariance(self, rows: sp.csr_array, height: int) -> Array:
         """Covariance of blocks of rows of the field, (k, height, height)."""
 
-    def draw(self, count: int, voxels: IntArray | None = None) -> Single:
-        """Draws of the fit's error, at some voxels or all, (count, n)."""
+    @abc.abstractmethod
+    def draw(self, count: int, voxels: IntArray | None = None) -> Float32Array:
+        """Draws of the fit's error, shape (count, n).
+
+        Args:
+            count: Number of draws [–].
+            voxels: Where, shape (n,); None for everywhere.
+        """
 
 
 def kept_rows(
@@ -68,32 +110,3 @@ def kept_rows(
     few = (rows.shape[0], len(voxels))
     kept = sp.csr_array((rows.data, np.maximum(column, 0), rows.indptr), few)
     return kept, missing
-
-
-@dataclass(frozen=True)
-class MeasuredRows:
-    """What the measurements say, as weighted.
-
-    Attributes:
-        weighted: B, shape (k, rows).
-        misfit: What was measured beyond the prior's mean, times the weights' roots,
-            shape (rows,).
-        half: X, shape (k, rows).
-    """
-
-    weighted: Array = field(repr=False)
-    misfit: Array = field(repr=False)
-    half: Array = field(repr=False)
-
-    @classmethod
-    def of(cls, weighted: Array, misfit: Array) -> MeasuredRows:
-        """Factorise 1 + BBᵀ."""
-        gram = weighted @ weighted.T
-        gram[np.diag_indices_from(gram)] += 1.0
-        lower = np.linalg.cholesky(gram)
-        half = scipy.linalg.solve_triangular(lower, weighted, lower=True)
-        return cls(weighted, misfit, half)
-
-    def solve(self, values: Array) -> Array:
-        """(1 + BᵀB)⁻¹ values, shape (rows,)."""
-        return np.asarray(values - self.half.T @ (self.half @ values))

@@ -1,7 +1,7 @@
-"""Fields drawn from a posterior, kept near the skin: the covariance of any contact.
+"""Draws of a fit's error near the skin, for the covariance of any contact.
 
-Contact touches voxels near the skin only. So draws are kept down to some depth below
-it, and the covariance of rows is that of what they measure of the draws.
+Contact touches voxels near the skin only. Draws are therefore kept down to some depth,
+and the covariance of rows is the sample covariance over the draws.
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.posterior import Single, kept_rows
+from ttus_opt.fitting.posterior import Float32Array, kept_rows
 from ttus_opt.voxmap.depth_sampling import spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: No draws are kept deeper than this [m]
 DEEPEST = 1.0
 
-#: Draws that are measured together
+#: Draws multiplied together
 BATCH = 32
 
 
 @dataclass(frozen=True)
 class PosteriorDraws:
-    """Draws around the posterior's mean.
+    """Draws of the error of a field.
 
     Attributes:
-        values: Shape (count, n) [of the field].
+        values: Shape (count, n) [unit of the field].
         voxels: Where, shape (n,), ascending.
-        depth: How far below the skin they are kept [m].
+        depth: Down to which depth below the skin [m].
     """
 
-    values: Single = field(repr=False)
+    values: Float32Array = field(repr=False)
     voxels: IntArray = field(repr=False)
     depth: float
 
@@ -52,16 +52,16 @@ class PosteriorDraws:
         own, missing = kept_rows(rows, self.voxels, height)
         count = len(self.values)
         out = np.zeros((rows.shape[0] // height, height, height))
-        for start in range(0, count, BATCH):  # a batch in double precision at a time
+        for start in range(0, count, BATCH):  # only a batch in double precision
             some = self.values[start : start + BATCH]
-            said = np.asarray(own @ some.T).reshape(len(out), height, len(some))
-            out += said @ said.transpose(0, 2, 1) / count
+            samples = np.asarray(own @ some.T).reshape(len(out), height, len(some))
+            out += samples @ samples.transpose(0, 2, 1) / count
         out[missing] = np.nan
         return np.asarray(out)
 
 
 def skin_voxels(voxmap: Voxmap, depth: float) -> IntArray:
-    """Voxels that contact down to a depth samples, shape (n,), ascending.
+    """Voxels that contact down to some depth samples, shape (n,), ascending.
 
     Args:
         voxmap: Grid and surface.
@@ -81,10 +81,10 @@ def skin_voxels(voxmap: Voxmap, depth: float) -> IntArray:
 
 
 def checked_depth(depth: float) -> float:
-    """How far below the skin draws are kept, as given [m].
+    """Return a valid depth [m].
 
     Raises:
-        InputError: It is not positive, or deeper than `DEEPEST`.
+        InputError: It is not positive, or beyond `DEEPEST`.
     """
     if not 0.0 < depth < DEEPEST:
         raise InputError(

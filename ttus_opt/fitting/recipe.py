@@ -1,11 +1,11 @@
-"""One recipe for any probe and body: formulation, sampling and weights by the data.
+"""A recipe for any probe and body: formulation, sampling and weights from the data.
 
-Which contact law holds differs: what is deep beside the probe feels its size, a thin
-layer does not; pressure grows with depth at one rate here and another there. So eq. 10
-at its likeliest weights or its own and a depth map, each in both samplings and with
-drag where the recordings show it, predict every press from all others (`left_out`), and
-the one with the smallest error is fitted. Nothing is tuned by hand. See docs/method.md,
-"Tuning".
+The contact law differs between bodies: pressure on tissue that is deep relative to the
+probe depends on the probe's size, pressure on a thin layer does not, and it grows with
+depth at different rates. The candidates are eq. 10, with its likeliest or its own
+weights, and a depth map, each in both samplings and with drag where the recordings show
+it. The one that best predicts every press from all others (`left_out`) is fitted. See
+docs/method.md, "Tuning".
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 
-#: What is tried
+#: Samplings that are compared
 SAMPLINGS = ("trilinear", "contact-size")
 
 
@@ -30,11 +30,11 @@ def choose_recipe(
 
     Args:
         scene: Patient, probe and measurements.
-        progress: Called with what begins.
+        progress: Called with a message for every step.
 
     Returns:
-        What to fit. Where the recordings bear no weights, or there are fewer than
-        three presses, what `choose_weights` gives, and why.
+        The problem to fit; that of `choose_weights` where the recordings determine no
+        weights or have fewer than three presses.
     """
     best = better_weights(choose_weights(scene, progress=progress), scene)
     if best.left_out is None:
@@ -54,7 +54,7 @@ def choose_recipe(
 def _others(
     scene: Scene, name: str, progress: Callable[[str], None] | None
 ) -> Iterator[tuple[LeftOut, WeightChoice]]:
-    """What is tried beside a formulation tuned in the scene's own sampling."""
+    """Candidates other than the formulation tuned in the scene's own sampling."""
     begin = progress or (lambda _: None)
     depth_map = "depth_map_coulomb" if name == DRAG else "depth_map"
     for sampling in SAMPLINGS:
@@ -71,14 +71,14 @@ def _others(
 
 
 def better_weights(choice: WeightChoice, scene: Scene) -> WeightChoice:
-    """The likeliest weights or the formulation's own, by presses left out.
+    """The likeliest weights or the formulation's own, by left-out presses.
 
-    A fit keeps the likeliest unless they are worse by a standard error; here the
-    smaller error decides, as it does between formulations.
+    `choose_weights` keeps the likeliest unless they are worse by a standard error; here
+    the smaller error decides, as between formulations.
 
     Args:
         choice: Of `choose_weights`.
-        scene: What it was made for, with its own boundary scale.
+        scene: The scene it was made for, with its own boundary scale.
     """
     found = choice.tuning
     if found is None or not choice.checks[-1].made or choice.checks[-1].better:
@@ -91,11 +91,7 @@ def better_weights(choice: WeightChoice, scene: Scene) -> WeightChoice:
 
 
 def resampled(scene: Scene, sampling: str) -> Scene:
-    """The scene in another sampling; a boundary scale that was fitted is fitted again.
-
-    Args:
-        scene: Patient, probe and measurements.
-        sampling: Its name.
+    """The scene in another sampling; a fitted boundary scale is fitted again.
 
     Raises:
         InputError: An unknown sampling.

@@ -1,16 +1,16 @@
-"""Do recordings and geometry agree? What a fit says before anyone trusts it.
+"""Do recordings and geometry agree? A check for wrong signs, frames, units and delays.
 
-A field fitted to forces of the wrong sign, frame or unit is still a minimum. So the
-measured wrenches are compared with those of the Laplace field alone, whose directions
-and contacts follow from geometry: with f̂ = N p₀ and τ̂ = W p₀ of a few frames,
+A field fitted to forces of the wrong sign, frame or unit is still a minimum. Measured
+wrenches are therefore compared with those of the Laplace field alone, whose directions
+and contacts follow from geometry. With f̂ = N p₀ and τ̂ = W p₀ of a few frames,
 
     S = √(S_f S_τ),  S_f = min_s ‖f - s f̂‖²/‖f‖²,  S_τ = min_k ‖τ - k τ̂‖²/‖τ‖²
 
-with s, k ≥ 0 is small where they belong together; of forces alone S = S_f. The same S
-of the recordings read otherwise (other sign, frame, order, instant) says which reading
-they were likely written in. The product, and not the sum: to compare its logarithm is
-to compare likelihoods of Gaussian residuals whose two variances are not known, so that
-torques that no reading explains do not hide what the forces say.
+with s, k ≥ 0 is small where they belong together; with forces alone S = S_f. S is also
+computed for the recordings read otherwise (other sign, frame, order, delay), and the
+least value names the likely reading. Comparing log S compares likelihoods of Gaussian
+residuals with two unknown variances; with the sum of S_f and S_τ, torques that no
+reading explains would hide the forces.
 """
 
 from __future__ import annotations
@@ -26,8 +26,7 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.agreement import agreement
-from ttus_opt.fitting.torque_point import torque_offset
+from ttus_opt.fitting.agreement import agreement, torque_offset
 from ttus_opt.probe.conventions import QUATERNIONS, Conventions
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.hysteresis import hysteresis_share
@@ -38,33 +37,32 @@ from ttus_opt.voxmap.field import PotentialField
 #: Frames that are compared, at most [–]
 FRAMES = 120
 
-#: Another reading is named when its S is below this share of the recordings' own
+#: Another reading is reported when its S is below this share of the recordings' own
 CLEARLY = 0.7
 
-#: Wrenches may lag by so much [s]
+#: Delays of the wrenches that are tried [s]
 DELAYS = (-0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4)
 
 #: Torques this many times too large are in N·mm
 WRONG_UNIT = 100.0
 
-#: Torques are about another point when it lies so far from the one that was told, and
-#: no farther than a sensor sits from the skin [m]
+#: Least and largest plausible offset of the point about which torques were measured [m]
 FAR, FARTHEST = 0.01, 0.5
 
-#: Hysteresis below this is that of noise and of a probe that drifts a little [–]
+#: Hysteresis below this comes from noise and slow drift of the probe [–]
 WORTH_TELLING = 0.05
 
-#: A centroid this near the pose's origin leaves nothing to mistake [m]
+#: Distance of the centroid from the pose's origin below which both are the same [m]
 NEAR = 3e-3
 
 
 @dataclass(frozen=True)
 class RecordingCheck:
-    """One recording beside the fitted field and the geometry.
+    """One recording compared with the fitted field and the geometry.
 
     Attributes:
-        name: Of the recording.
-        frames: Its frames [–].
+        name: Name of the recording.
+        frames: Number of frames [–].
         force_residual_N: Mean ‖f - f̂‖ [N].
         torque_residual_Nm: Mean ‖τ - τ̂‖; NaN without measured torques [N·m].
         force_angle_deg: Mean angle between f and f̂ in contact; NaN without any [°].
@@ -73,8 +71,8 @@ class RecordingCheck:
         contact_without_force: Frames in contact by geometry without a measured force
             [–].
         beyond_inner: Frames with shell points beyond the inner layer [–].
-        hysteresis_share: Work of complete presses that is not given back; NaN without
-            any [–].
+        hysteresis_share: Share of the work of complete presses that is lost; NaN
+            without any [–].
     """
 
     name: str
@@ -109,8 +107,7 @@ class Mistake:
 
     Attributes:
         what: In words.
-        mends: All options of ``ttus-opt fit`` about how recordings are written, as
-            they should be; empty where none is right.
+        mends: The options of ``ttus-opt fit`` for the other reading; empty for none.
         before: S as read [–].
         after: S with these options; a unit does not change it [–].
     """
@@ -132,10 +129,10 @@ class Mistake:
 
 @dataclass(frozen=True)
 class SanityReport:
-    """What `check_recordings` found.
+    """Result of `check_recordings`.
 
     Attributes:
-        recordings: One check each.
+        recordings: One check per recording.
         shell_size: Edges of the shell's bounding box, probe frame, shape (3,) [m].
         shell_centroid: Area centroid, probe frame, shape (3,) [m].
         disagreement: S of the recordings as read, from 0 to 1 [–].
@@ -184,12 +181,10 @@ def check_recordings(
         scene: With measured wrenches.
         field: Fitted to it.
         names: Of the recordings, one for each segment; numbers by default.
-        written: The recordings with the files' numbers taken at their word; the
-            scene's by default.
-        told: How they were read from that; the package's own conventions by default.
-
-    Returns:
-        The report.
+        written: The recordings as the files have them, read in the package's own
+            conventions; the scene's by default.
+        told: The conventions by which the scene's were read from that; the package's
+            own by default.
 
     Raises:
         InputError: The scene has no wrenches.
@@ -239,12 +234,12 @@ def _recording(
 def likely_mistake(
     scene: Scene, written: Trajectory, told: Conventions
 ) -> Mistake | None:
-    """What fits clearly better than what was told; no fit is needed.
+    """A reading that agrees clearly better with the geometry; None without one.
 
     Args:
-        scene: With measured forces, whatever its boundary values.
-        written: The recordings with the files' numbers taken at their word.
-        told: How the scene's were read from that.
+        scene: With measured forces; its boundary values do not matter.
+        written: As of `check_recordings`.
+        told: As of `check_recordings`.
     """
     return _likely_mistake(scene, written, told)[1]
 
@@ -252,14 +247,14 @@ def likely_mistake(
 def _likely_mistake(
     scene: Scene, written: Trajectory, told: Conventions
 ) -> tuple[float, Mistake | None]:
-    """S as read, and what fits clearly better."""
+    """S as read, and a reading that is clearly better."""
     frames = np.linspace(0, len(written) - 1, FRAMES)
     chosen = np.unique(frames.astype(np.int64))
     prior = scene.laplace.solve(scene.b)
     own = agreement(scene, prior, scene.trajectory.select(chosen))
     best: Mistake | None = None
     for what, mends, reread in _readings(scene, written, told):
-        # read as a whole first: an instant needs its neighbours
+        # re-read as a whole: a delay needs neighbouring frames
         other = agreement(scene, prior, reread.select(chosen))
         bound = CLEARLY * own.disagreement if best is None else best.after
         if other.disagreement < bound:
@@ -290,9 +285,9 @@ def _about_another_point(
     told: Conventions,
     chosen: NDArray[np.int64],
 ) -> tuple[Conventions, float] | None:
-    """The reading about the point that torques themselves tell, and its S.
+    """The reading about the point that the torques determine, and its S.
 
-    None without torques, or where that point is the one that was told.
+    None without torques, or where that point is the assumed one.
     """
     frames = scene.trajectory.select(chosen)
     if frames.torque is None or frames.force is None:
@@ -324,7 +319,7 @@ def _readings(
 
 
 def _swapped(written: Trajectory) -> Iterator[tuple[str, str, Trajectory]]:
-    """The file's columns in another order, before anything else is made of them."""
+    """The file's columns in another order."""
     swap = [1, 0, 2]
     position = written.position[:, swap]
     yield (
@@ -346,7 +341,7 @@ def _swapped(written: Trajectory) -> Iterator[tuple[str, str, Trajectory]]:
 
 
 def _other_conventions(told: Conventions, centroid: Array) -> Iterator[Conventions]:
-    """Conventions that are often mistaken for those that were told."""
+    """Conventions that are often mistaken for the given ones."""
     axes = dict.fromkeys((told.frame, told.wrench_frame, "tool"))
     for quaternion, wrench_frame, flip in itertools.product(
         QUATERNIONS, axes, (False, True)
@@ -355,7 +350,7 @@ def _other_conventions(told: Conventions, centroid: Array) -> Iterator[Conventio
             told.frame,
             wrench_frame,
         ):
-            continue  # its motion would be of no use
+            continue  # base_to_scan would be unused
         other = replace(
             told, quaternion=quaternion, wrench_frame=wrench_frame, flip_wrench=flip
         )

@@ -1,8 +1,7 @@
-"""Doubt in a field file: draws of the posterior near the skin, and the map of presses.
+"""Uncertainty in a field file: draws of the error near the skin, and a map of presses.
 
-The file is a field file with one variable more. Draws are whole numbers of 16 bit,
-times one factor: rounding is far below what a draw tells. A renderer reads the map
-alone.
+The file is a field file with one more variable, the draws, as 16-bit integers times one
+factor; their rounding is negligible. A renderer reads the map only.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from ttus_opt.errors import FileError, InputError
 from ttus_opt.fitting.doubt import DEPTH, Doubt
 from ttus_opt.fitting.posterior_draws import PosteriorDraws, skin_voxels
 from ttus_opt.fitting.skin_doubt import doubt_map, require_own
-from ttus_opt.fitting.wrench_doubt import WrenchDoubt, rendered, wrench_rows
+from ttus_opt.fitting.wrench_doubt import WrenchDoubt
 from ttus_opt.fitting.wrench_noise import WrenchNoise
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
@@ -28,26 +27,26 @@ from ttus_opt.voxmap.field import PotentialField
 #: Dimensions of the draws in the file
 DIMS = ("doubt_draw", "doubt_voxel")
 
-#: Draws of a file: standard deviations to 6 %, in half the room of `doubt.DRAWS` [–]
+#: Draws in a file, for standard deviations to 6 % [–]
 FILE_DRAWS = 128
 
-#: Largest whole number that a draw is written as
+#: Largest integer of a draw
 LARGEST = 32_767
 
-#: Attribute with what else is known of the doubt; noise as one number, of files written
-#: before, was in another
+#: Attribute with depth and noise as JSON; older files, with the noise as one number, do
+#: not have it
 FACTS = "doubt_noise"
 
 
 @dataclass(frozen=True)
 class SavedDoubt:
-    """The posterior of a field as its file has it.
+    """The uncertainty of a field, read from its file.
 
     Attributes:
         potential: The fitted field.
         shell: The probe that is rendered.
-        draws: Of its error, near the skin.
-        noise: What a measured wrench shows beside the field.
+        draws: Draws of the field's error, near the skin.
+        noise: Noise of measured wrenches.
     """
 
     potential: PotentialField
@@ -56,17 +55,9 @@ class SavedDoubt:
     noise: WrenchNoise
 
     def std(self, trajectory: Trajectory) -> WrenchDoubt:
-        """How sure the field is of what it renders along a trajectory.
-
-        Args:
-            trajectory: Poses; with drag their motion counts.
-
-        Returns:
-            NaN in frames that reach deeper than draws are kept.
-        """
-        rows = wrench_rows(self.potential, self.shell, trajectory)
-        noise = self.noise.covariance(rendered(self.potential, rows))
-        return WrenchDoubt(self.draws.covariance(rows, 6), noise)
+        """As `ttus_opt.fitting.doubt.Doubt.std`."""
+        at = self.potential, self.shell, trajectory
+        return WrenchDoubt.of(*at, self.draws.covariance, self.noise)
 
 
 def save_with_doubt(
@@ -77,14 +68,14 @@ def save_with_doubt(
     count: int = FILE_DRAWS,
     depth: float = DEPTH,
 ) -> PotentialField:
-    """Write a field with its doubt: draws, and the map that a renderer looks up.
+    """Write a field with its uncertainty: draws, and the map for the renderer.
 
     Args:
         fitted: The field.
-        doubt: Of it.
+        doubt: Its uncertainty.
         path: The file, replaced only on success.
-        count: Draws [–].
-        depth: How far below the skin they are kept [m].
+        count: Number of draws [–].
+        depth: Depth below the skin down to which they are kept [m].
 
     Returns:
         The field with its map.
@@ -113,7 +104,7 @@ def save_with_doubt(
 
 
 def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
-    """Read the doubt of a field file.
+    """Read the uncertainty of a field file.
 
     Args:
         path: Written by `save_with_doubt` or ``ttus-opt fit --doubt``.
@@ -121,7 +112,7 @@ def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
 
     Raises:
         FileError: Not a field file, or damaged.
-        InputError: The file has no doubt.
+        InputError: The file has none.
     """
     fitted = PotentialField.load(path)
     data = io.read_dataset(path, kind=field_file.KIND, version=field_file.VERSION)

@@ -1,9 +1,8 @@
-"""The doubt of a press at every place of the skin.
+"""Map of the uncertainty of a press at every place of the skin.
 
-At every place of a grid over the skin the probe is held as the recordings held it on
-average, seen from the skin there, and pressed in to one depth. Draws of the posterior
-tell the force's standard deviation, small where this patient was measured, large where
-the model only guesses.
+At every node of a grid over the skin the probe is pressed in to one depth, in the mean
+orientation of the recordings relative to the skin. The force's standard deviation is
+small where the patient was measured and large elsewhere.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from ttus_opt.scene import Scene
 from ttus_opt.voxmap.doubt_map import DoubtMap
 from ttus_opt.voxmap.field import PotentialField
 
-#: Distance of places, depth of a press, and what is left out at both ends [m]
+#: Distance of nodes, depth of a press, and margin at both ends [m]
 SPACING, DEPTH, END = 0.02, 0.008, 0.02
 
-#: Bisections of the probe's distance from the axis, and half of what is searched [m]
+#: Bisections of the probe's distance from the axis, and half of its range [m]
 BISECTIONS, REACH = 20, 0.1
 
-#: A smaller force is no press: its doubt is that of the largest relative one [N]
+#: Least force by which a standard deviation is divided [N]
 LEAST_FORCE = 0.05
 
 
@@ -40,15 +39,15 @@ def doubt_map(
     """Press the skin everywhere.
 
     Args:
-        doubt: Of the field.
+        doubt: Uncertainty of the field.
         field: The fitted field.
-        spacing: Distance of places [m].
-        depth: Of every press [m].
+        spacing: Distance of nodes [m].
+        depth: Depth of every press [m].
 
     Raises:
-        InputError: Numbers that are not positive, a recording without contact, a body
-            too short for the spacing, a press deeper than draws are kept, or a field
-            that the doubt is not of.
+        InputError: A number that is not positive, recordings without contact, a body
+            too short for the spacing, presses deeper than draws are kept, or the
+            uncertainty of another field.
     """
     require_own(doubt, field)
     if not (spacing > 0.0 and depth > 0.0):
@@ -75,15 +74,15 @@ def doubt_map(
         wrenches_along(field, doubt.scene.shell, presses).force, axis=1
     )
     relative = std / np.maximum(force, LEAST_FORCE)
-    relative[force == 0.0] = relative.max()  # beside the sector nothing is known
+    relative[force == 0.0] = relative.max()  # outside the grid's sector
     return DoubtMap(theta, z, relative.reshape(n, len(z)))
 
 
 def require_own(doubt: Doubt, field: PotentialField) -> None:
-    """Refuse a field on another grid or surface, or of another sampling.
+    """Check that a field has the grid, surface and sampling of an uncertainty.
 
     Raises:
-        InputError: The doubt is not of it.
+        InputError: One of them differs.
     """
     own = doubt.potential
     one, other = own.voxmap.surface, field.voxmap.surface
@@ -100,7 +99,7 @@ def require_own(doubt: Doubt, field: PotentialField) -> None:
 
 
 def _presses(scene: Scene, theta: Array, z: Array, depth: float) -> Trajectory:
-    """One pose per place, θ outermost."""
+    """One pose per node, θ outermost."""
     angle, height = (a.reshape(-1) for a in np.meshgrid(theta, z, indexing="ij"))
     rotation = _around(angle) * _usual(scene)
     outward = np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], axis=1)
@@ -120,13 +119,13 @@ def _presses(scene: Scene, theta: Array, z: Array, depth: float) -> Trajectory:
         near, far = np.where(deep, middle, near), np.where(deep, far, middle)
     place = far[:, None] * outward
     place[:, 2] = height
-    # a second apart, each on its own: nothing slides
+    # a segment each: nothing slides
     time = np.arange(len(place), dtype=np.float64)
     return Trajectory(time, place, rotation.as_matrix(), segment=np.arange(len(place)))
 
 
 def _usual(scene: Scene) -> Rotation:
-    """How the probe was held in contact, seen from the place under it, on average."""
+    """Mean orientation of the probe in contact, relative to the skin under it."""
     touching = scene.rows.contact_points > 0
     if not touching.any():
         raise InputError("a doubt map needs a recording in contact")
@@ -136,5 +135,5 @@ def _usual(scene: Scene) -> Rotation:
 
 
 def _around(angle: Array) -> Rotation:
-    """Turns by an angle about z."""
+    """Rotations by an angle about z."""
     return Rotation.from_rotvec(angle[:, None] * np.array([0.0, 0.0, 1.0]))

@@ -1,9 +1,9 @@
 """Weights, boundary scale, friction and options by marginal likelihood, without a grid.
 
-The evidence of a formulation (`marginal_likelihood`) is a closed form of a reduced
-basis, so that a search over all its hyperparameters at once takes a second. Beside it,
-for comparison, stand presses left out in turn and generalised cross-validation
-(`weight_criteria`). See docs/method.md, "Tuning".
+The evidence of a formulation (`marginal_likelihood`) has a closed form over a reduced
+basis, so that a search over all hyperparameters at once takes a second. Presses left
+out in turn and generalised cross-validation (`weight_criteria`) are given for
+comparison. See docs/method.md, "Tuning".
 """
 
 from __future__ import annotations
@@ -34,21 +34,19 @@ from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 
-#: What is compared by default: drag first, whose rows include those without
+#: Formulations compared by default: drag first, whose rows include those without it
 CANDIDATES = ("coulomb_global", "eq10")
 
 #: Factors on the weights, for comparison with other criteria [–]
 FACTORS = np.geomspace(1e-3, 1e3, 13)
 
-
-#: Voxels of a grid that is looked at before tuning, and ratios of the prior's variance
-#: to the noise's there [–]
+#: Voxels of the grid of `best_left_out`, and its ratios of prior to noise variance [–]
 LOOK_VOXELS, LOOK_SIGNALS = 4_000, np.geomspace(1e-2, 1e2, 9)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What another criterion would have chosen.
+    """The choice by another criterion.
 
     Attributes:
         criterion: ``left_out_force_error`` or ``gcv``.
@@ -63,25 +61,25 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Tuning:
-    """What was found; ``fit(tuning.scene, tuning.formulation)`` uses it.
+    """Result of `tune`; ``fit(tuning.scene, tuning.formulation)`` uses it.
 
     Attributes:
-        formulation: With weights and options as found.
-        scene: With the boundary scale as found.
-        hyperparameters: All that was looked for.
-        weights: λ by term, for a fit of independent frames [–].
+        formulation: With the chosen weights and options.
+        scene: With the chosen boundary scale.
+        hyperparameters: All estimated hyperparameters.
+        weights: λ by term, for a fit that assumes independent frames [–].
         noise: Standard deviation of a force component's error [N].
-        variance: σ², of a row of weight 1 where frames are independent [N²].
-        log_marginal: What formulations are compared by [–].
-        left_out_force_error: Mean error on presses left out in turn, NaN with one
+        variance: σ², variance of a row of weight 1, for independent frames [N²].
+        log_marginal: The figure by which formulations are compared [–].
+        left_out_force_error: Mean error on presses left out in turn; NaN with one
             press [N].
-        comparisons: What other criteria would have chosen.
-        candidates: ``log_marginal`` of all formulations that were tried, by name [–].
-        shape: Voxels of the grid it was tuned on.
-        seconds: It took [s].
+        comparisons: The choices by other criteria.
+        candidates: ``log_marginal`` of all candidates, by name [–].
+        shape: Shape of the grid for tuning.
+        seconds: Time spent [s].
         left_out: Errors on presses left out in turn.
         own_left_out: The same with the formulation's own weights and boundary scale.
-        simpler: Likeliest of the formulations named after this one, if there is any.
+        simpler: The likeliest of the candidates after this one, if there is one.
     """
 
     formulation: Formulation
@@ -102,7 +100,7 @@ class Tuning:
 
     @property
     def not_determined(self) -> tuple[str, ...]:
-        """Hyperparameters that the data do not bear, which have their prior value."""
+        """Hyperparameters that the data do not determine, at their prior values."""
         return tuple(h.name for h in self.hyperparameters if not h.determined)
 
     @property
@@ -131,20 +129,18 @@ def tune(
 ) -> Tuning:
     """Choose weights, boundary scale, friction and options by marginal likelihood.
 
-    Limits of a formulation, such as p ≥ 0, are left out: the evidence is that of the
-    Gaussian without them. A grid of more than 16,000 voxels is tuned on a coarser one;
-    a Formulation that is an object, on its own.
+    Limits such as p ≥ 0 are left out: the evidence is that of the Gaussian without
+    them. A grid of more than 16,000 voxels is replaced by a coarser one for tuning,
+    except for a Formulation object.
 
     Args:
         scene: With measured wrenches.
-        formulations: One, or several, richer ones first, of which the most likely is
-            taken; none with a coefficient that the data do not bear where there is
-            another.
-        vary: Options to choose, with the range over which they may lie; None for
-            those of `VARIED`. Several are chosen one after the other.
-        compare: Whether to look at other criteria, too.
-        progress: Called with what begins, once per formulation.
-        options: Of the formulations, by name; each gets those that it has.
+        formulations: One, or several, richer ones first; the likeliest is taken, but
+            one with an undetermined coefficient only where there is no other.
+        vary: Ranges of options to choose, one after the other; `VARIED` by default.
+        compare: Whether to evaluate the other criteria too.
+        progress: Called with a message for every formulation.
+        options: Options of the formulations; each gets those that it has.
 
     Raises:
         InputError: No contact, no measured force, or a formulation whose prior is not
@@ -169,16 +165,16 @@ def tune(
 
 
 def _finished(tried: Sequence[Candidate], compare: bool) -> Tuning:
-    """What is told of the likeliest formulation."""
-    borne = [each for each in tried if each.bears_coefficient] or tried
-    best = max(borne, key=lambda each: each.log_marginal)
+    """The result for the likeliest candidate."""
+    determined = [each for each in tried if each.bears_coefficient] or tried
+    best = max(determined, key=lambda each: each.log_marginal)
     after = tried[[one is best for one in tried].index(True) + 1 :]
     rows, values, evidence = best.rows, best.values, best.evidence()
     series = best.series.at(values.coefficient)
     at = values.weights, values.correlation_time
     independent = values.weights * series.independent_share(*at)
     whole = TuningRows.of(best.declared)
-    # the same prior variance at the contacts, on the grid of the fit
+    # rescale the weights to the prior variance on the grid of the fit
     same = best.declared.scene is rows.declared.scene
     grid = 1.0 if same else best.variance / whole.variance()
     final = dict(zip(rows.terms, map(float, grid * independent), strict=True))
@@ -212,35 +208,35 @@ def _finished(tried: Sequence[Candidate], compare: bool) -> Tuning:
 def _scaled(
     best: Candidate, evidence: Evidence
 ) -> tuple[Scene, tuple[Hyperparameter, ...]]:
-    """The scene with the boundary scale found, and how well it is known."""
+    """The scene with its estimated boundary scale, and that hyperparameter."""
     scene = best.declared.scene
     if not best.free_scale:
         return scene, ()
-    bears = np.isfinite(evidence.scale_error)
+    determined = bool(np.isfinite(evidence.scale_error))
     inner = evidence.scale * scene.inner
-    error = evidence.scale_error * scene.inner
-    told = Hyperparameter(BOUNDARY_SCALE, inner, scene.inner, float(error), bool(bears))
-    if not bears:
-        return scene, (told,)
+    error = float(evidence.scale_error * scene.inner)
+    found = Hyperparameter(BOUNDARY_SCALE, inner, scene.inner, error, determined)
+    if not determined:
+        return scene, (found,)
     scaled = replace(
         scene.with_boundary(inner, evidence.scale * scene.outer),
         parameters={**scene.parameters, BOUNDARY_SCALE: inner},
-        standard_errors={**scene.standard_errors, BOUNDARY_SCALE: float(error)},
+        standard_errors={**scene.standard_errors, BOUNDARY_SCALE: error},
         not_identified=scene.not_identified,
     )
-    return scaled, (told,)
+    return scaled, (found,)
 
 
 def best_left_out(scene: Scene, name: str, options: Mapping[str, Any]) -> LeftOut:
-    """Presses left out of a formulation with whatever weights serve it best there.
+    """Presses left out of a formulation, with the weights that predict them best.
 
-    On a coarse grid, all terms with one of `LOOK_SIGNALS`: a tenth of what `tune`
-    takes, and hardly worse for a formulation than its likeliest weights.
+    On a coarse grid, with one common weight from `LOOK_SIGNALS`: in a tenth of the time
+    of `tune`, and hardly worse than the likeliest weights.
 
     Args:
         scene: With measured wrenches.
-        name: Of a formulation without a coefficient in its rows.
-        options: Of formulations; those that it has not are left out.
+        name: A formulation without a coefficient in its rows.
+        options: Options of formulations; unknown ones are ignored.
 
     Raises:
         InputError: It cannot be tuned.
@@ -259,12 +255,12 @@ def best_left_out(scene: Scene, name: str, options: Mapping[str, Any]) -> LeftOu
 
 @dataclass(frozen=True)
 class _Judge:
-    """Criteria beside the evidence, for independent frames.
+    """Criteria other than the evidence, for independent frames.
 
     Attributes:
         series: All frames in contact.
         scale: Of the boundary values.
-        frames: Which ones these are of the trajectory, shape (frames,) [–].
+        frames: Their numbers in the trajectory, shape (frames,) [–].
     """
 
     series: MeasuredSeries = field(repr=False)
@@ -273,11 +269,10 @@ class _Judge:
 
     def __call__(self, weights: Array) -> dict[str, float]:
         """All criteria for weights by term."""
-        criteria, at = self._criteria, self._at(weights)
-        return criteria.values(*at)
+        return self._criteria.values(*self._at(weights))
 
     def left_out(self, model: str, weights: Array) -> LeftOut:
-        """Errors on presses left out in turn, of a model in words."""
+        """Errors on presses left out in turn; ``model`` is its name."""
         predicted = self._criteria.left_out(*self._at(weights))
         error = self._criteria.force.reshape(-1, 3) - predicted
         return LeftOut(model, self.frames, np.linalg.norm(error, axis=1))
@@ -300,15 +295,16 @@ class _Judge:
         return series.images.reshape(len(series.images), -1), misfit, root
 
     def others(self, weights: Array, grid: float) -> tuple[Comparison, ...]:
-        """What the others choose, among multiples of the weights."""
-        told = [self(factor * weights) for factor in FACTORS]
+        """The choices by other criteria, among multiples of the weights."""
+        criteria = [self(factor * weights) for factor in FACTORS]
         found = []
         for name in ("left_out_force_error", "gcv"):
-            scores = np.array([one[name] for one in told])
+            scores = np.array([one[name] for one in criteria])
             if np.isnan(scores).all():
                 continue
             at = int(np.nanargmin(scores))
             final = map(float, grid * FACTORS[at] * weights)
             chosen = dict(zip(self.series.terms, final, strict=True))
-            found.append(Comparison(name, chosen, told[at]["left_out_force_error"]))
+            error = criteria[at]["left_out_force_error"]
+            found.append(Comparison(name, chosen, error))
         return tuple(found)

@@ -1,14 +1,14 @@
 """The likeliest hyperparameters of one formulation, by the evidence of its rows.
 
-What is searched are the weights of its measured terms, the correlation time of what no
-field can give, a coefficient of its rows such as friction, and options of the
-formulation; the boundary scale follows in closed form. See docs/method.md, "Tuning".
+These are the weights of its measured terms, the correlation time of model errors, a
+coefficient of its rows such as friction, and options of the formulation; the boundary
+scale follows in closed form. See docs/method.md, "Tuning".
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,35 +30,34 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 
 #: Prior variance of a force row over that of its noise: median, and standard deviation
-#: of its logarithm. Tissue differs by 40 % from its mean, which is 1 N of 3 N, and a
-#: frame is known to 0.15 N [–]
+#: of its logarithm. Tissue varies by 40 %, which is 1 N of 3 N, and a frame is accurate
+#: to 0.15 N [–]
 SIGNAL = (64.0, 2.0)
 
-#: What the evidence has of the first term's weight
+#: Name of that hyperparameter, which stands for the first term's weight
 SIGNAL_TO_NOISE = "signal_to_noise"
 
-#: Weight of a further term over the first's: the same [–]
+#: Weight of a further term over the first's, likewise [–]
 RATIO = (1.0, 1.5)
 
-#: Correlation time of what a field cannot give [s]
+#: Correlation time of model errors, likewise [s]
 CORRELATION_TIME = (0.15, 1.0)
 
-#: Prior standard deviation of a coefficient such as friction, which is around 0 [–]
+#: Prior standard deviation of a coefficient such as friction, around 0 [–]
 COEFFICIENT = 0.5
 
-#: Largest variance of the prior over the noise's that the basis is made for at first;
-#: by how much it is made larger, and how often [–]
+#: Largest signal to noise of the first basis; factor and number of enlargements [–]
 FIRST_SIGNAL, LARGER, ENLARGEMENTS = 100.0, 30.0, 2
 
-#: Most frames that the evidence looks at [–]
+#: Most frames in the evidence [–]
 MOST_FRAMES = 200
 
-#: Boundary scales that are used, over the scene's own; beyond, and where the standard
-#: error is larger than this part of it, the scene's is kept [–]
+#: Range of boundary scales, over the scene's own, and their largest relative standard
+#: error; otherwise the scene's is kept [–]
 SCALES, SCALE_ERROR = (0.5, 2.0), 0.2
 
-#: What is tuned beside weights, by formulation and option: a range over which its
-#: logarithm is about evenly likely
+#: Options tuned beside the weights, by formulation, with a range over which their
+#: logarithm is about uniform
 VARIED: Mapping[str, Mapping[str, tuple[float, float]]] = {
     "free_surface": {"skin": (1e-6, 1e-1)}
 }
@@ -66,12 +65,12 @@ VARIED: Mapping[str, Mapping[str, tuple[float, float]]] = {
 #: Weights are compared up to this relative difference [–]
 ROUNDING = 1e-6
 
-#: Fits of an option's value, and to which accuracy in prior standard deviations
+#: Most fits of an option, and its accuracy in prior standard deviations
 OPTION_FITS, OPTION_ACCURACY = 8, 0.2
 
 
 class KeptSeries:
-    """Series by basis, made once for formulations that measure the same field.
+    """Cache of series by basis, shared by formulations with the same measured rows.
 
     The rows of eq. 10 are those with drag at a coefficient of 0.
     """
@@ -80,7 +79,7 @@ class KeptSeries:
         self._kept: list[tuple[TuningRows, float, MeasuredSeries]] = []
 
     def __call__(self, rows: TuningRows, weight: float) -> MeasuredSeries:
-        """The series of some rows, for weights up to this."""
+        """The series of some rows, for weights up to ``weight``."""
         for other, largest, series in self._kept:
             if weight <= largest * (1.0 + ROUNDING) and other.include(rows):
                 return series if rows.coefficient else series.at(0.0)
@@ -93,14 +92,14 @@ class Candidate:
     """A formulation with its likeliest hyperparameters.
 
     Attributes:
-        build: It, with the options found, over a scene; None where it is an object.
-        declared: It over the scene of the fit.
-        rows: It over the grid that was tuned on.
-        variance: Mean prior variance of that one's first term [–].
-        series: Its frames in contact, by the basis.
-        maximum: Of the hyperparameters that the evidence has.
-        largest: Weight that the basis holds for [–].
-        varied: Options that were chosen.
+        build: Builds it over a scene, with the chosen options; None for an object.
+        declared: The formulation over the scene of the fit.
+        rows: Its rows on the grid for tuning.
+        variance: Mean prior variance of their first term [–].
+        series: Its frames in contact, over the basis.
+        maximum: Of the hyperparameters in the evidence.
+        largest: Largest weight that the basis is made for [–].
+        varied: The chosen options.
     """
 
     build: Callable[[Scene], Formulation] | None
@@ -114,18 +113,18 @@ class Candidate:
 
     @property
     def log_marginal(self) -> float:
-        """What formulations are compared by [–]."""
+        """The figure by which formulations are compared [–]."""
         return self.maximum.log_marginal
 
     @property
     def bears_coefficient(self) -> bool:
-        """Whether the data bear its coefficient, where there is one."""
+        """Whether the data determine its coefficient, if it has one."""
         last = self.maximum.found[-1]
         return not self.rows.coefficient or (last.determined and last.value > 0.0)
 
     @property
     def free_scale(self) -> bool:
-        """Whether the boundary scale is to be found."""
+        """Whether the boundary scale is estimated."""
         return self.build is not None and _fits_scale(self.declared.scene)
 
     @property
@@ -135,14 +134,14 @@ class Candidate:
         return Values.of(found, len(self.rows.terms), self.variance)
 
     def reaching(self, weights: Array) -> MeasuredSeries:
-        """The series at its coefficient, by a basis that holds for these weights."""
+        """The series at its coefficient, over a basis for these weights."""
         most, series = float(max(weights)), self.series
         if most > self.largest * (1.0 + ROUNDING):
             series = self.rows.series(most)
         return series.at(self.values.coefficient)
 
     def evidence(self) -> Evidence:
-        """At the likeliest hyperparameters, with the boundary scale to use."""
+        """Evidence at the likeliest hyperparameters, with the boundary scale to use."""
         values = self.values
         series = thinned(self.series).at(values.coefficient)
         at = values.weights, values.correlation_time
@@ -157,7 +156,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Values:
-    """Hyperparameters as the evidence takes them.
+    """Hyperparameters in the form of the evidence.
 
     Attributes:
         weights: λ by term [–].
@@ -204,15 +203,15 @@ def candidate(
     options: Mapping[str, Any],
     kept: KeptSeries,
 ) -> Candidate:
-    """A formulation with options and hyperparameters as likely as can be.
+    """A formulation with its likeliest options and hyperparameters.
 
     Args:
-        formulation: By name or path; or an object, whose scene is the small one.
-        scene: Of the fit.
-        small: The same on a grid to tune on.
+        formulation: By name or path; or an object, which is tuned on its own scene.
+        scene: The scene of the fit.
+        small: The same scene on the grid for tuning.
         vary: As of `ttus_opt.fitting.tuning.tune`.
-        options: Of formulations; those that it has not are left out.
-        kept: Series that other candidates had made.
+        options: Options of formulations; unknown ones are ignored.
+        kept: Series of other candidates.
 
     Raises:
         InputError: It cannot be tuned.
@@ -229,7 +228,7 @@ def candidate(
             continue
         median = float(np.sqrt(low * high))
         prior = Prior(f"option_{name}", median, float(np.log(high / low)) / 4.0)
-        one = _chosen(_LogMarginal(formulation, small, given, name), prior)
+        one = _chosen(_log_marginal_of(formulation, small, given, name), prior)
         given, found = given | {name: one.value}, (*found, one)
 
     def build(place: Scene) -> Formulation:
@@ -240,24 +239,19 @@ def candidate(
     return replace(_tuned(build, whole, built, kept), varied=found)
 
 
-@dataclass(frozen=True)
-class _LogMarginal:
-    """How likely a formulation is, by the value of one of its options."""
+def _log_marginal_of(
+    formulation: str | Path, scene: Scene, given: Mapping[str, Any], name: str
+) -> Callable[[float], float]:
+    """Log marginal likelihood of a formulation over the value of one option."""
 
-    formulation: str | Path
-    scene: Scene = field(repr=False)
-    given: Mapping[str, Any]
-    name: str
-
-    def __call__(self, values: Array) -> float:
-        """At one value."""
-        options = {**self.given, self.name: float(values[0])}
-
+    def at(value: float) -> float:
         def build(place: Scene) -> Formulation:
-            return shelf.load(self.formulation, place, **options)
+            return shelf.load(formulation, place, **{**given, name: value})
 
-        built = build(self.scene)
+        built = build(scene)
         return _tuned(build, built, built, KeptSeries()).log_marginal
+
+    return at
 
 
 def _tuned(
@@ -266,7 +260,7 @@ def _tuned(
     small: Formulation,
     kept: KeptSeries,
 ) -> Candidate:
-    """The likeliest hyperparameters, by a basis that is large enough for them."""
+    """The likeliest hyperparameters, over a basis that is large enough for them."""
     rows = TuningRows.of(small)
     variance, signal, n = rows.variance(), FIRST_SIGNAL, len(rows.terms)
     free_scale = build is not None and _fits_scale(whole.scene)
@@ -289,7 +283,7 @@ def _tuned(
         if values[0] * max((1.0, *values[1:n])) < signal:
             break
         signal *= LARGER
-    else:  # beyond any basis
+    else:  # beyond the largest basis
         first, *others = maximum.found
         found = (replace(first, at_bound=True), *others)
         maximum = replace(maximum, found=found)
@@ -297,21 +291,21 @@ def _tuned(
 
 
 def thinned(series: MeasuredSeries) -> MeasuredSeries:
-    """At most `MOST_FRAMES` of its frames, evenly."""
+    """At most `MOST_FRAMES` evenly spaced frames."""
     return series.thinned(-(-series.frames // MOST_FRAMES))
 
 
 def _fits_scale(scene: Scene) -> bool:
-    """Whether the scene has found its boundary scale in the forces."""
+    """Whether the scene's boundary scale was fitted to its forces."""
     return BOUNDARY_SCALE in scene.parameters.keys() - scene.not_identified.keys()
 
 
-def _chosen(log_density: Callable[[Array], float], prior: Prior) -> Hyperparameter:
+def _chosen(log_density: Callable[[float], float], prior: Prior) -> Hyperparameter:
     """The likeliest value of one option, by few evaluations."""
     seen: dict[float, float] = {}
 
     def cost(x: float) -> float:
-        seen[x] = 0.5 * x**2 - log_density(np.array([prior.value(x)]))
+        seen[x] = 0.5 * x**2 - log_density(prior.value(x))
         return seen[x]
 
     scipy.optimize.minimize_scalar(
@@ -323,11 +317,11 @@ def _chosen(log_density: Callable[[Array], float], prior: Prior) -> Hyperparamet
     x = np.array(sorted(seen))
     y = np.array([seen[at] for at in x])
     best = int(np.argmin(y))
-    # a parabola through the nearest points; flatter than the prior is none
+    # a parabola through the nearest points, no flatter than the prior's
     near = slice(max(best - 2, 0), best + 3)
     curvature = 2.0 * float(np.polyfit(x[near] - x[best], y[near], 2)[0])
     spread = 1.0 / np.sqrt(max(curvature, 0.25))
-    bears = spread <= DETERMINED
-    value = prior.value(float(x[best])) if bears else prior.median
-    told = float(spread) * prior.spread if bears else float("nan")
-    return Hyperparameter(prior.name, value, prior.median, told, bears)
+    determined = bool(spread <= DETERMINED)
+    value = prior.value(float(x[best])) if determined else prior.median
+    own = float(spread) * prior.spread if determined else float("nan")
+    return Hyperparameter(prior.name, value, prior.median, own, determined)

@@ -1,8 +1,8 @@
-"""The measured series of a formulation, on a grid coarse enough to tune on.
+"""The measured series of a formulation, on a coarse grid for tuning.
 
-What the evidence needs of a field is its covariance at the contacts. On a grid of a
-third of the voxels or fewer that has nearly the same shape; by how much its size
-differs, a few random probes of both tell.
+The evidence depends on the field's covariance at the contacts. On a grid with a third
+of the voxels or fewer this has nearly the same shape; its scale on both grids is
+estimated by a few random probes.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep
 
-#: About the most voxels of a grid that is tuned on; three times as many gain one part
-#: in two hundred of the error on unseen motion, for twice the time
+#: About the most voxels of a grid for tuning; three times as many lower the error on
+#: unseen motion by 0.5 %, in twice the time
 MOST_VOXELS = 16_000
 
 #: Random probes of the rows' variance, and the relative residual of their solves
@@ -36,11 +36,11 @@ PROBES, PROBE_RTOL = 8, 1e-4
 #: Relative residual of the solves behind the basis [–]
 FIELD_RTOL = 1e-6
 
-#: Trace of the covariance, in units of the noise, that the basis may miss: twice what
-#: the log evidence is then wrong by at most [–]
+#: Trace of the covariance, in units of the noise, that the basis may miss; the error of
+#: the log evidence is at most half of it [–]
 MISSING = 2.0
 
-#: A search's rows are affine in its parameter up to this relative difference [–]
+#: Relative difference up to which rows count as affine in a searched parameter [–]
 AFFINE = 1e-8
 
 
@@ -49,11 +49,11 @@ class TuningRows:
     """The dual of a formulation whose rows may be affine in one coefficient.
 
     Attributes:
-        declared: The formulation, all measured terms with weight 1.
+        declared: The formulation.
         terms: Names of the measured terms, three rows per frame each.
         coefficient: Name of the coefficient; empty without one.
         highest: Its largest value.
-        system: Rows of weight 1; below them those that the coefficient multiplies.
+        system: Rows of weight 1, followed by those that the coefficient multiplies.
         b: Right side of L p = b, shape (V,).
         target: Of the rows, shape (rows,) [N].
     """
@@ -98,7 +98,7 @@ class TuningRows:
         return 3 * len(self.declared.scene.trajectory)
 
     def include(self, other: TuningRows) -> bool:
-        """Whether these are another's rows, or would be with a coefficient of 0."""
+        """Whether these are another's rows, at a coefficient of 0 if they have one."""
         if other.coefficient:
             return other is self
         own, n = self.system, len(other.target)
@@ -123,11 +123,7 @@ class TuningRows:
         return total / PROBES / int(touching.sum())
 
     def series(self, weight: float) -> MeasuredSeries:
-        """The rows in contact by a basis that holds for weights up to these.
-
-        Args:
-            weight: Largest λ of a term [–].
-        """
+        """The rows in contact, over a basis for weights λ up to ``weight`` [–]."""
         zero = np.zeros((len(self.target), 0))
         data = DualData(self.system, self.b, self.target, zero)
         sweep = WeightSweep(data, field_rtol=FIELD_RTOL)
@@ -157,9 +153,9 @@ class TuningRows:
 
 
 def coarser(scene: Scene, most: int | None = None) -> Scene:
-    """The scene on about so many voxels, `MOST_VOXELS`; itself where it has no more.
+    """The scene on about ``most`` voxels (`MOST_VOXELS`); itself where it has no more.
 
-    A boundary scale that was fitted is fitted again: a coarse surface is elsewhere.
+    A fitted boundary scale is fitted again, as the coarse surface lies elsewhere.
     """
     shape = scene.voxmap.grid.shape
     share = ((most or MOST_VOXELS) / scene.n_voxels) ** (1.0 / 3.0)
@@ -178,7 +174,7 @@ def coarser(scene: Scene, most: int | None = None) -> Scene:
         scene.voxmap.grid.sector,
     )
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", TtusWarning)  # said of the scene itself
+        warnings.simplefilter("ignore", TtusWarning)  # the scene itself has warned
         return plan.build(scene.voxmap.surface, scene.shell, scene.trajectory)
 
 
@@ -186,7 +182,7 @@ def _compiled(declared: Formulation) -> tuple[Program, list[ProgramTerm]]:
     """The program with weights 1, and its measured terms.
 
     Raises:
-        InputError: It is of another kind.
+        InputError: The formulation cannot be tuned.
     """
     if not any(term.measures for term in declared.terms):
         raise InputError(
@@ -217,7 +213,7 @@ def _compiled(declared: Formulation) -> tuple[Program, list[ProgramTerm]]:
 def _slope(
     build: Callable[[float], Formulation], low: float, high: float, rows: sp.csr_array
 ) -> sp.csr_array:
-    """What a search's parameter multiplies in the measured rows.
+    """Measured rows that a searched parameter multiplies.
 
     Raises:
         InputError: The rows are not affine in it.

@@ -1,4 +1,4 @@
-"""From a solver's candidate to a solution: residuals and certificates decide."""
+"""The verdict on a solver's candidate, by its residuals and certificates."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from ttus_opt.voxmap.field import PotentialField
 #: Seconds spent on naming the constraints in conflict, when no limit is given
 CONFLICT_SECONDS = 30.0
 
-#: Claims that take an answer back, unless the residuals prove it without the solver
-_DOUBTS = (Claim.DOUBTS, Claim.GAVE_UP, Claim.INFEASIBLE, Claim.UNBOUNDED)
+#: Claims by which a solver rejects its own answer; only a proven bound overrides them
+_REJECTIONS = (Claim.DOUBTS, Claim.GAVE_UP, Claim.INFEASIBLE, Claim.UNBOUNDED)
 
 
 def check_candidate(candidate: Candidate, program: Program, solver: str) -> None:
-    """Validate the form of what a solver answers, which may be a user's.
+    """Validate the form of a candidate, as the solver may be a user's own.
 
     Raises:
-        InputError: It is no candidate, or its vectors have other lengths.
+        InputError: It is no `Candidate`, or its vectors have other lengths.
     """
     if not isinstance(candidate, Candidate):
         raise InputError(
@@ -65,11 +65,11 @@ def judged(
 
     Args:
         declared: The formulation.
-        reduction: Its program, and the one the solver was given.
+        reduction: Its program, and the solver's.
         solver: The solver's name.
         candidate: The solver's answer.
         request: Tolerance and time limit.
-        timings: Where the time went.
+        timings: Of the fit so far.
 
     Returns:
         The solution of the original program.
@@ -89,7 +89,7 @@ def judged(
         parameters = declared.parameters(program.split(x))
     costs: dict[str, float] = {}
     if x is not None:
-        with np.errstate(over="ignore", invalid="ignore"):  # the answer may be huge
+        with np.errstate(over="ignore", invalid="ignore"):  # x may be huge
             costs = program.costs(x)
     return Solution(
         status=status,
@@ -133,7 +133,7 @@ def _field(
 
 @dataclass(frozen=True)
 class _Verdict:
-    """A status, the constraints to blame, and what there is to say of a claim."""
+    """A status, the constraints in conflict, and a remark on the solver's claim."""
 
     status: Status
     conflict: tuple[str, ...] = ()
@@ -143,10 +143,10 @@ class _Verdict:
 def _verdict(
     candidate: Candidate, reduction: Reduction, kkt: KKT | None, request: Request
 ) -> _Verdict:
-    """What comes of an answer: decided by residuals and certificates, not by claims."""
+    """The status by residuals and certificates, not by the solver's claim."""
     claim = candidate.claim
     holds = kkt is not None and kkt.worst_relative <= request.tolerance
-    if kkt is not None and holds and (kkt.is_bound or claim not in _DOUBTS):
+    if kkt is not None and holds and (kkt.is_bound or claim not in _REJECTIONS):
         return _Verdict(Status.SOLVED)
     broken = kkt is None or kkt.primal_relative > request.tolerance
     if claim is Claim.INFEASIBLE or (claim is not Claim.TIME_LIMIT and broken):
@@ -170,7 +170,7 @@ def _verdict(
 def _conflict(
     program: Program, candidate: Candidate, request: Request
 ) -> tuple[str, ...]:
-    """Names of constraints that are proved to contradict each other."""
+    """Names of constraints with a proven conflict."""
     if program.is_unconstrained:
         return ()
     claimed = candidate.duals if candidate.x is None else None
@@ -179,7 +179,7 @@ def _conflict(
 
 
 def _slacks(program: Program, x: Array) -> dict[str, Array]:
-    """Distance of every constraint row to its nearer limit, negative when broken."""
+    """Distance of every constraint row to its nearer limit, negative when violated."""
     slacks = {member.name: member.slack(x) for member in program.constraints}
     slacks |= {member.name: member.slack(x) for member in program.cones}
     return slacks | {member.name: member.slack(x) for member in program.bounds}

@@ -1,11 +1,11 @@
-"""The weights of a fit: chosen from its recordings where these bear it, else its own.
+"""The weights of a fit: chosen from its recordings where possible, else its own.
 
-`tune` finds the likeliest weights of whatever it is given. Here stands what it needs to
-be trusted without a look: enough frames at more than one place, a weight that the
-recordings determine, no hyperparameter at its bound, and presses left out in turn that
-the richer model predicts no worse than the simpler one: drag than none, a depth map
-than eq. 10, the weights chosen than the formulation's own. Otherwise a `TtusWarning`
-says which of these is missing, and the simpler one is used.
+`tune` finds the likeliest weights in any case. They are used unsupervised only with
+enough frames at more than one place, a weight that the recordings determine, no
+hyperparameter at its bound, and left-out presses that the richer model predicts no
+worse than the simpler one: with drag than without, a depth map than eq. 10, the chosen
+weights than the formulation's own. Otherwise a `TtusWarning` gives the reason, and the
+simpler model is used.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.errors import InputError, TtusWarning
-from ttus_opt.fitting.batch import USUAL
+from ttus_opt.fitting.batch import DEFAULT_FORMULATION
 from ttus_opt.fitting.contact_spread import SPOT, contact_spread
 from ttus_opt.fitting.left_out import Check, LeftOut, left_out_of
 from ttus_opt.fitting.tuning import CANDIDATES, Tuning, best_left_out, tune
@@ -31,27 +31,27 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.terms.depth_map import DepthMapTerm
 
-#: Fewer frames in contact than this tell nothing of three or four hyperparameters [–]
+#: Fewest frames in contact for three or four hyperparameters [–]
 LEAST_FRAMES = 12
 
-#: Formulations that choose their weights and are checked against eq. 10
+#: Formulations that choose their own weights and are compared with eq. 10
 DEPTH_MAPS = ("depth_map", "depth_map_coulomb")
 
-#: What is fitted where there is drag and nothing else is asked for
+#: The default formulation with drag
 DRAG = "coulomb_global"
 
 
 @dataclass(frozen=True)
 class WeightChoice:
-    """What to fit: ``fit(choice.scene, choice.formulation)``.
+    """The problem to fit: ``fit(choice.scene, choice.formulation)``.
 
     Attributes:
-        scene: With the boundary scale as found.
-        formulation: With the weights as found, or its own.
-        tuning: How they were found; None where they are the formulation's own.
-        reason: Why these are used; empty where weights were found, or not looked for.
-        checks: The richer model beside the simpler one, by presses left out.
-        left_out: Its errors on these; None where they were not looked at.
+        scene: With the chosen boundary scale.
+        formulation: With the chosen weights, or its own.
+        tuning: The tuning behind them; None for the formulation's own weights.
+        reason: Why its own weights are used; empty where they were tuned or requested.
+        checks: Comparisons of a richer with a simpler model on left-out presses.
+        left_out: Errors of the chosen model on these; None where not computed.
     """
 
     scene: Scene = field(repr=False)
@@ -62,7 +62,7 @@ class WeightChoice:
     left_out: LeftOut | None = field(default=None, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
-        """What was chosen and how sure that is, for JSON."""
+        """The choice and its uncertainty, for JSON."""
         weights = {t.name: t.weight for t in self.formulation.terms if t.measures}
         checks = [each.as_dict() for each in self.checks]
         if self.tuning is None:
@@ -109,9 +109,9 @@ class WeightChoice:
 
 
 def has_weights(formulation: str | Path | Formulation) -> bool:
-    """Whether it is named and has options for weights that are numbers by default.
+    """Whether it is given by name and has weights with default values.
 
-    Others were given their weights, have none, or choose them on their own.
+    Others have their weights already, have none, or choose them themselves.
     """
     if isinstance(formulation, Formulation):
         return False
@@ -121,13 +121,24 @@ def has_weights(formulation: str | Path | Formulation) -> bool:
 
 
 def has_choice(formulation: str | Path) -> bool:
-    """Whether `choose_weights` is made for it: it has weights, or is a depth map."""
+    """Whether `choose_weights` applies: it has weights, or is a depth map."""
     return formulation in DEPTH_MAPS or has_weights(formulation)
 
 
 def is_weight(option: str) -> bool:
     """Whether an option of a formulation is the weight of a term."""
     return option.endswith("_weight")
+
+
+def refuse_weights(options: Mapping[str, Any]) -> None:
+    """Check that no weight is given beside ``weights="auto"``.
+
+    Raises:
+        InputError: There is one.
+    """
+    given = next(filter(is_weight, options), None)
+    if given is not None:
+        raise InputError(f'weights="auto" chooses {given}: give one or the other')
 
 
 def choose_weights(
@@ -142,10 +153,10 @@ def choose_weights(
 
     Args:
         scene: Patient, probe and measurements.
-        formulation: What to fit; None for eq. 10, with drag where the recordings show
-            it (`CANDIDATES`).
-        options: Of the formulation; no weights among them.
-        strict: Whether a formulation that cannot be tuned is an error, and not a
+        formulation: The formulation; None for eq. 10, with drag where the recordings
+            show it (`CANDIDATES`).
+        options: Options of the formulation, without weights.
+        strict: Whether a formulation that cannot be tuned is an error instead of a
             warning.
         progress: As of `tune`.
 
@@ -154,11 +165,9 @@ def choose_weights(
             that cannot be tuned.
     """
     options = options or {}
-    given = [name for name in options if is_weight(name)]
-    if given:
-        raise InputError(f'weights="auto" chooses {given[0]}: give one or the other')
-    usual = USUAL if formulation is None else formulation
-    own = shelf.load(usual, scene, **options)  # tells what is wrong with it
+    refuse_weights(options)
+    usual = DEFAULT_FORMULATION if formulation is None else formulation
+    own = shelf.load(usual, scene, **options)
     reason = _too_little(scene)
     if reason:
         return _own(scene, own, reason)
@@ -188,7 +197,7 @@ def choose_weights(
 def _own(
     scene: Scene, own: Formulation, reason: str, checks: tuple[Check, ...] = ()
 ) -> WeightChoice:
-    """A formulation with its own weights, and a warning that says why."""
+    """A formulation with its own weights, and a warning with the reason."""
     weights = (f"{t.name} {t.weight:g}" for t in own.terms if t.measures)
     warnings.warn(
         f"weights were not chosen from the recordings: {reason}; the weights of "
@@ -200,11 +209,11 @@ def _own(
 
 
 def _simplest(scene: Scene, found: Tuning) -> tuple[Tuning, tuple[Check, ...]]:
-    """The richest that predicts presses left out no worse than the next simpler one.
+    """The richest candidate that predicts left-out presses no worse than the next.
 
     Returns:
-        It, and the checks on the way; the last one is that of its weights, beside
-        the formulation's own.
+        Its tuning, and all comparisons; the last one compares its weights with the
+        formulation's own.
     """
     press, checks = presses(scene), []
     while found.simpler is not None:
@@ -223,12 +232,12 @@ def _depth_map_or_simpler(
     options: Mapping[str, Any],
     progress: Callable[[str], None] | None,
 ) -> WeightChoice:
-    """A depth map, or eq. 10 where that predicts presses left out better.
+    """A depth map, or eq. 10 where that predicts left-out presses better.
 
-    Where the depth map is clearly better than eq. 10 with whatever weights serve that
-    best, nothing is tuned.
+    Nothing is tuned where the depth map is clearly better than eq. 10 with the best
+    weights on these presses.
     """
-    name = USUAL if own.search is None else DRAG
+    name = DEFAULT_FORMULATION if own.search is None else DRAG
     richer, press = left_out_of(own), presses(scene)
     if own.search is None:
         look = Check.between(richer, best_left_out(scene, name, options), press)
@@ -253,7 +262,7 @@ def _warn_of_simpler(check: Check, name: str) -> None:
 
 
 def _too_little(scene: Scene) -> str:
-    """Why the recordings cannot bear any weight; empty where they may."""
+    """Why the recordings cannot determine weights; empty where they may."""
     touching = scene.rows.contact_points > 0
     if not touching.any():
         return "the probe touches the patient in no frame"
@@ -274,7 +283,7 @@ def _too_little(scene: Scene) -> str:
 
 
 def _doubt(found: Tuning) -> str:
-    """Why what was found is not used; empty where it is."""
+    """Why a tuning is not used; empty where it is."""
     for one in found.hyperparameters:
         if one.name == SIGNAL_TO_NOISE and not one.determined:
             return "they do not determine how far to trust them (signal_to_noise)"

@@ -1,19 +1,19 @@
-"""What measurements alone say of weights: evidence, GCV, and presses left out.
+"""Criteria for weights, from the measurements alone: evidence, GCV, presses left out.
 
 With the rows' misfit d = t - D p₀ to the prior, W the roots of their weights, and
-C = D L⁻¹ω L⁻ᵀDᵀ in the form KᵀK of a reduced basis, the marginal covariance of d is
-σ²(W⁻² + C). All criteria need B = K W and R = (1 + WCW)⁻¹ = 1 - Bᵀ(1 + BBᵀ)⁻¹B only:
+C = D L⁻¹Ω L⁻ᵀDᵀ in the form KᵀK of a reduced basis, the marginal covariance of d is
+σ²(W⁻² + C). All criteria follow from B = K W and R = (1 + WCW)⁻¹ = 1 - Bᵀ(1 + BBᵀ)⁻¹B:
 
-- evidence: σ² = J/m with J = dᵀW R W d the likeliest for these weights, so that
+- evidence: with σ² = J/m, the likeliest for these weights, and J = dᵀW R W d,
   log p(d) = -½ (m log(2π J/m) + log det(W⁻² + C) + m)
   (Rasmussen and Williams, 2006, eq. 2.30);
 - generalised cross-validation: m ‖R W d‖²/(tr R)² over the weights' geometric mean
   (Golub, Heath and Wahba, Technometrics 21, 1979);
-- left out: the error of what is predicted for the rows F of a press by all others,
+- left out: the error of predicting the rows F of one press from all others,
   W_F⁻¹ (R_FF)⁻¹ (R W d)_F, exact without another fit.
 
 Frames of one press are alike, so that leaving out single frames, as GCV does in effect,
-tells little: left out are presses, runs of frames in contact.
+says little: whole presses (runs of frames in contact) are left out.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ import numpy as np
 import scipy.linalg
 
 from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.fitting.posterior import WeightedData
 from ttus_opt.scene import Scene
 
-#: Name, unit and meaning, in the order of `Criteria.values`
-TOLD = {
+#: Unit and meaning of every criterion, by name, in the order of `Criteria.values`
+CRITERIA = {
     "log_evidence": ("1", "logarithm of the marginal likelihood of the measurements"),
     "gcv": ("N2", "score of generalised cross-validation, of all rows in N"),
     "left_out_force_error": (
@@ -36,19 +37,18 @@ TOLD = {
     ),
 }
 
-
-#: Least root of a weight that is divided by [–]
+#: Least root of a weight, where it is divided by [–]
 LEAST_ROOT = 1e-12
 
 
 @dataclass(frozen=True)
 class Criteria:
-    """Rows of a problem as the criteria see them.
+    """The rows of a problem, as the criteria need them.
 
     Attributes:
         press: Which press a row belongs to, shape (m,) [–].
-        force_rows: Rows of force, three of a frame one after the other, shape (f,) [–].
-        force: What was measured there, shape (f,) [N].
+        force_rows: Rows of force, three per frame, consecutive, shape (f,) [–].
+        force: Measured forces there, shape (f,) [N].
     """
 
     press: IntArray = field(repr=False)
@@ -65,16 +65,17 @@ class Criteria:
         """
         m = len(misfit)
         if m == 0:
-            return dict.fromkeys(TOLD, np.nan)
-        lower, half, rest = _factorised(images, misfit, root)
-        size = float(rest @ (root * misfit))
-        determinant = 2.0 * float(np.log(np.diag(lower)).sum() - np.log(root).sum())
-        trace = m - float((half**2).sum())
+            return dict.fromkeys(CRITERIA, np.nan)
+        data = WeightedData.of(images * root, root * misfit)
+        rest = data.solve(data.misfit)
+        size = float(rest @ data.misfit)
+        determinant = data.log_determinant - 2.0 * float(np.log(root).sum())
+        trace = m - float((data.half**2).sum())
         evidence = -0.5 * (m * np.log(2.0 * np.pi * size / m) + determinant + m)
         scale = np.exp(2.0 * np.log(root).mean())
         gcv = m * float(rest @ rest) / trace**2 / scale
-        left_out = self._magnitude_error(half, rest, root)
-        return dict(zip(TOLD, (float(evidence), gcv, left_out), strict=True))
+        left_out = self._magnitude_error(data.half, rest, root)
+        return dict(zip(CRITERIA, (float(evidence), gcv, left_out), strict=True))
 
     def left_out(self, images: Array, misfit: Array, root: Array) -> Array:
         """Force that all other presses predict for every frame, (f/3, 3) [N].
@@ -84,11 +85,11 @@ class Criteria:
         Args:
             images: As of `values`.
             misfit: As of `values`.
-            root: As of `values`; a force without weight counts as next to nothing.
+            root: As of `values`; at least `LEAST_ROOT` is taken.
         """
         root = np.maximum(root, LEAST_ROOT)
-        _, half, rest = _factorised(images, misfit, root)
-        return self._predicted(half, rest, root)
+        data = WeightedData.of(images * root, root * misfit)
+        return self._predicted(data.half, data.solve(data.misfit), root)
 
     def _predicted(self, half: Array, rest: Array, root: Array) -> Array:
         error = left_out_errors(half, rest, self.press) / root
@@ -99,27 +100,13 @@ class Criteria:
         if len(np.unique(self.press)) < 2 or not len(self.force):
             return np.nan
         predicted = self._predicted(half, rest, root)
-        lengths = (
-            np.linalg.norm(v.reshape(-1, 3), axis=1) for v in (self.force, predicted)
-        )
-        measured, told = lengths
-        return float(np.abs(measured - told).mean())
-
-
-def _factorised(
-    images: Array, misfit: Array, root: Array
-) -> tuple[Array, Array, Array]:
-    """Factor of 1 + BBᵀ, X with R = 1 - XᵀX, and R W d."""
-    weighted = images * root
-    gram = weighted @ weighted.T
-    gram[np.diag_indices_from(gram)] += 1.0
-    lower = np.asarray(np.linalg.cholesky(gram), dtype=np.float64)
-    half = scipy.linalg.solve_triangular(lower, weighted, lower=True)
-    return lower, half, root * misfit - half.T @ (half @ (root * misfit))
+        both = self.force.reshape(-1, 3), predicted
+        measured, rendered = (np.linalg.norm(v, axis=1) for v in both)
+        return float(np.abs(measured - rendered).mean())
 
 
 def left_out_errors(half: Array, rest: Array, press: IntArray) -> Array:
-    """Weighted errors of what all other presses predict for every row, shape (m,).
+    """Weighted errors of predicting every row from all other presses, shape (m,).
 
     Args:
         half: X with R = 1 - XᵀX, shape (k, m).
@@ -143,16 +130,15 @@ def _without(half: Array, rest: Array) -> Array:
 
 
 def presses(scene: Scene) -> IntArray:
-    """Number of the press every frame belongs to, shape (T,).
+    """Number of every frame's press, shape (T,).
 
-    A press is a run of frames in contact within a recording; between two of them the
-    probe has left the skin.
+    A press is a run of frames in contact within one recording.
     """
     return runs(scene.rows.contact_points > 0, scene.trajectory.segment)
 
 
 def runs(touching: Mask, segment: IntArray) -> IntArray:
-    """Number of the run every frame belongs to, in contact or in the air, shape (T,).
+    """Number of every frame's run, in contact or in the air, shape (T,).
 
     Args:
         touching: Whether a frame is in contact, shape (T,).
@@ -162,24 +148,25 @@ def runs(touching: Mask, segment: IntArray) -> IntArray:
     return np.concatenate([[0], np.cumsum(begins)]).astype(np.int64)
 
 
-def criteria_of(scene: Scene, terms: dict[str, int], told: Mask) -> Criteria:
-    """Which rows of a problem are whose.
+def criteria_of(scene: Scene, terms: dict[str, int], informative: Mask) -> Criteria:
+    """The criteria of a problem's rows.
 
     Args:
-        scene: Where they were measured.
+        scene: With the measurements.
         terms: Rows per measured term, by name, in their order; three per frame.
-        told: Rows that say something of the field, shape (m,).
+        informative: Rows that depend on the field, shape (m,).
     """
     frames = np.concatenate(
         [*(np.repeat(np.arange(n // 3), 3) for n in terms.values()), np.zeros(0, int)]
     )
     start = 0
-    force = np.zeros(len(told), dtype=bool)
-    measured = np.zeros(len(told))
+    force = np.zeros(len(informative), dtype=bool)
+    measured = np.zeros(len(informative))
     for name, n in terms.items():
         if name == "force":
             force[start : start + n] = True
             measured[start : start + n] = scene.f
         start += n
-    at = np.flatnonzero(force[told])
-    return Criteria(presses(scene)[frames[told]], at, measured[told][at])
+    at = np.flatnonzero(force[informative])
+    press = presses(scene)[frames[informative]]
+    return Criteria(press, at, measured[informative][at])

@@ -1,8 +1,8 @@
-"""The words that ``weights`` takes, and what is fitted by each.
+"""The values of the option ``weights``, and the problem that each selects.
 
-A fit, a session, the demo and the experiment take the same words: "auto" chooses the
-weights of one formulation (`weight_choice`), "recipe" formulation and sampling as well
-(`recipe`), "own" leaves a formulation its own.
+They are the same for a fit, a session, the demo and the experiment: "auto" chooses the
+weights of one formulation (`weight_choice`), "recipe" its formulation and sampling as
+well (`recipe`), "own" keeps the weights of the formulation.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.batch import USUAL
+from ttus_opt.fitting.batch import DEFAULT_FORMULATION
 from ttus_opt.fitting.recipe import choose_recipe
 from ttus_opt.fitting.weight_choice import (
     WeightChoice,
     choose_weights,
     has_choice,
     is_weight,
+    refuse_weights,
 )
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
@@ -34,10 +35,10 @@ WORDS: tuple[Word, ...] = (AUTO, RECIPE, OWN)
 
 
 def checked_word(word: str, words: Sequence[str] = WORDS) -> str:
-    """A word that stands in a list.
+    """Return a known word.
 
     Raises:
-        InputError: It does not.
+        InputError: It is not among ``words``.
     """
     if word not in words:
         choices = f"{', '.join(words[:-1])} or {words[-1]}"
@@ -50,16 +51,16 @@ def word_for(
     formulation: str | Path | Formulation | None,
     options: Mapping[str, Any],
 ) -> str:
-    """The word asked for; where there is none "auto", if nothing stands against it.
+    """The given word; by default "auto" where that is possible, else "own".
 
     Args:
-        word: One of `WORDS`; None where none was given.
-        formulation: What to fit; None where none was given.
-        options: Of the formulation, as given.
+        word: One of `WORDS`, or None.
+        formulation: The given formulation, or None.
+        options: The given options of the formulation.
 
     Raises:
-        InputError: Another word, "auto" beside a weight, "recipe" beside a formulation
-            or an option, or an unknown formulation.
+        InputError: Another word, "auto" with a weight, "recipe" with a formulation or
+            an option, or an unknown formulation.
     """
     if word is not None:
         checked_word(word)
@@ -67,15 +68,14 @@ def word_for(
         raise InputError(
             'weights="recipe" chooses the formulation and its options: leave both out'
         )
-    given = [name for name in options if is_weight(name)]
-    if word == AUTO and given:
-        raise InputError(f'weights="auto" chooses {given[0]}: give one or the other')
+    if word == AUTO:
+        refuse_weights(options)
     if word is not None:
         return word
     can = formulation is None or (
         not isinstance(formulation, Formulation) and has_choice(formulation)
     )
-    return AUTO if can and not given else OWN
+    return AUTO if can and not any(map(is_weight, options)) else OWN
 
 
 def choice_of(
@@ -87,15 +87,15 @@ def choice_of(
     strict: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> WeightChoice:
-    """What is fitted by a word.
+    """The problem to fit.
 
     Args:
         word: One of `WORDS`.
         scene: Patient, probe and measurements.
-        formulation: As of `choose_weights`; None also for the recipe.
-        options: Of the formulation; none for the recipe.
+        formulation: As of `choose_weights`; None for the recipe.
+        options: Options of the formulation; none for the recipe.
         strict: As of `choose_weights`.
-        progress: Called with what begins.
+        progress: Called with a message for every step.
 
     Raises:
         InputError: As of `word_for` and `choose_weights`.
@@ -105,6 +105,6 @@ def choice_of(
     if word == RECIPE:
         return choose_recipe(scene, progress=progress)
     if word == OWN:
-        own = USUAL if formulation is None else formulation
+        own = DEFAULT_FORMULATION if formulation is None else formulation
         return WeightChoice(scene, shelf.load(own, scene, **options))
     return choose_weights(scene, formulation, options, strict=strict, progress=progress)

@@ -1,7 +1,8 @@
-"""The covariance of rendered wrenches, and the rows that they are of a field."""
+"""Covariance of the errors of rendered wrenches, and their rows over a field."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,6 +19,7 @@ from ttus_opt.contact.friction import (
 )
 from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.contact.rows import contact_rows
+from ttus_opt.fitting.wrench_noise import WrenchNoise
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
@@ -25,42 +27,64 @@ from ttus_opt.voxmap.field import PotentialField
 
 @dataclass(frozen=True)
 class WrenchDoubt:
-    """Covariance of the errors of rendered wrenches, and of measured ones beside.
+    """Covariance of the errors of rendered wrenches, and of the measurement noise.
 
     Attributes:
-        covariance: Of the error of force [N] and torque [N·m] that comes of the field,
-            of every frame, shape (T, 6, 6); NaN where it is not known.
-        noise: Of what a measured wrench shows beside, shape (T, 6, 6); NaN for torque
-            where none was measured.
+        covariance: Error of rendered force [N] and torque [N·m] in every frame, shape
+            (T, 6, 6); NaN where it is unknown.
+        noise: Noise of measured wrenches, shape (T, 6, 6); NaN for torque where none
+            was measured.
     """
 
     covariance: Array = field(repr=False)
     noise: Array = field(repr=False)
 
+    @classmethod
+    def of(
+        cls,
+        potential: PotentialField,
+        shell: PointShell,
+        trajectory: Trajectory,
+        covariance: Callable[[sp.csr_array, int], Array],
+        noise: WrenchNoise,
+    ) -> WrenchDoubt:
+        """Along a trajectory.
+
+        Args:
+            potential: The field.
+            shell: The probe.
+            trajectory: Poses; with drag their motion counts.
+            covariance: Of the errors of blocks of rows of the field.
+            noise: Of measured wrenches.
+        """
+        rows = wrench_rows(potential, shell, trajectory)
+        wrench = np.asarray(rows @ potential.values.reshape(-1)).reshape(-1, 6)
+        return cls(covariance(rows, 6), noise.covariance(wrench))
+
     @property
     def known(self) -> Mask:
-        """Whether it is known in a frame, shape (T,)."""
+        """Frames in which the covariance is known, shape (T,)."""
         return np.asarray(np.isfinite(self.covariance[:, 0, 0]))
 
     @property
     def force(self) -> Array:
         """Standard deviation of the force's components, shape (T, 3) [N]."""
-        return np.asarray(np.sqrt(np.einsum("tii->ti", self.covariance)[:, :3]))
+        return _deviations(self.covariance)[:, :3]
 
     @property
     def torque(self) -> Array:
         """Standard deviation of the torque's components, shape (T, 3) [N·m]."""
-        return np.asarray(np.sqrt(np.einsum("tii->ti", self.covariance)[:, 3:]))
+        return _deviations(self.covariance)[:, 3:]
 
     @property
     def force_noise(self) -> Array:
-        """Standard deviation of what measured components show beside, (T, 3) [N]."""
-        return np.asarray(np.sqrt(np.einsum("tii->ti", self.noise)[:, :3]))
+        """Standard deviation of the noise of force components, shape (T, 3) [N]."""
+        return _deviations(self.noise)[:, :3]
 
     @property
     def torque_noise(self) -> Array:
-        """The same of torque; NaN without [N·m]."""
-        return np.asarray(np.sqrt(np.einsum("tii->ti", self.noise)[:, 3:]))
+        """The same for torque; NaN where none was measured [N·m]."""
+        return _deviations(self.noise)[:, 3:]
 
     @property
     def force_size(self) -> Array:
@@ -105,11 +129,6 @@ def wrench_rows(
     return sp.csr_array(both[order])
 
 
-def rendered(potential: PotentialField, rows: sp.csr_array) -> Array:
-    """Force [N] and torque [N·m] of every frame, shape (T, 6).
-
-    Args:
-        potential: The field.
-        rows: As of `wrench_rows`.
-    """
-    return np.asarray(rows @ potential.values.reshape(-1)).reshape(-1, 6)
+def _deviations(covariance: Array) -> Array:
+    """Roots of the diagonals, shape (T, 6)."""
+    return np.asarray(np.sqrt(np.einsum("tii->ti", covariance)))
