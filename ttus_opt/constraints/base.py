@@ -1,7 +1,4 @@
-"""What a constraint is: lower ≤ M x ≤ upper, or bounds on a variable itself.
-
-The same knowledge may be a term (soft) or a constraint (hard); the caller decides.
-"""
+"""Base class of constraints: lower ≤ M x ≤ upper, cones, or bounds on a variable."""
 
 from __future__ import annotations
 
@@ -24,11 +21,7 @@ from ttus_opt.user_code import defined_at, told_by_line
 
 @dataclass(frozen=True)
 class Constraint(Member):
-    """Something known for certain about the solution.
-
-    Attributes:
-        scene: What the rows are made from.
-    """
+    """A condition that the solution must satisfy."""
 
     @property
     def formula(self) -> str:
@@ -41,12 +34,11 @@ class Constraint(Member):
 
     @cached_property
     def assembled(self) -> LinearRows | ConeRows | Bounds:
-        """`rows`, made once and in one format.
+        """`rows`, computed once and in one format.
 
         Raises:
-            InputError: `rows` raises, a row or limit is no number, a limit can hold for
-                no number at all, they do not fit together, or they are not what they
-                are tagged to be.
+            InputError: `rows` raises, a row or limit is no number, a limit is infinite
+                on the wrong side, sizes do not match, or a tag is wrong.
         """
         owner = f"constraint {self.name}{defined_at(type(self).rows)}"
         with told_by_line(f"rows() of constraint {self.name}"):
@@ -86,7 +78,7 @@ def _uniform_cones(owner: str, rows: ConeRows) -> ConeRows:
 
 
 def _check_sides(owner: str, lower: Array, upper: Array) -> None:
-    """Refuse limits that are infinite on the side where nothing obeys them."""
+    """Refuse limits that are infinite on the wrong side."""
     for name, wrong in (("lower", lower == np.inf), ("upper", upper == -np.inf)):
         if wrong.any():
             raise InputError(

@@ -16,7 +16,7 @@ from ttus_opt.terms.structure import Tag
 
 @dataclass(frozen=True)
 class HardBoundary(Constraint):
-    """Boundary voxels keep their given values exactly, not in least squares."""
+    """Boundary voxels have their given values exactly, not in least squares."""
 
     name = "boundary"
     formula = "p = b on inner, outer and surface layer and both ends"

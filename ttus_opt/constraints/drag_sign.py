@@ -1,7 +1,7 @@
-"""Sign of a drag field: that of the field it is a share of.
+"""Sign of a drag field: that of the field of which it is a share.
 
-Inside q ≥ 0. The surface layer has p = 0, and outside p ≤ 0 mirrors the inside, so
-that a sample between inside and outside goes through zero at the surface: q does as p.
+Like p, q is not negative inside, zero on the surface layer, and not positive outside,
+so that samples across the surface interpolate through zero.
 
 See docs/method.md, Friction.
 """

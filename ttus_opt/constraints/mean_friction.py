@@ -1,6 +1,6 @@
 """Limits of the mean friction coefficient m, 0 ≤ m ≤ μ_max.
 
-The drag field is between 0 and μ_max p, so is what a mean coefficient makes of p.
+The drag field lies between 0 and μ_max p, and m p must do so too.
 
 See docs/method.md, Friction.
 """
@@ -17,7 +17,7 @@ from ttus_opt.constraints.drag_limit import check_coefficient
 
 @dataclass(frozen=True)
 class MeanFriction(Constraint):
-    """The mean friction coefficient is one that the drag field may have.
+    """The mean friction coefficient lies in the range of the drag field's.
 
     Attributes:
         largest: μ_max [–].

@@ -1,9 +1,9 @@
 """Growth with depth along every spoke.
 
-The deeper voxel of two neighbours on a spoke has at least the value of the shallower
-one, and ``least_slope`` times their distance more. Pairs lie inside or between
-inside and the surface layer, whose value stands at the true radius unless the voxmap is
-a staircase; pairs of two given boundary values are left out.
+Of two neighbours on a spoke, the deeper voxel exceeds the shallower one by at least
+``least_slope`` times their distance. Pairs lie inside, or between inside and the
+surface layer, whose value belongs to the true radius unless the voxmap is a staircase.
+Pairs of two given boundary values are left out.
 
 See docs/method.md, The shelf.
 """

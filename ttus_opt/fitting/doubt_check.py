@@ -1,9 +1,9 @@
-"""Whether stated doubt holds: coverage, and whether the error grows with it.
+"""Calibration of stated uncertainty: coverage, and rank correlation with the error.
 
-Rank correlations are told of frames and of places. Within a place stated doubt follows
-the force, while errors may not; between places it says what was measured well. Errors
-within a place are alike, so that a recording has as many witnesses as places: leaving
-each out in turn tells how far a correlation may be off (the jackknife).
+Rank correlations are computed over frames and over places. Within a place the stated
+uncertainty follows the force, while errors need not; between places it reflects how
+well each was measured. Errors within a place are alike, so that places, not frames, are
+independent: the standard error of a correlation is that of the jackknife over places.
 
 Source: B. Efron, C. Stein, The jackknife estimate of variance, Ann. Statist. 9 (1981).
 """
@@ -24,42 +24,40 @@ from ttus_opt.fitting.wrench_noise import places
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import Evaluation
 
-#: Fewer frames, or places, have no order [–]
+#: Fewest frames, or places, for a rank correlation [–]
 LEAST = 3
 
 
 class StatesDoubt(Protocol):
-    """What is checked: of a fit, or read from a field file."""
+    """The uncertainty of a fit (`Doubt`) or of a field file (`SavedDoubt`)."""
 
     def std(self, trajectory: Trajectory) -> WrenchDoubt:
-        """How sure the field is of what it renders along a trajectory."""
+        """Uncertainty of the wrenches rendered along a trajectory."""
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """Stated doubt against errors on a recording, over frames in contact.
+    """Stated uncertainty compared with errors on a recording, over frames in contact.
 
-    Rank correlations are Spearman's, of the size of the error; those of torque are NaN
-    where none was measured, those over places with fewer than three.
+    Rank correlations are Spearman's, with the length of the error. Figures of torque
+    are NaN where none was measured, those over places with fewer than three.
 
     Attributes:
         force_std_N: Median standard deviation of the whole force, √ trace.
-        torque_std_Nm: The same of torque; NaN where none was measured.
-        force_coverage: Share of measured force components within the 95 % interval,
-            the field's doubt and what a measurement shows beside it [–].
-        torque_coverage: The same of torque; NaN where none was measured [–].
-        force_rank_correlation: With the field's own doubt [–].
-        torque_rank_correlation: The same of torque [–].
+        torque_std_Nm: The same for torque.
+        force_coverage: Share of measured force components within the 95 % interval of
+            the field's uncertainty and the measurement noise together [–].
+        torque_coverage: The same for torque [–].
+        force_rank_correlation: With the field's own uncertainty [–].
+        torque_rank_correlation: The same for torque [–].
         frames: Frames in contact.
-        frames_unknown: Frames that reach deeper than doubt is known; left out.
-        force_rank_error: Standard error of that, places left out in turn [–].
-        torque_rank_error: The same of torque [–].
-        force_total_rank_correlation: With the field's own doubt and the noise of a
-            measurement together [–].
-        torque_total_rank_correlation: The same of torque [–].
-        force_place_rank_correlation: Of the means over every place, with the field's
-            own doubt [–].
-        torque_place_rank_correlation: The same of torque [–].
+        frames_unknown: Frames deeper than the uncertainty is known; left out.
+        force_rank_error: Jackknife standard error of ``force_rank_correlation`` [–].
+        torque_rank_error: The same for torque [–].
+        force_total_rank_correlation: With uncertainty and noise together [–].
+        torque_total_rank_correlation: The same for torque [–].
+        force_place_rank_correlation: Of the means over places [–].
+        torque_place_rank_correlation: The same for torque [–].
         places: Runs of frames of one press within 30 mm [–].
     """
 
@@ -87,10 +85,10 @@ class Calibration:
 def check_doubt(
     doubt: StatesDoubt, evaluation: Evaluation, trajectory: Trajectory
 ) -> Calibration:
-    """Compare stated doubt with errors.
+    """Compare stated uncertainty with errors.
 
     Args:
-        doubt: Of the field that was evaluated.
+        doubt: Of the evaluated field.
         evaluation: Of `ttus_opt.evaluate` on the trajectory.
         trajectory: A recording that was not fitted.
 
@@ -141,7 +139,7 @@ def check_doubt(
 
 @dataclass(frozen=True)
 class _Agreement:
-    """Of one quantity, as of `Calibration`."""
+    """The figures of `Calibration` for force or torque."""
 
     coverage: float = np.nan
     ranks: float = np.nan
@@ -151,7 +149,7 @@ class _Agreement:
 
     @classmethod
     def of(cls, error: Array, std: Array, noise: Array, place: IntArray) -> _Agreement:
-        """Of components of an error, their doubt and their noise, each (n, 3)."""
+        """From errors, standard deviations and noise of components, (n, 3) each."""
         total = np.sqrt(std**2 + noise**2)
         off, own, whole = (np.linalg.norm(v, axis=1) for v in (error, std, total))
         frames = np.bincount(place)
@@ -168,7 +166,7 @@ class _Agreement:
 
 
 def _ranks(a: Array, b: Array) -> float:
-    """Spearman's rank correlation; NaN where there is no order."""
+    """Spearman's rank correlation; NaN where it is undefined."""
     from scipy.stats import spearmanr
 
     if len(a) < LEAST or not (np.ptp(a) > 0.0 and np.ptp(b) > 0.0):

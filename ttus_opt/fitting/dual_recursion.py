@@ -1,4 +1,4 @@
-"""The dual system of eq. 10 as it grows and shrinks (docs/method.md, "Recursion").
+"""The dual system of eq. 10 with added and removed rows (docs/method.md, "Recursion").
 
 With D the weighted measured rows, t their targets, p₀ = L⁻¹b and K = D L⁻¹L⁻ᵀDᵀ, the
 minimiser of ‖L p - b‖² + ‖D p - t‖² is
@@ -10,22 +10,21 @@ one with L per row. This is the Sherman-Morrison-Woodbury recursion without the 
 × rows matrix L⁻¹L⁻ᵀDᵀ: only D (sparse) and a low-rank factor R with K ≈ R Rᵀ are kept
 (`ttus_opt.fitting.low_rank_kernel`), and only the pivot rows of R enter a new column.
 
-Statistically, with p ~ Normal(p₀, (LᵀL)⁻¹) and noise of variance 1 on every weighted
-row, the same quantities predict a measurement before it is folded in. With r its
-coordinates in the columns of R, its innovation has the covariance
+With p ~ Normal(p₀, (LᵀL)⁻¹) and noise of variance 1 on every weighted row, the same
+quantities predict a measurement before it is added. With r its coordinates in the
+columns of R, its innovation has the covariance
 
     S = I + h L⁻¹L⁻ᵀhᵀ - r rᵀ + r M⁻¹rᵀ,    M = I + RᵀR,
 
-and its mean is that of the last field plus, for rows added since, r M⁻¹Rᵀ times their
-residual.
+and its prediction is that of the last field plus, for rows added since, r M⁻¹Rᵀ times
+their residual.
 
-R need not be exact: I + R Rᵀ preconditions conjugate gradients, which refine the field
-until (I + K) y = d₀ holds to `FIELD_RTOL` with solves of full accuracy.
+R need not be exact: I + R Rᵀ is a preconditioner, and conjugate gradients refine the
+field until (I + K) y = d₀ holds to `FIELD_RTOL`, with solves of full accuracy.
 
 Rows may be added, faded and removed any number of times. When a pivot is removed, the
-columns of K of the rows that replace it are solved for again, one more pair of solves
-for each, so that no error of R is passed on. Should R become ill-conditioned all the
-same, it is computed anew from D.
+columns of K of the rows that replace it are solved for again, so that errors of R do
+not accumulate. If R becomes ill-conditioned, it is recomputed from D.
 """
 
 from __future__ import annotations
@@ -46,15 +45,14 @@ from ttus_opt.threads import side_by_side
 #: Relative residual of (I + K) y = d₀ to which the field is refined; most iterations
 FIELD_RTOL, FIELD_ROUNDS = 1e-9, 30
 
-#: A row counts as dependent on others when its residual variance, in units of its
-#: noise, is below this
+#: Largest residual variance of a dependent row, over that of its noise
 DEPENDENT = 1e-6
 
-#: Largest relative residual of the solves for columns of K; their error, about this
-#: times ‖h‖², must stay below `DEPENDENT` by this margin
+#: Largest relative residual of the solves for columns of K, and the factor by which
+#: their error, about this residual times ‖h‖², must stay below `DEPENDENT`
 COLUMN_RTOL, MARGIN = 1e-7, 100.0
 
-#: Schur complements are at least 1; below this, rounding errors dominate
+#: Least Schur complement, exactly at least 1; below, rounding errors dominate
 LEAST_SCHUR = 0.9
 
 
@@ -65,9 +63,9 @@ class Forecast:
     Attributes:
         block: The rows h.
         projection: The rows projected on R's columns.
-        columns: Entries of K of the rows chosen with the others held, shape (p, o).
+        columns: Entries of K of the chosen rows with the others held, shape (p, o).
         prior: h p₀, shape (m,).
-        known: h p of the last field, shape (m,).
+        known: h p with the last field, shape (m,).
         mean: Predicted measurement, shape (m,).
     """
 
@@ -85,9 +83,9 @@ class Forecast:
 
 
 class DualRecursion:
-    """D and R of the measured rows so far, and the field they make.
+    """D and R of the measured rows, and their field.
 
-    Memory is that of `LowRankKernel` and D beside three vectors of V.
+    Memory is that of `LowRankKernel`, D and three vectors of V.
 
     Attributes:
         height: Rows per block [–].
@@ -108,12 +106,12 @@ class DualRecursion:
         self._kernel = LowRankKernel()
         # above `DEPENDENT` where weights are too large for the solves
         self._tolerance = DEPENDENT
-        # whether R must be computed anew from D
+        # whether R must be recomputed from D
         self._stale = False
         self._d0 = np.zeros(0)
         # d₀ - D(p - p₀) - y with p the last field, and Rᵀ times this
         self._rest, self._information = np.zeros(0), np.zeros(0)
-        # p - p₀ and the y it belongs to; None when it must be computed anew
+        # p - p₀ and its y; None when it must be recomputed
         self._shift: Array | None = None
         self._y = np.zeros(0)
         self.prior_field = laplace.solve(b)
@@ -143,8 +141,8 @@ class DualRecursion:
     def misfit(self) -> float:
         """d₀ᵀ(I + K)⁻¹d₀ [–].
 
-        The sum of the squares of all innovations by their predicted spread, and the
-        least value of the objective.
+        The sum of the squares of all normalised innovations, and the minimum of the
+        objective.
         """
         self._ensure_factor()
         return float(self._d0 @ self._kernel.solve(self._d0))
@@ -152,8 +150,7 @@ class DualRecursion:
     def forecast(self, block: Block) -> Forecast:
         """Predict new rows from the rows held.
 
-        Costs two solves with A per row, rows side by side on all cores, and O(k²) with
-        k the rank.
+        Costs two solves with A per row, in parallel, and O(k²) with k the rank.
 
         Args:
             block: The new rows.
@@ -184,7 +181,7 @@ class DualRecursion:
 
         Args:
             forecast: Made by `forecast` since the last change.
-            target: What was measured, weighted as the rows, shape (m,).
+            target: Measurements, weighted as the rows, shape (m,).
         """
         rank = self.rank
         self._kernel.append(forecast.projection, forecast.columns)
@@ -202,11 +199,10 @@ class DualRecursion:
     def remove(self, start: int, count: int) -> None:
         """Remove blocks start to start + count.
 
-        Costs as `LowRankKernel.remove`, and a pair of solves for every replacement, at
-        most one per pivot removed.
+        Costs as `LowRankKernel.remove`, and a pair of solves per removed pivot at most.
 
         Raises:
-            InputError: Blocks that are not there.
+            InputError: No such blocks.
         """
         held = len(self)
         if start < 0 or count < 0 or start + count > held:
@@ -242,9 +238,9 @@ class DualRecursion:
         self._reset_field()
 
     def field(self) -> Array:
-        """Solve (I + K) y = d₀ by conjugate gradients, and make p, shape (V,).
+        """The field p, shape (V,), from (I + K) y = d₀ by conjugate gradients.
 
-        Nothing if nothing changed, else per round two solves with A and O(n k).
+        Costs two solves with A and O(n k) per round; nothing if nothing has changed.
 
         Raises:
             NumericalError: `FIELD_RTOL` was not reached.
@@ -265,7 +261,7 @@ class DualRecursion:
         return self.prior_field + self._shift
 
     def _refined(self) -> float:
-        """Refine the last field; the relative residual reached.
+        """Refine the last field; return its relative residual.
 
         Conjugate gradients preconditioned by I + R Rᵀ, flexible because the solves are
         inexact: Notay, SIAM J. Sci. Comput. 22 (2000) 1444-1460.
@@ -284,7 +280,7 @@ class DualRecursion:
             step = self._kernel.solve(residual)
             direction = step + (step @ (residual - before) / fall) * direction
             before, fall = residual, float(step @ residual)
-            # a small correction needs fewer digits
+            # a small correction needs less accuracy
             rtol = min(max(RTOL, 0.1 * FIELD_RTOL * size / now), 1e-4)
             source = laplace.solve_adjoint(self._D.adjoint(direction), rtol=rtol)
             shift = laplace.solve(source, rtol=rtol)
@@ -298,7 +294,7 @@ class DualRecursion:
         return float(np.linalg.norm(residual)) / size
 
     def _projected(self, block: Block) -> tuple[Projection, Array]:
-        """A block projected on R, and the entries of K that its new columns need."""
+        """Project a block on R; also the entries of K for its new columns."""
         kernel, m = self._kernel, self.height
         rtol = self._accuracy(np.sum(block.values**2, axis=0))
         held, own = np.empty((m, kernel.rank)), np.empty((m, m))
@@ -340,12 +336,12 @@ class DualRecursion:
         kernel.append(projection, others, rows)
 
     def _ensure_factor(self) -> None:
-        """Compute R anew where it is unusable."""
+        """Recompute R where it is unusable."""
         if self._stale:
             self._rebuild()
 
     def _rebuild(self) -> None:
-        """Compute R anew from D: as many solves as when all blocks were added."""
+        """Recompute R from D, with as many solves as for adding all blocks."""
         self._stale = True
         self._kernel = LowRankKernel()
         for s in range(len(self)):
@@ -354,7 +350,7 @@ class DualRecursion:
         self._reset_field()
 
     def _accuracy(self, sizes: Array) -> float:
-        """Relative residual of solves for columns of K, of rows with such ‖h‖²."""
+        """Relative residual of solves for columns of K of rows with these ‖h‖²."""
         largest = max(float(sizes.max(initial=0.0)), 1e-300)
         rtol = min(max(RTOL, DEPENDENT / (MARGIN * largest)), COLUMN_RTOL)
         self._tolerance = max(self._tolerance, MARGIN * rtol * largest)
@@ -366,12 +362,12 @@ class DualRecursion:
         rtol: float,
         take: Callable[[int, Array], None],
     ) -> None:
-        """Compute L⁻¹L⁻ᵀhᵀ of rows in parallel and hand each on with its number.
+        """Compute L⁻¹L⁻ᵀhᵀ of rows in parallel and pass each on.
 
         Args:
             entries: Voxels and values of the rows h.
             rtol: Relative residual of the solves.
-            take: Called with number and vector, from several threads.
+            take: Called with a row's number and vector, from several threads.
         """
         laplace = self._laplace
 
@@ -383,7 +379,7 @@ class DualRecursion:
         side_by_side(chain, range(len(entries)))
 
     def _reset_field(self) -> None:
-        """Start from p₀ again: rows were removed or changed, or the field failed."""
+        """Start from p₀ again after rows were removed or changed, or a failure."""
         self._rest = self._d0
         if not self._stale:
             self._information = self._kernel.adjoint(self._d0)

@@ -31,7 +31,7 @@ MISSING = -1
 #: Units of parameters that have one
 PARAMETER_UNITS = {"viscous_coefficient": "N s m-1", "drag_deadband": "m s-1"}
 
-#: Per recording that is held out: variable, unit, and what of `Errors` it is, per unit
+#: Variables per held-out recording: unit, field of `Errors`, and its factor
 HELD_OUT = {
     "held_out_force_magnitude_error": ("N", "force_magnitude_error_N", 1.0),
     "held_out_force_angle_error": ("degree", "force_angle_error_deg", 1.0),
@@ -90,7 +90,7 @@ class PathRecord:
     def add(
         self, at: Index, solution: Solution, criteria: Mapping[str, float] | None = None
     ) -> None:
-        """Note the solution of one point, and what measurements say of its weights."""
+        """Record the solution and the criteria of one point."""
         self._status[at] = list(Status).index(solution.status)
         if solution.solver not in self._solvers:
             self._solvers.append(solution.solver)
@@ -113,7 +113,7 @@ class PathRecord:
         self._judge(at, solution.verified_field)
 
     def _judge(self, at: Index, found: PotentialField) -> None:
-        """Note what a field makes of the recordings."""
+        """Record a field's errors on the recordings."""
         scene = self._declared.scene
         if self._potential is not None:
             self._potential[at] = found.values
@@ -128,26 +128,26 @@ class PathRecord:
                     torque[(*at, k)] = 1e3 * _rms(off)
         for k, (one, rows) in enumerate(self._held_out.values()):
             felt = wrenches_by_rows(rows, found, scene.shell, one)
-            told: Errors = compare(one, felt).errors
+            errors: Errors = compare(one, felt).errors
             for name, (_unit, figure, scale) in HELD_OUT.items():
-                self._errors[name][(*at, k)] = scale * getattr(told, figure)
+                self._errors[name][(*at, k)] = scale * getattr(errors, figure)
 
     def dataset(self) -> xr.Dataset:
-        """What was noted; NaN and status -1 where nothing was."""
+        """The recorded points; NaN and status -1 elsewhere."""
         import xarray as xr
 
         scene = self._declared.scene
         dims = tuple(axis.dimension for axis in self._grid.axes)
         potential_unit = FIELD_UNIT[scene.sampling]
         square = "N2" if scene.sampling == "voxel-mean" else "N2 cm-4"
-        told = {
+        numbers = {
             "kkt_residual": ("1", "largest relative residual of the KKT conditions"),
             "objective": (square, "weighted sum of all terms"),
             "seconds": ("s", "time this point took beyond those before it"),
         }
         out = xr.Dataset(coords=self._coordinates(), attrs=self._attributes())
         out["status"] = (dims, self._status, _status_attributes())
-        for name, (unit, meaning) in told.items():
+        for name, (unit, meaning) in numbers.items():
             about = {"units": unit, "long_name": meaning}
             out[name] = (dims, self._numbers[name], about)
         out["term_value"] = (

@@ -1,9 +1,9 @@
 """Eq. 10 one measurement at a time, equal to the batch fit.
 
-The linear algebra is `ttus_opt.fitting.dual_recursion`; here are poses and wrenches,
-the test for outliers, and which measurements are held. The test compares a measurement
-with what all earlier ones predict for its pose: with p ~ Normal(p₀, s (LᵀL)⁻¹) and
-noise variances s/λ_f and s ℓ²/λ_τ, νᵀS⁻¹ν of the innovation ν is χ² distributed.
+This module handles poses, wrenches, the test for outliers and the list of measurements;
+the linear algebra is `ttus_opt.fitting.dual_recursion`. The test compares a measurement
+with the prediction from all earlier ones: with p ~ Normal(p₀, s (LᵀL)⁻¹) and noise
+variances s/λ_f and s ℓ²/λ_τ, νᵀS⁻¹ν of the innovation ν is χ² distributed.
 """
 
 from __future__ import annotations
@@ -28,21 +28,19 @@ COMPONENTS = ("fx", "fy", "fz", "tx", "ty", "tz")
 
 @dataclass(frozen=True)
 class Innovation:
-    """What one measurement said beyond what was expected.
+    """Difference between one measurement and its prediction.
 
     Attributes:
-        index: Number of the measurement, counted from 0; `RecursiveFit.downdate`
-            takes it.
-        components: Which of fx, fy, fz, tx, ty, tz have weight, k names.
+        index: Number of the measurement, from 0, for `RecursiveFit.downdate`.
+        components: Those of fx, fy, fz, tx, ty, tz with weight, k names.
         innovation: Measured minus predicted, ν, shape (k,) [N, N·m].
         covariance: Its predicted covariance, S, shape (k, k) [N², N²·m, N²·m²].
         nis: Normalised innovation squared νᵀS⁻¹ν, χ² with k degrees of freedom when
             the weights are right [–].
-        threshold: Largest ``nis`` that is accepted; infinite where nothing is
-            tested [–].
+        threshold: Largest accepted ``nis``; infinite without a test [–].
         accepted: Whether the measurement is held.
-        contact_points: Shell points inside the patient; where there are none the
-            measurement says nothing about the field [–].
+        contact_points: Shell points inside the patient; without any the measurement
+            does not concern the field [–].
         in_grid: Whether any shell point lies within the grid.
         seconds: Time the update took [s].
     """
@@ -62,8 +60,8 @@ class Innovation:
 class RecursiveFit:
     """The field of all measurements so far, equal to the batch fit of eq. 10.
 
-    Memory follows the rank k of the measurements, not the voxels: beside the sparse
-    rows and three vectors of V at most n k numbers are held, with n six rows for each
+    Memory follows the rank k of the measurements, not the voxels: besides the sparse
+    rows and three vectors of V, at most n k numbers are held, with n six rows for each
     measurement in contact (three where one weight is zero). Repeated motion keeps k
     small: 550 after 1,200 presses and sweeps of the bundled recordings on 51,840
     voxels, 32 MB; 400 presses all over a torso have k = 1,475 and 29 MB.
@@ -71,8 +69,8 @@ class RecursiveFit:
     Time per measurement: twelve solves with the block A on all cores, O(k²), and O(n k)
     for each new column; a pose without contact costs only the search for its points.
     Measurements may be added, faded and removed any number of times: only the list of
-    rejected ones grows. An instance belongs to one thread at a time; the fields it gave
-    do not change.
+    rejected ones grows. Use an instance in one thread at a time; fields that it has
+    returned do not change.
 
     Attributes:
         scene: Patient and probe; its measurements were folded in first.
@@ -102,10 +100,10 @@ class RecursiveFit:
             capacity: Most measurements in contact that may be held [–].
             outlier_level: Probability with which a good measurement is rejected by
                 the χ² test of its innovation; None accepts all [–].
-            noise_std: Standard deviation of a measured force component, to which all
-                predicted covariances are scaled; by default 1/√λ_f, which is what the
-                weight says beside a prior of unit variance, and far wider than any
-                sensor: give it to find more than gross outliers [N].
+            noise_std: Standard deviation of a measured force component, which scales
+                all predicted covariances; by default 1/√λ_f, that of the weight for a
+                prior of unit variance, far larger than any sensor's. Give it to detect
+                more than gross outliers [N].
             fold_scene: False leaves the scene's own measurements out.
 
         Raises:
@@ -124,7 +122,7 @@ class RecursiveFit:
         scales = np.repeat(roots, 3)
         self._used = np.flatnonzero(scales)
         self._scales = scales[self._used]
-        # the weight that noise_std speaks of
+        # the weight that noise_std refers to
         self._lead = force_weight or torque_weight
         self._variance = 1.0 if noise_std is None else self._lead * noise_std**2
         self._threshold = math.inf
@@ -147,17 +145,17 @@ class RecursiveFit:
 
     @property
     def measurements(self) -> int:
-        """Measurements held, those without contact included [–]."""
+        """Number of measurements held, including those without contact [–]."""
         return len(self._slots) + len(self._silent)
 
     @property
     def in_contact(self) -> tuple[int, ...]:
-        """Numbers of the measurements held that touch the patient."""
+        """Numbers of the held measurements in contact."""
         return tuple(self._slots)
 
     @property
     def rejected(self) -> tuple[int, ...]:
-        """Numbers of the measurements that failed their test and are not held."""
+        """Numbers of the measurements that failed the test."""
         return tuple(self._rejected)
 
     @property
@@ -169,8 +167,8 @@ class RecursiveFit:
     def estimated_noise_std(self) -> float:
         """The likeliest ``noise_std`` for the measurements in contact [N].
 
-        1/√λ_f times the root mean square of the innovations over their predicted
-        spread; NaN before the first. With λ_f = 0 it is that of torque over ℓ.
+        1/√λ_f times the root mean square of the normalised innovations; NaN before the
+        first. With λ_f = 0 it is that of torque over ℓ.
         """
         system = self._system
         if not system.n_rows:
@@ -181,8 +179,8 @@ class RecursiveFit:
     def field(self) -> PotentialField:
         """The current field, equal to the batch fit.
 
-        Made when asked: nothing but a copy if nothing changed, else two solves with L
-        per round of refinement, as a rule two or three, and O(n k).
+        Computed on access: a copy if nothing has changed, else two solves with L per
+        round of refinement, usually two or three, and O(n k).
 
         Raises:
             NumericalError: The refinement did not converge.
@@ -209,17 +207,17 @@ class RecursiveFit:
             rotation: Probe to patient, shape (3, 3) [–].
             position: Of the probe frame's origin, patient frame, shape (3,) [m].
             force: On the probe, patient axes, shape (3,) [N].
-            torque: About the shell's reference point, shape (3,) [N·m]; may be left
-                out where torques have no weight.
+            torque: About the shell's reference point, shape (3,) [N·m]; optional where
+                torques have no weight.
 
         Returns:
-            The innovation, and whether it was accepted. A pose without contact is
-            held, changes nothing and is not tested.
+            The innovation. A pose without contact is held without a test and does not
+            change the field.
 
         Raises:
             InputError: Unusable pose or wrench, or the capacity is reached; the fit
-                is what it was.
-            NumericalError: A solve did not reach its tolerance; as above.
+                does not change.
+            NumericalError: A solve did not reach its tolerance; likewise.
         """
         start = time.perf_counter()
         rotation = _checked(rotation, (3, 3), "rotation (3, 3)")
@@ -248,10 +246,10 @@ class RecursiveFit:
         )
 
     def downdate(self, index: int) -> None:
-        """Take one measurement out, as if it had never been made.
+        """Remove one measurement, as if it had never been made.
 
-        O(k²) for each of its rows; O(n k) more, and as a rule a pair of solves with A,
-        where others have to stand for what only it said.
+        O(k²) for each of its rows; where one of them was a pivot, O(n k) more and
+        usually a pair of solves with A for its replacement.
 
         Args:
             index: Its number, `Innovation.index`.
@@ -277,12 +275,12 @@ class RecursiveFit:
         Args:
             factor: Multiplies the weight of every measurement held, in (0, 1]; later
                 ones have full weight. The field is that of the batch fit with these
-                weights. Costs O(n k²) and for a moment two full k × k matrices [–].
-            window: How many of the newest measurements held to keep; the others are
-                removed as by `downdate` [–].
+                weights. Costs O(n k²) and temporarily two full k × k matrices [–].
+            window: Number of newest measurements to keep; the others are removed as by
+                `downdate` [–].
 
         Raises:
-            InputError: None or both are given, or a value is out of range.
+            InputError: Neither or both are given, or a value is out of range.
         """
         if (factor is None) == (window is None):
             raise InputError(
@@ -296,7 +294,7 @@ class RecursiveFit:
             raise InputError(f"window must not be negative, got {window}")
         held = sorted([*self._slots, *self._silent])
         gone = set(held[: max(0, len(held) - window)])
-        # slots are in the order of time: the old ones stand first
+        # slots are in the order of time
         first = len(gone.intersection(self._slots))
         self._system.remove(0, first)
         del self._slots[:first]
@@ -314,7 +312,7 @@ class RecursiveFit:
     def _fold(
         self, rows: ContactRows, t: int, wrench: Array, limit: float, start: float
     ) -> Innovation:
-        """Forecast, test and take in pose t of some rows."""
+        """Predict, test and add pose t of some rows."""
         block = self._block(rows, t)
         target = wrench[self._used] * self._scales
         surprise, schur = target, np.eye(len(target))
@@ -362,7 +360,7 @@ class RecursiveFit:
 
 
 def _checked(values: Array, shape: tuple[int, ...], what: str) -> Array:
-    """A finite array of a shape."""
+    """Return a finite array of the right shape."""
     array = np.asarray(values, dtype=np.float64)
     if array.shape != shape:
         raise InputError(f"a measurement needs {what}, got shape {array.shape}")

@@ -1,9 +1,9 @@
-"""A path of weights: one formulation solved for many, at the cost of few solves.
+"""A path of weights: one formulation solved for many weights by few solves.
 
-Where the problem is one field without limits, the fields of all weights are
-combinations of a few response fields (`ttus_opt.solvers.dual.weight_sweep`). With
-limits the working set of one point starts the next; other solvers keep what they can.
-Every point is verified by its own residuals, as any other fit.
+For one field without limits, the fields of all weights are combinations of a few
+response fields (`ttus_opt.solvers.dual.weight_sweep`). With limits, the working set of
+one point starts the next; other solvers keep their state. Every point is verified by
+its own residuals like any other fit.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from ttus_opt.solvers.base import Request, Solver
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Recordings that no point is fitted to: one, several, or several by name
+#: Held-out recordings: one, several, or several by name
 HeldOut = Trajectory | Sequence[Trajectory] | Mapping[str, Trajectory]
 
-#: What a path may have beside what it always has
+#: Optional contents of a path
 EXTRAS = ("potential", "criteria")
 
 
@@ -48,33 +48,32 @@ def solution_path(
 ) -> xr.Dataset:
     """Solve a formulation for many weights.
 
-    An interrupt (Ctrl-C) ends the path early: what is done is kept, and a `TtusWarning`
-    says how much that is.
+    An interrupt (Ctrl-C) ends the path early: finished points are kept, and a
+    `TtusWarning` gives their number.
 
     Args:
         formulation: A name, a path to a file with ``build``, or a Formulation.
-        scene: Patient, probe and measurements; may be left out with a Formulation.
+        scene: Patient, probe and measurements; optional with a Formulation.
         weights: Values by term, ``{"force": np.logspace(-4, 2, 25)}``; a tuple of names
             for terms with a common weight, several entries for a grid. Other terms keep
-            the weights they have.
+            their weights.
         held_out: Recordings with wrenches, on which every point is evaluated.
         solver: As of `ttus_opt.fit`.
         tolerance: Largest relative KKT residual of a solution [–].
-        extras: "potential" keeps every point's field; "criteria" adds what the
-            measurements say of the weights: evidence, generalised cross-validation, and
-            errors on presses left out in turn. These need one field without limits;
-            the larger the largest weight, the more response fields they take, on a
-            fine grid ten times the path's.
+        extras: "potential" keeps every point's field; "criteria" adds evidence,
+            generalised cross-validation, and errors on presses left out in turn, for
+            one field without limits. They take more response fields with larger
+            weights, on a fine grid ten times as many as the path.
         progress: Whether to show a progress bar.
-        options: The formulation's own.
+        options: Options of the formulation.
 
     Returns:
         Over one dimension per entry of ``weights`` (``force_weight``): status, KKT
-        residual, objective, value of every term, residual of every recording that was
-        fitted, errors on held-out recordings, parameters (the minimiser's, without
-        `fit`'s test whether the data bear them), seconds and ``extras``; units on
-        everything, NaN where a point was not solved.
-        `write_solution_path` writes it, `ttus_opt.report.plots.weight_path` draws it.
+        residual, objective, value of every term, residual of every fitted recording,
+        errors on held-out recordings, parameters (of the minimiser, whether or not the
+        data determine them), seconds and ``extras``; with units, NaN where a point was
+        not solved. `write_solution_path` writes it,
+        `ttus_opt.report.plots.weight_path` draws it.
 
     Raises:
         InputError: Unknown formulation, option, solver, term or extra, weights that are
@@ -164,7 +163,7 @@ def _shown(order: Sequence[Index], progress: bool) -> Iterator[Index]:
     if progress:
         from tqdm import tqdm
 
-        # a file or a pipe hears of long work only, and every few seconds
+        # into a file or pipe only for long work, and every few seconds
         watched = sys.stderr.isatty()
         points = tqdm(
             order,

@@ -1,4 +1,4 @@
-"""The weights of a path: an axis per term, or per group of terms with a common one."""
+"""The weights of a path: an axis per term, or per group of terms with one weight."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 
-#: Weights of one axis each, by the name of a term or the names of several
+#: Weights of every axis, by the name of a term or the names of several
 Weights = Mapping[str | tuple[str, ...], ArrayLike]
 
 #: Most points of a grid
@@ -23,7 +23,7 @@ Index = tuple[int, ...]
 
 @dataclass(frozen=True)
 class WeightAxis:
-    """Weights that one or more terms take in turn.
+    """Weights of one or more terms.
 
     Attributes:
         terms: Names of the terms.
@@ -102,7 +102,7 @@ class WeightGrid:
     def from_both_ends(self) -> list[Index]:
         """All points, the ends of each axis first, then halves, quarters and so on.
 
-        What lies between points that are solved needs little that is new.
+        Points between solved ones need few new response fields.
         """
         ranks = [{i: r for r, i in enumerate(_halving(n))} for n in self.shape]
 
@@ -153,13 +153,13 @@ def _values(terms: tuple[str, ...], given: ArrayLike) -> Array:
 
 
 def _listed(values: Array, most: int = 5) -> str:
-    """The first few, as people write them."""
+    """The first few, as text."""
     more = ", …" if len(values) > most else ""
     return ", ".join(f"{value:g}" for value in values[:most]) + more
 
 
 def _halving(n: int) -> Iterator[int]:
-    """Numbers below n: the last, the first, then middles of what is between.
+    """Numbers below n: the last, the first, then midpoints of the gaps.
 
     >>> list(_halving(5))
     [4, 0, 2, 3, 1]
@@ -168,7 +168,7 @@ def _halving(n: int) -> Iterator[int]:
     if n > 1:
         yield 0
     gaps = [(0, n - 1)]
-    for low, high in gaps:  # grows while it is walked through
+    for low, high in gaps:  # grows during the loop
         if high - low > 1:
             middle = (low + high) // 2
             yield middle
@@ -176,7 +176,7 @@ def _halving(n: int) -> Iterator[int]:
 
 
 def _winding(shape: Index) -> Iterator[Index]:
-    """Every index of a grid, from one to the next by one step along one axis.
+    """Every index of a grid, consecutive ones being neighbours.
 
     >>> list(_winding((2, 2)))
     [(0, 0), (0, 1), (1, 1), (1, 0)]

@@ -1,15 +1,15 @@
-"""What a measured wrench shows beside the field: sensor, tissue and press.
+"""Noise of measured wrenches relative to a field: sensor and model errors.
 
-With w = (f, τ) what the field renders in a frame, the error of a measured wrench is
+With w = (f, τ) rendered by the field in a frame, the error of a measured wrench is
 
-    e = s + r w + c w + (t × f, 0) + (0, o × f):
+    e = s + r w + c w + (t × f, 0) + (0, o × f).
 
-s the sensor's, of each component on its own, and r a share of the wrench, both new in
-every frame; a share c, a turn t and a shift o of the line of action, the same in all
-frames of a place. Those are what no field of this kind gives of the place. All are
+The sensor noise s of each component and the relative error r are independent in every
+frame. The relative error c, the rotation t of the force and the shift o of its line of
+action are common to all frames of a place; they stand for model errors there. All are
 normal with mean zero, so that the covariance Σ of all rows is block-diagonal by frame
-plus seven columns per place. The prior's variance and the noise are found together by
-marginal likelihood, with weak log-normal priors. See docs/method.md, Doubt.
+plus seven columns per place. The prior's variance and the noise are estimated together
+by marginal likelihood, with weak log-normal priors. See docs/method.md, Doubt.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), eq. 2.30.
@@ -38,19 +38,19 @@ PRIORS = {
     "shift": (0.001, 0.7),
 }
 
-#: What tells nothing where no torque was measured
+#: Parameters that need measured torques
 TORQUE = ("torque", "shift")
 
-#: Largest share of a place: beyond, fields would say nothing [–]
+#: Largest relative error c of a place [–]
 MOST_SHARE = 0.25
 
 #: Standard deviation of the logarithm of the prior's variance [–]
 VARIANCE_SPREAD = 2.0
 
-#: Most frames that the evidence looks at, and most evaluations
+#: Most frames in the evidence, and most evaluations
 MOST_FRAMES, MOST = 150, 300
 
-#: A probe that has moved this far presses another place [m]
+#: Largest distance of the probe from the start of a place [m]
 PLACE = 0.03
 
 
@@ -59,13 +59,12 @@ class WrenchNoise:
     """Standard deviations of the error of a measured wrench.
 
     Attributes:
-        force: Of a component, the sensor's [N].
-        share: Of the wrench, of every frame on its own [–].
-        place_share: Of the wrench, the same in all frames of a place [–].
-        turn: Of the force about an axis, the same in all frames of a place [rad].
-        torque: Of a component, the sensor's; NaN where none was measured [N·m].
-        shift: Of the line of action along an axis, the same in all frames of a place;
-            NaN where no torque was measured [m].
+        force: Sensor noise s of a force component [N].
+        share: Relative error r, per frame [–].
+        place_share: Relative error c, per place [–].
+        turn: Rotation t about an axis, per place [rad].
+        torque: Sensor noise s of a torque component; NaN where none was measured [N·m].
+        shift: Shift o along an axis, per place; NaN where no torque was measured [m].
     """
 
     force: float
@@ -76,7 +75,7 @@ class WrenchNoise:
     shift: float = np.nan
 
     def own(self, wrench: Array) -> Array:
-        """Covariance of what every frame has on its own, shape (T, 6, 6).
+        """Covariance of the errors per frame, shape (T, 6, 6).
 
         Args:
             wrench: Rendered force [N] and torque [N·m], shape (T, 6).
@@ -86,7 +85,7 @@ class WrenchNoise:
         return np.asarray(np.diag(np.nan_to_num(sensor)) + relative)
 
     def shared(self, wrench: Array) -> Array:
-        """Columns that the frames of a place share, shape (T, 6, 7).
+        """Columns of the errors per place, shape (T, 6, 7).
 
         Args:
             wrench: As of `own`.
@@ -114,16 +113,16 @@ class WrenchNoise:
         return np.asarray(out)
 
     def as_dict(self) -> dict[str, float]:
-        """What is known, by name, for JSON."""
+        """Known values by name, for JSON."""
         return {name: v for name, v in asdict(self).items() if not np.isnan(v)}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, float]) -> WrenchNoise:
-        """What `as_dict` gave.
+        """The inverse of `as_dict`.
 
         Raises:
             InputError: Numbers that are negative or not finite.
-            TypeError: Other names, or one is missing; no mapping.
+            TypeError: No mapping, or wrong names.
         """
         numbers = {name: float(value) for name, value in dict(values).items()}
         if not all(0.0 <= value < np.inf for value in numbers.values()):
@@ -133,14 +132,14 @@ class WrenchNoise:
 
 @dataclass(frozen=True)
 class ErrorModel:
-    """Prior and noise of measured rows as weighted, and where the rows stand.
+    """Prior variance and noise of weighted measured rows.
 
     Attributes:
         variance: Of the field's prior, over that of the program [–].
-        own: Cholesky factor of every frame's own part, shape (n, h, h).
-        shared: Columns that the frames of a place share, shape (n, h, 7).
-        place: Which place a frame is of, shape (n,) [–].
-        at: Which row of a program a component is, shape (n, h); -1 for none.
+        own: Cholesky factor of the errors per frame, shape (n, h, h).
+        shared: Columns of the errors per place, shape (n, h, 7).
+        place: Place of every frame, shape (n,) [–].
+        at: Row of every component, shape (n, h); -1 for none.
     """
 
     variance: float
@@ -167,22 +166,22 @@ class ErrorModel:
         each = np.einsum("nhj,nj->nh", self.own, rng.standard_normal(self.at.shape))
         numbers = rng.standard_normal((int(self.place.max()) + 1, 7))
         each += np.einsum("nhj,nj->nh", self.shared, numbers[self.place])
-        told = self.at >= 0
-        out = np.zeros(int(told.sum()))
-        out[self.at[told]] = each[told]
+        has_row = self.at >= 0
+        out = np.zeros(int(has_row.sum()))
+        out[self.at[has_row]] = each[has_row]
         return out
 
 
 @dataclass(frozen=True)
 class MeasuredWrenches:
-    """Frames in contact, as a basis of fields sees them.
+    """Frames in contact, over a basis of fields.
 
     Attributes:
-        images: What the basis gives, shape (k, n, h) [N, N·m].
-        misfit: What was measured beyond the prior's mean, shape (n, h) [N, N·m].
-        wrench: What the fit renders, shape (n, 6) [N, N·m].
-        place: Which place a frame is of, shape (n,) [–].
-        parts: Which components of a wrench were measured, shape (h,) [–].
+        images: Rows of the basis, shape (k, n, h) [N, N·m].
+        misfit: Measurement minus the prior's mean, shape (n, h) [N, N·m].
+        wrench: Wrenches rendered by the fit, shape (n, 6) [N, N·m].
+        place: Place of every frame, shape (n,) [–].
+        parts: Measured components of the wrench, shape (h,) [–].
     """
 
     images: Array = field(repr=False)
@@ -192,7 +191,7 @@ class MeasuredWrenches:
     parts: IntArray = field(repr=False)
 
     def thinned(self) -> MeasuredWrenches:
-        """At most `MOST_FRAMES` of the frames, evenly."""
+        """At most `MOST_FRAMES` evenly spaced frames."""
         at = slice(None, None, -(-len(self.place) // MOST_FRAMES))
         return replace(
             self,
@@ -231,12 +230,12 @@ class MeasuredWrenches:
         """The likeliest prior variance and noise.
 
         Args:
-            variance: About which the prior's lies [–].
+            variance: Median of the prior variance [–].
         """
         few = self.thinned()
         names = [n for n in PRIORS if max(self.parts) > 2 or n not in TORQUE]
-        told = [(variance, VARIANCE_SPREAD), *(PRIORS[n] for n in names)]
-        medians, spreads = np.log([m for m, _ in told]), np.array([s for _, s in told])
+        priors = np.array([(variance, VARIANCE_SPREAD), *(PRIORS[n] for n in names)])
+        medians, spreads = np.log(priors[:, 0]), priors[:, 1]
 
         def values(steps: Array) -> tuple[float, WrenchNoise]:
             first, *others = np.exp(medians + spreads * np.clip(steps, -6.0, 6.0))
@@ -247,17 +246,17 @@ class MeasuredWrenches:
         def log_density(steps: Array) -> float:
             return few.log_density(*values(steps))
 
-        return values(posterior_mode(log_density, len(told), MOST).steps)
+        return values(posterior_mode(log_density, len(priors), MOST).steps)
 
     def errors(
         self, variance: float, noise: WrenchNoise, scale: Array, at: IntArray
     ) -> ErrorModel:
-        """The same of rows as weighted.
+        """The error model of weighted rows.
 
         Args:
             variance: Of the prior [–].
             noise: Of the measurements.
-            scale: What a component of a frame is multiplied by, (h,) [1/N, 1/N·m].
+            scale: Factor of every component, shape (h,) [1/N, 1/N·m].
             at: As of `ErrorModel`.
         """
         own = np.linalg.cholesky(self._own(noise)) * scale[:, None]
@@ -272,7 +271,7 @@ class MeasuredWrenches:
 
 
 def by_frame(rows: Array, at: IntArray) -> Array:
-    """Values of rows by frame and component, (..., n, h); 0 where there is no row.
+    """Values of rows by frame and component, (..., n, h); 0 without a row.
 
     Args:
         rows: Shape (..., rows).
@@ -282,13 +281,12 @@ def by_frame(rows: Array, at: IntArray) -> Array:
 
 
 def places(press: IntArray, position: Array) -> IntArray:
-    """Number of the place every frame is of, shape (T,).
+    """Number of every frame's place, shape (T,).
 
-    A place is a run of frames of one press while the probe is within `PLACE` of where
-    the run began.
+    A place is a run of frames of one press within `PLACE` of its first position.
 
     Args:
-        press: Which press a frame belongs to, shape (T,) [–].
+        press: Press of every frame, shape (T,) [–].
         position: Of the probe, shape (T, 3) [m].
     """
     out, number, start = np.zeros(len(press), dtype=np.int64), 0, 0

@@ -17,16 +17,22 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.laplace.system import LaplaceSystem
 
-#: Name under which a scene and a solution carry the scale
+#: Name of the parameter in a scene and a solution
 BOUNDARY_SCALE = "boundary_scale"
 
-#: Largest relative standard error of a scale that is used: beyond it, the scale is
-#: less than two standard errors from zero [–]
+#: Largest relative standard error of an identified scale, which is then two standard
+#: errors from zero [–]
 LARGEST_SCALE_ERROR = 0.5
 
 
 class Identified(NamedTuple):
-    """What assembling identified, by name: values, standard errors, refusals."""
+    """Parameters identified by assembling a scene, by name.
+
+    Attributes:
+        parameters: Their values.
+        standard_errors: Their standard errors.
+        not_identified: Why one is not identified.
+    """
 
     parameters: dict[str, float]
     standard_errors: dict[str, float]
@@ -41,19 +47,19 @@ def identified_scale(
     outer: float,
     asked: bool,
 ) -> Identified:
-    """The boundary scale; 1 where the forces do not bear it.
+    """The boundary scale; 1 where the forces do not determine it.
 
     Args:
         laplace: L.
         N: Force rows, shape (3T, V).
-        touching: Which poses are in contact, shape (T,).
+        touching: Poses in contact, shape (T,).
         force: Measured forces, shape (3T,) [N].
         outer: The ratio p_out / p_in [–].
-        asked: A scale that cannot be used is an error and no warning.
+        asked: Whether a negative scale is an error instead of a warning.
 
     Raises:
-        InputError: It was asked for and there is no force in contact, or the forces
-            push into the patient.
+        InputError: There is no force in contact, or the forces push into the patient
+            and ``asked`` is true.
     """
     scale, error = _boundary_scale(laplace, N, touching, force, outer)
     if asked and scale <= 0.0:
@@ -97,7 +103,7 @@ def _boundary_scale(
 
 
 def _report_scale(scale: float, error: float) -> str:
-    """Warn of a boundary scale that the forces do not bear, and say why."""
+    """Warn of a boundary scale that the forces do not determine; return the reason."""
     reason = f"the forces give {scale:.3g} ± {error:.2g}"
     if scale < -2.0 * error:
         reason = f"the forces push into the patient ({scale:.3g} ± {error:.2g})"

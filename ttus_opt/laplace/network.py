@@ -1,7 +1,7 @@
-"""Rows that are differences of neighbours: a network of conductances on the grid.
+"""Differences of neighbouring voxels: a network of conductances on the grid.
 
-Σ MᵀC M of such rows, C a positive number per row, is of the kind of L's operator with
-other conductances, so that one V-cycle solves it roughly.
+For such rows Σ MᵀC M, C positive and diagonal, is an operator like L's with other
+conductances, so that one V-cycle solves it approximately.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from ttus_opt.multigrid.coarsening import Added, conductances
 from ttus_opt.multigrid.one_cycle import OneCycle
 from ttus_opt.voxmap.grid import CylindricalGrid, nodes_of
 
-#: Part of the diagonal that is of differences, where it is a network [–]
+#: Least part of the diagonal that comes from differences in a network [–]
 DIFFERENCES = 0.9
 
 
 @dataclass(frozen=True)
 class NeighbourRows:
-    """Those rows of a matrix that are differences of neighbours.
+    """The rows of a matrix that are differences of neighbours.
 
     Attributes:
-        rows: Which they are, shape (k,).
+        rows: Their numbers, shape (k,).
         places: Direction times V plus the first of the two voxels, shape (k,).
-        squares: Their entries' squares, shape (k,).
+        squares: Squares of their entries, shape (k,).
     """
 
     rows: IntArray = field(repr=False)
@@ -48,7 +48,7 @@ class NeighbourRows:
         places = np.full(len(two), -1)
         for axis in range(3):
             unit = (np.arange(3) == axis)[:, None]
-            # where the circle closes, the first is the last one
+            # across θ = 2π, the first of the two is the last spoke
             closing = (apart == unit * (grid.shape[axis] - 1)).all(axis=0)
             if axis == 1:
                 places[opposed & closing] = (
@@ -63,7 +63,7 @@ class NeighbourRows:
         """Conductances to the next voxel in r, θ and z, shape (3, V).
 
         Args:
-            slope: Of all rows, shape (m,).
+            slope: Diagonal of C over all rows, shape (m,).
             n_voxels: V.
         """
         strength = self.squares * slope[self.rows]
@@ -74,12 +74,12 @@ class NeighbourRows:
 def by_network(
     laplace: LaplaceSystem, links: Array, diagonal: Array, fixed: Mask
 ) -> Callable[[Array], Array] | None:
-    """P⁻¹ of differences of neighbours as they are; None where there is more to it.
+    """P⁻¹ by one V-cycle on the network; None where other rows matter too much.
 
     Args:
-        laplace: Whose grid it is.
+        laplace: L, for its grid.
         links: Conductances to the next voxel in r, θ and z, shape (3, V).
-        diagonal: Of all rows over the voxels, shape (V,).
+        diagonal: Diagonal of Σ MᵀC M over all rows, shape (V,).
         fixed: Voxels whose values are given, shape (V,).
     """
     grid, free = laplace.operator_grid, laplace.free & ~fixed

@@ -5,8 +5,8 @@ With the voxels ordered fixed, then free, and rows of free voxels scaled by -r,
     L = [ I   0 ]        p_free = A⁻¹ (r (C p_fixed - g_free)),   A = -diag(r) F.
         [ C   F ],
 
-`LaplaceSystem` is the plain case, A is then symmetric; the dual solver reduces it to
-working sets, and has one of two fields.
+`LaplaceSystem` is the plain case, with a symmetric A; the dual solver has variants for
+working sets and for pairs of fields.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Preconditioner(Protocol):
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """Unknown voxels that it knows of."""
+        """The unknown voxels that it covers."""
 
     @property
     def b(self) -> NDArray[np.float32]:
@@ -37,10 +37,10 @@ class Preconditioner(Protocol):
 
     @property
     def x(self) -> NDArray[np.float32]:
-        """Answer of the last run."""
+        """Solution of the last run."""
 
     def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Where free voxels lie in both."""
+        """Indices of free voxels in b and x."""
 
     def run(self) -> None:
         """Set x to an approximation of A⁻¹ b."""
@@ -53,10 +53,10 @@ class Block(Protocol):
     """The square block A of L on free voxels."""
 
     def preconditioner(self, near: NDArray[np.integer]) -> Preconditioner:
-        """A preconditioner that need only be good near some voxels."""
+        """A preconditioner that need only be accurate near some voxels."""
 
     def solve(self, rhs: Array, *, rtol: float) -> MultigridResult:
-        """Solve A x = b; b is left out, and x is zero, at fixed voxels."""
+        """Solve A x = b; at fixed voxels b is ignored and x is zero."""
 
     def solve_adjoint(self, rhs: Array, *, rtol: float) -> MultigridResult:
         """Solve Aᵀ x = b."""
@@ -65,13 +65,13 @@ class Block(Protocol):
 class SquareSystem(Protocol):
     """A square L, and solves with it and its adjoint.
 
-    A voxel is free, or has an identity row (Dirichlet), or has neither row nor column;
-    right-hand sides are zero at the last kind.
+    A voxel is free, or has an identity row (Dirichlet), or has neither row nor column
+    and a right-hand side of zero.
     """
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """Voxels with an unknown of their own, shape (V,)."""
+        """Voxels with an unknown, shape (V,)."""
 
     @property
     def radii(self) -> Array:
@@ -111,7 +111,7 @@ class BlockSolves:
         p = np.where(self.free, 0.0, right_side)
         rest = self.coupling[0] @ p
         rest -= right_side
-        rest *= self.radii  # what is left at fixed voxels does not count
+        rest *= self.radii  # ignored at fixed voxels
         p += self.multigrid.solve(rest, rtol=rtol).x
         return p
 
@@ -121,7 +121,7 @@ class BlockSolves:
         """Solve Lᵀ q = g; arguments as `solve`."""
         q = self.multigrid.solve_adjoint(-right_side, rtol=rtol).x
         q *= self.radii
-        # the adjoint of the identity rows: what flows from free to fixed voxels
+        # coupling of free rows to fixed columns, transposed
         at_fixed = self.coupling[1] @ q
         np.subtract(right_side, at_fixed, out=at_fixed)
         np.copyto(q, at_fixed, where=~self.free)

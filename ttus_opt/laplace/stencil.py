@@ -1,7 +1,7 @@
 """Rows of the Laplace operator on a grid: seven weights per free voxel.
 
-The equation is in `ttus_opt.laplace.system`; here are its weights, the matrix filled
-with them, the change of cut links, and the polar solutions at both ends.
+Weights of the equation in `ttus_opt.laplace.system`, its matrix, the changes by cut
+links, and the polar solutions at both ends.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ NEIGHBOURHOOD = 7
 
 
 class Stencil(NamedTuple):
-    """Weights of a free voxel's neighbours, and what is taken off its own.
+    """Weights of a free voxel's neighbours, and the screening of its own.
 
     Attributes:
-        inner: Of the next layer inwards, shape (n_r,) [–].
-        outer: Of the next layer outwards, shape (n_r,) [–].
-        theta: Of the next spokes, shape (n_r,) [–].
-        z: Of the next slices [–].
+        inner: Next layer inwards, shape (n_r,) [–].
+        outer: Next layer outwards, shape (n_r,) [–].
+        theta: Next spokes, shape (n_r,) [–].
+        z: Next slices [–].
         own: (κ Δr)² [–].
     """
 
@@ -69,8 +69,8 @@ def operator(
 ) -> sp.csr_array:
     """L with sorted columns.
 
-    Columns of a free voxel's row are at seven offsets, which ascend in another order on
-    the first and on the last spoke, where θ closes.
+    The seven columns of a free voxel's row ascend in another order on the first and the
+    last spoke, where θ wraps around.
     """
     ring, row, one = grid.strides
     turn = ring - row
@@ -122,7 +122,7 @@ def change_links(
     Args:
         voxels: Whose rows, shape (k,); identity rows stay as they are.
         neighbours: The columns, shape (k,).
-        change: What is added to a link's weight and taken off the diagonal, shape (k,).
+        change: Added to a link's weight and subtracted from the diagonal, shape (k,).
         L: Changed.
     """
     free = np.diff(L.indptr)[voxels] > 1
@@ -130,7 +130,7 @@ def change_links(
     entries = L.indptr[own] + np.arange(NEIGHBOURHOOD)
     columns = L.indices[entries]
     linked = columns == neighbours[free, None]
-    # a link has one entry of its own, while a voxel may have several links
+    # every link has its own entry, while a voxel may have several links
     L.data[entries[linked]] += change
     np.subtract.at(L.data, entries[columns == own], change)
 
@@ -143,8 +143,8 @@ def polar_ends(
     Args:
         grid: The grid.
         region: Regions of the slice, shape (n_r, n_theta).
-        stencil: Weights; the one of z has no part in it.
-        change: What cut links take off the diagonal, shape (n_r, n_theta) [–].
+        stencil: Weights; that of z is not used.
+        change: Subtracted from the diagonal for cut links, shape (n_r, n_theta) [–].
 
     Returns:
         Both solutions, shape (n_r, n_theta) each [–].
@@ -164,7 +164,7 @@ def polar_ends(
         shape=(n_theta, n_theta),
     )
     full = sp.kron(radial, sp.eye_array(n_theta)) + sp.kron(sp.diags_array(theta), ring)
-    # what is linked is 0: only the diagonal counts
+    # the surface value is 0: cut links change the diagonal only
     full = full - sp.diags_array(change.reshape(-1))
     at = fixed.reshape(-1)
     M = sp.diags_array((~at).astype(float)) @ full + sp.diags_array(at.astype(float))

@@ -71,11 +71,11 @@ class LaplaceSystem(BlockSolves):
         conductivities: tuple[float, float, float] = (1.0, 1.0, 1.0),
         screening: float = 0.0,
     ) -> LaplaceSystem:
-        """Assemble L and both parts of b, all voxels at once.
+        """Assemble L and both parts of b.
 
         Args:
             voxmap: Grid and regions.
-            conductivities: k_r, k_θ, k_z, of which only the ratios matter [–].
+            conductivities: k_r, k_θ, k_z; only their ratios matter [–].
             screening: κ of ∇²p - κ²p [1/m].
 
         Raises:
@@ -144,13 +144,13 @@ class LaplaceSystem(BlockSolves):
 
     @cached_property
     def radii(self) -> Array:
-        """What turns a free row of -L into one of A: r/k_r, shape (V,) [m]."""
+        """Factors from free rows of -L to rows of A, r/k_r, shape (V,) [m]."""
         shape = self.grid.shape
         return np.repeat(self.grid.r / self.conductivities[0], shape[1] * shape[2])
 
     @cached_property
     def screening_of_layers(self) -> Array | None:
-        """What screening adds to the diagonal of A, shape (n_r,) [m]; None without."""
+        """Screening on the diagonal of A, shape (n_r,) [m]; None without."""
         if self.screening == 0.0:
             return None
         squared = (self.screening * self.grid.r_step) ** 2
@@ -167,7 +167,7 @@ class LaplaceSystem(BlockSolves):
 
     @cached_property
     def grounds(self) -> Grounds | None:
-        """What cut links change in A; None where none is cut."""
+        """Changes of A by cut links; None where none is cut."""
         grid, links = self.grid, self.voxmap.cut_links
         if not len(links.voxels):
             return None
@@ -186,12 +186,7 @@ class LaplaceSystem(BlockSolves):
         conductivities: tuple[float, float, float] = (1.0, 1.0, 1.0),
         screening: float = 0.0,
     ) -> LaplaceSystem:
-        """Another operator on the same voxmap, assembled once and kept.
-
-        Args:
-            conductivities: As of `assemble`.
-            screening: As of `assemble`.
-        """
+        """Another operator on the same voxmap, assembled once; as `assemble`."""
         key = (*conductivities, screening)
         if key not in self._variants:
             self._variants[key] = LaplaceSystem.assemble(

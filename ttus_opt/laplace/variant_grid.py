@@ -1,9 +1,9 @@
 """The grid on which a variant of Laplace's operator is the plain one.
 
-With conductivities k the stencil is k_r times the plain one of a grid whose steps along
-θ and z are multiplied by √(k_r/k_θ) and √(k_r/k_z): they enter as Δr²/Δθ² and Δr²/Δz²
-alone. What is built for the plain operator, the multigrid with its coarsening by the
-smaller step first of all, then serves the variant.
+With conductivities k the stencil is k_r times the plain one on a grid whose steps along
+θ and z are multiplied by √(k_r/k_θ) and √(k_r/k_z), as these enter only as Δr²/Δθ² and
+Δr²/Δz². The multigrid of the plain operator, whose coarsening follows the steps, then
+solves the variant.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 
 @dataclass(frozen=True)
 class VariantGrid(CylindricalGrid):
-    """A grid with other steps along θ and z; for an operator, not for places.
+    """A grid with other steps along θ and z, for operators, not for positions.
 
     Attributes:
         theta_stretch: Factor of Δθ [–].

@@ -1,8 +1,7 @@
-"""What a term is: a penalty φ of an affine residual, weight · φ(M x - t).
+"""Base class of terms: a penalty φ of an affine residual, weight · φ(M x - t).
 
-A term states its rows and its target, and not how they are minimised. The
-weight is a number beside the rows, never multiplied into them, so that it can be
-changed without assembling anything again.
+The weight is kept apart from the rows, so that it can be changed without assembling
+them again.
 """
 
 from __future__ import annotations
@@ -49,9 +48,9 @@ class Fitted:
 
     Attributes:
         gradient: Its derivative by each variable it depends on, by name, shape of the
-            variable; empty where the field leaves it undefined.
-        span: How far from its neutral value 0 it may plausibly lie [its unit].
-        upper: Its largest value; inf where there is none [its unit].
+            variable; empty where it is undefined.
+        span: Plausible distance from its neutral value 0 [its unit].
+        upper: Its upper limit; inf for none [its unit].
     """
 
     gradient: Mapping[str, Array] = field(repr=False)
@@ -64,7 +63,6 @@ class Term(Member):
     """A weighted penalty of an affine residual over a scene.
 
     Attributes:
-        scene: What the rows are made from.
         weight: Its λ, not negative [–].
     """
 
@@ -88,7 +86,7 @@ class Term(Member):
 
     @property
     def penalty(self) -> Penalty:
-        """How the residual is charged."""
+        """The penalty φ."""
         return Squares()
 
     @abc.abstractmethod
@@ -97,11 +95,11 @@ class Term(Member):
 
     @cached_property
     def assembled(self) -> AffineRows:
-        """`rows`, made once, in one format, and kept by copies with another weight.
+        """`rows`, computed once, in one format, and kept by copies with another weight.
 
         Raises:
-            InputError: `rows` raises, a row or a target is no finite number, they do
-                not fit together, or they are not what they are tagged to be.
+            InputError: `rows` raises, a row or a target is not finite, sizes do not
+                match, or a tag is wrong.
         """
         owner = f"term {self.name}{defined_at(type(self).rows)}"
         with told_by_line(f"rows() of term {self.name}"):
@@ -126,7 +124,7 @@ class Term(Member):
         return {}
 
     def with_weight(self, weight: float) -> Self:
-        """The same term with another weight; nothing is assembled again.
+        """The same term with another weight, without assembling it again.
 
         Raises:
             InputError: The weight is negative or not finite.
@@ -134,18 +132,15 @@ class Term(Member):
         return replaced(self, "assembled", weight=weight)
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
-        """What the solution identifies beside the field, by name.
+        """Parameters that a solution identifies, such as friction, by name.
 
         Args:
             values: The solution's variables by name.
-
-        Returns:
-            For instance a friction coefficient; empty for most terms.
         """
         return {}
 
     def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
-        """Those of its `parameters` that are found among the variables, by name.
+        """Those of its `parameters` that are variables of the program, by name.
 
         Args:
             values: The solution's variables by name.
@@ -153,9 +148,9 @@ class Term(Member):
         return {}
 
     def not_identifiable(self) -> dict[str, str]:
-        """Parameters that its rows do not determine, and why, by name."""
+        """Why parameters are not determined by its rows, by name."""
         return {}
 
     def with_neutral(self, names: Collection[str]) -> Self:
-        """The same term with these of its parameters at their neutral value."""
+        """The same term with some of its parameters at their neutral values."""
         return self

@@ -1,4 +1,4 @@
-"""A term from a cvxpy expression, so that an idea is tried in one line.
+"""A term from a cvxpy expression, to try an idea in one line.
 
     tt.fit(scene, eq10 + CvxpyTerm("edge", lambda p: cp.tv(p[:, :, 9]), weight=0.1))
 
@@ -9,10 +9,9 @@ Y. Ye, Disciplined Convex Programming, 2006),
                                               second-order cones,
 
 whose objective, rows and auxiliary variables y become a linear term, constraints and a
-variable of the program. Its optimality is then verified like that of any other answer,
-without cvxpy, down to the multiplier of every row. That the canonical form stands for
-the expression is cvxpy's word. Exponential, power and semidefinite cones are not
-verified here and are refused.
+variable of the program. Optimality is then verified as for any other program, without
+cvxpy, down to the multiplier of every row; only the canonical form itself relies on
+cvxpy. Exponential, power and semidefinite cones cannot be verified and are refused.
 """
 
 from __future__ import annotations
@@ -38,14 +37,15 @@ from ttus_opt.user_code import told_by_line
 
 @dataclass(frozen=True)
 class CvxpyTerm:
-    """A weighted convex cvxpy expression of the field, of no scene yet.
+    """A weighted convex cvxpy expression of the field, not yet bound to a scene.
 
-    A formulation to which it is added puts it over its own scene.
+    A formulation binds it to its own scene.
 
     Attributes:
-        name: Under which cost, weight and multipliers are addressed.
-        expression: Function of the fields it names as arguments (``lambda p: …``), each
-            a cvxpy expression of shape (n_r, n_θ, n_z), that returns a convex scalar.
+        name: Name of its cost, weight and multipliers.
+        expression: Function that returns a convex scalar. Its arguments
+            (``lambda p: …``) name the fields it takes, cvxpy expressions of shape
+            (n_r, n_θ, n_z).
         weight: Its λ, not negative [–].
     """
 
@@ -69,8 +69,8 @@ class _Canonical:
         h: Shape (m,).
         cost: c per variable.
         constant: d.
-        n_equal: Rows that are zero.
-        n_above: Rows after them that are not negative.
+        n_equal: Number of zero rows, the first ones.
+        n_above: Number of nonnegative rows, the next ones.
         sizes: Rows of each second-order cone, the last ones.
     """
 
@@ -97,12 +97,12 @@ class CvxpyRows(Term):
 
     @property
     def name(self) -> str:
-        """As it was called."""
+        """Its name."""
         return self.label
 
     @property
     def formula(self) -> str:
-        """The expression in cvxpy's words."""
+        """The expression as cvxpy prints it."""
         words = str(self._stated[0])
         return words if len(words) <= 60 else f"{words[:57]}…"
 
@@ -134,9 +134,8 @@ class CvxpyRows(Term):
         return found
 
     def with_weight(self, weight: float) -> CvxpyRows:
-        """The same term with another weight; nothing is brought into form again."""
-        kept = ("assembled", "_stated", "_canonical")
-        return replaced(self, *kept, weight=weight)
+        """The same term with another weight, without canonicalising it again."""
+        return replaced(self, "assembled", "_stated", "_canonical", weight=weight)
 
     @cached_property
     def _stated(self) -> tuple[Any, dict[str, Any]]:
@@ -187,8 +186,8 @@ class CvxpyRows(Term):
         columns, auxiliary = {}, np.ones(M.shape[1], dtype=bool)
         for name, variable in variables.items():
             start = form.var_id_to_col.get(variable.id)
-            if start is not None:  # an expression may do without a variable
-                # cvxpy counts the first index fastest, the grid the last one
+            if start is not None:  # the expression may not use a variable
+                # the first index varies fastest in cvxpy, the last one on the grid
                 number = np.arange(variable.size).reshape(variable.shape, order="F")
                 columns[name] = start + number.reshape(-1)
                 auxiliary[columns[name]] = False
@@ -205,7 +204,7 @@ class CvxpyRows(Term):
         )
 
     def _refuse_other_cones(self, data: Mapping[str, Any]) -> None:
-        """Refuse cones and bounds that this package does not verify, by name."""
+        """Refuse cones and bounds that cannot be verified here."""
         dims = data["dims"]
         others = {
             "exponential": dims.exp,

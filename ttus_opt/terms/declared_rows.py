@@ -1,7 +1,6 @@
-"""Rows as terms and constraints declare them: made uniform, or refused by name.
+"""Rows as terms and constraints declare them: validated and made uniform.
 
 Sparse matrices of any format become ``csr_array`` of floats, lists of numbers arrays.
-What no solver and no check could make sense of is refused in one sentence.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ def uniform_blocks(owner: str, blocks: Any, n_rows: int) -> Blocks:
     """Matrices by variable as ``csr_array`` of floats.
 
     Args:
-        owner: What declares them, for the message.
+        owner: The member that declares them, for messages.
         blocks: As declared.
-        n_rows: How many rows each has.
+        n_rows: Number of rows of each.
 
     Raises:
         InputError: No matrices, dense or complex ones, of other shapes, or not finite.
@@ -70,13 +69,13 @@ def uniform_vector(owner: str, name: str, values: Any, *, finite: bool) -> Array
     """A vector of floats with one entry per row.
 
     Args:
-        owner: What declares it, for the message.
+        owner: The member that declares it, for messages.
         name: What it is: target, lower limit, upper limit.
         values: As declared.
         finite: Whether infinite entries are refused; NaN always is.
 
     Raises:
-        InputError: No vector of real numbers, or one that is not a number.
+        InputError: No vector of real numbers, or refused entries.
     """
     try:
         vector = np.asarray(values)

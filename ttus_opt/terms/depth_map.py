@@ -1,4 +1,4 @@
-"""A profile of the depth, the same everywhere, times what varies over the patient.
+"""A depth profile, the same everywhere, times a random variation over the patient.
 
 p = φ(d) (1 + g): φ is one curve of the depth d below the surface, g a Gaussian field
 of standard deviation σ with a Matérn covariance along the surface times one along the
@@ -24,8 +24,8 @@ from ttus_opt.terms.depth_profile import DepthProfile, voxel_depths
 from ttus_opt.terms.matern import SeparableCovariance
 from ttus_opt.terms.structure import KnownCovariance
 
-#: φ is taken at this part of a layer's thickness at least: a voxel whose centre lies
-#: on the surface keeps some freedom, and the rows stay finite [–]
+#: Least depth at which φ is evaluated, over a layer's thickness, so that rows stay
+#: finite at voxels on the surface [–]
 LEAST_DEPTH = 0.1
 
 
@@ -37,8 +37,8 @@ class DepthMapTerm(Term):
         profile: φ.
         deviation: σ, relative standard deviation of the field about φ [–].
         surface_length: Matérn length along the surface [m].
-        length_ratio: Of that around the patient to that along it, of which
-            surface_length is the geometric mean [–].
+        length_ratio: Length around the patient over length along it; surface_length is
+            their geometric mean [–].
         depth_length: Matérn length along the depth [m].
     """
 
@@ -59,7 +59,7 @@ class DepthMapTerm(Term):
         surface_length: float | None = None,
         length_ratio: float | None = None,
     ) -> Self:
-        """With what the evidence chose, where nothing else is given."""
+        """With the estimate's values where none are given."""
         return cls(
             scene,
             profile=estimate.profile,
@@ -75,7 +75,7 @@ class DepthMapTerm(Term):
 
     @property
     def formula(self) -> str:
-        """With φ, σ and the lengths as they are."""
+        """With φ, σ and the lengths."""
         root = np.sqrt(self.length_ratio)
         around, along = self.surface_length * root, self.surface_length / root
         return (

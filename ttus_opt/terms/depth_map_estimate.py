@@ -4,15 +4,14 @@ With the field's covariance C and a noise the measured forces are Gaussian,
 
     f ~ N(N φ, K),   K = diag(σ_0² + ρ² ‖f_k‖²) + N C Nᵀ,
 
-so that the logarithm of their density, the evidence, says how well a profile, a
-relative deviation σ, a length ℓ along the surface, the ratio of those around and along
-the patient, and the noise σ_0 and ρ of a force explain them. Noise alike in all frames
-would not do: what a strong force has more of looks like tissue that varies from voxel
-to voxel, and the length comes out too short. Weak log-normal priors keep what the data
-determine poorly near values measured on soft tissue. The profile's coefficients follow
-by nonnegative least squares in the metric of K; C varies with the profile that they
-make at the medians. Of profiles that explain the forces alike the one is taken whose
-own variation does so best.
+so that their log density, the evidence, rates a profile, a relative deviation σ, a
+length ℓ along the surface, the ratio of the lengths around and along the patient, and
+the noise σ_0 and ρ. The noise has to grow with the force: a constant noise would
+explain the larger errors of strong forces by tissue that varies from voxel to voxel,
+and make the length too short. Weak log-normal priors keep poorly determined values near
+those measured on soft tissue. The profile's coefficients follow by nonnegative least
+squares in the metric of K, with C from the profile at the medians; then, among the
+iterates of profile and C, the likeliest with its own C is taken.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), section 5.4.1. See docs/method.md, Depth map.
@@ -50,31 +49,29 @@ PRIOR = {
     "length_ratio": (1.0, 1.0),
 }
 
-#: Ratios of lengths that are tried first: structures around, such as ribs, and along
-#: the patient are hills of the posterior apart from each other [–]
+#: Ratios of lengths to start from: structures around the patient, such as ribs, and
+#: along it are separate maxima of the posterior [–]
 RATIOS = (0.1, 10.0)
 
 #: Most evaluations of the evidence
 CALLS = 200
 
-#: Most frames that are looked at: evidence costs their number cubed [–]
+#: Most frames in the evidence, which costs their number cubed [–]
 MOST_FRAMES = 150
 
 #: Frames with a smaller force are left out [N]
 LEAST_FORCE = 0.1
 
-#: Least noise as a share of the forces: with less the covariance could not be
-#: factorised [–]
+#: Least noise over the forces, so that the covariance can be factorised [–]
 LEAST_NOISE = 1e-4
 
-
-#: Rounds of the profile and the covariance that varies with it
+#: Iterations of the profile and the covariance that depends on it
 ROUNDS = 2
 
 
 @dataclass(frozen=True)
 class DepthMapEstimate:
-    """What the evidence chose.
+    """The values chosen by the evidence.
 
     Attributes:
         profile: φ.
@@ -144,7 +141,7 @@ def estimate_depth_map(
 
 
 class _Chosen(NamedTuple):
-    """What the evidence chooses, in the order of `PRIOR`."""
+    """Hyperparameters, in the order of `PRIOR`."""
 
     surface_length: float
     deviation: float
@@ -155,15 +152,15 @@ class _Chosen(NamedTuple):
 
 @dataclass(frozen=True)
 class _Problem:
-    """Forces, and the voxels they were measured at.
+    """Measured forces and the voxels that they touch.
 
     Attributes:
         rows: Over the touched voxels, shape (m, n).
         force: Shape (m,) [N].
         powers: Of the touched voxels' depths, shape (n, exponents).
-        spoke: Which of the k touched spokes a voxel lies on, shape (n,).
-        around: Distances of these spokes' feet around the patient, (k, k) [m].
-        along: The same along it, (k, k) [m].
+        spoke: Every voxel's number among the k touched spokes, shape (n,).
+        around: Distances of these spokes on the surface around the patient, (k, k) [m].
+        along: The same along the patient, (k, k) [m].
         down: Correlation of the voxels along the depth, (n, n) [–].
     """
 
@@ -221,7 +218,7 @@ class _Problem:
         return np.repeat(np.maximum(own, least), 3)
 
     def least_squares(self) -> Array:
-        """The profile's coefficients where all noise is alike and nothing varies.
+        """The profile's coefficients for equal noise and no variation.
 
         Raises:
             InputError: No profile that grows with depth explains the forces.
@@ -235,11 +232,11 @@ class _Problem:
         return np.asarray(c)
 
     def profile(self, chosen: _Chosen, first: Array) -> Array:
-        """Coefficients of the profile that explains the forces best, and varies itself.
+        """Coefficients of the likeliest profile, with its own variation.
 
         Args:
             chosen: Hyperparameters.
-            first: Coefficients to begin with.
+            first: Initial coefficients.
         """
         tried = [first]
         for _ in range(ROUNDS):
@@ -253,8 +250,8 @@ class _Problem:
 
         Args:
             chosen: Hyperparameters.
-            varied: Coefficients of the profile whose share σ varies.
-            mean: Those of the mean; by default the likeliest.
+            varied: Coefficients of the profile in C.
+            mean: Coefficients of the mean; by default the likeliest.
         """
         root = np.sqrt(chosen.length_ratio)
         between = np.hypot(self.around / root, self.along * root)
@@ -270,7 +267,7 @@ class _Problem:
         c = mean
         if c is None:
             c, _ = scipy.optimize.nnls(white[:, :-1], white[:, -1])
-            if not c.any():  # deviations alone explain more: keep a profile
+            if not c.any():  # the variation alone explains the forces: keep a profile
                 c = varied
         misfit = white[:, -1] - white[:, :-1] @ c
         normaliser = float(np.log(np.diag(factor)).sum())

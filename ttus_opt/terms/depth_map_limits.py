@@ -1,8 +1,7 @@
-"""Which deviations and lengths of a depth map mean something on a grid.
+"""Ranges of the deviations and lengths of a depth map on a grid.
 
-A Matérn field on a grid loses its meaning at both ends: far below the grid's spacing
-neighbouring voxels are independent whatever the length, and beyond the patient's size
-a field is one constant, which the profile is already.
+With a length far below the grid's spacing, neighbouring voxels are independent whatever
+the length; beyond the patient's size, the field is a constant factor on the profile.
 """
 
 from __future__ import annotations
@@ -12,15 +11,15 @@ import numpy as np
 from ttus_opt.errors import InputError
 from ttus_opt.voxmap.grid import CylindricalGrid
 
-#: Least and largest relative standard deviation: forces do not resolve a tenth of a
-#: percent, and beyond a factor of a hundred the profile means nothing [–]
+#: Least and largest relative standard deviation: forces do not resolve 0.1 %, and at a
+#: factor of 100 the profile has no influence [–]
 DEVIATIONS = (1e-3, 100.0)
 
-#: Least and largest ratio of the length around to the length along: beyond it the field
-#: does not vary in one direction at all [–]
+#: Least and largest ratio of the length around to the length along; beyond, the field
+#: does not vary in one direction [–]
 RATIOS = (1e-3, 1e3)
 
-#: Least length over the grid's spacing: neighbours are correlated by less than 1 % [–]
+#: Least length over the grid's spacing, for which neighbours are correlated by 1 % [–]
 LEAST_SPACINGS = 0.25
 
 
@@ -32,7 +31,7 @@ def check_depth_map(
     depth_length: float | None = None,
     length_ratio: float | None = None,
 ) -> None:
-    """Validate what is given of a depth map's prior.
+    """Validate given hyperparameters of a depth map.
 
     Args:
         grid: The voxels.
@@ -42,7 +41,7 @@ def check_depth_map(
         length_ratio: Length around over length along [–].
 
     Raises:
-        InputError: One of them lies outside the range in which it means something.
+        InputError: One of them lies outside its range.
     """
     given = {
         "deviation": (deviation, DEVIATIONS),

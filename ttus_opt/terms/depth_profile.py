@@ -1,4 +1,4 @@
-"""How a field grows with the depth below the surface: φ(d) = Σ_j c_j (d/d₀)^a_j."""
+"""Growth of a field with the depth below the surface, φ(d) = Σ_j c_j (d/d₀)^a_j."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ttus_opt.voxmap.voxmap import Voxmap
 #: d₀, the depth at which the powers are 1 [m]
 REFERENCE_DEPTH = 0.01
 
-#: Powers from a stiff layer's response (1) over a round tip on a half-space (1.5) to
-#: one that stiffens
+#: Powers of a stiff layer (1), a round tip on a half-space (1.5), stiffening tissue
+#: (2, 3)
 EXPONENTS = (1.0, 1.5, 2.0, 3.0)
 
 
 @dataclass(frozen=True)
 class DepthProfile:
-    """A sum of powers with coefficients that are not negative; odd below the surface.
+    """A sum of powers with nonnegative coefficients, continued as an odd function.
 
     Attributes:
         exponents: a_j [–].
@@ -70,6 +70,6 @@ def powers_of(depth: Array, exponents: tuple[float, ...]) -> Array:
 
 
 def voxel_depths(voxmap: Voxmap) -> Array:
-    """How far every voxel lies below the surface along its spoke, (V,) [m]."""
+    """Depth of every voxel below the surface along its spoke, (V,) [m]."""
     depth = voxmap.spoke_radius - voxmap.grid.r[:, None, None]
     return np.asarray(depth.ravel())

@@ -1,10 +1,10 @@
 """Laplace prior without p = 0 on the surface.
 
-With p = 0 on the surface the force of a round tip grows like depth²; real tissue grows
-like depth¹ to depth^1.5 and pushes back from the first touch. Here the rows of the
-surface layer are kept with a small weight only, which decides where nothing was
-measured (there the field is the Laplace field of eq. 8) and gives way elsewhere.
-At both ends it keeps its values.
+With p = 0 on the surface the force of a round tip grows like depth²; that of real
+tissue grows like depth¹ to depth^1.5 and begins at first touch. Here the rows of the
+surface layer have a small weight only: it determines the field where nothing was
+measured (the Laplace field of eq. 8) and hardly matters elsewhere. Both end slices keep
+their values.
 
 See docs/method.md, The shelf.
 """
@@ -24,11 +24,11 @@ from ttus_opt.terms.structure import LaplaceRows
 
 @dataclass(frozen=True)
 class LaplaceFreeSurfaceTerm(Term):
-    """Squares of the Laplace rows, those of the surface layer almost dropped.
+    """Squares of the Laplace rows, with a small weight on those of the surface layer.
 
     Attributes:
-        skin: What is left of the weight of the layer's rows; with 0 they are dropped
-            and the field is not determined where nothing was measured [–].
+        skin: Factor on the weight of the layer's rows; with 0 the field is undetermined
+            where nothing was measured [–].
     """
 
     skin: float = 1e-3
@@ -58,7 +58,7 @@ class LaplaceFreeSurfaceTerm(Term):
 
 
 def free_surface_layer(on_surface: np.ndarray) -> np.ndarray:
-    """The surface layer but for both ends, shape (n_r, n_theta, n_z)."""
+    """The surface layer without both end slices, shape (n_r, n_theta, n_z)."""
     layer = on_surface.copy()
     layer[:, :, [0, -1]] = False
     layer[[0, -1]] = False

@@ -1,9 +1,9 @@
 """Gaussian fields on the voxel grid with a Matérn covariance, and its sparse factor.
 
-A Matérn field solves (κ² − Δ) g = white noise. On the surface with finite volumes and
-along the depth with finite differences that is a sparse matrix R whose RᵀR is the
-field's precision; a product of both is separable, so that its covariance is known at
-the few voxels that measurements touch without a solve over all of them.
+A Matérn field solves (κ² − Δ) g = white noise. Finite volumes on the surface and finite
+differences along the depth give a sparse matrix R with the precision RᵀR. The product
+of both fields is separable, so that its covariance at the few voxels that measurements
+touch needs no solve over all voxels.
 
 Source: F. Lindgren, H. Rue, J. Lindström, An explicit link between Gaussian fields and
 Gaussian Markov random fields, J. R. Stat. Soc. B 73 (2011). See docs/method.md, Depth
@@ -37,10 +37,10 @@ class MaternFactor:
     """(κ² C + G) τ / √C: white noise from a field of unit variance.
 
     Attributes:
-        volumes: C, length or area that belongs to each node, shape (n,) [m or m²].
+        volumes: C, length or area of each node, shape (n,) [m or m²].
         stiffness: G, of −Δ with zero flux at the rim, (n, n).
         kappa: κ [1/m].
-        tau: τ, makes the variance 1 far from the rim.
+        tau: τ, for variance 1 far from the rim.
     """
 
     volumes: Array = field(repr=False)
@@ -75,20 +75,20 @@ class MaternFactor:
     ) -> MaternFactor:
         """Matérn 1, (κd) K₁(κd), on a tube of quadrilaterals.
 
-        Its range √8/κ is that of a Matérn 3/2 of the length ℓ: κ = √2/ℓ. Lengths that
-        differ are one length on a tube stretched to the same area.
+        Its range √8/κ is that of a Matérn 3/2 of the length ℓ: κ = √2/ℓ. Two different
+        lengths are one length on a tube that is stretched at constant area.
 
         Args:
             points: Nodes around (periodic) and along, shape (n_theta, n_z, 3) [m].
             length: ℓ, the geometric mean of both lengths [m].
             ratio: Length around over length along [–].
-            is_open: Whether the last line of nodes along stands apart from those
-                beside it, and the tube is cut open there.
+            is_open: Whether the tube is cut open along its last line of nodes, which is
+                then uncorrelated with its neighbours.
         """
         n_theta, n_z, _ = points.shape
         around = np.linalg.norm(np.roll(points, -1, 0) - points, axis=-1)
         if is_open:
-            around[-1] = around[0]  # the wall is as far from both its neighbours
+            around[-1] = around[0]  # equal distances on both sides of the wall
         around /= np.sqrt(ratio)
         along = np.sqrt(ratio) * np.linalg.norm(np.diff(points, axis=1), axis=-1)
         width = (around + np.roll(around, 1, 0)) / 2.0  # of a node, around
@@ -284,7 +284,7 @@ class VoxelColumns:
     among: Array = field(repr=False)
 
     def of_rows(self, rows: sp.csr_array) -> Array:
-        """Few rows of a field, shape (k, V), @ the columns: shape (k, n)."""
+        """Rows of a field, shape (k, V), times the columns, shape (k, n)."""
         voxels, column = np.unique(rows.indices, return_inverse=True)
         n_spokes = self.surface.shape[0]
         cov = self.radial[voxels // n_spokes][:, self.layer]
@@ -294,7 +294,7 @@ class VoxelColumns:
         return np.asarray(sp.csr_array((rows.data, column, rows.indptr), few) @ cov)
 
     def times(self, values: Array) -> Array:
-        """The covariance's columns @ values: (n,) to (V,)."""
+        """The columns times values of shape (n,), shape (V,)."""
         w = np.zeros((self.radial.shape[1], self.surface.shape[1]))
         np.add.at(w, (self.layer, self.spoke), self.scale[self.voxels] * values)
         return np.asarray(self.scale * (self.radial @ w @ self.surface.T).ravel())

@@ -1,4 +1,4 @@
-"""What terms and constraints have in common: a scene, and a name of their class."""
+"""The common base of terms and constraints: a scene, and a name of their class."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ class Member(abc.ABC):
     """A member of a formulation.
 
     Attributes:
-        scene: What its rows are made from.
+        scene: The scene from which its rows are made.
     """
 
     scene: Scene = field(repr=False)
 
     @property
     def name(self) -> str:
-        """Name under which it is addressed, and its cost, slack or dual returned.
+        """Its name, and that of its cost, slack or dual.
 
         Raises:
             InputError: The class has no name.
@@ -31,4 +31,4 @@ class Member(abc.ABC):
 
     @abc.abstractmethod
     def rows(self) -> object:
-        """What it states of the variables."""
+        """Its rows over the variables."""

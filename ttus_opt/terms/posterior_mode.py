@@ -12,11 +12,11 @@ from ttus_opt.arrays import Array
 
 
 class PosteriorMode(NamedTuple):
-    """What `posterior_mode` found.
+    """Result of `posterior_mode`.
 
     Attributes:
         steps: The numbers, in standard deviations of the prior, shape (n,) [–].
-        log_posterior: Log evidence and log prior there, but for a constant [–].
+        log_posterior: Log evidence plus log prior, up to a constant [–].
     """
 
     steps: Array
@@ -31,15 +31,15 @@ def posterior_mode(
 ) -> PosteriorMode:
     """Maximise log evidence − ½ |steps|² by the simplex of Nelder and Mead.
 
-    Evidence through a factorisation is smooth but has no cheap gradient, and
-    differences below a tenth of a unit of its logarithm decide nothing.
+    The evidence has no cheap gradient, and differences below 0.1 of its logarithm do
+    not matter.
 
     Args:
         log_evidence: Of steps away from the prior's medians, shape (n,).
-        n: How many numbers.
+        n: Number of parameters.
         calls: Most evaluations.
-        starts: Where else to begin than at the medians, shape (n,) each: a simplex
-            finds one hill, and begins where the posterior is largest.
+        starts: Alternatives to starting at the medians, shape (n,) each; the likeliest
+            one is taken, as a simplex finds a local maximum.
     """
 
     def cost(steps: Array) -> float:

@@ -1,7 +1,7 @@
 """Measured forces, robust against outliers: Huber's penalty of N p − f.
 
-Up to δ a residual is charged by its square as in eq. 10, beyond it in proportion to
-its size, so that slipped frames, hairs and cable pulls do not bend the field.
+Up to δ the penalty is the square, as in eq. 10, beyond it proportional to the residual,
+so that slipping, hair and cable pulls do not distort the field.
 
 See docs/method.md, Penalties.
 """
@@ -21,8 +21,8 @@ class RobustForceTerm(Term):
     """Huber's penalty of every component of every force residual [N²].
 
     Attributes:
-        limit: δ, where squares end; about twice the sensor's noise and the model's
-            own error together [N].
+        limit: δ, where squares end; about twice the sensor noise and model error
+            together [N].
     """
 
     limit: float = 0.5

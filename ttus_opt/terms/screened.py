@@ -1,7 +1,7 @@
 """Screened Laplace (Helmholtz) prior, ‖Δr²(∇²p − κ²p) − b‖².
 
-κ is the inverse of a length over which the boundary is felt: the deeper inside, the
-flatter the field, as if tissue further than 1/κ away did not push back.
+The boundary's influence decays over the length 1/κ: the field flattens with depth, as
+if tissue farther than 1/κ away did not push back.
 
 See docs/method.md, Variants.
 """

@@ -1,7 +1,7 @@
 """Sparse sources, Σ |L p − b| over the free voxels.
 
-L p − b is what the field emits or swallows between the boundaries. Squares spread it
-thinly over all voxels; absolute values put it into few: the edge of a rib, a lump.
+L p − b are the sources and sinks of the field between the boundaries. Squares spread
+them over all voxels; absolute values concentrate them in few, such as a rib's edge.
 
 See docs/method.md, Penalties.
 """

@@ -1,9 +1,8 @@
 """Structure that terms and constraints declare of their rows, for solvers to read.
 
-A solver that can use more than the numbers of a matrix looks for these tags; it never
-recognises a matrix by its entries or a member by its name. What a tag says is compared
-with the rows once, when they are assembled, so that a solver may rely on it. The idea
-is that of lineax (Rader, Lyons, Kidger, 2023).
+Solvers read these tags; they never recognise a matrix by its entries or a member by its
+name. Tags are checked against the rows once, when these are assembled, so that solvers
+may rely on them. The idea is that of lineax (Rader, Lyons, Kidger, 2023).
 """
 
 from __future__ import annotations
@@ -20,30 +19,29 @@ from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
 
-#: Relative difference of two products that is rounding
+#: Relative difference of two products up to rounding
 ROUNDING = 1e-12
 
-#: Difference of R C Rᵀ and the identity that is rounding: R's condition squared [–]
+#: Difference of R C Rᵀ and the identity up to rounding, which R's condition squares [–]
 COVARIANCE_ROUNDING = 1e-6
 
 
 class Tag(enum.Enum):
-    """What rows are, where one word says it."""
+    """Structure without parameters."""
 
-    MEASURED = "rows are measurements, whose noise their residuals show"
+    MEASURED = "rows are measurements"
     DIRICHLET = "row k gives the k-th Dirichlet voxel of p its value"
 
 
 @dataclass(frozen=True, eq=False)
 class LaplaceRows:
-    """Rows over one voxel field are those of the scene's L; they touch no other field.
+    """Rows of the scene's L over one voxel field, and over no other field.
 
     Attributes:
         variable: The field's name.
-        scale: None where the rows are those of L as they are; otherwise they are L's
-            rows in order, all or the free ones, each times its voxel's positive
-            number, shape (V,) [–].
-        beside: Names of parameters, a few numbers each, that have columns there too.
+        scale: Positive factors of the rows by voxel, shape (V,) [–]; the rows are all
+            those of L, or the free ones, in order. None for L itself.
+        beside: Names of parameters, a few numbers each, with columns in these rows.
         system: A variant of L on the scene's voxmap; None for the scene's L.
     """
 
@@ -54,7 +52,7 @@ class LaplaceRows:
 
 
 class FieldCovariance(Protocol):
-    """A covariance over the voxels, known where it is asked for."""
+    """A covariance over the voxels that can be evaluated at single voxels."""
 
     def columns(self, voxels: IntArray) -> CovarianceColumns:
         """Its columns at some voxels."""
@@ -70,21 +68,21 @@ class FieldCovariance(Protocol):
 
 
 class CovarianceColumns(Protocol):
-    """Some columns of a covariance, without their V entries each."""
+    """Some columns of a covariance, in factored form."""
 
     @property
     def voxels(self) -> IntArray:
-        """Which ones, shape (n,)."""
+        """Their voxels, shape (n,)."""
 
     @property
     def among(self) -> Array:
         """The covariance between these voxels, shape (n, n)."""
 
     def times(self, values: Array) -> Array:
-        """Columns @ values: (n,) to (V,)."""
+        """The columns times values of shape (n,), shape (V,)."""
 
     def of_rows(self, rows: sp.csr_array) -> Array:
-        """Few rows of a field @ columns, shape (k, n)."""
+        """Rows of a field, shape (k, V), times the columns, shape (k, n)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +90,7 @@ class KnownCovariance:
     """Square rows R over p alone whose covariance (RᵀR)⁻¹ is known.
 
     Attributes:
-        covariance: It.
+        covariance: (RᵀR)⁻¹.
     """
 
     covariance: FieldCovariance = field(repr=False)
@@ -126,7 +124,7 @@ def check_structure(
         laplace: The scene's L.
 
     Raises:
-        InputError: The rows are not what they are declared to be.
+        InputError: A tag does not match the rows.
     """
     declared = laplace_rows(tags)
     if declared is not None and not _are_laplace(declared, blocks, laplace):
@@ -150,7 +148,7 @@ def check_structure(
 def _are_laplace(
     declared: LaplaceRows, blocks: Mapping[str, sp.csr_array], laplace: LaplaceSystem
 ) -> bool:
-    """Whether rows have L's size and do to a random field what L does."""
+    """Whether rows have L's size and the same product with a random field."""
     V = len(laplace.free)
     beside = [blocks[name].shape[1] for name in declared.beside if name in blocks]
     if {declared.variable, *declared.beside} != set(blocks) or V in beside:

@@ -1,8 +1,8 @@
 """Total variation of the departure from the Laplace field p₀.
 
-Differences between neighbouring voxels, divided by their distance in units of Δr:
-D ∇(p − p₀). Departures then come in plateaus with edges, like a stiff lump in soft
-tissue. Two readings:
+Differences D (p − p₀) between neighbouring voxels, over their distance in units of Δr.
+Departures then come in plateaus with edges, like a stiff lump in soft tissue. Two
+variants:
 
 - anisotropic (default): Σ of all absolute differences, a quadratic program;
 - isotropic: Σ over voxels of the length of (D_r, D_θ, D_z), a cone program.

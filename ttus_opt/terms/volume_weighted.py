@@ -1,9 +1,9 @@
 """Laplace prior that does not depend on the grid, ∫ (ℓ² ∇²p)² dV/ℓ³.
 
-Eq. 10 sums squares of Δr² ∇²p over voxels: with every step halved that sum is half
-as large (2⁻⁴ each, 2³ times as many), so that λ means something else on every grid.
-Here each free row is weighted by its voxel's volume, ℓ = 1 cm being the unit of
-length. Boundary values are not part of the integral: they belong in a constraint.
+Eq. 10 sums squares of Δr² ∇²p over voxels: halving every step halves that sum (2⁻⁴ for
+each voxel, 2³ times as many), so that the meaning of λ depends on the grid. Here each
+free row is weighted by its voxel's volume, with ℓ = 1 cm as unit of length. Boundary
+values are not part of the integral: they belong in a constraint.
 
 See docs/method.md, The shelf.
 """

@@ -1,10 +1,10 @@
-"""What a penalty φ of a residual r is, and what optimality and solvers need of it.
+"""Base class of penalties φ of a residual r.
 
-Optimality needs a subgradient, the set of all subgradients (onto which a multiplier is
-projected) and the conjugate φ*. For g in that set φ(r) + φ*(g) ≥ gᵀr, with equality
+The optimality conditions use a subgradient, the projection onto the set of all
+subgradients, and the conjugate φ*: for g in that set φ(r) + φ*(g) ≥ gᵀr, with equality
 exactly where g is a subgradient at r (Fenchel; Rockafellar, Convex Analysis, section
-23). Solvers need the penalty in cvxpy's words, for quadratic programs as a `Split`, or
-for the method of multipliers its `resolvent`.
+23). Solvers use a cvxpy expression, a `Split` for quadratic programs, or the
+`resolvent` for the method of multipliers.
 
 A new penalty is a class in a file of its own.
 """
@@ -22,10 +22,10 @@ from ttus_opt.errors import InputError
 
 @dataclass(frozen=True)
 class Slope:
-    """How multipliers g change with what they are made of: ∂g = factor (I − n nᵀ) ∂v.
+    """Derivative of a resolvent g by its argument v, ∂g = factor (I − n nᵀ) ∂v.
 
     Attributes:
-        factor: Per row, alike within a group, shape (m,) [–].
+        factor: Per row, equal within a group, shape (m,) [–].
         along: A unit vector n per group, or zeros, shape (m,); None for zeros [–].
         size: Rows per group [–].
     """
@@ -35,7 +35,7 @@ class Slope:
     size: int = 1
 
     def times(self, v: Array) -> Array:
-        """The change of g that a change v makes, shape (m,)."""
+        """The change of g for a change v, shape (m,)."""
         if self.along is None:
             return self.factor * v
         shape = (-1, self.size)
@@ -52,8 +52,8 @@ class Split:
     rest is ‖r − above + below‖², or zero and r = above − below.
 
     Attributes:
-        slope: Charge of each part [–].
-        squares_rest: Whether the rest is charged by its squares; it is zero otherwise.
+        slope: Cost per unit of each part [–].
+        squares_rest: Whether the rest is ‖r − above + below‖².
     """
 
     slope: float
@@ -62,23 +62,23 @@ class Split:
 
 @dataclass(frozen=True)
 class Penalty(abc.ABC):
-    """How a residual is charged; convex, and zero at zero unless it is linear."""
+    """A convex penalty, nonnegative and zero at zero unless it is linear."""
 
     #: The mathematics, for `repr`
     formula: ClassVar[str]
-    #: Whether a quadratic program states it as it is
+    #: Whether it is quadratic or linear
     quadratic: ClassVar[bool] = False
-    #: Whether its gradient vanishes with the residual, as that of a square
+    #: Whether its gradient is continuous and vanishes at zero
     smooth: ClassVar[bool] = False
 
     @property
     def rows_per_group(self) -> int:
-        """The number of residuals is a multiple of this [–]."""
+        """Residuals per group; their number must be a multiple of it [–]."""
         return 1
 
     @property
     def split(self) -> Split | None:
-        """As a quadratic program; None where there is no such form."""
+        """Its form as a quadratic program; None without one."""
         return None
 
     @abc.abstractmethod
@@ -104,26 +104,23 @@ class Penalty(abc.ABC):
     def gauge(self, g: Array) -> float:
         """The least t ≥ 0 for which g is t times an admissible multiplier.
 
-        With `farthest` it lets the verdict bound the gap where squares do not determine
-        the answer (`ttus_opt.problem.absorption`), for penalties that are nowhere
-        negative.
-
-        Returns:
-            t; infinite where the penalty does not state it.
+        Infinite where not implemented. With `farthest` it bounds the gap where squares
+        do not determine the solution (`ttus_opt.problem.absorption`), for nonnegative
+        penalties.
         """
         return math.inf
 
     def farthest(self, value: float) -> float:
-        """A bound of ‖r‖ over all r with φ(r) ≤ value; infinite where not stated."""
+        """A bound of ‖r‖ for φ(r) ≤ value; infinite where not implemented."""
         return math.inf
 
     @abc.abstractmethod
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
-        """The penalty in cvxpy's words, for cone solvers.
+        """The penalty as a cvxpy expression.
 
         Args:
             r: A cvxpy expression of the residuals, shape (m,).
-            cp: The module cvxpy, which this package loads only where it is used.
+            cp: The module cvxpy, imported only where it is used.
 
         Returns:
             A scalar cvxpy expression.
@@ -140,9 +137,9 @@ class Penalty(abc.ABC):
             step: Positive [–].
 
         Returns:
-            g, shape (m,), and its slope, one of them where it has a kink.
+            g, shape (m,), and its slope, a generalised derivative at a kink.
 
         Raises:
-            InputError: The penalty does not state it.
+            InputError: Not implemented for this penalty.
         """
         raise InputError(f"{type(self).__name__} does not state its resolvent")
