@@ -1,4 +1,4 @@
-"""Eq. 10 with conductivities of its own along r, θ and z.
+"""Eq. 10 with different conductivities along r, θ and z.
 
 min_p ‖L(k_r, k_θ, k_z) p - b‖² + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
 

@@ -7,7 +7,7 @@ s.t.  0 ≤ q ≤ μ_max p inside, q = 0 on the surface, μ_max p ≤ q ≤ 0 ou
 
 F q is drag of every point of the probe, or t̂ (n̂ᵀ N q) of the whole patch, t̂ its
 direction of sliding and n̂ its normal (``acts_at``, see `coulomb_global`); jointly
-convex in (p, q, m). m is the mean friction coefficient: where it holds, q = m p.
+convex in (p, q, m). m is the mean friction coefficient: q = m p where it applies.
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """
 

@@ -7,16 +7,15 @@ against its own sliding (``points``), or t̂ (n̂ᵀ N p) of the whole patch, t�
 of sliding and n̂ its normal; "auto" takes what fits better. Convex in p for every μ.
 
 s rescales boundary values that the scene has fitted (``inner="fit"``), by the same
-objective and at the μ found; given ones stay, s = 1. The scene's own fit takes the
-residual of the Laplace field for noise, alike in all frames, where most of it is what
-the field is about to learn: its scale is 2 to 6 % too large at λ = 1e-2.
+objective at the μ found; given ones keep s = 1. The scene's own fit treats the residual
+of the Laplace field as independent noise, although the fit explains most of it: at
+λ = 1e-2 its scale is 2 to 6 % too large.
 
-What is left afterwards is the field's: forces with drag are fitted as well as eq. 10
-fits the same contacts without any. Drag lengthens a force by up to √(1 + μ²), which
-eq. 10 does not know; where its field is too stiff anyway, its magnitudes gain by that.
-Torque rows change the field at the cost of force directions, by about 1° at λ = 1e-2,
-drag or not; with ℓ the ratio of the sensor's torque noise to its force noise
-(``torque_length``) by a third of that.
+Forces with drag are then fitted as well as eq. 10 fits the same contacts without drag.
+Drag increases a force by up to √(1 + μ²), which eq. 10 neglects; where its field is too
+stiff, this improves its magnitudes. Torque rows worsen force directions by about 1° at
+λ = 1e-2, with or without drag; by a third of that where ℓ (``torque_length``) is the
+ratio of the sensor's torque noise to its force noise.
 
 Source: eq. 10 of Yeung, Black, Salcudean (2025) with Coulomb's law.
 """

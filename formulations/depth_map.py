@@ -1,12 +1,12 @@
-"""One curve of the depth, times what varies over the patient; not Laplace's field.
+"""A depth profile times a random variation over the patient, no Laplace prior.
 
 min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖N p − f‖² + λ_τ ‖(W p − τ)/ℓ‖²
 
-φ(d) = Σ_j c_j (d/10 mm)^a_j with c ≥ 0 grows with the depth d below the surface, the
-same everywhere; RᵀR/σ² is the precision of a Gaussian field with a Matérn covariance
-along the surface and along the depth. Coefficients, σ, the length along the surface
-and the noise, 1/√λ_f, are chosen by their evidence where they are not given. Torque
-rows count only where they are given a weight.
+φ(d) = Σ_j c_j (d/10 mm)^a_j, c ≥ 0, is the same profile of the depth d below the
+surface everywhere; RᵀR/σ² is the precision of a Gaussian field with a Matérn covariance
+along the surface and along the depth. Coefficients, σ, the length along the surface and
+the noise 1/√λ_f are chosen by their evidence unless they are given. Torque rows have no
+weight by default.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006); the precision after F. Lindgren, H. Rue, J. Lindström, J. R. Stat. Soc. B 73

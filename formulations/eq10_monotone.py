@@ -3,7 +3,7 @@
 min_p ‖L p - b‖² + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
 s.t.  p(r) - p(r + Δr) ≥ s Δr inside
 
-Source: Yeung, Black, Salcudean (2025), eq. 10; who presses deeper feels no less.
+Source: Yeung, Black, Salcudean (2025), eq. 10; force does not decrease with depth.
 """
 
 from ttus_opt.constraints.monotone import Monotone

@@ -1,10 +1,10 @@
-"""No p = 0 on the surface, only p ≥ 0 from there inwards; the same prior inside.
+"""Eq. 10 without p = 0 on the surface, with p ≥ 0 from there inwards.
 
 min_p ‖L p - b‖² without the surface's rows + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
 s.t.  p ≥ 0 inside and on the surface
 
-With p = 0 on the surface a round tip's force grows like depth², real tissue's like
-depth¹ to depth^1.5. Source: eq. 10 of Yeung, Black, Salcudean (2025), freed there.
+With p = 0 on the surface a round tip's force grows like depth², that of real tissue
+like depth¹ to depth^1.5. Source: eq. 10 of Yeung, Black, Salcudean (2025).
 """
 
 from ttus_opt.constraints.nonnegative import NonNegative
@@ -22,7 +22,7 @@ def build(
     torque_length: float | None = None,
     skin: float = 1e-3,
 ) -> Formulation:
-    """Weights λ_f, λ_τ [–], length ℓ [m]; ``skin``: what the surface's rows keep."""
+    """Weights λ_f, λ_τ [–], ℓ [m]; ``skin`` is the weight of the surface's rows [–]."""
     return Formulation(
         terms=[
             LaplaceFreeSurfaceTerm(scene, skin=skin),

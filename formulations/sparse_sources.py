@@ -1,4 +1,4 @@
-"""Few sources between the boundaries: absolute values of L p - b instead of squares.
+"""Sparse sources between the boundaries: absolute values of L p - b, not squares.
 
 min_p α Σ|L p - b|_free + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
 s.t.  (p - b)_boundary = 0

@@ -1,4 +1,4 @@
-"""Departures from the Laplace field in plateaus: total variation of p - p₀.
+"""Piecewise constant departures from the Laplace field: total variation of p - p₀.
 
 min_p α Σ|D (p - p₀)| + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
 s.t.  (p - b)_boundary = 0
@@ -23,7 +23,7 @@ def build(
     variation: float | None = None,
     isotropic: bool = False,
 ) -> Formulation:
-    """Weights λ_f, λ_τ, α (by default 3 λ_f) [–], ℓ [m]; ``isotropic`` needs cones."""
+    """Weights λ_f, λ_τ, α (by default 3 λ_f) [–], ℓ [m]; ``isotropic`` uses cones."""
     weight = 3.0 * force_weight if variation is None else variation
     return Formulation(
         terms=[

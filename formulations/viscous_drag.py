@@ -3,7 +3,7 @@
 min_{p,c} ‖L p - b‖² + λ_f ‖N p - v c - f‖² + λ_τ ‖(W p - a×v c - τ)/ℓ‖²  s.t.  c ≥ 0
 
 v is the sliding velocity along the contact and a the arm of drag. Source: eq. 10 of
-Yeung, Black, Salcudean (2025), with a column for the drag it leaves out.
+Yeung, Black, Salcudean (2025), with a column per drag coefficient.
 """
 
 from ttus_opt.constraints.viscous_sign import ViscousSign

@@ -1,10 +1,10 @@
-"""Eq. 10 whose weights mean the same on every grid.
+"""Eq. 10 with weights that have the same meaning on every grid.
 
 min_p ∫ (ℓ₁²∇²p)² dV/ℓ₁³ + λ_f ‖N p - f‖² + λ_τ ‖(W p - τ)/ℓ‖²
 s.t.  (p - b)_boundary = 0
 
-ℓ₁ = 1 cm. With the ``trilinear`` sampling refining the grid leaves the answer. Source:
-the integral that eq. 10 of Yeung, Black, Salcudean (2025) stands for.
+ℓ₁ = 1 cm. With the ``trilinear`` sampling the solution converges under refinement.
+Source: eq. 10 of Yeung, Black, Salcudean (2025), its sum over voxels as an integral.
 """
 
 from ttus_opt.constraints.boundary import HardBoundary

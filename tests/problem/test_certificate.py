@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.solvers.problems import bounds, program, rows, term
-from ttus_opt.problem.certificate import contradicts, falling_ray, falls_for_ever
+from ttus_opt.problem.certificate import contradicts, decreases_forever, falling_ray
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.terms.penalties.linear import Linear
 
@@ -57,10 +57,10 @@ def test_what_proves_nothing(wrong: Duals) -> None:
 
 
 def test_a_ray_along_which_it_falls() -> None:
-    assert falls_for_ever(DOWNHILL, np.array([0.0, -1.0]))
-    assert falls_for_ever(DOWNHILL, np.array([0.0, -1e9]))
+    assert decreases_forever(DOWNHILL, np.array([0.0, -1.0]))
+    assert decreases_forever(DOWNHILL, np.array([0.0, -1e9]))
     for no in ([0.0, 1.0], [1.0, -1.0], [0.0, 0.0], [0.0, np.nan]):
-        assert not falls_for_ever(DOWNHILL, np.array(no))
+        assert not decreases_forever(DOWNHILL, np.array(no))
     ray = falling_ray(DOWNHILL)
     assert ray is not None
     assert ray[1] < 0.0 == ray[0]
@@ -69,7 +69,7 @@ def test_a_ray_along_which_it_falls() -> None:
 def test_a_minimum_has_no_ray() -> None:
     held = program(DOWNHILL.terms, (), [bounds("box", [-1, -5], [1, 3])])
     assert falling_ray(held) is None
-    assert not falls_for_ever(held, np.array([0.0, -1.0]))
+    assert not decreases_forever(held, np.array([0.0, -1.0]))
     assert falling_ray(IMPOSSIBLE) is None
     weightless = program([term([[1, 0]], [0]), term([[0, 1]], [0], 0.0, Linear(),
                          name="downhill")])  # fmt: skip

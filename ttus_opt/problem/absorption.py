@@ -1,21 +1,21 @@
-"""A bound where squares do not determine x: other penalties' multipliers absorb r.
+"""Bound of the gap where squares do not determine x: other multipliers absorb r.
 
-Penalties φ ≥ 0 that are no squares (absolute values, groups, Huber's) have multipliers
-g in the set G of all subgradients. The gradient r of the Lagrangian is shared out,
+Penalties φ ≥ 0 other than squares (absolute values, groups, Huber's) have multipliers g
+in the set G of all subgradients. The gradient r of the Lagrangian is distributed,
 
     (Σ_k M_kᵀM_k + θ P) d ≈ r,    s_k = M_k d,    r = Σ_k M_kᵀs_k + θ P d + ρ,
 
-so that w_k g′_k = w_k g_k − s_k leaves θ P d + ρ of it. Where g′ is not in G it is in
-t G with a t > 1, and t φ(r) + t φ*(g′/t) ≥ g′ᵀr, Fenchel's inequality of g′/t. At the
-optimum Σ w φ ≤ f* ≤ f(x), hence with r_k = M_k x − t_k
+and with w_k g′_k = w_k g_k − s_k the remaining gradient is θ P d + ρ. A g′ outside G
+lies in t G for some t > 1, and t φ(r) + t φ*(g′/t) ≥ g′ᵀr by Fenchel's inequality for
+g′/t. At the optimum Σ w φ ≤ f* ≤ f(x), hence with r_k = M_k x − t_k
 
     f(x) − f* ≤ complementarity + Σ_k w_k (φ(r_k) + t_k φ*(g′_k/t_k) − g′_kᵀr_k)
                 + max_k (t_k − 1) f(x) + ½ θ² dᵀP d + ρᵀ(x − x*).
 
-The summands have signs: what clipping g to G takes from the second it gives to r, and
-both cancel here. The last is at most the product of ρ's length in the inverse of the
-matrix above and that of x − x* in the matrix itself, as neither x nor x* has an
-objective above f(x). θ = 0 is tried first, then one at which squares take their part.
+The summands are signed: clipping g to G moves an amount from the second summand to r,
+and both cancel here. The last is at most the product of ρ's norm in the inverse of the
+matrix above and that of x − x* in the matrix itself; the latter is bounded because
+neither x nor x* has an objective above f(x). θ = 0 is tried first, then a positive one.
 """
 
 from __future__ import annotations
@@ -43,27 +43,27 @@ _Map = Callable[[Array], Array]
 #: Most steps of conjugate gradients without squares (θ = 0), and with them
 STEPS, STEPS_BESIDE = 40, 200
 
-#: What is left of r is followed down to this part of the gap asked for [–]
+#: Part of the requested gap to which the last summand is reduced [–]
 CLOSE_ENOUGH = 1e-2
 
-#: Squares are tried beside where they may take off this factor [–]
+#: Largest bound at θ = 0, over the requested gap, for which θ > 0 is tried [–]
 HOPEFUL = 1e3
 
-#: Up to how many variables the matrix is factorised
+#: Most variables for which the matrix is factorised
 SMALL = 3000
 
-#: A length by the preconditioner, and what the length itself may be over it [–]
+#: Factor on a norm that is measured with the preconditioner [–]
 GENEROUS = 3.0
 
 
 @dataclass(frozen=True)
 class Absorbed:
-    """What became of a dual residual.
+    """Result of `absorbed`.
 
     Attributes:
-        gap: All summands of the bound but complementarity.
-        taken: Σ Mᵀs, what multipliers have taken of r, shape (n,).
-        is_close: Whether what is left of r no longer counts.
+        gap: All summands of the bound except complementarity.
+        taken: Σ Mᵀs, the part of r that multipliers have absorbed, shape (n,).
+        is_close: Whether the last summand is negligible.
     """
 
     gap: float
@@ -87,11 +87,11 @@ def absorbed(
         multipliers: g of the terms that are neither squares nor linear, by name.
         residual: r, the gradient of the Lagrangian, shape (n,).
         fixed: Variables that equalities hold, shape (n,).
-        goal: The gap that is asked for: what is left of r need be no further below.
+        goal: The requested gap; the last summand need not be far below it.
 
     Returns:
-        The bound; None where there is no such penalty, one that does not state its
-        gauge, or a linear one, whose value is not bounded below.
+        The bound; None without such a penalty, with one that has no `gauge`, or with a
+        linear one, whose value is not bounded below.
     """
     terms = [t for t in program.terms if t.weight > 0.0 and not t.penalty.quadratic]
     if not terms or any(isinstance(t.penalty, Linear) for t in program.terms):
@@ -111,7 +111,7 @@ def absorbed(
 
 
 class _Rows:
-    """Residuals and multipliers of the penalties, and the bound that they give."""
+    """Residuals and multipliers of the penalties, and their bound."""
 
     def __init__(
         self,
@@ -130,13 +130,13 @@ class _Rows:
 
     @property
     def theta(self) -> float:
-        """Θ at which squares and rows bend alike where residuals are as they are."""
+        """Θ that balances the curvatures of squares and rows at these residuals."""
         terms = zip(self._terms, self._values, strict=True)
         mean = max(value / len(t.target) / t.weight for t, value in terms)
         return float(mean) or 1.0
 
     def bound(self, r: Array, matrix: _Matrix, most: int, enough: float) -> Absorbed:
-        """Conjugate gradients until what is left no longer counts."""
+        """Conjugate gradients until the last summand is negligible."""
         apart, best = self._apart(matrix.theta), math.inf
         taken, close = np.zeros_like(r), False
         for step in matrix.steps(r, most):
@@ -153,7 +153,7 @@ class _Rows:
         return Absorbed(best, taken, close)
 
     def _fenchel(self, shares: list[Array]) -> float:
-        """The summands of the bound that multipliers decide."""
+        """The summands of the bound that depend on multipliers."""
         missing, excess = 0.0, 0.0
         for k, (term, s) in enumerate(zip(self._terms, shares, strict=True)):
             penalty, g = term.penalty, self._g[k] - s / term.weight
@@ -166,7 +166,7 @@ class _Rows:
         return missing + excess * self._objective
 
     def _apart(self, theta: float) -> float:
-        """A bound of the length of x − x* in Σ MᵀM + θ P."""
+        """A bound of the norm of x − x* in Σ MᵀM + θ P."""
         f = self._objective
         square = 8.0 * theta * f  # ½ eᵀP e ≤ (√f + √f)²
         for term, r in zip(self._terms, self._residuals, strict=True):
@@ -177,12 +177,12 @@ class _Rows:
 
 @dataclass(frozen=True)
 class _Step:
-    """Where conjugate gradients are.
+    """An iterate of conjugate gradients.
 
     Attributes:
         d: Shape (n,).
         shares: M_k d by term.
-        rho: The square of what is left of r, in the preconditioner.
+        rho: Squared norm of the residual in the preconditioner.
     """
 
     d: Array
@@ -191,7 +191,7 @@ class _Step:
 
 
 class _Matrix:
-    """Σ MᵀM + θ P over the variables that are free."""
+    """Σ MᵀM + θ P over the free variables."""
 
     def __init__(
         self, program: Program, terms: list[ProgramTerm], fixed: Mask, theta: float
@@ -237,12 +237,12 @@ class _Matrix:
             shares = [s + alpha * v for s, v in zip(shares, images, strict=True)]
             z = self._precondition(rest)
             before, rho = rho, float(rest @ z)
-            # a preconditioner need not be quite linear (Polak and Ribière's rule)
+            # Polak and Ribière's rule, as preconditioners may be slightly nonlinear
             direction = z + (float(z @ (rest - r)) / before) * direction
             r = rest
 
     def _preconditioner(self) -> _Map:
-        """About the inverse: factors, L, a network, or else the diagonal."""
+        """An approximate inverse: a factor, L, a network, or the diagonal."""
         if len(self._fixed) <= SMALL:
             return self._factorised()
         fields = [
@@ -251,7 +251,7 @@ class _Matrix:
             if (solve := self._of_field(name, part)) is not None
         ]
 
-        inverse, fixed = self._inverse, self._fixed  # no circle with ``self``
+        inverse, fixed = self._inverse, self._fixed  # no reference cycle with self
 
         def precondition(v: Array) -> Array:
             z = inverse * v
@@ -262,7 +262,7 @@ class _Matrix:
         return precondition
 
     def _of_field(self, name: str, part: slice) -> _Map | None:
-        """What solves for a field's part, if anything but the diagonal does."""
+        """A solver for one field; None for the diagonal."""
         laplace = self._program.laplace
         fixed = self._fixed[part]
         if laplace is None or len(fixed) != len(laplace.free):
@@ -278,7 +278,7 @@ class _Matrix:
         return None
 
     def _factorised(self) -> _Map:
-        """Exactly, but for what rounding is; for few variables."""
+        """By a factor, shifted by rounding; for few variables."""
         free = np.flatnonzero(~self._fixed)
         roots = [(1.0, t) for t in self._terms]
         roots += [(self.theta * 2.0 * t.weight, t) for t in _squares(self._program)]
@@ -319,14 +319,14 @@ def _diagonal(program: Program, terms: list[ProgramTerm], theta: float) -> Array
     return np.asarray(out)
 
 
-#: Networks of rows by identity and fixed voxels: they live as long as the rows
+#: Networks by identity of their rows and fixed voxels; dropped with the rows
 _networks: dict[tuple[int, int], _Map | None] = {}
 
 
 def _network(
     term: ProgramTerm, program: Program, part: slice, fixed: Mask
 ) -> _Map | None:
-    """Differences of neighbours as a network; kept as long as the rows live."""
+    """The network of differences of neighbours, cached while the rows exist."""
     key = id(term.matrix), hash(fixed.tobytes())
     if key not in _networks:
         laplace, matrix = program.laplace, term.matrix[:, part]

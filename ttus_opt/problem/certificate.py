@@ -1,12 +1,11 @@
-"""Certificates that a program has no answer, checked here.
+"""Certificates of infeasibility and unboundedness.
 
-A solver's word for "infeasible" or "unbounded" counts only with a certificate that
-holds in this program's own numbers (Boyd and Vandenberghe, Convex Optimization,
-section 5.8):
+A solver's claim of either counts only with a certificate that holds for the program
+(Boyd and Vandenberghe, Convex Optimization, section 5.8):
 
     infeasible  multipliers y, z with Aᵀy + z = 0 and Σ limit·multiplier < 0 (Farkas)
-    unbounded   a ray d along which every penalty stays as it is, no limit is left
-                and the linear objective falls
+    unbounded   a ray d that changes no penalty but linear ones, stays within all
+                limits, and along which the linear objective decreases
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.penalties.linear import Linear
 
-#: What should cancel is rounding below this part of its summands [–]
+#: Sums below this part of their summands are zero up to rounding [–]
 ROUNDING = 1e-9
 
 
@@ -29,7 +28,7 @@ def contradicts(program: Program, duals: Duals) -> bool:
     """Whether multipliers prove that the constraints cannot hold together.
 
     Args:
-        program: Whose constraints are meant.
+        program: The program.
         duals: Multipliers, signs as in `ttus_opt.problem.kkt`.
     """
     lower, upper = program.box
@@ -44,7 +43,7 @@ def contradicts(program: Program, duals: Duals) -> bool:
     for dual, low, high, image in parts:
         limit = np.where(dual > 0.0, high, low)
         product = dual[dual != 0.0] * limit[dual != 0.0]
-        if not np.isfinite(product).all():  # a multiplier of a limit that is not there
+        if not np.isfinite(product).all():  # a multiplier of an absent limit
             return False
         total, sizes = total + image, max(sizes, float(np.abs(image).max(initial=0.0)))
         support += float(product.sum())
@@ -53,8 +52,8 @@ def contradicts(program: Program, duals: Duals) -> bool:
     return bool(cancels and sizes > 0.0 and support < -ROUNDING * scale)
 
 
-def falls_for_ever(program: Program, ray: Array) -> bool:
-    """Whether the objective falls without end along a ray that stays feasible.
+def decreases_forever(program: Program, ray: Array) -> bool:
+    """Whether the objective is unbounded below along a feasible ray.
 
     Args:
         program: The program.
@@ -84,15 +83,15 @@ def falls_for_ever(program: Program, ray: Array) -> bool:
 
 
 def falling_ray(program: Program, *, time_limit: float | None = None) -> Array | None:
-    """A ray along which the objective falls without end; None if not found.
+    """A ray along which the objective is unbounded below; None if not found.
 
     Args:
-        program: The program; penalties that are not linear are taken to grow along
-            any ray that changes them.
-        time_limit: Most seconds for the linear program [s].
+        program: The program; penalties that are not linear count as growing along any
+            ray that changes them.
+        time_limit: For the linear program [s].
 
     Returns:
-        d, shape (n,), verified by `falls_for_ever`.
+        d, shape (n,), verified by `decreases_forever`.
     """
     linear = [t for t in program.terms if isinstance(t.penalty, Linear) and t.weight]
     if not linear:  # sums of squares, lengths and sizes are never negative
@@ -110,7 +109,7 @@ def falling_ray(program: Program, *, time_limit: float | None = None) -> Array |
     above, equal = sp.vstack(down), sp.vstack([sp.csr_array((0, n)), *still])
     none, zero = np.zeros(above.shape[0]), np.zeros(equal.shape[0])
     answer = linear_program(slope, (above, none), (equal, zero), box, time_limit)
-    if answer.x is None or not falls_for_ever(program, answer.x):
+    if answer.x is None or not decreases_forever(program, answer.x):
         return None
     return np.asarray(answer.x)
 
@@ -122,18 +121,21 @@ def linear_program(
     box: tuple[Array, Array],
     time_limit: float | None,
 ) -> Any:
-    """Minimise a linear cost by HiGHS; what SciPy says of it.
+    """Minimise a linear cost by HiGHS.
 
     Args:
         cost: Shape (n,).
-        above: Sparse rows, shape (m, n), and what they are at most, shape (m,).
-        equal: Sparse rows and what they are, likewise.
+        above: Sparse rows, shape (m, n), and their upper limits, shape (m,).
+        equal: Sparse rows and their values, likewise.
         box: Lower and upper bounds, shape (n,) each.
-        time_limit: Most seconds; None for no limit [s].
+        time_limit: None for no limit [s].
+
+    Returns:
+        SciPy's result.
     """
     from scipy.optimize import linprog
 
-    return linprog(  # type: ignore[call-overload]  # it does take sparse rows
+    return linprog(  # type: ignore[call-overload]  # sparse rows are allowed
         cost,
         sp.csc_array(above[0]),
         above[1],

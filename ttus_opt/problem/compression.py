@@ -1,15 +1,14 @@
-"""Many measured rows of few voxels, as few rows with the same least squares.
+"""Compression of many measured rows over few voxels to few equivalent rows.
 
-A recording at 1 kHz has tens of thousands of rows over some hundred voxels. With the
-QR decomposition of rows and target together,
+A recording at 1 kHz has tens of thousands of rows over some hundred voxels. With the QR
+decomposition of rows and target together,
 
     [M t] = Q [R c; 0 ρ]   ⟹   ‖M x - t‖² = ‖R x - c‖² + ρ²,
 
-R has no more rows than M has columns that are not zero, and nothing is lost but the
-constant. Blocks of consecutive rows, which touch few voxels each, are decomposed one
-by one, and what they leave again, until that no longer pays. Penalties that are no sum
-of squares, and rows with limits, are left as they are; an answer is verified with all
-rows.
+R has no more rows than M has nonzero columns, and only the constant is lost. Blocks of
+consecutive rows, which touch few voxels each, are decomposed separately, and the
+results again, while that pays. Only sums of squares are compressed; an answer is
+verified with all rows.
 
 See docs/method.md, Dense recordings.
 """
@@ -26,28 +25,29 @@ from ttus_opt.arrays import Array, IntArray
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
 
-#: Terms of fewer rows are left as they are: a solve costs more than its rows
+#: Fewest rows of a compressed term
 LEAST_ROWS = 10_000
 
-#: Rows per column that is touched, at least, for the decomposition to pay
+#: Fewest rows per nonzero column for the decomposition to pay
 OVERDETERMINED = 4.0
 
-#: Rows decomposed at once, and the part that a round has to leave out to be worth it
+#: Rows decomposed at once, and the least reduction of a round for another to follow
 BLOCK, GAIN = 1024, 0.3
 
 
 class Compression:
-    """Compresses programs, and keeps what it found while rows and targets stay."""
+    """Compresses programs, keeping results while rows and targets stay the same.
+
+    Attributes:
+        rows: Numbers of rows before and after, of the compressed terms by name.
+    """
 
     def __init__(self) -> None:
         self._kept: dict[str, tuple[ProgramTerm, ProgramTerm]] = {}
         self.rows: dict[str, tuple[int, int]] = {}
 
     def __call__(self, program: Program) -> Program:
-        """The program with compressed terms; itself where nothing is to be gained.
-
-        `rows` then says how many rows each such term had and has, by name.
-        """
+        """The program with compressed terms; itself where none is compressed."""
         terms = tuple(self._compressed(term) for term in program.terms)
         pairs = list(zip(program.terms, terms, strict=True))
         self.rows = {
@@ -81,7 +81,7 @@ def _pays(term: ProgramTerm) -> bool:
 
 
 def compressed_rows(matrix: sp.csr_array, target: Array) -> tuple[sp.csr_array, Array]:
-    """Rows R x - c with the same least squares as M x - t, up to a constant.
+    """Rows R x - c with the squared norm of M x - t, up to a constant.
 
     Args:
         matrix: M, shape (m, n).
@@ -125,7 +125,7 @@ def _decomposed(rows: sp.csr_array, target: Array) -> tuple[sp.csr_array, Array]
 
 
 def _columns(matrix: sp.csr_array) -> IntArray:
-    """Columns that are not empty, increasing."""
+    """Nonempty columns, increasing."""
     found = np.zeros(matrix.shape[1], dtype=bool)
     found[matrix.indices] = True
     return np.flatnonzero(found).astype(np.int64)

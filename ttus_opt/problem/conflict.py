@@ -1,12 +1,11 @@
-"""Which constraints contradict each other, by name.
+"""The constraints that contradict each other, by name.
 
-The elastic problem: all rows may give way, at a price of their give,
+In the elastic problem all rows may be violated, at the cost of their violation:
 
     minimise Σ (s⁺ + s⁻)  over  lower ≤ A x + s⁺ − s⁻ ≤ upper,  lb ≤ x ≤ ub.
 
-Its optimum is zero exactly when the constraints can hold together; otherwise its
-multipliers are a certificate (Farkas) that they cannot, and the constraints with a
-multiplier are those in conflict.
+Its optimum is zero exactly when the constraints are consistent; otherwise its
+multipliers are a certificate (Farkas) of the conflict, and name the constraints in it.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ from ttus_opt.problem.kkt import Duals, bound_duals
 from ttus_opt.problem.members import ProgramBounds
 from ttus_opt.problem.program import Program
 
-#: Multipliers below this part of the largest (which is at most 1) are rounding
+#: Multipliers below this, of at most 1, are rounding
 NEGLIGIBLE = 1e-6
 
-#: Give below this part of the largest limit is rounding
+#: Violations below this part of the largest limit are rounding
 FEASIBLE = 1e-7
 
 
@@ -34,14 +33,13 @@ def conflicting(
     """Names of the constraints that contradict each other.
 
     Args:
-        program: Whose constraints are looked at; the objective has no part in it.
-        claimed: Multipliers that a solver gives as proof; without them, or where they
-            prove nothing, the elastic problem is solved.
-        time_limit: Most seconds for the elastic problem [s].
+        program: The program; its objective is not used.
+        claimed: A solver's certificate; without a valid one, the elastic problem is
+            solved.
+        time_limit: For the elastic problem [s].
 
     Returns:
-        The names in the order of the program; empty when the constraints can hold
-        together, or when it could not be proved that they cannot.
+        The names in the order of the program; empty without a proven conflict.
     """
     if claimed is not None and contradicts(program, claimed):
         return _named(program, claimed)
@@ -55,7 +53,7 @@ def conflicting(
 
 
 def _holds(bound: ProgramBounds, crossed: NDArray[np.bool_], program: Program) -> bool:
-    """Whether a bound gives one of the limits that cross."""
+    """Whether one of the crossing limits belongs to a bound."""
     lower, upper = program.box
     low = np.isfinite(bound.lower) & (bound.lower == lower)
     high = np.isfinite(bound.upper) & (bound.upper == upper)
@@ -94,7 +92,7 @@ def _elastic(
     y = np.where(np.abs(y) > NEGLIGIBLE, -y, 0.0)
     starts = np.cumsum([len(c.lower) for c in program.constraints])[:-1]
     rows = zip(program.constraints, np.split(y, starts), strict=True)
-    # what is left of the bounds balances the rows exactly
+    # bounds whose multipliers balance the rows exactly
     proof = Duals({c.name: part for c, part in rows}, -(A.T @ y))
     z = np.where(np.abs(z) > NEGLIGIBLE, -z, 0.0)
     if not contradicts(program, proof):

@@ -1,8 +1,8 @@
-"""A program in cvxpy's words, for its cone solvers and for whoever goes on from there.
+"""A program as a cvxpy problem, for its cone solvers and for further use.
 
-Every constraint is stated row by row as the program has it, by its name, so that its
-multipliers come back by name. cvxpy's convention for linear rows is ours: the dual of
-g(x) ≤ 0 is not negative. Of a cone s ∈ K it gives λ ∈ K, ours is −λ.
+Constraints keep their rows and names, so that multipliers are returned by name. For
+linear rows cvxpy has our sign: the dual of g(x) ≤ 0 is not negative. For a cone s ∈ K
+it returns λ ∈ K; ours is −λ.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from ttus_opt.problem.program import Program
 
 @dataclass(frozen=True)
 class CvxpyProgram:
-    """A cvxpy problem and what it is made of.
+    """A cvxpy problem with its variables and constraints by name.
 
     Attributes:
         problem: The ``cvxpy.Problem``.
-        variables: Its ``cvxpy.Variable`` per variable of the program, by name.
-        constraints: Its constraints by the name of the program's own; those of all
-            bounds together are called ``bounds``, and the equations that define the
-            residuals of a penalty that is not quadratic are called after its term.
+        variables: A ``cvxpy.Variable`` per variable of the program.
+        constraints: Its constraints, under the program's names. All bounds together are
+            called ``bounds``; the equations that define the residual of a penalty that
+            is not quadratic have the name of its term.
     """
 
     problem: Any
@@ -60,10 +60,10 @@ class CvxpyProgram:
                 continue
             residual = term.matrix @ x - term.target
             if not term.penalty.quadratic:
-                # a name for the residual gives it a multiplier, w times a subgradient
-                named = cp.Variable(len(term.target))
-                nonquadratic[term.name] = term, residual == named
-                residual = named
+                # as a variable, the residual has a multiplier, w times a subgradient
+                lifted = cp.Variable(len(term.target))
+                nonquadratic[term.name] = term, residual == lifted
+                residual = lifted
             cost += term.weight * term.penalty.in_cvxpy(residual, cp)
         rows: dict[str, _TwoSided | _Cones] = {
             c.name: _TwoSided.of(c.matrix @ x, c.lower, c.upper)
@@ -81,14 +81,14 @@ class CvxpyProgram:
         return cls(problem, variables, stated, rows, box, nonquadratic)
 
     def point(self) -> Array | None:
-        """All variables as cvxpy has them now, shape (n,); None where it has none."""
+        """Current values of all variables, shape (n,); None without them."""
         values = [variable.value for variable in self.variables.values()]
         if any(v is None or not np.isfinite(v).all() for v in values):
             return None
         return np.concatenate(values)
 
     def duals(self) -> Duals:
-        """The multipliers cvxpy has now, by the program's names."""
+        """Current multipliers, by the program's names."""
         return Duals(
             {name: rows.dual() for name, rows in self._rows.items()},
             None if self._box is None else self._box.dual(),
@@ -102,7 +102,7 @@ class CvxpyProgram:
 
 @dataclass(frozen=True)
 class _TwoSided:
-    """What one set of rows between limits became."""
+    """The cvxpy constraints of one set of rows between limits."""
 
     size: int
     masks: Mapping[str, Mask]
@@ -141,7 +141,7 @@ class _TwoSided:
 
 @dataclass(frozen=True)
 class _Cones:
-    """What one set of second-order cones became: a constraint for each size."""
+    """The cvxpy constraints of one set of second-order cones, one for each size."""
 
     size: int
     rows: Mapping[int, IntArray]

@@ -21,7 +21,7 @@ from ttus_opt.terms.base import Fitted, Term
 
 
 class Unplaced(Protocol):
-    """A term of no scene yet, such as `ttus_opt.terms.cvxpy_term.CvxpyTerm`."""
+    """A term without a scene, such as `ttus_opt.terms.cvxpy_term.CvxpyTerm`."""
 
     def over(self, scene: Scene) -> Term:
         """The term over a scene."""
@@ -29,16 +29,16 @@ class Unplaced(Protocol):
 
 @dataclass(frozen=True)
 class Search:
-    """One number of a formulation that is found by a search over convex fits.
+    """A parameter of a formulation that is found by a search over convex fits.
 
     Attributes:
         parameter: Its name.
         low: Least value.
         high: Largest value.
-        build: The formulation for a given value, convex in all the rest; one with
-            a search of its own is searched next, at the value found.
-        neutral: What is used where the data do not bear the parameter; None stands
-            for 0, or the limit nearest to it.
+        build: The convex formulation for a given value; one with a search of its own is
+            searched next, at the value found.
+        neutral: Value where the data do not determine the parameter; None for 0, or the
+            limit nearest to it.
     """
 
     parameter: str
@@ -62,7 +62,7 @@ class Search:
 
     @property
     def neutral_value(self) -> float:
-        """What is used where the data do not bear the parameter."""
+        """Value where the data do not determine the parameter."""
         nearest = min(max(0.0, self.low), self.high)
         return nearest if self.neutral is None else self.neutral
 
@@ -75,15 +75,14 @@ class Search:
 class Formulation:
     """Minimise the sum of the terms subject to the constraints.
 
-    A formulation does not change; ``+`` and the methods that begin with ``with`` give
-    new ones.
+    A formulation is immutable; ``+`` and the methods ``with_…`` return new ones.
 
     Args:
-        terms: What is minimised, each with its weight. A term of no scene yet is put
-            over that of the others.
-        constraints: What must hold.
+        terms: Weighted terms of the objective. One without a scene gets that of the
+            others.
+        constraints: Constraints.
         name: For reports.
-        search: A number to search for beside; the terms are those of a first guess.
+        search: A parameter to search for; the terms are those of a first guess.
     """
 
     def __init__(
@@ -114,12 +113,12 @@ class Formulation:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """What is minimised."""
+        """Terms of the objective."""
         return self._terms
 
     @property
     def constraints(self) -> tuple[Constraint, ...]:
-        """What must hold."""
+        """Constraints."""
         return self._constraints
 
     @property
@@ -129,7 +128,7 @@ class Formulation:
 
     @property
     def search(self) -> Search | None:
-        """A number that is searched for beside, if there is one."""
+        """The parameter to search for, if there is one."""
         return self._search
 
     @property
@@ -154,10 +153,10 @@ class Formulation:
         )
 
     def with_weights(self, **weights: float) -> Formulation:
-        """With other weights by term name; nothing is assembled again.
+        """With other weights by term name, without assembling anything again.
 
         Raises:
-            InputError: No term has that name, or a weight is negative.
+            InputError: Unknown term, or a negative weight.
         """
         known = [term.name for term in self.terms]
         for name in weights:
@@ -174,7 +173,7 @@ class Formulation:
         return Formulation(self.terms, self.constraints, name, self.search)
 
     def with_search(self, search: Search) -> Formulation:
-        """With a number to search for beside."""
+        """With a parameter to search for."""
         return Formulation(self.terms, self.constraints, self.name, search)
 
     def _changed(
@@ -191,7 +190,7 @@ class Formulation:
         return Program.build(self.scene, self.terms, self.constraints)
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
-        """What a solution identifies beside the field, by name.
+        """Parameters that a solution identifies, by name.
 
         Args:
             values: The solution's variables by name.
@@ -202,7 +201,7 @@ class Formulation:
         return found
 
     def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
-        """Those of its `parameters` that are found among the variables, by name.
+        """Those of its `parameters` that are variables of the program, by name.
 
         Args:
             values: The solution's variables by name.
@@ -213,7 +212,7 @@ class Formulation:
         return found
 
     def not_identifiable(self) -> dict[str, str]:
-        """Parameters that no row determines, and why, by name."""
+        """Why parameters are not determined by any row, by name."""
         found: dict[str, str] = {}
         for term in self.terms:
             if term.weight > 0.0:
@@ -224,7 +223,7 @@ class Formulation:
         """Without some of the terms and constraints.
 
         Raises:
-            InputError: There is none of that name, or no term would be left.
+            InputError: Unknown name, or no term would be left.
         """
         known = [term.name for term in self.terms]
         known += [constraint.name for constraint in self.constraints]
@@ -242,19 +241,19 @@ class Formulation:
         )
 
     def to_cvxpy(self) -> CvxpyProgram:
-        """The problem in cvxpy's words, to go on from there.
+        """The problem in cvxpy, for further use.
 
         Returns:
-            ``problem`` with its ``variables`` and ``constraints`` by name. What is
-            solved there is not verified by this package. A number to search for keeps
-            the value of the first guess.
+            ``problem`` with its ``variables`` and ``constraints`` by name. Its solution
+            is not verified by this package. A searched parameter has the value of the
+            first guess.
         """
         return CvxpyProgram.of(self.compile())
 
     def with_neutral(self, names: Collection[str]) -> Formulation:
-        """With these parameters at their neutral values, known and not fitted.
+        """With these parameters fixed at their neutral values.
 
-        Bounds of a variable that no term has any more are left out.
+        Bounds of variables that no term uses any more are dropped.
         """
         if not names:
             return self
@@ -326,7 +325,7 @@ class Formulation:
 
 
 def _placed(terms: Iterable[Term | Unplaced]) -> tuple[Term, ...]:
-    """The terms, all of them over a scene; at least one must have one."""
+    """The terms, all with a scene; at least one must have one."""
     given = tuple(terms)
     if not given:
         raise InputError("a formulation needs at least one term")
@@ -337,7 +336,7 @@ def _placed(terms: Iterable[Term | Unplaced]) -> tuple[Term, ...]:
 
 
 def _size(constraint: Constraint) -> str:
-    """How many rows or bounds a constraint has."""
+    """Number of rows, cones or bounds of a constraint."""
     rows = constraint.assembled
     if isinstance(rows, Bounds):
         finite = np.isfinite(rows.lower) | np.isfinite(rows.upper)

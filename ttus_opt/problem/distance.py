@@ -1,28 +1,27 @@
-"""How far below an answer the optimum can lie, from what is left of the gradient.
+"""Bound of the gap from the dual residual, for sums of squares.
 
 With sums of squares ½ xᵀP x in the objective (P = 2 Σ w MᵀM) and multipliers of the
-right sign, the Lagrangian is convex of curvature P at least, so that a dual residual
-r bounds what is missing (weak duality, Boyd and Vandenberghe, Convex Optimization,
-section 5.5.1):
+right sign, the Hessian of the Lagrangian is at least P, so that a dual residual r
+bounds the gap (weak duality, Boyd and Vandenberghe, Convex Optimization, section
+5.5.1):
 
     f(x) − f* ≤ complementarity + ½ rᵀP⁻¹r,      Σ w ‖M (x − x*)‖² ≤ f(x) − f*.
 
-A relative residual alone tells neither: where the field is large and the weights of
-the measurements are small, an answer that ignores all measurements has a small one.
+A relative residual implies neither: where the field is large and the weights of the
+measurements are small, an answer that ignores all measurements has a small residual.
 
-Of P⁻¹ the Laplace terms' part is known exactly, A⁻¹ = L⁻¹Ω L⁻ᵀ/2w, as is that of a term
-whose covariance is known. With rows R beside:
+The inverse of the Laplace terms' part A of P is known, A⁻¹ = L⁻¹Ω L⁻ᵀ/2w, as is that of
+a term whose covariance is known. With the other rows R:
 
 - fields only: P = A + RᵀR ⪰ A, so that rᵀA⁻¹r is a bound. Conjugate gradients
-  preconditioned by A bring it closer: after some steps rᵀP⁻¹r lies between what they
-  have summed up and that plus their residual's square in A⁻¹ (Golub and Strakoš,
-  Numer. Algorithms 8, 1994).
-- parameters c beside, with columns E of R: eliminating the fields from half of A gives
-  P ⪰ ½A ⊕ Eᵀ(I + 2K)⁻¹E ⪰ ½A ⊕ EᵀE/(1 + 2κ), K = R A⁻¹Rᵀ and κ its largest
-  eigenvalue, by a few steps of the power method and generously. A parameter within a
-  Laplace term, L q + C c, is first taken out of it: q′ = q + L⁻¹C c.
-- neither (a user's prior, another operator): conjugate gradients until nothing is left
-  of r; no bound where they do not get there.
+  preconditioned by A tighten it: rᵀP⁻¹r lies between their accumulated sum and that
+  plus the squared residual in A⁻¹ (Golub and Strakoš, Numer. Algorithms 8, 1994).
+- fields and parameters c with columns E of R: eliminating the fields from half of A
+  gives P ⪰ ½A ⊕ Eᵀ(I + 2K)⁻¹E ⪰ ½A ⊕ EᵀE/(1 + 2κ), K = R A⁻¹Rᵀ, with κ a generous
+  estimate of its largest eigenvalue by the power method. A parameter within a Laplace
+  term, L q + C c, is first eliminated: q′ = q + L⁻¹C c.
+- otherwise (a user's prior, another operator): conjugate gradients to a small residual;
+  no bound where they do not converge.
 """
 
 from __future__ import annotations
@@ -46,22 +45,22 @@ from ttus_opt.terms.structure import (
 
 _Map = Callable[[Array], Array]
 
-#: Most steps of conjugate gradients; where they do not suffice there is no bound
+#: Most steps of conjugate gradients
 MAX_STEPS = 80
 
-#: A bound is close enough when it is this much above what is certain [–]
+#: Largest relative excess of a bound over the lower estimate [–]
 CLOSE = 0.1
 
-#: Part of r's square that may be left where no bound is known but by solving [–]
+#: Squared relative residual to which conjugate gradients solve without a bound [–]
 NOTHING = 1e-12
 
 #: Relative residual of the solves with L inside the preconditioner [–]
 RTOL = 1e-6
 
-#: Most parameters beside the fields: each costs a column
+#: Most parameters beside the fields
 MOST = 64
 
-#: Steps of the power method, their accuracy, and what its answer is multiplied by [–]
+#: Steps of the power method, accuracy of its solves, and factor on its result [–]
 POWER, ROUGHLY, GENEROUS = 3, 1e-2, 3.0
 
 _TINY = np.finfo(float).tiny
@@ -70,17 +69,17 @@ _TINY = np.finfo(float).tiny
 def energy(
     program: Program, residual: Array, fixed: Mask, enough: float = 0.0
 ) -> float | None:
-    """An upper bound of ½ rᵀP⁻¹r over the variables that are free to move.
+    """An upper bound of ½ rᵀP⁻¹r over the free variables.
 
     Args:
-        program: Whose sums of squares make P.
+        program: The program.
         residual: r, the gradient of the Lagrangian, shape (n,).
         fixed: Variables that equalities hold, shape (n,).
-        enough: A bound below this need not come closer.
+        enough: A bound below this is not tightened.
 
     Returns:
-        The bound; None where the squares do not determine the variables, or where
-        that was not decided.
+        The bound; None where the squares do not determine the variables, or where this
+        remained open.
     """
     r = np.where(fixed, 0.0, residual)
     if not r.any():
@@ -105,14 +104,14 @@ def energy(
 
 @dataclass(frozen=True)
 class _Field:
-    """A variable over the voxels and the Laplace term that holds it.
+    """A variable over the voxels and the Laplace term that determines it.
 
     Attributes:
-        part: Where it lies in x.
+        part: Its place in x.
         term: The term.
         laplace: Solves with L.
-        compliance: Ω, inverse squares of what L's rows are multiplied by, zero where a
-            value is fixed, shape (V,) [–].
+        compliance: Ω, inverse squares of the factors on L's rows, zero at fixed values,
+            shape (V,) [–].
     """
 
     part: slice
@@ -133,7 +132,7 @@ class _Field:
 
 @dataclass(frozen=True)
 class _KnownField(_Field):
-    """A variable over the voxels and a term whose covariance is known.
+    """A variable over the voxels and a term of known covariance.
 
     Attributes:
         covariance: (RᵀR)⁻¹ of the term's rows.
@@ -142,7 +141,7 @@ class _KnownField(_Field):
     covariance: FieldCovariance = field(repr=False)
 
     def square(self, r: Array, rtol: float) -> float:
-        """The field's part of rᵀA⁻¹r; ``rtol`` has no meaning here."""
+        """The field's part of rᵀA⁻¹r; ``rtol`` is ignored."""
         return float(r[self.part] @ self.inverse(r, rtol))
 
     def inverse(self, r: Array, rtol: float) -> Array:
@@ -151,10 +150,7 @@ class _KnownField(_Field):
 
 
 def _fields(program: Program, squares: list[ProgramTerm], fixed: Mask) -> list[_Field]:
-    """The fields, each with a term that alone determines it; empty unless all have one.
-
-    That is a Laplace term, or one whose covariance is known.
-    """
+    """The fields, each with a term that determines it; empty unless all have one."""
     laplace = program.laplace
     if laplace is None:
         return []
@@ -178,7 +174,7 @@ def field_of(
     Args:
         term: The term.
         name: The field's name.
-        part: Where it lies in x.
+        part: Its place in x.
         fixed: Its voxels whose values are given, shape (V,).
         laplace: The scene's L.
     """
@@ -204,7 +200,7 @@ def _holds(
     """Whether rows are L's over a variable and determine what is not fixed."""
     if rows.variable != variable:
         return False
-    # where rows are the free ones only the others' values must be fixed
+    # without rows of Dirichlet voxels, their values must be fixed
     all_rows = rows.scale is None or len(term.target) == len(rows.scale)
     return all_rows or bool(fixed[~laplace.free].all())
 
@@ -212,7 +208,7 @@ def _holds(
 def _by_steps(
     program: Program, fields: list[_Field], fixed: Mask, r: Array, enough: float
 ) -> float | None:
-    """Fields only: conjugate gradients until what is summed up comes close."""
+    """Fields only: conjugate gradients until the bound is tight."""
 
     def precondition(values: Array) -> Array:
         out = np.empty_like(values)
@@ -229,11 +225,11 @@ def _by_steps(
 def _by_solving(
     program: Program, squares: list[ProgramTerm], fixed: Mask, r: Array
 ) -> float | None:
-    """Conjugate gradients until nothing is left, with what preconditioner there is."""
+    """Conjugate gradients to a small residual, preconditioned by L or the diagonal."""
     diagonal = np.zeros(len(r))
     for term in squares:
         diagonal += 2.0 * term.weight * term.column_squares()
-    if r[diagonal == 0.0].any():  # no square determines these, and r is not zero there
+    if r[diagonal == 0.0].any():  # no square determines these
         return None
     laplace = program.laplace
     like_L = laplace is not None and any(
@@ -259,7 +255,7 @@ def _by_solving(
 def _steps(
     program: Program, fixed: Mask, r: Array, precondition: _Map
 ) -> Iterator[tuple[float, float]]:
-    """Conjugate gradients on P e = r: what is summed up of rᵀP⁻¹r, and ρ, each step."""
+    """Conjugate gradients on P e = r: the sum towards rᵀP⁻¹r, and ρ, at each step."""
     z = np.where(fixed, 0.0, precondition(r))
     rho, known, direction = float(r @ z), 0.0, z
     for _ in range(MAX_STEPS):
@@ -303,17 +299,17 @@ def _beside_parameters(
     parts = [(one, sp.csr_array(R[:, one.part])) for one in fields]
     square = E.T @ E
     size, turn = np.linalg.eigh(square)
-    told = size > 1e-10 * max(float(size.max(initial=0.0)), _TINY)
+    seen = size > 1e-10 * max(float(size.max(initial=0.0)), _TINY)
     along = turn.T @ reduced
-    if np.abs(along[~told]).max(initial=0.0) > 1e-10 * np.abs(reduced).max(initial=0.0):
+    if np.abs(along[~seen]).max(initial=0.0) > 1e-10 * np.abs(reduced).max(initial=0.0):
         return None
-    open_ = float((along[told] ** 2 / size[told]).sum())
-    total = 2.0 * (1.0 + CLOSE) * sum(one.square(r, CLOSE**2) for one in fields)
-    return 0.5 * (total + (1.0 + 2.0 * _largest(parts, len(r))) * open_)
+    of_parameters = float((along[seen] ** 2 / size[seen]).sum())
+    of_fields = 2.0 * (1.0 + CLOSE) * sum(one.square(r, CLOSE**2) for one in fields)
+    return 0.5 * (of_fields + (1.0 + 2.0 * _largest(parts, len(r))) * of_parameters)
 
 
 def _largest(parts: list[tuple[_Field, sp.csr_array]], n: int) -> float:
-    """About the largest eigenvalue of K = R A⁻¹Rᵀ, and rather more."""
+    """A generous estimate of the largest eigenvalue of K = R A⁻¹Rᵀ."""
     y = np.random.default_rng(0).normal(size=parts[0][1].shape[0])
     size = 0.0
     for _ in range(POWER):
@@ -330,7 +326,7 @@ def _largest(parts: list[tuple[_Field, sp.csr_array]], n: int) -> float:
 
 
 def held_by_equalities(program: Program) -> Mask:
-    """Variables that an equality row of a single entry fixes, shape (n,)."""
+    """Variables that are fixed by equality rows with a single entry, shape (n,)."""
     fixed = np.zeros(program.n_variables, dtype=bool)
     for constraint in program.constraints:
         matrix: sp.csr_array = constraint.matrix

@@ -1,7 +1,7 @@
-"""The Lagrangian's gradient, and how large its summands are, block by block.
+"""The gradient of the Lagrangian relative to its summands, block by block.
 
-A block is one variable of a program: the field, each parameter, each second field. Its
-gradient is judged over the largest of the summands that should cancel in it.
+A block is one variable of a program: the field, a parameter, a second field. Its
+gradient is divided by the largest of the summands that should cancel in it.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from ttus_opt.arrays import Array
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.penalties.linear import Linear
 
-#: What cancelling leaves of a sum of squares, generously
+#: Generous relative rounding error of cancelling terms
 ROUNDING = 1e-6
 
-#: Rows whose lengths are found at a time
+#: Rows whose lengths are computed at a time
 CHUNK = 1 << 16
 
-#: Guards a division by a size that is zero
+#: Prevents division by zero
 TINY = float(np.finfo(float).tiny)
 
 
 class GradientBlocks:
-    """The Lagrangian's gradient, and the sizes of its summands by block."""
+    """The gradient of the Lagrangian, and the norms of its summands by block."""
 
     def __init__(self, program: Program) -> None:
         self.gradient = np.zeros(program.n_variables)
@@ -41,14 +41,14 @@ class GradientBlocks:
         self._measure(summand)
 
     def add_stray(self, summand: Array) -> None:
-        """Add the image of multipliers of absent limits: an error of its own."""
+        """Add the image of multipliers of absent limits, which counts as an error."""
         if summand.any():
             self._stray = self._stray + summand
             self._measure(summand)
 
     @property
     def error(self) -> float:
-        """Norm of the gradient, and of the image of multipliers of absent limits."""
+        """Norm of the gradient and of the image of multipliers of absent limits."""
         return _length(self.gradient, self._stray)
 
     def _measure(self, summand: Array) -> None:
@@ -70,10 +70,9 @@ class GradientBlocks:
 
 
 def quadratic_summands(program: Program, x: Array) -> Iterator[Array]:
-    """What P x + q is made of, variable by variable, shape (n,) each.
+    """The summands of P x + q, one per variable, shape (n,) each.
 
-    What two variables give each other may cancel within P x: only apart do they tell
-    how large that is.
+    Contributions of two variables may cancel within P x, which would hide their size.
     """
     parts = list(program.variables.values())
     alone = np.zeros_like(x)
@@ -85,10 +84,10 @@ def quadratic_summands(program: Program, x: Array) -> Iterator[Array]:
 
 
 def _least_gradient(program: Program, part: slice, largest: float) -> float:
-    """The least size of a block's gradient that counts, where residuals may vanish.
+    """The least scale of a block's gradient, as residuals may vanish.
 
-    For absolute values and lengths one row at its limit; for squares what rounding
-    leaves of one row when the largest entry of x cancels.
+    For absolute values and lengths one row with its largest multiplier; for squares the
+    rounding error of one row when the largest entry of x cancels.
     """
     least, whole = 0.0, len(program.variables) == 1
     for term in program.terms:
@@ -111,7 +110,7 @@ def _longest_row(matrix: sp.csr_array) -> float:
     """Euclidean length of the longest row."""
     starts = matrix.indptr[:-1][np.diff(matrix.indptr) > 0]
     longest = 0.0
-    for k in range(0, len(starts), CHUNK):  # no second copy of the entries at once
+    for k in range(0, len(starts), CHUNK):  # avoids a copy of all entries
         own = starts[k : k + CHUNK]
         end = starts[k + CHUNK] if k + CHUNK < len(starts) else len(matrix.data)
         squares = matrix.data[own[0] : end] ** 2
@@ -120,5 +119,5 @@ def _longest_row(matrix: sp.csr_array) -> float:
 
 
 def largest_of(*values: float) -> float:
-    """The largest; infinite where one is NaN, which Python's ``max`` lets pass."""
+    """The largest value; infinite where one is NaN, unlike Python's ``max``."""
     return float("inf") if any(np.isnan(v) for v in values) else max(values)

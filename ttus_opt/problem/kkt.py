@@ -1,34 +1,33 @@
-"""Optimality of an answer, computed here and never taken from a solver.
+"""KKT residuals of an answer, computed here and never taken from a solver.
 
 For minimise ½xᵀPx + qᵀx subject to lower ≤ A x ≤ upper and lb ≤ x ≤ ub the duals y
-(rows) and z (bounds) are positive where an upper limit holds x back, negative at a
-lower limit; those of the wrong sign, at a limit that is not there, count as zero:
+(rows) and z (bounds) are positive at an active upper limit and negative at a lower one;
+those of absent limits count as zero:
 
-    primal  how far A x and x lie outside their limits
+    primal  violation of the limits by A x and x
     dual    r = P x + q + Aᵀy + z = 0
-    gap     how far below f(x) the optimum may lie
+    gap     f(x) minus the optimum, or a bound of it
 
-Rows s = A x + h in second-order cones have a multiplier y with −y in the cones, which
-are their own duals: it adds Aᵀy to r and −yᵀs ≥ 0 to the gap; how far s lies outside
-its cones belongs to ``primal``.
+Rows s = A x + h in second-order cones, which are self-dual, have a multiplier y with −y
+in the cones: it adds Aᵀy to r and −yᵀs ≥ 0 to the gap; the distance of s from its cones
+belongs to ``primal``.
 
-A penalty φ that is not quadratic has a multiplier g of its residual, brought back
-into the set of φ's subgradients; it adds w Mᵀg to r and w (φ(r) + φ*(g) − gᵀr) ≥ 0 to
-the gap (Fenchel), which vanish together exactly where g is a subgradient of φ at r.
+A penalty φ that is not quadratic has a multiplier g of its residual, projected onto the
+set of φ's subgradients; it adds w Mᵀg to r and w (φ(r) + φ*(g) − gᵀr) ≥ 0 to the gap
+(Fenchel), which is zero exactly where g is a subgradient of φ at r.
 
 Gap: Σ |y| · slack + Fenchel + ½ rᵀP⁻¹r, a bound by weak duality
-(`ttus_opt.problem.distance`). Where squares do not determine x the other penalties'
-multipliers absorb r, which gives another bound (`ttus_opt.problem.absorption`). Where
-there is neither, |rᵀx| of every block of variables stands for the last summand, which
-is customary and no bound.
+(`ttus_opt.problem.distance`). Where squares do not determine x, the other penalties'
+multipliers absorb r, which gives another bound (`ttus_opt.problem.absorption`). Without
+either, the customary |rᵀx|, summed over blocks of variables, replaces the last summand;
+it is no bound.
 
-Relative figures, each by the worst block (the field, each parameter, each second
-field) or member, so that none hides behind a larger one: ``primal`` over the member's
-largest limit or value, no less than a thousandth of what cancels in its rows; ``dual``
-in the Euclidean norm over the largest of the block's summands that should cancel;
-``gap`` over the objective f(x), constant included. An objective that is zero but for
-rounding has no relative gap; there the distance √gap is judged, a hundred times as
-strictly, over √f of nothing fitted (x = 0 but for what equalities hold).
+Relative figures are those of the worst block (the field, a parameter, a second field)
+or member: ``primal`` over the member's largest limit or value, at least a thousandth of
+the summands of its rows; ``dual`` in the Euclidean norm over the largest of the block's
+summands; ``gap`` over the objective f(x), constant included. Where the objective is
+zero up to rounding, √gap over √f of x = 0 (with the values fixed by equalities) takes
+its place, a hundred times as strict.
 """
 
 from __future__ import annotations
@@ -61,9 +60,9 @@ class Duals:
 
     Attributes:
         rows: y per linear constraint and per set of cones, shape (m,) each.
-        bounds: z of the box, shape (n,); None where nothing is bounded.
-        terms: g per term whose penalty is neither squares nor linear, shape (m,)
-            each; the subgradient of least length where it is missing.
+        bounds: z of the box, shape (n,); None without bounds.
+        terms: g per term whose penalty is neither squares nor linear, shape (m,) each;
+            by default the subgradient of least length.
     """
 
     rows: Mapping[str, Array] = field(default_factory=dict)
@@ -72,21 +71,21 @@ class Duals:
 
 
 def bound_duals(program: Program, bounds: Array | None) -> dict[str, Array]:
-    """Split the box's multipliers by the name of the bound that holds x back.
+    """Split the box's multipliers by the name of the active bound.
 
     Args:
-        program: Whose bounds they are.
-        bounds: z, shape (n,); None counts as zero.
+        program: The program.
+        bounds: z, shape (n,); None for zero.
 
     Returns:
-        Per named bound the multipliers of its variable, shape of the variable.
+        Multipliers by name of the bound, shape of its variable each.
     """
     z = np.zeros(program.n_variables) if bounds is None else bounds
     lower, upper = program.box
     above, below = np.maximum(z, 0.0), np.minimum(z, 0.0)
     found = {}
     for bound in program.bounds:
-        # the tightest limit carries the multiplier; of equals the first takes it
+        # the tightest limit has the multiplier, the first one among equals
         holds = bound.upper == upper
         reaches = bound.lower == lower
         found[bound.name] = (above * holds + below * reaches)[bound.part]
@@ -101,14 +100,14 @@ class KKT:
     Attributes:
         primal: Largest violation of a limit [the limit's unit].
         dual: Norm of the Lagrangian's gradient.
-        gap: How far below the objective at x the optimum may lie.
+        gap: Bound or estimate of the objective's excess over the optimum.
         primal_relative: Violation over the largest finite limit or row value, worst
             member [–].
         dual_relative: Gradient over the largest of its summands, worst block of
             variables [–].
         gap_relative: ``gap`` over the objective [–].
-        distance: Bound on (Σ w ‖M (x − x*)‖²)^½ over the sums of squares, the unit of
-            the objective's root; None where ``gap`` is no bound.
+        distance: Bound of (Σ w ‖M (x − x*)‖²)^½ over the sums of squares [root of the
+            objective's unit]; None where ``gap`` is no bound.
     """
 
     primal: float
@@ -126,7 +125,7 @@ class KKT:
 
     @property
     def is_bound(self) -> bool:
-        """Whether ``gap`` is a bound, so that no solver's word is needed."""
+        """Whether ``gap`` is a bound, so that the solver's claim is not needed."""
         return self.distance is not None
 
     def as_dict(self) -> dict[str, float | None]:
@@ -134,13 +133,13 @@ class KKT:
         return asdict(self)
 
 
-#: Of an answer that has no residuals
+#: Residuals of an answer that is not finite
 NOT_FINITE = KKT(*([float("inf")] * 6))
 
-#: Rows whose values are a smaller part of their summands cancel: theirs is no size [–]
+#: Least scale of a member's values over the summands of its rows [–]
 CANCELLED = 1e-3
 
-#: How much stricter a distance is judged than a relative gap [–]
+#: Factor by which a distance is judged more strictly than a relative gap [–]
 STRICTER = 100.0
 
 
@@ -153,12 +152,11 @@ def kkt_residuals(
         program: The program.
         x: A candidate, shape (n,).
         duals: Its multipliers; missing ones count as zero.
-        tolerance: Where the gap is far below this, relative, its bound need not come
-            closer [–].
+        tolerance: A bound of the relative gap far below this is not tightened [–].
 
     Returns:
-        The residuals; infinite where the candidate, a multiplier or what follows from
-        them is not finite.
+        The residuals; infinite where the candidate, a multiplier or a result is not
+        finite.
     """
     given = [x, *duals.rows.values(), *duals.terms.values()]
     given += [] if duals.bounds is None else [duals.bounds]
@@ -206,7 +204,7 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
         violation = largest_of(violation, member.violation)
         relative = largest_of(relative, member.relative(ROUNDING * largest))
     fixed = held_by_equalities(program)
-    # with nothing fitted: equalities keep what they hold, all else is zero
+    # scale: the objective at x = 0, with the values that equalities fix
     objective, scale = program.objective(x), program.objective(np.where(fixed, x, 0.0))
     point = _Point(program, x, multipliers, blocks.gradient, fixed)
     missing, is_bound = point.below(tolerance * objective)
@@ -225,7 +223,7 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
 def _of_terms(
     program: Program, x: Array, duals: Duals, blocks: GradientBlocks
 ) -> dict[str, Array]:
-    """Add the objective's gradient; the multipliers of other penalties, by name."""
+    """Add the objective's gradient; return the multipliers of other penalties."""
     for summand in quadratic_summands(program, x):
         blocks.add(summand)
     found = {}
@@ -243,7 +241,7 @@ def _of_terms(
 def _of_bounds(
     program: Program, x: Array, duals: Duals, blocks: GradientBlocks
 ) -> float:
-    """Add the multipliers of bounds; their part of the gap."""
+    """Add the multipliers of bounds; return their part of the gap."""
     if not program.bounds:
         return 0.0
     lower, upper = program.box
@@ -255,7 +253,7 @@ def _of_bounds(
 
 
 def _of_rows(program: Program, x: Array, duals: Duals, blocks: GradientBlocks) -> float:
-    """Add the multipliers of linear rows; their part of the gap."""
+    """Add the multipliers of linear rows; return their part of the gap."""
     gap = 0.0
     for constraint in program.constraints:
         y = duals.rows.get(constraint.name, np.zeros(len(constraint.lower)))
@@ -270,7 +268,7 @@ def _of_rows(program: Program, x: Array, duals: Duals, blocks: GradientBlocks) -
 def _of_cones(
     program: Program, x: Array, duals: Duals, blocks: GradientBlocks
 ) -> float:
-    """Add the multipliers of cones; their part of the gap."""
+    """Add the multipliers of cones; return their part of the gap."""
     gap = 0.0
     for cone in program.cones:
         given = duals.rows.get(cone.name, np.zeros(len(cone.offset)))
@@ -282,14 +280,14 @@ def _of_cones(
 
 
 def _members(program: Program, x: Array) -> Iterator[_Member]:
-    """What must lie between limits, or in cones, at x."""
+    """Bounds, rows and cones at x."""
     for b in program.bounds:
         yield _Member(x[b.part], b.lower[b.part], b.upper[b.part])
     for c in program.constraints:
         entries = np.abs(c.matrix.data * x[c.matrix.indices])
         size = CANCELLED * float(entries.max(initial=0.0))
         yield _Member(c.matrix @ x, c.lower, c.upper, size)
-    for cone in program.cones:  # its rows' limits are the nearest point of the cones
+    for cone in program.cones:  # with the projection onto the cones as limits
         s = cone.value(x)
         nearest = cone.projected(s)
         yield _Member(s, nearest, nearest)
@@ -297,7 +295,7 @@ def _members(program: Program, x: Array) -> Iterator[_Member]:
 
 @dataclass(frozen=True)
 class _Point:
-    """A candidate, and what is left of the Lagrangian's gradient there.
+    """A candidate with its dual residual.
 
     Attributes:
         program: The program.
@@ -314,10 +312,10 @@ class _Point:
     fixed: Mask
 
     def below(self, goal: float) -> tuple[float, bool]:
-        """What r and other penalties leave of the objective, and whether it bounds.
+        """The gap by r and other penalties, and whether it is a bound.
 
         Args:
-            goal: The gap that is asked for: far below it the bound need not be close.
+            goal: The requested gap; a bound far below it is not tightened.
         """
         program, x, r = self.program, self.x, self.gradient
         bound = energy(program, r, self.fixed, CLOSE_ENOUGH * goal)
@@ -331,7 +329,7 @@ class _Point:
         return shares + self._fenchel(), False
 
     def _held_off(self, r: Array) -> float:
-        """What equalities hold cannot move but by their own violation."""
+        """Contribution of fixed variables, which move only by their violation."""
         held = (_held(c, self.x, r, self.fixed) for c in self.program.constraints)
         return sum(held)
 
@@ -359,7 +357,7 @@ def _held(constraint: ProgramConstraint, x: Array, r: Array, fixed: Mask) -> flo
 
 
 def _relative_gap(gap: float, objective: float, scale: float) -> float:
-    """The gap over the objective, or strictly over that of nothing fitted."""
+    """The gap over the objective, or the strict distance over ``scale``."""
     if gap == 0.0:
         return 0.0
     by_objective = gap / max(abs(objective), TINY)
@@ -375,7 +373,7 @@ class _Member:
     value: Array
     lower: Array
     upper: Array
-    least: float = 0.0  # size that rows have whose summands cancel
+    least: float = 0.0  # least scale, from the summands of the rows
 
     @property
     def violation(self) -> float:
@@ -389,8 +387,7 @@ class _Member:
         """The same over the largest finite limit or value [–].
 
         Args:
-            least: What counts at least as that: values of a member that are all
-                zero but for rounding have no size of their own.
+            least: Least scale, for members whose values are zero up to rounding.
         """
         violation = self.violation
         if not violation:
@@ -401,7 +398,7 @@ class _Member:
 
 
 def _present(dual: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Multipliers of limits that are there, and those of limits that are not."""
+    """Multipliers of existing limits, and those of absent ones."""
     there = np.isfinite(np.where(dual > 0.0, upper, lower))
     return np.where(there, dual, 0.0), np.where(there, 0.0, dual)
 

@@ -1,4 +1,4 @@
-"""Members of a program: terms, rows, cones and bounds, each still knowing its name."""
+"""Members of a program: terms, rows, cones and bounds, with their names."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ProgramTerm:
 
     @property
     def laplace_rows(self) -> LaplaceRows | None:
-        """Where its rows are declared to be L's over a field; None otherwise."""
+        """The tag of rows of L over a field; None without it."""
         return laplace_rows(self.tags)
 
     @property
@@ -86,7 +86,7 @@ class ProgramConstraint:
     tags: Tags = frozenset()
 
     def slack(self, x: Array) -> Array:
-        """Distance to the nearer limit, negative where it is broken, shape (m,)."""
+        """Distance to the nearer limit, negative where violated, shape (m,)."""
         value = self.matrix @ x
         return np.asarray(np.minimum(value - self.lower, self.upper - value))
 
@@ -117,7 +117,7 @@ class ProgramCones:
         return np.asarray(self.matrix @ x + self.offset)
 
     def slack(self, x: Array) -> Array:
-        """s₀ − ‖(s₁, …)‖ of every cone, negative where it is left."""
+        """s₀ − ‖(s₁, …)‖ of every cone, negative where violated."""
         s = self.value(x)
         return np.asarray(s[self.first] - self._lengths(s))
 
@@ -135,10 +135,7 @@ class ProgramCones:
         return np.asarray(out)
 
     def admissible(self, y: Array) -> Array:
-        """The nearest multiplier that a cone can have: minus a point of it.
-
-        A second-order cone is its own dual.
-        """
+        """The nearest multiplier: minus a point of the cones, which are self-dual."""
         return -self.projected(-y)
 
     def _lengths(self, s: Array) -> Array:
@@ -165,7 +162,7 @@ class ProgramBounds:
     part: slice = field(default_factory=lambda: slice(None))
 
     def slack(self, x: Array) -> Array:
-        """Distance to the nearer limit, inf where there is none, shape of the part."""
+        """Distance to the nearer limit, inf without one, shape of the part."""
         part = self.part
         below, above = x[part] - self.lower[part], self.upper[part] - x[part]
         return np.asarray(np.minimum(below, above))

@@ -1,12 +1,12 @@
-"""A program: the matrices of a formulation, every row still knowing its owner.
+"""A program: the matrices of a formulation, with named rows.
 
 minimise Σ_k w_k φ_k(M_k x - t_k)  subject to  lower ≤ A x ≤ upper, lb ≤ x ≤ ub
 
-x stacks the variables, the field p first. Where all penalties are squares or linear
-this is a quadratic program (Huber's and absolute ones become such by
-`ttus_opt.problem.reduction`; group norms and cones need a cone solver). Solvers get it
-in least-squares form (`least_squares_qp`): the residuals are variables of their own,
-so that what is measured does not fill in P = 2 Σ w MᵀM.
+x stacks the variables, the field p first. With squares and linear penalties this is a
+quadratic program; `ttus_opt.problem.reduction` makes Huber's penalty and absolute
+values such, group norms and cones need a cone solver. In the least-squares form
+(`least_squares_qp`) residuals are variables, so that measured rows do not fill in
+P = 2 Σ w MᵀM.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class QuadraticForm:
         upper: Shape (m,).
         lb: Shape (n,).
         ub: Shape (n,).
-        n_lifted: How many of the n variables, the last ones, are residuals.
+        n_lifted: Number of residuals among the variables, the last ones.
     """
 
     P: sp.csc_array = field(repr=False)
@@ -65,14 +65,14 @@ class Program:
     """Matrices with named rows.
 
     Attributes:
-        variables: Where each variable lies in x, by name.
-        terms: What is minimised.
-        constraints: Linear rows that must hold.
-        bounds: Bounds that must hold.
+        variables: Place of each variable in x, by name.
+        terms: Terms of the objective.
+        constraints: Linear rows between limits.
+        bounds: Bounds.
         laplace: The scene's L, whose structure solvers use.
-        cones: Second-order cones that must hold.
-        declared: What it is the reduced form of (`ttus_opt.problem.reduction`), for
-            solvers that take penalties as they are; None where nothing is reduced.
+        cones: Second-order cones.
+        declared: The original of a reduced program (`ttus_opt.problem.reduction`), for
+            solvers that take its penalties; None where nothing is reduced.
     """
 
     variables: Mapping[str, slice]
@@ -148,11 +148,11 @@ class Program:
 
     @property
     def is_quadratic(self) -> bool:
-        """Whether it is a quadratic program: squares, plain sums, and no cones."""
+        """Whether it is a quadratic program: squares, linear terms, no cones."""
         return not self.cones and all(t.penalty.quadratic for t in self.terms)
 
     def with_weights(self, **weights: float) -> Program:
-        """The same program with other weights by term name; nothing is stacked again.
+        """The same program with other weights by term name, without stacking again.
 
         Raises:
             InputError: No term has that name.
@@ -172,13 +172,13 @@ class Program:
 
     @property
     def is_unconstrained(self) -> bool:
-        """Whether nothing but the objective is given."""
+        """Whether it has neither constraints nor bounds nor cones."""
         return not (self.constraints or self.bounds or self.cones)
 
     @property
     def box(self) -> tuple[Array, Array]:
-        """All bounds together, (lb, ub), shape (n,) each; not to be written to."""
-        if not self.bounds:  # one number that stands for all
+        """All bounds together, (lb, ub), shape (n,) each; read-only."""
+        if not self.bounds:
             n = self.n_variables
             return np.broadcast_to(-np.inf, n), np.broadcast_to(np.inf, n)
         lower = np.full(self.n_variables, -np.inf)
@@ -193,14 +193,13 @@ class Program:
         return next((term for term in self.terms if term.name == name), None)
 
     def laplace_term_of(self, variable: str) -> ProgramTerm | None:
-        """The sum of squares that is declared to be L's rows over a field.
+        """The sum of squares over rows of L of a field, unscaled rows preferred.
 
         Args:
             variable: The field's name.
 
         Returns:
-            One with the rows as they are, before one with free rows that are scaled;
-            None where there is neither.
+            None without one.
         """
         found = []
         for term in self.terms:
@@ -213,7 +212,7 @@ class Program:
 
     @property
     def laplace_term(self) -> ProgramTerm | None:
-        """The term whose rows are those of the scene's L over p, if there is one."""
+        """The sum of squares over the rows of the scene's L itself, if there is one."""
         term = self.laplace_term_of("p")
         rows = None if term is None else term.laplace_rows
         plain = rows is not None and rows.scale is None and rows.system is None
@@ -221,7 +220,7 @@ class Program:
 
     @property
     def dirichlet(self) -> ProgramConstraint | None:
-        """The constraint that is declared to give p its Dirichlet values, if any."""
+        """The constraint that gives p its Dirichlet values, if there is one."""
         tagged = (c for c in self.constraints if Tag.DIRICHLET in c.tags)
         return next(tagged, None)
 
@@ -237,7 +236,7 @@ class Program:
         """Gradient P x + q of a quadratic objective, as its two summands.
 
         Returns:
-            P x and q, shape (n,) each; neither is formed through P.
+            P x and q, shape (n,) each, without forming P.
 
         Raises:
             InputError: A penalty is neither squares nor linear.
@@ -246,7 +245,7 @@ class Program:
         return self.quadratic_gradient(x)
 
     def quadratic_gradient(self, x: Array) -> tuple[Array, Array]:
-        """`gradient` of those terms that are squares or linear."""
+        """`gradient` of the squares and linear terms."""
         return self.curvature_times(x), self.gradient_at_zero()
 
     def curvature_times(self, x: Array) -> Array:
@@ -294,10 +293,7 @@ class Program:
         return sp.csc_array(Q), d
 
     def least_squares_qp(self) -> QuadraticForm:
-        """The QP over (x, u) with u = √w (M x - t) and ½ ‖√2 u‖² minimised.
-
-        Keeps L and N apart, so that no measured row squares its columns together.
-        """
+        """The QP over (x, u) that minimises ½ ‖√2 u‖² with u = √w (M x - t)."""
         self._require_quadratic()
         n = self.n_variables
         squares = [t for t in self.terms if t.is_squares]
@@ -309,7 +305,7 @@ class Program:
         )
         m = len(t)
         lower, upper = self._limits()
-        # one format per stacking: mixed ones take the slow way through coordinates
+        # one format per stacking: scipy converts mixed ones through coordinates
         left = sp.csc_array(sp.vstack(rows, format="csr"))
         right = sp.csc_array(
             (np.full(m, -1.0), np.arange(m), np.arange(m + 1)),

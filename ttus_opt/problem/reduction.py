@@ -1,12 +1,12 @@
-"""Penalties that have a `Split`, as a quadratic program with auxiliary variables.
+"""Reduction of penalties with a `Split` to quadratic programs with more variables.
 
 With above, below ≥ 0 per row (r = M x - t), for instance
 
     Huber     φ(r) = min  ‖r − above + below‖² + 2δ Σ (above + below)
     absolute  φ(r) = min  Σ (above + below)   over   r = above − below
 
-What goes down comes back up: `Reduction.restore` gives x, its duals by the names of
-the original program, and the multipliers of the absolute terms.
+`Reduction.restore` returns x, the duals of the original program by name, and the
+multipliers of the penalties.
 """
 
 from __future__ import annotations
@@ -42,27 +42,19 @@ class Point:
 
 @dataclass(frozen=True)
 class Reduction:
-    """A program and an equal one that solvers take.
+    """A program and its equivalent reduced form.
 
     Attributes:
-        original: As it was declared.
-        program: Without penalties that have a `Split`; the original itself where
-            there are none.
+        original: As declared.
+        program: Without penalties that have a `Split`; the original itself if it has
+            none.
     """
 
     original: Program
     program: Program
 
     def restore(self, x: Array, duals: Duals) -> Point:
-        """A point of the reduced program as one of the original.
-
-        Args:
-            x: The reduced program's variables.
-            duals: Its multipliers.
-
-        Returns:
-            The original's variables and multipliers.
-        """
+        """A point of the original program from variables and duals of the reduced."""
         if self.program is self.original:
             return Point(x, duals)
         n = self.original.n_variables
@@ -80,15 +72,7 @@ class Reduction:
         return Point(x[:n], Duals(rows, bounds, terms))
 
     def lift(self, x: Array, duals: Duals) -> Point:
-        """A point of the original program as one of the reduced: `restore` undoes it.
-
-        Args:
-            x: The original's variables.
-            duals: Its multipliers.
-
-        Returns:
-            The reduced program's variables and multipliers.
-        """
+        """A point of the reduced program from variables and duals of the original."""
         if self.program is self.original:
             return Point(x, duals)
         n = self.original.n_variables
@@ -114,15 +98,10 @@ class Reduction:
 
 
 def reduce(program: Program) -> Reduction:
-    """State penalties that have a `Split` with auxiliary variables.
+    """Reduce penalties that have a `Split`; others stay as they are.
 
-    Args:
-        program: Any program; penalties without a `Split` stay as they are.
-
-    Returns:
-        The program and its reduced form. New members are called after their term:
-        variables ``term:above`` and ``term:below``, bound ``term:excess`` and, for
-        an absolute penalty, the rows ``term:split``.
+    New members are named after their term: variables ``term:above`` and ``term:below``,
+    bound ``term:excess`` and, for absolute values, the rows ``term:split``.
     """
     lifted = [term for term in program.terms if term.penalty.split is not None]
     if not lifted:

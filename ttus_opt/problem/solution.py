@@ -16,12 +16,12 @@ from ttus_opt.problem.kkt import KKT, Duals, bound_duals
 from ttus_opt.problem.program import Program
 from ttus_opt.voxmap.field import PotentialField
 
-#: A multiplier below this part of its member's largest is not counted [–]
+#: Least active multiplier over the largest of its member [–]
 NEGLIGIBLE = 1e-6
 
 
 class Status(enum.Enum):
-    """What came of a solve; the value is advice."""
+    """Outcome of a solve; the value is advice."""
 
     SOLVED = "the optimality conditions hold to the requested tolerance"
     INACCURATE = (
@@ -36,17 +36,17 @@ class Status(enum.Enum):
 
 @dataclass(frozen=True)
 class Timings:
-    """Where the time went; the other times do not include numba's compiling.
+    """Times of a fit; those other than ``compile`` exclude numba's compilation.
 
     Attributes:
         assembly: Scene and program [s].
         setup: The solver's preparation (factorisation, scaling) [s].
         solve: The first solve after it [s].
-        again: The latest solve with other data, taking them in included; None when
-            there was none [s].
-        search: All beside the one fit that is handed out: choosing weights, fits along
-            a search, and those that tell standard errors; None without any [s].
-        compile: Compiling, which a machine does once [s].
+        again: The latest solve with other data, including its update; None without
+            one [s].
+        search: Choice of weights, fits of a search, and fits for standard errors; None
+            without any [s].
+        compile: Compilation, once on every machine [s].
     """
 
     assembly: float
@@ -57,7 +57,7 @@ class Timings:
     compile: float = 0.0
 
     def as_dict(self) -> dict[str, float]:
-        """All times there were, by name, for JSON."""
+        """All times that were measured, by name, for JSON."""
         return {name: v for name, v in asdict(self).items() if v is not None}
 
 
@@ -79,7 +79,7 @@ class Attempt:
 
     @classmethod
     def of(cls, solution: Solution) -> Attempt:
-        """What a solution that did not hold leaves to tell."""
+        """From a solution that failed its check."""
         kkt = solution.kkt
         residual = None if kkt is None else kkt.worst_relative
         return cls(solution.solver, solution.status, residual, solution.detail)
@@ -91,7 +91,7 @@ class Attempt:
 
 
 class NoSolutionError(TtusError, RuntimeError):
-    """No verified solution; carries what there is.
+    """There is no verified solution; carries the result.
 
     Attributes:
         solution: Status, program, candidate and residuals.
@@ -104,34 +104,34 @@ class NoSolutionError(TtusError, RuntimeError):
 
 @dataclass(frozen=True)
 class Solution:
-    """What a fit gives.
+    """Result of a fit.
 
     Attributes:
-        status: Decided by the residuals computed here.
-        solver: Which solver answered.
-        formulation: Which formulation was solved.
+        status: By the residuals computed here.
+        solver: Name of the solver.
+        formulation: Name of the formulation.
         kkt: Residuals of the optimality conditions; None without a candidate.
         objective: Value at the candidate.
         costs: Weighted cost per term, by name.
         slacks: Distance to the nearer limit per constraint row, by name.
-        duals: Multipliers as the KKT conditions take them; by name in `duals_by_name`.
-        timings: Where the time went.
+        duals: Multipliers of the KKT conditions; by name in `duals_by_name`.
+        timings: Times of the fit.
         iterations: Of the solver's main loop [–].
-        parameters: What was identified beside the field, by name.
+        parameters: Parameters identified beside the field, by name.
         program: The matrices.
-        candidate: x as the solver gave it, verified or not; None without one.
-        detail: What the solver itself said.
+        candidate: The solver's x, verified or not; None without one.
+        detail: The solver's own message.
         conflict: Names of the constraints that contradict each other, when infeasible.
-        attempts: Solvers that "auto" tried whose answers did not hold.
+        attempts: Solvers that "auto" tried before, whose answers failed their check.
         standard_errors: Of the parameters, by name [the parameter's unit].
-        not_identified: Parameters that the data do not bear, whose neutral value is
-            used, with the reason, by name.
-        remarks: What else there is to say of a parameter, by name: it is at its limit,
-            or why it has no standard error.
-        compressed: How many rows terms have and how many the solver got instead, with
-            the same least squares, by name; see `ttus_opt.problem.compression`.
-        chosen: How its weights, or it instead of a richer formulation, were chosen from
-            the recordings, in words; empty where nothing was chosen.
+        not_identified: Why the data do not determine a parameter, whose neutral value
+            is used, by name.
+        remarks: Further remarks on parameters, by name, such as being at a limit or
+            having no standard error.
+        compressed: Rows of terms before and after compression, by name
+            (`ttus_opt.problem.compression`).
+        chosen: How weights and formulation were chosen from the recordings, in words;
+            empty where they were not.
     """
 
     status: Status
@@ -162,7 +162,7 @@ class Solution:
         """The fitted field.
 
         Raises:
-            NoSolutionError: There is none that passed its own check.
+            NoSolutionError: There is no verified one.
         """
         if self.verified_field is None:
             raise NoSolutionError(self.advice, self)
@@ -170,7 +170,7 @@ class Solution:
 
     @property
     def advice(self) -> str:
-        """What came of the solve and what to do, in one line."""
+        """Outcome and advice in one line."""
         residual = "" if self.kkt is None else f", KKT {self.kkt.worst_relative:.1e}"
         between = f" ({' against '.join(self.conflict)})" if self.conflict else ""
         after = (
@@ -183,24 +183,24 @@ class Solution:
 
     @property
     def identified(self) -> tuple[str, ...]:
-        """What was identified beside the field, a line per parameter."""
-        return tuple(self._told(name, value) for name, value in self.parameters.items())
+        """The identified parameters, a line each."""
+        return tuple(self._line(name, value) for name, value in self.parameters.items())
 
-    def _told(self, name: str, value: float) -> str:
+    def _line(self, name: str, value: float) -> str:
         if name in self.not_identified:
             return (
                 f"{name}: not identified ({self.not_identified[name]}): "
                 f"{value:.6g} is used"
             )
         error = self.standard_errors.get(name)
-        told = f"{name} {value:.6g}"
+        line = f"{name} {value:.6g}"
         if error is not None:
             # two digits of the error, and the value to the same place
             place = 6 if error == 0.0 else 1 - math.floor(math.log10(error))
             digits = min(max(place, 0), 12)
-            told = f"{name} {value:.{digits}f} ± {error:.{digits}f}"
+            line = f"{name} {value:.{digits}f} ± {error:.{digits}f}"
         remark = self.remarks.get(name)
-        return f"{told} ({remark})" if remark else told
+        return f"{line} ({remark})" if remark else line
 
     @property
     def weights(self) -> Mapping[str, float]:
@@ -213,10 +213,10 @@ class Solution:
         return {} if self.candidate is None else self.program.split(self.candidate)
 
     def summary(self) -> str:
-        """What came of the solve, its costs and what holds the field, as plain text."""
+        """Outcome, costs and active limits as plain text."""
         lines = [self._verdict, f"  {self.status.value}", f"  {self._effort}"]
         lines += [f"  {name}: cost {cost:.4g}" for name, cost in self.costs.items()]
-        lines += [f"  {name}: {told}" for name, told in self._limits_told()]
+        lines += [f"  {name}: {active}" for name, active in self._active_limits()]
         lines += [f"  {line}" for line in (*self.identified, *self.chosen)]
         return "\n".join(lines)
 
@@ -227,13 +227,13 @@ class Solution:
     def _repr_html_(self) -> str:
         """The summary as a table, for notebooks."""
         rows = [["term", name, f"cost {cost:.4g}"] for name, cost in self.costs.items()]
-        rows += [["limits", name, told] for name, told in self._limits_told()]
+        rows += [["limits", name, active] for name, active in self._active_limits()]
         lines = [self.status.value, self._effort, *self.identified, *self.chosen]
         return page(self._verdict, lines, table(["", "name", ""], rows))
 
     @property
     def _verdict(self) -> str:
-        """Who solved what, and how well, in one line."""
+        """Formulation, solver, status and residual in one line."""
         residual = "" if self.kkt is None else f", KKT {self.kkt.worst_relative:.1e}"
         objective = "" if not self.costs else f", objective {self.objective:.6g}"
         status = self.status.name.lower().replace("_", " ")
@@ -249,8 +249,8 @@ class Solution:
             f"{times.setup + times.solve:.2g} s"
         )
 
-    def _limits_told(self) -> Iterator[tuple[str, str]]:
-        """Per constraint, how many of its rows hold the field back."""
+    def _active_limits(self) -> Iterator[tuple[str, str]]:
+        """Name of every constraint, and the number of its active rows in words."""
         duals = self.duals_by_name
         cones = {cone.name: cone.first for cone in self.program.cones}
         for name, slack in self.slacks.items():
@@ -266,6 +266,6 @@ class Solution:
     def duals_by_name(self) -> Mapping[str, Array]:
         """Multipliers of every constraint and every bound, by name.
 
-        Positive where an upper limit holds the field back, negative at a lower one.
+        Positive at active upper limits, negative at lower ones.
         """
         return dict(self.duals.rows) | bound_duals(self.program, self.duals.bounds)

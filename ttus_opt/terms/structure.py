@@ -118,7 +118,7 @@ def check_structure(
     """Compare declared structure with the rows.
 
     Args:
-        owner: What declares them, for the message.
+        owner: The member that declares them, for messages.
         tags: The declaration.
         blocks: Matrix per variable.
         laplace: The scene's L.
