@@ -1,13 +1,11 @@
-"""A scene: everything a formulation speaks of, assembled once.
+"""A scene: all data of a fit, assembled once.
 
 Patient (voxmap, L, b), probe (point shell) and measurements (trajectory, N, f, W, τ),
-all measurements linear in the field: f = N p, τ = W p. `ScenePlan` builds one from a
-scan or a surface.
+linear in the field: f = N p, τ = W p. `ScenePlan` builds one from a scan or a surface.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -18,7 +16,7 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import Stopwatch
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.errors import InputError, warn
 from ttus_opt.html_card import card, sections_svg
 from ttus_opt.laplace.boundary_scale import BOUNDARY_SCALE as BOUNDARY_SCALE
 from ttus_opt.laplace.boundary_scale import Identified, identified_scale
@@ -34,7 +32,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 #: Largest boundary value: far above any stiffness, far below overflow [N or N/cm²]
 LARGEST_BOUNDARY = 1e9
 
-#: What a trajectory without wrenches lacks, in a message
+#: Missing data of a trajectory without wrenches, in a message
 FORCES = "forces (columns fx, fy, fz)"
 
 
@@ -52,12 +50,12 @@ class Scene:
         inner: p_in on the inner layer [N or N/cm²].
         outer: p_out; the outer layer has -p_out [N or N/cm²].
         b: Right side of L p = b, shape (V,) [N or N/cm²].
-        parameters: What assembling identified, by name (``boundary_scale``).
-        seconds: Time the assembly took, without compiling [s].
-        standard_errors: Of those parameters, by name.
-        not_identified: Those that the data do not bear, whose neutral value is used,
-            with the reason, by name.
-        compile_seconds: Time the assembly's compiling took [s].
+        parameters: Parameters identified in the assembly, by name (``boundary_scale``).
+        seconds: Duration of the assembly, without compiling [s].
+        standard_errors: Of the parameters, by name.
+        not_identified: Reason for each parameter that the data do not determine, whose
+            neutral value is used, by name.
+        compile_seconds: Duration of compiling in the assembly [s].
     """
 
     voxmap: Voxmap
@@ -92,22 +90,21 @@ class Scene:
             voxmap: Grid and surface.
             shell: The probe.
             trajectory: Poses, and wrenches where they were measured.
-            inner: p_in, or "fit": the one scale for which the Laplace field alone
-                matches the measured forces best in least squares; 1 where its
-                standard error is larger than half of it (a `TtusWarning`). None is
-                "fit" where forces were measured in contact, else 1; forces that push
-                into the patient are then a warning and no error.
+            inner: p_in, or "fit": the scale for which the Laplace field alone matches
+                the measured forces best in least squares; 1 where its standard error
+                exceeds half of it (a `TtusWarning`). None is "fit" where forces were
+                measured in contact, otherwise 1; forces that push into the patient are
+                then a warning instead of an error.
             outer: p_out; where p_in is fitted the ratio p_out / p_in.
             sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``. The paper has
                 ``voxel-mean`` and p_in = p_out = 1: `ttus_opt.paper.SCENE`.
 
         Returns:
-            The scene. Poses off the grid or without contact are reported as a
-            `TtusWarning`.
+            The scene. A `TtusWarning` reports poses off the grid or without contact.
 
         Raises:
-            InputError: Not one trajectory, unknown sampling, boundary values that are
-                not finite, or "fit" without a measured force in contact.
+            InputError: Not a trajectory, unknown sampling, boundary values that are not
+                finite, or "fit" without a measured force in contact.
         """
         watch = Stopwatch()
         if not isinstance(trajectory, Trajectory):
@@ -166,7 +163,7 @@ class Scene:
         return card("Scene", self._facts(), picture)
 
     def _facts(self) -> dict[str, str]:
-        """What it is in a few words, by name."""
+        """A short description, by name."""
         touching = int((self.rows.contact_points > 0).sum())
         measured = "measured" if self.trajectory.has_wrench else "no"
         kind = "forces" if self.measures_force_only else "wrenches"
@@ -278,7 +275,7 @@ class ScenePlan:
         *,
         axis: Axis | None = None,
     ) -> Scene:
-        """Surface, voxmap and scene, one after the other.
+        """Build surface, voxmap and scene.
 
         Args:
             patient: The surface, or a scan of it, shape (n, 3) [m].
@@ -287,7 +284,7 @@ class ScenePlan:
             axis: The patient frame in a scan; estimated when not given.
 
         Raises:
-            InputError: Input that cannot be used; see the steps.
+            InputError: Invalid input; see the steps.
             GeometryError: The scan shows no body, or the surface does not fit the grid.
         """
         if not isinstance(patient, Surface):
@@ -314,11 +311,7 @@ class ScenePlan:
 
 
 def _check_boundary(name: str, value: float | str | None) -> None:
-    """Validate a boundary value that is a number.
-
-    Raises:
-        InputError: It is not finite, or beyond any stiffness.
-    """
+    """Validate a boundary value that is a number; `InputError` where it is invalid."""
     if isinstance(value, str) or value is None:
         return
     if not np.isfinite(value) or abs(value) > LARGEST_BOUNDARY:
@@ -337,42 +330,38 @@ def _measured(values: Array | None, what: str) -> Array:
 
 
 def _report_misplaced(voxmap: Voxmap) -> None:
-    """Warn where regions are not those of the surface."""
+    """Warn where regions do not match the surface."""
     misplaced = voxmap.cut_links.misplaced
     if misplaced:
-        warnings.warn(
+        warn(
             f"at {misplaced} links of voxels the region is not that of the surface, "
             "which is taken to lie a quarter of a layer beyond: lay the grid over the "
             "surface with Voxmap.from_surface",
-            TtusWarning,
-            stacklevel=3,
+            2,
         )
 
 
 def _report_contact(rows: ContactRows, r_inner: float) -> None:
-    """Warn of poses that measure nothing, or reach beyond the inner layer."""
+    """Warn of poses that measure nothing, or reach below the inner layer."""
     n_poses = len(rows.in_grid)
     off = int(n_poses - rows.in_grid.sum())
     if off:
-        warnings.warn(
+        warn(
             f"{off} of {n_poses} poses lie outside the grid and give zero force: "
             "check the trajectory's frame and unit",
-            TtusWarning,
-            stacklevel=3,
+            2,
         )
     if not (rows.contact_points > 0).any():
-        warnings.warn(
+        warn(
             f"the probe touches the patient in none of {n_poses} poses: the fit is "
             "the Laplace field alone",
-            TtusWarning,
-            stacklevel=3,
+            2,
         )
     deep = int((rows.beyond_inner > 0).sum())
     if deep:
-        warnings.warn(
+        warn(
             f"{deep} of {n_poses} poses press shell points ({rows.beyond_inner.sum()} "
             f"in all) beyond the inner layer at {r_inner:.4g} m, where that layer's "
             "values continue: choose a smaller r_inner",
-            TtusWarning,
-            stacklevel=3,
+            2,
         )

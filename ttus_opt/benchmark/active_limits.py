@@ -1,4 +1,4 @@
-"""How many limits hold a solution back, counted from its multipliers."""
+"""The number of active limits of a solution, from its multipliers."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from ttus_opt.arrays import Array
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.program import Program
 
-#: A multiplier counts above this part of the largest; none does where the largest is
-#: below this part of the gradient that multipliers are to balance: it is rounding [–]
+#: Threshold of a multiplier relative to the largest one, and of the largest one
+#: relative to the objective's gradient, below which it is rounding [–]
 NONZERO = 1e-6
 
 
 def active_limits(program: Program, x: Array, duals: Duals) -> int:
-    """Number of bounds and inequality rows with a multiplier that is not zero [–].
+    """Number of bounds and inequality rows with a nonzero multiplier [–].
 
-    Equality rows are no limits: they hold whatever is measured. Interior points leave
-    a small multiplier at every limit, so that they may count a few more.
+    Interior-point methods leave a small multiplier at every limit, so that a few more
+    may count.
 
     Args:
-        program: The problem as it was declared.
+        program: The declared problem.
         x: A verified solution, shape (n,).
         duals: Its multipliers.
     """
@@ -40,7 +40,7 @@ def active_limits(program: Program, x: Array, duals: Duals) -> int:
 
 
 def _steepest(program: Program, x: Array) -> float:
-    """Largest entry of a summand of the objective's gradient."""
+    """Largest entry among the summands of the objective's gradient."""
     return max(
         float(np.abs(part).max(initial=0.0)) for part in program.quadratic_gradient(x)
     )

@@ -1,8 +1,8 @@
-"""What is benchmarked: reference cases of growing size, and a user's own scene.
+"""Benchmark cases: reference cases of increasing size, or a user's scene.
 
 The reference cases S, M, L and XL are built from the bundled example: its true surface,
-and its recordings of presses and sweeps, thinned evenly. A case is plain data, so that
-it can be handed to another process.
+and its recordings of presses and sweeps, thinned evenly. A case is plain data that can
+be sent to another process.
 """
 
 from __future__ import annotations
@@ -31,20 +31,18 @@ REFERENCE = {
     "XL": ((200, 360, 150), 400),
 }
 
-#: What "all" leaves out: XL takes gigabytes, and only `structured` solves it
+#: Cases not in "all": XL takes gigabytes, and only `structured` solves it
 ON_REQUEST = ("XL",)
 
-#: Value on the inner layer, and minus that on the outer one: what scaling to the
-#: example's forces gives in trilinear sampling [N/cm²]
+#: Value on the inner layer, and minus that on the outer one: scaled to the example's
+#: forces in trilinear sampling [N/cm²]
 EXAMPLE_BOUNDARY = 17.0
 
-#: Grid and poses of the small stand-in on which a run is tried out first: large enough
-#: for a multigrid level between the finest and the coarsest, so that trying it out
-#: compiles all that a case will call
+#: Grid and poses of the small warm-up case: large enough for an intermediate multigrid
+#: level, so that it compiles everything that a case will call
 SMALL_SHAPE, SMALL_POSES = (12, 32, 16), 6
 
-#: Size of the change between two solves of the same structure, as a part of the
-#: measured values
+#: Relative change of the measured values between two solves of the same structure
 CHANGE = 0.05
 
 
@@ -55,10 +53,10 @@ class CaseSpec:
     Attributes:
         name: For the tables.
         surface: Surface file.
-        probe: Primitive or mesh file, as every command takes it.
+        probe: Primitive or mesh file.
         trajectories: Recordings with wrenches.
         shape: Voxels in r, θ, z.
-        n_poses: Frames taken, evenly spread; None for all.
+        n_poses: Number of frames, evenly spread; None for all.
         r_inner: Radius of the innermost layer [m].
         inner: Value on the inner layer, or "fit".
         outer: Minus the outer layer's value; a ratio with "fit".
@@ -92,7 +90,7 @@ class CaseSpec:
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> CaseSpec:
-        """Read back what `dataclasses.asdict` and JSON gave."""
+        """Inverse of `dataclasses.asdict`, through JSON."""
         lists = {key: tuple(values[key]) for key in ("trajectories", "shape")}
         return cls(**{**values, **lists})
 
@@ -100,7 +98,7 @@ class CaseSpec:
         """Read the files and assemble the scene.
 
         Raises:
-            InputError: A file or a number is not usable.
+            InputError: An invalid file or number.
         """
         shell = PointShell.from_spec(
             self.probe, n_points=self.n_points, unit=self.probe_unit
@@ -117,7 +115,7 @@ class CaseSpec:
         return plan.build(Surface.load(self.surface), shell, recording)
 
     def small(self) -> CaseSpec:
-        """The same on few voxels: to try a run out, or to warm up for it."""
+        """The same with few voxels, for warm-up and validation."""
         (n_r, n_theta, n_z), most = self.shape, SMALL_SHAPE
         shape = min(n_r, most[0]), min(n_theta, most[1]), min(n_z, most[2])
         return replace(self, shape=shape, n_poses=SMALL_POSES, n_points=300)
@@ -126,30 +124,30 @@ class CaseSpec:
         """The same with perturbed wrenches, and a name that says so.
 
         Raises:
-            InputError: Not one of `perturbation.PERTURBATIONS`, nor "" for none.
+            InputError: Not in `perturbation.PERTURBATIONS`, nor "".
         """
         if not checked_perturbation(how):
             return self
         return replace(self, name=f"{self.name}-{how}", perturbation=how)
 
     def bounded(self, boundary: str) -> CaseSpec:
-        """The same with p = 0 standing elsewhere, and a name that says so.
+        """The same with another boundary, and a name that says so.
 
         Raises:
-            InputError: There is no such boundary.
+            InputError: An unknown boundary.
         """
         if checked_boundary(boundary) == self.boundary:
             return self
         return replace(self, name=f"{self.name}-{boundary}", boundary=boundary)
 
     def sampled(self, sampling: str) -> CaseSpec:
-        """The same with forces sampled otherwise, and a name that says so.
+        """The same with another sampling, and a name that says so.
 
-        What one potential gives differs from one sampling to the other: the value on
-        the inner layer is fitted.
+        The value on the inner layer is then fitted, because the unit of the potential
+        depends on the sampling.
 
         Raises:
-            InputError: There is no such sampling.
+            InputError: An unknown sampling.
         """
         if sampling not in FIELD_UNIT:
             raise InputError(
@@ -169,17 +167,14 @@ class CaseSpec:
 
 
 def reference_cases(names: str = "all") -> list[CaseSpec]:
-    """Reference cases by name.
+    """Reference cases by name, smallest first.
 
     Args:
         names: "S", "M", "L" or "XL", several separated by commas, or "all", which
             leaves out `ON_REQUEST`.
 
-    Returns:
-        The cases, smallest first.
-
     Raises:
-        InputError: There is no such case.
+        InputError: An unknown case.
     """
     asked = [name.strip() for name in names.split(",")]
     if "all" in asked:
@@ -207,30 +202,22 @@ def reference_cases(names: str = "all") -> list[CaseSpec]:
 
 
 def with_new_values(scene: Scene, seed: int) -> Scene:
-    """The same scene with other measured values, as a second recording would give.
-
-    Args:
-        scene: A scene with measured wrenches.
-        seed: Of the change.
-
-    Returns:
-        A scene of the same matrices, forces and torques changed by `CHANGE`.
-    """
+    """The scene with the same matrices, forces and torques changed by `CHANGE`."""
     rng = np.random.default_rng(seed)
-    told = scene.trajectory
+    own = scene.trajectory
     changed = {
         name: values * (1.0 + CHANGE * rng.standard_normal(values.shape))
         for name in ("force", "torque")
-        if (values := getattr(told, name)) is not None
+        if (values := getattr(own, name)) is not None
     }
-    return replace(scene, trajectory=replace(told, **changed))
+    return replace(scene, trajectory=replace(own, **changed))
 
 
 def existing(case: CaseSpec) -> CaseSpec:
-    """The case with absolute paths, every file being there.
+    """The case with absolute paths.
 
     Raises:
-        FileError: One is missing or empty.
+        FileError: A file is missing or empty.
     """
 
     def absolute(path: str, what: str) -> str:

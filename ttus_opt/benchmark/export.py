@@ -1,8 +1,8 @@
-"""The problems as files other tools can read.
+"""The problems as files for other tools.
 
-One file per case and formulation, in the layout the Maros-Meszaros collection has in
-MATLAB files: minimise ½ xᵀP x + qᵀx + r subject to l ≤ A x ≤ u, bounds as rows at the
-end, 1e20 for no limit. The same as .npz for readers without MATLAB files.
+One MATLAB file per case and formulation, in the layout of the Maros-Meszaros
+collection: minimise ½ xᵀP x + qᵀx + r subject to l ≤ A x ≤ u, bounds as rows at the
+end, 1e20 for no limit. The same as .npz for readers without MATLAB support.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ def export_program(program: Program, folder: Path, name: str) -> tuple[Path, Pat
 
     Args:
         program: Any program that can be stated as a QP.
-        folder: Where to.
+        folder: Of the files.
         name: Stem of the files.
 
     Returns:
         MATLAB file, and NumPy archive with matrices in compressed columns.
 
     Raises:
-        InputError: A penalty needs cones.
+        InputError: A penalty is not quadratic.
         FileError: The folder cannot be written to.
     """
     reduced = reduce(program).program

@@ -1,4 +1,4 @@
-"""A run in its own process: a crash or a memory blow-up is a row, not an end."""
+"""A run in its own process, so that a crash or memory exhaustion is only a row."""
 
 from __future__ import annotations
 
@@ -22,24 +22,23 @@ from ttus_opt.benchmark.row import Row, RunSpec
 #: The process of a run
 WORKER = "ttus_opt.benchmark.worker"
 
-#: Files of a process's folder: what it is asked, what it answers, what it prints
+#: Files of a process's folder: its input, its result, its output
 QUESTION, ANSWER, LOG = "run.json", "rows.json", "log.txt"
 
-#: How often the process is looked at [s]
+#: Polling interval [s]
 PAUSE = 0.1
 
-#: A stage that computes is ended when it is late by this factor and these seconds; one
-#: that observes its time limit has stopped by then
+#: Tolerance of a stage's time limit, a factor and seconds, before it is ended
 LATE_FACTOR, LATE_SECONDS = 1.1, 5.0
 
-#: The stage of set-up and first solve, and its factor: a solver's limit counts from the
-#: end of its set-up, and it needs time to report how far it came
+#: The stage of set-up and first solve, and its factor: a solver's limit begins after
+#: its set-up, and it needs time to report its progress
 SOLVING, SOLVING_FACTOR = "first", 2.0
 
-#: Stages that compile and assemble, and the least time they are given [s]
+#: Stages that compile and assemble, and their least time limit [s]
 PREPARING, PREPARATION = ("start", "warm-up", "scene", "program"), 900.0
 
-#: Called while a run is under way: with its stage, and for how long that has lasted [s]
+#: Called during a run with its stage and the stage's duration so far [s]
 Watching = Callable[[str, float], None]
 
 
@@ -49,16 +48,13 @@ def run_isolated(
     memory_limit: int | None = None,
     watching: Watching | None = None,
 ) -> list[Row]:
-    """Run in a process of its own and wait for it.
+    """Run in a separate process and return its rows, also of a failure.
 
     Args:
-        spec: What to run.
-        output: Folder for the files that the run leaves.
-        memory_limit: Largest resident size it may reach; None for no limit [byte].
+        spec: The run.
+        output: Folder for files that the run keeps.
+        memory_limit: Largest resident size; None for no limit [byte].
         watching: Called several times a second.
-
-    Returns:
-        Its rows, whatever happened.
     """
     with tempfile.TemporaryDirectory(
         prefix="ttus-benchmark-", ignore_cleanup_errors=True
@@ -81,7 +77,7 @@ def _run(
     memory_limit: int | None,
     watching: Watching | None,
 ) -> tuple[str, str, int]:
-    """Status and detail of a failure, or empty words; largest size seen [byte]."""
+    """Status and detail of a failure, otherwise empty; largest size seen [byte]."""
     with (folder / LOG).open("wb") as log:
         process = subprocess.Popen(
             [sys.executable, "-m", WORKER, str(folder)],
@@ -117,14 +113,14 @@ def _run(
 
 
 def _allowed(stage: str, time_limit: float) -> float:
-    """After how long a stage is ended [s]."""
+    """Longest time of a stage before it is ended [s]."""
     factor = SOLVING_FACTOR if stage == SOLVING else LATE_FACTOR
     late = time_limit * factor + LATE_SECONDS
     return max(PREPARATION, late) if stage in PREPARING else late
 
 
 def _reached(folder: Path) -> Row:
-    """The residual a run had reached when it was ended, if it noted one."""
+    """The residual that an ended run had reached, if it reported one."""
     try:
         return {"residual_reached": float((folder / RESIDUAL).read_text("utf-8"))}
     except (OSError, ValueError):  # none, or ended while it was being written
@@ -138,7 +134,7 @@ def _environment() -> dict[str, str]:
 
 
 def _stage(folder: Path) -> tuple[str, float]:
-    """What the process is doing, and for how long [s]."""
+    """The current stage of the process, and its duration so far [s]."""
     try:
         lines = (folder / STAGES).read_text("utf-8").splitlines()
         last: dict[str, Any] = json.loads(lines[-1])
@@ -158,5 +154,5 @@ def _cause(code: int) -> str:
 
 def _last_line(folder: Path) -> str:
     lines = (folder / LOG).read_text("utf-8", errors="replace").splitlines()
-    told = [line.strip() for line in lines if line.strip()]
-    return told[-1] if told else "it said nothing"
+    printed = [line.strip() for line in lines if line.strip()]
+    return printed[-1] if printed else "no output"

@@ -1,4 +1,4 @@
-"""The machine and the packages a table was measured with."""
+"""The machine and the packages of a measurement."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from ttus_opt.benchmark.memory import available_bytes
 from ttus_opt.threads import usable_cores
 
-#: Packages whose version decides a figure
+#: Packages whose version affects a measurement
 PACKAGES = (
     *("ttus-opt", "numpy", "scipy", "numba", "qpsolvers", "cvxpy", "clarabel", "osqp"),
     *("scs", "piqp", "proxsuite", "qpalm", "highspy", "pypardiso", "mkl"),

@@ -1,4 +1,4 @@
-"""How much memory a process holds, and held at most since it was last asked."""
+"""Current and peak memory of a process."""
 
 from __future__ import annotations
 
@@ -11,38 +11,37 @@ from pathlib import Path
 
 def peak_bytes() -> int:
     """Largest resident size since the start or the last `reset_peak` [byte]."""
-    # the kernel's own mark: ru_maxrss starts at the parent's size after a fork
+    # preferred over ru_maxrss, which starts at the parent's size after a fork
     largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     unit = 1 if sys.platform == "darwin" else 1024
-    return _told("self/status", "VmHWM") or largest * unit
+    return _from_proc("self/status", "VmHWM") or largest * unit
 
 
 def current_bytes() -> int:
     """Resident size now; the peak where the system does not report it [byte]."""
-    return _told("self/status", "VmRSS") or peak_bytes()
+    return _from_proc("self/status", "VmRSS") or peak_bytes()
 
 
 def resident_bytes(pid: int) -> int:
     """Resident size of a process; 0 when it is gone or not reported [byte]."""
-    return _told(f"{pid}/status", "VmRSS") or 0
+    return _from_proc(f"{pid}/status", "VmRSS") or 0
 
 
 def available_bytes() -> int | None:
     """Memory available without swapping; None where it is not reported [byte]."""
-    return _told("meminfo", "MemAvailable")
+    return _from_proc("meminfo", "MemAvailable")
 
 
 def reset_peak() -> None:
-    """Let the next `peak_bytes` begin here, where the system can do that."""
+    """Reset the peak, where the system can do that."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def trim() -> None:
-    """Give freed memory back to the system, where the C library can do that.
+    """Return freed memory to the system, where the C library can do that.
 
-    What is allocated next then shows in the resident size, instead of taking pages
-    that an earlier computation left.
+    Later allocations then show in the resident size, instead of reusing freed pages.
     """
     with contextlib.suppress(AttributeError, OSError, TypeError):
         ctypes.CDLL(None).malloc_trim(0)
@@ -54,7 +53,7 @@ def end_this_first() -> None:
         Path("/proc/self/oom_score_adj").write_text("1000")
 
 
-def _told(file: str, key: str) -> int | None:
+def _from_proc(file: str, key: str) -> int | None:
     """A line ``key: number kB`` of a file in ``/proc`` [byte]; None without one."""
     with contextlib.suppress(OSError):
         for line in Path("/proc", file).read_text(encoding="ascii").splitlines():

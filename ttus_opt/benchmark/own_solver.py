@@ -1,7 +1,7 @@
-"""A user's own solver on its way to the process of a run: by path, or as an object.
+"""Transfer of a user's own solver to the process of a run, by path or as an object.
 
-An object is sent pickled, so its class must be importable there. A file is named with a
-digest of its text, so that rows of another version are not taken for this one's.
+An object is pickled, so its class must be importable there. A file is identified by a
+digest of its text, so that rows of another version are not reused.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from ttus_opt.errors import InputError
 from ttus_opt.solvers.base import Solver
 from ttus_opt.solvers.registry import asked_for, solvers
 
-#: Among solvers: what `tt.fit` takes where none is named
+#: The solver that `tt.fit` chooses by default
 AUTO: Literal["auto"] = "auto"
 
 
 def options_of(given: str | Path | Solver) -> dict[str, Any]:
-    """What a run's options say of a solver: its name, and where an own one is.
+    """A solver as options of a run: its name, and the source of an own one.
 
     Args:
         given: A name, `AUTO`, the path of a file with ``SOLVERS``, or a solver.
@@ -31,8 +31,8 @@ def options_of(given: str | Path | Solver) -> dict[str, Any]:
         ``solver``, and for an own one ``own``: plain data, for JSON.
 
     Raises:
-        InputError: There is no such solver, it has a name of the shelf, or it cannot
-            go to another process.
+        InputError: An unknown solver, an own one with the name of a built-in one, or
+            one that cannot be sent to another process.
     """
     if given == AUTO:
         return {"solver": AUTO}
@@ -53,7 +53,7 @@ def options_of(given: str | Path | Solver) -> dict[str, Any]:
 
 
 def solver_of(options: Mapping[str, Any]) -> Solver | Literal["auto"]:
-    """The solver of a run's options, in whatever process."""
+    """The solver from a run's options, in any process."""
     own = options.get("own")
     if options["solver"] == AUTO:
         return AUTO
@@ -66,14 +66,14 @@ def solver_of(options: Mapping[str, Any]) -> Solver | Literal["auto"]:
 
 
 def version(path: Path) -> dict[str, str]:
-    """Tells one text of a user's file from another; nothing for a name."""
+    """Digest of a user's file; nothing for a name."""
     if path.suffix != ".py" or not path.exists():
         return {}
     return {"version": hashlib.sha256(path.read_bytes()).hexdigest()[:12]}
 
 
 def _pickled(solver: Solver) -> str:
-    """The object as text; `InputError` where it or its class cannot travel."""
+    """The object as text; `InputError` where it or its class cannot be pickled."""
     name = type(solver).__qualname__
     if type(solver).__module__ == "__main__" or "<locals>" in name:
         raise InputError(

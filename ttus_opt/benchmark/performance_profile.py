@@ -1,10 +1,10 @@
 """Performance profiles: how often a solver is within a factor of the fastest.
 
-ρ_s(τ) is the share of problems p that solver s solves with t_{p,s} ≤ τ min_s' t_{p,s'}
-(E. D. Dolan and J. J. Moré, Benchmarking optimization software with performance
-profiles, Mathematical Programming 91, 2002, eq. 2.1). ρ_s(1) is how often it is the
-fastest, ρ_s at the right end how much it solves at all; a problem it cannot take or
-fails on counts as never solved. Problems that no solver solved are left out.
+ρ_s(τ) is the fraction of problems p that solver s solves with
+t_{p,s} ≤ τ min_s' t_{p,s'} (E. D. Dolan and J. J. Moré, Benchmarking optimization
+software with performance profiles, Mathematical Programming 91, 2002, eq. 2.1). ρ_s(1)
+is how often it is the fastest, ρ_s for large τ how many problems it solves. Refused and
+failed problems count as not solved; problems that no solver solved are left out.
 """
 
 from __future__ import annotations
@@ -32,14 +32,9 @@ LEGEND = (
 
 
 def ratios(rows: Sequence[Row]) -> dict[str, list[float]]:
-    """Time over the fastest solver's, for every problem that some solver solved.
+    """Time over the fastest solver's, r_{p,s} by solver, for every solved problem [–].
 
-    Args:
-        rows: All rows of solvers.
-
-    Returns:
-        r_{p,s} by solver, in the order of the problems; inf where it has no verified
-        answer [–]. Solvers that solved nothing are there as well.
+    Infinite where a solver has no verified answer; all solvers are included.
     """
     taken: dict[tuple[str, str], dict[str, float]] = {}
     for row in rows:
@@ -65,7 +60,7 @@ def share(of_solver: Sequence[float], factor: float) -> float:
 
 
 def ranked(rows: Sequence[Row]) -> dict[str, list[float]]:
-    """`ratios` of solvers that solved something, the most often within 2 first."""
+    """`ratios` of solvers with any answer, sorted by ρ_s(2)."""
     found = {
         s: r for s, r in ratios(rows).items() if min(r, default=math.inf) < math.inf
     }

@@ -1,7 +1,7 @@
-"""Perturbed data: measurements that contradict what a formulation demands.
+"""Perturbed data: measurements that conflict with the constraints of a formulation.
 
-The example's recordings agree with sign and growth along spokes: no bound is active,
-and a solver is never seen at work on them. Perturbed values make tens to hundreds of
+The example's recordings are consistent with sign and monotonicity: no bound is active,
+and solvers have no constraints to handle. Perturbed values make tens to hundreds of
 limits active, at weights high enough for the field to follow them (``--weight``).
 """
 
@@ -20,10 +20,10 @@ PERTURBATIONS = ("noise", "reversed")
 #: Standard deviation per axis of the noise added, force [N] and torque [N·m]
 FORCE_NOISE, TORQUE_NOISE = 2.0, 0.03
 
-#: Part of the frames whose wrench is turned round [–]
+#: Fraction of the frames whose wrench is reversed [–]
 REVERSED_PART = 0.2
 
-#: Of the noise and of the choice of frames: the same for every solver
+#: Seed of noise and choice of frames, the same for every solver
 SEED = 0
 
 
@@ -33,10 +33,10 @@ def perturbed(trajectory: Trajectory, how: str) -> Trajectory:
     Args:
         trajectory: With wrenches.
         how: ``noise`` adds Gaussian noise to every force and torque, ``reversed``
-            turns the sign of those of a fifth of the frames; "" leaves all as it is.
+            changes the sign in a fifth of the frames; "" does nothing.
 
     Raises:
-        InputError: There is no such perturbation, or nothing was measured.
+        InputError: An unknown perturbation, or no wrenches.
     """
     if not checked_perturbation(how):
         return trajectory
@@ -60,11 +60,7 @@ def perturbed(trajectory: Trajectory, how: str) -> Trajectory:
 
 
 def checked_perturbation(how: str) -> str:
-    """The perturbation, if there is one of that name or none is asked for.
-
-    Raises:
-        InputError: There is none.
-    """
+    """The perturbation's name or ""; `InputError` where it is unknown."""
     if how and how not in PERTURBATIONS:
         choices = " or ".join(PERTURBATIONS)
         raise InputError(f"unknown perturbation {how!r}: choose {choices}")

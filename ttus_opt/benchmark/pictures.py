@@ -15,33 +15,25 @@ from ttus_opt.report.plots.canvas import look, new_figure, save_picture
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-#: Inks, markers and line styles, told apart in greyscale
+#: Colours, markers and line styles, distinct in greyscale
 INKS, MARKERS, STYLES = (
     ("0.15", "#0b4f9c", "0.6"),
     "os^vDP*X<>hpd",
     ("-", "--", ":", "-."),
 )
 
-#: Distance of two failures' marks, which share a limit, as a part of their size
+#: Relative offset between the marks of failures, which share a time limit
 SPREAD = 0.04
 
-#: What a row stands for in a picture; NaN where it has no such figure
+#: The plotted value of a row; NaN without one
 Figured = Callable[[Row], float]
 
-#: Ink, marker and line by solver
+#: Colour, marker and line by solver
 Inks = Mapping[str, Mapping[str, Any]]
 
 
 def save_pictures(rows: Sequence[Row], folder: Path) -> dict[str, str]:
-    """Draw and save what there is to show, up to three pictures a formulation.
-
-    Args:
-        rows: All rows of solvers.
-        folder: Where to.
-
-    Returns:
-        Caption by file name.
-    """
+    """Draw and save up to three pictures per formulation; captions by file name."""
     rows = sorted(filter(was_run, rows), key=lambda row: (row["voxels"], row["solver"]))
     inks = solver_styles(row["solver"] for row in rows)
     captions = {}
@@ -55,7 +47,7 @@ def save_pictures(rows: Sequence[Row], folder: Path) -> dict[str, str]:
 
 
 def _pictures(rows: Sequence[Row], inks: Inks) -> Iterator[tuple[str, str, Figure]]:
-    """Name, caption and figure of what one formulation's rows show."""
+    """Name, caption and figure of each picture of one formulation."""
     first = "first solve, set-up included [s]"
 
     def taken(row: Row) -> float:
@@ -66,16 +58,13 @@ def _pictures(rows: Sequence[Row], inks: Inks) -> Iterator[tuple[str, str, Figur
 
     with look():
         drawn = _against_size(rows, inks, first, taken)
-        told = "time against voxels; unfilled: not solved, at its time limit"
-        yield "time", told, drawn
+        yield "time", "time against voxels; unfilled: not solved, at time limit", drawn
         if any(row["peak_memory_bytes"] for row in rows):
             drawn = _against_size(rows, inks, "largest size of the process [MiB]", size)
             yield "memory", "memory against voxels; unfilled: not solved", drawn
         if any(worst_relative(row) is not None for row in rows):
-            told = (
-                "residual against time; unfilled: above the tolerance, or out of time"
-            )
-            yield "residual", told, _residual_against_time(rows, inks, first)
+            drawn = _residual_against_time(rows, inks, first)
+            yield "residual", "residual against time; unfilled: not solved", drawn
 
 
 def _against_size(
@@ -105,20 +94,20 @@ def _against_size(
 def _points(
     rows: Iterable[Row], figured: Figured, aside: float
 ) -> tuple[list[float], list[float]]:
-    """Sizes and figures, where there are any."""
-    told = {aside * r["voxels"]: y for r in rows if not math.isnan(y := figured(r))}
-    return list(told), list(told.values())
+    """Sizes and values, where they exist."""
+    found = {aside * r["voxels"]: y for r in rows if not math.isnan(y := figured(r))}
+    return list(found), list(found.values())
 
 
 def _residual_against_time(rows: Sequence[Row], inks: Inks, label: str) -> Figure:
-    """One mark per answer; unfilled when it failed its check."""
+    """One mark per answer, unfilled where it is not verified."""
     figure = new_figure(6.4, 3.8)
     axis = figure.subplots()
     for row in rows:
         residual = worst_relative(row)
         if residual is None:
             continue
-        # a run that was ended has the residual of the last answer it told
+        # an ended run has the residual of its last reported answer
         seconds = row["seconds_first"] or row["time_limit"]
         at = (seconds, max(residual, 1e-17))
         fill = {"linestyle": "none", "fillstyle": "full" if solved(row) else "none"}
@@ -132,7 +121,7 @@ def _residual_against_time(rows: Sequence[Row], inks: Inks, label: str) -> Figur
 
 
 def solver_styles(names: Iterable[str]) -> dict[str, dict[str, Any]]:
-    """Ink, marker and line of every solver, by name."""
+    """Colour, marker and line of every solver, by name."""
     every = zip(cycle(INKS), cycle(MARKERS), cycle(STYLES), strict=True)
     return {
         solver: {"color": ink, "marker": marker, "linestyle": style}

@@ -1,7 +1,7 @@
-"""A haptic frame in whole-array numpy: what the compiled one is measured against.
+"""A haptic frame in whole-array numpy, the reference for the compiled one.
 
-`plain_samples` is the sampling law of `ttus_opt.voxmap.depth_sampling` written
-straightforwardly, pose by pose; nothing is sorted, skipped or kept.
+`plain_samples` is a direct implementation of the sampling in
+`ttus_opt.voxmap.depth_sampling`, pose by pose, without sorting, culling or caching.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def numpy_frame(
 def plain_samples(
     voxmap: Voxmap, points: Array, sampling: str
 ) -> tuple[NDArray[np.bool_], NDArray[np.int64], Array]:
-    """What points sample (the law is in `ttus_opt.voxmap.depth_sampling`).
+    """Voxels and weights that points sample (`ttus_opt.voxmap.depth_sampling`).
 
     Args:
         voxmap: Grid and surface.
@@ -57,8 +57,8 @@ def plain_samples(
         sampling: ``voxel-mean`` or ``trilinear``.
 
     Returns:
-        Which points are inside, shape (M,); their voxels and shares, shape (m, 1) or
-        (m, 8), a share of 0 for what is not sampled.
+        Mask of points inside, shape (M,); their voxels and weights, shape (m, 1) or
+        (m, 8), a weight of 0 for voxels that are not sampled.
     """
     grid = voxmap.grid
     r, theta, z = cylindrical(points)
@@ -85,7 +85,7 @@ def plain_samples(
 def _surface_of(
     voxmap: Voxmap, j: NDArray[np.int64], k: NDArray[np.int64]
 ) -> tuple[Array, NDArray[np.int64]]:
-    """Radius of the surface on spokes [m], and the layer below the surface's."""
+    """Radius of the surface on spokes [m], and the layer below the surface layer."""
     grid = voxmap.grid
     radius = voxmap.surface.radius_at(grid.theta[j], grid.z[k])
     return radius, surface_layer(grid, radius) - 1
@@ -94,7 +94,7 @@ def _surface_of(
 def _along_spoke(
     voxmap: Voxmap, j: NDArray[np.int64], k: NDArray[np.int64], depth: Array
 ) -> tuple[tuple[NDArray[np.int64], NDArray[np.int64]], tuple[Array, Array]]:
-    """Two layers on spokes (m,) and their shares, at depths (m,) [m]."""
+    """Two layers on spokes (m,) and their weights, at depths (m,) [m]."""
     grid = voxmap.grid
     radius, last = _surface_of(voxmap, j, k)
     place = np.maximum(radius - depth, grid.r_inner)
@@ -109,7 +109,7 @@ def _along_spoke(
 def _voxel_means(
     voxmap: Voxmap, r: Array, v: Array, w: Array, depth: Array
 ) -> tuple[NDArray[np.int64], Array]:
-    """Nearest voxels and shares of their means, shape (m, 1)."""
+    """Nearest voxels and weights in their means, shape (m, 1)."""
     grid = voxmap.grid
     u = np.maximum((r - grid.r_inner) / grid.r_step, 0.0)
     i, j, k = (np.floor(x + 0.5).astype(int) for x in (u, v, w))

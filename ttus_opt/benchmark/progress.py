@@ -1,4 +1,4 @@
-"""What the process of a run reports to its parent: stages, their memory, and files."""
+"""Reports of a run's process to its parent: stages, memory, and files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ttus_opt.benchmark import memory
 
-#: In a run's folder: a line per stage, the residual reached, and what is kept
+#: In a run's folder: a line per stage, the residual reached, and files to keep
 STAGES, RESIDUAL, KEPT = "stages.jsonl", "residual.txt", "kept"
 
 
@@ -25,7 +25,7 @@ class Progress:
         self.peaks: dict[str, int] = {}
 
     def __call__(self, stage: str) -> None:
-        """A stage begins; the one before is done."""
+        """Begin a stage, and end the previous one."""
         self.end()
         self._current = stage
         with (self._folder / STAGES).open("a", encoding="utf-8") as file:
@@ -33,18 +33,18 @@ class Progress:
         memory.reset_peak()
 
     def end(self) -> None:
-        """Note the peak of the stage that is running."""
+        """Store the memory peak of the current stage."""
         if self._current:
             before = self.peaks.get(self._current, 0)
             self.peaks[self._current] = max(before, memory.peak_bytes())
             self._current = ""
 
     def reached(self, residual: float) -> None:
-        """Note a relative KKT residual, for the case that the run is ended [–]."""
+        """Store a relative KKT residual, in case the run is ended [–]."""
         (self._folder / RESIDUAL).write_text(repr(residual), encoding="utf-8")
 
     def keep(self, name: str) -> Path:
-        """Where to write a file that is to stand in the folder of the results."""
+        """Path for a file to be kept in the folder of the results."""
         path = self._folder / KEPT / name
         path.parent.mkdir(parents=True, exist_ok=True)
         return path

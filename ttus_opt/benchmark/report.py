@@ -1,4 +1,4 @@
-"""The benchmark's files beside its rows: the report in Markdown, and tables as CSV."""
+"""The benchmark's report in Markdown, and its tables as CSV."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def write_report(
     """Write the report with its pictures, and a CSV file per part.
 
     Args:
-        folder: Where to.
+        folder: Of the results.
         found: Finished rows by part; a part without rows is left out.
-        settings: What was asked for.
-        command: What was typed.
+        settings: Of the benchmark.
+        command: The command line.
         machine: From `ttus_opt.benchmark.machine.describe`.
 
     Returns:
@@ -51,7 +51,7 @@ def write_report(
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """Write rows as CSV, a column per figure; nested ones as ``kkt.primal``.
+    """Write rows as CSV, nested values as ``kkt.primal``.
 
     Raises:
         FileError: The folder cannot be written to.
@@ -65,7 +65,7 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
 
 
 def _flat(row: Mapping[str, Any], prefix: str = "") -> Row:
-    """Figures of mappings within the row, each under a name of its own."""
+    """The row with nested mappings flattened."""
     found: Row = {}
     for key, value in row.items():
         if isinstance(value, Mapping):

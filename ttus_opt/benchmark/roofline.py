@@ -1,10 +1,10 @@
-"""Roofline summary of multigrid: bytes it must move against bandwidth that is measured.
+"""Roofline summary of multigrid: bytes moved against the measured bandwidth.
 
-Every pass of a V-cycle streams over whole arrays and computes little, so that moving
-its bytes bounds its time from below (Williams, Waterman and Patterson 2009). Bytes are
+Every pass of a V-cycle streams over whole arrays and computes little, so that memory
+traffic bounds its time from below (Williams, Waterman and Patterson 2009). Bytes are
 counted from the sizes of the arrays, each once in every pass that touches it; a block
-of radial lines stays in cache forwards and backwards and counts once. The unit is one
-colour, red or black, of one array of a level, in single precision.
+of radial lines stays in cache for both sweeps and counts once. The unit is one colour,
+red or black, of one array of a level, in single precision.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ttus_opt.report.tables import table
 #: Colours of arrays that a V-cycle streams on the finest level: four sweeps of a colour
 #: (3, 3, 3, 4: right side, inverse pivots, both colours of x; the right side of one is
 #: zero), residual (3), restriction (3) and prolongation (4) with one array of weights;
-#: an odd number of spokes asks for a few more
+#: an odd number of spokes needs a few more
 FINEST = 23
 
 #: On a coarser level: eight sweeps of a colour (9 each: conductances R, both colours
@@ -33,24 +33,21 @@ FINEST = 23
 #: transfers of six weights (7, 8)
 COARSER = 95
 
-#: What restriction and prolongation move on the level below: b and x, both colours
+#: Restriction and prolongation on the level below: b and x, both colours
 BELOW = 4
 
 #: Conjugate gradients around a V-cycle: r·z, p, A p, x and r, of one colour
 GRADIENTS = 18
 
-#: Relative residual of a solve, as fits ask for it [–]
+#: Relative residual of a solve, as in fits [–]
 RTOL = 1e-12
 
-#: How often a solve, a V-cycle and a copy are timed
+#: Repetitions of a solve, a V-cycle and a copy
 SOLVES, CYCLES, COPIES = 3, 20, 30
 
 
 def roofline(laplace: LaplaceSystem) -> Row:
-    """Bytes and seconds of a V-cycle and of a solve with A, and what a copy reaches.
-
-    Args:
-        laplace: System whose multigrid is meant.
+    """Bytes and seconds of a V-cycle and of a solve with A, and a copy's bandwidth.
 
     Returns:
         ``bytes_level`` (one array of the finest level), ``bytes_cycle`` and
@@ -86,29 +83,29 @@ def roofline(laplace: LaplaceSystem) -> Row:
 
 
 def cycle_bytes(multigrid: Multigrid) -> tuple[int, int]:
-    """Bytes of one array of the finest level, and of what a V-cycle streams."""
+    """Bytes of one array of the finest level, and bytes that a V-cycle streams."""
     hierarchy = multigrid.hierarchy
     sizes = [level.inverse.nbytes for level in hierarchy.levels]  # both colours
     colours = FINEST * sizes[0] + COARSER * sum(sizes[1:-1]) + BELOW * sum(sizes[1:])
     return sizes[0], colours // 2 + hierarchy.inverse.nbytes
 
 
-def summary(told: Row) -> list[str]:
-    """What `roofline` found, in Markdown."""
+def summary(found: Row) -> list[str]:
+    """The result of `roofline` in Markdown."""
     header = ["", "bytes [MB]", "copying them [ms]", "measured [ms]", "of the limit"]
     body = []
     for name, work in (
         ("cycle", "V-cycle"),
-        ("solve", f"solve with A: {told['cycles']} V-cycles"),
+        ("solve", f"solve with A: {found['cycles']} V-cycles"),
     ):
-        moved, taken = told[f"bytes_{name}"], told[f"seconds_{name}"]
-        limit = moved / told["bandwidth"]
+        moved, taken = found[f"bytes_{name}"], found[f"seconds_{name}"]
+        limit = moved / found["bandwidth"]
         figures = f"{moved / 1e6:.3g}", f"{1e3 * limit:.3g}", f"{1e3 * taken:.3g}"
         body.append([work, *figures, f"{limit / taken:.0%}"])
     return [
         "A copy on one core, reads and writes counted, runs at "
-        f"{told['bandwidth'] / 1e9:.1f} GB/s for an array of "
-        f"{told['bytes_level'] / 1e6:.2g} MB, the size of the finest level's.",
+        f"{found['bandwidth'] / 1e9:.1f} GB/s for an array of "
+        f"{found['bytes_level'] / 1e6:.2g} MB, the size of the finest level's.",
         "",
         table(header, body),
         "",

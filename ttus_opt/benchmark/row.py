@@ -1,4 +1,4 @@
-"""One run: what it was asked, and what a row of its answer is, as plain data."""
+"""A run and its rows, as plain data."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 
 from ttus_opt.benchmark.cases import CaseSpec
 
-#: Figures by name, for JSON. Every row has ``key``, ``case``, ``status``, ``detail``,
-#: ``peak_memory_bytes`` and ``memory_by_stage``; the rest is its part's
+#: Values by name, for JSON. Every row has ``key``, ``case``, ``status``, ``detail``,
+#: ``peak_memory_bytes`` and ``memory_by_stage``; the rest depends on the part
 Row = dict[str, Any]
 
-#: Status of a row that has its figures; that of a solver's row is ``solved``
+#: Status of a successful row; in the solvers' part it is ``solved``
 MEASURED = "measured"
 
 
@@ -24,9 +24,9 @@ class RunSpec:
 
     Attributes:
         part: The part's name.
-        case: The scene; None where the part brings its own.
-        options: The part's own.
-        time_limit: Most seconds of one stage that computes [s].
+        case: The scene; None where the part has its own.
+        options: Of the part.
+        time_limit: Longest duration of a computing stage [s].
     """
 
     part: str
@@ -41,9 +41,9 @@ class RunSpec:
 
     @property
     def title(self) -> str:
-        """For people: the case, the part, and what tells its runs apart."""
-        told = ("formulation", "solver", "sampling", "voxel")
-        words = [str(self.options[name]) for name in told if name in self.options]
+        """A readable name: the case, and the options that distinguish its runs."""
+        shown = ("formulation", "solver", "sampling", "voxel")
+        words = [str(self.options[name]) for name in shown if name in self.options]
         return " ".join([self.case_name, *(words or [self.part])])
 
     @property
@@ -54,17 +54,17 @@ class RunSpec:
 
     @property
     def key(self) -> str:
-        """The same for the same question, to resume by."""
+        """Identifies the run, to resume by."""
         text = json.dumps(self.as_dict(), sort_keys=True)
         digest = hashlib.sha256(text.encode()).hexdigest()[:12]
         return f"{self.part}-{self.case.name if self.case else 'any'}-{digest}"
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything, for JSON."""
+        """The run, for JSON."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> RunSpec:
-        """Read back what `as_dict` gave."""
+        """Inverse of `as_dict`."""
         case = values["case"] and CaseSpec.from_dict(values["case"])
         return cls(**{**values, "case": case})

@@ -1,4 +1,4 @@
-"""What a user asks of the runs, beside the cases."""
+"""Settings of a benchmark, beside its cases."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ from typing import Any
 
 from ttus_opt.solvers.base import Solver
 
-#: Weight of force and torque rows by default [–]
+#: Default weight of force and torque rows [–]
 WEIGHT = 1e-2
 
-#: The same by option, as it is given to every formulation that has them
+#: The weights as options of formulations
 WEIGHTS = {"force_weight": WEIGHT, "torque_weight": WEIGHT}
 
-#: Among formulations or solvers: every one there is, or that is installed
+#: Every formulation, or every installed solver
 ALL = "all"
 
-#: As the reference: `CLOSED_FORM` where it fits the case
+#: Reference `CLOSED_FORM` on cases that are small enough
 AUTO = "auto"
 
-#: The reference by default, and the largest case it fits [voxels]: factorising Q takes
-#: time ∝ V² (a minute on S), and passes the default time limit soon beyond
+#: The default reference, and its largest case [voxels]: factorising Q takes time ∝ V²
+#: (a minute on S), and soon exceeds the default time limit
 CLOSED_FORM, CLOSED_FORM_FITS = "closed_form", 100_000
 
 
 @dataclass(frozen=True)
 class Settings:
-    """Settings of a benchmark; all but the time limit are of the solvers' part alone.
+    """Settings of a benchmark; all but the time limit are for the solvers' part only.
 
     Attributes:
-        time_limit: Most seconds of one solve, or of one stage of another part [s].
+        time_limit: Longest duration of a solve, or of a stage of another part [s].
         formulations: Names, paths, or `ALL`.
         solvers: Names, paths of files with ``SOLVERS``, or solvers; empty or `ALL` for
             every one installed, closed forms on cases of up to `CLOSED_FORM_FITS`
@@ -40,8 +40,8 @@ class Settings:
             `AUTO` for the closed form on cases of up to `CLOSED_FORM_FITS` voxels.
         options: Formulation options beside the weights.
         tolerance: Largest relative KKT residual of a solution [–].
-        repeat: How many times each is measured.
-        weight: Of force and torque rows in every formulation that has them [–].
+        repeat: Number of repetitions.
+        weight: Of force and torque rows, in formulations that have them [–].
         memory: Show the memory of each stage.
     """
 

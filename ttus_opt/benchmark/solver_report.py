@@ -1,4 +1,4 @@
-"""The solvers' rows in words: sections of the report, tables on the terminal."""
+"""The solvers' rows as sections of the report, and as tables on the terminal."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from ttus_opt.benchmark.summary import (
     time_table,
 )
 
-#: With more problems the terminal shows a line for each, and the report all tables
+#: With more problems the terminal shows only a line for each
 MANY = 4
 
-#: A profile over fewer problems says nothing
+#: Fewest problems of a performance profile
 FEWEST = 2
 
 AGAINST = (
@@ -67,41 +67,30 @@ GROWTH = (
 
 
 def terminal(rows: Sequence[Row], settings: Settings) -> str:
-    """The tables as text.
-
-    Args:
-        rows: All rows, finished.
-        settings: What was asked for.
-    """
-    told = []
+    """All finished rows as text."""
+    parts = []
     groups = _groups(rows)
     if len(groups) > MANY:
-        told.append(f"Solved of those run, and the fastest:\n{problem_table(rows)}")
+        parts.append(f"Solved of those run, and the fastest:\n{problem_table(rows)}")
     else:
         against = closed_form_table(rows, settings.reference)
         if against:
-            told.append(f"Against the closed form:\n{against}")
+            parts.append(f"Against the closed form:\n{against}")
         for (case, formulation), own in groups:
             size = f"{own[0]['voxels']:,} voxels"
-            told.append(f"{case}, {formulation}, {size}:\n{row_table(own)}")
+            parts.append(f"{case}, {formulation}, {size}:\n{row_table(own)}")
     found, n_problems = _profile(rows)
     if found:
         head = f"Share of {n_problems} problems solved within τ times the fastest:"
-        told.append(f"{head}\n{profile_table(found)}")
-    told.append(f"Shifted geometric means:\n{score_table(rows)}")
+        parts.append(f"{head}\n{profile_table(found)}")
+    parts.append(f"Shifted geometric means:\n{score_table(rows)}")
     if settings.memory:
-        told.append(f"Memory by stage [MiB]:\n{memory_table(rows)}")
-    return "\n\n".join(told)
+        parts.append(f"Memory by stage [MiB]:\n{memory_table(rows)}")
+    return "\n\n".join(parts)
 
 
 def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[str]:
-    """Lines of the report in Markdown; writes their pictures.
-
-    Args:
-        rows: All rows, finished.
-        settings: What was asked for.
-        folder: Where the pictures go.
-    """
+    """All finished rows as Markdown lines; writes pictures into ``folder``."""
     from ttus_opt.benchmark.pictures import save_pictures
 
     reference = settings.reference
@@ -133,14 +122,14 @@ def sections(rows: Sequence[Row], settings: Settings, folder: Path) -> list[str]
 
 
 def _profile(rows: Sequence[Row]) -> tuple[dict[str, list[float]], int]:
-    """Ratios by solver, none where a profile says nothing; number of problems."""
+    """Ratios by solver, none with too few problems; number of problems."""
     found = ranked(rows)
     n_problems = len(next(iter(found.values()), []))
     return (found if n_problems >= FEWEST else {}), n_problems
 
 
 def _profile_section(rows: Sequence[Row], folder: Path) -> list[str]:
-    """Performance profile as table and picture; nothing where it says nothing."""
+    """Performance profile as table and picture; nothing with too few problems."""
     found, n_problems = _profile(rows)
     if not found:
         return []
@@ -152,6 +141,6 @@ def _profile_section(rows: Sequence[Row], folder: Path) -> list[str]:
 
 
 def _groups(rows: Sequence[Row]) -> list[tuple[tuple[str, str], list[Row]]]:
-    """Rows by case and formulation, in their order."""
+    """Rows by case and formulation, in order."""
     names = dict.fromkeys(map(group, rows))
     return [(name, [row for row in rows if group(row) == name]) for name in names]

@@ -1,4 +1,4 @@
-"""One run of a solver: assembly, set-up and first solve, and solves of other values."""
+"""One run of a solver: assembly, set-up and first solve, solves with other values."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import candidates
 
-#: Folder of the fields in that of the results
+#: Subfolder of the fields
 FIELDS = "fields"
 
-#: Most time for one solve of the small stand-in [s]
+#: Time limit of a solve in the warm-up [s]
 WARM_UP = 20.0
 
 
@@ -43,7 +43,7 @@ def label(formulation: str) -> str:
 
 @dataclass
 class _Solves:
-    """What the repeats gave: first solution, last of other values, times [s]."""
+    """First solution, last one with other values, and times of all repetitions [s]."""
 
     solution: Solution | None = None
     second: Solution | None = None
@@ -54,14 +54,10 @@ class _Solves:
 
 
 def measured(spec: RunSpec, begin: Progress) -> Row:
-    """Measure one run in this process.
-
-    Args:
-        spec: A run of the solvers' part.
-        begin: To be called with every stage; keeps the field.
+    """Measure one run of the solvers' part in this process.
 
     Returns:
-        The figures, some of `parts.solvers.FIGURES`.
+        Some of the values in `parts.solvers.FIGURES`.
     """
     solver = solver_of(spec.options)
     request = Request(spec.options["tolerance"], spec.time_limit, begin.reached)
@@ -72,25 +68,25 @@ def measured(spec: RunSpec, begin: Progress) -> Row:
     begin("program")
     both = declared(spec, scene), declared(spec, with_new_values(scene, seed=1))
     for each in both:
-        each.compile()  # what terms and constraints keep is made here, for all alike
-    if solver == AUTO:  # it may have taken another one on the small stand-in
+        each.compile()  # fills the caches of terms and constraints for every solver
+    if solver == AUTO:  # it may have chosen another solver on the small case
         begin("warm-up")
         _warm_up(spec, _first_choice(both[0]), request)
     base = memory.current_bytes()
-    told = _solved(spec, solver, request, both, begin)
+    found = _solved(spec, solver, request, both, begin)
     begin.end()
-    assert told.solution is not None
+    assert found.solution is not None
     solving = max(begin.peaks.get(name, 0) for name in ("first", "again"))
-    first = statistics.median(told.first)
-    answer = _answer(spec, told.solution, begin) | _again(told)
+    first = statistics.median(found.first)
+    answer = _answer(spec, found.solution, begin) | _again(found)
     if answer["status"] == "solved" and first > spec.time_limit:
         answer |= {"status": "time limit", "detail": f"solved after {first:.3g} s"}
     return answer | {
         "poses": len(scene.trajectory),
-        "seconds_assembly": told.solution.timings.assembly,
+        "seconds_assembly": found.solution.timings.assembly,
         "seconds_first": first,
-        "cpu_first": statistics.median(told.cpu_first),
-        "seconds_each": {"first": told.first, "again": told.again},
+        "cpu_first": statistics.median(found.cpu_first),
+        "seconds_each": {"first": found.first, "again": found.again},
         "solver_memory_bytes": max(0, solving - base),
     }
 
@@ -102,29 +98,29 @@ def _solved(
     formulations: tuple[Formulation, Formulation],
     begin: Progress,
 ) -> _Solves:
-    """Solve the one formulation, then the other of the same structure, repeatedly."""
+    """Solve one formulation, then the other of the same structure, repeatedly."""
     original, changed = formulations
-    told = _Solves()
+    found = _Solves()
     for _ in range(spec.options["repeat"]):
         begin("first")
         cpu = time.process_time()
         fitter = Fitter(original, solver=solver, request=request)
         latest = fitter.solve()
-        told.cpu_first.append(time.process_time() - cpu)
-        told.solution = told.solution or latest
-        told.first.append(latest.timings.setup + latest.timings.solve)
+        found.cpu_first.append(time.process_time() - cpu)
+        found.solution = found.solution or latest
+        found.first.append(latest.timings.setup + latest.timings.solve)
         if latest.verified_field is None:
             break
         begin("again")
         cpu = time.process_time()
         fitter.update(changed)
-        told.second = fitter.solve()
-        told.cpu_again.append(time.process_time() - cpu)
-        told.again.append(told.second.timings.again or 0.0)
+        found.second = fitter.solve()
+        found.cpu_again.append(time.process_time() - cpu)
+        found.again.append(found.second.timings.again or 0.0)
         del fitter, latest
-        if sum(told.first) + sum(told.again) > spec.time_limit:
+        if sum(found.first) + sum(found.again) > spec.time_limit:
             break
-    return told
+    return found
 
 
 def declared(spec: RunSpec, scene: Scene) -> Formulation:
@@ -133,7 +129,7 @@ def declared(spec: RunSpec, scene: Scene) -> Formulation:
 
 
 def _warm_up(spec: RunSpec, solver: Solver | Literal["auto"], request: Request) -> None:
-    """Imports and compilation are no part of what is compared."""
+    """Import and compile before the measurement."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         small = declared(spec, spec.scene_case.small().build())
@@ -145,12 +141,12 @@ def _warm_up(spec: RunSpec, solver: Solver | Literal["auto"], request: Request) 
 
 
 def _first_choice(declared: Formulation) -> Solver:
-    """What "auto" tries first on the case itself."""
+    """The solver that "auto" tries first on the case."""
     return candidates(AUTO, reduce(declared.compile()).program)[0]
 
 
 def _answer(spec: RunSpec, solution: Solution, begin: Progress) -> Row:
-    """Figures of the first solution; its field is kept where it is verified."""
+    """Values of the first solution; its field is kept where it is verified."""
     row = {
         "taken": solution.solver,
         "status": solution.status.name.lower().replace("_", " "),
@@ -170,14 +166,14 @@ def _answer(spec: RunSpec, solution: Solution, begin: Progress) -> Row:
     return row
 
 
-def _again(told: _Solves) -> Row:
-    """Seconds of solves of other values, or why there are none."""
-    if told.second is not None and told.second.verified_field is None:
-        status = told.second.status.name.lower()
+def _again(found: _Solves) -> Row:
+    """Seconds of solves with other values, or why there are none."""
+    if found.second is not None and found.second.verified_field is None:
+        status = found.second.status.name.lower()
         return {"detail": f"solved first, then {status} on other values"}
-    if not told.again:
+    if not found.again:
         return {}
     return {
-        "seconds_again": statistics.median(told.again),
-        "cpu_again": statistics.median(told.cpu_again),
+        "seconds_again": statistics.median(found.again),
+        "cpu_again": statistics.median(found.cpu_again),
     }

@@ -1,8 +1,7 @@
-"""The whole benchmark: what to run, in which order, saved as it comes.
+"""The whole benchmark: its runs in order, saved one by one.
 
-Rows are appended to ``rows.jsonl`` in the output folder, a line per run; a run that is
-there already is not run again, so that an interrupted benchmark goes on where it
-stopped.
+Rows are appended to ``rows.jsonl`` in the output folder, a line per run. Runs that are
+already there are skipped, so that an interrupted benchmark resumes.
 """
 
 from __future__ import annotations
@@ -24,13 +23,13 @@ from ttus_opt.benchmark.row import Row, RunSpec
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.errors import InputError
 
-#: Part of the memory available at the start that one run may take
+#: Fraction of the available memory that one run may take
 MEMORY_PART = 0.8
 
-#: Called with a run and its rows as they come
+#: Called with every finished run and its rows
 Told = Callable[[RunSpec, list[Row]], None]
 
-#: Called several times a second with a run, its stage, and how long that has lasted [s]
+#: Called several times a second with a run, its stage, and the stage's duration [s]
 Watching = Callable[[RunSpec, str, float], None]
 
 
@@ -41,12 +40,12 @@ class Suite:
     Attributes:
         cases: The scenes.
         output: Folder of the results.
-        settings: What is asked of the runs.
+        settings: Of the runs.
         parts: Names of the parts.
-        jobs: Runs of solvers at the same time; times are comparable with one only.
+        jobs: Parallel runs of solvers; times are comparable with one only.
         dask: Address of a dask scheduler for them; "" for this machine.
-        memory_limit: Largest size of one run's process [byte]; None for a part of
-            what is available.
+        memory_limit: Largest size of one run's process [byte]; None for a fraction of
+            the available memory.
     """
 
     cases: Sequence[CaseSpec]
@@ -59,12 +58,12 @@ class Suite:
 
     @property
     def rows_file(self) -> Path:
-        """Where the rows are saved."""
+        """The file of the rows."""
         return self.output / "rows.jsonl"
 
     @property
     def allowance(self) -> int | None:
-        """Largest size of one run's process now; None for no limit [byte]."""
+        """Current limit of one run's process; None for no limit [byte]."""
         if self.memory_limit is not None or self.dask:
             return self.memory_limit
         available = available_bytes()
@@ -74,11 +73,10 @@ class Suite:
 
     @functools.cached_property
     def plan(self) -> list[RunSpec]:
-        """Every run, part by part.
+        """All runs, part by part.
 
         Raises:
-            InputError: Something asked for is not there or out of range: told before
-                anything runs.
+            InputError: An unknown name or a number out of range, before anything runs.
         """
         if self.jobs < 1:
             raise InputError(f"jobs must be at least 1, got {self.jobs}")
@@ -98,7 +96,7 @@ class Suite:
                 rows = json.loads(line)
                 found[rows[0]["key"]] = rows
             except (json.JSONDecodeError, LookupError, TypeError):
-                continue  # cut off by the interruption, or of another version
+                continue  # truncated by an interruption, or of another version
         return found
 
     def run(
@@ -107,16 +105,15 @@ class Suite:
         """Run what is missing.
 
         Args:
-            told: Called with every run as it ends, earlier ones included.
-            watching: Called while runs are under way, one at a time.
+            told: Called with every finished run, earlier ones included.
+            watching: Called during sequential runs.
 
         Returns:
-            Finished rows by part in the order of the plan, for every part there is,
-            empty for those not asked for.
+            Finished rows by part in the order of the plan; empty for other parts.
 
         Raises:
             InputError: As `plan`, or no dask scheduler answers.
-            MissingPackageError: dask is asked for and not installed.
+            MissingPackageError: dask is requested and not installed.
         """
         earlier = self.done()
         rows = {s.key: earlier[s.key] for s in self.plan if s.key in earlier}
@@ -143,7 +140,7 @@ class Suite:
     def _results(
         self, missing: Sequence[RunSpec], watching: Watching | None
     ) -> Iterator[tuple[RunSpec, list[Row]]]:
-        """Rows as they come: refusals, what may run side by side, the rest."""
+        """Rows as they finish: refusals, parallel runs, then the rest."""
         refused: dict[str, Row] = {}
         for name, part in parts().items():
             refused |= part.refused([spec for spec in missing if spec.part == name])
@@ -166,7 +163,7 @@ class Suite:
 
     @contextlib.contextmanager
     def _executor(self) -> Iterator[Executor]:
-        """Threads that wait for processes, or a dask cluster if it answers."""
+        """Threads that wait for processes, or a dask cluster."""
         if not self.dask:
             with ThreadPoolExecutor(self.jobs) as executor:
                 yield executor

@@ -10,39 +10,39 @@ import numpy as np
 from ttus_opt.benchmark.row import Row
 from ttus_opt.report.tables import table
 
-#: Shift of the geometric mean: runs far below it count as equally fast [s]
+#: Shift of the geometric mean; much shorter runs count as equal [s]
 SHIFT = 1.0
 
 MIB = 2.0**20
 
-#: Statuses that are no failure of the solver: it was never run
+#: Statuses of runs that were not started
 NOT_RUN = ("refused", "not installed")
 
 
 def solved(row: Row) -> bool:
-    """Whether the answer passed the check."""
+    """Whether the answer was verified."""
     return bool(row["status"] == "solved")
 
 
 def was_run(row: Row) -> bool:
-    """Whether the solver was there and could take the problem."""
+    """Whether the solver was installed and accepted the problem."""
     return row["status"] not in NOT_RUN
 
 
 def worst_relative(row: Row) -> float | None:
-    """The largest relative KKT residual, or what a run had reached when ended [–]."""
+    """The largest relative KKT residual, or the last of a run that was ended [–]."""
     kkt = row["kkt"] or {}
-    told = (v for k, v in kkt.items() if k.endswith("_relative") and v is not None)
-    return max(told, default=row.get("residual_reached"))
+    found = (v for k, v in kkt.items() if k.endswith("_relative") and v is not None)
+    return max(found, default=row.get("residual_reached"))
 
 
 def group(row: Row) -> tuple[str, str]:
-    """Case and formulation: what is compared with each other."""
+    """The problem of a row: case and formulation."""
     return row["case"], row["formulation"]
 
 
 def shifted_geometric_mean(seconds: Sequence[float], shift: float = SHIFT) -> float:
-    """exp(mean(log(t + s))) - s: one slow run does not decide, nor one of no time [s].
+    """exp(mean(log(t + s))) - s, robust to single slow or very fast runs [s].
 
     >>> shifted_geometric_mean([0.0, 3.0], shift=1.0)
     1.0
@@ -52,14 +52,11 @@ def shifted_geometric_mean(seconds: Sequence[float], shift: float = SHIFT) -> fl
 
 
 def scores(rows: Sequence[Row]) -> list[Row]:
-    """How each solver did that was run at all, most solved first, then fastest.
-
-    Args:
-        rows: All rows.
+    """Summary per solver, sorted by solved problems, then by time.
 
     Returns:
         ``solver``, ``solved``, ``run`` and the shifted geometric means ``first`` and
-        ``again``, a failure counted as its time limit [s].
+        ``again``, with failures counted as the time limit [s].
     """
     found = []
     for solver in dict.fromkeys(row["solver"] for row in rows if was_run(row)):
@@ -87,14 +84,14 @@ def score_table(rows: Sequence[Row]) -> str:
 
 
 def closed_form_table(rows: Sequence[Row], closed_form: str) -> str:
-    """Every solver against Q p = d: difference of fields, time and memory ratios.
+    """Every solver against the closed form: difference of fields, time and memory.
 
     Args:
         rows: All rows, finished.
         closed_form: Name of the reference.
 
     Returns:
-        A Markdown table; empty where the reference has no answer at all.
+        A Markdown table; empty where the reference has no answer.
     """
     keys = ("seconds_first", "seconds_again", "solver_memory_bytes")
     body = []
@@ -105,38 +102,33 @@ def closed_form_table(rows: Sequence[Row], closed_form: str) -> str:
             if group(row) != group(reference) or not solved(row):
                 continue
             if row is reference:
-                told = ["reference", seconds(row[keys[0]]), seconds(row[keys[1]])]
-                told.append(mebibytes(row[keys[2]]))
+                cells = ["reference", seconds(row[keys[0]]), seconds(row[keys[1]])]
+                cells.append(mebibytes(row[keys[2]]))
             else:
-                told = [number(row["difference_from_closed_form"])]
-                told += [ratio(row[key], reference[key]) for key in keys]
-            body.append([*group(row), row["solver"], *told])
+                cells = [number(row["difference_from_closed_form"])]
+                cells += [ratio(row[key], reference[key]) for key in keys]
+            body.append([*group(row), row["solver"], *cells])
     header = ["case", "formulation", "solver", "difference of p", "time: first"]
     return table([*header, "again", "memory"], body) if body else ""
 
 
-def problem_table(rows: Sequence[Row], n_best: int = 3) -> str:
-    """A line per case and formulation: how many solved it, and the fastest of them.
-
-    Args:
-        rows: All rows.
-        n_best: How many are named, with their seconds.
-    """
+def problem_table(rows: Sequence[Row]) -> str:
+    """A line per problem: how many solvers solved it, and the three fastest."""
     body = []
     for problem in dict.fromkeys(map(group, rows)):
         own = [row for row in rows if group(row) == problem]
         best = sorted(filter(solved, own), key=lambda row: row["seconds_first"])
-        named = [f"{r['solver']} {seconds(r['seconds_first'])}" for r in best[:n_best]]
+        named = [f"{r['solver']} {seconds(r['seconds_first'])}" for r in best[:3]]
         count = f"{len(best)}/{sum(map(was_run, own))}"
-        body.append([*problem, count, *named, *["–"] * (n_best - len(named))])
-    places = ["fastest [s]", *(f"{n}." for n in range(2, n_best + 1))]
-    return table(["case", "formulation", "solved", *places], body)
+        body.append([*problem, count, *named, *["–"] * (3 - len(named))])
+    header = ["case", "formulation", "solved", "fastest [s]", "2.", "3."]
+    return table(header, body)
 
 
 def time_table(rows: Sequence[Row]) -> str:
-    """Seconds of the first solve: a line per case and formulation, a column a solver.
+    """Seconds of the first solve: a line per problem, a column per solver.
 
-    A failure has its reason in brackets; a dash is a solver that cannot take it.
+    Failures have their reason in brackets; a dash is a solver that was not run.
     """
     names = [score["solver"] for score in scores(rows)]
     body = []
@@ -182,10 +174,10 @@ def row_table(rows: Sequence[Row]) -> str:
 
 def memory_table(rows: Sequence[Row]) -> str:
     """Largest size of the process per stage [MiB]."""
-    told = [row for row in rows if row["memory_by_stage"]]
-    stages = list(dict.fromkeys(s for row in told for s in row["memory_by_stage"]))
+    known = [row for row in rows if row["memory_by_stage"]]
+    stages = list(dict.fromkeys(s for row in known for s in row["memory_by_stage"]))
     body = []
-    for row in told:
+    for row in known:
         sizes = [mebibytes(row["memory_by_stage"].get(stage)) for stage in stages]
         body.append([*group(row), row["solver"], *sizes])
     return table(["case", "formulation", "solver", *stages], body)
@@ -194,19 +186,19 @@ def memory_table(rows: Sequence[Row]) -> str:
 def exponent(rows: Sequence[Row], key: str) -> float:
     """Exponent x of time ∝ V^x by least squares; NaN for fewer than two sizes.
 
-    >>> told = [{"voxels": v, "t": 2e-3 * v, "status": "solved"} for v in (10, 1000)]
-    >>> round(exponent(told, "t"), 12)
+    >>> rows = [{"voxels": v, "t": 2e-3 * v, "status": "solved"} for v in (10, 1000)]
+    >>> round(exponent(rows, "t"), 12)
     1.0
     """
-    told = [(row["voxels"], row[key]) for row in rows if solved(row) and row[key]]
-    if len({voxels for voxels, _ in told}) < 2:
+    known = [(row["voxels"], row[key]) for row in rows if solved(row) and row[key]]
+    if len({voxels for voxels, _ in known}) < 2:
         return math.nan
-    sizes, taken = np.log(told).T
+    sizes, taken = np.log(known).T
     return float(np.polyfit(sizes, taken, 1)[0])
 
 
 def growth_table(rows: Sequence[Row]) -> str:
-    """Exponents of solvers that solved a formulation in two sizes; empty for none."""
+    """Exponents of solvers with two sizes of a formulation; empty without any."""
     found = []
     rows = sorted(filter(solved, rows), key=lambda row: row["voxels"])
     for place in dict.fromkeys((row["formulation"], row["solver"]) for row in rows):
@@ -222,7 +214,7 @@ def growth_table(rows: Sequence[Row]) -> str:
 
 
 def _failure(row: Row) -> str:
-    """Status and, short, why."""
+    """Status and a short reason."""
     status, detail = row["status"], row["detail"]
     if status == "not installed" or not detail:
         return str(status)

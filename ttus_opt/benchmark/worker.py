@@ -1,8 +1,7 @@
 """The process of one run: ``python -m ttus_opt.benchmark.worker FOLDER``.
 
-It reads the question in the folder, tells its stages as they begin, and leaves its
-rows there. Its parent ends it when a stage takes too long
-(`ttus_opt.benchmark.isolation`).
+It reads its input from the folder, reports every stage, and writes its rows there. Its
+parent ends it when a stage takes too long (`ttus_opt.benchmark.isolation`).
 """
 
 from __future__ import annotations
@@ -21,14 +20,11 @@ from ttus_opt.errors import MissingPackageError, TtusError
 
 
 def run(spec: RunSpec, folder: Path) -> list[Row]:
-    """Measure one run in this process.
+    """Measure one run in this process; a refused one has a row without values.
 
     Args:
-        spec: What to run.
-        folder: Where the stages and kept files go.
-
-    Returns:
-        Its rows; one without figures when it was refused.
+        spec: The run.
+        folder: For stages and files to keep.
     """
     part, begin = parts()[spec.part], Progress(folder)
     status, detail, rows = MEASURED, "", [Row()]
@@ -49,7 +45,7 @@ def run(spec: RunSpec, folder: Path) -> list[Row]:
 
 
 def main(folder: Path) -> None:
-    """Run what the folder asks for."""
+    """Run the folder's input."""
     memory.end_this_first()
     spec = RunSpec.from_dict(json.loads((folder / QUESTION).read_text("utf-8")))
     with warnings.catch_warnings():

@@ -18,10 +18,10 @@ from ttus_opt.benchmark.summary import mebibytes, seconds
 from ttus_opt.contact.rows import Sampling, contact_rows
 from ttus_opt.laplace.system import LaplaceSystem
 
-#: How many times each stage is timed
+#: Repetitions of each stage
 REPEATS = 3
 
-#: Boundary values of the case where these are to be fitted; they decide no time
+#: Boundary values instead of fitted ones; they do not affect the time
 BOUNDARY = 1.0
 
 
@@ -46,12 +46,12 @@ class AssemblyPart(Part):
     options: ClassVar = {"repeats": REPEATS}
 
     def prepared(self, case: CaseSpec) -> CaseSpec:
-        """The case with the larger shell, and boundary values that are given."""
+        """The case with the larger shell and given boundary values."""
         inner = BOUNDARY if isinstance(case.inner, str) else case.inner
         return replace(case, n_points=SHELL_POINTS, inner=inner)
 
     def measure(self, spec: RunSpec, begin: Progress) -> list[Row]:
-        """Time and weigh every stage."""
+        """Measure time and memory of every stage."""
         begin("warm-up")
         _measured(spec.scene_case.small(), 1, lambda stage: None)
         return _measured(spec.scene_case, int(spec.options["repeats"]), begin)
@@ -68,7 +68,7 @@ def _measured(case: CaseSpec, repeats: int, begin: Callable[[str], None]) -> lis
         return made, made.right_side(scene.inner, scene.outer)
 
     begin("L, b")
-    rows = [size | {"stage": "L, b"} | _weighed(laplace, repeats)]
+    rows = [size | {"stage": "L, b"} | _timed(laplace, repeats)]
     for sampling in get_args(Sampling):
 
         def contact(sampling: Sampling = sampling) -> object:
@@ -77,13 +77,13 @@ def _measured(case: CaseSpec, repeats: int, begin: Callable[[str], None]) -> lis
             )
 
         begin(f"N, W {sampling}")
-        told = {"stage": "N, W", "sampling": sampling}
-        rows.append(size | told | _weighed(contact, repeats))
+        stage = {"stage": "N, W", "sampling": sampling}
+        rows.append(size | stage | _timed(contact, repeats))
     return rows
 
 
-def _weighed(make: Callable[[], object], repeats: int) -> Row:
-    """Median seconds, and the first making's peak and growth of memory."""
+def _timed(make: Callable[[], object], repeats: int) -> Row:
+    """Median seconds, and peak and growth of memory of the first call."""
     gc.collect()
     memory.trim()
     before = memory.current_bytes()
@@ -94,7 +94,7 @@ def _weighed(make: Callable[[], object], repeats: int) -> Row:
         made = make()
         taken.append(time.perf_counter() - start)
         del made
-        # later ones take pages again that the first left behind
+        # later calls reuse freed pages
         peak = peak or memory.peak_bytes()
     return {
         "seconds": statistics.median(taken),

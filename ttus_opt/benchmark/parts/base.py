@@ -1,6 +1,6 @@
-"""What a part of the benchmark is: what it measures, and the columns of its table.
+"""The base of every part of the benchmark: its measurement and its table.
 
-A part is added by adding a file with ``PART`` to this folder.
+A new part is a file in this folder with a ``PART``.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.report.tables import table
 
-#: Points of the probe's shell where the shell's size decides the time
+#: Points of the probe's shell where its size determines the time
 SHELL_POINTS = 5000
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a table: its header, the key of its figure, and how it is written."""
+    """A column of a table: its header, the key of its value, and its format."""
 
     header: str
     key: str
@@ -34,13 +34,13 @@ class Part(abc.ABC):
     """A part of the benchmark.
 
     Attributes:
-        name: By which it is asked for, and the name of its CSV file.
-        key: Of its rows in the JSON, where that is another; "" for the name.
+        name: On the command line, and of its CSV file.
+        key: Of its rows in the JSON; "" for the name.
         title: Heading of its table.
-        legend: What the columns mean, for the report.
+        legend: Meaning of the columns, for the report.
         columns: Of its table, after the case.
         options: Of every run, where `plan` is not overridden.
-        parallel: Whether its runs may be several at a time.
+        parallel: Whether its runs may be parallel.
     """
 
     name: str
@@ -54,12 +54,8 @@ class Part(abc.ABC):
     def plan(self, cases: Sequence[CaseSpec], settings: Settings) -> list[RunSpec]:
         """The runs for given cases; by default one for each.
 
-        Args:
-            cases: The scenes.
-            settings: What was asked for.
-
         Raises:
-            InputError: Something asked for is not there or out of range.
+            InputError: An unknown name in the settings, or a number out of range.
         """
         return [
             RunSpec(self.name, self.prepared(case), self.options, settings.time_limit)
@@ -67,7 +63,7 @@ class Part(abc.ABC):
         ]
 
     def prepared(self, case: CaseSpec) -> CaseSpec:
-        """The case as this part measures it; by default as it is."""
+        """The case as this part measures it; by default unchanged."""
         return case
 
     @abc.abstractmethod
@@ -80,32 +76,32 @@ class Part(abc.ABC):
                 `isolation.PREPARING` may take longer than the time limit.
 
         Returns:
-            Rows: plain numbers and words by the keys of `columns` and others.
+            Rows of plain numbers and strings, with the keys of `columns` and others.
         """
 
     def refused(self, specs: Sequence[RunSpec]) -> dict[str, Row]:
-        """Of runs that are to begin, rows of those that need no process to fail."""
+        """Rows of runs that would fail, known without starting a process."""
         return {}
 
     def row(self, spec: RunSpec, status: str, detail: str) -> Row:
-        """The row of a run before there are figures, or without any.
+        """The row of a run without values.
 
         Args:
             spec: The run.
-            status: `MEASURED`, or why there are none.
-            detail: In words.
+            status: `MEASURED`, or the kind of failure.
+            detail: An explanation.
         """
-        told = {"case": spec.case_name, "status": status, "detail": detail}
-        return {"key": spec.key, **told, **spec.options}
+        common = {"case": spec.case_name, "status": status, "detail": detail}
+        return {"key": spec.key, **common, **spec.options}
 
     def finished(
         self, rows: Sequence[Row], settings: Settings, output: Path
     ) -> list[Row]:
-        """Rows with what only all of them together tell; as they are by default."""
+        """Rows completed with values that depend on all rows; by default unchanged."""
         return list(rows)
 
     def table(self, rows: Sequence[Row]) -> str:
-        """All rows as a Markdown table; a failed one says why in the last column."""
+        """All rows as a Markdown table, with failures explained in the last column."""
         header = ["case", *(column.header for column in self.columns), "remark"]
         body = [
             [row["case"], *(_cell(c, row) for c in self.columns), _remark(row)]
@@ -114,24 +110,18 @@ class Part(abc.ABC):
         return table(header, body)
 
     def below(self, rows: Sequence[Row]) -> list[str]:
-        """What is said below the table, in Markdown; nothing by default."""
+        """Markdown below the table; nothing by default."""
         return []
 
     def text(self, rows: Sequence[Row], settings: Settings) -> str:
-        """What the terminal shows of all its rows."""
+        """All rows as text for the terminal."""
         below = ["", *self.below(rows)]
         return "\n".join([f"{self.title}:", self.table(rows), *below]).rstrip()
 
     def report(
         self, rows: Sequence[Row], settings: Settings, folder: Path
     ) -> list[str]:
-        """Its sections of the report, in Markdown; writes their pictures.
-
-        Args:
-            rows: Of all its runs.
-            settings: What was asked for.
-            folder: Of the results.
-        """
+        """Its sections of the report, in Markdown; writes pictures into ``folder``."""
         head = [f"## {self.title}", "", self.legend, "", self.table(rows), ""]
         return head + self.below(rows)
 
@@ -142,6 +132,6 @@ def _cell(column: Column, row: Row) -> str:
 
 
 def _remark(row: Row) -> str:
-    told = [row["status"]] if row["status"] != MEASURED else []
-    told += [row["detail"]] if row["detail"] else []
-    return ": ".join(told).replace("|", "/")
+    words = [row["status"]] if row["status"] != MEASURED else []
+    words += [row["detail"]] if row["detail"] else []
+    return ": ".join(words).replace("|", "/")

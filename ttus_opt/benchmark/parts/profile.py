@@ -1,4 +1,4 @@
-"""Part ``profile``: where one fit's time goes, and what memory allows of it."""
+"""Part ``profile``: a profile of one fit, and a roofline of its multigrid."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from ttus_opt.problem import formulation as shelf
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
 
-#: Functions are listed that take this share of the fit [–]
+#: Least fraction of the fit's time for a function to be listed [–]
 LISTED = 0.05
 
-#: KKT tolerance of the fit, as the solvers' rows have it
+#: KKT tolerance of the fit, as in the solvers' part
 TOLERANCE = 1e-6
 
 PACKAGE = Path(ttus_opt.__file__).parent
@@ -60,7 +60,7 @@ class ProfilePart(Part):
         small = case.small().build()
         _fit(small, case, spec.time_limit)
         roofline(small.laplace)
-        for _ in range(2):  # the first one also asks the system for its memory
+        for _ in range(2):  # the first also allocates the process's memory
             begin("scene")
             read = case.build()
             begin("fit")
@@ -103,7 +103,7 @@ def _file(case: str) -> str:
 
 
 def _fit(read: Scene, case: CaseSpec, time_limit: float) -> Scene:
-    """Assemble and fit; `InputError` where nothing was solved: no profile then."""
+    """Assemble and fit; `InputError` where the fit failed."""
     made = Scene.assemble(
         read.voxmap,
         read.shell,
@@ -121,13 +121,13 @@ def _fit(read: Scene, case: CaseSpec, time_limit: float) -> Scene:
 
 
 def _rows(profiler: cProfile.Profile) -> list[Row]:
-    """A row per function that takes its part of the whole, largest first."""
+    """A row per listed function, largest first."""
     entries = sorted(profiler.getstats(), key=lambda e: e.totaltime, reverse=True)
     whole = next(e.totaltime for e in entries if e.code is _fit.__code__)
     rows = []
     for entry in entries:
         name, ours = _named(entry.code)
-        if name.endswith(">"):  # a comprehension: its function is there
+        if name.endswith(">"):  # a comprehension belongs to its function
             continue
         counted = entry.totaltime if ours else entry.inlinetime
         if LISTED * whole <= counted and entry.totaltime <= whole:

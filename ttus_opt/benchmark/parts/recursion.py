@@ -1,4 +1,4 @@
-"""Part ``recursion``: seconds per update of the recursive fit, against fitting anew."""
+"""Part ``recursion``: time per update of the recursive fit, against batch fits."""
 
 from __future__ import annotations
 
@@ -27,20 +27,19 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request
 
-#: Measurements folded in, and after how many the field is compared with the batch's
+#: Number of updates, and of those after which the field is compared with a batch fit
 UPDATES, COMPARED = 1200, 400
 
-#: Updates in the first and in the last window that are reported
+#: Updates in the first and in the last reported window
 WINDOW = 50
 
-#: How many times the batch fits are timed
+#: Repetitions of the batch fits
 REPEATS = 3
 
-#: Where the recordings are too short, poses are taken again, moved by so much [m]
+#: Displacement of poses that are repeated where the recordings are too short [m]
 MOVED = 1e-3
 
-#: KKT tolerance of the batch fit that is timed, as the solvers' rows have it, and of
-#: the one that is compared with
+#: KKT tolerance of the timed batch fit, as in the solvers' part, and of the reference
 TIMED, TIGHT = 1e-6, 1e-9
 
 
@@ -86,7 +85,7 @@ class RecursionPart(Part):
         return replace(case, n_poses=None)
 
     def measure(self, spec: RunSpec, begin: Progress) -> list[Row]:
-        """Fold in, then fit the same measurements at once."""
+        """Update recursively, then fit the same measurements in a batch."""
         begin("warm-up")
         _warm_up(spec.scene_case)
         begin("scene")
@@ -94,8 +93,8 @@ class RecursionPart(Part):
         updates, compared = int(spec.options["updates"]), int(spec.options["compared"])
         scene = with_measurements(whole, _touching(whole, updates))
         begin("updates")
-        # updates have the time limit as their budget, to end with what there is
-        taken, made, fields = _folded(scene, {compared}, spec.time_limit)
+        # updates stop at the time limit, keeping what was measured
+        taken, made, fields = _updated(scene, {compared}, spec.time_limit)
         peak = memory.peak_bytes()
         held = len(taken)
         row = _typical("early", taken[:WINDOW]) | _typical("late", taken[-WINDOW:])
@@ -129,7 +128,7 @@ def with_measurements(scene: Scene, trajectory: Trajectory) -> Scene:
 
 
 def _touching(scene: Scene, count: int) -> Trajectory:
-    """As many measurements in contact as asked for, the recordings' own first."""
+    """``count`` measurements in contact, the recordings' own first."""
     own = _in_contact(scene)
     if len(own) == 0:
         raise InputError("no pose touches the patient: give recordings in contact")
@@ -148,30 +147,27 @@ def _in_contact(scene: Scene) -> Trajectory:
     return scene.trajectory.select(touching)
 
 
-def _folded(
+def _updated(
     scene: Scene, wanted: set[int], budget: float
 ) -> tuple[list[float], list[float], list[Array]]:
     """Seconds of every update and of the last fields, and the fields wanted."""
-    told = scene.trajectory
-    if told.force is None or told.torque is None:
+    poses = scene.trajectory
+    if poses.force is None or poses.torque is None:
         raise InputError("the recursion needs measured forces and torques")
+    size = len(poses)
     fit = RecursiveFit(
-        scene,
-        **WEIGHTS,
-        capacity=len(told),
-        outlier_level=None,
-        fold_scene=False,
+        scene, **WEIGHTS, capacity=size, outlier_level=None, fold_scene=False
     )
     taken: list[float] = []
     made: list[float] = []
     fields = []
     begun = time.perf_counter()
-    measured = zip(told.rotation, told.position, told.force, told.torque, strict=True)
-    for measurement in measured:
+    frames = zip(poses.rotation, poses.position, poses.force, poses.torque, strict=True)
+    for measurement in frames:
         start = time.perf_counter()
         fit.update(*measurement)
         taken.append(time.perf_counter() - start)
-        if len(taken) > len(told) - WINDOW:
+        if len(taken) > size - WINDOW:
             start = time.perf_counter()
             _ = fit.field
             made.append(time.perf_counter() - start)
@@ -183,7 +179,7 @@ def _folded(
 
 
 def _typical(name: str, taken: Sequence[float]) -> Row:
-    """Median and maximum of some times, where there are any [s]."""
+    """Median and maximum of times, if any [s]."""
     if not taken:
         return {}
     return {f"{name}_median": statistics.median(taken), f"{name}_max": max(taken)}
@@ -201,7 +197,7 @@ def _batch(
     """Median seconds of `structured` on all but the last measurement, then on all."""
     first, again = [], []
     for _ in range(REPEATS):
-        # a Laplace system makes its multigrid once: a copy, so that set-up has it
+        # a copy, because a Laplace system caches its multigrid, which is set-up
         copy = replace(scene, laplace=replace(scene.laplace))
         before, whole = _eq10(copy, count - 1), _eq10(copy, count)
         for each in (before, whole):
@@ -217,7 +213,7 @@ def _batch(
 
 
 def _compared(scene: Scene, count: int, field: Array) -> Row:
-    """The field after so many measurements beside the batch fit's and the prior."""
+    """The recursive field compared with the batch fit's and the prior."""
     fitter = Fitter(_eq10(scene, count), solver="structured", request=Request(TIGHT))
     p = fitter.solve().variables["p"]
     prior = scene.laplace.solve(scene.b)
@@ -230,10 +226,10 @@ def _compared(scene: Scene, count: int, field: Array) -> Row:
 
 
 def _warm_up(case: CaseSpec) -> None:
-    """Imports and compilation are no part of what is measured."""
+    """Import and compile before the measurement."""
     small = replace(case.small(), n_poses=24).build()
     scene = with_measurements(small, _touching(small, 4))
-    _folded(scene, {2}, 60.0)
+    _updated(scene, {2}, 60.0)
     _batch(scene, 4, lambda stage: None)
 
 

@@ -1,4 +1,4 @@
-"""The parts there are, found by looking into this folder."""
+"""The parts of the benchmark, discovered in this folder."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import ttus_opt.benchmark.parts
 from ttus_opt.benchmark.parts.base import Part
 from ttus_opt.errors import InputError
 
-#: The part that comes first, and alone when none is named
+#: The first part, and the default
 SOLVERS = "solvers"
 
 
@@ -26,16 +26,10 @@ def parts() -> dict[str, Part]:
 
 
 def chosen(text: str) -> list[str]:
-    """Names of parts separated by commas, or "all".
-
-    Args:
-        text: As it was typed.
-
-    Returns:
-        The names, each once.
+    """Names of parts, each once, from a comma-separated list or "all".
 
     Raises:
-        InputError: None, or one there is not.
+        InputError: An empty list, or an unknown name.
     """
     known = list(parts())
     names = [name.strip() for name in text.split(",") if name.strip()]

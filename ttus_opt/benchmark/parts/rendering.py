@@ -1,8 +1,7 @@
 """Part ``rendering``: time of a haptic frame against whole-array numpy.
 
-Wall time per frame gives the percentiles that a haptic loop sees, other programs on
-the machine included; processor time per frame, least of several passes, is the frame's
-own.
+Percentiles are of wall time per frame, as in a haptic loop, including other programs on
+the machine; the frame's own time is its processor time, the least of several passes.
 """
 
 from __future__ import annotations
@@ -31,10 +30,10 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 
-#: Times every pose is rendered
+#: Repetitions of every pose
 PASSES = 50
 
-#: Between paced frames [s]
+#: Pause between paced frames [s]
 PAUSE = 1e-3
 
 Pose = tuple[Array, Array]
@@ -84,7 +83,7 @@ class RenderingPart(Part):
     def measure(self, spec: RunSpec, begin: Progress) -> list[Row]:
         """Time all ways over the case's poses."""
         begin("warm-up")
-        with contextlib.suppress(InputError):  # none of its few poses need touch
+        with contextlib.suppress(InputError):  # its few poses may be off contact
             time_rendering(spec.scene_case.small().build(), passes=1)
         begin("scene")
         scene = spec.scene_case.build()
@@ -97,11 +96,11 @@ def time_rendering(scene: Scene, *, passes: int = PASSES) -> list[Row]:
 
     Args:
         scene: The scene.
-        passes: Times each pose is rendered; numpy and paced frames a tenth of it.
+        passes: Repetitions of each pose; a tenth for numpy and paced frames.
 
     Returns:
-        A row per way to render: times as of `frame_times`, ``points`` of the shell and
-        ``contact_points`` (median over the poses).
+        A row per way to render: times as from `frame_times`, ``points`` of the shell
+        and ``contact_points`` (median over the poses).
 
     Raises:
         InputError: No pose touches the patient.
@@ -145,7 +144,7 @@ def time_rendering(scene: Scene, *, passes: int = PASSES) -> list[Row]:
 
 
 def _blending(field: PotentialField, shell: PointShell, pose: Pose) -> Renderer:
-    """A renderer amid a swap too slow to end."""
+    """A renderer during a swap of fields that does not end."""
     renderer = Renderer(field, shell, blend=BlendLaw(force_rate=1e-9))
     renderer.render(*pose)
     renderer.update(PotentialField(field.voxmap, 0.5 * field.values, field.sampling))
@@ -159,9 +158,9 @@ def frame_times(
 
     Args:
         frame: Called with rotation and position.
-        poses: What it is called with.
-        passes: How many times over.
-        pause: Slept before every frame, not timed [s].
+        poses: Rotations and positions.
+        passes: Number of repetitions.
+        pause: Untimed pause before every frame [s].
 
     Returns:
         Wall time: ``median``, percentiles, ``longest``; ``processor``: median over

@@ -1,11 +1,10 @@
-"""Part ``ripple``: how steady the force is while a probe slides where nothing changes.
+"""Part ``ripple``: discretisation ripple of the force in a slide.
 
 A probe slides at constant depth on a cylinder whose field depends on depth alone. The
-force should not change; what it changes by, peak to peak over mean, is the voxels
-showing through. The cylinder stands off the grid's axis and leans: on one that does
-not, layers are parallel to the surface and trilinear values exact. Surface and field
-have the same step. Pressure-field contact shows 0.07 % with fine meshes and 6.5 % with
-coarse ones.
+force should be constant; its variation, peak to peak over mean, is due to the voxels.
+The cylinder is offset from the grid's axis and tilted, because otherwise layers would
+be parallel to the surface and trilinear values exact. Surface and field have the same
+step. Pressure-field contact has 0.07 % with fine meshes and 6.5 % with coarse ones.
 """
 
 from __future__ import annotations
@@ -36,16 +35,16 @@ Direction = Literal["along", "around"]
 #: Steps of the grid [m]
 VOXELS = (0.001, 0.002, 0.004)
 
-#: The cylinder's radius, and how far it stands off the grid's axis [m]
+#: The cylinder's radius, and its offset from the grid's axis [m]
 RADIUS, OFFSET = 0.1, 0.01
 
-#: How far the cylinder leans in the direction of its offset [rad]
+#: Tilt of the cylinder in the direction of its offset [rad]
 LEAN = math.radians(10.0)
 
 #: The innermost layer's radius, and half the grid's height [m]
 INNER, HALF = 0.06, 0.055
 
-#: How far the probe slides, and how deep its tip is [m]
+#: Length of the slide, and depth of the probe's tip [m]
 SLIDE, DEPTH = 0.012, 0.008
 
 #: Half axes of the probe [m]
@@ -72,7 +71,7 @@ class RipplePart(Part):
     )
 
     def plan(self, cases: Sequence[CaseSpec], settings: Settings) -> list[RunSpec]:
-        """One run per voxel size, whatever the cases are."""
+        """One run per voxel size, independent of the cases."""
         return [
             RunSpec(self.name, None, {"voxel": voxel}, settings.time_limit)
             for voxel in VOXELS
@@ -109,10 +108,10 @@ def ripple(
         voxel: Step of the grid [m].
         direction: ``along`` the cylinder or ``around`` it.
         n_points: Points of the probe's shell.
-        n_poses: Places on the slide.
+        n_poses: Poses of the slide.
 
     Returns:
-        What was slid, ``mean_force`` [field's unit times cm², or times voxels] and
+        The arguments, ``mean_force`` [field's unit times cm², or times voxels] and
         ``ripple``: peak to peak over mean of the force's magnitude [–].
     """
     shell = PointShell.ellipsoid(semi_axes=SEMI_AXES, n_points=n_points)
@@ -148,7 +147,7 @@ def _cylinder_axes() -> Array:
 
 
 def cylinder_field(sampling: str, voxel: float) -> PotentialField:
-    """The harmonic field log(R/d) about a leaning cylinder, R = `RADIUS`.
+    """The harmonic field log(R/d) about a tilted cylinder, R = `RADIUS`.
 
     Args:
         sampling: ``voxel-mean`` or ``trilinear``.
@@ -177,7 +176,7 @@ def cylinder_field(sampling: str, voxel: float) -> PotentialField:
 
 
 def _surface_radius(theta: Array, z: Array) -> Array:
-    """Where a ray from the grid's axis leaves the cylinder [m]."""
+    """Radius at which a ray from the grid's axis leaves the cylinder [m]."""
     s, c = math.sin(LEAN), math.cos(LEAN)
     # (c (R cos θ − x0) − s z)² + (R sin θ)² = RADIUS², for R
     shift = -c * OFFSET - s * z

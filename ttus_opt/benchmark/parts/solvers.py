@@ -34,27 +34,27 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Request, Solver
 from ttus_opt.solvers.registry import solvers
 
-#: Figures of a row that has an answer; None without one. (``case``, ``formulation``,
-#: ``solver``, ``status``, ``voxels``, ``poses``, ``time_limit`` [s] are always there.)
+#: Values of a row with an answer, None without one. (``case``, ``formulation``,
+#: ``solver``, ``status``, ``voxels``, ``poses``, ``time_limit`` [s] always exist.)
 FIGURES = {
     "seconds_assembly": "scene and program [s]",
     "seconds_first": "set-up and first solve, median of the repeats [s]",
-    "seconds_again": "taking in other values and solving again, median [s]",
+    "seconds_again": "update with other values and solve again, median [s]",
     "cpu_first": "CPU time of set-up, first solve and its check, median [s]",
-    "cpu_again": "the same of other values, median [s]",
+    "cpu_again": "CPU time of update, second solve and its check, median [s]",
     "taken": "the solver that answered, where auto chose",
     "seconds_each": "every repeat's ``first`` and ``again`` [s]",
     "peak_memory_bytes": "largest size of the run's own process; None without one",
-    "solver_memory_bytes": "what set-up and solve added to it at most",
+    "solver_memory_bytes": "largest increase of it by set-up and solve",
     "memory_by_stage": "largest size of the process per stage",
-    "kkt": "residuals verified here, absolute and relative",
+    "kkt": "verified residuals, absolute and relative",
     "residual_reached": "largest relative residual of an ended run's last answer",
     "objective": "at the answer",
     "iterations": "of the first solve",
-    "active_limits": "bounds and inequality rows with a multiplier that is not zero",
+    "active_limits": "bounds and inequality rows with a nonzero multiplier",
     "objective_gap": "over the best verified objective, relative",
     "difference_from_closed_form": "norm of the difference of the fields, relative",
-    "field_file": "file with p, shape (V,), in the folder of fields; empty without",
+    "field_file": "file with p, shape (V,), in the folder of fields; or empty",
 }
 
 
@@ -66,13 +66,13 @@ class SolversPart(Part):
     parallel = True
 
     def plan(self, cases: Sequence[CaseSpec], settings: Settings) -> list[RunSpec]:
-        """Every run, the reference of a formulation before the others."""
+        """All runs, the reference of each formulation first."""
         check(settings)
         runs = []
         for case in cases:
             small = _small_scene(case)
             for formulation in _formulations(settings):
-                asked = {
+                common = {
                     "formulation": formulation,
                     **version(Path(formulation)),
                     "options": _accepted(formulation, settings, small),
@@ -80,13 +80,13 @@ class SolversPart(Part):
                     "repeat": settings.repeat,
                 }
                 runs += [
-                    RunSpec(self.name, case, {**asked, **solver}, settings.time_limit)
+                    RunSpec(self.name, case, {**common, **solver}, settings.time_limit)
                     for solver in _solvers(case, settings)
                 ]
         return runs
 
     def refused(self, specs: Sequence[RunSpec]) -> dict[str, Row]:
-        """Rows of runs whose solver is absent or cannot take the problem."""
+        """Rows of runs whose solver is not installed or refuses the problem."""
         rows: dict[str, Row] = {}
         programs: dict[tuple[str, str], Program] = {}
         for spec in specs:
@@ -113,7 +113,7 @@ class SolversPart(Part):
         return [measured(spec, begin)]
 
     def row(self, spec: RunSpec, status: str, detail: str) -> Row:
-        """The row with all its keys, without figures."""
+        """The row with all its keys, without values."""
         case = spec.scene_case
         return {
             "key": spec.key,
@@ -169,10 +169,10 @@ class SolversPart(Part):
 
 
 def check(settings: Settings) -> None:
-    """Check what does not depend on a case.
+    """Validate the settings.
 
     Raises:
-        InputError: Unknown solver, or a number out of range.
+        InputError: An unknown solver, or a number out of range.
     """
     for given in (*settings.solvers, settings.reference):
         if given not in ("", ALL):
@@ -182,7 +182,7 @@ def check(settings: Settings) -> None:
             f"the reference must be a closed form, got {settings.reference!r}: "
             "choose closed_form, closed_form_pardiso, none or auto"
         )
-    Request(settings.tolerance, settings.time_limit)  # raises what is wrong with them
+    Request(settings.tolerance, settings.time_limit)  # validates both
     if settings.repeat < 1:
         raise InputError(f"repeat must be at least 1, got {settings.repeat}")
     if not 0.0 < settings.weight < math.inf:
@@ -190,7 +190,7 @@ def check(settings: Settings) -> None:
 
 
 def _formulations(settings: Settings) -> list[str]:
-    """Names and paths, each once; `ALL` stands for the whole shelf."""
+    """Names and paths, each once; `ALL` stands for every formulation."""
     shelf_names = [info.name for info in shelf.available()]
     given = [
         name
@@ -201,7 +201,7 @@ def _formulations(settings: Settings) -> list[str]:
 
 
 def _solvers(case: CaseSpec, settings: Settings) -> list[dict[str, Any]]:
-    """Options of a case's solvers, the reference first where it has one."""
+    """Options of a case's solvers, its reference first."""
     fits = case.n_voxels <= CLOSED_FORM_FITS
     every = [
         name
@@ -224,7 +224,7 @@ def _small_scene(case: CaseSpec) -> Scene:
 
 
 def _accepted(formulation: str, settings: Settings, small: Scene) -> dict[str, Any]:
-    """Weights where the formulation has them, and what was asked for."""
+    """Options of a formulation: its weights, and those given by the user."""
     known = {info.name: info.options for info in shelf.available()}
     weights: Mapping[str, float] = dict.fromkeys(
         ("force_weight", "torque_weight"), settings.weight
@@ -242,7 +242,7 @@ def _accepted(formulation: str, settings: Settings, small: Scene) -> dict[str, A
 
 
 def _difference(row: Row, reference: Row | None, fields: Path) -> float | None:
-    """‖p - p_ref‖ / ‖p_ref‖; None where a field is not there."""
+    """‖p - p_ref‖ / ‖p_ref‖; None where a field is missing."""
     if reference is None or not (row["field_file"] and reference["field_file"]):
         return None
     files = [fields / each["field_file"] for each in (row, reference)]
