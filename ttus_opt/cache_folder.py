@@ -1,4 +1,4 @@
-"""The folder that keeps machine code, which nobody else may write to."""
+"""The folder that stores machine code, which nobody else may write to."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numba
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Where machine code is kept: the user's cache, else a private temporary folder.
+    """The folder for machine code: the user's cache, else a private temporary folder.
 
-    What lies there is run, so it must belong to the user and be writable to no one
-    else. A folder that the user has set (``NUMBA_CACHE_DIR``) may also be the
-    administrator's, who compiled ahead for all.
+    Its content is executed, so the folder must belong to the user and be writable by
+    no one else. A folder set by the user (``NUMBA_CACHE_DIR``) may also belong to the
+    administrator, who has compiled ahead for all users.
     """
     chosen = numba.config.CACHE_DIR
     if chosen:
@@ -49,12 +49,12 @@ def cache_folder() -> Path | None:
 
 
 def _private(folder: Path) -> bool:
-    """Make a folder, and say whether this user and no other may write to it."""
+    """Create a folder and check that this user, and no other, may write to it."""
     return _made(folder) and _trusted(folder) and os.access(folder, os.W_OK)
 
 
 def _made(folder: Path) -> bool:
-    """Make a folder for this user alone, where it is not there yet."""
+    """Create a missing folder for this user alone; whether it exists now."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -64,9 +64,9 @@ def _made(folder: Path) -> bool:
 
 
 def _trusted(folder: Path, owners: tuple[int, ...] = ()) -> bool:
-    """Whether nobody but this user, or these, can have put anything there."""
+    """Whether only this user, or one of the given owners, can have written there."""
     status = folder.lstat()
-    if not stat.S_ISDIR(status.st_mode):  # a link goes where others want it to
+    if not stat.S_ISDIR(status.st_mode):  # others can redirect a symbolic link
         return False
     if not hasattr(os, "getuid"):
         return True

@@ -1,8 +1,8 @@
-"""Claims on files that several processes would make: one makes each, the others wait.
+"""Claims on files that several processes want to create: one does, the others wait.
 
-A claim is a lock of the operating system's on a file beside the one to be made. It
-ends with the process that holds it, however that ends. Where there are no such locks
-(Windows) nobody waits, and the same work may be done twice.
+A claim is an operating-system lock on a file beside the one to be created. It ends with
+the process that holds it, even if that crashes. Without such locks (Windows) nobody
+waits, and the same work may be done twice.
 """
 
 from __future__ import annotations
@@ -18,20 +18,19 @@ except ImportError:  # Windows
 
 
 class Claims:
-    """The claims that an object of this process holds."""
+    """The claims held by one object of this process."""
 
     def __init__(self) -> None:
         self._held: dict[Path, int] = {}
 
     def take(self, path: Path) -> None:
-        """Claim a file, when nobody else does any more; for the second time, nothing.
+        """Claim the creation of a file, once no other process claims it any more.
 
-        Args:
-            path: What is to be made.
+        Taking a claim that is already held does nothing.
         """
         if fcntl is None or path in self._held:
             return
-        with contextlib.suppress(OSError):  # no place for locks: each makes its own
+        with contextlib.suppress(OSError):  # no lock possible: create it without one
             lock = os.open(_lock(path), os.O_CREAT | os.O_RDWR, 0o600)
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX)
@@ -41,7 +40,7 @@ class Claims:
             self._held[path] = lock
 
     def release(self) -> None:
-        """Give back all claims: the files are made, or will not be."""
+        """Give up all claims: the files exist now, or will not be created."""
         while self._held:
             path, lock = self._held.popitem()
             _lock(path).unlink(missing_ok=True)

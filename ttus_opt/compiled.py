@@ -1,11 +1,11 @@
 """Compiled functions: numba with a cache that never runs outdated code.
 
-numba keeps machine code under the content of the file a function stands in, yet links
-in functions of other files: after an upgrade that changes only those, it would go on
-running the old ones. Here machine code is kept under what it was made of: the function,
-all compiled functions and constants it reaches in any module, the types it is called
-with, the versions and the processor. An edit compiles again what it reaches and nothing
-else; checkouts and environments of the same versions share what they have in common.
+numba's own cache depends only on the file that contains a function, although machine
+code also contains functions from other files: after an upgrade that changes only those,
+the old code would still run. Here the key of the cache is all that the machine code
+depends on: the function, all compiled functions and constants it uses in any module,
+the argument types, the versions and the processor. An edit recompiles only what uses
+the edited code; checkouts and environments of the same versions share machine code.
 """
 
 from __future__ import annotations
@@ -33,21 +33,18 @@ from ttus_opt.cache_folder import cache_folder
 from ttus_opt.claims import Claims
 from ttus_opt.content_stamp import content_stamp
 
-# Machine code that nobody has asked for during so long is removed.
+# Machine code that has not been used for this long is removed.
 KEEP_SECONDS = 30 * 86400.0
 
 
 def compiled(*, inner: bool = False, apart: bool = False, **options: Any) -> Any:
-    """Decorator: compile on first use and keep the machine code.
+    """Decorator like ``numba.njit``: compile on first use and cache the machine code.
 
     Args:
-        inner: Called by compiled functions only, which halves the time to compile it.
-        apart: No array that it writes shares memory with another argument, so that a
-            loop that looks up tables can become vector instructions.
+        inner: Called by compiled functions only; this halves the compile time.
+        apart: The arrays it writes share no memory with other arguments, so that loops
+            with table look-ups can be vectorised.
         options: numba's own (``nogil``, ``inline``, ``fastmath``, ``error_model``).
-
-    Returns:
-        A decorator like ``numba.njit``.
     """
     if inner:
         options |= {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
@@ -67,7 +64,7 @@ def compiled(*, inner: bool = False, apart: bool = False, **options: Any) -> Any
 
 
 class _Inner(numba.core.registry.CPUDispatcher):
-    """A compiled function without an entrance from Python: numba would crash."""
+    """A compiled function that Python cannot call: numba itself would crash."""
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         raise TypeError(
@@ -77,9 +74,9 @@ class _Inner(numba.core.registry.CPUDispatcher):
 
 
 class _Apart(numba.core.dispatcher._FunctionCompiler):
-    """Compiles for arguments that share no memory; numba does so for its own loops."""
+    """Compile for arguments that share no memory, as numba does for its own loops."""
 
-    apart = True  # told in the content stamp
+    apart = True  # part of the content stamp
 
     def _customize_flags(self, flags: Any) -> Any:
         flags.noalias = True
@@ -87,10 +84,9 @@ class _Apart(numba.core.dispatcher._FunctionCompiler):
 
 
 def is_kept(dispatcher: Any) -> bool:
-    """Whether machine code of a compiled function as it stands is kept for any types.
+    """Whether the cache holds machine code of a function's current version, any types.
 
-    Args:
-        dispatcher: The function; with NUMBA_DISABLE_JIT there is nothing to keep.
+    Also true where nothing is cached: with NUMBA_DISABLE_JIT or without a folder.
     """
     kept = getattr(dispatcher, "_cache", None)
     folder = cache_folder()
@@ -101,7 +97,7 @@ def is_kept(dispatcher: Any) -> bool:
 
 @functools.cache  # once in a process
 def _announce() -> None:
-    """Say on a terminal or in a notebook why the first call takes long."""
+    """Explain on a terminal or in a notebook why the first call takes long."""
     if sys.stderr.isatty() or "ipykernel" in sys.modules:
         sys.stderr.write(
             "ttus_opt compiles what it uses, once on this machine: up to a minute. "
@@ -110,9 +106,10 @@ def _announce() -> None:
 
 
 class _Compiling(event.Listener):
-    """How long numba has compiled in this process; loading of kept code is none.
+    """Time numba has spent compiling in this process, without loading from the cache.
 
-    Meanwhile cyclic garbage is not collected.
+    Garbage collection is off while numba compiles: it takes a tenth of the time and
+    frees little.
     """
 
     def __init__(self) -> None:
@@ -120,15 +117,15 @@ class _Compiling(event.Listener):
         self._collects = False
 
     def on_start(self, event: Any) -> None:
-        """One function compiles, maybe amid another: numba lets one thread do so."""
+        """A function is compiled, possibly inside another; only one thread compiles."""
         if self._depth == 0:
             self._since, self._collects = time.perf_counter(), gc.isenabled()
-            gc.disable()  # which takes a tenth of the time to look for little
+            gc.disable()
         self._depth += 1
 
     def on_end(self, event: Any) -> None:
-        """It is compiled, or has failed and others need not wait for it."""
-        if sys.exc_info()[0] is not None:  # `event.is_failed` says the contrary
+        """It is compiled, or compiling failed and other processes need not wait."""
+        if sys.exc_info()[0] is not None:  # `event.is_failed` is inverted in numba
             kept = event.data["dispatcher"]._cache
             if isinstance(kept, _Kept):
                 kept.claims.release()
@@ -144,24 +141,24 @@ event.register("numba:compile", _COMPILING)
 
 
 class Stopwatch:
-    """Time from its making on, with what numba compiled meanwhile told apart."""
+    """Time since its creation; the time numba spent compiling is counted separately."""
 
     def __init__(self) -> None:
         self._start, self._compiled = time.perf_counter(), _COMPILING.seconds
 
     @property
     def compile(self) -> float:
-        """Compiling, all threads together [s]."""
+        """Time spent compiling, in all threads [s]."""
         return _COMPILING.seconds - self._compiled
 
     @property
     def seconds(self) -> float:
-        """All else [s]."""
+        """Time spent on everything else [s]."""
         return time.perf_counter() - self._start - self.compile
 
 
 def _type_content(kind: Any) -> str:
-    """A type of numba's, with the names of a named tuple's fields."""
+    """Text of a numba type, including the field names of named tuples."""
     parts = getattr(kind, "types", None) or getattr(kind, "type", None) or ()
     parts = parts if isinstance(parts, tuple) else (parts,)
     fields = ",".join(getattr(kind, "fields", ()))
@@ -171,7 +168,7 @@ def _type_content(kind: Any) -> str:
 
 @functools.cache
 def _surroundings() -> str:
-    """What machine code depends on beside what it was made of."""
+    """Versions and settings that machine code depends on."""
     settings = numba.core.config
     return repr(
         (
@@ -184,15 +181,15 @@ def _surroundings() -> str:
 
 
 class _Kept(caching._Cache):
-    """Machine code of one function, a file for each list of argument types.
+    """Cached machine code of one function, one file per list of argument types.
 
-    Processes that need the same code at once wait for the one that compiles it. None
-    waits for another that waits for it: who compiles holds claims on a function and its
-    callers, and waits for what it calls.
+    Processes that need the same code at once wait for the one that compiles it. There
+    is no deadlock: the compiling process holds claims on a function and its callers,
+    and waits only for functions they call.
 
-    A file is named after all it depends on and written in one step, so processes that
-    compile the same side by side cannot take one for another. (numba's own index can:
-    two processes that add a signature each may give both the same file.)
+    A file is named by a checksum of all it depends on and written in one step, so
+    processes that compile at the same time cannot confuse files. (With numba's own
+    index they can: two processes that each add a signature may use one file for both.)
     """
 
     def __init__(self, dispatcher: Any) -> None:
@@ -212,15 +209,15 @@ class _Kept(caching._Cache):
         self._enabled = False
 
     def flush(self) -> None:
-        """Nothing to do: what has changed has another name."""
+        """Nothing to do: a changed function has another file name."""
 
     @functools.cached_property
     def _stamp(self) -> str:
-        return content_stamp(self._dispatcher)  # later than the functions below it
+        return content_stamp(self._dispatcher)  # when the globals it uses are defined
 
     @property
     def name(self) -> str:
-        """How the files of this function begin, as it stands now."""
+        """Beginning of the file names for the current version of this function."""
         function = self._dispatcher.py_func
         name = f"{function.__module__}.{function.__name__}".removeprefix("ttus_opt.")
         return f"{name}-{self._stamp[:32]}"
@@ -236,7 +233,7 @@ class _Kept(caching._Cache):
         return folder / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The kept machine code for these types, or None."""
+        """The cached machine code for these types, or None."""
         target_context.refresh()
         path = self._path(sig, target_context.codegen())
         if path is None:
@@ -245,7 +242,7 @@ class _Kept(caching._Cache):
         if content is None:
             _announce()
             self.claims.take(path)
-            content = _content_of(path)  # by whoever held the claim
+            content = _content_of(path)  # from the process that held the claim
             if content is None:
                 return None
             self.claims.release()
@@ -253,7 +250,7 @@ class _Kept(caching._Cache):
         return compiler.CompileResult._rebuild(target_context, *payload)
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the machine code compiled for these types."""
+        """Store the machine code compiled for these types."""
         try:
             self._save(sig, data)
         finally:
@@ -277,19 +274,19 @@ class _Kept(caching._Cache):
 
 
 def _content_of(path: Path) -> bytes | None:
-    """Kept code, which stays for another month; None when there is none."""
+    """Cached code, whose last use is updated; None if there is none."""
     try:
         content = path.read_bytes()
         if time.time() - path.stat().st_mtime > KEEP_SECONDS / 30:
-            os.utime(path)  # asked for today
+            os.utime(path)
     except OSError:
         return None
     return content
 
 
-@functools.cache  # once in a process, and only in one that compiles
+@functools.cache  # once per process, and only in processes that compile
 def _remove_old(folder: Path) -> None:
-    """Remove what has not been asked for in a month."""
+    """Remove files that have not been used for `KEEP_SECONDS`."""
     limit = time.time() - KEEP_SECONDS
     for path in folder.iterdir():
         try:

@@ -1,4 +1,4 @@
-"""Checksum of what a compiled function is made of, in whatever files that stands."""
+"""Checksum of a compiled function and of everything it uses, in any file."""
 
 from __future__ import annotations
 
@@ -14,23 +14,20 @@ import numpy as np
 
 
 def content_stamp(dispatcher: Any) -> str:
-    """Checksum of what a compiled function is made of: its code and what it reads.
-
-    Args:
-        dispatcher: The compiled function.
+    """Checksum of a compiled function and of the functions and constants it uses.
 
     Returns:
         Hexadecimal digits, the same in every process and every checkout.
 
     Raises:
-        TypeError: It reads a global whose content cannot be told.
+        TypeError: It reads a global whose content cannot be determined.
     """
     seen: dict[int, int] = {}
     return hashlib.sha256("\n".join(_content(dispatcher, seen)).encode()).hexdigest()
 
 
 def _content(value: Any, seen: dict[int, int]) -> Iterator[str]:
-    """Lines that tell a value apart from all others, whatever process it lives in."""
+    """Lines that identify a value by its content, the same in every process."""
     if isinstance(value, numba.core.dispatcher.Dispatcher | types.FunctionType):
         yield from _function_content(value, seen)
     elif isinstance(value, tuple | list):
@@ -40,7 +37,7 @@ def _content(value: Any, seen: dict[int, int]) -> Iterator[str]:
     elif isinstance(value, slice):  # a constant of functions since Python 3.14
         yield "slice"
         yield from _content((value.start, value.stop, value.step), seen)
-    elif isinstance(value, dict | set | frozenset):  # in an order of no process
+    elif isinstance(value, dict | set | frozenset):  # sorted: no process's own order
         yield f"{type(value).__name__} of {len(value)}"
         parts = value.items() if isinstance(value, dict) else value
         yield from sorted("\n".join(_content(part, seen)) for part in parts)
@@ -52,11 +49,11 @@ def _content(value: Any, seen: dict[int, int]) -> Iterator[str]:
 
 
 def _function_content(value: Any, seen: dict[int, int]) -> Iterator[str]:
-    """Lines of a function, compiled or not: its code and what it reads."""
+    """Lines of a function, compiled or not: its code and what it uses."""
     function = getattr(value, "py_func", value)
     name = f"{function.__module__}.{function.__qualname__}"
     if function is value and function.__module__.startswith("numba."):
-        yield name  # told by numba's version
+        yield name  # its content is determined by numba's version
         return
     if id(value) in seen:
         yield f"function {seen[id(value)]}"
@@ -70,16 +67,16 @@ def _function_content(value: Any, seen: dict[int, int]) -> Iterator[str]:
     for cell in function.__closure__ or ():
         yield from _content(cell.cell_contents, seen)
     code = function.__code__
-    told = code.co_consts[:1] == (function.__doc__,)  # what says it, not what does
-    code = code.replace(co_consts=(None, *code.co_consts[1:])) if told else code
+    if code.co_consts[:1] == (function.__doc__,):  # a docstring changes no code
+        code = code.replace(co_consts=(None, *code.co_consts[1:]))
     yield from _code_content(code, function.__globals__, seen)
 
 
 def _leaf_content(value: Any) -> str:
-    """One line for a value that holds no others.
+    """One line for a value that contains no other values.
 
     Raises:
-        TypeError: Its content cannot be told.
+        TypeError: Its content cannot be determined.
     """
     if isinstance(value, np.ndarray):
         content = hashlib.sha256(value.tobytes()).hexdigest()
@@ -90,7 +87,7 @@ def _leaf_content(value: Any) -> str:
         return f"module {value.__name__}"
     if isinstance(value, np.dtype | numba.types.Type | np.ufunc | types.EllipsisType):
         return f"{type(value).__name__} {value}"
-    if callable(value) and hasattr(value, "__name__"):  # of numpy or Python itself
+    if callable(value) and hasattr(value, "__name__"):  # from NumPy or Python itself
         return f"{getattr(value, '__module__', None)}.{value.__name__}"
     raise TypeError(
         f"a compiled function reads a {type(value).__name__}, whose content cannot be "
@@ -101,7 +98,7 @@ def _leaf_content(value: Any) -> str:
 def _code_content(
     code: types.CodeType, names: dict[str, Any], seen: dict[int, int]
 ) -> Iterator[str]:
-    """Lines that tell what a piece of code does, without where it stands."""
+    """Lines that identify what code does, independent of its file and line numbers."""
     yield hashlib.sha256(code.co_code).hexdigest()
     yield repr((code.co_varnames, code.co_names, code.co_freevars, code.co_cellvars))
     for constant in code.co_consts:
@@ -110,7 +107,7 @@ def _code_content(
         else:
             yield from _content(constant, seen)
     for name, *attributes in _globals_read(code):
-        value = names.get(name)  # else a built-in, told by its name above
+        value = names.get(name)  # None for a built-in: its name is in co_names above
         yield from _content(value, seen)
         for attribute in attributes:
             if not isinstance(value, types.ModuleType):
@@ -121,7 +118,7 @@ def _code_content(
 
 @functools.cache
 def _globals_read(code: types.CodeType) -> tuple[tuple[str, ...], ...]:
-    """Globals that a piece of code reads, each with the attributes it reads of it."""
+    """The globals that code reads, each followed by the attributes read from it."""
     reads: list[list[str]] = []
     follows = False
     for step in dis.get_instructions(code):

@@ -1,9 +1,8 @@
 """Cylindrical coordinates of points, and the polar angle for compiled loops.
 
-The rows of the fit and the haptic frame must agree on the voxel a point lies in, so
-both take the angle from here. It has no branch and calls no library, so that a loop
-over points becomes vector instructions; it is within 4e-16 of the exact angle per
-radian.
+The rows of the fit and the haptic frame must agree on the voxel that contains a point,
+so both compute the angle with `turn_angle`. It has no branches and calls no library, so
+that loops over points are vectorised. Its relative error is below 4e-16.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from ttus_opt.compiled import compiled
 
 TURN = 2.0 * math.pi
 
-#: tan(π/8): below it atan is the series, above it π/4 less the rest
+#: tan(π/8): below it the series gives atan itself, above it the difference from π/4
 _SEAM = math.sqrt(2.0) - 1.0
 
 # (atan(t)/t − 1)/t² as a polynomial in t² up to tan²(π/8), by interpolation at
@@ -43,7 +42,7 @@ _C6, _C7, _C8, _C9, _C10 = (
 def turn_angle(x: float, y: float) -> float:
     """Angle of (x, y) in [0, 2π), 0 at the origin [rad] (compiled)."""
     across, along = abs(y), abs(x)
-    high = max(max(across, along), 1e-300)  # nothing divides by zero
+    high = max(max(across, along), 1e-300)  # avoids division by zero
     low = min(across, along)
     steep = low > _SEAM * high
     t = (low - high if steep else low) / (low + high if steep else high)
@@ -71,5 +70,5 @@ def cylindrical(points: Array) -> tuple[Array, Array, Array]:
     """
     r = np.hypot(points[:, 0], points[:, 1])
     theta = np.arctan2(points[:, 1], points[:, 0]) % (2.0 * np.pi)
-    theta[theta >= 2.0 * np.pi] = 0.0  # -1e-17 % 2π rounds up to 2π itself
+    theta[theta >= 2.0 * np.pi] = 0.0  # -1e-17 % 2π rounds up to 2π
     return r, theta, points[:, 2].copy()

@@ -1,8 +1,9 @@
-"""The whole method on the bundled example: scan to surface to field to errors.
+"""The whole method on the bundled example: from the scan to surface, field and errors.
 
-Fitted to two recordings (pushes and lines along the body), judged on both and on two
-others of the same kind. Laplace prior alone against eq. 10 with force and torque, its
-weights (or, by the recipe, all of it) chosen from the fitted recordings alone.
+The field is fitted to two recordings (pushes, and lines along the body) and evaluated
+on them and on two unseen ones of the same kinds. The demo compares the Laplace prior
+alone with eq. 10, whose weights (or, with the recipe, the whole formulation) are chosen
+from the fitted recordings alone.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.field import PotentialField
 
-#: How often `run` reports progress.
+#: Number of stages that `run` reports
 N_STAGES = 8
 
 FITTED, UNSEEN = ("press_fit", "sweep_fit"), ("press_test", "sweep_test")
@@ -49,12 +50,12 @@ PICTURES = {
 
 @dataclass(frozen=True)
 class SurfaceError:
-    """Extracted against true radius where the scan saw the surface.
+    """Error of the extracted radius where the scan saw the surface.
 
     Attributes:
         mean: Mean of |R - R_true| [m].
-        p95: Its 95th percentile [m].
-        observed: Share of the radii that were seen [–].
+        p95: 95th percentile of |R - R_true| [m].
+        observed: Fraction of the radii that were seen [–].
     """
 
     mean: float
@@ -64,14 +65,14 @@ class SurfaceError:
 
 @dataclass(frozen=True)
 class DemoResult:
-    """What the demo found.
+    """Result of the demo.
 
     Attributes:
-        comparisons: Errors before and after, per recording.
-        before: The Laplace field's solution.
-        after: With forces and torques.
-        surface_error: How well the scan gave the surface.
-        seconds: The whole run [s].
+        comparisons: Errors before and after fitting, one per recording.
+        before: Solution of the Laplace prior alone.
+        after: Solution with forces and torques.
+        surface_error: Error of the surface extracted from the scan.
+        seconds: Duration of the whole run [s].
     """
 
     comparisons: tuple[Comparison, ...]
@@ -105,19 +106,17 @@ def run(
     weights: str = AUTO,
     progress: Callable[[str], None] | None = None,
 ) -> DemoResult:
-    """Run the method and write fields, pictures and report.
+    """Run the method and write surface, field, pictures and report.
 
     Args:
-        folder: Where to write; made when missing.
+        folder: Output folder, created if missing.
         shape: Voxels in r, θ and z [–].
-        weights: Of eq. 10, as of `ttus_opt.fit`; "recipe" may take another formulation.
-        progress: Called with what begins, `N_STAGES` times.
-
-    Returns:
-        Errors and solutions.
+        weights: Weights of eq. 10, see `ttus_opt.fit`; "recipe" may choose another
+            formulation.
+        progress: Called with the name of each of the `N_STAGES` stages as it begins.
 
     Raises:
-        InputError: A grid or word that cannot be used.
+        InputError: The grid or the word for the weights is invalid.
         NoSolutionError: A fit failed its own check.
         FileError: The folder cannot be written to.
     """
@@ -137,7 +136,7 @@ def run(
         begin("scan to surface")
         surface = extract_surface(cloud, axis=truth.axis)
         surface.save(out / "surface.nc")
-        _draw_surface(out, surface, cloud)  # while the multigrid is compiled
+        _draw_surface(out, surface, cloud)  # the multigrid is compiled meanwhile
         begin("assembling (first run compiles)")
         plan = ScenePlan(shape=shape, inner="fit", sampling="trilinear")
         scene = plan.build(surface, shell, [recordings[name] for name in FITTED])
@@ -165,14 +164,11 @@ def run(
 
 
 def surface_error(surface: Surface, truth: Surface) -> SurfaceError:
-    """Compare an extracted surface with the true one where it was seen.
+    """Compare an extracted surface with the true one where the scan saw it.
 
     Args:
-        surface: From a scan.
-        truth: In the same patient frame.
-
-    Returns:
-        The error of the radius.
+        surface: The surface extracted from a scan.
+        truth: The true surface, in the same patient frame.
     """
     theta, z = np.meshgrid(surface.theta, surface.z, indexing="ij")
     known = surface.observed & (z >= truth.z[0]) & (z <= truth.z[-1])

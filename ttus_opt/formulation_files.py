@@ -1,9 +1,8 @@
-"""Where the formulations that come with the package lie.
+"""Find and import the formulations that come with the package.
 
-In a checkout they are the folder ``formulations/`` beside the package, in an installed
-wheel ``ttus_opt/formulations/``. Both are imported as ``ttus_opt.formulations``, and as
-``formulations`` too where nothing else has that name: a user's own file or folder of
-that name is never taken for them.
+In a checkout they are in ``formulations/`` beside the package, in an installed wheel in
+``ttus_opt/formulations/``. Both are imported as ``ttus_opt.formulations``, and also as
+``formulations`` unless a user's own file or folder has that name.
 """
 
 from __future__ import annotations
@@ -22,12 +21,12 @@ NAME, SHORT = "ttus_opt.formulations", "formulations"
 
 @functools.cache
 def shelf() -> ModuleType:
-    """The package of the formulations.
+    """The package that contains the formulations.
 
     Raises:
-        FileError: They are in neither place.
+        FileError: It is in neither place.
     """
-    if NAME in sys.modules:  # imported by its name before
+    if NAME in sys.modules:
         return sys.modules[NAME]
     package = Path(__file__).resolve().parent
     for folder in (package / "formulations", package.parent / "formulations"):
@@ -52,9 +51,5 @@ def shelf() -> ModuleType:
 
 
 def formulation_module(name: str) -> ModuleType:
-    """One of them, imported.
-
-    Args:
-        name: Of the file, without its suffix.
-    """
+    """Import a formulation by the name of its file, without the suffix."""
     return importlib.import_module(f"{shelf().__name__}.{name}")

@@ -1,7 +1,6 @@
-"""What a notebook shows of an object: a title, a few facts, a picture or a table.
+"""HTML that shows an object in a notebook: a title, a few facts, a picture or a table.
 
-Pictures are drawn here, as a few hundred bytes of SVG or PNG, so that showing an object
-loads no plotting package.
+Pictures are SVG or PNG of a few hundred bytes, written without a plotting package.
 """
 
 from __future__ import annotations
@@ -17,17 +16,17 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
 
-#: Edge of a picture [px]
+#: Width and height of a picture [px]
 SIZE = 160
 
 
 def card(title: str, facts: Mapping[str, str], picture: str) -> str:
-    """HTML of an object.
+    """A picture beside a title and a table of facts.
 
     Args:
-        title: What it is.
-        facts: Value by name, as text.
-        picture: HTML of a picture, `sections_svg` or `signed_map`.
+        title: Name of the object.
+        facts: Text of each value by name.
+        picture: HTML of a picture, from `sections_svg` or `signed_map`.
     """
     rows = "".join(
         f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>"
@@ -40,13 +39,13 @@ def card(title: str, facts: Mapping[str, str], picture: str) -> str:
 
 
 def page(title: str, lines: Iterable[str], *parts: str) -> str:
-    """A title and lines of text above other parts, HTML themselves."""
+    """A title and lines of text above other parts, which are HTML already."""
     text = "<br>".join(escape(line) for line in lines)
     return f"<div><b>{escape(title)}</b><br>{text}{''.join(parts)}</div>"
 
 
 def table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A table; all entries are text."""
+    """A table of text."""
     top = "".join(f"<th>{escape(head)}</th>" for head in heads)
     body = "".join(
         "<tr>" + "".join(f"<td>{escape(entry)}</td>" for entry in row) + "</tr>"
@@ -62,7 +61,7 @@ def sections_svg(
 
     Args:
         outlines: Closed curves, x and y, shape (n, 2) each [m].
-        circles: Radii about the axis, drawn dashed [m].
+        circles: Radii of dashed circles about the axis [m].
         dots: Points, shape (k, 2) [m].
     """
     curves, rings = list(outlines), list(circles)
@@ -101,7 +100,7 @@ def signed_map(values: Array) -> str:
 def _png(pixels: NDArray[np.uint8]) -> bytes:
     """A PNG file of RGB pixels, shape (rows, columns, 3); ISO/IEC 15948."""
     rows, columns, _ = pixels.shape
-    lines = np.zeros((rows, 1 + 3 * columns), dtype=np.uint8)  # filter 0 on each
+    lines = np.zeros((rows, 1 + 3 * columns), dtype=np.uint8)  # column 0: filter 0
     lines[:, 1:] = pixels.reshape(rows, -1)
     header = struct.pack(">IIBBBBB", columns, rows, 8, 2, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(lines.tobytes())))

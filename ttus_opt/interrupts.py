@@ -1,4 +1,4 @@
-"""Interrupts: how a command is told to stop, and held back while a file is written."""
+"""Interrupts: the signal that stops a command, and its delay during a file write."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import signal
 import threading
 from collections.abc import Iterator
 
-#: How the process that watches a command tells it to stop (`ttus_opt.cli.supervisor`)
+#: Signal by which `ttus_opt.cli.supervisor` asks the command it watches to stop
 INTERRUPT = getattr(signal, "SIGUSR1", signal.SIGINT)
 
 
 @contextlib.contextmanager
 def signals_deferred() -> Iterator[None]:
-    """Hold interrupts and termination back until a file is written.
+    """Delay interrupts and termination until a file is written.
 
-    An exception in the middle of the netCDF library leaves its lock taken and the next
-    writer waiting for ever. Only the main thread receives signals; elsewhere this does
-    nothing.
+    An exception inside the netCDF library would leave its lock taken, and the next
+    writer would wait forever. Only the main thread receives signals; in other threads
+    this does nothing.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -30,5 +30,5 @@ def signals_deferred() -> Iterator[None]:
     finally:
         for kind, handler in zip(deferred, before, strict=True):
             signal.signal(kind, handler or signal.SIG_DFL)
-        for number in received:  # the first that is not ignored ends this
+        for number in received:  # the first that is not ignored ends the loop
             signal.raise_signal(number)

@@ -1,8 +1,8 @@
-"""Reading and writing files without ever leaving half of one behind.
+"""Read and write files; a failed write never leaves a partial file.
 
-netCDF goes through xarray; every file of ours carries the attributes
-``ttus_opt_kind`` and ``ttus_opt_version`` so that a file of another kind or of a
-later version is refused with a sentence instead of a traceback.
+netCDF files written by this package carry the attributes ``ttus_opt_kind`` and
+``ttus_opt_version``, so that a file of another kind or a later version is refused
+with a clear message instead of a traceback.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def existing_file(
 
     Args:
         path: The file.
-        what: What the file should be, for the message ("trajectory").
+        what: What the file should contain, for the message ("trajectory").
         largest: Largest accepted size [byte].
 
     Raises:
@@ -59,15 +59,15 @@ def existing_file(
 
 
 def read_npy(file: Path) -> NDArray[Any]:
-    """An array of numbers from NPY.
+    """Read a numeric array from an NPY file.
 
     Raises:
-        FileError: Damaged, or not numbers.
+        FileError: The file is damaged or holds something other than numbers.
     """
     import numpy as np
 
     try:
-        # mapped: a header that announces more than the file holds allocates nothing
+        # memory-mapped: a header that announces too large an array allocates nothing
         values = np.lib.format.open_memmap(file, mode="r")
     except Exception as error:  # numpy raises nearly every class on damaged headers
         raise FileError(
@@ -92,25 +92,25 @@ def check_output(
     force: bool = False,
     size: int = 0,
 ) -> None:
-    """Check, before any work, that a file can be written without loss.
+    """Check, before any work is done, that an output file can be written.
 
     Args:
-        path: Where the file shall be; a symbolic link is followed.
-        inputs: Files that are read and must not be overwritten.
+        path: The output file; symbolic links are followed.
+        inputs: Input files, which must not be overwritten.
         force: Allow ``path`` to be one of the inputs.
-        size: Bytes it will take, about.
+        size: Approximate size of the output [byte].
 
     Raises:
-        FileError: It is a folder or a device, it is one of the inputs, its folder
-            cannot be written to, or the disk is too full.
+        FileError: ``path`` is a folder, a device or one of the inputs, its folder is
+            not writable, or the disk is too full.
     """
     try:
         target = Path(os.path.realpath(path))
         with contextlib.suppress(FileNotFoundError, NotADirectoryError):
             target.stat()
     except (OSError, ValueError) as error:
-        told = getattr(error, "strerror", None) or error
-        raise FileError(f"cannot write {path}: {told}: choose another name") from error
+        why = getattr(error, "strerror", None) or error
+        raise FileError(f"cannot write {path}: {why}: choose another name") from error
     if target.is_dir():
         raise FileError(f"cannot write {path}: it is a folder: name a file in it")
     if target.exists() and not target.is_file():
@@ -140,11 +140,7 @@ def check_output(
 
 
 def made_folder(path: Path) -> Path:
-    """A folder, made where it is missing.
-
-    Raises:
-        FileError: It cannot be made.
-    """
+    """The folder itself, created if missing; a `FileError` if that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -156,17 +152,16 @@ def made_folder(path: Path) -> Path:
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Give a temporary path that takes the place of ``path`` on success only.
+    """Write to a temporary file that replaces ``path`` only on success.
 
     Args:
-        path: Where the finished file shall be; its folder is made when missing, a
-            symbolic link is followed.
+        path: The final file; a missing folder is created, symbolic links are followed.
 
     Yields:
-        A path beside it, with the same suffix, to write to.
+        The temporary file, in the same folder and with the same suffix.
 
     Raises:
-        FileError: As `check_output`, or the folder cannot be made.
+        FileError: As `check_output`, or the folder cannot be created.
     """
     check_output(path)
     target = Path(os.path.realpath(path))
@@ -174,8 +169,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     temporary = target.parent / unique
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        # made here with the mode of any new file, so that the umask applies: reading
-        # it means to change it, for every thread
+        # created with the default mode so that the umask applies; reading the umask
+        # would mean changing it for every thread
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except OSError as error:
         raise FileError(
@@ -189,17 +184,13 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file, replacing ``path`` only on success.
-
-    Raises:
-        FileError: As `replacing`.
-    """
+    """Write a UTF-8 text file by way of `replacing`."""
     with signals_deferred(), replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def provenance() -> dict[str, str]:
-    """Who wrote a file and when, as netCDF attributes."""
+    """The netCDF attributes that state which program wrote a file and when."""
     import importlib.metadata
     import platform
 
@@ -220,13 +211,13 @@ def write_dataset(
     """Write a dataset as netCDF with its kind, version and provenance.
 
     Args:
-        dataset: What to write; every variable carries ``units``.
-        path: The file; replaced only when the writing succeeded.
+        dataset: The data; every variable carries ``units``.
+        path: The output file.
         kind: What the file holds ("surface", "field").
         version: Version of that kind's layout.
 
     Raises:
-        FileError: The file cannot be written; what was there before is kept.
+        FileError: The file cannot be written; an existing file is left as it was.
     """
     stamped = dataset.assign_attrs(
         ttus_opt_kind=kind, ttus_opt_version=version, **provenance()
@@ -248,20 +239,17 @@ def read_dataset(
     foreign: bool = False,
     without: Sequence[str] = (),
 ) -> xr.Dataset:
-    """Read a netCDF file of a kind into memory.
+    """Read a netCDF file of one kind into memory.
 
     Args:
         path: The file.
         kind: What the file must hold.
-        version: The newest version of that layout this code knows.
-        foreign: Accept a file from elsewhere that carries no kind at all.
-        without: Variables that are not read.
-
-    Returns:
-        The dataset, loaded, the file closed again.
+        version: The version of that layout this code reads.
+        foreign: Also accept a file of other origin, which states no kind.
+        without: Variables to skip.
 
     Raises:
-        FileError: Missing, not netCDF, another kind, or another version.
+        FileError: The file is missing, not netCDF, or of another kind or version.
     """
     file = existing_file(path, kind)
     import xarray as xr
@@ -297,17 +285,14 @@ def read_dataset(
 
 
 def kind_of(path: str | os.PathLike[str], what: str) -> str | None:
-    """What a netCDF file of ours holds.
+    """The kind of a netCDF file ("surface", "field"); None if it states none.
 
     Args:
         path: The file.
-        what: What it should be, for the message ("surface or field").
-
-    Returns:
-        Its kind ("surface", "field"); None for a file from elsewhere.
+        what: What the file should contain, for the message ("surface or field").
 
     Raises:
-        FileError: Missing, or not netCDF.
+        FileError: The file is missing or not netCDF.
     """
     import netCDF4
 
@@ -325,15 +310,10 @@ def kind_of(path: str | os.PathLike[str], what: str) -> str | None:
 def text_of(
     attributes: Mapping[str, Any], name: str, default: str | None = None
 ) -> str:
-    """A text among a file's attributes.
-
-    Args:
-        attributes: The file's.
-        name: The attribute.
-        default: What it is where the file has none.
+    """A text attribute of a file, or the default if the attribute is missing.
 
     Raises:
-        InputError: It is missing and has no default, is no text, or an empty one.
+        InputError: The value is missing, empty, or not text.
     """
     found = attributes.get(name, default)
     if not (isinstance(found, str) and found):
@@ -342,7 +322,7 @@ def text_of(
 
 
 def shortened(value: object) -> str:
-    """A value from a file as an error shows it: one line, not a long one.
+    """A value as an error message shows it: on one line and cut to a short length.
 
     >>> shortened("a" * 200)
     "'aaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaaa…"
@@ -354,19 +334,10 @@ def shortened(value: object) -> str:
 def array_of(
     dataset: xr.Dataset, name: str, dims: tuple[str, ...], units: str
 ) -> NDArray[Any]:
-    """A variable's values, its dimensions and units being those expected.
-
-    Args:
-        dataset: What was read.
-        name: The variable.
-        dims: Its dimensions, in order.
-        units: Its unit, as it was written.
-
-    Returns:
-        The values.
+    """The values of a variable, after a check of its dimensions and units.
 
     Raises:
-        InputError: It is not there, or has other dimensions or units.
+        InputError: The variable is missing or has other dimensions or units.
     """
     if name not in dataset.variables:
         raise InputError(f"it has no variable {name}")
@@ -386,14 +357,10 @@ def array_of(
 
 
 def as_numbers(name: str, values: Any) -> NDArray[np.float64]:
-    """Values of a file as numbers.
-
-    Args:
-        name: The variable or attribute, for the message.
-        values: What was read.
+    """Convert the values of a variable or attribute to an array of numbers.
 
     Raises:
-        InputError: Something else is in it, or lists of different lengths.
+        InputError: They are not numbers, or lists of different lengths.
     """
     import numpy as np
 
@@ -406,14 +373,10 @@ def as_numbers(name: str, values: Any) -> NDArray[np.float64]:
 
 
 def mask(name: str, values: NDArray[Any]) -> NDArray[np.bool_]:
-    """A mask that was written as numbers.
-
-    Args:
-        name: The variable, for the message.
-        values: What was read.
+    """Convert a mask stored as 0 and 1 to booleans.
 
     Raises:
-        InputError: Something else than 0 and 1 is in it.
+        InputError: It contains another value.
     """
     import numpy as np
 

@@ -1,4 +1,4 @@
-"""Values as JSON can say them."""
+"""Conversion of values to what JSON can represent."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """Mappings, lists and numbers without NumPy's types; NaN and infinity are null.
+    """Convert to dicts, lists and Python numbers; NaN and infinity become None.
 
     >>> import numpy as np
     >>> plain({"error": np.float64("nan"), "shape": (2, np.int64(3))})
@@ -16,7 +16,7 @@ def plain(value: Any) -> Any:
     """
     if isinstance(value, Mapping):
         return {str(name): plain(each) for name, each in value.items()}
-    if hasattr(value, "tolist"):  # of NumPy, which a command may do without
+    if hasattr(value, "tolist"):  # NumPy, without importing it
         value = value.tolist()
     if isinstance(value, Sequence) and not isinstance(value, str):
         return [plain(each) for each in value]

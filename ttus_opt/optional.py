@@ -1,4 +1,4 @@
-"""Packages that only some work needs: loaded where used, told by name when missing."""
+"""Optional packages: imported where used, with a clear error when missing."""
 
 from __future__ import annotations
 
@@ -10,17 +10,14 @@ from ttus_opt.errors import InputError, MissingPackageError
 
 
 def load(module: str, extra: str) -> ModuleType:
-    """A package that an extra of ttus-opt installs.
+    """Import a package that an extra of ttus-opt installs.
 
     Args:
         module: Import name, such as ``skfem``.
-        extra: The extra that has it, such as ``phantom``.
-
-    Returns:
-        The module.
+        extra: The extra that installs it, such as ``phantom``.
 
     Raises:
-        MissingPackageError: It is not installed; the message says how to get it.
+        MissingPackageError: It is not installed; the message says how to install it.
     """
     try:
         return importlib.import_module(module)
@@ -33,10 +30,7 @@ def load(module: str, extra: str) -> ModuleType:
 
 
 def dask_client(address: str) -> Any:
-    """A client of a dask scheduler, as a context that closes it.
-
-    Args:
-        address: Of the scheduler, host:port.
+    """A client of the dask scheduler at an address (host:port); use it in ``with``.
 
     Raises:
         MissingPackageError: dask is not installed.

@@ -1,8 +1,8 @@
-"""The paper's own choices, for the comparison; the defaults fit unseen presses better.
+"""The paper's own settings, for comparison; the defaults predict unseen presses better.
 
-They are handed on as they are: ``Voxmap.from_surface(surface, **VOXMAP)``,
+Pass them as keyword arguments: ``Voxmap.from_surface(surface, **VOXMAP)``,
 ``Scene.assemble(voxmap, shell, presses, **SCENE)`` and ``fit(scene, "eq10",
-**WEIGHTS)``; ``ttus-opt fit --paper`` takes all three.
+**WEIGHTS)``. ``ttus-opt fit --paper`` uses all three.
 
 Source: Yeung, Black, Salcudean, Measurement and Potential Field-Based Patient Modeling
 for Model-Mediated Tele-ultrasound (2025), eqs. 6, 7 and 10.
@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-#: Where p = 0 stands, for `ttus_opt.voxmap.voxmap.Voxmap.from_surface` and `ScenePlan`
+#: Location of p = 0, for `ttus_opt.voxmap.voxmap.Voxmap.from_surface` and `ScenePlan`
 VOXMAP: Mapping[str, Any] = MappingProxyType({"boundary": "staircase"})
 
 #: Boundary values and sampling, for `ttus_opt.scene.Scene.assemble` and `ScenePlan`

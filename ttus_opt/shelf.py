@@ -1,4 +1,4 @@
-"""Members of a shelf, a package of one file per class, found by their name."""
+"""Find the classes of a package with one file per class, such as `ttus_opt.terms`."""
 
 from __future__ import annotations
 
@@ -10,21 +10,17 @@ from types import ModuleType
 
 
 def members(package: ModuleType) -> dict[str, type]:
-    """Public classes of a package's files, by name; all of them are imported.
-
-    Args:
-        package: For instance ``ttus_opt.terms``.
-    """
+    """The public classes of a package's files by name; imports all files."""
     return {kind.__name__: kind for kind in _classes(package)}
 
 
 def member(package: ModuleType, name: str) -> type:
-    """One of them, for a package's ``__getattr__``.
+    """The class of a given name, for a package's ``__getattr__``.
 
     Raises:
-        AttributeError: There is none of that name.
+        AttributeError: There is no class of that name.
     """
-    if name[:1].isupper():  # files and private names are looked for elsewhere
+    if name[:1].isupper():  # classes only: Python itself finds submodules
         for kind in _classes(package):
             if kind.__name__ == name:
                 return kind

@@ -1,4 +1,4 @@
-"""Work side by side on the processor's cores: on many things, or on parts of one."""
+"""Parallel work on the processor's cores: on many items, or on parts of one item."""
 
 from __future__ import annotations
 
@@ -11,44 +11,41 @@ from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
-#: Most cores that share one thing: its memory is what they wait for [–]
+#: Largest number of cores that share one item: memory bandwidth limits them [–]
 MOST_PARTS = 8
 
 _here = threading.local()
 
 
 def usable_cores() -> int:
-    """Cores this process may use, at least 1 [–].
-
-    Where a system does not tell (macOS, Windows) those that there are.
-    """
+    """Cores this process may use, at least 1 [–]; on macOS and Windows all cores."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def side_by_side(work: Callable[..., Result], *things: Iterable[Any]) -> list[Result]:
-    """Like `map`, by a thread a core: for compiled work that lets others run.
+    """Like `map`, with one thread per core: for compiled work that releases the GIL.
 
     Args:
-        work: Called with one of each of the things.
-        things: Of equal length.
+        work: Called with one element of each iterable.
+        things: Iterables of equal length.
 
     Returns:
-        What it gave, in their order.
+        The results, in order.
     """
     with ThreadPoolExecutor(usable_cores(), initializer=_keep_whole) as pool:
         return list(pool.map(work, *things))
 
 
 def parts_of(size: int, large: int) -> int:
-    """In how many parts a thing is worked on: one a core, or one where it is small.
+    """The number of parts to divide an item into: one per core, or 1 if it is small.
 
-    One, too, where other things are worked on `side_by_side`.
+    It is also 1 in a thread that works on items `side_by_side`.
 
     Args:
-        size: Of the thing.
-        large: From which size on it is large.
+        size: Size of the item.
+        large: Size from which the item is divided.
     """
     if size < large or getattr(_here, "keeps_whole", False):
         return 1
@@ -56,24 +53,24 @@ def parts_of(size: int, large: int) -> int:
 
 
 def in_parts(work: Callable[[tuple[int, int]], object], parts: int) -> None:
-    """Do a thing's parts at the same time: for compiled work that lets others run.
+    """Work on all parts of an item in parallel: for work that releases the GIL.
 
     Args:
-        work: Called with each part, (which, of how many).
-        parts: How many; one is done here.
+        work: Called with (number of the part, number of parts).
+        parts: Number of parts; the calling thread does the first.
     """
     others = [_helpers().submit(work, (n, parts)) for n in range(1, parts)]
     try:
         work((0, parts))
     finally:
-        wait(others)  # also where this part is interrupted: they write to its arrays
+        wait(others)  # even if this part is interrupted: they write to shared arrays
     for other in others:
         other.result()
 
 
 @functools.cache
 def _helpers() -> ThreadPoolExecutor:
-    """Threads beside the caller's, kept: to start them takes as long as the work."""
+    """The worker threads, kept because starting them takes as long as the work."""
     return ThreadPoolExecutor(MOST_PARTS - 1, "ttus_opt", initializer=_keep_whole)
 
 

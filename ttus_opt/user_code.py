@@ -1,4 +1,4 @@
-"""Exceptions of a user's own code, told in one sentence with its file and line."""
+"""Load a user's own code and report its exceptions in one line with file and line."""
 
 from __future__ import annotations
 
@@ -21,15 +21,14 @@ _OWN = str(Path(__file__).resolve().parent)
 
 @contextlib.contextmanager
 def told_by_line(what: str) -> Iterator[None]:
-    """Turn what a user's code raises into one sentence.
+    """Report an exception in a user's code in one sentence with its file and line.
 
     Args:
-        what: What the code was asked for, to begin the sentence with.
+        what: Name of the code, at the beginning of the sentence.
 
     Raises:
-        InputError: An exception came from a user's file; it says which line, and has
-            the exception as its cause, without the frames of this package. What is no
-            user's fault passes as it is.
+        InputError: A user's file raised an exception, which becomes the cause, without
+            the frames of this package. Exceptions from elsewhere pass unchanged.
     """
     try:
         yield
@@ -41,9 +40,9 @@ def told_by_line(what: str) -> Iterator[None]:
             raise
         file, line, frames = place
         words = error.msg if isinstance(error, SyntaxError) else str(error)
-        told = f"{type(error).__name__}: {words}" if words else type(error).__name__
+        raised = f"{type(error).__name__}: {words}" if words else type(error).__name__
         raise InputError(
-            f"{what} raised {told} ({file}, line {line})"
+            f"{what} raised {raised} ({file}, line {line})"
         ) from error.with_traceback(frames)
 
 
@@ -52,10 +51,10 @@ def module_of_file(path: Path, kind: str) -> ModuleType:
 
     Args:
         path: The file.
-        kind: What it holds, for messages: "formulation", "solver".
+        kind: What it contains, for messages: "formulation", "solver".
 
     Raises:
-        InputError: There is no such file, or it raises.
+        InputError: The file is missing or raises an exception.
     """
     if not path.exists():
         raise InputError(f"{kind} file not found: {path}: check the path")
@@ -69,7 +68,7 @@ def module_of_file(path: Path, kind: str) -> ModuleType:
 
 
 def unknown_name(kind: str, name: str, known: Collection[str]) -> InputError:
-    """The error for a name that is not among the known ones, with the nearest."""
+    """The error for an unknown name; its message lists the most similar known names."""
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
     return InputError(
         f"unknown {kind} {name!r}, {'did you mean' if near else 'there are'} "
@@ -78,7 +77,7 @@ def unknown_name(kind: str, name: str, known: Collection[str]) -> InputError:
 
 
 def defined_at(function: Callable[..., Any]) -> str:
-    """Where a user's function is defined, to put behind a name; "" for our own."""
+    """Where a user's function is defined, to append to its name; else ""."""
     code = getattr(inspect.unwrap(function), "__code__", None)
     if code is None or not _is_users(code.co_filename):
         return ""
@@ -86,7 +85,7 @@ def defined_at(function: Callable[..., Any]) -> str:
 
 
 def _place(error: BaseException) -> tuple[str, int, TracebackType | None] | None:
-    """File and line of the innermost frame of a user, and the frames from there on."""
+    """File and line of the innermost frame in a user's file, and the frames below."""
     if isinstance(error, SyntaxError) and error.filename and error.lineno:
         if _is_users(error.filename):
             return error.filename, error.lineno, None
@@ -102,7 +101,7 @@ def _place(error: BaseException) -> tuple[str, int, TracebackType | None] | None
 
 
 def _is_users(filename: str) -> bool:
-    """Whether a file is neither Python's, nor a package's, nor this package's."""
+    """Whether a file belongs neither to Python nor to any installed package."""
     if filename.startswith("<") and not filename.startswith("<ipython"):
         return filename == "<stdin>"
     paths = sysconfig.get_paths()

@@ -1,7 +1,7 @@
 """Compile everything ahead: for machine images and before a first live session.
 
-Machine code depends on the types of what a function is given, not on sizes, so that a
-coarse grid is enough. It is kept as `ttus_opt.compiled` says.
+Machine code depends on the types of the arguments, not on their sizes, so a coarse grid
+suffices. `ttus_opt.compiled` caches it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ttus_opt import example
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.multigrid.workspace import Workspace
 
-#: Grid and probe on which everything is run once
+#: Grid, probe points and frames of the run
 SHAPE, POINTS, FRAMES = (16, 24, 12), 300, slice(20, 60)
 
 
@@ -24,10 +24,10 @@ def warm_up(progress: Callable[[str], object] = lambda stage: None) -> float:
     """Run every compiled function once.
 
     Args:
-        progress: Called with what begins, `N_STAGES` times.
+        progress: Called with the name of each of the `N_STAGES` stages as it begins.
 
     Returns:
-        Time it took; a few seconds when everything was compiled before [s].
+        Duration; a few seconds if everything had been compiled before [s].
     """
     start = time.perf_counter()
     surface = tt.Surface.load(example.path("surface.nc"))
@@ -46,7 +46,7 @@ def warm_up(progress: Callable[[str], object] = lambda stage: None) -> float:
     tt.fit(scene, "eq10_sign_monotone", solver="structured")
     tt.fit(scene, "coulomb_drag", solver="structured")
     progress("updates")
-    tt.RecursiveFit(scene).field  # noqa: B018  made when asked for
+    tt.RecursiveFit(scene).field  # noqa: B018  computed on access
     return time.perf_counter() - start
 
 
@@ -69,7 +69,7 @@ def _share_a_cycle(voxmap: tt.Voxmap) -> None:
 
 
 def _render(scene: tt.Scene) -> None:
-    """Frames with drag, and a field that comes in while they are rendered."""
+    """Render frames with drag while new fields arrive."""
     field = tt.fit(scene, "viscous_drag", solver="structured").field
     renderer = tt.Renderer(field, scene.shell)
     motion = scene.trajectory

@@ -1,10 +1,9 @@
-"""A simulated torso: an independent physics that makes the bundled example.
+"""A simulated torso: independent physics that generates the bundled example.
 
-A linear-elastic finite-element body with ribs and a lump, pressed by a rigid probe
-through unilateral contact on its skin's compliance, with optional Coulomb drag and
-sensor noise. It knows nothing of potential fields, so that fitting one to its
-recordings proves something. "Skin" is its outer layer of nodes, which deforms; what
-a scan of it gives is a surface.
+A linear-elastic finite-element body with ribs and a lump is pressed by a rigid probe in
+unilateral contact, with optional Coulomb drag and sensor noise. The simulation does not
+use potential fields, so fitting one to its recordings is a real test. "Skin" is the
+outer layer of nodes, which deforms; "surface" is what a scan of it yields.
 """
 
 from ttus_opt.phantom.elasticity import ElasticBody, SkinPatch, skin_compliance

@@ -1,4 +1,4 @@
-"""Make the bundled example again: ``python -m ttus_opt.phantom``."""
+"""Generate the bundled example: ``python -m ttus_opt.phantom``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def main(
     ] = FOLDER,
     compliance: Annotated[
         Path | None,
-        typer.Option(help="Store the skin's compliance here (.npz), or use it again."),
+        typer.Option(help="Store the skin's compliance here (.npz), or reuse it."),
     ] = None,
 ) -> None:
     """Simulate the torso, press the probe into it and write the example's files.
@@ -46,7 +46,7 @@ def main(
 
 
 def _patch(stored: Path | None) -> SkinPatch:
-    """The skin's compliance, read where it is stored, computed otherwise."""
+    """The skin's compliance, read from the file if it exists, else computed."""
     if stored is not None and stored.exists():
         return SkinPatch.load(stored)
     body = torso_body(TORSO)

@@ -13,7 +13,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.phantom.torso import Torso
 
-#: Steps of the coarse search along a ray, and of the bisection after it.
+#: Steps of the coarse search along a ray and of the bisection that follows
 MARCH, BISECT = 160, 30
 
 
@@ -22,10 +22,10 @@ class View:
     """One depth camera, patient frame.
 
     Attributes:
-        eye: Where it stands, shape (3,) [m].
-        target: What it looks at, shape (3,) [m].
+        eye: Position of the camera, shape (3,) [m].
+        target: Point it looks at, shape (3,) [m].
         opening: Half of the field of view, in both directions [rad].
-        pixels: Rows and columns of its square picture [–].
+        pixels: Rows and columns of the square image [–].
     """
 
     eye: tuple[float, float, float]
@@ -34,7 +34,7 @@ class View:
     pixels: int = 72
 
     def axes(self) -> Array:
-        """Rows: to the right of the picture, up, and ahead, shape (3, 3) [–]."""
+        """Unit vectors to the right, up and ahead as rows, shape (3, 3) [–]."""
         ahead = np.asarray(self.target) - np.asarray(self.eye)
         ahead /= np.linalg.norm(ahead)
         right = np.cross(ahead, [0.0, 0.0, 1.0])
@@ -52,14 +52,14 @@ class View:
 
 @dataclass(frozen=True)
 class ScanSetup:
-    """What stands before the cameras, patient frame.
+    """The scene in front of the cameras, patient frame.
 
     Attributes:
-        torso: The body, seen between both its ends.
-        table: Height of the table, y [m]; it is wider and longer than the body.
-        table_margin: How far it reaches beyond the body on every side [m].
-        holes: Places on the skin where nothing is measured: θ [rad], z and radius
-            [m], shape (n, 3).
+        torso: The body, seen between its two ends.
+        table: Height of the table, y [m].
+        table_margin: Extent of the table beyond the body on every side [m].
+        holes: Places on the skin without measurements: θ [rad], z and radius [m],
+            shape (n, 3).
     """
 
     torso: Torso
@@ -79,20 +79,20 @@ def scan(
     noise: float = 0.002,
     dropout: float = 0.05,
 ) -> Array:
-    """Take one cloud with several cameras.
+    """Measure one point cloud with several cameras.
 
     Args:
         setup: Body and table.
         views: The cameras.
         rng: Source of noise and dropouts.
         noise: Standard deviation along each ray [m].
-        dropout: Share of pixels without a measurement [–].
+        dropout: Fraction of pixels without a measurement [–].
 
     Returns:
         Points, patient frame, shape (n, 3) [m].
 
     Raises:
-        InputError: No camera, or a camera that sees nothing.
+        InputError: There is no camera, or one sees nothing.
     """
     if not views:
         raise InputError("a scan needs at least one view, got none")
@@ -112,17 +112,11 @@ def depth_image(
     noise: float = 0.002,
     dropout: float = 0.05,
 ) -> Array:
-    """What one camera measures, as a picture of depths along its axis.
-
-    Args:
-        setup: Body and table.
-        view: The camera.
-        rng: Source of noise and dropouts.
-        noise: As of `scan` [m].
-        dropout: As of `scan` [–].
+    """Measure one depth image; the arguments are those of `scan`.
 
     Returns:
-        Upper row first, NaN without a measurement, shape (pixels, pixels) [m].
+        Depths along the camera's axis, top row first, NaN without a measurement,
+        shape (pixels, pixels) [m].
 
     Raises:
         InputError: The camera sees nothing.
@@ -152,7 +146,7 @@ def _measured(
 
 
 def _to_skin(setup: ScanSetup, eye: Array, rays: Array, far: float) -> Array:
-    """Distance to the skin along rays, inf where they miss, NaN at cut ends [m]."""
+    """Distance to the skin along rays, inf if they miss it, NaN at the cut ends [m]."""
 
     def outside(distance: Array) -> NDArray[np.bool_]:
         x, y, z = (eye + distance[:, None] * rays).T
@@ -172,8 +166,8 @@ def _to_skin(setup: ScanSetup, eye: Array, rays: Array, far: float) -> Array:
         middle = 0.5 * (low + high)
         out = outside(middle)
         low, high = np.where(out, middle, low), np.where(out, high, middle)
-    # The real body goes on beyond its ends: a ray that enters there saw nothing of it,
-    # nor of the table behind.
+    # A real body continues beyond its ends: a ray that enters there measures neither
+    # the body nor the table behind it.
     z = eye[2] + high * rays[:, 2]
     end = 1e-4
     cut = (z < end) | (z > setup.torso.length - end)
@@ -181,7 +175,7 @@ def _to_skin(setup: ScanSetup, eye: Array, rays: Array, far: float) -> Array:
 
 
 def _to_table(setup: ScanSetup, eye: Array, rays: Array) -> Array:
-    """Distance to the table along rays, inf beside it and under the body [m]."""
+    """Distance to the table along rays, inf where they miss it [m]."""
     with np.errstate(divide="ignore"):
         distance = (setup.table - eye[1]) / rays[:, 1]
     distance = np.where(distance > 0.0, distance, np.inf)
@@ -194,7 +188,7 @@ def _to_table(setup: ScanSetup, eye: Array, rays: Array) -> Array:
 
 
 def _in_hole(setup: ScanSetup, points: Array) -> NDArray[np.bool_]:
-    """Points that fall into a hole, shape (n,)."""
+    """Whether each point lies in a hole, shape (n,)."""
     inside = np.zeros(len(points), dtype=bool)
     for theta, z, radius in setup.holes:
         middle = setup.torso.skin(np.array(theta), np.array(z))

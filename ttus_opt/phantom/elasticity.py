@@ -1,13 +1,13 @@
 """Linear elasticity on hexahedra and the compliance of a patch of skin.
 
-The body obeys div σ = 0 with Hooke's law σ = 2μ ε(u) + λ tr ε(u) I. Trilinear
-elements lock when λ/μ grows (ν → ½), so the volumetric part is integrated with one
-point per element (selective reduced integration, Hughes 1980), the deviatoric part
-with eight. The stiffness is factored once; the answer kept is
+The body obeys div σ = 0 with Hooke's law σ = 2μ ε(u) + λ tr ε(u) I. Trilinear elements
+lock when λ/μ grows (ν → ½), so the volumetric part is integrated with one point per
+element (selective reduced integration, Hughes 1980), the deviatoric part with eight.
+The stiffness is factored once and yields the compliance
 
     C[i, j] = inward displacement of skin node i per inward unit force on node j,
 
-symmetric positive definite, so that a contact needs neither mesh nor stiffness.
+which is symmetric positive definite. A contact needs neither mesh nor stiffness then.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.optional import load
 
-#: What reading a damaged NPZ file raises, beside the usual
+#: Exceptions from reading a damaged NPZ file, in addition to the usual ones
 DAMAGED = (KeyError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError)
 
-#: Unit loads solved at once: enough for matrix-matrix speed, little memory.
+#: Unit loads solved at once: enough for matrix-matrix speed with little memory
 BATCH = 64
 
 
 @dataclass(frozen=True)
 class ElasticBody:
-    """A meshed elastic body, held somewhere, with a patch of skin to press on.
+    """A meshed elastic body with supports and a patch of skin to press on.
 
     Attributes:
-        mesh: Hexahedra (`skfem.MeshHex`), nodes in metres, n nodes.
+        mesh: Hexahedra (`skfem.MeshHex`) with n nodes in metres.
         young: Young's modulus [Pa] at points of shape (3, ...) [m], shape (...).
         poisson: Poisson's ratio, below ½ [–].
         fixed: Displacement components held at zero, shape (n, 3).
-        patch: Skin nodes whose response is wanted, shape (k,).
-        normals: Outward unit normals of the skin there, shape (k, 3) [–].
-        rim: Patch nodes on the patch's border, shape (k,).
+        patch: Numbers of the skin nodes to press on, shape (k,).
+        normals: Outward unit normals of the skin at these nodes, shape (k, 3) [–].
+        rim: Whether each of these nodes is on the patch's border, shape (k,).
     """
 
     mesh: Any = field(repr=False)
@@ -59,7 +59,7 @@ class ElasticBody:
     rim: NDArray[np.bool_] = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Validate ratio, shapes and what is held: the answer must be unique."""
+        """Check ratio, shapes and that the supports make the solution unique."""
         if not 0.0 <= self.poisson < 0.5:
             raise InputError(
                 f"Poisson's ratio must be in [0, 0.5), got {self.poisson}: use 0.45 "
@@ -85,12 +85,12 @@ class ElasticBody:
 
 @dataclass(frozen=True)
 class SkinPatch:
-    """What a contact needs to know of a body: skin nodes and their compliance.
+    """The skin nodes of a body and their compliance: all that a contact needs.
 
     Attributes:
         points: Undeformed skin nodes, shape (k, 3) [m].
         normals: Outward unit normals, shape (k, 3) [–].
-        rim: Nodes on the patch's border, where the patch's answer ends, shape (k,).
+        rim: Whether each node is on the patch's border, shape (k,).
         compliance: Inward displacement per inward nodal force, (k, k) [m/N].
     """
 
@@ -100,7 +100,7 @@ class SkinPatch:
     compliance: Array = field(repr=False)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Store the patch as ``.npz``, replacing only on success."""
+        """Store the patch as ``.npz``; an existing file is replaced only on success."""
         with io.replacing(path) as temporary, temporary.open("wb") as file:
             np.savez(file, **vars(self))
 
@@ -109,7 +109,7 @@ class SkinPatch:
         """Read what `save` wrote.
 
         Raises:
-            FileError: Missing, truncated, or not a stored patch.
+            FileError: The file is missing, truncated, or not a stored patch.
         """
         file = io.existing_file(path, "compliance")
         try:
@@ -128,16 +128,13 @@ def skin_compliance(
 
     Args:
         body: The body.
-        progress: Called with (loads solved, loads in all) now and then.
-
-    Returns:
-        The patch and its compliance.
+        progress: Called after every `BATCH` loads with (loads solved, all loads).
     """
     basis, stiffness = _assemble(body)
     held = np.zeros(stiffness.shape[0], dtype=bool)
     held[np.asarray(basis.nodal_dofs)[body.fixed.T]] = True
     free = np.flatnonzero(~held)
-    # minimum degree keeps the fill low; the matrix is definite: no pivoting needed
+    # minimum degree keeps the fill-in low; a definite matrix needs no pivoting
     factor = splu(
         stiffness[free][:, free].tocsc(),
         permc_spec="MMD_AT_PLUS_A",
@@ -160,7 +157,7 @@ def skin_compliance(
 
 
 def _assemble(body: ElasticBody) -> tuple[Any, sp.csr_array]:
-    """The vector basis of the body and its stiffness over all nodes [N/m]."""
+    """The vector basis and the stiffness matrix over all nodes [N/m]."""
     skfem = load("skfem", "phantom")
     from skfem.helpers import ddot, div, sym_grad
 
@@ -178,10 +175,10 @@ def _assemble(body: ElasticBody) -> tuple[Any, sp.csr_array]:
 
     element = skfem.ElementVector(skfem.ElementHex1())
     full = skfem.Basis(body.mesh, element, intorder=3)
-    # one point in the centre of the unit cube, with its weight
+    # one quadrature point in the centre of the unit cube, and its weight
     centre = np.full((3, 1), 0.5), np.ones(1)
     reduced = skfem.Basis(body.mesh, element, quadrature=centre)
-    # The modulus is evaluated once here: a form is called for every pair of shapes.
+    # The modulus is evaluated here, once: a form is called per pair of shape functions.
     stiffness = sum(
         form.assemble(basis, young=body.young(np.asarray(basis.global_coordinates())))
         for form, basis in ((shear, full), (volume, reduced))

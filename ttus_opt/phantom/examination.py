@@ -1,8 +1,8 @@
 """Paths of a probe over a torso: pushes at several places, and sweeps along the body.
 
-A pose is given by a place on the skin, a depth and two tilts. At zero tilt the
-probe's z axis points into the skin, its x axis (the long one) lies across the body;
-the depth is how far the probe reaches below the skin's tangent plane there.
+A pose is defined by a place on the skin, a depth, two tilts and a turn. Without them
+the probe's z axis points into the skin and its x axis (the long one) lies across the
+body; the depth is how far the probe reaches below the skin's tangent plane there.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.phantom.torso import Torso
 from ttus_opt.probe.trajectory import Trajectory
 
-#: Frames per second [Hz], and length of a recording [s]
+#: Frames per second [Hz] and duration of a recording [s]
 RATE, SECONDS = 20.0, 20.0
 
-#: Pushes: middle of the places (across, along), half width of their square [m]
+#: Pushes: centre (across, along) and half width of the square they lie in [m]
 CENTRE, SPREAD = (0.0, 0.13), 0.015
 
-#: Sweeps: from which height to which [m]
+#: Sweeps: lowest and highest z [m]
 ALONG = (0.095, 0.205)
 
 
 @dataclass(frozen=True)
 class Handling:
-    """What an examiner's hand does over time.
+    """The motion of an examiner's hand; all arrays have shape (T,).
 
     Attributes:
-        time: Shape (T,) [s].
-        across: Place on the skin: arc from the front's middle, shape (T,) [m].
-        along: Place on the skin: height z, shape (T,) [m].
-        depth: Below the skin's tangent plane; negative is lifted, shape (T,) [m].
-        rock: Tilt about the body's z, shape (T,) [rad].
-        fan: Tilt about the probe's long axis, shape (T,) [rad].
-        turn: Turn about the skin's normal, shape (T,) [rad].
+        time: Time [s].
+        across: Place on the skin: arc length from the middle of the front [m].
+        along: Place on the skin: z [m].
+        depth: Depth below the skin's tangent plane, negative when lifted [m].
+        rock: Tilt about the body's z axis [rad].
+        fan: Tilt about the probe's long axis [rad].
+        turn: Rotation about the skin's normal [rad].
     """
 
     time: Array
@@ -77,15 +77,12 @@ def push_handling(
     n_pushes: int = 8,
     deepest: float = 0.013,
 ) -> Handling:
-    """Pushes at several places, with lift-offs, tilting and turning.
+    """Pushes at several places, with lift-offs, tilting and turning, at `RATE`.
 
     Args:
         rng: Chooses places, depths and tilts.
-        n_pushes: How many.
-        deepest: Depth of the deepest push [m]; the others reach at least 60 %.
-
-    Returns:
-        The handling at 20 Hz.
+        n_pushes: Number of pushes, at least 2.
+        deepest: Depth of the deepest push [m]; the others reach at least 60 % of it.
 
     Raises:
         InputError: Fewer than two pushes.
@@ -99,7 +96,7 @@ def push_handling(
     peak[rng.integers(n_pushes)] = deepest
     lift = -0.002
     depth = lift + (peak[number] - lift) * np.sin(np.pi * (phase - number)) ** 2
-    # Two stops per push, so that the hand rests while it presses and moves when up.
+    # Two stops per push: the hand rests while it presses and moves while lifted.
     stops = np.repeat(np.arange(n_pushes), 2) + np.tile([0.15, 0.85], n_pushes)
     places = [
         np.repeat(c + SPREAD * rng.uniform(-1.0, 1.0, n_pushes), 2) for c in CENTRE
@@ -118,15 +115,12 @@ def sweep_handling(
     across: float = 0.0,
     depth: tuple[float, float] = (0.004, 0.010),
 ) -> Handling:
-    """One line up the body and one back beside it, depth and tilt varying.
+    """One line up the body and one back beside it, with varying depth and tilt.
 
     Args:
         rng: Chooses phases and frequencies.
-        across: Middle of the two lines, which lie 5 mm on either side of it [m].
-        depth: Smallest and largest [m].
-
-    Returns:
-        The handling at 20 Hz.
+        across: Middle between the two lines, which are 5 mm from it [m].
+        depth: Smallest and largest depth [m].
     """
     time = np.arange(round(SECONDS * RATE)) / RATE
     phase = time / SECONDS
@@ -150,6 +144,6 @@ def _tilts(
 
 
 def _wave(rng: np.random.Generator, time: Array, frequency: float) -> Array:
-    """Phase of a wave of about that frequency [Hz], random start [rad]."""
+    """Phase of a wave with random start and within 20 % of a frequency [Hz] [rad]."""
     around = frequency * rng.uniform(0.8, 1.2)
     return np.asarray(2.0 * np.pi * (around * time + rng.uniform()))

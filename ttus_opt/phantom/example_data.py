@@ -1,4 +1,4 @@
-"""What the bundled example is made of: its torso, cameras, paths and seeds."""
+"""The bundled example: its torso, cameras, paths and random seeds."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ VIEWS = (
     View((-0.55, 0.75, 0.15), opening=0.30, pixels=96),
     View((0.55, 0.75, 0.15), opening=0.30, pixels=96),
 )
-#: Coulomb coefficient of the recordings with drag [–].
+#: Friction coefficient of the recordings with drag [–]
 DRAG = 0.25
-#: Seeds: of the scan, and of every recording's path; its noise has the next one.
+#: Random seeds of the scan and of each recording's path; its noise uses the next seed
 SCAN_SEED = 7
 RECORDINGS = {
     "press_fit": 100,
@@ -41,13 +41,13 @@ RECORDINGS = {
 
 
 def frame() -> Axis:
-    """Where the patient frame lies in the scan, which a camera above would give."""
+    """The patient frame in the scan frame, as a camera above would see it."""
     rotation = Rotation.from_euler("xyz", [100.0, 12.0, -75.0], degrees=True)
     return Axis(np.array([0.06, -0.04, 0.82]), np.asarray(rotation.as_matrix()))
 
 
 def true_surface() -> Surface:
-    """The torso's skin, 3° by 10 mm; bilinear between nodes it is true to 0.1 mm."""
+    """The torso's skin at 3° by 10 mm; bilinear interpolation is exact to 0.1 mm."""
     theta = np.linspace(0.0, 2.0 * np.pi, 120, endpoint=False)
     z = np.linspace(0.0, TORSO.length, 31)
     return Surface.from_radius(TORSO.radius(theta[:, None], z), z, axis=frame())
@@ -79,14 +79,11 @@ def recording(
     """One of `RECORDINGS` with its noisy wrench.
 
     Args:
-        name: Which one.
+        name: Name of the recording.
         patch: The torso's skin.
-        n_frames: Only the first frames; their drag and noise are those of the whole
-            recording except for the velocity of the last.
+        n_frames: Number of first frames to record; they equal those of the whole
+            recording, except for the last one's velocity and hence drag.
         progress: Called after every pose.
-
-    Returns:
-        The recording.
     """
     path = poses(name)
     if n_frames is not None:
@@ -102,7 +99,7 @@ def write_example(
     """Write every file of the example.
 
     Args:
-        folder: Where to; made when missing.
+        folder: Output folder, created if missing.
         patch: The torso's skin.
         progress: Called after every pose.
     """

@@ -1,4 +1,4 @@
-"""Structured hexahedra with fine middles: node positions and closed rings."""
+"""Structured hexahedral meshes: graded node positions and closed rings."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ def graded(
     growth: float = 1.35,
     largest: float = np.inf,
 ) -> Array:
-    """Node positions: even within ``fine``, growing steps towards both ends.
+    """Node positions with even steps within ``fine`` that grow towards both ends.
 
     Args:
         low: First node.
         high: Last node.
-        fine: Where the step is even, within [low, high].
-        step: Step there, rounded so that it divides ``fine``.
+        fine: Interval of even steps, within [low, high].
+        step: Step in ``fine``, rounded so that it divides the interval.
         growth: Ratio of neighbouring steps outside, above 1.
-        largest: No step outside grows beyond this.
+        largest: Largest step outside.
 
     Returns:
         Increasing positions, shape (n,), in the unit of the arguments.
 
     Raises:
-        InputError: Limits out of order, or a step or growth that gives no mesh.
+        InputError: The limits are out of order, or step or growth give no mesh.
 
     Examples:
         >>> graded(0.0, 10.0, (0.0, 2.0), 1.0, growth=2.0).round(3).tolist()
@@ -54,7 +54,7 @@ def graded(
 
 
 def _growing(length: float, step: float, growth: float, largest: float) -> Array:
-    """Growing steps that add up to ``length``, as positions without the zero."""
+    """Positions after growing steps that add up to ``length``, without the zero."""
     if length < 1e-9 * step:
         return np.empty(0)
     steps = [min(step * growth, largest)]
@@ -65,26 +65,26 @@ def _growing(length: float, step: float, growth: float, largest: float) -> Array
 
 
 def ring_mesh(fraction: Array, theta: Array, z: Array, points: Any) -> Any:
-    """Hexahedra around an axis, the seam closed.
+    """Hexahedra around an axis that close to a ring.
 
     Args:
         fraction: Radial coordinate of the nodes, increasing, shape (n_r,) [–].
-        theta: Angles over one full turn, both ends given, shape (n_theta + 1,) [rad].
+        theta: Angles of one full turn with both ends, shape (n_theta + 1,) [rad].
         z: Heights, shape (n_z,) [m].
         points: Maps (fraction, θ, z), each (n,), to points (n, 3) [m].
 
     Returns:
-        A `skfem.MeshHex`; nodes are ordered as (n_r, n_theta, n_z) in C order.
+        A `skfem.MeshHex` whose nodes are in C order of (n_r, n_theta, n_z).
 
     Raises:
-        InputError: The angles do not make one full turn.
+        InputError: The angles do not span one full turn.
     """
     MeshHex = load("skfem", "phantom").MeshHex
     if abs(theta[-1] - theta[0] - 2.0 * np.pi) > 1e-9:
         raise InputError(
             f"theta must span one full turn, got {theta[-1] - theta[0]:.6g} rad"
         )
-    # A box in index space gives the connectivity; its last angle is the first again.
+    # A box in index space gives the connectivity; its last angle is the first one.
     indices = [np.arange(float(len(v))) for v in (fraction, theta, z)]
     box = MeshHex.init_tensor(*indices)
     i, j, k = np.rint(box.p).astype(int)

@@ -1,20 +1,20 @@
-"""A rigid probe pressed into a patch of skin: its wrench, drag and sensor noise.
+"""A rigid probe pressed into a patch of skin: wrench, Coulomb drag and damping.
 
-Skin nodes move along their own normals. A node at x whose inward ray leaves the
-probe at depth s must be pushed in by at least s; the nodal forces f_i along the
-inward normals d_i solve the unilateral problem (`ttus_opt.phantom.unilateral`) on
-C f ≥ s. The probe is smooth: its contact force stands on the PROBE's outward normal
-n_i at that place, with the component f_i along d_i, so the probe feels
+Skin nodes move along their own normals. A node at x whose inward ray leaves the probe
+at depth s must be pushed in by at least s; the nodal forces f_i along the inward
+normals d_i solve the unilateral problem C f ≥ s (`ttus_opt.phantom.unilateral`). The
+probe is smooth, so its contact force acts along the PROBE's outward normal n_i at that
+point and has the component f_i along d_i. The wrench on the probe is
 
     F = −Σ N_i n_i,   N_i = f_i / (n_i · d_i),   τ = Σ (x_i + s_i d_i − p) × (−N_i n_i).
 
-This is minus the gradient of the stored energy E = ½ f·C f with respect to the pose:
-without drag the contact gives back what was put in. Coulomb drag adds −μ N_i t_i at
-every node, t_i the direction in which the probe slides there; it leaves N_i as it is.
+It is minus the gradient of the stored energy E = ½ f·C f with respect to the pose:
+without drag the contact conserves energy. Coulomb drag adds −μ N_i t_i at every node,
+where t_i is the direction in which the probe slides; it does not change N_i.
 
-Tissue that is pressed in faster resists more (Hunt and Crossley, J. Appl. Mech. 42,
-1975): with v_i the speed at which the probe moves into the body at node i, N_i becomes
-N_i max(0, 1 + b v_i). The work of the added force is never given back.
+Tissue resists more when pressed faster (Hunt and Crossley, J. Appl. Mech. 42, 1975): if
+the probe moves into the body with speed v_i at node i, N_i becomes
+N_i max(0, 1 + b v_i). The work of this additional force is dissipated.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class CoulombDrag:
 
     Attributes:
         coefficient: μ, tangential over normal force while sliding [–].
-        deadband: A place that slides slower than this is at rest: no drag [m/s].
+        deadband: Sliding speed below which there is no drag [m/s].
     """
 
     coefficient: float = 0.0
@@ -54,11 +54,11 @@ class CoulombDrag:
 
 @dataclass(frozen=True)
 class Motion:
-    """How a pose moves.
+    """Velocity of a pose, patient frame.
 
     Attributes:
-        velocity: Of the probe's centre, patient frame, shape (3,) [m/s].
-        angular_velocity: Patient axes, shape (3,) [rad/s].
+        velocity: Velocity of the probe's centre, shape (3,) [m/s].
+        angular_velocity: Angular velocity, shape (3,) [rad/s].
     """
 
     velocity: Array
@@ -67,16 +67,16 @@ class Motion:
 
 @dataclass(frozen=True)
 class Contact:
-    """What one pose gives.
+    """The contact at one pose, patient frame.
 
     Attributes:
-        force: On the probe, patient frame, shape (3,) [N].
-        torque: About the probe's centre, patient axes, shape (3,) [N m].
-        energy: Stored in the body [J].
-        normal_forces: N_i of the touching nodes, none negative, shape (k,) [N].
-        nodes: Their numbers in the patch, shape (k,).
-        points: Where they touch the probe, patient frame, shape (k, 3) [m].
-        probe_normals: The probe's outward normals there, shape (k, 3) [–].
+        force: Force on the probe, shape (3,) [N].
+        torque: Torque on the probe about its centre, shape (3,) [N m].
+        energy: Energy stored in the body [J].
+        normal_forces: N_i of the k touching nodes, not negative, shape (k,) [N].
+        nodes: Numbers of the touching nodes in the patch, shape (k,).
+        points: Contact points, shape (k, 3) [m].
+        probe_normals: The probe's outward normals at these points, shape (k, 3) [–].
     """
 
     force: Array
@@ -89,7 +89,7 @@ class Contact:
 
     @classmethod
     def none(cls) -> Contact:
-        """Nothing touches."""
+        """No contact."""
         nodes, places = np.empty(0, dtype=np.intp), np.empty((0, 3))
         zero = np.zeros(3)
         return cls(zero, zero.copy(), 0.0, np.empty(0), nodes, places, places)
@@ -112,17 +112,15 @@ def press(
         probe: The rigid probe.
         rotation: Probe to patient, shape (3, 3) [–].
         position: The probe's centre, shape (3,) [m].
-        motion: How it moves; at rest when not given. Drag and damping ask for it.
-        drag: Coulomb drag; none when not given.
+        motion: Velocity of the probe, on which drag and damping depend; at rest if
+            None.
+        drag: Coulomb drag, if any.
         damping: Hunt–Crossley coefficient b, not negative [s/m].
-
-    Returns:
-        The wrench on the probe and where it comes from.
 
     Raises:
         GeometryError: The probe is not above the patch, its centre is below the
             undeformed skin, or it touches the patch's border.
-        InputError: Negative damping.
+        InputError: The damping is negative.
     """
     if damping < 0.0:
         raise InputError(f"damping must not be negative, got {damping} s/m")
@@ -163,7 +161,7 @@ def press(
 
 
 def _check_above(patch: SkinPatch, position: Array) -> None:
-    """Raise for a probe centre that is not above the inside of the patch."""
+    """Raise an error unless the probe's centre is above the interior of the patch."""
     away = position - patch.points
     nearest = int(np.argmin(np.einsum("ij,ij->i", away, away)))
     place = ", ".join(f"{v:.3f}" for v in position)
@@ -180,14 +178,14 @@ def _check_above(patch: SkinPatch, position: Array) -> None:
 
 
 def _velocities(levers: Array, motion: Motion) -> Array:
-    """Velocities of the probe's points at levers (k, 3) [m] from its centre [m/s]."""
+    """Velocities of the probe at points (k, 3) relative to its centre [m] [m/s]."""
     return np.asarray(motion.velocity + np.cross(motion.angular_velocity, levers))
 
 
 def _sliding_directions(
     levers: Array, normals: Array, motion: Motion, deadband: float
 ) -> Array:
-    """Unit directions in which the probe slides, zero at rest, shape (k, 3) [–]."""
+    """Unit directions of the probe's sliding, zero at rest, shape (k, 3) [–]."""
     velocity = _velocities(levers, motion)
     along = np.einsum("ij,ij->i", velocity, normals)
     tangential = velocity - along[:, None] * normals

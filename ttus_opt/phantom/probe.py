@@ -1,7 +1,7 @@
 """A rigid ellipsoid: how far it reaches below the skin along given rays.
 
-The contact's own description of a probe, analytic, so that the physics shares
-nothing with the sampled point shell that is fitted to it.
+This is an analytic description of the probe, so that the simulation shares nothing with
+the sampled point shell of the fit.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from ttus_opt.errors import InputError
 
 @dataclass(frozen=True)
 class ProbeReach:
-    """Where rays leave the probe.
+    """Points at which n rays leave the probe.
 
     Attributes:
-        depth: Length along the ray to the probe's far side, -inf where the ray
-            misses, shape (n,) [m].
-        normals: Outward unit normals of the probe there, NaN where it misses,
+        depth: Length along the ray to the probe's far side, negative for a gap and
+            -inf if the ray misses the probe, shape (n,) [m].
+        normals: Outward unit normals of the probe there, NaN if the ray misses it,
             shape (n, 3) [–].
     """
 
@@ -35,13 +35,13 @@ class EllipsoidProbe:
     """A rigid ellipsoid centred on the pose.
 
     Attributes:
-        semi_axes: Along the probe's own x, y, z [m].
+        semi_axes: Semi-axes along the probe's x, y and z [m].
     """
 
     semi_axes: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        """Refuse semi-axes other than three positive finite lengths."""
+        """Check that the semi-axes are three positive finite lengths."""
         good = all(math.isfinite(a) and a > 0.0 for a in self.semi_axes)
         if len(self.semi_axes) != 3 or not good:
             raise InputError(
@@ -51,16 +51,13 @@ class EllipsoidProbe:
     def reach(
         self, points: Array, directions: Array, rotation: Array, position: Array
     ) -> ProbeReach:
-        """Follow rays to where they leave the probe.
+        """Find where rays leave the probe.
 
         Args:
-            points: Where the rays start, patient frame, shape (n, 3) [m].
+            points: Starts of the rays, patient frame, shape (n, 3) [m].
             directions: Unit directions, shape (n, 3) [–].
             rotation: Probe to patient, shape (3, 3) [–].
             position: Probe's centre, shape (3,) [m].
-
-        Returns:
-            Depth and normal for every ray; a negative depth is a gap.
         """
         semi = np.asarray(self.semi_axes)
         start = (points - position) @ rotation / semi
@@ -78,14 +75,11 @@ class EllipsoidProbe:
         return ProbeReach(depth, normals)
 
     def support(self, rotation: Array, direction: Array) -> float:
-        """How far the probe extends from its centre along a direction.
+        """Distance from the centre to the tangent plane normal to a direction [m].
 
         Args:
             rotation: Probe to patient, shape (3, 3) [–].
             direction: Unit direction, patient frame, shape (3,) [–].
-
-        Returns:
-            The distance of the touching plane from the centre [m].
         """
         return float(
             np.linalg.norm(np.asarray(self.semi_axes) * (direction @ rotation))

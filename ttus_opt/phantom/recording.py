@@ -1,4 +1,4 @@
-"""A whole trajectory pressed into the skin, with noise of sensor and tracker."""
+"""Press a whole trajectory into the skin; add noise of the sensor and the tracker."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ttus_opt.phantom.press import CoulombDrag, Motion, press
 from ttus_opt.phantom.probe import EllipsoidProbe
 from ttus_opt.probe.trajectory import Trajectory
 
-#: Noise of the force and torque sensor, standard deviation per axis [N], [N m].
+#: Noise of the force and torque sensor, standard deviation per axis [N], [N m]
 FORCE_NOISE, TORQUE_NOISE = 0.08, 0.003
 
 #: Error of a tracked pose, standard deviation per axis [m], [rad]
 POSITION_NOISE, ROTATION_NOISE = 0.5e-3, np.radians(0.5)
 
-#: A tracker's errors are alike over about this time [s]
+#: Correlation time of the tracker's errors [s]
 POSE_CORRELATION = 1.0
 
 
@@ -35,22 +35,22 @@ def record(
     moving: Trajectory | None = None,
     progress: Callable[[], None] | None = None,
 ) -> Trajectory:
-    """Press the probe along a trajectory and write down the wrench, free of noise.
+    """Press the probe along a trajectory and record the wrench without noise.
 
     Args:
         patch: Skin and its compliance.
         probe: The rigid probe.
-        poses: Its poses; a wrench in it is replaced.
-        drag: Coulomb drag along the sliding that follows from the poses.
+        poses: The poses; a wrench is replaced.
+        drag: Coulomb drag, if any.
         damping: Hunt–Crossley coefficient of the tissue, see `press` [s/m].
-        moving: Whose velocities count, frame by frame; by default those of ``poses``.
+        moving: Trajectory that gives the velocities, by default ``poses``.
         progress: Called after every pose.
 
     Returns:
         The trajectory with force [N] and torque about the probe's centre [N m].
 
     Raises:
-        GeometryError: A pose the patch does not know, see `press`.
+        GeometryError: A pose is not above the patch, see `press`.
     """
     moved = poses if moving is None else moving
     velocity, turning = moved.velocity(), moved.angular_velocity()
@@ -72,21 +72,14 @@ def record(
 
 
 def add_noise(trajectory: Trajectory, rng: np.random.Generator) -> Trajectory:
-    """Add a sensor's independent normal noise to every component of the wrench.
-
-    Args:
-        trajectory: With a wrench.
-        rng: Source of the noise.
-
-    Returns:
-        A copy with `FORCE_NOISE` and `TORQUE_NOISE`.
+    """A copy with independent normal `FORCE_NOISE` and `TORQUE_NOISE`.
 
     Raises:
         InputError: The trajectory has no wrench.
     """
     if trajectory.force is None or trajectory.torque is None:
         raise InputError("the trajectory has no wrench to add noise to: record it")
-    # Frame by frame: how many follow does not change the first frames' noise.
+    # frame by frame, so that the noise does not depend on the number of later frames
     noise = rng.standard_normal((len(trajectory), 6))
     return replace(
         trajectory,
@@ -101,20 +94,18 @@ def add_pose_noise(
     *,
     correlation: float = POSE_CORRELATION,
 ) -> Trajectory:
-    """Displace and turn every pose by a stationary Gauss–Markov error.
+    """The trajectory as a tracker reports it, with stationary Gauss–Markov errors.
+
+    `POSITION_NOISE` and `ROTATION_NOISE` are added to the poses; the wrench remains
+    that of the true poses.
 
     Args:
-        trajectory: One recording at even steps; its wrench stays that of the true
-            poses.
+        trajectory: One recording with even time steps.
         rng: Source of the noise.
-        correlation: Time over which errors are alike; 0 for frames of their own [s].
-
-    Returns:
-        The trajectory as a tracker reports it, off by `POSITION_NOISE` and
-        `ROTATION_NOISE`.
+        correlation: Correlation time of the errors; 0 for independent frames [s].
 
     Raises:
-        InputError: A negative time.
+        InputError: The correlation time is negative.
     """
     if correlation < 0.0:
         raise InputError(f"correlation must not be negative, got {correlation} s")

@@ -1,4 +1,4 @@
-"""A torso whose skin is that of a scan: the same tissue below a measured shape."""
+"""A torso with the tissue of `Torso` below a scanned surface."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from ttus_opt.errors import GeometryError, InputError
 from ttus_opt.phantom.torso import Torso
 from ttus_opt.scan.surface import Surface
 
-#: Spokes repeated beyond either end of the turn: the spline closes to rounding
+#: Angles repeated beyond both ends of the turn, so that the spline is periodic
 OVERLAP = 24
 
 
 @dataclass(frozen=True)
 class ScannedTorso(Torso):
-    """Tissue as of `Torso` below the surface of a scan; z runs from 0 to ``length``.
+    """A `Torso` whose skin is a scanned surface; z runs from 0 to ``length``.
 
-    ``half_axes`` are those of the scan; ``exponent`` and ``swell`` have no meaning.
+    ``half_axes`` are those of the scan; ``exponent`` and ``swell`` are not used.
 
     Attributes:
         scanned: The surface; its lowest slice is the torso's z = 0.
-        harmonics: Of the radius around the body that are kept [–].
-        smoothing: Standard deviation of the Gaussian that smooths it along z [m].
+        harmonics: Number of harmonics of the radius around the body to keep [–].
+        smoothing: Standard deviation of the Gaussian that smooths along z [m].
     """
 
     scanned: Surface | None = field(default=None, repr=False)
@@ -37,14 +37,10 @@ class ScannedTorso(Torso):
 
     @classmethod
     def of(cls, surface: Surface, tissue: Torso) -> ScannedTorso:
-        """Put tissue below a scanned surface.
-
-        Args:
-            surface: The scan's.
-            tissue: Moduli, ribs and lump; its shape is not used.
+        """Put the ribs, lump and moduli of another torso below a scanned surface.
 
         Raises:
-            GeometryError: The surface is shorter than the tissue's length.
+            GeometryError: The surface is shorter than that torso.
         """
         length = float(surface.z[-1] - surface.z[0])
         if length < tissue.length:
@@ -65,7 +61,7 @@ class ScannedTorso(Torso):
 
     @cached_property
     def _spline(self) -> RectBivariateSpline:
-        """The smoothed radius between the scan's nodes, twice differentiable."""
+        """Twice differentiable interpolation of the smoothed radius."""
         if self.scanned is None:
             raise InputError("no surface was given: make it by ScannedTorso.of")
         theta, z = self.scanned.theta, self.scanned.z - self.scanned.z[0]

@@ -1,7 +1,7 @@
-"""A torso of soft tissue with ribs and a stiff lump, held at its spine and back.
+"""A torso of soft tissue with ribs and a stiff lump, fixed at its core and back.
 
-Cross-sections are superellipses scaled along z. The tissue's stiffness is a smooth
-function of place, so that it means the same on every mesh.
+Cross-sections are superellipses whose size varies along z. The tissue's stiffness is a
+smooth function of position and so does not depend on the mesh.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ class Torso:
     """Shape and tissue; patient frame, y towards the front, z along the body.
 
     Attributes:
-        half_axes: Of the mean cross-section, along x and y [m].
-        exponent: Of the superellipse; 2 is an ellipse [–].
-        swell: Relative change of the cross-section along z, ± [–].
-        length: From z = 0 to here [m].
-        core_radius: Of the rigid inner core [m].
-        back_height: Skin lower than this is held by the table, y [m].
-        soft: Young's modulus of the tissue [Pa].
-        rib: Of the ribs [Pa].
-        lump: Of the lump [Pa].
-        poisson: Poisson's ratio of everything [–].
-        rib_pitch: Distance of the ribs along z [m].
-        rib_width: Their width along z [m].
-        rib_depth: Between these depths below the skin [m].
-        rib_from: There are none below this height, z [m].
-        lump_centre: Patient frame [m].
-        lump_radius: [m].
+        half_axes: Semi-axes of the mean cross-section along x and y [m].
+        exponent: Exponent of the superellipse; 2 is an ellipse [–].
+        swell: Relative amplitude of the cross-section's size along z [–].
+        length: Extent along z, from 0 [m].
+        core_radius: Radius of the rigid inner core [m].
+        back_height: The table fixes skin below this y [m].
+        soft: Young's modulus of the soft tissue [Pa].
+        rib: Young's modulus of the ribs [Pa].
+        lump: Young's modulus of the lump [Pa].
+        poisson: Poisson's ratio of all tissue [–].
+        rib_pitch: Distance between ribs along z [m].
+        rib_width: Width of a rib along z [m].
+        rib_depth: Depths below the skin between which the ribs lie [m].
+        rib_from: Lowest z of the ribs at the front [m].
+        lump_centre: Centre of the lump [m].
+        lump_radius: Radius of the lump [m].
     """
 
     half_axes: tuple[float, float] = (0.160, 0.115)
@@ -72,7 +72,7 @@ class Torso:
 
     def normals(self, theta: Array, z: Array) -> Array:
         """Outward unit normals of the skin, shape (..., 3) [–]."""
-        h = 1e-5  # central differences of a smooth function: good to 1e-9
+        h = 1e-5  # central differences of a smooth function: error about 1e-9
         around = self.skin(theta + h, z) - self.skin(theta - h, z)
         along = self.skin(theta, z + h) - self.skin(theta, z - h)
         normal = np.cross(around, along)
@@ -83,7 +83,7 @@ class Torso:
         x, y, z = points
         theta = np.arctan2(y, x)
         depth = self.radius(theta, z) - np.hypot(x, y)
-        # Ribs run down towards the sides.
+        # ribs slope down towards the sides
         height = z + 0.03 * np.abs(np.sin(theta - np.pi / 2)) - self.rib_from
         off = np.abs((height / self.rib_pitch) % 1.0 - 0.5) * self.rib_pitch
         rib = (
@@ -102,19 +102,19 @@ class Torso:
 
 
 def _inside(distance: Array) -> Array:
-    """1 inside (negative distance), 0 outside, 1 mm soft on either side."""
+    """1 inside (negative distance), 0 outside, with a smooth step of about 1 mm."""
     return np.asarray(0.5 * (1.0 - np.tanh(distance / 1e-3)))
 
 
 @dataclass(frozen=True)
 class TorsoMesh:
-    """How finely a torso is meshed and which part of its skin may be pressed.
+    """Resolution of a torso's mesh, and the patch of skin that may be pressed.
 
     Attributes:
-        resolution: Multiplies every node spacing; 2 is coarse, 1 the example's [–].
-        theta: The patch's angles [rad].
-        z: The patch's heights [m].
-        pitch: Spacing in the patch: into the body, around it, along it [m].
+        resolution: Factor on every node spacing; 1 in the example, 2 is coarse [–].
+        theta: Range of the patch's angles [rad].
+        z: Range of the patch's z [m].
+        pitch: Node spacing in the patch: into, around and along the body [m].
     """
 
     resolution: float = 1.0
@@ -128,11 +128,11 @@ def torso_body(torso: Torso, mesh: TorsoMesh | None = None) -> ElasticBody:
 
     Args:
         torso: Shape and tissue.
-        mesh: Spacing and patch; the example's when not given.
+        mesh: Spacing and patch; by default those of the example.
 
     Returns:
-        The body: core held, back held where it lies on the table, both ends free to
-        slide in their planes, as if the body went on.
+        The body. Its core is fixed, and its back where it lies on the table; both ends
+        slide in their planes, as if the body continued.
 
     Raises:
         GeometryError: The core reaches the skin.

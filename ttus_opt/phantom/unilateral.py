@@ -4,10 +4,10 @@ The linear complementarity problem
 
     f ≥ 0,   C f − s ≥ 0,   f · (C f − s) = 0
 
-for nodal forces f [N], compliance C [m/N] and probe depths s [m] has one solution where
-C is positive definite. With C = RᵀR it is the optimality of min ‖R f − R⁻ᵀs‖² over
-f ≥ 0, nonnegative least squares (Lawson and Hanson, Solving Least Squares Problems,
-1974, chapter 23).
+for nodal forces f [N], compliance C [m/N] and probe depths s [m] has one solution if C
+is positive definite. With C = RᵀR it is the optimality condition of the nonnegative
+least-squares problem min ‖R f − R⁻ᵀs‖² over f ≥ 0 (Lawson and Hanson, Solving Least
+Squares Problems, 1974, chapter 23).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def solve_unilateral(compliance: Array, depth: Array) -> Array:
         Inward nodal forces on the skin, zero where it does not touch, (n,) [N].
 
     Raises:
-        InputError: Shapes that disagree or a compliance that is not definite.
+        InputError: The shapes disagree, or the compliance is not positive definite.
     """
     n = len(depth)
     if compliance.shape != (n, n):

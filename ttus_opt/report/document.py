@@ -30,21 +30,21 @@ class Heading:
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph; ``**bold**`` and ``code`` in backquotes are all it may hold."""
+    """A paragraph; the only markup is ``**bold**`` and ``code`` in backquotes."""
 
     text: str
 
 
 @dataclass(frozen=True)
 class Items:
-    """A list of lines, each as of `Text`."""
+    """A list of lines with the markup of `Text`."""
 
     lines: Sequence[str]
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table of texts, each as of `Text`."""
+    """A table of cells with the markup of `Text`."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -52,7 +52,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A PNG beside the report, by its path from there."""
+    """A PNG file, by its path relative to the report."""
 
     path: str
     caption: str
@@ -67,12 +67,9 @@ def write_markdown(path: Path, blocks: Sequence[Block]) -> None:
 
 
 def write_html(path: Path, title: str, blocks: Sequence[Block]) -> None:
-    """Write the blocks as one page with its pictures inside.
+    """Write the blocks as one HTML page, replacing ``path`` only on success.
 
-    Args:
-        path: The file; replaced only on success.
-        title: Of the page.
-        blocks: Pictures are read from beside ``path``.
+    Pictures are read from the folder of ``path`` and embedded.
     """
     body = "\n".join(_html(block, path.parent) for block in blocks)
     page = (
@@ -123,7 +120,7 @@ def _html(block: Block, folder: Path) -> str:
 
 
 def _inline(text: str) -> str:
-    """Text with its bold and code as HTML."""
+    """Text with its bold and code markup as HTML."""
     return _styled(escape(text))
 
 

@@ -1,9 +1,9 @@
-"""Hysteresis of recorded presses: the work that is not given back.
+"""Hysteresis of recorded presses: the work that is dissipated.
 
-The work done on the patient between two frames is the trapezoid of −f·dx − τ·dφ, with
-dx the way of the point that torques are about and dφ the turn. Over a press, from
-touch to release, an elastic body gives back all of it; tissue, gel and friction keep a
-share.
+The work done on the patient between two frames is the trapezoidal integral of
+−f·dx − τ·dφ, where dx is the displacement of the torques' reference point and dφ the
+rotation. From touch to release, an elastic body returns all of this work; tissue, gel
+and friction dissipate part of it.
 """
 
 from __future__ import annotations
@@ -17,38 +17,38 @@ from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 
-#: A press has at least so many frames [–]
+#: Shortest press that counts [frames]
 SHORTEST = 5
 
 
 def hysteresis_share(
     trajectory: Trajectory, shell: PointShell, force_threshold: float
 ) -> float:
-    """Share of the work of complete presses that is not given back.
+    """Fraction of the work of complete presses that is dissipated.
 
     Args:
-        trajectory: Poses with forces, and torques where they were measured.
+        trajectory: Poses with forces, and with torques if they were measured.
         shell: The probe.
-        force_threshold: The probe touches above this force [N].
+        force_threshold: Force above which the probe is in contact [N].
 
     Returns:
-        Σ work at release / Σ largest work during a press, 0 for an elastic body and 1
-        where nothing comes back; NaN where no press begins and ends in the recording.
+        Σ work at release / Σ largest work during a press: 0 for an elastic body, 1 if
+        all work is dissipated, NaN if no press begins and ends in the recording.
 
     Raises:
-        InputError: No forces.
+        InputError: The trajectory has no forces.
     """
     if trajectory.force is None:
         raise InputError("hysteresis needs measured forces: add fx,fy,fz")
     size = np.linalg.norm(trajectory.force, axis=1)
-    kept, spent = 0.0, 0.0
+    dissipated, done = 0.0, 0.0
     for number in np.unique(trajectory.segment):
         own = np.flatnonzero(trajectory.segment == number)
         work = np.concatenate([[0.0], np.cumsum(_work(trajectory, shell, own))])
         for start, stop in _presses(size[own] > force_threshold):
             during = work[start : stop + 1] - work[start]
-            kept, spent = kept + during[-1], spent + during.max()
-    return kept / spent if spent > 0.0 else float("nan")
+            dissipated, done = dissipated + during[-1], done + during.max()
+    return dissipated / done if done > 0.0 else float("nan")
 
 
 def _work(trajectory: Trajectory, shell: PointShell, own: IntArray) -> Array:
@@ -67,7 +67,7 @@ def _work(trajectory: Trajectory, shell: PointShell, own: IntArray) -> Array:
 
 
 def _presses(touching: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """First frame before and first after every press that begins and ends."""
+    """Last frame before and first frame after every complete press."""
     change = np.diff(touching.astype(int))
     starts, stops = np.flatnonzero(change == 1), np.flatnonzero(change == -1) + 1
     pairs = []

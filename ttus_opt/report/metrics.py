@@ -1,7 +1,7 @@
 """Errors of a field against measured wrenches (tables I-IV of the paper).
 
-Magnitude errors are means over all frames of |‖f‖ - ‖f̂‖|; direction errors are mean
-angles over the frames in contact, where a direction exists.
+A magnitude error is the mean of |‖f‖ - ‖f̂‖| over all frames; a direction error is the
+mean angle over the frames in contact, where a direction exists.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ttus_opt.voxmap.field import PotentialField
 #: A frame is in contact above this measured force [N]
 FORCE_THRESHOLD = 0.5
 
-#: A torque has a direction above this measured torque (3 σ of a good sensor) [N·m]
+#: A torque's direction is used above this torque (3 σ of a good sensor) [N·m]
 TORQUE_THRESHOLD = 0.01
 
 
@@ -33,20 +33,20 @@ class Errors:
 
     Attributes:
         force_magnitude_error_N: Mean |‖f‖ - ‖f̂‖|.
-        force_magnitude_rmse_N: Root mean square of the same.
+        force_magnitude_rmse_N: Root mean square of ‖f‖ - ‖f̂‖.
         force_vector_rmse_N: Root mean square of ‖f - f̂‖.
         force_angle_error_deg: Mean angle over frames in contact; NaN without any.
-        torque_magnitude_error_Nm: Mean |‖τ‖ - ‖τ̂‖|; NaN without measured torques, as
-            all errors of torque.
-        torque_magnitude_rmse_Nm: Root mean square of the same.
+        torque_magnitude_error_Nm: Mean |‖τ‖ - ‖τ̂‖|; NaN, like all errors of torque,
+            without measured torques.
+        torque_magnitude_rmse_Nm: Root mean square of ‖τ‖ - ‖τ̂‖.
         torque_angle_error_deg: Mean angle over frames with a torque; NaN without any.
-        frames: T.
-        frames_in_contact: Frames with ‖f‖ above ``force_threshold_N``.
-        frames_with_torque: Of those, frames with ‖τ‖ above ``torque_threshold_Nm``.
-        force_threshold_N: The threshold used.
-        torque_threshold_Nm: The threshold used.
-        share_told_apart: Share of the frames with a measured or rendered force above
-            ``force_threshold_N`` that a hand could tell from the measured ones
+        frames: Number of frames T.
+        frames_in_contact: Number of frames with ‖f‖ above ``force_threshold_N``.
+        frames_with_torque: Number of these with ‖τ‖ above ``torque_threshold_Nm``.
+        force_threshold_N: Threshold of the force.
+        torque_threshold_Nm: Threshold of the torque.
+        share_told_apart: Fraction of the frames with a measured or rendered force above
+            ``force_threshold_N`` in which a person could notice the difference
             (`ttus_opt.report.perception`); NaN without any.
     """
 
@@ -65,7 +65,7 @@ class Errors:
     share_told_apart: float = math.nan
 
     def as_dict(self) -> dict[str, float]:
-        """All figures by name, for JSON."""
+        """All values by name, for JSON."""
         return asdict(self)
 
     def __repr__(self) -> str:
@@ -83,14 +83,14 @@ class Evaluation:
     """Measured and rendered wrenches of a trajectory.
 
     Attributes:
-        errors: The summary.
+        errors: Summary of the errors.
         time: Shape (T,) [s].
         measured_force: Shape (T, 3) [N].
         rendered_force: Shape (T, 3) [N].
         measured_torque: Shape (T, 3) [N·m]; NaN where only forces were measured.
         rendered_torque: Shape (T, 3) [N·m].
-        in_grid: False where the pose lies outside the grid, shape (T,).
-        beyond_inner: Points in contact beyond the field's inner layer, (T,) [–].
+        in_grid: Whether the pose lies within the grid, shape (T,).
+        beyond_inner: Number of contact points beyond the field's inner layer, (T,) [–].
     """
 
     errors: Errors
@@ -113,15 +113,15 @@ def evaluate(
 ) -> Evaluation:
     """Render a trajectory and compare it with the measured wrenches.
 
-    A field that was fitted with drag is rendered with it, from the motion: the wrench
-    is that of `ttus_opt.haptic.field_wrench`, the same as a renderer's.
+    The wrench is that of `ttus_opt.haptic.field_wrench`, the same as a renderer's: drag
+    that was fitted is computed from the motion.
 
     Args:
         potential: The field.
         shell: The probe.
         trajectory: Poses with wrenches, or with forces alone.
-        force_threshold: Least measured force of a frame in contact [N].
-        torque_threshold: Least measured torque with a direction [N·m].
+        force_threshold: Measured force above which a frame is in contact [N].
+        torque_threshold: Measured torque above which its direction is used [N·m].
 
     Raises:
         InputError: The trajectory has no forces.
@@ -142,12 +142,6 @@ def compare(
     torque_threshold: float = TORQUE_THRESHOLD,
 ) -> Evaluation:
     """Compare rendered with measured wrenches, the last step of `evaluate`.
-
-    Args:
-        trajectory: Poses with wrenches.
-        rendered: Wrenches at its frames.
-        force_threshold: As in `evaluate` [N].
-        torque_threshold: As in `evaluate` [N·m].
 
     Raises:
         InputError: The trajectory has no forces.
@@ -182,19 +176,12 @@ def as_rendered(wrench: Array) -> FieldWrenches:
 
 
 def angles(a: Array, b: Array) -> Array:
-    """Angles between vectors, 90° where one of them is zero.
-
-    Args:
-        a: Shape (T, 3).
-        b: Shape (T, 3).
-
-    Returns:
-        Shape (T,) [°].
+    """Angles between vectors of shape (T, 3), 90° where one of them is zero [°].
 
     >>> angles(np.array([[1.0, 0, 0]]), np.array([[1.0, 1, 0]])).round(3).item()
     45.0
     """
-    # atan2 of sine and cosine: exact for small angles, where arccos is not
+    # atan2 of sine and cosine is accurate for small angles, where arccos is not
     sine = np.linalg.norm(np.cross(a, b), axis=1)
     cosine = np.einsum("ti,ti->t", a, b)
     turned = np.degrees(np.arctan2(sine, cosine))

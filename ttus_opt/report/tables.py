@@ -17,10 +17,10 @@ class Comparison:
     """One recording rendered with two fields.
 
     Attributes:
-        recording: Its name.
+        recording: Name of the recording.
         seen: Whether the field was fitted to it.
-        before: With the Laplace field alone.
-        after: With the fitted field.
+        before: Evaluation of the Laplace field alone.
+        after: Evaluation of the fitted field.
     """
 
     recording: str
@@ -48,7 +48,7 @@ _COLUMNS: tuple[tuple[str, Callable[[Errors], float], str], ...] = (
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table with aligned columns, without a final line break.
+    """A Markdown table with aligned columns, without a final newline.
 
     >>> print(table(["a", "number"], [["x", "1"]]))
     | a | number |
@@ -66,7 +66,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def error_table(comparisons: Sequence[Comparison]) -> str:
-    """Errors before → after, a row per recording, with the frames in contact."""
+    """Errors before → after and the frames in contact, one row per recording."""
     return table(*error_cells(comparisons))
 
 
@@ -101,8 +101,8 @@ def write_report(
     Args:
         path: The file.
         comparisons: Errors before and after.
-        facts: A line each, by name.
-        pictures: Caption by file name, in order.
+        facts: Lines at the beginning of the report, by name.
+        pictures: Captions by file name, in order.
     """
     threshold = comparisons[0].after.errors.force_threshold_N
     parts = [

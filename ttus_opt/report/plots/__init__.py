@@ -1,4 +1,4 @@
-"""Pictures: one per file, every function gives a figure, `save_picture` writes it."""
+"""Plots, one per file: each function returns a figure, `save_picture` writes it."""
 
 from ttus_opt.report.plots.canvas import (
     require_picture_suffix as require_picture_suffix,

@@ -1,4 +1,4 @@
-"""What all pictures share: a figure without global state, its look, its file."""
+"""Shared by all plots: figures without global state, their style, and saving them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ttus_opt.errors import InputError
 
 SUFFIXES = (".png", ".pdf", ".svg")
 
-#: Dots per inch of a PNG.
+#: Resolution of a PNG [dots per inch]
 DPI = 100
 
-#: Inks that stay apart in greyscale: what was measured, before, after.
+#: Colours of measured, before and after, distinguishable in greyscale
 MEASURED, BEFORE, AFTER = "0.72", "0.25", "#0b4f9c"
 
 _LOOK = {
@@ -43,10 +43,10 @@ def new_figure(
     """An empty figure.
 
     Args:
-        width: [in].
-        height: [in].
-        margins: Left, right, bottom and top of its axes [in]; when not given, what
-            their labels need, which takes longer to find than to draw it all.
+        width: Width [in].
+        height: Height [in].
+        margins: Left, right, bottom and top margins of its axes [in]. By default they
+            are found from the labels, which takes longer than drawing the figure.
     """
     engine = None if margins else ConstrainedLayoutEngine()
     figure = Figure(figsize=(width, height), dpi=DPI, layout=engine)
@@ -64,12 +64,12 @@ def add_axes(
     box: tuple[float, float, float, float],
     projection: str | None = None,
 ) -> Any:
-    """Axes at a place of their own.
+    """Add axes at a given position.
 
     Args:
-        figure: Where to.
+        figure: The figure.
         box: Left, bottom, width and height [in].
-        projection: "3d", or none.
+        projection: "3d" or None.
     """
     width, height = figure.get_size_inches()
     left, bottom, wide, high = box
@@ -78,15 +78,15 @@ def add_axes(
 
 
 def look() -> Any:
-    """A context in which axes get the pictures' look."""
+    """A context in which new axes have the style of these plots."""
     return matplotlib.rc_context(_LOOK)
 
 
 def require_picture_suffix(path: str | os.PathLike[str]) -> None:
-    """Check a picture's file name before the work that leads to it.
+    """Check a picture's file name before any work is done.
 
     Raises:
-        InputError: Not one of `SUFFIXES`.
+        InputError: The suffix is not one of `SUFFIXES`.
     """
     if Path(path).suffix.lower() not in SUFFIXES:
         raise InputError(
@@ -98,7 +98,7 @@ def save_picture(figure: Figure, path: str | os.PathLike[str]) -> None:
     """Write a figure, replacing ``path`` only on success.
 
     Raises:
-        InputError: A suffix that is not one of `SUFFIXES`.
+        InputError: The suffix is not one of `SUFFIXES`.
         FileError: The folder cannot be written to.
     """
     require_picture_suffix(path)
@@ -108,7 +108,7 @@ def save_picture(figure: Figure, path: str | os.PathLike[str]) -> None:
             engine.execute(figure)
             figure.set_layout_engine("none")
         if Path(path).suffix.lower() == ".png" and figure.dpi == DPI:
-            # savefig would draw all a second time to look for a tight frame
+            # savefig would draw the figure twice to find a tight frame
             FigureCanvasAgg(figure).print_png(temporary)
         else:
             figure.savefig(temporary, dpi=DPI)

@@ -1,4 +1,4 @@
-"""Where a patient was measured, and where the model only guesses."""
+"""Plot of the model's uncertainty over the skin, with the measured places."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.plots.canvas import look, new_figure
 from ttus_opt.voxmap.doubt_map import DoubtMap
 
-_SHADES = "cividis"  # even in greyscale
+_SHADES = "cividis"  # uniform in greyscale too
 
 
 def doubt_picture(found: DoubtMap, measured: Trajectory | None = None) -> Figure:
-    """Draw a map of doubt over the unrolled skin.
+    """Draw a map of uncertainty over the unrolled skin.
 
     Args:
         found: The map.
         measured: Recordings that were fitted, drawn as dots.
 
     Returns:
-        The figure: standard deviation of a press's force over that force, in percent,
-        over angle and height.
+        A figure of the relative standard deviation of a press's force in percent, over
+        angle and height.
     """
     with look():
         figure = new_figure(7.0, 4.5)

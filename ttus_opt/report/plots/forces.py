@@ -24,15 +24,13 @@ def force_over_time(evaluations: Mapping[str, Evaluation], title: str = "") -> F
     """Force magnitude and components, measured and rendered.
 
     Args:
-        evaluations: One or two renderings of the same trajectory by name; of two,
-            the first is drawn dashed.
-        title: Of the picture.
-
-    Returns:
-        The figure.
+        evaluations: One or two renderings of the same trajectory by name; the first of
+            two is drawn dashed.
+        title: Title of the figure.
 
     Raises:
-        InputError: None or more than two evaluations, or of different trajectories.
+        InputError: There are none or more than two evaluations, or they are of
+            different trajectories.
     """
     first = _checked(evaluations)
     with look():
@@ -57,7 +55,7 @@ def force_over_time(evaluations: Mapping[str, Evaluation], title: str = "") -> F
 
 
 def draw_magnitude(axes: Any, evaluations: Mapping[str, Evaluation]) -> None:
-    """Draw ‖f‖ measured and rendered into given axes."""
+    """Draw measured and rendered ‖f‖ into given axes."""
     first = _checked(evaluations)
     _draw(
         axes,
@@ -98,7 +96,7 @@ def _draw(
 
 
 def _clock(time: Array) -> tuple[Array, NDArray[np.int64]]:
-    """Time with recordings one after the other, and where they begin."""
+    """Time with recordings placed one after the other, and where they begin."""
     breaks = np.flatnonzero(np.diff(time) <= 0) + 1
     clock = time.copy()
     for i in breaks:

@@ -18,15 +18,12 @@ from ttus_opt.voxmap.field import PotentialField
 def overview(
     field: PotentialField, cloud: Array, evaluations: Mapping[str, Evaluation]
 ) -> Figure:
-    """Draw scan and surface, the fitted potential and rendered force side by side.
+    """Draw scan and surface, the fitted potential and the rendered force side by side.
 
     Args:
-        field: The fitted field; its surface came from ``cloud``.
+        field: The fitted field, whose surface was extracted from ``cloud``.
         cloud: The scan, shape (n, 3) [m].
-        evaluations: Renderings of an unseen trajectory, before and after.
-
-    Returns:
-        The figure.
+        evaluations: Evaluations on an unseen trajectory, before and after fitting.
     """
     surface, grid = field.voxmap.surface, field.voxmap.grid
     k = grid.shape[2] // 2

@@ -1,8 +1,8 @@
-"""The probe's poses on the skin with measured forces as arrows, one row a recording.
+"""The probe's poses on the skin with measured forces as arrows, one row per recording.
 
-Three projections with the patient on the back: from above, from the side and along the
-body. A recording whose columns, frame or sign are mistaken stands beside the skin, or
-pulls where it should push.
+Three projections show the patient lying on the back: from above, from the side and
+along the body. A recording with wrong columns, frame or sign appears away from the
+skin, or its arrows point the wrong way.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from ttus_opt.report.plots.canvas import look, new_figure
 from ttus_opt.report.plots.potential import round_up
 from ttus_opt.scan.surface import Surface
 
-#: Most recordings that are drawn, and most arrows and probes in each
+#: Largest number of recordings, and of arrows and probe outlines in each
 RECORDINGS, ARROWS, PROBES = 8, 60, 3
 
 #: Length of an arrow of the largest force [cm]
 LONGEST = 6.0
 
-#: What touches by geometry and by force: label, ink and marker
+#: Label, colour and marker by contact of the geometry and contact by force
 _KINDS: dict[tuple[bool, bool], tuple[str, str, str]] = {
     (True, True): ("contact and force", "#0b4f9c", "o"),
     (True, False): ("contact, no force", "#e08214", "s"),
@@ -40,7 +40,7 @@ _KINDS: dict[tuple[bool, bool], tuple[str, str, str]] = {
 
 
 class _View(NamedTuple):
-    """A projection: its name, and the patient's axes to the right and upwards."""
+    """A projection: its name, and the directions to the right and upwards."""
 
     name: str
     right: Array
@@ -53,22 +53,21 @@ def pose_picture(
     trajectory: Trajectory,
     names: Sequence[str] = (),
 ) -> Figure:
-    """Draw where the probe was and what it measured.
+    """Draw the probe's poses and the measured forces.
 
     Args:
-        surface: The patient's.
+        surface: The patient's surface.
         shell: The probe.
         trajectory: One or several recordings, in the patient frame.
-        names: Of the recordings, one for each segment; numbers by default.
+        names: Names of the recordings (segments); numbers by default.
 
     Returns:
-        The figure: a row for each of the first `RECORDINGS` recordings, seen from
-        above, from the side and along the body. A frame is coloured by whether the
-        probe touches the skin by geometry and by its measured force, which is drawn
-        from the probe's reference point on; outlines are those of the whole probe.
+        A figure with a row for each of the first `RECORDINGS` recordings. The colour of
+        a frame shows whether the probe's geometry touches the skin and whether a force
+        was measured; the force's arrow starts at the probe's reference point.
 
     Raises:
-        InputError: Other than one name for each recording.
+        InputError: The number of names is not the number of recordings.
     """
     segments = np.unique(trajectory.segment)
     names = names or [f"recording {number}" for number in segments]
@@ -111,16 +110,16 @@ def pose_picture(
 
 
 def _largest_force(trajectory: Trajectory) -> float:
-    """The force whose arrow is the longest, a round number [N]."""
+    """The force of an arrow of length `LONGEST`, a round number [N]."""
     force = trajectory.force
     return 1.0 if force is None else round_up(float(np.abs(force).max()))
 
 
 def _views(surface: Surface) -> tuple[_View, _View, _View]:
-    """Projections with the side that was seen upwards, along the nearest axis."""
+    """Projections with the axis nearest to the scanned side pointing up."""
     share = surface.observed.mean(axis=1)
     seen = np.array([share @ np.cos(surface.theta), share @ np.sin(surface.theta)])
-    # seen all around: y is up, as in a drawing
+    # scanned all around: y is up
     nearest = int(np.argmax(np.abs(seen))) if np.abs(seen).max() > 1e-6 else 1
     up, along = np.zeros(3), np.array([0.0, 0.0, 1.0])
     up[nearest] = 1.0 if seen[nearest] > -1e-6 else -1.0
@@ -134,13 +133,13 @@ def _views(surface: Surface) -> tuple[_View, _View, _View]:
 
 @dataclass(frozen=True)
 class _Frames:
-    """What is drawn of one recording.
+    """The frames of one recording to draw.
 
     Attributes:
         at: The probe's reference point, patient frame, shape (n, 3) [m].
-        force: Measured, shape (n, 3) [N]; None without.
+        force: Measured force, if any, shape (n, 3) [N].
         kinds: Contact by geometry and by force, shape (n, 2).
-        probes: Shells of a few frames, patient frame, each of shape (M, 3) [m].
+        probes: Points of the probe in a few frames, patient frame, each (M, 3) [m].
     """
 
     at: Array
@@ -150,7 +149,7 @@ class _Frames:
 
     @classmethod
     def of(cls, surface: Surface, shell: PointShell, recorded: Trajectory) -> _Frames:
-        """Some frames of a recording, evenly over its length."""
+        """Choose frames of a recording at even intervals."""
         n = len(recorded)
         some = recorded.select(np.unique(np.linspace(0, n - 1, ARROWS).astype(int)))
         placed = [
@@ -171,14 +170,14 @@ class _Frames:
 
 
 def _touches(surface: Surface, points: Array) -> bool:
-    """Whether some of the points (M, 3) [m] are inside the skin."""
+    """Whether any of the points (M, 3) [m] is inside the skin."""
     x, y, z = points.T
     inside = np.hypot(x, y) < surface.radius_at(np.arctan2(y, x), z)
     return bool((inside & (z >= surface.z[0]) & (z <= surface.z[-1])).any())
 
 
 def _draw(axis: Any, frames: _Frames, view: _View, longest: float) -> None:
-    """One recording in one projection, everything in cm."""
+    """Draw one recording in one projection, in cm."""
     plane = 100.0 * np.stack([view.right, view.up], axis=1)
     for points in frames.probes:
         outline = _outline(points @ plane)
@@ -200,7 +199,7 @@ def _draw(axis: Any, frames: _Frames, view: _View, longest: float) -> None:
 
 
 def _draw_arrows(axis: Any, at: Array, along: Array, ink: str) -> None:
-    """Arrows from points on, both of shape (n, 2) [cm]."""
+    """Draw arrows that start at points, both of shape (n, 2) [cm]."""
     axis.quiver(
         *at.T,
         *along.T,
@@ -215,7 +214,7 @@ def _draw_arrows(axis: Any, at: Array, along: Array, ink: str) -> None:
 
 
 def _label(axis: Any, view: _View) -> None:
-    """Name the patient's axes; one that points backwards has its sign there."""
+    """Label the axes with those of the patient frame and their signs."""
     for set_label, direction in (
         (axis.set_xlabel, view.right),
         (axis.set_ylabel, view.up),
@@ -226,16 +225,16 @@ def _label(axis: Any, view: _View) -> None:
 
 
 def _outline(points: Array) -> Array:
-    """The closed convex outline of points in the plane, shape (n, 2)."""
+    """The closed convex hull of points in the plane, shape (n, 2)."""
     from scipy.spatial import ConvexHull
 
-    # joggled: a flat probe seen edge-on is a line
+    # QJ (joggled input), because a flat probe seen edge-on is a line
     corners = ConvexHull(points, qhull_options="QJ").vertices
     return np.asarray(points[np.append(corners, corners[0])])
 
 
 def _draw_skin(axis: Any, surface: Surface, view: _View, z: float) -> None:
-    """The skin's silhouette, or its section at a height where one looks along z."""
+    """Draw the skin's silhouette or, in a view along z, its section at a height."""
     nodes = surface.points()
     if abs(view.right[2]) < 0.5:
         outline = nodes[:, int(np.argmin(np.abs(surface.z - z)))]

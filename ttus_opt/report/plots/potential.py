@@ -14,16 +14,15 @@ from ttus_opt.report.plots.canvas import add_axes, look, new_figure
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 
-#: Blue to red through white; the sign also shows in the contour lines.
+#: Blue to red through white; the line style of the contours also shows the sign
 _COLOURS = "RdBu_r"
-
 
 _UNITS = {"voxel-mean": "N", "trilinear": "N/cm²", "contact-size": "N/cm²"}
 
-#: Colours tell values apart up to this depth below and height above the skin [m].
+#: The colour scale covers values within this distance of the skin [m]
 _SKIN_DEPTH = 0.025
 
-#: Half the edge of the enlarged part [m].
+#: Half the width of the enlarged part [m]
 _WINDOW = 0.04
 
 
@@ -35,13 +34,12 @@ def potential_slices(
     Args:
         before: For instance the Laplace field alone.
         after: The field fitted to measurements, on the same grid.
-        z: Height of the slice [m]; by default where the fields differ most.
+        z: Height of the slice [m]; by default where the fields differ most, by
+            `local_change`.
 
     Returns:
-        The figure: the slice above, the part where the fields differ most enlarged
-        below; contours solid where p > 0, dashed where p < 0. Where they differ is
-        told within 2.5 cm below the skin, and beside a common factor, which another
-        boundary value makes everywhere.
+        A figure with the slice above and, enlarged below, the part where the fields
+        differ most. Contours are solid for p > 0 and dashed for p < 0.
 
     Raises:
         InputError: The fields have different grids.
@@ -97,15 +95,15 @@ def field_slice(field: PotentialField, z: float | None = None) -> Figure:
     """One field in one transverse slice.
 
     Args:
-        field: Any field.
-        z: Height of the slice, the nearest is drawn [m]; by default mid-height.
+        field: The field.
+        z: Height; the nearest slice is drawn [m]. By default the middle of the grid.
 
     Returns:
-        The figure: p in colours, contours solid where p > 0 and dashed where p < 0,
-        the skin solid where it was seen and dotted where it was filled.
+        A figure of p. Contours are solid for p > 0 and dashed for p < 0; the skin is
+        solid where it was seen and dotted where it was filled.
 
     Raises:
-        InputError: A height beyond the grid.
+        InputError: The height is outside the grid.
     """
     grid = field.voxmap.grid
     wanted = (grid.z_min + grid.z_max) / 2 if z is None else z
@@ -129,13 +127,13 @@ def field_slice(field: PotentialField, z: float | None = None) -> Figure:
 
 
 def colour_limit(field: PotentialField, k: int) -> float:
-    """The largest |p| near the skin in slice k: colours beyond it saturate."""
+    """Limit of the colours in slice k: the 90th percentile of |p| near the skin."""
     near = np.abs(field.values[:, :, k][_near_skin(field, k)])
     return round_up(float(np.percentile(near, 90)))
 
 
 def _near_skin(field: PotentialField, k: int) -> Mask:
-    """Voxels of slice k that colours tell apart, shape (n_r, n_theta)."""
+    """Voxels of slice k near the skin, shape (n_r, n_theta)."""
     grid = field.voxmap.grid
     skin = field.voxmap.surface.radius_at(grid.theta, np.full(grid.shape[1], grid.z[k]))
     near = np.abs(grid.r[:, None] - skin) < _SKIN_DEPTH
@@ -143,11 +141,9 @@ def _near_skin(field: PotentialField, k: int) -> Mask:
 
 
 def local_change(before: PotentialField, after: PotentialField) -> Array:
-    """By how much fields differ beside a common factor below the skin, 0 elsewhere.
+    """Difference of two fields on one grid just below the skin, 0 elsewhere.
 
-    Args:
-        before: A field.
-        after: Another one on its grid.
+    A common factor, which a different boundary value causes everywhere, is removed.
 
     Returns:
         Shape ``grid.shape`` [as the potential].
@@ -161,7 +157,7 @@ def local_change(before: PotentialField, after: PotentialField) -> Array:
 
 
 def round_up(value: float) -> float:
-    """The next number of one digit, for scales; 1 for zero.
+    """Round up to one significant digit, for scales; 1 for zero.
 
     >>> round_up(7.43), round_up(0.16)
     (8.0, 0.2)
@@ -190,26 +186,26 @@ def draw_slice(
     """Draw values of one slice into given axes.
 
     Args:
-        axes: Where to.
-        field: Whose grid and surface to use.
-        values: Shape (n_r, n_theta).
+        axes: The axes to draw into.
+        field: Field with the grid and the surface.
+        values: Values, shape (n_r, n_theta).
         k: Number of the slice.
-        limit: The colours reach from -limit to limit.
+        limit: The colours range from -limit to limit.
 
     Returns:
-        What a colour bar needs.
+        The mappable for a colour bar.
     """
     grid = field.voxmap.grid
     theta = np.append(grid.theta, 2.0 * np.pi)
     closed = np.concatenate([values, values[:, :1]], axis=1)
-    if grid.sector is not None:  # as far as the sides, where nothing changes
+    if grid.sector is not None:  # extend constant values up to the sector's sides
         closed = np.pad(values[:, :-1], ((0, 0), (1, 1)), mode="edge")
         theta = np.concatenate([grid.sector[:1], grid.theta[:-1], grid.sector[1:]])
     x = 100.0 * grid.r[:, None] * np.cos(theta)
     y = 100.0 * grid.r[:, None] * np.sin(theta)
     bands = limit * np.linspace(-1.0, 1.0, 21)
     mesh = axes.contourf(x, y, closed, bands, cmap=_COLOURS, extend="both")
-    lines = np.delete(bands[::2], 5)  # without zero, where only rounding decides
+    lines = np.delete(bands[::2], 5)  # without zero: only rounding decides there
     style = ["dashed" if level < 0 else "solid" for level in lines]
     axes.contour(x, y, closed, lines, colors="0.3", linewidths=0.5, linestyles=style)
     draw_outline(axes, field.voxmap.surface, float(grid.z[k]))
@@ -224,7 +220,7 @@ def draw_outline(axes: Any, surface: Surface, z: float) -> None:
     radius = surface.radius_at(theta, np.full(len(theta), z))
     seen = np.append(surface.observed[:, k], surface.observed[0, k])
     x, y = 100.0 * radius * np.cos(theta), 100.0 * radius * np.sin(theta)
-    # a piece of line belongs to the seen part when both its ends do
+    # a line segment is seen if both its ends are
     both = seen & np.roll(seen, -1)
     keep_seen = both | np.roll(both, 1)
     keep_filled = ~both | np.roll(~both, 1)

@@ -1,4 +1,4 @@
-"""How far rendered wrenches are from measured ones: histograms before and after."""
+"""Histograms of rendered minus measured wrenches, before and after fitting."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ def residual_histogram(
     """Histograms of the residual components, rendered minus measured.
 
     Args:
-        before: Evaluations with the Laplace field alone.
-        after: With the fitted field, on the same trajectories.
-        title: Of the picture.
+        before: Evaluations of the Laplace field alone.
+        after: Evaluations of the fitted field on the same trajectories.
+        title: Title of the figure.
 
     Returns:
-        The figure: forces [N] on the left, torques [mN m] on the right.
+        A figure with forces [N] on the left and torques [mN m] on the right.
     """
     with look():
         figure = new_figure(

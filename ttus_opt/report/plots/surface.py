@@ -1,4 +1,4 @@
-"""The surface with its observed part: in space, unrolled, and in a few slices."""
+"""The surface and its observed part: in space, unrolled, and in a few slices."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from ttus_opt.report.plots.canvas import add_axes, look, new_figure
 from ttus_opt.report.plots.potential import draw_outline
 from ttus_opt.scan.surface import Surface
 
-_SHADES = "cividis"  # even in greyscale
+_SHADES = "cividis"  # uniform in greyscale too
 
 
 def surface_picture(surface: Surface, cloud: Array | None = None) -> Figure:
     """Draw a surface.
 
     Args:
-        surface: What was extracted.
-        cloud: The scan it came from, scan frame, shape (n, 3) [m].
+        surface: The surface.
+        cloud: Its scan, scan frame, shape (n, 3) [m].
 
     Returns:
-        The figure: top left in space, top right unrolled with the unseen part
-        hatched, below three slices with the scan's points.
+        A figure with the surface in space (top left), the unrolled surface with its
+        unseen part hatched (top right), and three slices with the scan's points below.
     """
     points = None if cloud is None else surface.axis.to_patient(cloud)
     with look():
@@ -48,13 +48,13 @@ def surface_picture(surface: Surface, cloud: Array | None = None) -> Figure:
 
 
 def draw_section(axes: Any, surface: Surface, z: float, points: Array | None) -> None:
-    """Draw one slice: scan points near it and the surface.
+    """Draw one slice of the surface and the scan points near it.
 
     Args:
-        axes: Where to.
+        axes: The axes to draw into.
         surface: The surface.
         z: Height of the slice [m].
-        points: Scan, patient frame, shape (n, 3) [m]; None for none.
+        points: The scan, patient frame, shape (n, 3) [m], if any.
     """
     reach = 100.0 * (float(surface.radius.max()) + 0.03)
     if points is not None:
@@ -111,7 +111,7 @@ def _draw_unrolled(axes: Any, bar: Any, surface: Surface) -> None:
 
 
 def _draw_in_space(axes: Any, surface: Surface) -> None:
-    """The skin from its seen side: along the body to the right, seen side up."""
+    """Draw the skin with the body's axis to the right and its seen side up."""
     nodes = surface.points()
     closed = 100.0 * np.concatenate([nodes, nodes[:1]])
     seen = np.concatenate([surface.observed, surface.observed[:1]])[:-1, :-1]
@@ -127,10 +127,10 @@ def _draw_in_space(axes: Any, surface: Surface) -> None:
     eye = np.array([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)])
     light = np.array([0.25, -0.65, 0.72])
     bright = 0.45 + 0.55 * np.clip(normal @ light, 0.0, 1.0)
-    # seen skin is dark and filled skin light, the wall seen from inside darkest
+    # seen skin is dark, filled skin light, and the inner side of the skin darkest
     shade = np.where(seen[..., None], [0.80, 0.58, 0.40], [0.93, 0.93, 0.93])
     shade = np.where((normal @ eye < 0)[..., None], [0.35, 0.35, 0.35], shade)
-    # plot_surface does the same patch by patch, in Python
+    # faster than plot_surface, which loops over the patches in Python
     corners = [placed[:-1, :-1], placed[:-1, 1:], placed[1:, 1:], placed[1:, :-1]]
     skin = Poly3DCollection(
         np.stack(corners, axis=2).reshape(-1, 4, 3),
@@ -148,7 +148,7 @@ def _draw_in_space(axes: Any, surface: Surface) -> None:
 
 
 def _view_frame(surface: Surface) -> Array:
-    """Rows: along the body, across, and towards the seen side, shape (3, 3) [–]."""
+    """Directions along, across and towards the seen side as rows, (3, 3) [–]."""
     share = surface.observed.mean(axis=1)
     x, y = share @ np.cos(surface.theta), share @ np.sin(surface.theta)
     size = float(np.hypot(x, y))

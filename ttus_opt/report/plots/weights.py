@@ -1,4 +1,4 @@
-"""What weights do: the L-curve, and errors on held-out recordings, along a path."""
+"""Effect of the weights along a path: L-curve and errors on held-out recordings."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
 if TYPE_CHECKING:
     import xarray as xr
 
-#: Dashes tell recordings apart in greyscale
+#: Dash patterns that distinguish recordings in greyscale
 _DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1)), (0, (5, 1, 1, 1)))
 
-#: Variables of held-out recordings that are drawn, the first also over a grid
+#: Errors on held-out recordings to draw; over two weights only the first
 _HELD_OUT = ("held_out_force_magnitude_error", "held_out_force_angle_error")
 
 
 def weight_path(path: xr.Dataset, title: str = "") -> Figure:
-    """Draw a path of weights, as `ttus_opt.solution_path` gives it.
+    """Draw a path of weights from `ttus_opt.solution_path`.
 
     Args:
-        path: Over one or two weights.
-        title: Of the picture.
+        path: A path over one or two weights.
+        title: Title of the figure.
 
     Returns:
-        The figure: on the left the L-curve, what the varied terms cost against what
-        the others do; on the right errors on held-out recordings (without any, the
-        residuals of those that were fitted) against the weight, or over both weights.
+        A figure with the L-curve on the left: the cost of the other terms against that
+        of the varied ones. On the right are the errors on held-out recordings (without
+        any, the residuals of the fitted ones) over the weight or both weights.
 
     Raises:
-        InputError: No path, more than two weights, or no point that was solved.
+        InputError: This is not a path, it has more than two weights, or no point of it
+            was solved.
     """
     if "term_value" not in path:
         raise InputError("weight_path takes the result of solution_path")
@@ -59,12 +60,12 @@ def weight_path(path: xr.Dataset, title: str = "") -> Figure:
 
 
 def _draw_l_curve(axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
-    """The other terms against the varied ones, a line per value of a second weight."""
+    """Draw the other terms over the varied ones, one line per second weight."""
     varied = [str(name) for name in path.coords if str(name).endswith("_weight")]
     named = [name.removesuffix("_weight") for name in varied]
     terms = [str(term) for term in path["term"].values]
     own = path["term_value"].sel(term=[t for t in terms if t in named]).sum("term")
-    # what they cost with their weights is the rest of the objective
+    # the other terms are the objective less the weighted varied terms
     paid = sum(
         path[f"{t}_weight"] * path["term_value"].sel(term=t).fillna(0.0)
         for t in terms
@@ -87,7 +88,7 @@ def _draw_l_curve(axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
 
 
 def _write_weights(axes: Any, x: Any, y: Any, weights: Any) -> None:
-    """A few weights beside their points."""
+    """Write a few weights beside their points."""
     solved = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
     for i in solved[np.linspace(0, len(solved) - 1, min(5, len(solved))).astype(int)]:
         axes.annotate(
@@ -101,7 +102,7 @@ def _write_weights(axes: Any, x: Any, y: Any, weights: Any) -> None:
 
 
 def _draw_errors(axes: Any, path: xr.Dataset, dim: str) -> None:
-    """Force [N] on the left scale, its angle [°] on the right one."""
+    """Draw the force error [N] on the left scale and the angle [°] on the right."""
     weights = path[dim].to_numpy()
     held = _HELD_OUT[0] in path
     name, over = (_HELD_OUT[0], "held_out") if held else ("force_residual", "recording")
@@ -139,7 +140,7 @@ def _mark_least(axes: Any, weights: Any, values: Any) -> None:
 
 
 def _draw_map(figure: Figure, axes: Any, path: xr.Dataset, dims: Sequence[str]) -> None:
-    """Errors over two weights, the mean of all recordings."""
+    """Draw errors over two weights, averaged over all recordings."""
     held = _HELD_OUT[0] in path
     name, over = (_HELD_OUT[0], "held_out") if held else ("force_residual", "recording")
     values = path[name].mean(over).transpose(*dims).to_numpy()
