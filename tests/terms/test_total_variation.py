@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.conftest import small_scene
+from tests.conftest import small_scene, torso
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem.formulation import Formulation, load
 from ttus_opt.terms.penalties.groups import Groups
 from ttus_opt.terms.total_variation import TotalVariationTerm, difference_rows
+from ttus_opt.voxmap.voxmap import Voxmap
 
 SCENE = small_scene("trilinear", n_poses=20)
 
@@ -78,3 +79,24 @@ def test_isotropic_variation_is_a_cone_program_with_a_certificate() -> None:
     # √3 |d|₂ ≥ |d|₁ ≥ |d|₂ orders the two minima
     assert solution.objective <= boxed.objective * (1 + 1e-6)
     assert boxed.objective <= np.sqrt(3.0) * solution.objective * (1 + 1e-6)
+
+
+def test_a_sector_has_no_differences_beyond_its_sides() -> None:
+    """θ wraps around a full circle only; the wall's column is nobody's neighbour."""
+    voxmap = Voxmap.from_surface(
+        torso(), shape=(5, 9, 4), r_inner=0.03, sector=(0.2, 2.6)
+    )
+    grid = voxmap.grid
+    assert grid.wall is not None
+    D = difference_rows(grid)
+    p = np.zeros(grid.shape)
+    p[:, grid.wall :] = 7.0
+    across = (D @ p.reshape(-1)).reshape(*grid.shape, 3)[..., 1]
+    assert not across.any()
+    p = np.broadcast_to(np.arange(9.0)[:, None], grid.shape)
+    steps = (D @ p.reshape(-1)).reshape(*grid.shape, 3)[..., 1]
+    arc = grid.r * grid.theta_step / grid.r_step
+    inner = steps[:, : grid.wall - 1]
+    np.testing.assert_allclose(
+        inner, np.broadcast_to(1 / arc[:, None, None], inner.shape)
+    )

@@ -123,3 +123,19 @@ def test_completed_it_holds_all_that_the_rows_tell_of_each_other() -> None:
     assert -1e-6 < (root[sweep.told] ** 2 * np.diag(rest)).sum() < 0.3
     before = len(sweep)
     assert sweep.solve(root, 1e-5).settled and len(sweep) - before < 5
+
+
+@pytest.mark.parametrize("field_rtol", [1e-6, 1e-8])
+def test_dependent_rows_are_spanned_and_nothing_is_added(field_rtol: float) -> None:
+    """Four frames beside each other tell twelve things of the field, not 24."""
+    scene = small_scene("trilinear", shape=(5, 8, 6), n_poses=4)
+    data = DualData.of(shelf.load("eq10", scene).compile())
+    root, D = data.system.root_weights, data.system.rows.toarray()
+    G = np.linalg.solve(scene.L.toarray().T, D.T)
+    C = G.T @ G
+    rank = int(np.linalg.matrix_rank(C, tol=1e-11 * np.abs(C).max()))
+    sweep = WeightSweep(data, field_rtol=field_rtol)
+    assert sweep.complete(root, 1e-12)
+    assert len(sweep) <= rank < len(root)
+    K = sweep.images
+    np.testing.assert_allclose(K.T @ K, C, atol=1e-6 * np.abs(C).max())

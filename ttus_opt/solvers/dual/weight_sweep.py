@@ -48,6 +48,10 @@ ROUNDING = 1e-12
 #: A direction of which no more than this is left across the others is none [–]
 DEPENDENT = 1e-10
 
+#: Energy that a direction may share with the others, over its own: they are orthogonal
+#: up to the error of the solves, and beyond this the direction is that error [–]
+SHARED = 1e-4
+
 
 def suits_sweep(program: Program) -> bool:
     """Whether a program that `structured` takes is one field and few measured rows.
@@ -265,6 +269,9 @@ class WeightSweep:
         image = self._system.rows @ response
         square = float(z @ image)
         if not (np.isfinite(square) and square > 0.0):
+            return 0.0
+        shared = self._multipliers @ image
+        if float(shared @ shared) > SHARED * square:
             return 0.0
         unit = 1.0 / np.sqrt(square)
         self._multipliers = np.vstack([self._multipliers, unit * z])
