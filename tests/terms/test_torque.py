@@ -16,7 +16,8 @@ SCENE = small_scene("trilinear", shape=(5, 8, 6), n_poses=5)
 
 def test_rows_are_over_the_probe_s_root_mean_square_radius() -> None:
     shell = SCENE.shell
-    radius = np.sqrt(((shell.points - shell.reference) ** 2).sum(axis=1).mean())
+    square = ((shell.points - shell.reference) ** 2).sum(axis=1)
+    radius = np.sqrt(np.average(square, weights=shell.areas))
     rows = TorqueTerm(SCENE).assembled
     p = np.random.default_rng(0).normal(size=SCENE.n_voxels)
     found = rows.blocks["p"] @ p - rows.target

@@ -41,3 +41,10 @@ def test_outside_the_ball_only_turning_counts() -> None:
     across = np.array([-4.0, 3.0])
     turned = PHI.resolvent(v + 1e-6 * across, 1.0)[0] - g
     np.testing.assert_allclose(slope.times(across), turned / 1e-6, rtol=1e-5)
+
+
+def test_inside_the_ball_multipliers_follow_v() -> None:
+    v = np.array([0.3, -0.4])
+    g, slope = PHI.resolvent(v, 1.0)
+    np.testing.assert_array_equal(g, v)
+    np.testing.assert_array_equal(slope.times(v), v)
