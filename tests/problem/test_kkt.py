@@ -292,9 +292,8 @@ def test_what_equalities_hold_counts_by_how_far_it_is_off() -> None:
     """2 x₁ = 3 at x₁ = 2 is off by half in x₁; the sum of both fixes neither."""
     held, both = rows("held", [[2.0, 0.0]], 3.0, 3.0), rows("both", [[1, 1]], 0.0, 0.0)
     x, r = np.array([2.0, 7.0]), np.array([-6.0, 5.0])
-    fixed = np.array([True, False])
-    assert _held(held, x, r, fixed) == 3.0
-    assert _held(both, x, r, fixed) == 0.0
+    assert _held(held, x, r) == 3.0
+    assert _held(both, x, r) == 0.0
 
 
 def test_a_linear_term_hides_no_other_from_the_least_gradient() -> None:

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from ttus_opt.constraints.base import Constraint, LinearRows
+from ttus_opt.terms.declared_rows import unit_rows
 from ttus_opt.terms.structure import Tag
 
 
@@ -24,10 +24,5 @@ class HardBoundary(Constraint):
     def rows(self) -> LinearRows:
         """Identity rows of the Dirichlet voxels."""
         fixed = np.flatnonzero(~self.scene.laplace.free)
-        n = self.scene.n_voxels
-        rows = sp.csr_array(
-            (np.ones(len(fixed)), fixed, np.arange(len(fixed) + 1)),
-            shape=(len(fixed), n),
-        )
-        values = self.scene.b[fixed]
+        rows, values = unit_rows(fixed, self.scene.n_voxels), self.scene.b[fixed]
         return LinearRows({"p": rows}, values, values, frozenset({Tag.DIRICHLET}))

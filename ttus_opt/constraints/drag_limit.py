@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from ttus_opt.constraints.base import Constraint, LinearRows
 from ttus_opt.errors import InputError
+from ttus_opt.terms.declared_rows import unit_rows
 
 #: Least and largest μ_max: gel has some 0.05, rubber on skin 2 [–]
 COEFFICIENTS = (1e-3, 100.0)
@@ -51,14 +51,8 @@ class DragLimit(Constraint):
         """μ_max p − q, at least 0 inside and at most 0 outside."""
         region = self.scene.voxmap.grid.flatten(self.scene.voxmap.region)
         at = np.flatnonzero(region != 0)
-        m = len(at)
-        blocks = {
-            name: sp.csr_array(
-                (np.full(m, value), at, np.arange(m + 1)),
-                shape=(m, self.scene.n_voxels),
-            )
-            for name, value in (("p", self.largest), ("q", -1.0))
-        }
+        rows = unit_rows(at, self.scene.n_voxels)
+        blocks = {"p": self.largest * rows, "q": -rows}
         inside = region[at] > 0
         lower = np.where(inside, 0.0, -np.inf)
         return LinearRows(blocks, lower, np.where(inside, np.inf, 0.0))

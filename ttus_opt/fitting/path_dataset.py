@@ -147,30 +147,28 @@ class PathRecord:
         }
         out = xr.Dataset(coords=self._coordinates(), attrs=self._attributes())
         out["status"] = (dims, self._status, _status_attributes())
-        for name, (unit, meaning) in numbers.items():
+
+        def put(name: str, values: Array, unit: str, meaning: str, *more: str) -> None:
             about = {"units": unit, "long_name": meaning}
-            out[name] = (dims, self._numbers[name], about)
-        out["term_value"] = (
-            (*dims, "term"),
-            self._values,
-            {
-                "units": "1",
-                "long_name": "penalty of the term's residual without its weight, "
-                "in the square of the unit of its rows where it is a sum of squares",
-            },
+            out[name] = ((*dims, *more), values, about)
+
+        for name, (unit, meaning) in numbers.items():
+            put(name, self._numbers[name], unit, meaning)
+        meaning = (
+            "penalty of the term's residual without its weight, in the square of the "
+            "unit of its rows where it is a sum of squares"
         )
+        put("term_value", self._values, "1", meaning, "term")
         if scene.trajectory.has_wrench:
+            meaning = "root mean square of the residual's length over the frames"
             for name, unit in (("force_residual", "N"), ("torque_residual", "mN m")):
-                meaning = "root mean square of the residual's length over the frames"
-                about = {"units": unit, "long_name": meaning}
-                out[name] = ((*dims, "recording"), self._residuals[name], about)
+                put(name, self._residuals[name], unit, meaning, "recording")
         if self._held_out:
             for name, (unit, figure, _scale) in HELD_OUT.items():
-                about = {"units": unit, "long_name": f"{figure} of evaluate"}
-                out[name] = ((*dims, "held_out"), self._errors[name], about)
+                meaning = f"{figure} of evaluate"
+                put(name, self._errors[name], unit, meaning, "held_out")
         for name, values in self._criteria.items():
-            unit, meaning = CRITERIA[name]
-            out[name] = (dims, values, {"units": unit, "long_name": meaning})
+            put(name, values, *CRITERIA[name])
         for name, values in self._parameters.items():
             about = {"units": PARAMETER_UNITS.get(name, "1")}
             out[f"parameter_{name}"] = (dims, values, about)

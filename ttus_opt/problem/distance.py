@@ -329,8 +329,5 @@ def held_by_equalities(program: Program) -> Mask:
     """Variables that are fixed by equality rows with a single entry, shape (n,)."""
     fixed = np.zeros(program.n_variables, dtype=bool)
     for constraint in program.constraints:
-        matrix: sp.csr_array = constraint.matrix
-        equal = constraint.lower == constraint.upper
-        single = equal & (np.diff(matrix.indptr) == 1)
-        fixed[matrix.indices[matrix.indptr[:-1][single]]] = True
+        fixed[constraint.matrix[constraint.fixing].indices] = True
     return fixed

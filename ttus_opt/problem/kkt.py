@@ -330,8 +330,7 @@ class _Point:
 
     def _held_off(self, r: Array) -> float:
         """Contribution of fixed variables, which move only by their violation."""
-        held = (_held(c, self.x, r, self.fixed) for c in self.program.constraints)
-        return sum(held)
+        return sum(_held(c, self.x, r) for c in self.program.constraints)
 
     def _fenchel(self) -> float:
         """Σ w (φ(r) + φ*(g) − gᵀr)."""
@@ -344,14 +343,11 @@ class _Point:
         return gap
 
 
-def _held(constraint: ProgramConstraint, x: Array, r: Array, fixed: Mask) -> float:
+def _held(constraint: ProgramConstraint, x: Array, r: Array) -> float:
     """Σ |r| · violation over the rows that fix a variable."""
-    single = np.diff(constraint.matrix.indptr) == 1
-    at = np.flatnonzero(single & (constraint.lower == constraint.upper))
-    if not len(at):
-        return 0.0
-    start = constraint.matrix.indptr[at]
-    column, entry = constraint.matrix.indices[start], constraint.matrix.data[start]
+    at = constraint.fixing
+    rows = constraint.matrix[at]
+    column, entry = rows.indices, rows.data
     off = entry * x[column] - constraint.lower[at]
     return float(np.abs(r[column] / entry * off).sum())
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.terms.penalties.base import Penalty
 from ttus_opt.terms.penalties.squares import Squares
 from ttus_opt.terms.structure import LaplaceRows, Tag, Tags, laplace_rows
@@ -84,6 +84,12 @@ class ProgramConstraint:
     lower: Array = field(repr=False)
     upper: Array = field(repr=False)
     tags: Tags = frozenset()
+
+    @property
+    def fixing(self) -> Mask:
+        """Equality rows with a single entry, which fix a variable, shape (m,)."""
+        single = np.diff(self.matrix.indptr) == 1
+        return np.asarray(single & (self.lower == self.upper))
 
     def slack(self, x: Array) -> Array:
         """Distance to the nearer limit, negative where violated, shape (m,)."""

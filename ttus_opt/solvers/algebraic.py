@@ -60,8 +60,7 @@ class Algebraic(Solver):
 
     def refusal(self, program: Program) -> str:
         """Takes sums of squares without a Laplace term, and given values."""
-        base = super().refusal(program)
-        if base:
+        if base := super().refusal(program):
             return base
         bent = [t.name for t in program.terms if not t.is_squares]
         if bent:

@@ -137,13 +137,10 @@ class _Loaded(Prepared):
         limit = request.time_limit
         deadline = None if limit is None else time.perf_counter() + limit
         program, laplace = problem.program, problem.program.laplace
-        own = next(
-            b for b, r in zip(problem.blocks, problem.declared, strict=True) if r
-        )
+        pairs = zip(problem.blocks, problem.declared, strict=True)
+        own, rows = next((b, tag) for b, tag in pairs if tag is not None)
         few = [b for b in problem.blocks if b is not own]
         free = np.flatnonzero(laplace.free)
-        rows = problem.declared[problem.blocks.index(own)]
-        assert rows is not None
         scale = np.ones(len(free)) if rows.scale is None else rows.scale[free]
         side = problem.values.copy()
         side[free] = own.target / scale

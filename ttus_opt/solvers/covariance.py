@@ -59,8 +59,7 @@ class Covariance(Solver):
 
     def refusal(self, program: Program) -> str:
         """Takes a prior of known covariance, squares of few rows, bounds beside p."""
-        base = super().refusal(program)
-        if base:
+        if base := super().refusal(program):
             return base
         prior = _prior(program)
         if prior is None or prior.weight == 0.0:

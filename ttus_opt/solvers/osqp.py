@@ -86,24 +86,21 @@ class _Loaded(Verified):
 
         solver = osqp.OSQP()
         try:
-            self._setup_with(solver, rows)
+            solver.setup(
+                sp.csc_matrix(sp.triu(rows.P)),
+                rows.q,
+                rows.A,
+                rows.lower,
+                rows.upper,
+                verbose=False,
+                eps_abs=self._eps * 1e-2,
+                eps_rel=self._eps,
+                max_iter=ITERATIONS,
+                polishing=False,
+            )
         except osqp.OSQPException:
             return None
         return solver
-
-    def _setup_with(self, solver: Any, rows: TwoSided) -> None:
-        solver.setup(
-            sp.csc_matrix(sp.triu(rows.P)),
-            rows.q,
-            rows.A,
-            rows.lower,
-            rows.upper,
-            verbose=False,
-            eps_abs=self._eps * 1e-2,
-            eps_rel=self._eps,
-            max_iter=ITERATIONS,
-            polishing=False,
-        )
 
     def _attempt(self, eps: float, seconds: float | None) -> Candidate:
         assert self._rows is not None

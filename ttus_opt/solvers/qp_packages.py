@@ -85,8 +85,7 @@ class Highs(QpPackage):
 
     def refusal(self, program: Program) -> str:
         """Refuses problems without inequalities: HiGHS returns an infinite x."""
-        base = super().refusal(program)
-        if base:
+        if base := super().refusal(program):
             return base
         bounded = any(np.isfinite(limit).any() for limit in program.box)
         if bounded or any((c.lower < c.upper).any() for c in program.constraints):

@@ -63,7 +63,7 @@ class _Loaded(Verified):
     def __init__(self, program: Program, request: Request) -> None:
         self._rows: TwoSided | None = None
         self._solver: Any = None
-        self._set_with: tuple[float, float | None] | None = None
+        self._set_with = np.nan  # the tolerance at set-up
         self._last: dict[str, Array] | None = None
         super().__init__(program, request)
 
@@ -87,36 +87,31 @@ class _Loaded(Verified):
 
     def _set_up(self, eps: float, seconds: float | None) -> Any:
         """A factorised solver; None where SCS refuses the data."""
-        self._set_with = (eps, seconds)
+        import scs  # type: ignore[import-untyped,unused-ignore]
+
+        self._set_with, split = eps, self._split
+        data = {
+            "P": sp.csc_matrix(sp.triu(split.P)),
+            "A": sp.csc_matrix(sp.vstack([split.A, split.G])),
+            "b": self._b,
+            "c": split.q,
+        }
         try:
-            return self._with_factor(eps, seconds)
+            return scs.SCS(
+                data,
+                {"z": len(split.b), "l": len(split.h)},
+                verbose=False,
+                eps_abs=eps * 1e-2,
+                eps_rel=eps,
+                max_iters=ITERATIONS,
+                time_limit_secs=0.0 if seconds is None else seconds,
+            )
         except ValueError:  # "ScsWork allocation error!"
             return None
 
-    def _with_factor(self, eps: float, seconds: float | None) -> Any:
-        import scs  # type: ignore[import-untyped,unused-ignore]
-
-        split = self._split
-        cone = {"z": len(split.b), "l": len(split.h)}
-        return scs.SCS(
-            {
-                "P": sp.csc_matrix(sp.triu(split.P)),
-                "A": sp.csc_matrix(sp.vstack([split.A, split.G])),
-                "b": self._b,
-                "c": split.q,
-            },
-            cone,
-            verbose=False,
-            eps_abs=eps * 1e-2,
-            eps_rel=eps,
-            max_iters=ITERATIONS,
-            time_limit_secs=0.0 if seconds is None else seconds,
-        )
-
     def _attempt(self, eps: float, seconds: float | None) -> Candidate:
         assert self._rows is not None
-        if self._set_with is None or self._set_with[0] != eps:
-            # SCS fixes the tolerance at set-up
+        if self._set_with != eps:
             self._solver = self._set_up(eps, seconds)
         if self._solver is None:
             return Candidate(None, claim=Claim.GAVE_UP, detail="SCS refuses the data")

@@ -75,8 +75,7 @@ class Structured(Solver):
 
     def refusal(self, program: Program) -> str:
         """Takes eq. 10 with the limits of `SpokeLimits` or `FieldPair`."""
-        base = super().refusal(program)
-        if base:
+        if base := super().refusal(program):
             return base
         terms = refusal_of_terms(program)
         if terms:

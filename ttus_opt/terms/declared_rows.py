@@ -11,10 +11,21 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError
 
 Blocks = dict[str, sp.csr_array]
+
+
+def unit_rows(columns: IntArray, n: int) -> sp.csr_array:
+    """Rows of the identity, one per given column, shape (k, n).
+
+    >>> unit_rows(np.array([2, 0]), 3).toarray()
+    array([[0., 0., 1.],
+           [1., 0., 0.]])
+    """
+    k = len(columns)
+    return sp.csr_array((np.ones(k), columns, np.arange(k + 1)), shape=(k, n))
 
 
 def uniform_blocks(owner: str, blocks: Any, n_rows: int) -> Blocks:

@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from ttus_opt.errors import InputError
 from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.declared_rows import unit_rows
 
 REFERENCES = ("laplace", "zero")
 
@@ -42,10 +42,7 @@ class TikhonovTerm(Term):
         """Identity rows of the free voxels."""
         scene = self.scene
         free = np.flatnonzero(scene.laplace.free)
-        rows = sp.csr_array(
-            (np.ones(len(free)), free, np.arange(len(free) + 1)),
-            shape=(len(free), scene.n_voxels),
-        )
+        rows = unit_rows(free, scene.n_voxels)
         target = np.zeros(len(free))
         if self.reference == "laplace":
             target = scene.laplace.solve(scene.b)[free]

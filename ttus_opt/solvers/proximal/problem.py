@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import scipy.sparse as sp
 
-from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.problem.distance import held_by_equalities
 from ttus_opt.problem.kkt import Duals
-from ttus_opt.problem.members import ProgramConstraint
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.proximal.penalised_rows import Between, PenalisedRows
+from ttus_opt.terms.declared_rows import unit_rows
 from ttus_opt.terms.structure import LaplaceRows
 
 #: Name of the rows that stand for the box; no constraint is called so
@@ -49,7 +49,7 @@ class PenalisedProblem:
         declared = [t.laplace_rows for t in program.terms if t.weight > 0.0]
         given = {}
         for constraint in program.constraints:
-            own = given[constraint.name] = _single_equalities(constraint)
+            own = given[constraint.name] = constraint.fixing
             rows = constraint.matrix[own]
             values[rows.indices] = constraint.lower[own] / rows.data
             if not own.all():
@@ -62,7 +62,7 @@ class PenalisedProblem:
             at = np.flatnonzero(held)
             if len(at):
                 law = Between(lower[at], upper[at])
-                blocks.append(_limits(BOX, _unit_rows(at, len(fixed)), law))
+                blocks.append(_limits(BOX, unit_rows(at, len(fixed)), law))
         declared += [None] * (len(blocks) - len(declared))
         return cls(program, tuple(blocks), tuple(declared), fixed, values, given)
 
@@ -105,17 +105,5 @@ class PenalisedProblem:
         return Duals(rows, bounds, terms)
 
 
-def _single_equalities(constraint: ProgramConstraint) -> Mask:
-    """Rows of one entry that give a variable its value, shape (m,)."""
-    single = np.diff(constraint.matrix.indptr) == 1
-    return np.asarray(single & (constraint.lower == constraint.upper))
-
-
 def _limits(name: str, matrix: sp.csr_array, law: Between) -> PenalisedRows:
     return PenalisedRows(name, matrix, np.zeros(matrix.shape[0]), 1.0, law)
-
-
-def _unit_rows(at: IntArray, n: int) -> sp.csr_array:
-    """Rows that pick some variables."""
-    m = len(at)
-    return sp.csr_array((np.ones(m), at, np.arange(m + 1)), shape=(m, n))
