@@ -169,7 +169,7 @@ def fit(
             begin("checking the recordings")
             names = recordings.names
             report = check_recordings(
-                choice.scene, found, names, written=as_written, told=conventions
+                choice.scene, found, names, written=as_written, conventions=conventions
             )
     lines: list[str] = []
     if report is not None:

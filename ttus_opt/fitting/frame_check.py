@@ -51,28 +51,28 @@ def warn_of_another_frame(
     read: Trajectory,
     shell: PointShell,
     surface: Surface,
-    told: Conventions,
+    conventions: Conventions,
 ) -> None:
     """Warn when recordings lie on the skin in another frame than the stated one.
 
     Args:
         as_written: The file's numbers, without any conversion.
-        read: As converted by ``told``.
+        read: As converted by ``conventions``.
         shell: The probe.
         surface: The patient's.
-        told: The conventions of the file.
+        conventions: The conventions of the file.
     """
     own = share_near_skin(read, shell, surface)
     if own >= FEW:
         return
     place: Array = surface.axis.scan_to_patient
     poses = replace(as_written, force=None, torque=None)
-    for other, where, remedy in _others(told):
+    for other, where, remedy in _others(conventions):
         share = share_near_skin(other.read(poses, np.zeros(3), place), shell, surface)
         if share > MANY:
             warnings.warn(
-                f"the recordings lie off the skin in the {told.frame} frame, but "
-                f"{100 * share:.0f} % of the poses lie near it {where}: {remedy}",
+                f"the recordings lie off the skin in the {conventions.frame} frame, "
+                f"but {100 * share:.0f} % of the poses lie near it {where}: {remedy}",
                 TtusWarning,
                 stacklevel=2,
             )
@@ -80,27 +80,29 @@ def warn_of_another_frame(
     if not as_written.has_wrench:  # poses alone may be anywhere
         return
     remedy = "is --base-to-scan right?"
-    if told.frame != "base":
+    if conventions.frame != "base":
         remedy = "give --frame scan, or --base-to-scan for a robot's or tracker's"
     warnings.warn(
         f"only {100 * own:.0f} % of the poses are within {100 * NEAR:.0f} cm of the "
-        f"skin in the {told.frame} frame: {remedy}",
+        f"skin in the {conventions.frame} frame: {remedy}",
         TtusWarning,
         stacklevel=2,
     )
 
 
-def _others(told: Conventions) -> Iterator[tuple[Conventions, str, str]]:
+def _others(conventions: Conventions) -> Iterator[tuple[Conventions, str, str]]:
     """Other frames of the poses, their names in a sentence, and the remedy."""
-    if told.base_to_scan is not None and told.frame == "base":
-        back = as_rows(inverse(np.array(told.base_to_scan)))
+    if conventions.base_to_scan is not None and conventions.frame == "base":
+        back = as_rows(inverse(np.array(conventions.base_to_scan)))
         yield (
-            replace(told, base_to_scan=back),
+            replace(conventions, base_to_scan=back),
             "with the inverse of base_to_scan",
             "x_scan = R x_base + t is expected, give the inverse",
         )
     for frame in ("patient", "scan"):
-        if frame != told.frame:
-            other = replace(told, frame=frame, wrench_frame="", base_to_scan=None)
+        if frame != conventions.frame:
+            other = replace(
+                conventions, frame=frame, wrench_frame="", base_to_scan=None
+            )
             remedy = f"read them with --frame {frame}"
             yield other, f"in the {frame} frame", remedy

@@ -208,12 +208,12 @@ def _estimates(
     start = np.array([values[i] for i in free])
     try:
         best = _settled(ranges, placed, solve, start)
-    except _UnidentifiedError as said:
-        placed(said.values)
+    except _UnidentifiedError as error:
+        placed(error.values)
         return every, {
-            one.parameter: Estimate(value, math.nan, doubt, said.remark)
+            one.parameter: Estimate(value, math.nan, doubt, error.remark)
             for one, value, doubt in zip(
-                ranges, said.values.tolist(), said.doubts, strict=True
+                ranges, error.values.tolist(), error.doubts, strict=True
             )
         }
     estimates = {

@@ -146,10 +146,10 @@ class SanityReport:
     mistake: Mistake | None
 
     def __repr__(self) -> str:
-        told = "no mistake found" if self.mistake is None else self.mistake.what
+        result = "no mistake found" if self.mistake is None else self.mistake.what
         return (
             f"<SanityReport on {len(self.recordings)} recordings: disagreement "
-            f"{self.disagreement:.2f}, {told}>"
+            f"{self.disagreement:.2f}, {result}>"
         )
 
     @property
@@ -173,7 +173,7 @@ def check_recordings(
     names: Sequence[str] = (),
     *,
     written: Trajectory | None = None,
-    told: Conventions | None = None,
+    conventions: Conventions | None = None,
 ) -> SanityReport:
     """Compare recordings with the fitted field and with the geometry.
 
@@ -183,8 +183,8 @@ def check_recordings(
         names: Of the recordings, one for each segment; numbers by default.
         written: The recordings as the files have them, read in the package's own
             conventions; the scene's by default.
-        told: The conventions by which the scene's were read from that; the package's
-            own by default.
+        conventions: By which the scene's were read from that; the package's own by
+            default.
 
     Raises:
         InputError: The scene has no wrenches.
@@ -201,7 +201,7 @@ def check_recordings(
     ]
     shell = scene.shell
     disagreement, mistake = _likely_mistake(
-        scene, written or trajectory, told or Conventions()
+        scene, written or trajectory, conventions or Conventions()
     )
     return SanityReport(
         tuple(checks),
@@ -232,20 +232,20 @@ def _recording(
 
 
 def likely_mistake(
-    scene: Scene, written: Trajectory, told: Conventions
+    scene: Scene, written: Trajectory, conventions: Conventions
 ) -> Mistake | None:
     """A reading that agrees clearly better with the geometry; None without one.
 
     Args:
         scene: With measured forces; its boundary values do not matter.
         written: As of `check_recordings`.
-        told: As of `check_recordings`.
+        conventions: As of `check_recordings`.
     """
-    return _likely_mistake(scene, written, told)[1]
+    return _likely_mistake(scene, written, conventions)[1]
 
 
 def _likely_mistake(
-    scene: Scene, written: Trajectory, told: Conventions
+    scene: Scene, written: Trajectory, conventions: Conventions
 ) -> tuple[float, Mistake | None]:
     """S as read, and a reading that is clearly better."""
     frames = np.linspace(0, len(written) - 1, FRAMES)
@@ -253,13 +253,13 @@ def _likely_mistake(
     prior = scene.laplace.solve(scene.b)
     own = agreement(scene, prior, scene.trajectory.select(chosen))
     best: Mistake | None = None
-    for what, mends, reread in _readings(scene, written, told):
+    for what, mends, reread in _readings(scene, written, conventions):
         # re-read as a whole: a delay needs neighbouring frames
         other = agreement(scene, prior, reread.select(chosen))
         bound = CLEARLY * own.disagreement if best is None else best.after
         if other.disagreement < bound:
             best = Mistake(what, mends, own.disagreement, other.disagreement)
-    moved = _about_another_point(scene, prior, written, told, chosen)
+    moved = _about_another_point(scene, prior, written, conventions, chosen)
     if moved is not None:
         reading, after = moved
         if after < CLEARLY * (own.disagreement if best is None else best.after):
@@ -269,8 +269,12 @@ def _likely_mistake(
             return own.disagreement, Mistake(
                 what, reading.options, own.disagreement, after
             )
-    if best is None and told.torque_unit == "Nm" and own.torque_ratio > WRONG_UNIT:
-        mends = replace(told, torque_unit="Nmm").options
+    if (
+        best is None
+        and conventions.torque_unit == "Nm"
+        and own.torque_ratio > WRONG_UNIT
+    ):
+        mends = replace(conventions, torque_unit="Nmm").options
         size = f"{own.torque_ratio:.0f} times those expected"
         return own.disagreement, Mistake(
             f"torques in N·mm, {size}", mends, own.disagreement, own.disagreement
@@ -282,7 +286,7 @@ def _about_another_point(
     scene: Scene,
     prior: Array,
     written: Trajectory,
-    told: Conventions,
+    conventions: Conventions,
     chosen: NDArray[np.int64],
 ) -> tuple[Conventions, float] | None:
     """The reading about the point that the torques determine, and its S.
@@ -297,25 +301,25 @@ def _about_another_point(
     if not FAR < np.linalg.norm(c) < FARTHEST:
         return None
     centroid = np.asarray(scene.shell.reference)
-    point = tuple(np.round(told.point(centroid) + c, 3).tolist())
-    other = replace(told, torque_about=point)
+    point = tuple(np.round(conventions.point(centroid) + c, 3).tolist())
+    other = replace(conventions, torque_about=point)
     reread = other.read(written, centroid, scene.voxmap.surface.axis.scan_to_patient)
     found = agreement(scene, prior, reread.select(chosen))
     return other, found.disagreement
 
 
 def _readings(
-    scene: Scene, written: Trajectory, told: Conventions
+    scene: Scene, written: Trajectory, conventions: Conventions
 ) -> Iterator[tuple[str, str, Trajectory]]:
     """Other ways to read the recordings: what, the options, and the result."""
     centroid = np.asarray(scene.shell.reference)
     place = scene.voxmap.surface.axis.scan_to_patient
-    for other in _other_conventions(told, centroid):
+    for other in _other_conventions(conventions, centroid):
         reread = other.read(written, centroid, place)
-        yield _difference(told, other), other.options, reread
+        yield _difference(conventions, other), other.options, reread
     for what, columns, swapped in _swapped(written):
-        mends = f"--columns {columns} {told.options}".rstrip()
-        yield what, mends, told.read(swapped, centroid, place)
+        mends = f"--columns {columns} {conventions.options}".rstrip()
+        yield what, mends, conventions.read(swapped, centroid, place)
 
 
 def _swapped(written: Trajectory) -> Iterator[tuple[str, str, Trajectory]]:
@@ -340,42 +344,49 @@ def _swapped(written: Trajectory) -> Iterator[tuple[str, str, Trajectory]]:
     yield what, columns, replace(written, force=force, torque=torque)
 
 
-def _other_conventions(told: Conventions, centroid: Array) -> Iterator[Conventions]:
+def _other_conventions(
+    conventions: Conventions, centroid: Array
+) -> Iterator[Conventions]:
     """Conventions that are often mistaken for the given ones."""
-    axes = dict.fromkeys((told.frame, told.wrench_frame, "tool"))
+    axes = dict.fromkeys((conventions.frame, conventions.wrench_frame, "tool"))
     for quaternion, wrench_frame, flip in itertools.product(
         QUATERNIONS, axes, (False, True)
     ):
-        if "base" in (told.frame, told.wrench_frame) and "base" not in (
-            told.frame,
+        if "base" in (conventions.frame, conventions.wrench_frame) and "base" not in (
+            conventions.frame,
             wrench_frame,
         ):
             continue  # base_to_scan would be unused
         other = replace(
-            told, quaternion=quaternion, wrench_frame=wrench_frame, flip_wrench=flip
+            conventions,
+            quaternion=quaternion,
+            wrench_frame=wrench_frame,
+            flip_wrench=flip,
         )
-        if other != told:
+        if other != conventions:
             yield other
     if np.linalg.norm(centroid) > NEAR:
-        about = "origin" if told.torque_about == "centroid" else "centroid"
-        yield replace(told, torque_about=about)
+        about = "origin" if conventions.torque_about == "centroid" else "centroid"
+        yield replace(conventions, torque_about=about)
     for delay in DELAYS:
-        yield replace(told, wrench_delay=round(told.wrench_delay + delay, 9))
+        yield replace(
+            conventions, wrench_delay=round(conventions.wrench_delay + delay, 9)
+        )
 
 
-def _difference(told: Conventions, other: Conventions) -> str:
+def _difference(conventions: Conventions, other: Conventions) -> str:
     """In words, how another reading differs."""
     words = []
-    if other.quaternion != told.quaternion:
+    if other.quaternion != conventions.quaternion:
         words.append(f"quaternions {', '.join(other.quaternion)}")
-    if other.wrench_frame != told.wrench_frame:
+    if other.wrench_frame != conventions.wrench_frame:
         words.append(f"wrenches in the {other.wrench_frame}'s axes")
-    if other.flip_wrench != told.flip_wrench:
+    if other.flip_wrench != conventions.flip_wrench:
         words.append("forces of the opposite sign")
-    if other.torque_about != told.torque_about:
+    if other.torque_about != conventions.torque_about:
         words.append(f"torques about the {other.torque_about}")
-    if other.wrench_delay != told.wrench_delay:
-        late = other.wrench_delay - told.wrench_delay
+    if other.wrench_delay != conventions.wrench_delay:
+        late = other.wrench_delay - conventions.wrench_delay
         words.append(f"wrenches {abs(late):.1g} s {'later' if late > 0 else 'earlier'}")
     return " and ".join(words)
 

@@ -91,8 +91,8 @@ def save_with_doubt(
     factor = float(np.abs(draws.values).max(initial=0.0)) / LARGEST or 1.0
     whole = np.rint(draws.values / np.float32(factor)).astype(np.int16)
     facts = {"depth": draws.depth, "noise": doubt.noise.as_dict()}
-    told = {"units": fitted.unit, "factor": factor}
-    dataset = mapped.to_xarray().assign({field_file.DRAWS: (DIMS, whole, told)})
+    about = {"units": fitted.unit, "factor": factor}
+    dataset = mapped.to_xarray().assign({field_file.DRAWS: (DIMS, whole, about)})
     dataset[field_file.DRAWS].encoding.update(zlib=True, complevel=1)
     io.write_dataset(
         dataset.assign_attrs({FACTS: json.dumps(facts)}),

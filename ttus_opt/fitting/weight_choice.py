@@ -94,12 +94,12 @@ class WeightChoice:
         if self.tuning is None:
             return checked
         factors = self.tuning.weight_factors
-        told = ", ".join(
+        weights = ", ".join(
             f"{name} {weight:.3g} (×/÷ {factors[name]:.2f})"
             for name, weight in self.tuning.weights.items()
         )
         lines = [
-            f"weights chosen from the recordings: {told}, for an error of a force "
+            f"weights chosen from the recordings: {weights}, for an error of a force "
             f"component of {self.tuning.noise:.2f} N"
         ]
         if self.tuning.not_determined:

@@ -109,8 +109,8 @@ class PackageLoaded(Verified):
                 options = self._package.options(eps, seconds)
                 answer = interruptible(lambda: self._solved(options))
             except self._errors() as error:
-                said = f"{type(error).__name__}: {error}"
-                return Candidate(None, claim=Claim.GAVE_UP, detail=said)
+                message = f"{type(error).__name__}: {error}"
+                return Candidate(None, claim=Claim.GAVE_UP, detail=message)
         return self._read(answer)
 
     @abc.abstractmethod
