@@ -52,7 +52,7 @@ class Scene:
         b: Right side of L p = b, shape (V,) [N or N/cm²].
         parameters: Parameters identified in the assembly, by name (``boundary_scale``).
         seconds: Duration of the assembly, without compiling [s].
-        standard_errors: Of the parameters, by name.
+        standard_errors: Standard errors of the parameters, by name.
         not_identified: Reason for each parameter that the data do not determine, whose
             neutral value is used, by name.
         compile_seconds: Duration of compiling in the assembly [s].

@@ -51,7 +51,7 @@ class CaseSpec:
     """A scene to build.
 
     Attributes:
-        name: For the tables.
+        name: Name in the tables.
         surface: Surface file.
         probe: Primitive or mesh file.
         trajectories: Recordings with wrenches.
@@ -63,7 +63,7 @@ class CaseSpec:
         sampling: ``voxel-mean`` or ``trilinear``.
         n_points: Points of the probe's shell.
         probe_unit: Unit of a mesh file.
-        perturbation: Of the measured wrenches, one of
+        perturbation: Perturbation of the measured wrenches, one of
             `perturbation.PERTURBATIONS`; "" for none.
         boundary: ``subvoxel`` or ``staircase``.
     """

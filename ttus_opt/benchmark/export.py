@@ -29,7 +29,7 @@ def export_program(program: Program, folder: Path, name: str) -> tuple[Path, Pat
 
     Args:
         program: Any program that can be stated as a QP.
-        folder: Of the files.
+        folder: Folder of the files.
         name: Stem of the files.
 
     Returns:

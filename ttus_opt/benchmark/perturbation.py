@@ -31,7 +31,7 @@ def perturbed(trajectory: Trajectory, how: str) -> Trajectory:
     """A recording with perturbed wrenches, the same at every call.
 
     Args:
-        trajectory: With wrenches.
+        trajectory: A trajectory with wrenches.
         how: ``noise`` adds Gaussian noise to every force and torque, ``reversed``
             changes the sign in a fifth of the frames; "" does nothing.
 

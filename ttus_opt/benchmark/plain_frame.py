@@ -27,7 +27,7 @@ def numpy_frame(
         field: The field.
         shell: The probe.
         rotation: Probe to patient, shape (3, 3) [–].
-        position: Of the probe frame's origin, shape (3,) [m].
+        position: Origin of the probe frame, shape (3,) [m].
 
     Returns:
         Force and torque, patient axes, shape (6,) [N, N·m].

@@ -27,11 +27,11 @@ def write_report(
     """Write the report with its pictures, and a CSV file per part.
 
     Args:
-        folder: Of the results.
+        folder: Folder of the results.
         found: Finished rows by part; a part without rows is left out.
-        settings: Of the benchmark.
+        settings: Settings of the benchmark.
         command: The command line.
-        machine: From `ttus_opt.benchmark.machine.describe`.
+        machine: Description from `ttus_opt.benchmark.machine.describe`.
 
     Returns:
         The report's path.

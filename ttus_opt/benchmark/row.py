@@ -25,7 +25,7 @@ class RunSpec:
     Attributes:
         part: The part's name.
         case: The scene; None where the part has its own.
-        options: Of the part.
+        options: Options of the part.
         time_limit: Longest duration of a computing stage [s].
     """
 

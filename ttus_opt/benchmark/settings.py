@@ -41,7 +41,7 @@ class Settings:
         options: Formulation options beside the weights.
         tolerance: Largest relative KKT residual of a solution [–].
         repeat: Number of repetitions.
-        weight: Of force and torque rows, in formulations that have them [–].
+        weight: Weight of force and torque rows, in formulations that have them [–].
         memory: Show the memory of each stage.
     """
 

@@ -40,7 +40,7 @@ class Suite:
     Attributes:
         cases: The scenes.
         output: Folder of the results.
-        settings: Of the runs.
+        settings: Settings of the runs.
         parts: Names of the parts.
         jobs: Parallel runs of solvers; times are comparable with one only.
         dask: Address of a dask scheduler for them; "" for this machine.

@@ -24,7 +24,7 @@ def run(spec: RunSpec, folder: Path) -> list[Row]:
 
     Args:
         spec: The run.
-        folder: For stages and files to keep.
+        folder: Folder for stages and files to keep.
     """
     part, begin = parts()[spec.part], Progress(folder)
     status, detail, rows = MEASURED, "", [Row()]

@@ -64,7 +64,7 @@ class Comparator(ABC):
     """A contact model; public methods validate their input, subclasses need not.
 
     Attributes:
-        name: For `ttus_opt.comparators.create`.
+        name: Name for `ttus_opt.comparators.create`.
         summary: One line: what it is and whose.
         needs_fit: Whether `render` needs a `fit` before.
         continuous: Whether the force is continuous in the pose.
@@ -129,7 +129,7 @@ class Comparator(ABC):
 
         Args:
             rotation: Probe to patient, a matrix (3, 3) or a SciPy `Rotation`.
-            position: Of the probe frame's origin, patient frame, shape (3,) [m].
+            position: Origin of the probe frame, patient frame, shape (3,) [m].
             twist: Velocity of that origin and angular velocity, patient axes, shape
                 (6,) [m/s, rad/s]; at rest when not given.
 
@@ -232,7 +232,7 @@ def positive_scale(shape: Array, force: Array, name: str) -> float:
     Args:
         shape: Predicted forces for a scale of 1, shape (T, 3).
         force: Measured, shape (T, 3) [N].
-        name: Of the comparator, for the message.
+        name: Name of the comparator, for the message.
 
     Raises:
         InputError: Nothing is in contact, or the best scale is not positive.

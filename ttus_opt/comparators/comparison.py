@@ -77,7 +77,7 @@ def compare(
     """Fit each comparator and evaluate it on unseen recordings.
 
     Args:
-        names: From `available`; all of them when None.
+        names: Names from `available`; None for all of them.
         surface: The patient.
         shell: The probe.
         fitted: Recordings to fit to.
@@ -126,7 +126,7 @@ def judged(
     Args:
         comparator: Fitted.
         label: The recording's name.
-        recording: With forces.
+        recording: A recording with forces.
         seconds_fit: Processor time of the fit, for the row [s].
 
     Raises:
@@ -190,7 +190,7 @@ def markdown(rows: Sequence[Row], reference: str = "eq10") -> str:
     """The rows as a Markdown table, the smallest force error first, times as ratios.
 
     Args:
-        rows: From `compare`.
+        rows: Rows from `compare`.
         reference: The comparator whose mean time of a frame is 1; the fastest if it is
             not among the rows.
     """

@@ -143,10 +143,10 @@ class Touch:
     """Shell points in contact in one pose, patient axes.
 
     Attributes:
-        index: Of the shell's points, shape (k,).
-        arm: From the shell's reference to the points, shape (k, 3) [m].
+        index: Numbers of the shell's points, shape (k,).
+        arm: Vectors from the shell's reference to the points, shape (k, 3) [m].
         depth: Below the surface, shape (k,) [m].
-        normals: Of the surface, outwards, shape (k, 3) [–].
+        normals: Normals of the surface, outwards, shape (k, 3) [–].
         inward: The probe's normals, into the probe, shape (k, 3) [–].
         areas: Shape (k,) [m²].
         reference: The shell's reference point, shape (3,) [m].
@@ -187,11 +187,11 @@ class Patch:
     """A contact patch; all values are continuous in the pose, and zero without contact.
 
     Attributes:
-        depth: Of the deepest point [m].
+        depth: Depth of the deepest point [m].
         area: (Σ a d)²/Σ a d², the area for uniform depth [m²].
         unit: Wrench on the probe for a normal force of 1 N, shape (6,) [–, m].
         centre: Contact point, averaged by depth, patient frame, shape (3,) [m].
-        arm: From the shell's reference to the centre [m].
+        arm: Vector from the shell's reference to the centre [m].
     """
 
     depth: float
@@ -227,7 +227,7 @@ class Patch:
         """Velocity of the probe at the patch's centre, shape (3,) [m/s].
 
         Args:
-            twist: Of the probe frame's origin, shape (6,) [m/s, rad/s].
+            twist: Twist of the probe frame's origin, shape (6,) [m/s, rad/s].
             reference: The shell's reference point, patient frame [m].
             at: The probe frame's origin [m].
         """

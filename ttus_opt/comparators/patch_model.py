@@ -33,8 +33,8 @@ class Contact:
     """One contact.
 
     Attributes:
-        depth: Of the deepest point, h [10 mm].
-        rate: Of approach, ḣ [10 mm/s].
+        depth: Depth of the deepest point, h [10 mm].
+        rate: Rate of approach, ḣ [10 mm/s].
         place: Foot of the patch's centre on the surface, patient frame, (3,) [m].
         sliding: Velocity along the surface, shape (3,) [m/s].
         patch: The contact patch.

@@ -82,7 +82,7 @@ def integrated(arm: Array, faces: IntArray, pressure: Array) -> Array:
     Args:
         arm: Vertices from the reference point of torques, shape (n, 3) [m].
         faces: Counter-clockwise seen from outside the probe, shape (f, 3).
-        pressure: Of the vertices, below zero where there is no contact, (n,) [Pa].
+        pressure: Pressure of the vertices, negative without contact, (n,) [Pa].
 
     Returns:
         The wrench on the probe, into it, shape (6,) [N, N·m].

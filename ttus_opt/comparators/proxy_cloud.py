@@ -46,7 +46,7 @@ class ProxyCloud(OneStiffness):
 
     Attributes:
         tip: The contact point, probe frame, shape (3,) [m]; None before a fit.
-        radius: Of the weights of the cloud's points [m].
+        radius: Radius of the weights of the cloud's points [m].
     """
 
     name = "proxy_cloud"

@@ -56,7 +56,7 @@ def create(
         shell: The probe.
         cloud: Points of the surface, patient frame, for those that work on a cloud,
             shape (n, 3) [m]; by default the surface's nodes.
-        options: Of the comparator, see its class.
+        options: Options of the comparator, see its class.
 
     Raises:
         InputError: Unknown name or option, or an invalid cloud.

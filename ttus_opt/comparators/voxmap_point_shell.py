@@ -42,7 +42,7 @@ class VoxmapPointShell(OneStiffness):
     """Tangent-plane forces of cubic voxels, one stiffness.
 
     Attributes:
-        edge: Of the voxels [m].
+        edge: Edge of the voxels [m].
         voxels: `FREE`, `INTERIOR` or `SURFACE`, shape (n_x, n_y, n_z).
         corner: Centre of the first voxel, patient frame, shape (3,) [m].
     """

@@ -62,7 +62,7 @@ def boundary_errors(
     """Errors over a decade of boundary values, computed or from the cache.
 
     Args:
-        fits: Of the patient.
+        fits: Fits of the patient.
         weight: λ_f = λ_τ of eq. 10.
         file: The cache.
         digest: Checksum of their input.

@@ -24,8 +24,8 @@ def draw(folder: Path, result: ExperimentResult, best: str) -> list[Picture]:
     """Draw and write all pictures, in the order of the report.
 
     Args:
-        folder: Of the report.
-        result: Of the experiment.
+        folder: Folder of the report.
+        result: Result of the experiment.
         best: The setting shown as "with measured forces".
     """
     pictures = []

@@ -56,12 +56,12 @@ class PatientFits:
 
     Args:
         examination: The patient's recordings.
-        folder: For cached fields and errors.
+        folder: Folder for cached fields and errors.
         shape: Voxels in r, θ and z [–].
         digest: Checksum of the input of the recordings.
 
     Attributes:
-        examination: As given.
+        examination: The patient with its recordings.
         shell: The probe.
         stamp: Digest and shape in one.
     """

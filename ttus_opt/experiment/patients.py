@@ -41,14 +41,14 @@ class Patient:
     """A phantom and how it is examined.
 
     Attributes:
-        name: Of files and table rows.
+        name: Name of files and table rows.
         build: A description.
         torso: Shape and tissue.
         deepest: Depth of the deepest press [m].
         sweep_depth: Smallest and largest depth of a sweep [m].
         drag: Coulomb coefficient of skin and gel [–].
         damping: Hunt–Crossley damping of the tissue, see `phantom.press` [s/m].
-        seed: Of paths and noise; a recording adds its offset of `RECORDINGS`.
+        seed: Seed of paths and noise; a recording adds its offset of `RECORDINGS`.
     """
 
     name: str

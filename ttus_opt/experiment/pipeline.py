@@ -64,7 +64,7 @@ class Plan:
             for this machine.
         resolution: Factor of every node spacing of the finite elements; 1 is fine.
         torso: A scan for the skin of the third patient; None for a made-up one.
-        torso_unit: Of that file.
+        torso_unit: Unit of that file.
         patients: Names of the patients; all when empty.
         comparators: Names of comparators, or ``("all",)``; none when empty.
     """
@@ -156,7 +156,7 @@ class ExperimentResult:
     """Results of the experiment.
 
     Attributes:
-        plan: Its options.
+        plan: Options of the experiment.
         patients: Results per patient.
     """
 
@@ -202,10 +202,10 @@ def run(
     """Run the experiment; a second call in the same folder resumes it.
 
     Args:
-        folder: For recordings, fields, errors, figures, ``report.md``,
-            ``report.html`` and ``results.json``; made when missing.
-        plan: Its options.
-        progress: Called with every stage that begins, `n_stages` times at most.
+        folder: Folder for recordings, fields, errors, figures, ``report.md``,
+            ``report.html`` and ``results.json``; created if missing.
+        plan: Options of the experiment.
+        progress: Called with each stage as it begins, at most `n_stages` times.
 
     Raises:
         InputError: An unknown formulation, patient or comparator.

@@ -63,8 +63,8 @@ def examine(
 
     Args:
         patient: The patient.
-        folder: The cache; made when missing.
-        resolution: Of the finite elements, see `phantom.torso.TorsoMesh`.
+        folder: The cache; created if missing.
+        resolution: Resolution of the finite elements, see `phantom.torso.TorsoMesh`.
         progress: Called with every stage that begins.
 
     Raises:

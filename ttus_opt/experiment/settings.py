@@ -36,7 +36,7 @@ class Setting:
     """One way to fit a field to a patient's recordings.
 
     Attributes:
-        name: Of files and table rows.
+        name: Name of files and table rows.
         formulation: Its name, or the path of a user's own file; None where the recipe
             chooses it.
         options: The formulation's.

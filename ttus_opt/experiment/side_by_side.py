@@ -38,7 +38,7 @@ def do_ahead(
     Args:
         patients: The patients.
         plan: Options, with ``jobs`` and ``dask``.
-        folder: Of the experiment; every worker must see it.
+        folder: Folder of the experiment; every worker must see it.
         begin: Called with the name of every finished task.
 
     Raises:

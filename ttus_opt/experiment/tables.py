@@ -65,7 +65,7 @@ def paper_tables(result: ExperimentResult, best: str) -> dict[str, Table]:
     """Counterparts of tables I to IV, by what they show.
 
     Args:
-        result: Of the experiment.
+        result: Result of the experiment.
         best: Setting of the last column.
     """
     columns = list(

@@ -92,7 +92,7 @@ def encode_field(
     Args:
         field: The field.
         surface: Its surface as the receiver has it.
-        name: Of the surface's message.
+        name: Name of the surface's message.
         max_error: Largest error of the potential at voxels that contact reads; None for
             `MAX_ERROR`, or `MAX_ERROR_ROUNDED` if the surface was rounded after the fit
             [as the potential].
@@ -162,7 +162,7 @@ def decode_field(
     Args:
         reader: The message.
         surface: The surface it builds on.
-        name: Of the surface's message.
+        name: Name of the surface's message.
         most_voxels: Largest field, checked before anything is allocated.
 
     Raises:

@@ -49,7 +49,7 @@ class Scheme:
     """Order and resolution in which an array is sent.
 
     Attributes:
-        shape: Of the array.
+        shape: Shape of the array.
         periodic: Which axes are periodic.
         axes: Order in which a level refines them; the best predicted one comes last.
         divisors: Fractions of a quantum to which differences are rounded, from the
@@ -124,7 +124,7 @@ class _Pass:
         parts: Parts of a quantum in one difference.
         axis: The axis.
         known: Indices known so far, per axis.
-        stencils: Of the nodes; None for the coarsest pass.
+        stencils: Stencils of the nodes; None for the coarsest pass.
     """
 
     target: _Indices

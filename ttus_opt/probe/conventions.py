@@ -30,8 +30,8 @@ class Conventions:
 
     Attributes:
         quaternion: Actual order of the columns ``qw,qx,qy,qz``: ``wxyz`` or ``xyzw``.
-        frame: Of the poses: ``patient``, ``scan`` (of the cloud that the surface was
-            extracted from) or ``base`` (of the robot or tracker).
+        frame: Frame of the poses: ``patient``, ``scan`` (of the cloud from which the
+            surface was extracted) or ``base`` (of the robot or tracker).
         wrench_frame: Axes of force and torque: one of these or ``tool``; empty for the
             frame of the poses.
         base_to_scan: The rigid motion x_scan = R x_base + t, rows of a matrix (4, 4);
@@ -131,7 +131,7 @@ class Conventions:
         """The recording in the package's conventions.
 
         Args:
-            recorded: As read from the file, without conversion.
+            recorded: The recording as read from the file, without conversion.
             centroid: Area centroid of the shell, probe frame, shape (3,) [m].
             scan_to_patient: Rigid motion, shape (4, 4); `Axis.scan_to_patient` of the
                 surface. None where all is in the patient's frame.

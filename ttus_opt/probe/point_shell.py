@@ -141,7 +141,7 @@ class PointShell:
             surface: "outer" leaves out faces that cannot touch (the inner walls of a
                 housing); "all" keeps every face; "hull" takes the convex hull, for
                 a housing whose contact face is missing.
-            seed: Of the sampling; the same seed gives the same shell.
+            seed: Seed of the sampling; the same seed gives the same shell.
 
         Returns:
             The shell in the file's frame.
@@ -173,7 +173,7 @@ class PointShell:
             faces: Vertex indices, shape (k, 3) [–].
             n_points: As in `from_mesh`, like ``surface`` and ``seed``.
             surface: "outer", "all" or "hull".
-            seed: Of the sampling.
+            seed: Seed of the sampling.
 
         Raises:
             InputError: Arrays that are not a mesh, or too few points.
@@ -212,7 +212,7 @@ class PointShell:
         Args:
             semi_axes: Half lengths along x, y and z [m].
             n_points: Number of points M, at least 4 [–].
-            seed: Of the sampling.
+            seed: Seed of the sampling.
 
         Raises:
             InputError: Lengths that are not three positive numbers, or too few
@@ -281,9 +281,9 @@ class PointShell:
             spec: ``ellipsoid:a,b,c`` (semi-axes), ``sphere:r``, ``box:a,b,c`` (full
                 edges), all [m], or else the path of a mesh.
             n_points: Number of points M, at least 4 [–].
-            unit: Of a mesh file, as in `from_mesh`; primitives are in metres.
-            surface: Of a mesh file, likewise.
-            seed: Of the sampling.
+            unit: Unit of a mesh file, as in `from_mesh`; primitives are in metres.
+            surface: Which faces of a mesh file to use, as in `from_mesh`.
+            seed: Seed of the sampling.
 
         Raises:
             FileError: Missing or unreadable mesh.

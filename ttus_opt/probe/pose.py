@@ -45,7 +45,7 @@ class Pose(NamedTuple):
 
     Attributes:
         rotation: Probe to patient, shape (3, 3) or (T, 3, 3) [–].
-        position: Of the probe frame's origin, patient frame, (3,) or (T, 3) [m].
+        position: Origin of the probe frame, patient frame, (3,) or (T, 3) [m].
     """
 
     rotation: Array
@@ -63,7 +63,7 @@ def pose_of(
         rotation: Matrix (3, 3), SciPy `Rotation`, quaternion (4,); or the whole pose
             as a matrix (4, 4) or a SciPy `RigidTransform`.
         position: Shape (3,) [m]; None with a whole pose.
-        order: Of a quaternion: ``wxyz``, or ``xyzw`` as in ROS.
+        order: Order of a quaternion: ``wxyz``, or ``xyzw`` as in ROS.
 
     Returns:
         Matrix and position; the matrix is not checked, see `rotations`.
@@ -111,7 +111,7 @@ def poses_of(
         positions: Shape (T, 3) [m]; None with whole poses.
         orientations: Matrices (T, 3, 3), SciPy `Rotation`, quaternions (T, 4); or whole
             poses as matrices (T, 4, 4) or SciPy `RigidTransform`.
-        order: Of quaternions: ``wxyz``, or ``xyzw`` as in ROS and SciPy.
+        order: Order of quaternions: ``wxyz``, or ``xyzw`` as in ROS and SciPy.
 
     Returns:
         Matrices and positions; the matrices are not checked, see `rotations`.

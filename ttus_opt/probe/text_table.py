@@ -50,7 +50,7 @@ class TextTable:
 
     Attributes:
         file: Their source.
-        names: Of the columns, the package's names where known.
+        names: Names of the columns, the package's names where known.
         cells: One list per row, all of the same length.
         line: Line number of each row, from 1, shape (T,).
     """

@@ -17,7 +17,7 @@ def thinned(
     """Some of the frames of every recording, including its first; none is averaged.
 
     Args:
-        trajectory: Of one recording or several.
+        trajectory: One recording or several.
         every: Keep every n-th frame [–].
         rate: Most frames per second of the recording, applied before ``every``; None
             for all [Hz].

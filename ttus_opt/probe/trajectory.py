@@ -46,7 +46,7 @@ class Trajectory:
 
     Attributes:
         time: Increasing within a segment, shape (T,) [s].
-        position: Of the probe frame in the patient frame, shape (T, 3) [m].
+        position: Position of the probe frame in the patient frame, shape (T, 3) [m].
         rotation: Probe to patient, shape (T, 3, 3) [–]; rounding of up to 1e-5 is
             corrected (`ttus_opt.probe.pose`).
         force: On the probe, patient axes, shape (T, 3) [N]; None when not measured.
@@ -150,7 +150,7 @@ class Trajectory:
         """A trajectory from arrays in any common form.
 
         Args:
-            positions: Of the probe frame, shape (T, 3) [m]; None with whole poses.
+            positions: Origins of the probe frame, shape (T, 3) [m]; None with poses.
             orientations: Probe to patient: matrices (T, 3, 3), SciPy `Rotation`,
                 quaternions (T, 4); or whole poses as matrices (T, 4, 4) or SciPy
                 `RigidTransform`.
@@ -158,8 +158,8 @@ class Trajectory:
             torques: About the shell's reference, patient axes, shape (T, 3) [N·m].
             times: Shape (T,) [s]; by default one frame per second: give them where
                 friction matters.
-            order: Of quaternions, never guessed: ``wxyz``, or ``xyzw`` as in ROS and
-                SciPy.
+            order: Order of quaternions, never guessed: ``wxyz``, or ``xyzw`` as in ROS
+                and SciPy.
 
         Raises:
             InputError: Forms or shapes that do not match, as in `Trajectory`.

@@ -34,7 +34,7 @@ def front_along(depth: Array) -> float:
     """Whether the front lies at larger depths, by the flatter side.
 
     Args:
-        depth: Of skin points seen all around, in either direction, shape (n,) [m].
+        depth: Depth of skin points all around, either sign, shape (n,) [m].
 
     Returns:
         1.0, or -1.0 where the front lies at smaller depths.
@@ -50,7 +50,7 @@ def head_along(z: Array, depth: Array, *, supported: bool) -> float:
     """Whether the head lies at larger z, by the deeper end.
 
     Args:
-        z: Of skin points, along the body in either direction, shape (n,) [m].
+        z: z of skin points, along the body in either direction, shape (n,) [m].
         depth: The points' coordinate towards the front, shape (n,) [m].
         supported: Depths are heights above the support, so that the highest points of
             a section give its depth; otherwise highest minus lowest.

@@ -73,7 +73,7 @@ def radii_at(theta: Array, z: Array, radius: Array, layout: RadiusLayout) -> Arr
     Args:
         theta: Angles in [0, 2π), shape (n,) [rad].
         z: Heights, shape (n,) [m].
-        radius: Of the nodes, shape (n_theta, n_z) [m].
+        radius: Radius of the nodes, shape (n_theta, n_z) [m].
         layout: `Surface.kernel_layout`.
     """
     out = np.empty(theta.size)

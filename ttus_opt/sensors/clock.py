@@ -59,7 +59,7 @@ class Offset(NamedTuple):
     """How far the second clock is behind the first.
 
     Attributes:
-        seconds: To be added to the second signal's times.
+        seconds: Seconds to add to the second signal's times.
         correlation: Coefficient at this offset.
         rival: Coefficient of the next highest peak.
     """
@@ -87,7 +87,7 @@ def contact_of_poses(poses: Trajectory, surface: Surface, share: float) -> Signa
 
     Args:
         poses: Probe to patient.
-        surface: Of the patient.
+        surface: Surface of the patient.
         share: Fraction of the frames in contact.
 
     Raises:

@@ -72,7 +72,7 @@ class DepthImage:
         depth: NaN where not measured, shape (height, width) [m].
         camera: Rays of the pixels.
         depth_kind: ``z`` along the optical axis, ``range`` along the ray.
-        name: For messages.
+        name: Name of the image in messages.
     """
 
     depth: Array = field(repr=False)

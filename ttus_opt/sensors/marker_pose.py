@@ -48,8 +48,8 @@ class MarkerPose:
         markers: Numbers of the markers seen, ascending.
         pose: Marker or board to camera, shape (4, 4) [–, m]; OpenCV's camera axes: x
             right, y down, z forward.
-        covariance: Of a small rotation in camera axes [rad] and of the translation [m],
-            in this order, shape (6, 6).
+        covariance: Covariance of a small rotation in camera axes [rad] and of the
+            translation [m], in this order, shape (6, 6).
         residual: Root-mean-square reprojection error of the corners [pixel].
         other_residual: The same for the second pose that fits a single marker; None for
             boards.
@@ -175,7 +175,7 @@ def marker_poses(
 
     Args:
         image: Grey values, shape (height, width).
-        side: Of every marker [m].
+        side: Side of every marker [m].
         dictionary: OpenCV's name.
         camera: Intrinsics of the camera that took the image.
 

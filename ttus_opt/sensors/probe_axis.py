@@ -55,7 +55,7 @@ def axis_from_probe(
     """The patient frame of a scan from a probe held above the sternum.
 
     Args:
-        poses: Of the probe, in the scan's frame; several are averaged.
+        poses: Poses of the probe, in the scan's frame; several are averaged.
         cloud: The scan, shape (n, 3) [m].
         held: The probe's axes that point into the patient and to the head: ``x``,
             ``-x``, ``y``, ``-y``, ``z`` or ``-z`` each.
@@ -98,9 +98,9 @@ def read_axis(
     Args:
         path: A surface (.nc), or poses of a probe held above the sternum (.csv), frame
             of the scan.
-        cloud: As in `axis_from_probe`, like ``held`` and ``depth``.
-        held: For poses only.
-        depth: For poses only.
+        cloud: The scan; ``cloud``, ``held`` and ``depth`` are as in `axis_from_probe`.
+        held: Applies to poses only.
+        depth: Applies to poses only.
 
     Raises:
         FileError: The file is neither.

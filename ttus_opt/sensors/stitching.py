@@ -152,7 +152,7 @@ def stitch(
 
     Args:
         images: One or more.
-        poses: Of their cameras, camera to the common frame, (4, 4) each [–, m].
+        poses: Poses of their cameras, camera to the common frame, (4, 4) each [–, m].
         noise: Noise model of the cameras.
         refine: Uncertainty of the poses, to refine them; None to take them as they are.
 
@@ -297,8 +297,8 @@ class _Pairs:
 
     Attributes:
         points: Camera axes, shape (n, 3) [m].
-        normals: Of the planes, camera axes, shape (n, 3) [–].
-        distance: From points to planes, shape (n,) [m].
+        normals: Normals of the planes, camera axes, shape (n, 3) [–].
+        distance: Distances from points to planes, shape (n,) [m].
     """
 
     points: Array

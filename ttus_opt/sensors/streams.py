@@ -110,7 +110,7 @@ def with_wrenches(
     Args:
         poses: On the first clock; any wrenches of their own are replaced.
         wrenches: On the second clock.
-        offset: To be added to the second clock [s], see `clock_offset`.
+        offset: Seconds to add to the second clock [s], see `clock_offset`.
         largest_gap: Longest time between readings that is interpolated over; a longer
             time between poses begins a new segment [s].
 

@@ -57,7 +57,7 @@ class ToolLoad:
         centre_std: Standard error of the centre, shape (3,) [m].
         force_residual: Root-mean-square residual of the force, per axis [N].
         torque_residual: Root-mean-square residual of the torque, per axis [N·m].
-        drift: Of the force over the free recording, shape (3,) [N/s].
+        drift: Drift of the force over the free recording, shape (3,) [N/s].
         handedness_told: Whether the tilts could reveal left-handed axes.
     """
 

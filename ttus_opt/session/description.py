@@ -51,7 +51,7 @@ class Stream:
 
     Attributes:
         file: Any file that `ttus_opt.sensors.stream_files` reads.
-        name: Of a transform or topic in it; None for the only one.
+        name: Name of a transform or topic in it; None for the only one.
         columns: The file's names, by the package's.
     """
 
@@ -123,7 +123,7 @@ class Part:
     """A stretch of the tracker's recording.
 
     Attributes:
-        name: Of its file.
+        name: Name of its file.
         start: Seconds after the tracker's first pose [s].
         end: Seconds after the tracker's first pose [s].
         fitted: Whether the field is fitted to it; otherwise it is tested on it.
@@ -145,8 +145,8 @@ class FitPlan:
         shape: Voxels in r, θ and z.
         r_inner: Radius of the innermost layer [m].
         solver: Name, or auto.
-        options: Of the formulation.
-        weights: As in `ttus_opt.fit`: auto, recipe or own.
+        options: Options of the formulation.
+        weights: auto, recipe or own, see `ttus_opt.fit`.
     """
 
     formulation: str | None
@@ -163,9 +163,9 @@ class Description:
 
     Attributes:
         file: The description.
-        title: Of the report.
+        title: Title of the report.
         probe: A primitive, or the path of a mesh.
-        probe_unit: Of a mesh.
+        probe_unit: Unit of a mesh.
         scan: Source of the patient's surface.
         tracker: Poses.
         force: Wrenches.

@@ -28,9 +28,9 @@ def draw(
     """Draw and write all pictures, in the order of the report.
 
     Args:
-        result: Of the session.
+        result: Result of the session.
         shell: The probe.
-        path: From a file's name to its path.
+        path: Function that maps the name of a file to its path.
     """
     surface, model = result.skin.surface, result.model
     pictures = []

@@ -43,7 +43,7 @@ def fit_model(
 
     Args:
         session: The description.
-        surface: Of the patient.
+        surface: Surface of the patient.
         shell: The probe.
         recordings: All stretches, by name.
 

@@ -36,7 +36,7 @@ class SessionResult:
     """What a session found.
 
     Attributes:
-        folder: Of the results.
+        folder: Folder of the results.
         session: The description.
         skin: The patient's surface.
         registration: Motions between the frames.
@@ -75,7 +75,7 @@ def run_session(
     Args:
         path: The folder with its ``session.yaml``, or that file
             (``docs/how-to/session.md``).
-        output: Folder of the results; made when missing. Every step writes its files
+        output: Folder of the results; created if missing. Every step writes its files
             when it is complete, and ``session.json`` lists the complete steps.
         progress: Called with the name of every step that begins, `N_STAGES` times.
 

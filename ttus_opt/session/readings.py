@@ -34,7 +34,7 @@ class Timing:
     """The offset between the clocks, and how it was found.
 
     Attributes:
-        offset: To be added to the times of forces [s].
+        offset: Time to add to the times of forces [s].
         first: Signal from the poses; None where the offset was given.
         second: Signal from the forces, on their own clock.
         correlation: At the offset.
@@ -63,9 +63,9 @@ def synchronise(
 
     Args:
         session: The description.
-        poses: Of the probe, patient frame.
+        poses: Poses of the probe, patient frame.
         wrenches: On their own clock.
-        surface: Of the patient.
+        surface: Surface of the patient.
         registration: Motions between the frames.
 
     Raises:

@@ -80,7 +80,7 @@ def register(tracker: Tracker, surface: Surface) -> Registration:
 
     Args:
         tracker: Its description.
-        surface: Of the patient, with its axis in the scan.
+        surface: Surface of the patient, with its axis in the scan.
 
     Raises:
         FileError: The pairs cannot be read.

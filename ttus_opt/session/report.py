@@ -30,9 +30,9 @@ def write_reports(
     """Draw the pictures and write ``report.md`` and ``report.html``.
 
     Args:
-        result: Of the session.
+        result: Result of the session.
         shell: The probe.
-        path: From a file's name to its path.
+        path: Function that maps the name of a file to its path.
 
     Raises:
         FileError: A file cannot be written.

@@ -46,7 +46,7 @@ class StatedAxis:
     Attributes:
         file: A surface (.nc), or poses of a held probe, as in `read_axis`.
         held: The probe's axes into the patient and to the head.
-        depth: Of the origin below the skin [m]; None for half-way to the bed.
+        depth: Depth of the origin below the skin [m]; None for half-way to the bed.
     """
 
     file: Path
@@ -63,7 +63,7 @@ class Scan:
         cameras: One per depth image; none for a cloud or surface.
         noise: Noise model of the cameras; None where unknown.
         refine: Whether the cameras' poses are refined by registration.
-        unit: Of the coordinates or depths; None for the usual one.
+        unit: Unit of the coordinates or depths; None for the usual one.
         axis: Source of the patient's frame; None to find it in the scan.
         head: Direction to the head in the scan, shape (3,); None to find it.
         prone: Whether the patient lies on the front.

@@ -90,10 +90,10 @@ class Truth:
         axes: Sensor to probe, shape (3, 3).
         point: The sensor's reference point, probe frame, shape (3,) [m].
         mass: Below the sensor [kg].
-        centre: Of that mass from the point, sensor axes, shape (3,) [m].
+        centre: Centre of that mass from the point, sensor axes, shape (3,) [m].
         force_bias: Sensor axes, shape (3,) [N].
         torque_bias: Sensor axes, shape (3,) [N·m].
-        offset: To be added to the sensor's times [s].
+        offset: Time to add to the sensor's times [s].
     """
 
     tracker_to_scan: Array = field(
@@ -138,7 +138,7 @@ def write_recording(
         folder: Made when missing.
         seconds: Used length of each of the example's recordings, at most 20.
         shape: Voxels of the described fit.
-        seed: Of all noise.
+        seed: Seed of all noise.
 
     Raises:
         FileError: The folder holds other files or cannot be written to.

@@ -64,7 +64,7 @@ class CutLinks:
         Args:
             region: Above, at and below zero inside, on and outside the surface layer,
                 shape (n_r, n_theta, n_z).
-            place: Of the surface, (R − r_inner)/Δr, shape (n_theta, n_z) [layers].
+            place: Position of the surface (R − r_inner)/Δr, (n_theta, n_z) [layers].
             wall: Spoke of the layer through whose links nothing flows.
         """
         shape = region.shape

@@ -72,7 +72,7 @@ def on_spoke(
 
     Args:
         depth: d / Δr.
-        place: Of the surface, above the inner layer.
+        place: Position of the surface above the inner layer.
         outermost: The outermost layer that is sampled.
         slope: 1 / (place − outermost).
 

@@ -57,7 +57,7 @@ class PotentialField:
             ``contact-size``.
         parameters: Parameters identified with the field, by name (boundary_scale).
         provenance: Free text by key: formulation, solver, trajectory, …
-        standard_errors: Of the parameters, by name, where known.
+        standard_errors: Standard errors of the parameters, by name, where known.
         doubt: Relative uncertainty of presses; None where unknown.
     """
 

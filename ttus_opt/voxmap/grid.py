@@ -47,7 +47,7 @@ class GridLimits(NamedTuple):
         z_max: Height of the last slice [m].
         theta_0: First angle of the grid, in [0, 2π) [rad].
         width: Angle that it covers [rad].
-        shift: From ``theta_0`` to the first spoke, in spokes.
+        shift: Distance from ``theta_0`` to the first spoke, in spokes.
         last_cell: Index of the last pair of neighbouring spokes.
     """
 

@@ -35,11 +35,11 @@ class Part(abc.ABC):
 
     Attributes:
         name: On the command line, and of its CSV file.
-        key: Of its rows in the JSON; "" for the name.
+        key: Key of its rows in the JSON; "" for the name.
         title: Heading of its table.
         legend: Meaning of the columns, for the report.
-        columns: Of its table, after the case.
-        options: Of every run, where `plan` is not overridden.
+        columns: Columns of its table, after the case.
+        options: Options of every run, where `plan` is not overridden.
         parallel: Whether its runs may be parallel.
     """
 
@@ -72,7 +72,7 @@ class Part(abc.ABC):
 
         Args:
             spec: One of `plan`.
-            begin: To be called with every stage that begins; those of
+            begin: Call it with the name of each stage as it begins; those of
                 `isolation.PREPARING` may take longer than the time limit.
 
         Returns:
