@@ -16,6 +16,7 @@ from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.scene import Scene
 from ttus_opt.solvers import covariance
 from ttus_opt.solvers.base import Request
+from ttus_opt.solvers.covariance import square_root
 from ttus_opt.terms.depth_map import DepthMapTerm
 from ttus_opt.terms.depth_profile import DepthProfile
 from ttus_opt.terms.drag import Viscous
@@ -85,6 +86,16 @@ def test_rows_may_be_fewer_or_more_than_the_voxels_they_touch() -> None:
         assert solution.status.name == "SOLVED"
         touched = len(np.unique(own.N.indices))
         assert (touched < len(own.f)) == (n_poses == 60)
+
+
+@pytest.mark.parametrize("rank", [40, 12])
+def test_the_square_root_leaves_out_what_is_rounding(rank: int) -> None:
+    rng = np.random.default_rng(1)
+    half = rng.normal(size=(40, rank)) * np.logspace(0, -3, rank)
+    matrix = half @ half.T
+    root = square_root(matrix)
+    assert root.shape == (40, rank)
+    np.testing.assert_allclose(root @ root.T, matrix, atol=1e-13 * matrix.max())
 
 
 def test_it_says_what_it_does_not_take() -> None:

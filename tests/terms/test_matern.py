@@ -9,7 +9,7 @@ from scipy.special import gamma, k1, kv
 
 from tests.conftest import small_scene
 from ttus_opt.terms import matern as matern_module
-from ttus_opt.terms.matern import MaternFactor, SeparableCovariance, matern
+from ttus_opt.terms.matern import MaternFactor, SeparableCovariance, kronecker, matern
 
 
 def test_matern_32_is_that_of_bessel_functions() -> None:
@@ -72,6 +72,23 @@ def test_a_length_around_of_its_own_is_a_tube_of_another_radius() -> None:
     got = stretched.covariance(np.array([10])).reshape(40, 21)[:, 10]
     own = np.sqrt(2.0) * 0.2 * theta[3] / 0.1
     assert got[3] / got[0] == pytest.approx(own * k1(own), abs=0.03)
+
+
+def test_kronecker_is_that_of_scipy() -> None:
+    rng = np.random.default_rng(3)
+    for shapes in [((5, 4), (7, 9)), ((1, 1), (6, 6)), ((3, 3), (1, 2))]:
+        left, right = (
+            sp.random_array(shape, density=0.5, rng=rng, format="csr")
+            for shape in shapes
+        )
+        left.data[: left.indptr[1]] = 0.0
+        left.eliminate_zeros()  # a row without entries
+        found = kronecker(left, right)
+        np.testing.assert_array_equal(
+            found.toarray(), np.kron(left.toarray(), right.toarray())
+        )
+        assert found.nnz == left.nnz * right.nnz
+        assert found.has_canonical_format
 
 
 def test_rows_columns_and_products_agree_with_dense_algebra() -> None:
