@@ -123,7 +123,7 @@ class DualRecursion:
 
     @property
     def memory_bytes(self) -> int:
-        """Size of what grows with the measurements."""
+        """Memory that grows with the measurements."""
         vectors = 3 * self._d0.nbytes + self._information.nbytes
         return self._kernel.memory_bytes + self._D.memory_bytes + vectors
 

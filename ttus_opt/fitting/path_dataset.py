@@ -221,7 +221,7 @@ def write_solution_path(dataset: xr.Dataset, path: str | os.PathLike[str]) -> No
 
 
 def read_solution_path(path: str | os.PathLike[str]) -> xr.Dataset:
-    """Read what `write_solution_path` wrote.
+    """Read a file of `write_solution_path`.
 
     Raises:
         FileError: Not such a file, another version, or damaged.

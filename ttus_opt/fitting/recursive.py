@@ -160,7 +160,7 @@ class RecursiveFit:
 
     @property
     def memory_bytes(self) -> int:
-        """Size of what grows with the measurements."""
+        """Memory that grows with the measurements."""
         return self._system.memory_bytes
 
     @property

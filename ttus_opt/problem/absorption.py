@@ -105,7 +105,7 @@ def absorbed(
             beside = _Matrix(program, terms, fixed, rows.theta)
             new = rows.bound(r, beside, STEPS_BESIDE, enough)
             found = min(found, new, key=lambda one: one.gap)
-    except NumericalError:  # of the multigrid: what cannot be solved bounds nothing
+    except NumericalError:  # of the multigrid: no bound without its solves
         return None
     return found if np.isfinite(found.gap) else None
 

@@ -98,7 +98,7 @@ def energy(
         if fields and len(r) - held <= MOST:
             return _beside_parameters(squares, fields, r)
         return _by_solving(program, squares, fixed, r)
-    except NumericalError:  # of the multigrid: what cannot be solved bounds nothing
+    except NumericalError:  # of the multigrid: no bound without its solves
         return None
 
 

@@ -62,7 +62,7 @@ def load(
     Args:
         formulation: A name (``"eq10"``), a path ending in ``.py``, or an object.
         scene: The scene to build it over.
-        options: What its ``build`` takes beside the scene.
+        options: Further arguments of its ``build``.
 
     Returns:
         The formulation.

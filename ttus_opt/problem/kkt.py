@@ -174,18 +174,18 @@ def kkt_residuals(
     return found if np.isfinite(found.worst_relative) else NOT_FINITE
 
 
-#: By a program's identity the last point judged, and its residuals: a solver that asks
-#: whether it is done need not be judged twice; they live as long as the program
+#: The last point of every program, by identity, and its residuals, so that a solver's
+#: own check is not repeated by the verdict; dropped with the program
 _last: dict[int, tuple[bytes, KKT]] = {}
 
 
 def _digest(x: Array, duals: Duals, tolerance: float) -> bytes:
-    """What tells a point, its multipliers and the tolerance from all others."""
+    """Hash of a point, its multipliers and the tolerance."""
     found = hashlib.sha256(repr(tolerance).encode())
-    told: list[tuple[str, Array | None]] = [("x", x), ("bounds", duals.bounds)]
-    told += [(f"row {name}", values) for name, values in duals.rows.items()]
-    told += [(f"term {name}", values) for name, values in duals.terms.items()]
-    for name, values in told:
+    parts: list[tuple[str, Array | None]] = [("x", x), ("bounds", duals.bounds)]
+    parts += [(f"row {name}", values) for name, values in duals.rows.items()]
+    parts += [(f"term {name}", values) for name, values in duals.terms.items()]
+    for name, values in parts:
         found.update(repr((name, None if values is None else values.shape)).encode())
         if values is not None:
             found.update(np.ascontiguousarray(values, dtype=float).data)

@@ -67,9 +67,9 @@ class Attempt:
 
     Attributes:
         solver: Its name.
-        status: What came of it.
+        status: Its status.
         residual: Its largest relative KKT residual; None without a candidate [–].
-        detail: What the solver itself said.
+        detail: The solver's own message.
     """
 
     solver: str

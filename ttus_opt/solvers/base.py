@@ -111,7 +111,7 @@ class Prepared(abc.ABC):
 
     @abc.abstractmethod
     def solve(self) -> Candidate:
-        """Solve what is loaded."""
+        """Solve the loaded program."""
 
     def start_at(self, x: Array, duals: Duals) -> None:
         """Warm-start the next solve; ignored by default.

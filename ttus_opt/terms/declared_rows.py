@@ -110,7 +110,7 @@ def uniform_vector(owner: str, name: str, values: Any, *, finite: bool) -> Array
 
 
 def _described(value: Any) -> str:
-    """What was given, in a few words."""
+    """A short description of a value."""
     if hasattr(value, "dtype"):
         sort = "a sparse matrix" if sp.issparse(value) else "an array"
         return f"{sort} of {value.dtype} of shape {value.shape}"

@@ -1,4 +1,4 @@
-"""Copies of frozen objects that keep what was computed once."""
+"""Copies of frozen objects that keep cached properties."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ _Member = TypeVar("_Member")
 
 
 def replaced(member: _Member, *cached: str, **changes: Any) -> _Member:
-    """`dataclasses.replace` that hands cached properties on.
+    """`dataclasses.replace` that keeps cached properties.
 
     Args:
         member: A frozen dataclass.
-        cached: Names of its cached properties that the changes leave as they are.
-        changes: Fields with their new values.
-
-    Returns:
-        The copy; its other cached properties are computed anew.
+        cached: Names of cached properties that the changes do not affect; others are
+            computed anew.
+        changes: New values of fields.
     """
     other: _Member = replace(member, **changes)  # type: ignore[type-var]
     own = vars(member)

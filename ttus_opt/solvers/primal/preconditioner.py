@@ -84,7 +84,7 @@ class ConstraintPreconditioner:
             return self._system.response(y)
         rest, out = y.copy(), np.zeros(self._system.adjoint.shape[0])
         parts, _ = subspace.parts(y)
-        # a direction is what S was applied to, normalised
+        # directions are the normalised arguments of S
         for part, d, (of, own) in zip(parts, subspace.directions, kept, strict=True):
             share = part * float(d @ of) / float(of @ of)
             rest -= share * of
