@@ -85,7 +85,8 @@ def judge(z: Array, rays: Array, focal: float, noise: Array, steepest: float) ->
     measured = np.isfinite(z)
     alone = (count < LEAST_SHARE * present) | (count < LEAST_COUNT)
     flying = measured & (alone | edge)
-    return Judged(flying, np.where(flying, np.nan, _incidence(sums, x, y, 1.0 / z)))
+    incidence = _incidence(sums, x, y, 1.0 / z)
+    return Judged(flying, np.where(measured & ~flying, incidence, np.nan))
 
 
 def _neighbours(

@@ -157,10 +157,11 @@ class Section:
                 if flat.shape == (4, 4):
                     return rigid_motion(flat)
                 return read_rigid_motion(json.dumps(flat.reshape(-1).tolist()))
-            text = str(value)
-            if (self.file.parent / text).is_file():
-                return read_rigid_motion(self.file.parent / text)
-            return read_rigid_motion(text)
+            if not isinstance(value, str):
+                raise ValueError
+            if (self.file.parent / value).is_file():
+                return read_rigid_motion(self.file.parent / value)
+            return read_rigid_motion(value)
         except FileError:
             raise
         except (TtusError, ValueError, TypeError) as error:

@@ -1,0 +1,82 @@
+"""Tables hand over the very arrays they list, and a frame of them is the frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.conftest import ellipsoid, small_scene
+from ttus_opt.compiled import compiled
+from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.haptic.tables import (
+    N_ARRAYS,
+    N_DATA,
+    N_FIELDS,
+    WORDS,
+    _data,
+    buffers_at,
+    frame_table,
+    matrix,
+    table_of,
+    vector,
+)
+from ttus_opt.haptic.wrench import FieldPair, FrameBuffers, FrameLimits
+
+SCENE = small_scene("trilinear")
+
+
+@compiled()
+def doubled(table, k):  # type: ignore[no-untyped-def]
+    """Change array k of a table in its place."""
+    values = matrix(table, k, np.float64)
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            values[i, j] *= 2.0
+    return values.shape
+
+
+@compiled()
+def summed(table, k):  # type: ignore[no-untyped-def]
+    return vector(table, k, np.int64).sum()
+
+
+def test_a_table_lists_addresses_and_shapes() -> None:
+    arrays = (np.zeros((3, 4)), np.zeros(5), np.arange(7))
+    table = table_of(arrays).reshape(-1, WORDS)
+    assert table.dtype == np.int64
+    np.testing.assert_array_equal(table[:, 0], [a.ctypes.data for a in arrays])
+    np.testing.assert_array_equal(table[:, 1:], [[3, 4], [5, 0], [7, 0]])
+
+
+def test_compiled_code_reads_and_writes_what_is_listed() -> None:
+    whole, counts = np.arange(12.0).reshape(3, 4), np.arange(7)
+    table = table_of((np.zeros(2), whole, counts))
+    assert doubled(table, 1) == (3, 4)
+    np.testing.assert_array_equal(whole, 2.0 * np.arange(12.0).reshape(3, 4))
+    assert summed(table, 2) == 21
+
+
+@pytest.mark.parametrize("trilinear", [False, True])
+def test_a_frame_s_arrays_come_out_in_their_places(trilinear: bool) -> None:
+    """Name by name, by address, shape and kind: none has another's place."""
+    data = FrameData.of(SCENE.voxmap, ellipsoid(), trilinear=trilinear)
+    buffers, limits = FrameBuffers.empty(), FrameLimits(np.ones(3), np.ones((2, 2)))
+    table = frame_table(data, buffers, limits)
+    assert len(table) == WORDS * N_ARRAYS
+    found = _data(trilinear, table)
+    assert found.trilinear == trilinear
+    for name in FrameData._fields[1:]:
+        own, there = getattr(data, name), getattr(found, name)
+        assert there.dtype == own.dtype, name
+        assert there.shape == own.shape, name
+        assert there.ctypes.data == own.ctypes.data, name
+    for name, there in zip(FrameBuffers._fields, buffers_at(table), strict=True):
+        own = getattr(buffers, name)
+        assert (there.shape, there.ctypes.data) == (own.shape, own.ctypes.data), name
+
+
+def test_counts_are_those_of_the_tuples() -> None:
+    """The flag of the sampling is no array and stands in no table."""
+    data = FrameData.of(SCENE.voxmap, ellipsoid(), trilinear=True)
+    assert sum(isinstance(a, np.ndarray) for a in data) == N_DATA
+    assert len(FieldPair._fields) == N_FIELDS

@@ -1,0 +1,59 @@
+"""One pair of calls: what is decoded is of the kind that was encoded."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.message.patients import dented, fitted, sent, uneven
+from ttus_opt.errors import InputError
+from ttus_opt.message.codec import decode, encode
+from ttus_opt.message.surface_message import MAX_ERROR
+from ttus_opt.scan.surface import Surface
+from ttus_opt.voxmap.field import PotentialField
+
+pytest.importorskip("pcodec", reason="needs ttus-opt[sensors]")
+
+
+def test_the_kind_comes_back() -> None:
+    surface, field = sent()
+    assert isinstance(decode(surface), Surface)
+    assert isinstance(decode(field, base=surface), PotentialField)
+    change = encode(dented(uneven()), base=encode(uneven()))
+    assert isinstance(decode(change, base=encode(uneven())), Surface)
+
+
+def test_several_messages_stand_for_the_last_surface() -> None:
+    """A list, a tuple, or a message alone where there are no changes."""
+    first, later = uneven(), dented(uneven())
+    whole = encode(first)
+    change = encode(later, base=whole)
+    again = encode(first, base=[whole, change])
+    for base in ([whole, change], (whole, change)):
+        found = decode(again, base=base)
+        assert isinstance(found, Surface)
+        np.testing.assert_allclose(found.radius, first.radius, atol=MAX_ERROR)
+    once = decode(change, base=[whole])
+    assert isinstance(once, Surface)
+    np.testing.assert_allclose(once.radius, later.radius, atol=MAX_ERROR)
+    # the change back goes with the first change, not with the surface alone
+    with pytest.raises(InputError, match="builds on"):
+        decode(again, base=whole)
+
+
+def test_no_bound_is_the_usual_one_and_zero_is_refused() -> None:
+    assert len(encode(uneven(), max_error=MAX_ERROR)) == len(encode(uneven()))
+    with pytest.raises(InputError):
+        encode(uneven(), max_error=0.0)
+
+
+def test_what_builds_on_another_is_told() -> None:
+    surface, field = sent()
+    with pytest.raises(InputError, match="message as base"):
+        encode(fitted())
+    with pytest.raises(InputError, match="builds on another"):
+        decode(field)
+    with pytest.raises(InputError, match="no base"):
+        decode(surface, base=surface)
+    with pytest.raises(InputError, match="base is empty"):
+        decode(field, base=[])

@@ -1,0 +1,75 @@
+"""A reader for every kind of file, and names and columns where they belong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.sensors.test_plus_sequence import sequence
+from ttus_opt.errors import InputError
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.sensors.netcdf_stream import write_netcdf_wrenches
+from ttus_opt.sensors.plus_sequence import read_plus_sequence
+from ttus_opt.sensors.stream_files import read_poses, read_wrenches
+from ttus_opt.sensors.streams import WrenchStream
+
+TIME = np.arange(4.0)
+MAP = {"t": "stamp", "px": "x", "fx": "F1", "tx": "M1"}
+
+
+def wrenches() -> WrenchStream:
+    return WrenchStream(TIME, np.outer(TIME, [1.0, 2, 3]), np.outer(TIME, [4.0, 5, 6]))
+
+
+@pytest.mark.parametrize("suffix", [".nc", ".NC", ".cdf"])
+def test_net_cdf_and_tables_say_the_same(tmp_path: Path, suffix: str) -> None:
+    own = wrenches()
+    write_netcdf_wrenches(own, tmp_path / f"w{suffix}")
+    own.save(tmp_path / "w.csv")
+    for name in (f"w{suffix}", "w.csv"):
+        found = read_wrenches(tmp_path / name)
+        assert found.torque is not None and own.torque is not None
+        np.testing.assert_allclose(found.time, own.time, atol=1e-9)
+        np.testing.assert_allclose(found.force, own.force, atol=1e-9)
+        np.testing.assert_allclose(found.torque, own.torque, atol=1e-9)
+
+
+def test_a_sequence_is_read_as_one_whatever_the_case(tmp_path: Path) -> None:
+    file = sequence(tmp_path / "s.MHA")
+    expected = read_plus_sequence(file)
+    np.testing.assert_array_equal(read_poses(file).position, expected.position)
+
+
+def test_of_a_map_for_both_each_stream_takes_its_own(tmp_path: Path) -> None:
+    """Names of the other's columns, which this file has not, do not matter."""
+    own = wrenches()
+    turns = np.tile(np.eye(3), (4, 1, 1))
+    Trajectory(TIME, np.outer(TIME, [1.0, 0, 0]), turns).save(tmp_path / "p.csv")
+    own.save(tmp_path / "w.csv")
+    for file, old, new in (("p.csv", "px", "x"), ("w.csv", "fx", "F1")):
+        text = (tmp_path / file).read_text()
+        head, *rest = text.split("\n", 1)
+        names = [n if n != old else new for n in head.split(",")]
+        names = ["stamp" if n == "t" else "M1" if n == "tx" else n for n in names]
+        (tmp_path / file).write_text("\n".join([",".join(names), *rest]))
+    poses = read_poses(tmp_path / "p.csv", columns=MAP)
+    np.testing.assert_allclose(poses.position[:, 0], TIME)
+    found = read_wrenches(tmp_path / "w.csv", columns=MAP)
+    np.testing.assert_allclose(found.force, own.force)
+    assert found.torque is not None and own.torque is not None
+    np.testing.assert_allclose(found.torque, own.torque)
+
+
+def test_names_and_columns_where_there_are_none_are_told(tmp_path: Path) -> None:
+    file = sequence(tmp_path / "s.mha")
+    with pytest.raises(InputError, match=r"s\.mha has no columns"):
+        read_poses(file, columns=MAP)
+    wrenches().save(tmp_path / "w.csv")
+    with pytest.raises(InputError, match=r"w\.csv has no transform or topic /force"):
+        read_wrenches(tmp_path / "w.csv", name="/force")
+    (tmp_path / "bag").mkdir()
+    for read in (read_poses, read_wrenches):
+        with pytest.raises(InputError, match="bag has no columns"):
+            read(tmp_path / "bag", columns=MAP)
