@@ -166,15 +166,25 @@ TARGETS = (
         Target(f"solvers/dual/{stem}.py", (f"solvers/dual/test_{stem}.py",))
         for stem in (
             "conjugate_gradients",
-            "field_pair",
             "limits",
             "linear_parameters",
             "pair_subproblem",
-            "subproblem",
             "touched_limits",
             "weight_sweep",
             "working_set",
         )
+    ),
+    Target(
+        "solvers/dual/field_pair.py",
+        ("solvers/dual/test_field_pair.py", "solvers/dual/test_touched_limits.py"),
+    ),
+    Target(
+        "solvers/dual/subproblem.py",
+        (
+            "solvers/dual/test_subproblem.py",
+            "solvers/dual/test_active_set.py",
+            "solvers/dual/test_soft_values.py",
+        ),
     ),
     Target("solvers/primal/elimination.py", ("solvers/primal/test_elimination.py",)),
     Target("laplace/boundary_scale.py", ("laplace/test_boundary_scale.py",)),

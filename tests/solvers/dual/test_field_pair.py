@@ -27,6 +27,8 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Status
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
+from ttus_opt.solvers.dual.field_pair import FieldPair
+from ttus_opt.solvers.dual.optimality import Multipliers
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.registry import solvers
 from ttus_opt.solvers.structured import Structured
@@ -185,6 +187,33 @@ def test_a_new_solve_starts_from_the_last_working_set() -> None:
     assert again.iterations < first.iterations
     apart = np.linalg.norm(again.x - fresh.x)
     assert apart <= 1e-5 * np.linalg.norm(fresh.x)
+
+
+@pytest.mark.parametrize("slope", [0.3, -0.3])
+def test_the_unknown_beside_has_a_multiplier_at_its_limits_alone(
+    slope: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the sign that the limit can hold, where the objective has a given slope."""
+    program = coulomb(contested(2), 1.0).compile()
+    pair = FieldPair.of(program)
+    x = 1e-3 * np.random.default_rng(3).normal(size=program.n_variables)
+    none = Multipliers(*np.zeros((2, len(pair.limits.given))))
+    (at,) = pair.others
+
+    def of(c: float) -> float:
+        x[at] = c
+        return float(np.add(*program.gradient(x))[at])
+
+    x[at] = c = (slope - of(0.0)) / (of(1.0) - of(0.0))
+    found = []
+    for limits in ((c, INF), (-INF, c), (-INF, INF)):
+        monkeypatch.setattr(FieldPair, "bounds", limits)
+        z = pair.duals(x, none).bounds
+        assert z is not None
+        found.append(z[at])
+    # at a lower limit negative, at an upper one positive
+    expected = [min(-slope, 0.0), max(-slope, 0.0), 0.0]
+    assert found == pytest.approx(expected, abs=1e-9)
 
 
 def test_nothing_contested_is_what_was_put_in() -> None:

@@ -12,7 +12,7 @@ from tests.dragging import dragged_scene
 from ttus_opt.fitting.batch import fit
 from ttus_opt.problem import formulation
 from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.linear_parameters import LinearParameters
+from ttus_opt.solvers.dual.linear_parameters import Complement, LinearParameters
 from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.solver import DualSolver
 
@@ -59,3 +59,50 @@ def test_the_bound_of_a_coefficient_carries_a_multiplier() -> None:
     assert solution.kkt.worst_relative < 1e-8
     assert solution.field.parameters["viscous_coefficient"] == pytest.approx(0.0)
     assert solution.duals_by_name["viscous_sign"][0] < 0.0
+
+
+def test_what_violates_is_what_could_lessen_the_cost() -> None:
+    """The cost falls along Eᵀy; columns and multipliers of any size."""
+    y = np.array([3e4, -4e4, 1e-6, 1e-4])  # of norm 5e4
+    E = np.zeros((4, 5))
+    # a rise, a fall, one that is flat, one that hardly is not, and a column of nothing
+    E[[0, 1, 2, 3], [0, 1, 2, 3]] = 20.0, 20.0, 2.0, 2.0
+    beside = LinearParameters(E, np.full(5, -1.0), np.full(5, 1.0))
+    rises, falls, hardly = 0, 1, 3
+    assert beside.moving.tolist() == [True, True, True, True, False]
+    held = np.zeros(5, dtype=bool)
+    for value, expected in (
+        (-1.0, {rises, hardly}),  # at the lower bound
+        (0.0, {rises, falls, hardly}),
+        (1.0, {falls}),  # at the upper one
+    ):
+        c = np.full(5, value)
+        assert set(np.flatnonzero(beside.violating(c, y, held))) == expected
+        assert not beside.violating(c, y, ~held).any()
+        assert beside.between(c).tolist() == [value == 0.0] * 4 + [False]
+    for value in (-1.5, 1.5):
+        c = np.full(5, value)
+        assert beside.violating(c, y, ~held).all()
+        assert not beside.between(c).any()
+        assert beside.clipped(c).tolist() == [np.sign(value)] * 5
+    assert LinearParameters.none(4).clipped(np.zeros(0)).shape == (0,)
+    assert not LinearParameters.none(4).violating(np.zeros(0), y, held[:0]).any()
+
+
+@pytest.mark.parametrize("columns", [0, 1, 3])
+def test_across_columns_is_dense_algebra(columns: int) -> None:
+    """With a column that is the sum of the others."""
+    rng = np.random.default_rng(columns)
+    root = rng.normal(size=(7, 7))
+    S, r, E = root @ root.T + np.eye(7), rng.normal(size=7), rng.normal(size=(7, 3))
+    E = np.column_stack([E[:, :columns], E[:, :columns].sum(axis=1)])
+    across = Complement(E if columns else E[:, :0], lambda v: np.linalg.solve(S, v))
+    nearest = np.linalg.lstsq(E, r)[0] if columns else np.zeros(0)
+    np.testing.assert_allclose(across.coefficients(r), nearest, atol=1e-12)
+    left = r - E[:, : len(nearest)] @ nearest
+    np.testing.assert_allclose(across.part(r), left, atol=1e-12)
+    # the y across E for which S y is r but along E
+    y = across.precondition(r)
+    if columns:
+        np.testing.assert_allclose(E.T @ y, 0.0, atol=1e-12)
+    np.testing.assert_allclose(across.part(S @ y), left, atol=1e-11)

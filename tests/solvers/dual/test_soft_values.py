@@ -8,14 +8,18 @@ import numpy as np
 import pytest
 
 from tests.conftest import small_scene
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, Mask
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import soft_values
+from ttus_opt.solvers.dual.active_set import ActiveSetIteration
 from ttus_opt.solvers.dual.data import DualData
-from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.limits import SpokeLimits
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur
 from ttus_opt.solvers.dual.soft_values import SoftValues
+from ttus_opt.solvers.dual.solver import DualSolver
+from ttus_opt.solvers.dual.subproblem import LimitedField
 from ttus_opt.solvers.structured import Structured
 
 SCENE = small_scene("trilinear", shape=(8, 16, 10), n_poses=6)
@@ -73,6 +77,35 @@ def test_held_are_those_of_the_equation_itself(weight: float) -> None:
     assert (natural < lower).sum() != held.sum()
     assert predicted is not None
     assert np.count_nonzero(predicted != held) <= 0.02 * len(held)
+
+
+def test_it_is_told_what_soft_values_would_be_without_limits(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """b + ω q, where they are held and where they are free, against dense algebra."""
+    program = shelf.load("free_surface", SCENE).compile()
+    of, limits = DualData.of(program), SpokeLimits.of(program)
+    solver, options = DualSolver(of.system), DualOptions()
+    problem = LimitedField(program, limits, of, solver, options)
+    at = ActiveSetIteration(problem, limits, None, 1e-6, Accuracy(1e-11))
+    told: list[Array] = []
+    plain = SoftValues.held
+
+    def noted(self: SoftValues, p: Array, natural: Array, lower: Array) -> Mask | None:
+        told[:] = p, natural
+        return plain(self, p, natural, lower)
+
+    monkeypatch.setattr(SoftValues, "held", noted)
+    following = at.predicted(at.solve(at.active, 1e-11))
+    assert following is not None
+    at.predicted(at.solve(following, 1e-11))
+    inverse, D = dense(of)
+    q = inverse.T @ (D.T @ (of.t - D @ at.p))
+    voxels = problem._soft_values.voxels
+    expected = (of.b + of.system.compliance * q)[voxels]
+    p, natural = told
+    np.testing.assert_allclose(natural, expected, atol=1e-6 * np.abs(expected).max())
+    assert 0 < np.count_nonzero(natural < p - 1e-3) < len(p)
 
 
 @pytest.fixture

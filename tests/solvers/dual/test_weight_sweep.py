@@ -16,7 +16,9 @@ from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.kkt import kkt_residuals
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.dual.data import DualData, root_weights
+from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.weight_sweep import (
+    BLOCK,
     WeightSweep,
     is_limited,
     keeps_limits,
@@ -91,6 +93,28 @@ def test_a_deadline_ends_it() -> None:
     assert not answer.settled and answer.directions == 0
     p0 = program.laplace.solve(declared().scene.b)
     np.testing.assert_allclose(answer.p, p0, atol=1e-9)
+
+
+def test_fields_that_are_handed_over_have_the_images_that_stay() -> None:
+    """At some voxels alone, in blocks, in single precision."""
+    program = declared("eq10", 30.0, 30.0).compile()
+    data, scene = DualData.of(program), declared().scene
+    voxels = np.unique(data.system.rows.indices)
+    sweep = WeightSweep(data, voxels=voxels)
+    sweep.complete(root_weights(program))
+    assert BLOCK < len(sweep) < scene.n_voxels and len(sweep) % BLOCK
+    fields = sweep.take_fields().astype(float)
+    assert fields.shape == (len(sweep), len(voxels))
+    images = fields @ data.system.rows[sweep.told][:, voxels].T
+    size = np.abs(sweep.images).max()
+    np.testing.assert_allclose(images, sweep.images, atol=1e-5 * size)
+
+
+def test_too_few_directions_complete_nothing() -> None:
+    program = declared("eq10", 30.0, 30.0).compile()
+    sweep = WeightSweep(DualData.of(program), DualOptions(max_directions=3))
+    assert not sweep.complete(root_weights(program))
+    assert len(sweep) == 3
 
 
 def test_only_one_field_and_few_rows_suit() -> None:

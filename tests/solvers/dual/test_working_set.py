@@ -13,12 +13,14 @@ from ttus_opt.solvers.dual.working_set import WorkingSet, one_bound_each
 INF = np.inf
 
 
-def limits(lower: list[float], upper: list[float], least: float = 0.0) -> SpokeLimits:
+def limits(
+    lower: list[float], upper: list[float], least: float = 0.0, scale: float = 1.0
+) -> SpokeLimits:
     """One spoke, inside out."""
     n = len(lower)
     return SpokeLimits(
-        (n, 1, 1), np.array(lower), np.array(upper), np.zeros(n, dtype=bool),
-        np.append(np.full(n - 1, least), -INF), {},
+        (n, 1, 1), scale * np.array(lower), scale * np.array(upper),
+        np.zeros(n, dtype=bool), np.append(np.full(n - 1, scale * least), -INF), {},
     )  # fmt: skip
 
 
@@ -58,14 +60,18 @@ def test_a_block_has_one_bound(
 
 
 def test_never_two_bounds_in_a_block_nor_more_limits_than_before() -> None:
-    """Every working set of a spoke of four with a least slope."""
-    spoke = limits([1.0, 0.5, 0.0, -1.0], [9.0, 6.0, 4.0, 2.0], least=1.0)
+    """Every working set of a spoke of four with a least slope, in any unit."""
+    values = [1.0, 0.5, 0.0, -1.0], [9.0, 6.0, 4.0, 2.0]
+    spoke, larger = limits(*values, least=1.0), limits(*values, least=1.0, scale=1e4)
     for bounds in itertools.product((-1, 0, 1), repeat=4):
         for links in itertools.product((0, 1), repeat=3):
             before = active(list(bounds), [*links, 0])
             after = one_bound_each(spoke, before)
             blocks = np.concatenate([[0], np.cumsum(~after.links[:3])])
-            assert (np.bincount(blocks, after.bounds != 0) <= 1).all()
+            # one bound where there were any
+            some = np.bincount(blocks, before.bounds != 0) > 0
+            np.testing.assert_array_equal(np.bincount(blocks, after.bounds != 0), some)
+            assert not after.differs(one_bound_each(larger, before))
             assert not ((after.bounds != 0) & (before.bounds == 0)).any()
             assert not (after.links & ~before.links).any()
             assert (after.bounds * before.bounds >= 0).all()
