@@ -1,0 +1,42 @@
+"""A field as a comparator renders what the package's fit and renderer do."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import ttus_opt as tt
+from tests.comparators.recordings import COARSE, recordings
+from tests.conftest import ellipsoid, torso
+from ttus_opt.comparators.fields import Eq10, LaplaceOnly
+from ttus_opt.scene import ScenePlan
+
+
+def test_it_is_the_fit_and_the_renderer() -> None:
+    press, slide = recordings()
+    made = Eq10(surface=torso(), shell=ellipsoid(), **COARSE).fit(press)  # type: ignore[arg-type]
+    assert made.parameters()["boundary_scale"] > 0.0
+    plan = ScenePlan(shape=COARSE["shape"], r_inner=0.03, inner="fit")
+    scene = plan.build(torso(), ellipsoid(), press)
+    solution = tt.fit(scene, "eq10", force_weight=1.0, torque_weight=1.0)
+    renderer = tt.Renderer(solution.field, ellipsoid())
+    for t in range(0, len(slide), 7):
+        pose = slide.rotation[t], slide.position[t]
+        found, expected = made.render(*pose), renderer.render(*pose)
+        np.testing.assert_allclose(found.force, expected.force, atol=1e-9)
+        np.testing.assert_allclose(found.torque, expected.torque, atol=1e-10)
+
+
+def test_laplace_alone_is_as_large_as_fits_the_forces_best() -> None:
+    """Wrenches are linear in the boundary value: no other is nearer."""
+    press, _ = recordings()
+    assert press.force is not None
+    made = LaplaceOnly(surface=torso(), shell=ellipsoid(), **COARSE).fit(press)  # type: ignore[arg-type]
+    found = made.wrenches(press)[:, :3]
+    touching = np.abs(found).any(axis=1)
+    f, g = press.force[touching], found[touching]
+    best = float((f * g).sum() / (g * g).sum())
+    assert abs(best - 1.0) < 0.05
+
+
+def test_before_a_fit_nothing_is_known() -> None:
+    assert LaplaceOnly(surface=torso(), shell=ellipsoid()).parameters() == {}
