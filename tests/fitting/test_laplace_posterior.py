@@ -55,8 +55,8 @@ def made(scale: bool = False) -> tuple[LaplacePosterior, Array, Array]:
     root = data.system.root_weights
     with patch.object(laplace_posterior, "MISSING", 1e-8):  # a basis of all there is
         bare = LaplacePosterior.of(data, root, scale)
-    errors = errors_of(int(bare.told.sum()))
-    D = (root[:, None] * data.system.rows.toarray())[bare.told]
+    errors = errors_of(int(bare.informative.sum()))
+    D = (root[:, None] * data.system.rows.toarray())[bare.informative]
     inverse = np.linalg.inv(SCENE.L.toarray())
     C = inverse @ inverse.T
     if scale:
@@ -93,7 +93,7 @@ def test_the_mean_given_measurements_is_the_minimiser() -> None:
     """Two solves and no fields, for draws where the basis is not kept."""
     posterior, D, _ = made()
     said = np.random.default_rng(1).normal(size=len(D))
-    found = posterior._told_by(said, None)
+    found = posterior._estimate(said, None)
     L = SCENE.L.toarray()
     expected = np.linalg.solve(L.T @ L + D.T @ D, D.T @ said)
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())

@@ -55,8 +55,8 @@ def test_an_option_s_likeliest_value_is_that_of_its_parabola(best: float) -> Non
     """Density and prior are normal in the logarithm: mean and spread by hand."""
     prior, sharp = Prior("option_skin", 1e-3, 2.0), 9.0
 
-    def log_density(values: np.ndarray) -> float:
-        x = np.log(values[0] / 1e-3) / 2.0
+    def log_density(value: float) -> float:
+        x = np.log(value / 1e-3) / 2.0
         return float(-0.5 * sharp * (x - best) ** 2 + 12.0)
 
     one = _chosen(log_density, prior)
@@ -68,7 +68,7 @@ def test_an_option_s_likeliest_value_is_that_of_its_parabola(best: float) -> Non
 
 
 def test_an_option_that_data_say_nothing_of_keeps_its_median() -> None:
-    one = _chosen(lambda values: 0.0, Prior("option_skin", 1e-3, 2.0))
+    one = _chosen(lambda value: 0.0, Prior("option_skin", 1e-3, 2.0))
     assert not one.determined
     assert one.value == 1e-3 and np.isnan(one.spread)
 

@@ -27,11 +27,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.fitting.covariance_posterior import CovariancePosterior
 from ttus_opt.fitting.laplace_posterior import LaplacePosterior
 from ttus_opt.fitting.posterior import Posterior
-from ttus_opt.fitting.posterior_draws import (
-    PosteriorDraws,
-    checked_depth,
-    skin_voxels,
-)
+from ttus_opt.fitting.posterior_draws import PosteriorDraws, checked_depth, skin_voxels
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.fitting.wrench_doubt import WrenchDoubt
 from ttus_opt.fitting.wrench_noise import (
@@ -153,12 +149,7 @@ class Doubt:
         return PosteriorDraws(self._posterior.draw(count, voxels), voxels, depth)
 
     def sampled(self, count: int = DRAWS, depth: float = DEPTH) -> Doubt:
-        """The same by the method "samples".
-
-        Args:
-            count: As of `draws` [–].
-            depth: As of `draws` [m].
-        """
+        """The same by the method "samples"; arguments as of `draws`."""
         return replace(self, method="samples", _draws=self.draws(count, depth))
 
 

@@ -21,12 +21,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
-from ttus_opt.fitting.posterior import (
-    Float32Array,
-    Posterior,
-    WeightedData,
-    kept_rows,
-)
+from ttus_opt.fitting.posterior import Float32Array, Posterior, WeightedData, kept_rows
 from ttus_opt.solvers.dual.data import DualData
 from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep

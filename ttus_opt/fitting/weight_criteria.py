@@ -80,12 +80,8 @@ class Criteria:
     def left_out(self, images: Array, misfit: Array, root: Array) -> Array:
         """Force that all other presses predict for every frame, (f/3, 3) [N].
 
-        With one press that is the prior's.
-
-        Args:
-            images: As of `values`.
-            misfit: As of `values`.
-            root: As of `values`; at least `LEAST_ROOT` is taken.
+        With one press that is the prior's. Arguments are those of `values`; roots of
+        weights are at least `LEAST_ROOT`.
         """
         root = np.maximum(root, LEAST_ROOT)
         data = WeightedData.of(images * root, root * misfit)

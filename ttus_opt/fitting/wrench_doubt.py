@@ -58,7 +58,7 @@ class WrenchDoubt:
             noise: Of measured wrenches.
         """
         rows = wrench_rows(potential, shell, trajectory)
-        wrench = np.asarray(rows @ potential.values.reshape(-1)).reshape(-1, 6)
+        wrench = rendered(potential, rows)
         return cls(covariance(rows, 6), noise.covariance(wrench))
 
     @property
@@ -127,6 +127,11 @@ def wrench_rows(
     frame, part = np.divmod(np.arange(6 * T), 6)
     order = np.where(part < 3, 3 * frame + part, 3 * T + 3 * frame + part - 3)
     return sp.csr_array(both[order])
+
+
+def rendered(potential: PotentialField, rows: sp.csr_array) -> Array:
+    """Force [N] and torque [N·m] of every frame by `wrench_rows`, shape (T, 6)."""
+    return np.asarray(rows @ potential.values.reshape(-1)).reshape(-1, 6)
 
 
 def _deviations(covariance: Array) -> Array:

@@ -85,11 +85,7 @@ class WrenchNoise:
         return np.asarray(np.diag(np.nan_to_num(sensor)) + relative)
 
     def shared(self, wrench: Array) -> Array:
-        """Columns of the errors per place, shape (T, 6, 7).
-
-        Args:
-            wrench: As of `own`.
-        """
+        """Columns of the errors per place, shape (T, 6, 7); arguments as of `own`."""
         out = np.zeros((len(wrench), 6, 7))
         out[:, :, 0] = self.place_share * wrench
         turned = np.cross(np.eye(3), wrench[:, None, :3]).transpose(0, 2, 1)
@@ -100,11 +96,7 @@ class WrenchNoise:
     def covariance(self, wrench: Array) -> Array:
         """Covariance of the whole error of every frame, shape (T, 6, 6).
 
-        Args:
-            wrench: As of `own`.
-
-        Returns:
-            NaN for a torque that was not measured.
+        NaN for a torque that was not measured; arguments as of `own`.
         """
         columns = self.shared(wrench)
         out = self.own(wrench) + columns @ columns.transpose(0, 2, 1)
@@ -271,11 +263,9 @@ class MeasuredWrenches:
 
 
 def by_frame(rows: Array, at: IntArray) -> Array:
-    """Values of rows by frame and component, (..., n, h); 0 without a row.
+    """Values of rows, (..., rows), by frame and component, (..., n, h); else 0.
 
-    Args:
-        rows: Shape (..., rows).
-        at: As of `ErrorModel`.
+    ``at`` is that of `ErrorModel`.
     """
     return np.where(at >= 0, rows[..., np.maximum(at, 0)], 0.0)
 

@@ -37,11 +37,7 @@ from ttus_opt.errors import NumericalError
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
-from ttus_opt.terms.structure import (
-    FieldCovariance,
-    LaplaceRows,
-    known_covariance,
-)
+from ttus_opt.terms.structure import FieldCovariance, LaplaceRows, known_covariance
 
 _Map = Callable[[Array], Array]
 

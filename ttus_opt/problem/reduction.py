@@ -18,11 +18,7 @@ import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
 from ttus_opt.problem.kkt import Duals
-from ttus_opt.problem.members import (
-    ProgramBounds,
-    ProgramConstraint,
-    ProgramTerm,
-)
+from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.penalties.linear import Linear
 

@@ -13,14 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.problem.program import Program
-from ttus_opt.solvers.base import (
-    Candidate,
-    Capabilities,
-    Claim,
-    Prepared,
-    Request,
-    Solver,
-)
+from ttus_opt.solvers.base import Candidate, Capabilities, Claim, Request, Solver
 from ttus_opt.solvers.qp_packages import claim_from
 from ttus_opt.solvers.quadratic import TwoSided, read_back
 from ttus_opt.solvers.sizes import splitting_seconds
@@ -47,7 +40,7 @@ class Osqp(Solver):
         """That of a splitting method with a slower factor."""
         return 3.0 * splitting_seconds(program)
 
-    def prepare(self, program: Program, request: Request) -> Prepared:
+    def prepare(self, program: Program, request: Request) -> Verified:
         """Load, scale and factorise."""
         self.require(program)
         return _Loaded(program, request)

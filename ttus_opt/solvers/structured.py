@@ -28,10 +28,7 @@ from ttus_opt.solvers.base import (
     Request,
     Solver,
 )
-from ttus_opt.solvers.dual.data import (
-    DualData,
-    duals_without_limits,
-)
+from ttus_opt.solvers.dual.data import DualData, duals_without_limits
 from ttus_opt.solvers.dual.field_pair import FieldPair, second_field
 from ttus_opt.solvers.dual.limited import Limited, candidate_of
 from ttus_opt.solvers.dual.limits import SpokeLimits
