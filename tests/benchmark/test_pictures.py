@@ -1,0 +1,66 @@
+"""Pictures of a run: every mark is a row's, failures stand at the time limit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+
+from tests.benchmark.rows import failed, row
+from ttus_opt.benchmark import pictures
+from ttus_opt.benchmark.pictures import INKS, MARKERS, save_pictures, solver_styles
+from ttus_opt.benchmark.summary import MIB
+
+
+def rows() -> list[dict[str, object]]:
+    small, large = row("one", 2.0, 1.0), row("one", 30.0, 1.0)
+    return [
+        large | {"voxels": 5000},
+        small | {"voxels": 1000},
+        row("two", 7.0, 1.0) | {"voxels": 1000},
+        failed("two") | {"voxels": 5000, "kkt": None, "peak_memory_bytes": None},
+    ]
+
+
+def test_solvers_are_told_apart_without_colour() -> None:
+    names = [f"s{i:02d}" for i in range(len(INKS) * len(MARKERS))]
+    styles = solver_styles([*names, *names])
+    assert list(styles) == names
+    told = {(s["marker"], s["linestyle"]) for s in styles.values()}
+    assert len(told) > 0.9 * len(names)
+    assert solver_styles(reversed(names)) == styles
+
+
+def test_curves_are_the_rows_and_failures_are_unfilled() -> None:
+    given = sorted(rows(), key=lambda each: (each["voxels"], each["solver"]))
+    inks = solver_styles(["one", "two"])
+    drawn = {name: figure for name, _, figure in pictures._pictures(given, inks)}
+    assert list(drawn) == ["time", "memory", "residual"]
+    lines = drawn["time"].axes[0].lines
+    one, no_failures, two, failures = lines[:4]
+    np.testing.assert_allclose(one.get_xdata(), [1000, 5000])
+    np.testing.assert_allclose(one.get_ydata(), [2.0, 30.0])
+    assert not len(no_failures.get_xdata())
+    np.testing.assert_allclose(two.get_ydata(), [7.0])
+    # aside by a little, as all that fail share the time limit
+    np.testing.assert_allclose(failures.get_xdata(), [5000 * 1.04])
+    np.testing.assert_allclose(failures.get_ydata(), [100.0])
+    assert failures.get_fillstyle() == "none" and one.get_fillstyle() == "full"
+    memory = drawn["memory"].axes[0].lines
+    np.testing.assert_allclose(memory[0].get_ydata(), [2**28 / MIB] * 2)
+    assert not len(memory[3].get_xdata())  # a failure without a figure
+
+
+def test_a_picture_is_saved_for_each_formulation(tmp_path: Path) -> None:
+    other = [each | {"formulation": "robust", "kkt": None} for each in rows()[:2]]
+    never = failed("three", "not installed") | {"voxels": 1000}
+    captions = save_pictures([*rows(), *other, never], tmp_path)
+    expected = ["time", "memory", "residual"]
+    assert list(captions) == [
+        *(f"{name}-eq10.png" for name in expected),
+        *(f"{name}-robust.png" for name in expected[:2]),
+    ]
+    for file, caption in captions.items():
+        assert caption.startswith(file.split("-")[1].removesuffix(".png"))
+        assert matplotlib.image.imread(tmp_path / file).std() > 0.0
