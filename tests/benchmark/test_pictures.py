@@ -10,7 +10,7 @@ import numpy as np
 from tests.benchmark.rows import failed, row
 from ttus_opt.benchmark import pictures
 from ttus_opt.benchmark.pictures import INKS, MARKERS, save_pictures, solver_styles
-from ttus_opt.benchmark.summary import MIB
+from ttus_opt.benchmark.summary import MIB, NOT_RUN
 
 
 def rows() -> list[dict[str, object]]:
@@ -54,7 +54,7 @@ def test_curves_are_the_rows_and_failures_are_unfilled() -> None:
 
 def test_a_picture_is_saved_for_each_formulation(tmp_path: Path) -> None:
     other = [each | {"formulation": "robust", "kkt": None} for each in rows()[:2]]
-    never = failed("three", "not installed") | {"voxels": 1000}
+    never = failed("three", NOT_RUN[0]) | {"voxels": 1000, "formulation": "gone"}
     captions = save_pictures([*rows(), *other, never], tmp_path)
     expected = ["time", "memory", "residual"]
     assert list(captions) == [

@@ -38,8 +38,8 @@ def test_matrices_of_opencv_are_mappings(tmp_path: Path) -> None:
     found = read_mapping(tmp_path / "k.yml", "camera")["K"]
     assert found == {"rows": 1, "cols": 2, "dt": "d", "data": [1.5, 2.0]}
     # the line that is told is the file's own
-    (tmp_path / "k.yml").write_text(OPENCV.replace("cols: 2", "cols: [2"))
-    with pytest.raises(FileError, match=r"camera is a mapping|line [67]"):
+    (tmp_path / "k.yml").write_text(OPENCV + "a: b: c\n")
+    with pytest.raises(FileError, match=r"\(line 8\)"):
         read_mapping(tmp_path / "k.yml", "camera")
 
 

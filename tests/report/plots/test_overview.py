@@ -2,45 +2,62 @@
 
 from __future__ import annotations
 
+import importlib
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
 
 from tests.report.plots.drawn import lines
-from ttus_opt.report import plots
+from ttus_opt.arrays import Array
 from ttus_opt.report.metrics import Evaluation
-from ttus_opt.report.plots.potential import colour_limit
+from ttus_opt.scan.frame import Axis
+from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
+
+module = importlib.import_module("ttus_opt.report.plots.overview")
 
 
 def test_each_part_shows_what_was_given(
-    fields: tuple[PotentialField, PotentialField], evaluations: dict[str, Evaluation]
+    fields: tuple[PotentialField, PotentialField],
+    evaluations: dict[str, Evaluation],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    field = fields[1]
-    surface, grid = field.voxmap.surface, field.voxmap.grid
-    middle = grid.z[grid.shape[2] // 2]
-    # a ring of points about the middle slice, in the scan's frame
-    theta = np.linspace(0.0, 6.2, 50)
-    ring = np.stack([0.1 * np.cos(theta), 0.1 * np.sin(theta), 0 * theta + middle], 1)
-    cloud = surface.axis.to_scan(ring)
-    scan, potential, force = plots.overview(field, cloud, evaluations).axes[:3]
-    shown = [
-        np.column_stack([np.asarray(line.get_xdata()), np.asarray(line.get_ydata())])
-        for line in scan.lines
-    ]
-    shown += [np.asarray(part.get_offsets()) for part in scan.collections]
-    near = [
-        part
-        for part in shown
-        if len(part) == 50 and np.allclose(np.sort(part), np.sort(100.0 * ring[:, :2]))
-    ]
-    assert len(near) == 1
-    filled = potential.collections[0]
+    """The scan comes in its own frame, the slice from mid-height."""
+    turn = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix()
+    axis = Axis(np.array([0.1, -0.2, 1.5]), turn)
+    turned = replace(fields[1].voxmap.surface, axis=axis)
+    voxmap = Voxmap.from_surface(turned, shape=fields[1].voxmap.grid.shape)
+    field = PotentialField(voxmap, fields[1].values, "trilinear")
+    grid, drawn = voxmap.grid, {}
     k = grid.shape[2] // 2
-    assert filled.norm.vmax <= 1.2 * colour_limit(field, k)
-    drawn = lines(force)
-    fitted = evaluations["fitted"]
+
+    def slice_of(
+        axes: Any, of: PotentialField, values: Array, at: int, _: float
+    ) -> Any:
+        drawn["slice"] = of, values, at
+
+    def section_of(axes: Any, surface: Surface, z: float, cloud: Array) -> None:
+        drawn["section"] = surface, z, cloud
+
+    monkeypatch.setattr(module, "draw_slice", slice_of)
+    monkeypatch.setattr(module, "draw_section", section_of)
+    points = np.random.default_rng(0).normal(0.0, 0.1, (50, 3))
+    figure = module.overview(field, axis.to_scan(points), evaluations)
+    of, values, at = drawn["slice"]
+    assert of is field and at == k
+    np.testing.assert_array_equal(values, field.values[:, :, k])
+    surface, z, cloud = drawn["section"]
+    assert surface is voxmap.surface and z == grid.z[k]
+    np.testing.assert_allclose(cloud, points, atol=1e-12)
+    force, fitted = figure.axes[2], evaluations["fitted"]
+    shown = lines(force)
     np.testing.assert_allclose(
-        drawn["fitted"][1], np.linalg.norm(fitted.rendered_force, axis=1)
+        shown["fitted"][1], np.linalg.norm(fitted.rendered_force, axis=1)
     )
     measured = np.linalg.norm(fitted.measured_force, axis=1)
-    np.testing.assert_allclose(drawn["measured"][1], measured)
+    np.testing.assert_allclose(shown["measured"][1], measured)
     assert force.get_ylim()[1] > max(measured)
