@@ -3,7 +3,8 @@
 min_μ min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖(N − μ F) p − f‖² + λ_τ ‖((W − μ G) p − τ)/ℓ‖²
 
 The profile φ, σ, the length along the surface and the noise are chosen once, by their
-evidence at a first estimate of μ. See `depth_map` and `coulomb_global`.
+evidence at a first estimate of μ. F p is drag of every point of the probe, or of the
+whole patch (``acts_at``). See `depth_map` and `coulomb_global`.
 
 Source: as `depth_map`, with Coulomb's law.
 """

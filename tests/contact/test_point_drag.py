@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -14,9 +16,13 @@ from ttus_opt.contact.friction import Sliding, coulomb_rows
 from ttus_opt.contact.point_drag import drag_rows, point_drag_rows
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
+from ttus_opt.fitting.wrench_doubt import rendered, wrench_rows
+from ttus_opt.haptic.field_wrench import wrenches_along
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
+from ttus_opt.terms.drag import GlobalCoulomb
+from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
 
 
@@ -64,6 +70,26 @@ def test_over_a_flat_patch_it_is_the_drag_of_the_patch() -> None:
     drag, expected = (points.force @ p)[6:9], (patch.force @ p)[6:9]
     assert np.linalg.norm(expected) > 0.05
     assert np.linalg.norm(drag - expected) < 0.03 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("acts_at", ["contact", "reference", "points"])
+def test_a_field_with_doubt_has_rows_of_the_same_law(acts_at: str) -> None:
+    """What `wrench_rows` makes of a field is what `evaluate` judges."""
+    scene = small_scene("trilinear")
+    parameters = GlobalCoulomb(scene, acts_at, coefficient=0.3).parameters({})
+    values = scene.voxmap.grid.unflatten(scene.laplace.solve(scene.b))
+    field = PotentialField(scene.voxmap, values, "trilinear", parameters)
+    rows = wrench_rows(field, scene.shell, scene.trajectory)
+    judged = wrenches_along(field, scene.shell, scene.trajectory)
+    both = np.hstack([judged.force, judged.torque])
+    np.testing.assert_allclose(rendered(field, rows), both, atol=1e-10)
+    still = replace(field, parameters={})
+    assert (
+        np.abs(
+            both[:, :3] - wrenches_along(still, scene.shell, scene.trajectory).force
+        ).max()
+        > 0.1
+    )
 
 
 def test_rows_are_made_where_drag_acts() -> None:

@@ -12,12 +12,12 @@ from ttus_opt.contact.row_kernels import (
     Poses,
     Rows,
     Scratch,
-    Slip,
     VoxmapArrays,
     _sort,
     pose_rows,
     shell_arrays,
 )
+from ttus_opt.contact.slip import Slip
 
 
 @compiled()

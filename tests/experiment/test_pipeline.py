@@ -11,10 +11,16 @@ from ttus_opt import experiment
 from ttus_opt.errors import FileError, InputError, MissingPackageError
 from ttus_opt.experiment import recordings
 from ttus_opt.experiment.boundary import FACTORS
-from ttus_opt.experiment.patients import patients
+from ttus_opt.experiment.fits import FITTED
+from ttus_opt.experiment.patients import PROBE_SPEC, patients
 from ttus_opt.experiment.pipeline import ITSELF, _wanted
+from ttus_opt.experiment.scores import Score
 from ttus_opt.experiment.settings import compared
 from ttus_opt.experiment.tables import title
+from ttus_opt.fitting.batch import fit
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.report.metrics import evaluate
+from ttus_opt.scene import ScenePlan
 
 PLAN = experiment.Plan(
     shape=(16, 48, 24),
@@ -40,6 +46,34 @@ def test_rows_are_there_for_every_setting_and_recording(done):
     assert {name for name, _, _ in told} == settings | {ITSELF}
     assert len(stages) <= experiment.n_stages(PLAN)
     assert [row.factor for row in result.boundary] == list(FACTORS)
+
+
+@pytest.mark.slow
+def test_drag_of_every_point_is_nearer_to_the_phantoms_than_that_of_the_patch(done):
+    """Its skin drags node by node: on a new press, against the true wrenches."""
+    examination = done[1].patients[0].examination
+    shell = PointShell.from_spec(PROBE_SPEC)
+    fitted = [examination.measured[name] for name in FITTED]
+    scene = ScenePlan(PLAN.shape, inner="fit").build(examination.surface, shell, fitted)
+
+    def score(acts_at):
+        solution = fit(
+            scene,
+            "coulomb_global",
+            force_weight=1.0,
+            torque_weight=1.0,
+            acts_at=acts_at,
+        )
+        new = examination.true["press_test"]
+        return Score.of(evaluate(solution.field, shell, new))
+
+    points, patch = score("auto"), score("contact")
+    for name, share in (
+        ("force_magnitude_error_N", 0.95),
+        ("force_angle_error_deg", 0.95),
+        ("torque_angle_error_deg", 0.8),
+    ):
+        assert getattr(points, name) < share * getattr(patch, name)
 
 
 @pytest.mark.slow

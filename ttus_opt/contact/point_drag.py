@@ -18,8 +18,8 @@ from __future__ import annotations
 import numpy as np
 
 from ttus_opt.contact.friction import DEADBAND, DragRows, Sliding, coulomb_rows
-from ttus_opt.contact.row_kernels import Slip
 from ttus_opt.contact.rows import ContactRows, contact_rows
+from ttus_opt.contact.slip import Slip
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.voxmap import Voxmap

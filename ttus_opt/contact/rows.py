@@ -32,7 +32,6 @@ from ttus_opt.contact.row_kernels import (
     Poses,
     Rows,
     Scratch,
-    Slip,
     VoxmapArrays,
     pose_rows,
 )
@@ -40,6 +39,7 @@ from ttus_opt.contact.row_kernels import beside as beside
 from ttus_opt.contact.row_kernels import rotated as rotated
 from ttus_opt.contact.row_kernels import shell_arrays as shell_arrays
 from ttus_opt.contact.row_kernels import within as within
+from ttus_opt.contact.slip import Slip
 from ttus_opt.cylindrical import turn_angle as turn_angle
 from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell

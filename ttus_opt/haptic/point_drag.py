@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
 from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import rotated
 from ttus_opt.haptic.drag import DEADBAND, FRICTION
@@ -31,6 +31,49 @@ def _turned_back(R: Array, x: float, y: float, z: float) -> tuple[float, float, 
         R[0, 1] * x + R[1, 1] * y + R[2, 1] * z,
         R[0, 2] * x + R[1, 2] * y + R[2, 2] * z,
     )
+
+
+@compiled(error_model="numpy", nogil=True, apart=True)
+def _slide(
+    touched: IntArray,
+    sampled: Array,
+    points: Array,
+    lever: Array,
+    reference: tuple[float, float, float],
+    motion: tuple[float, float, float, float, float, float],
+    slow: float,
+    place: Array,
+) -> None:
+    """What points push against their sliding, without a branch (compiled).
+
+    Args:
+        touched: The points, shape (n,).
+        sampled: What each samples of the field, shape (n,).
+        points: Of the probe, shape (3, M) [m].
+        lever: `FrameData.lever`.
+        reference: Of the shell [m].
+        motion: Velocity of the reference and angular velocity, probe axes.
+        slow: Square of the deadband [m²/s²].
+        place: `FrameData.place`, written: levers [m] and forces over μ, the first six
+            rows.
+    """
+    vx, vy, vz, wx, wy, wz = motion
+    xs, ys, zs = points[0], points[1], points[2]
+    out_x, out_y, out_z = place[0], place[1], place[2]
+    force_x, force_y, force_z = place[3], place[4], place[5]
+    for c in range(touched.size):
+        m, p = touched[c], max(sampled[c], 0.0)
+        a, b, d = lever[m, 0], lever[m, 1], lever[m, 2]
+        lx, ly, lz = xs[m] - reference[0], ys[m] - reference[1], zs[m] - reference[2]
+        ux = vx + (wy * lz - wz * ly)
+        uy = vy + (wz * lx - wx * lz)
+        uz = vz + (wx * ly - wy * lx)
+        square = a * a + b * b + d * d  # the normal is as long as the weight
+        along = (a * ux + b * uy + d * uz) / square
+        ux, uy, uz = ux - along * a, uy - along * b, uz - along * d
+        k = p * math.sqrt(square / max(ux * ux + uy * uy + uz * uz, slow))
+        out_x[c], out_y[c], out_z[c] = lx, ly, lz
+        force_x[c], force_y[c], force_z[c] = k * ux, k * uy, k * uz
 
 
 @compiled(error_model="numpy", nogil=True)
@@ -49,28 +92,26 @@ def add_point_drag(
         drag: Force and torque about the reference, patient axes, shape (6,) [N, N·m].
     """
     touched, lever, points, sampled = s.touched, s.lever, s.points, s.sampled
+    place = s.place
     x, y, z = s.reference[0], s.reference[1], s.reference[2]
     vx, vy, vz = _turned_back(R, twist[0], twist[1], twist[2])
     wx, wy, wz = _turned_back(R, twist[3], twist[4], twist[5])
     vx, vy, vz = vx + (wy * z - wz * y), vy + (wz * x - wx * z), vz + (wx * y - wy * x)
-    slow = numbers[DEADBAND] * numbers[DEADBAND]
+    motion, slow = (vx, vy, vz, wx, wy, wz), numbers[DEADBAND] * numbers[DEADBAND]
     fx, fy, fz, tx, ty, tz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for c in range(contact):
-        m, p = touched[c], max(sampled[c], 0.0)
-        a, b, d = lever[m, 0], lever[m, 1], lever[m, 2]
-        lx, ly, lz = points[0, m] - x, points[1, m] - y, points[2, m] - z
-        ux = vx + (wy * lz - wz * ly)
-        uy = vy + (wz * lx - wx * lz)
-        uz = vz + (wx * ly - wy * lx)
-        square = a * a + b * b + d * d  # the normal is as long as the weight
-        along = (a * ux + b * uy + d * uz) / square
-        ux, uy, uz = ux - along * a, uy - along * b, uz - along * d
-        k = p * math.sqrt(square / max(ux * ux + uy * uy + uz * uz, slow))
-        gx, gy, gz = k * ux, k * uy, k * uz
-        fx, fy, fz = fx + gx, fy + gy, fz + gz
-        tx += ly * gz - lz * gy
-        ty += lz * gx - lx * gz
-        tz += lx * gy - ly * gx
+    first, room = 0, place.shape[1]
+    while first < contact:
+        last = min(first + room, contact)
+        some, values = touched[first:last], sampled[first:last]
+        _slide(some, values, points, lever, (x, y, z), motion, slow, place)
+        for c in range(last - first):
+            lx, ly, lz = place[0, c], place[1, c], place[2, c]
+            gx, gy, gz = place[3, c], place[4, c], place[5, c]
+            fx, fy, fz = fx + gx, fy + gy, fz + gz
+            tx += ly * gz - lz * gy
+            ty += lz * gx - lx * gz
+            tz += lx * gy - ly * gx
+        first = last
     mu = numbers[FRICTION]
     if s.limits[LENGTH] > 0.0:
         mu *= s.share[0]
