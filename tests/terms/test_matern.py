@@ -100,6 +100,10 @@ def test_rows_columns_and_products_agree_with_dense_algebra() -> None:
     voxels = np.array([3, 200, 201, 577, V - 1])
     columns = covariance.columns(voxels)
     some = np.arange(5.0) - 1.7
+    few = sp.csr_array(
+        sp.random_array((3, V), density=0.05, rng=np.random.default_rng(2))
+    )
+    np.testing.assert_allclose(columns.of_rows(few), few @ dense[:, voxels], rtol=1e-7)
     size = np.abs(dense).max()
     assert np.abs(columns.among - dense[np.ix_(voxels, voxels)]).max() < 1e-9 * size
     assert np.abs(columns.times(some) - dense[:, voxels] @ some).max() < 1e-8 * size

@@ -85,7 +85,8 @@ def test_what_violates_is_what_could_lessen_the_cost() -> None:
         assert beside.violating(c, y, ~held).all()
         assert not beside.between(c).any()
         assert beside.clipped(c).tolist() == [np.sign(value)] * 5
-    assert LinearParameters.none(4).clipped(np.zeros(0)).shape == (0,)
+    none = LinearParameters.none(4)
+    assert none.columns.shape == (4, 0) and none.lower.shape == none.upper.shape == (0,)
     assert not LinearParameters.none(4).violating(np.zeros(0), y, held[:0]).any()
 
 
