@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from ttus_opt import comparators
 from ttus_opt.arrays import Array
-from ttus_opt.comparators.field_model import FieldModel
+from ttus_opt.comparators.fields import FieldModel
 from ttus_opt.errors import TtusError
 from ttus_opt.fitting.batch import fit
 from ttus_opt.fitting.recipe import choose_recipe
