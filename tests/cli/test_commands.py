@@ -233,7 +233,7 @@ def test_fit_says_when_there_is_no_doubt(run: Run, files: Path, tmp_path: Path) 
     own = tmp_path / "own.nc"
     answer = run(fit_words(files, own, "--formulation robust --doubt"))
     assert answer.status == 0 and own.exists()
-    assert "written without doubt: no doubt of robust" in answer.err
+    assert "written without doubt: no doubt for robust" in answer.err
 
 
 def test_render_gives_what_evaluate_compares(

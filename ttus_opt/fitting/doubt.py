@@ -229,7 +229,7 @@ def _prior_of(solution: Solution) -> ProgramTerm:
     one_field = program.n_variables == len(program.laplace.free)
     if prior is None or not (one_field and program.is_quadratic):
         raise InputError(
-            f"{solution.formulation} has no doubt: it needs one field, a prior (a "
+            f"no doubt for {solution.formulation}: it needs one field, a prior (a "
             "Laplace term or one of known covariance) and squares of measured rows"
         )
     return prior
