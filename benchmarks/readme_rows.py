@@ -50,18 +50,18 @@ ROWS: dict[str, tuple[str, ...]] = {
         "--solvers structured,scs --closed-form none --time-limit 90",
     ),
     "the same on M, `structured`": (f"--case M {_LIMITS}",),
-    "the same on S with 82 and 130": (
+    "the same on S with 86 and 89": (
         f"--case S {_ACTIVE} --formulations eq10_sign,eq10_sign_monotone "
         "--solvers structured,scs --closed-form none --time-limit 120",
     ),
-    "the same on M with 412 and 670": (f"--case M {_ACTIVE} {_LIMITS}",),
+    "the same on M with 473 and 586": (f"--case M {_ACTIVE} {_LIMITS}",),
     "the same on M with voxel-mean rows": (
         f"--case M {_ACTIVE} {_LIMITS} --sampling voxel-mean",
     ),
     "Coulomb drag as a second field": (
         f"--case S {_DRAG_GENERAL} structured,scs,clarabel",
     ),
-    "the same on S with 226": (f"--case S {_ACTIVE} {_DRAG_GENERAL} structured,scs",),
+    "the same on S with 233": (f"--case S {_ACTIVE} {_DRAG_GENERAL} structured,scs",),
     "the same on M; with 1,168": (f"--case M {_DRAG}", f"--case M {_ACTIVE} {_DRAG}"),
     "sign, growth too, and drag on M": (
         "--case M --perturb noise --weight 100 "
