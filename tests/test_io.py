@@ -203,6 +203,21 @@ def test_unreadable_files_are_one_line(tmp_path: Path, content: bytes) -> None:
     assert "a.nc" in str(caught.value)
 
 
+def test_an_attribute_that_hdf5_cannot_open_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """netCDF4 then raises an AttributeError: mutation 957 of a field file."""
+    file = tmp_path / "field.nc"
+    io.write_dataset(xr.Dataset({"a": ("x", [1.0])}), file, kind="field", version=1)
+
+    def damaged(*args: object, **options: object) -> None:
+        raise AttributeError("NetCDF: Can't open HDF5 attribute")
+
+    monkeypatch.setattr(xr, "open_dataset", damaged)
+    with pytest.raises(FileError, match=r"field\.nc is not a readable netCDF file"):
+        io.read_dataset(file, kind="field", version=1)
+
+
 def test_truncated_netcdf_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.nc"
     io.write_dataset(dataset(), file, kind="field", version=1)

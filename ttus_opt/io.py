@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 #: Longest value of a file that an error shows [characters]
 LONGEST_VALUE = 40
 
+#: What the netCDF library raises for a damaged file, by what is damaged
+UNREADABLE = (OSError, ValueError, RuntimeError, KeyError, AttributeError)
+
 
 def existing_file(
     path: str | os.PathLike[str], what: str, largest: float = math.inf
@@ -262,7 +265,7 @@ def read_dataset(
                 file, engine="netcdf4", drop_variables=list(without)
             ) as opened:
                 dataset = opened.load()
-    except (OSError, ValueError, RuntimeError, KeyError) as error:
+    except UNREADABLE as error:
         raise FileError(
             f"{file} is not a readable netCDF file ({type(error).__name__}): "
             f"truncated, or not a {kind} file?"
@@ -300,7 +303,7 @@ def kind_of(path: str | os.PathLike[str], what: str) -> str | None:
     try:
         with netCDF4.Dataset(file) as opened:
             kind = getattr(opened, "ttus_opt_kind", None)
-    except (OSError, RuntimeError) as error:
+    except UNREADABLE as error:
         raise FileError(
             f"{file} is not a readable netCDF file: truncated, or no {what}?"
         ) from error
