@@ -152,6 +152,8 @@ def test_no_motion_or_no_contact_no_drag(law: str) -> None:
         ({**LAWS["coulomb-reference"], "drag_axis_x": 0.9}, "unit length"),
         ({"viscous_sectors": 0.0}, "at least one sector"),
         ({**LAWS["coulomb-reference"], "drag_at_points": 1.0}, "cannot have both"),
+        ({"drag_at_points": 0.5}, "drag_at_points of a field must be 0 or 1, got 0.5"),
+        ({"drag_at_reference": -1.0}, "drag_at_reference of a field must be 0 or 1"),
     ],
 )
 def test_what_is_no_drag(parameters: dict[str, float], word: str) -> None:

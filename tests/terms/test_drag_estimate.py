@@ -9,6 +9,7 @@ import pytest
 import ttus_opt as tt
 from tests.dragging import dragged_scene
 from ttus_opt.errors import InputError
+from ttus_opt.problem.formulation import load
 from ttus_opt.terms.drag_estimate import estimate_drag
 
 
@@ -49,8 +50,16 @@ def test_the_place_may_be_given() -> None:
     given = estimate_drag(scene, "reference")
     assert given.acts_at == "reference"
     assert given.misfit > estimate_drag(scene, "contact").misfit
-    with pytest.raises(InputError, match="acts_at must be one of"):
+    with pytest.raises(InputError, match="acts_at must be one of auto, contact, po"):
         estimate_drag(scene, "handle")
+
+
+def test_viscous_drag_is_of_the_patch_only() -> None:
+    """Drag at every point is Coulomb's: viscous drag does not stand in for it."""
+    scene = dragged_scene("contact")
+    with pytest.raises(InputError, match="one of auto, contact, reference, got 'poin"):
+        load("viscous_drag", scene, acts_at="points")
+    assert load("viscous_drag", scene).terms
 
 
 @pytest.mark.slow

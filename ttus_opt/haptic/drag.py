@@ -82,15 +82,15 @@ class DragLaw:
 
         Raises:
             InputError: A coefficient that is negative or not finite, a deadband that
-                is not positive, drag at the reference without a unit axis, or no
-                region.
+                is not positive, drag at the reference without a unit axis, a flag
+                other than 0 and 1, or no region.
         """
         numbers = np.zeros(VISCOUS)
         numbers[FRICTION] = _coefficient(parameters, friction.FRICTION, 0.0)
         numbers[DEADBAND] = parameters.get(friction.DRAG_DEADBAND, friction.DEADBAND)
-        as_tool = bool(parameters.get(friction.DRAG_AT_REFERENCE, 0.0))
+        as_tool = _flag(parameters, friction.DRAG_AT_REFERENCE)
         numbers[ACTS_AT] = AT_REFERENCE if as_tool else 0.0
-        if parameters.get(friction.DRAG_AT_POINTS, 0.0):
+        if _flag(parameters, friction.DRAG_AT_POINTS):
             if as_tool:
                 raise InputError(
                     "drag acts at the reference or at every point: a field cannot have "
@@ -129,6 +129,13 @@ def _coefficient(parameters: Mapping[str, float], name: str, other: float) -> fl
     if not (math.isfinite(value) and value >= 0.0):
         raise InputError(f"{name} of a field must not be negative, got {value}")
     return value
+
+
+def _flag(parameters: Mapping[str, float], name: str) -> bool:
+    value = float(parameters.get(name, 0.0))
+    if value not in (0.0, 1.0):
+        raise InputError(f"{name} of a field must be 0 or 1, got {value:g}")
+    return value == 1.0
 
 
 def _axis(parameters: Mapping[str, float]) -> Array:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ttus_opt.contact.friction import DEADBAND, Sliding
+from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.drag import coulomb_rows_over
 
@@ -47,11 +48,18 @@ def estimate_drag(
         scene: With measured wrenches.
         acts_at: ``contact``, ``reference``, ``points``, or "auto" for what fits best.
         deadband: Sliding slower than this is on its way to rest [m/s].
-        places: Those among which "auto" chooses.
+        places: What the model knows; "auto" chooses among them.
 
     Returns:
         The estimate; μ is 0 where nothing slides.
+
+    Raises:
+        InputError: ``acts_at`` is neither "auto" nor one of the places.
     """
+    if acts_at != "auto" and acts_at not in places:
+        raise InputError(
+            f"acts_at must be one of auto, {', '.join(sorted(places))}, got {acts_at!r}"
+        )
     places = places if acts_at == "auto" else (acts_at,)
     p = scene.laplace.solve(scene.b)
     measured, pressed = scene.f, scene.N @ p
