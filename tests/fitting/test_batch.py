@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -393,3 +394,15 @@ def test_each_part_s_compiling_is_told_once(monkeypatch: pytest.MonkeyPatch) -> 
     assert found.standard_errors
     own = scene.compile_seconds
     assert found.timings.compile == pytest.approx(own + 100.0 * len(made))
+
+
+def test_estimates_take_no_more_time_than_there_was() -> None:
+    """Beside a fit without a search, ``search`` is the time of its standard errors."""
+    scene = dragged_scene("contact")
+    declared = load("viscous_drag", scene)
+    fit(scene, declared, solver="structured")  # compiles, imports
+    start = time.perf_counter()
+    solution = fit(scene, declared, solver="structured")
+    elapsed = time.perf_counter() - start
+    assert solution.timings.search is not None
+    assert 0.0 < solution.timings.search < elapsed

@@ -30,6 +30,7 @@ from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.optimality import Multipliers
 from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.registry import solvers
 from ttus_opt.solvers.structured import Structured
 
@@ -392,3 +393,16 @@ def test_case_s_with_a_share_below_what_was_put_in() -> None:
     assert solution.kkt.worst_relative <= TOLERANCE
     found = np.abs(solution.duals_by_name["drag_limit"])
     assert np.count_nonzero(found > 1e-6 * found.max()) > 300
+
+
+def test_without_a_model_no_working_set_is_predicted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where too many voxels are touched, violations alone lead to the answer."""
+    monkeypatch.setattr("ttus_opt.solvers.dual.touched_limits.MOST_VOXELS", 0)
+    declared = coulomb(contested(1), 1e2)
+    pair = FieldPair.of(declared.compile())
+    nothing = np.zeros(len(pair.limits.lower))
+    signs = Multipliers(nothing, nothing)
+    assert pair.predicted(WorkingSet.empty(len(nothing)), nothing, signs) is None
+    check(declared, 1)
