@@ -1,1 +1,1 @@
-"""Contact of a point shell with the voxmap: rows of forces, torques and friction."""
+"""Contact of a point shell with the voxmap: rows of force, torque and friction."""

@@ -1,15 +1,15 @@
-"""How long the touching patch is, and what a length does to its stiffness.
+"""Length of the contact patch, and its effect on the stiffness.
 
-The stiffness per area of a half-space falls with the size of what presses it, k ∝ 1/a;
-that of a thin layer does not. With w_m = a_m d_m, area times depth, and c = Σ w_m x_m /
-Σ w_m, the patch has the length
+The stiffness per area of an elastic half-space decreases with the size of the indenter,
+k ∝ 1/a; that of a thin layer does not. With w_m = a_m d_m, area times depth, and
+c = Σ w_m x_m / Σ w_m, the patch has the length
 
     ℓ² = ℓ₀² + 12 Σ w_m ‖x_m − c‖² / Σ w_m,
 
-2a for the round patch of a ball, the length of a strip. A point that comes into contact
-has no weight yet, so that ℓ is continuous in the pose; ℓ₀ keeps it from zero at first
-touch. The sampling ``contact-size`` is the trilinear one times 10 mm/ℓ: it stays linear
-in p, and with p ∝ d a ball's force grows like d^{3/2}, as Hertz has it. See
+which is 2a for the round patch below a ball, or the length of a strip. A point has no
+weight when it comes into contact, so ℓ is continuous in the pose; ℓ₀ keeps it positive
+at first touch. The sampling ``contact-size`` is the trilinear one times 10 mm/ℓ: it is
+linear in p, and with p ∝ d a ball's force grows like d^{3/2}, as in Hertz contact. See
 docs/method.md, Contact size.
 """
 
@@ -22,26 +22,26 @@ from ttus_opt.cylindrical import cylindrical
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.voxmap import Voxmap
 
-#: Length of a patch on which `contact-size` and `trilinear` are the same [m]
+#: Length of a patch at which `contact-size` equals `trilinear` [m]
 REFERENCE_LENGTH = 0.01
 
-#: ℓ₀; half the reference, so that the factor is 2 at most [m]
+#: ℓ₀, half the reference length, so that the factor is at most 2 [m]
 LEAST_LENGTH = 0.005
 
-#: Poses looked at together
+#: Poses processed at once, which bounds the memory
 AT_ONCE = 64
 
 
 def size_factors(
     voxmap: Voxmap, shell: PointShell, rotation: Array, position: Array
 ) -> Array:
-    """10 mm/ℓ of every pose, shape (T,) [–]; without contact that of a point.
+    """10 mm/ℓ of every pose, shape (T,) [–]; 2 without contact.
 
     Args:
         voxmap: Grid and surface.
         shell: The probe.
         rotation: Probe to patient, shape (T, 3, 3) [–].
-        position: Of the probe frame's origin, patient frame, shape (T, 3) [m].
+        position: Origin of the probe frame, patient frame, shape (T, 3) [m].
     """
     out = np.empty(len(position))
     for start in range(0, len(position), AT_ONCE):
@@ -63,7 +63,7 @@ def _factors(
     weight = np.maximum(depth, 0.0) * shell.areas
     total = weight.sum(axis=1)
     shares = weight / np.where(total > 0.0, total, 1.0)[:, None]
-    centre = shares @ shell.points  # lengths are the same in the probe's frame
+    centre = shares @ shell.points  # in the probe frame, where lengths are the same
     spread = shares @ (shell.points**2).sum(axis=1) - (centre**2).sum(axis=1)
     square = LEAST_LENGTH**2 + 12.0 * np.maximum(spread, 0.0)
     return np.asarray(REFERENCE_LENGTH / np.sqrt(square))

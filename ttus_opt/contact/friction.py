@@ -1,24 +1,28 @@
-"""Friction's drag on a sliding probe, linear in the field (docs/method.md, Friction).
+"""Drag, the friction force on a sliding probe, as rows linear in the field.
 
-Per pose, the contact patch has a normal n̂ (into the probe), a centre and a sliding
-velocity v_t, all from geometry and motion alone:
+The contact patch of a pose has a normal n̂ (into the probe), a centre and a sliding
+velocity v_t, which depend on geometry and motion only. The drag is
 
     Coulomb   −μ t̂ (n̂ᵀ N p),  t̂ = v_t / max(‖v_t‖, v₀)
     viscous   −c v_t
 
-n̂ᵀ N p is the normal force, so that for a given μ drag is linear in p, and a field q
-in place of μ p gives −t̂ (n̂ᵀ N q). n̂ and the centre are means over the shell points
-inside the patient, weighted by area and depth, because pressure grows with depth. v₀
-is the deadband: below it drag shrinks in proportion, at rest there is none.
+n̂ᵀ N p is the normal force, so for a given μ drag is linear in p, and a field q in place
+of μ p gives −t̂ (n̂ᵀ N q). n̂ and the centre are means over the shell points inside the
+patient, weighted by area and depth, because pressure grows with depth. v₀ is the
+deadband: below it drag decreases in proportion, and at rest there is none.
 
-Where drag acts: on the patch and along it (``contact``), where it has an arm about the
-shell's reference and slides with the probe's turning too; or as a tool sees it
-(``reference``), through the reference point and across the probe's pressing axis:
-its own axis of symmetry nearest to the mean of n̂; or at every point of the shell for
-itself (``points``, `ttus_opt.contact.point_drag`), where viscous drag is that of the
-patch. The mean alone leans as the probe
-was tilted while it was pressed, and by half a degree of that a plunge of 10 mm/s
-counts as sliding of 0.1 mm/s, which near rest turns t̂ by several degrees.
+Drag acts at one of three places:
+
+- ``contact``: on the patch and along it, with a lever arm about the shell's reference
+  point; the rotation of the probe adds to the sliding velocity;
+- ``reference``: at the reference point, as in a tool frame, and perpendicular to the
+  probe's pressing axis, its axis of symmetry nearest to the mean of n̂. The mean itself
+  leans with the tilt of the probe, and with a lean of half a degree a plunge of 10 mm/s
+  counts as sliding at 0.1 mm/s, which near rest turns t̂ by several degrees;
+- ``points``: at every point of the shell (`ttus_opt.contact.point_drag`); viscous drag
+  is then that of the patch.
+
+See docs/method.md, Friction.
 """
 
 from __future__ import annotations
@@ -52,30 +56,29 @@ from ttus_opt.voxmap.voxmap import Voxmap
 
 ActsAt = Literal["contact", "reference", "points"]
 
-#: Principal moments of a shell are equal to within this share [–]
+#: Relative difference below which principal moments of a shell count as equal [–]
 EQUAL_MOMENTS = 0.05
 
-#: Sliding slower than this is on its way to rest: differences of poses 0.1 mm apart by
-#: chance in frames of 50 ms are as fast [m/s]
+#: Deadband v₀: noise of 0.1 mm between poses 50 ms apart looks like this speed [m/s]
 DEADBAND = 2e-3
 
 
 @dataclass(frozen=True)
 class Sliding:
-    """Contact patch and sliding of every pose of a trajectory.
+    """Contact patch and sliding velocity of every pose of a trajectory.
 
     Attributes:
         normal: Mean unit normal of the patch, into the probe, patient axes; zero
             without contact; shape (T, 3) [–].
-        arm: From the shell's reference to where drag acts, patient axes; shape
-            (T, 3) [m].
-        velocity: Of the probe where drag acts, along the patch or across the
-            pressing axis; zero without contact; shape (T, 3) [m/s].
-        position: Of the patch in the patient frame, shape (T, 3) [m].
+        arm: From the shell's reference point to the point where drag acts, patient
+            axes; shape (T, 3) [m].
+        velocity: Velocity of the probe at that point, along the patch or perpendicular
+            to the pressing axis; zero without contact; shape (T, 3) [m/s].
+        position: Centre of the patch, patient frame, shape (T, 3) [m].
         axis: The pressing axis in the probe frame, unit length; zero without any
             contact; shape (3,) [–].
-        acts_at: ``contact``, ``reference`` or ``points``; of the last, all else is
-            as of ``contact``.
+        acts_at: ``contact``, ``reference`` or ``points``; with ``points``, the other
+            attributes are those of ``contact``.
     """
 
     normal: Array = field(repr=False)
@@ -94,15 +97,15 @@ class Sliding:
         acts_at: str = "contact",
         axis: Array | None = None,
     ) -> Sliding:
-        """Find the patch of every pose and how the probe slides along it.
+        """Find the patch of every pose and its sliding velocity.
 
         Args:
             voxmap: Grid and surface.
             shell: The probe.
             trajectory: Poses over time; their differences give the velocity.
             acts_at: Where drag acts, ``contact``, ``reference`` or ``points``.
-            axis: The pressing axis in the probe frame, shape (3,); by default the
-                shell's own, see `pressing_axis`.
+            axis: The pressing axis in the probe frame, shape (3,); by default
+                `pressing_axis`.
 
         Raises:
             InputError: Unknown ``acts_at``, or unusable poses.
@@ -135,7 +138,7 @@ class Sliding:
         return cls(normal, arm, along, where, axis, acts_at)  # type: ignore[arg-type]
 
     def direction(self, deadband: float = DEADBAND) -> Array:
-        """t̂: direction of sliding, shorter than 1 below the deadband.
+        """t̂, the direction of sliding, shorter than 1 below the deadband.
 
         Args:
             deadband: v₀ [m/s].
@@ -152,7 +155,7 @@ class Sliding:
         return np.asarray(self.velocity / np.maximum(speed, deadband))
 
     def regions(self, n_theta: int, n_z: int, voxmap: Voxmap) -> NDArray[np.int64]:
-        """Which of n_theta × n_z patches of the torso each contact lies on.
+        """Which of n_theta × n_z regions of the torso each contact lies on.
 
         Args:
             n_theta: Sectors around the axis [–].
@@ -163,7 +166,7 @@ class Sliding:
             Shape (T,), from 0 to n_theta·n_z − 1.
 
         Raises:
-            InputError: A count below 1, or more patches than poses could tell apart.
+            InputError: A count below 1, or more than `MOST_REGIONS` regions.
         """
         if n_theta < 1 or n_z < 1:
             raise InputError(
@@ -183,10 +186,10 @@ class Sliding:
 
 
 def pressing_axis(shell: PointShell, normal: Array) -> Array:
-    """The shell's principal axis nearest to a direction.
+    """The principal axis of a shell nearest to a direction.
 
-    Where principal moments are equal, as a sphere's, there is a plane or a space of
-    such axes, and the nearest is the direction's projection.
+    Where principal moments are equal, as for a sphere, the axes span a plane or the
+    whole space, and the nearest one is the projection of the direction.
 
     Args:
         shell: The probe.
@@ -205,11 +208,11 @@ def pressing_axis(shell: PointShell, normal: Array) -> Array:
 
 @dataclass(frozen=True)
 class DragRows:
-    """Drag per unit of what drives it, as rows over that.
+    """Rows of drag over its n unknowns, a field or coefficients.
 
     Attributes:
         force: Force rows, shape (3T, n).
-        torque: Torque rows about the shell's reference, shape (3T, n) [m].
+        torque: Torque rows about the shell's reference point, shape (3T, n) [m].
     """
 
     force: sp.csr_array = field(repr=False)
@@ -222,7 +225,7 @@ def coulomb_rows(
     """Coulomb drag of a field: F with drag = −F (μ p).
 
     Args:
-        sliding: Patches and sliding of the poses.
+        sliding: Patches and sliding velocities of the poses.
         rows: N of the same poses.
         deadband: v₀ [m/s].
 
@@ -244,8 +247,8 @@ def viscous_rows(
     """Viscous drag: columns with drag = −(columns) c.
 
     Args:
-        sliding: Patches and sliding of the poses.
-        region: Whose coefficient acts in each pose, shape (T,).
+        sliding: Patches and sliding velocities of the poses.
+        region: Region whose coefficient acts in each pose, shape (T,).
         n_regions: Number of coefficients [–].
 
     Returns:
@@ -264,19 +267,19 @@ def viscous_rows(
     return DragRows(force, torque)
 
 
-#: Names under which a fitted field carries its drag
+#: Names of the drag parameters of a fitted field
 FRICTION, VISCOUS = "friction_coefficient", "viscous_coefficient"
 DRAG_DEADBAND, DRAG_AT_REFERENCE = "drag_deadband", "drag_at_reference"
 DRAG_AT_POINTS = "drag_at_points"
 DRAG_AXIS = ("drag_axis_x", "drag_axis_y", "drag_axis_z")
 SECTORS, BANDS = "viscous_sectors", "viscous_bands"
 
-#: Most patches of the torso with a coefficient each [–]
+#: Most regions of the torso with a viscous coefficient each [–]
 MOST_REGIONS = 10_000
 
 
 def _blocks(blocks: Array) -> sp.csr_array:
-    """A block diagonal matrix of T equal-sized blocks (T, a, b)."""
+    """Block-diagonal matrix of T blocks, shape (T, a, b)."""
     n, a, b = blocks.shape
     matrix = sp.bsr_array(
         (blocks, np.arange(n), np.arange(n + 1)), shape=(a * n, b * n)
@@ -302,7 +305,7 @@ def _patches(
         surface: Radius of the nodes [m] and `Surface.kernel_layout`.
 
     Returns:
-        n̂, zero without contact, and c about the shell's reference, shape (T, 3) each.
+        n̂ and c from the shell's reference point, zero without contact, (T, 3) each.
     """
     points, normals, weights, reference = shell
     radius, layout = surface

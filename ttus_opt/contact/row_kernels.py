@@ -1,8 +1,7 @@
-"""Compiled kernels of the contact rows: what they are given, and the loop over poses.
+"""Compiled kernels of the contact rows: their arrays, and the loop over poses.
 
-Several small functions, loops over entries and no numpy inside: assignments of whole
-arrays, new arrays and numpy's sort each cost the compiler seconds, and a fit waits for
-them the first time.
+Small functions with scalar loops and without NumPy calls keep the first compilation
+short: array assignments, new arrays and NumPy's sort each take seconds to compile.
 """
 
 from __future__ import annotations
@@ -34,7 +33,7 @@ class ShellArrays(NamedTuple):
         points: Probe frame, shape (M, 3) [m].
         normals: Unit, inward, shape (M, 3).
         areas: a/A₀, shape (M,) [–].
-        reference: Of the torque, shape (3,) [m].
+        reference: Reference point of the torque, shape (3,) [m].
     """
 
     points: Array
@@ -65,26 +64,26 @@ def rotated(R: Array, x: float, y: float, z: float) -> tuple[float, float, float
 
 @compiled(inline="always")
 def within(radius_squared: float, z: float, limits: GridLimits) -> bool:
-    """Whether a place lies within the outer layer and the slices (compiled)."""
+    """Whether a point lies within the outer layer and the slices (compiled)."""
     beyond = radius_squared > limits.r_outer * limits.r_outer
-    # no branch, for loops of vector instructions
+    # branch-free, so that loops can be vectorised
     return not (beyond | (z < limits.z_min) | (z > limits.z_max))
 
 
 @compiled(inline="always")
 def beside(x: float, y: float, limits: GridLimits) -> bool:
-    """Whether a place lies outside the sector that the grid covers (compiled)."""
-    # of a full turn no angle is taken
+    """Whether a point lies outside the sector that the grid covers (compiled)."""
+    # on a full turn the angle is not needed
     return limits.width < TURN and around(turn_angle(x, y), limits) > limits.width
 
 
 class Poses(NamedTuple):
-    """Poses of the probe, and how its points slide.
+    """Poses of the probe and the sliding of its points.
 
     Attributes:
         rotation: Probe to patient, shape (T, 3, 3) [–].
-        position: Of the probe frame's origin, shape (T, 3) [m].
-        slip: For rows of drag; `Slip.none` for those of contact.
+        position: Origin of the probe frame, shape (T, 3) [m].
+        slip: For rows of drag; `Slip.none` for rows of contact.
     """
 
     rotation: Array
@@ -98,8 +97,8 @@ class VoxmapArrays(NamedTuple):
     Attributes:
         limits: `CylindricalGrid.kernel_limits`.
         shape: Voxels in r, θ and z, shape (3,) [–].
-        radius: Of the surface's nodes, flat [m].
-        nodes: The surface's angles and slices [–].
+        radius: Radius at the surface's nodes, flat [m].
+        nodes: Number of angles and slices of the surface [–].
         layout: `Surface.kernel_layout`.
         spokes: `spoke_table`.
         highest: Square of the largest radius [m²].
@@ -115,7 +114,7 @@ class VoxmapArrays(NamedTuple):
 
     @classmethod
     def of(cls, voxmap: Voxmap) -> VoxmapArrays:
-        """Its arrays."""
+        """The arrays of a voxmap."""
         radius = np.ascontiguousarray(voxmap.surface.radius)
         return cls(
             voxmap.grid.kernel_limits,
@@ -129,10 +128,10 @@ class VoxmapArrays(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Rows as they are made, three per pose, with the same columns.
+    """Rows under construction, three per pose with the same columns.
 
     Attributes:
-        row_ptr: Where rows begin, shape (3T + 1,).
+        row_ptr: First entry of each row, shape (3T + 1,).
         columns: Voxels, shape (n,).
         force: Entries of N, shape (n,).
         torque: Entries of W, shape (n,) [m].
@@ -151,7 +150,7 @@ class Rows(NamedTuple):
 
     @classmethod
     def empty(cls, n_poses: int, size: int) -> Rows:
-        """Room for ``size`` entries."""
+        """Arrays with space for ``size`` entries."""
         return cls(
             np.zeros(3 * n_poses + 1, np.int32),
             np.empty(size, np.int32),
@@ -163,11 +162,11 @@ class Rows(NamedTuple):
         )
 
     def grown(self, rows: int, ratio: float) -> Rows:
-        """The same with room for all poses, as far as those so far tell.
+        """A larger copy, with space for all poses by extrapolation.
 
         Args:
-            rows: How many rows are made.
-            ratio: All poses over those made [–].
+            rows: Number of finished rows.
+            ratio: Number of all poses over finished ones [–].
         """
         used, size = self.row_ptr[rows], len(self.columns)
         room = max(2 * size, math.ceil(1.2 * ratio * used))
@@ -181,18 +180,18 @@ class Rows(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """What the kernel works in.
+    """Scratch arrays of the kernel.
 
     Attributes:
-        slot: Where a voxel stands in a pose's list, -1 when it does not, shape (V,).
+        slot: Index of a voxel in a pose's list, -1 if absent, shape (V,).
         touched: A pose's list of voxels.
         sums: Their force and torque entries, shape (n, 6).
-        hits: How many points sampled them.
-        order: In which they ascend.
+        hits: Number of points that sampled them.
+        order: The permutation that sorts them.
         voxels: Voxels that one point samples, shape (8,).
-        shares: Their shares, shape (8,).
-        own: A point's normal, or the direction in which it slides, and lever arm ×
-            that, patient axes, shape (6,).
+        shares: Their weights, shape (8,).
+        own: A point's normal, or its direction of sliding, and lever arm × that,
+            patient axes, shape (6,).
     """
 
     slot: NDArray[np.int32]
@@ -206,7 +205,7 @@ class Scratch(NamedTuple):
 
     @classmethod
     def of(cls, n_voxels: int, n_points: int) -> Scratch:
-        """Scratch space for any pose."""
+        """Scratch arrays large enough for any pose."""
         most = 8 * n_points
         return cls(
             np.full(n_voxels, -1, np.int32),
@@ -222,7 +221,7 @@ class Scratch(NamedTuple):
 
 @compiled(inner=True)
 def _sort(keys: NDArray[np.int32], order: NDArray[np.int64], count: int) -> None:
-    """Make ``order`` the order in which keys ascend, by heap sort (compiled)."""
+    """Set ``order`` to the permutation that sorts the keys, by heap sort (compiled)."""
     for a in range(count):
         order[a] = a
     start, end = count // 2, count
@@ -248,7 +247,7 @@ def _sort(keys: NDArray[np.int32], order: NDArray[np.int64], count: int) -> None
 def _skin(
     theta: float, z: float, nodes: tuple[int, int], layout: RadiusLayout, radius: Array
 ) -> float:
-    """Radius of the surface at a place (compiled) [m]."""
+    """Radius of the surface at (θ, z) (compiled) [m]."""
     here, after, a, b = radius_cell(theta, z, nodes[0], nodes[1], layout)
     skin: float = radius_between(here, after, a, b, radius)
     return skin
@@ -264,7 +263,7 @@ def _sample(
     voxels: NDArray[np.int64],
     shares: Array,
 ) -> int:
-    """Voxels and shares of a point at (r, θ, z) and a depth; how many (compiled)."""
+    """Voxels and weights of a point at (r, θ, z) and depth; their number (compiled)."""
     r, theta, z, depth = place
     if trilinear:
         count: int = spoke_samples(
@@ -318,7 +317,7 @@ def _add(weight: float, n_samples: int, count: int, scratch: Scratch) -> int:
 
 @compiled(inner=True)
 def _keep(t: int, count: int, trilinear: bool, rows: Rows, scratch: Scratch) -> None:
-    """Write a pose's list of voxels as its rows, if there is room (compiled)."""
+    """Write a pose's list of voxels as its rows, if there is space (compiled)."""
     start = rows.row_ptr[3 * t]
     has_room = start + 3 * count <= rows.columns.size
     if has_room:
@@ -347,18 +346,18 @@ def pose_rows(
     rows: Rows,
     scratch: Scratch,
 ) -> int:
-    """Rows of poses from the first one on, as long as there is room (compiled).
+    """Assemble rows of poses from ``first`` on while there is space (compiled).
 
-    Where points slip every point pushes along the direction in which it slides.
+    With slip, every point pushes along its direction of sliding, not its normal.
 
     Returns:
-        The pose for which there was no room, or the number of poses.
+        The pose for which there was no space, or the number of poses.
     """
     voxels, shares = scratch.voxels, scratch.shares
     slip = poses.slip
     for t in range(first, len(poses.position)):
         R, at = poses.rotation[t], poses.position[t]
-        count = int(np.int64(0))  # a literal would be a type of its own to numba
+        count = int(np.int64(0))  # numba would give a literal its own type
         in_grid, in_contact, beyond = False, 0, 0
         for m in range(len(shell.points)):
             point = shell.points[m]

@@ -5,15 +5,15 @@ ways, all linear in p (docs/method.md, Contact rows):
 
 - ``voxel-mean`` (the paper): f = Σ_v n̄(v) p(v), with n̄(v) the mean of the normals of
   the points in voxel v, and τ = Σ_v w̄(v) p(v) with w̄(v) the mean of their r×n̂;
-  points too near to the surface to sample their voxel do not count in its means.
+  points too close to the surface to sample their voxel do not count in its means.
 - ``trilinear``: f = Σ_m (a_m/A₀) n̂_m p(x_m), p(x_m) interpolated, A₀ = 1 cm².
-- ``contact-size``: the same times 10 mm/ℓ, ℓ the length of the touching patch
+- ``contact-size``: the same times 10 mm/ℓ, ℓ the length of the contact patch
   (`ttus_opt.contact.contact_size`).
 
-`ttus_opt.voxmap.depth_sampling` defines what a point samples; the rows here and the
-frames of `ttus_opt.haptic.renderer` are both made from it, so that ``render(pose) ==
-N(pose) p``. Beyond the inner layer the field continues with that layer's values. Points
-outside the patient, or beyond the grid's ends along z or in θ, sample nothing.
+The rows here and the frames of `ttus_opt.haptic.renderer` sample by the same functions
+(`ttus_opt.voxmap.depth_sampling`), so ``render(pose) == N(pose) p``. Beyond the inner
+layer the field continues with that layer's values. Points outside the patient, or
+beyond the grid's ends in z or θ, sample nothing.
 """
 
 from __future__ import annotations
@@ -60,8 +60,7 @@ class ContactRows:
         W: Torque rows about the shell's reference point, τ = W p, (3T, V) [m].
         contact_points: Shell points inside the patient, shape (T,) [–].
         in_grid: False where no shell point lies within the grid, shape (T,).
-        beyond_inner: Points in contact that lie beyond the inner layer, where the
-            field continues with that layer's values, shape (T,) [–].
+        beyond_inner: Points in contact beyond the inner layer, shape (T,) [–].
     """
 
     N: sp.csr_array = field(repr=False)
@@ -79,7 +78,7 @@ class ContactRows:
 
 
 def checked_sampling(sampling: str) -> Sampling:
-    """The sampling's name, or a sentence.
+    """Check the name of a sampling and return it.
 
     Raises:
         InputError: There is no such sampling.
@@ -95,7 +94,8 @@ def checked_poses(rotation: Array, position: Array) -> tuple[Array, Array]:
     """Poses as contiguous arrays (T, 3, 3) and (T, 3), rounding corrected.
 
     Raises:
-        InputError: Shapes, values that are not finite, or no rotation matrices.
+        InputError: Wrong shapes, values that are not finite, or matrices that are not
+            rotations.
     """
     rotation = np.ascontiguousarray(rotation, dtype=np.float64)
     position = np.ascontiguousarray(position, dtype=np.float64)
@@ -119,19 +119,16 @@ def contact_rows(
     sampling: str = "voxel-mean",
     slip: Slip | None = None,
 ) -> ContactRows:
-    """Make N and W for a whole trajectory at once.
+    """Assemble N and W for a whole trajectory.
 
     Args:
         voxmap: Grid and surface.
         shell: The probe's point shell.
         rotation: Probe to patient, shape (T, 3, 3) [–].
-        position: Of the probe frame's origin, patient frame, shape (T, 3) [m].
+        position: Origin of the probe frame, patient frame, shape (T, 3) [m].
         sampling: ``voxel-mean``, ``trilinear`` or ``contact-size``.
-        slip: How points slide, for rows of drag (`contact.point_drag`) in place of
-            those of contact.
-
-    Returns:
-        The rows.
+        slip: Sliding of the points, for rows of drag (`contact.point_drag`) instead of
+            contact.
 
     Raises:
         InputError: Unknown sampling or unusable poses.

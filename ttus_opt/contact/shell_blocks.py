@@ -1,11 +1,11 @@
-"""The point shell sorted into compact blocks, and what lets a frame skip a block.
+"""The point shell sorted into compact blocks, most of which a frame can skip.
 
-Points close on the probe are made neighbours in memory, in blocks with a bounding
-sphere each. The surface gets a coarse table, its ceiling: an upper bound of R over a
-tile of (θ, z) and as far around it as a block reaches. A block whose nearest distance
-to the axis exceeds the ceiling over its centre touches nothing, so that a frame looks
-at the points of the few blocks near the surface only. Skipping is exact: no point in
-contact is ever lost (the bounds hold with a margin above rounding).
+Points close to each other on the probe are stored next to each other, in blocks with a
+bounding sphere each. A coarse table over the surface, the ceiling, holds an upper bound
+of R over each tile of (θ, z), widened by the radius of a block. A block whose smallest
+distance from the axis exceeds the ceiling at its centre cannot touch, so a frame looks
+only at the points of the few blocks near the surface. No point in contact is missed:
+the bounds have a margin above rounding.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ BLOCK = 32
 #: Tiles of the ceiling table over the turn and over the height
 TILES = (128, 64)
 
-#: Lengths added to every bound, far above rounding and far below a voxel [m]
+#: Added to every bound: far above rounding and far below a voxel [m]
 MARGIN = 1e-9
 
 
@@ -36,8 +36,8 @@ class ShellBlocks:
     """A shell's points in block order, with bounding spheres.
 
     Attributes:
-        order: Where each point stood in the shell, shape (M,).
-        start: First point of each block and the number of points, shape (B + 1,).
+        order: Index of each point in the shell, shape (M,).
+        start: First point of each block, then the number of points, shape (B + 1,).
         centre: Centres of the bounding spheres, probe frame, shape (B, 3) [m].
         reach: Their radii, `MARGIN` included, shape (B,) [m].
     """
@@ -73,14 +73,14 @@ def _sort(order: NDArray[np.intp], points: Array, size: int) -> None:
 
 
 def _spheres(blocks: Array) -> tuple[Array, Array]:
-    """Nearly smallest balls around points, shape (B, n, 3) [m].
+    """Nearly smallest bounding spheres of point sets, shape (B, n, 3) [m].
 
     Returns:
         Centres, shape (B, 3) [m], and radii, shape (B,) [m].
     """
     every = np.arange(len(blocks))
     centre = blocks.mean(axis=1)
-    for step in range(2, 34):  # walks to the farthest point by ever smaller parts
+    for step in range(2, 34):  # towards the farthest point by decreasing fractions
         away = blocks - centre[:, None]
         farthest = np.einsum("bnd,bnd->bn", away, away).argmax(axis=1)
         centre += away[every, farthest] / step
@@ -89,11 +89,11 @@ def _spheres(blocks: Array) -> tuple[Array, Array]:
 
 
 class Tiles(NamedTuple):
-    """Where the tiles of a ceiling lie, and from where on its bounds hold.
+    """Layout of the tiles of a ceiling, and the range in which its bounds hold.
 
     Attributes:
-        floor: Least R anywhere: the bounds are for spheres whose centre is at least
-            so far from the axis [m].
+        floor: Smallest R anywhere [m]: the bounds are for spheres whose centre is at
+            least this far from the axis.
         per_theta: Tiles per radian.
         z_0: First height [m].
         per_z: Tiles per metre.
@@ -111,7 +111,7 @@ class SurfaceCeiling:
 
     Attributes:
         ceiling: Largest R over a tile and around it, shape `TILES` [m].
-        tiles: Where they lie.
+        tiles: Layout of the tiles.
     """
 
     ceiling: Array = field(repr=False)
@@ -122,7 +122,7 @@ class SurfaceCeiling:
         """Tabulate a surface for blocks of at most ``reach`` [m]."""
         n_theta, n_z = TILES
         floor = float(surface.radius.min())
-        # a sphere beyond the floor spans at most this angle to either side
+        # half the angle that a sphere beyond the floor spans at most
         half = math.asin(min(1.0, reach / floor)) if reach < floor else math.pi
         z0, z1 = float(surface.z[0]), float(surface.z[-1])
         tile_theta, tile_z = 2.0 * math.pi / n_theta, (z1 - z0) / n_z
@@ -136,7 +136,7 @@ class SurfaceCeiling:
         step = 2.0 * math.pi / len(surface.theta)
         ceiling = np.empty(TILES)
         for j in range(n_theta):
-            # nodes on either side of the widened tile bound what is bilinear between
+            # nodes on either side of the widened tile bound the bilinear interpolant
             low = math.floor((j * tile_theta - half - surface.theta[0]) / step - 1e-6)
             high = math.ceil(
                 ((j + 1) * tile_theta + half - surface.theta[0]) / step + 1e-6

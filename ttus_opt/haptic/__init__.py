@@ -1,1 +1,1 @@
-"""Contact force and torque of a field at the rate of a haptic device."""
+"""Rendering: contact force and torque of a field at haptic rate."""

@@ -1,42 +1,39 @@
-"""The passive swap of one field for another under a moving probe.
+"""Passive blending from one field to another under a moving probe.
 
-While a new field replaces an old one, the wrench is w = (1−a) w_old + a w_new with a
-growing from 0 to 1, one step per frame. A field in which a probe at pose x stores the
-energy U(x) (the work it does when the probe leaves) is passive while it stays as it
-is. Changing it under the probe is not: at pose x a step δa changes the stored energy by
+While a new field replaces an old one, the wrench is w = (1−a) w_old + a w_new, and a
+grows from 0 to 1, one step per frame. A fixed field, which stores the energy U(x) at
+pose x (the work done on the probe while it retracts), is passive. Changing it is not:
+at pose x a step δa changes the stored energy by
 
-    δE = δa · ΔU(x),   ΔU = U_new − U_old,
+    δE = δa · ΔU(x),   ΔU = U_new − U_old.
 
-which the operator gets back as work. Since dU = −w·dx, summing by parts over a motion
-gives, for the work done on the probe,
+Since dU = −w·dx, summation by parts over a motion gives the work done on the probe,
 
     Σ w·δx = U_old(x_0) − U_a(x_K) + Σ δa ΔU(x):
 
-the blend adds energy exactly when Σ δa ΔU > 0. So every frame takes the largest step
-within
+the blend generates energy if and only if Σ δa ΔU > 0. Every frame therefore takes the
+largest step within
 
 - the force rate: δa ‖Δf‖ ≤ rate·δt, and δa ‖Δτ‖/ℓ ≤ rate·δt;
-- the energy tank: δa ΔU ≤ tank, which steps with ΔU < 0 fill and steps with ΔU > 0
-  empty; it starts with a stated reserve, by default nothing.
+- the energy tank: δa ΔU ≤ tank. Steps with ΔU < 0 fill the tank, steps with ΔU > 0
+  empty it; it starts with a given reserve, by default zero.
 
-A softer field under the probe thus comes in at the force rate; a stiffer one waits
-until the tank pays for it, the probe is where the new field is no stiffer, or it
-leaves the patient (ΔU = 0: the swap is complete in one frame). That wait is the price
-of passivity, not a fault; a reserve shortens it by a stated number of joules.
+A softer field is thus blended in at the force rate. A stiffer one waits until the tank
+holds enough energy, until the probe is where the new field stores no more, or until it
+leaves the patient (ΔU = 0: the swap is completed in one frame). The wait is the price
+of passivity; a reserve shortens it by a stated number of joules.
 
-ΔU is observed, not modelled: at the start it is the integral of Δw along a straight way
-out, then it falls by Δw·δx (trapezoid) with the motion, and it is exactly 0 whenever
-nothing touches. It is as good as the fields are conservative: trilinear ones are up to
-the quadrature of the shell, voxel means are not quite (their jumps have no potential).
+ΔU is tracked: it starts as the integral of Δw along a straight path out of the body,
+decreases by Δw·δx (trapezoidal rule) with the motion, and is 0 without contact. It is
+exact for conservative fields: trilinear ones are conservative up to the quadrature of
+the shell, voxel-mean ones only approximately, because they jump.
 
-Drag belongs to each field's wrench, w = contact + drag, and is swapped with it: by the
-same a, within the same rate. It stores nothing, so U, ΔU and w in the ledger above are
-of contact alone. Nor can swapping it give energy: every drag has power −k ‖v_t‖² ≤ 0
-(`ttus_opt.haptic.drag`), and (1−a) drag_old + a drag_new with 0 ≤ a ≤ 1 is a convex
-combination of such, so that the operator's work on the blend is the contact's plus
-something never negative. This holds for the twist that drag is given; an estimated one
-lags (`ttus_opt.haptic.motion`). A limit on the force, cut afterwards, is outside of
-this reckoning: cutting is no potential's force.
+Drag is part of each field's wrench and is blended with the same a, within the same
+rate. It stores no energy, so U, ΔU and w above are those of contact alone. Blending
+drag cannot generate energy either: every drag has the power −k ‖v_t‖² ≤ 0
+(`ttus_opt.haptic.drag`), and so has a convex combination of two. This holds for the
+twist that the drag uses; an estimated twist lags (`ttus_opt.haptic.motion`). A force
+limit applied afterwards is not part of this energy balance.
 """
 
 from __future__ import annotations
@@ -54,25 +51,25 @@ from ttus_opt.haptic.frame import touch, wrench_of
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import turn_between
 
-#: Places in a ledger: share of the new field; ΔU; tank; energy injected so far; 1 when
-#: a pose is known; then that pose and Δw there
+#: Indices in a ledger: share a of the new field; ΔU; tank; energy injected so far; 1
+#: when a pose is known; then that pose and Δw there
 PROGRESS, GAP, TANK, INJECTED, SEEN = 0, 1, 2, 3, 4
 ROTATION, PLACE, DIFFERENCE, LEDGER = 5, 14, 17, 23
 
-#: Step of the way out along which the stored energy is integrated [m]
+#: Step of the path out of the body along which the stored energy is integrated [m]
 RETREAT_STEP = 5e-4
 
 
 @dataclass(frozen=True)
 class BlendLaw:
-    """How fast, and with how much energy, one field may replace another.
+    """Limits on the rate and the energy with which one field replaces another.
 
     Attributes:
-        force_rate: Most change of force by a change of field [N/s]; torque changes at
-            most by this times the shell's rms radius [N·m/s].
-        frame_seconds: Time between frames; rendering slower only slows the blend [s].
-        reserve: Energy that updates may add in all, beyond what they took out [J].
-        capacity: Most energy the tank keeps from softening updates [J].
+        force_rate: Largest rate of change of the force by blending [N/s]; that of the
+            torque is this times the shell's rms radius [N·m/s].
+        frame_seconds: Time between frames [s]; slower rendering only slows the blend.
+        reserve: Energy that all updates together may add beyond what they removed [J].
+        capacity: Largest energy that the tank keeps from softening updates [J].
     """
 
     force_rate: float = 5.0
@@ -92,19 +89,20 @@ class BlendLaw:
                 raise InputError(f"{name} must not be negative [J], got {value}")
 
     def kernel_limits(self, length: float) -> Array:
-        """Force [N], torque [N·m] per frame and tank [J], for torque arm ℓ [m]."""
+        """Largest force [N] and torque [N·m] step per frame and tank [J], for ℓ [m]."""
         force = self.force_rate * self.frame_seconds
         return np.array([force, force * length, max(self.capacity, self.reserve)])
 
 
 @dataclass(frozen=True)
 class BlendState:
-    """Where a swap of fields stands.
+    """State of a swap of fields.
 
     Attributes:
         progress: Share a of the new field, 1 when the swap is complete [–].
-        stored_gap: ΔU, what the new field would store more at the last pose [J].
-        tank: Energy at hand for stiffening steps [J].
+        stored_gap: ΔU, stored energy of the new field minus that of the old one at the
+            last pose [J].
+        tank: Energy available for stiffening steps [J].
         injected: Σ δa ΔU over all updates so far, never above the reserve [J].
     """
 
@@ -129,16 +127,16 @@ def settled_ledger(tank: float) -> Array:
 def opened_ledger(
     before: Array, current: Array, target: Array, data: FrameData
 ) -> Array:
-    """The ledger of a new swap, at the pose where the last one stood.
+    """The ledger at the start of a swap.
 
     Args:
-        before: The ledger so far, with a pose, shape (LEDGER,).
-        current: Field in force, flat, shape (V,).
-        target: Field to come, flat, shape (V,).
-        data: Probe and surface, with scratch of its own.
+        before: The previous ledger, with a known pose, shape (LEDGER,).
+        current: Present field, flat, shape (V,).
+        target: New field, flat, shape (V,).
+        data: Probe and surface, with its own scratch arrays.
 
     Returns:
-        Progress 0, tank and injected energy carried over, ΔU by a straight way out.
+        Progress 0; pose, tank and injected energy of ``before``; ΔU at that pose.
     """
     ledger = before.copy()
     ledger[PROGRESS] = 0.0
@@ -203,15 +201,15 @@ def advance(
     current_drag: Array,
     target_drag: Array,
 ) -> None:
-    """Account for one frame's motion in the ledger and take the swap's step (compiled).
+    """Enter one frame's motion into the ledger and take a blending step (compiled).
 
     Args:
-        ledger: Of the swap, shape (LEDGER,); written.
+        ledger: Ledger of the swap, shape (LEDGER,); written.
         limits: `BlendLaw.kernel_limits`.
-        contact: Points in contact.
-        motion: Since the frame before, `follow` [m, rad].
-        current: Contact of the old field, shape (6,) [N, N·m].
-        target: Contact of the new field, shape (6,) [N, N·m].
+        contact: Number of points in contact.
+        motion: Motion since the previous frame, from `follow` [m, rad].
+        current: Contact wrench of the old field, shape (6,) [N, N·m].
+        target: Contact wrench of the new field, shape (6,) [N, N·m].
         current_drag: Drag of the old field, shape (6,) [N, N·m].
         target_drag: Drag of the new field, shape (6,) [N, N·m].
     """
@@ -246,11 +244,11 @@ def advance(
 def follow(
     ledger: Array, R: Array, at: Array, reference: Array
 ) -> tuple[float, float, float, float, float, float]:
-    """Note a pose; the motion since the last one (compiled).
+    """Store a pose in the ledger and return the motion since the last (compiled).
 
     Returns:
         Displacement of the reference point [m] and rotation vector [rad], patient
-        axes; zero when there was no pose yet.
+        axes; zero for the first pose.
     """
     x, y, z = rotated(R, reference[0], reference[1], reference[2])
     x, y, z = x + at[0], y + at[1], z + at[2]

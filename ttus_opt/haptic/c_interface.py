@@ -1,15 +1,16 @@
 """The haptic frame for a loop in C or C++: a function pointer and a context.
 
-`Renderer.c_function` gives both. The function has the plain C signature of
-``ttus_frame.h``, needs neither the interpreter nor its lock, and computes what
-`Renderer.render_into` computes, bit for bit. The context is a table of addresses (the
-probe, the surface, scratch of its own) whose memory stays where it is while the
-renderer lives; `Renderer.update` reaches a running loop through it.
+`Renderer.c_function` returns both. The function has the C signature of
+``ttus_frame.h``, needs neither the interpreter nor the GIL, and gives the same bits as
+`Renderer.render_into`. The context is a table of addresses (probe, surface, scratch)
+whose memory does not move while the renderer lives. `Renderer.update` changes the field
+of a running loop through it.
 
-A frame in C never waits. It counts itself as begun and as done. An update announces
-itself (`WAITING`), lets frames under way end, and makes the new fields while frames
-begun meanwhile render the old ones and leave the blend's ledger alone. One store then
-puts the new fields in place, and the old ones are kept until no frame can read them.
+A frame in C never waits. It increments one counter when it begins and another when it
+ends. An update sets a flag (`WAITING`), waits for the frames under way, and prepares
+the new fields; frames that begin meanwhile render the old ones and do not write the
+ledger. One atomic store then installs the new fields, and the old ones are kept until
+no frame can read them.
 """
 
 from __future__ import annotations
@@ -51,15 +52,15 @@ from ttus_opt.haptic.wrench import (
 #: The C header that declares the function and its codes
 HEADER = Path(__file__).with_name("ttus_frame.h")
 
-#: What the C function returns in place of a count: the probe is off the grid; or
-#: `wrench.BAD_POSE`, `BAD_TWIST`, `BAD_TIME` less one
+#: Returned by the C function instead of a count: the probe is off the grid; or
+#: `wrench.BAD_POSE`, `BAD_TWIST`, `BAD_TIME` minus one
 OFF_GRID = -1
 
 #: Words of a context: frames begun and done, 1 while an update waits, the address of
-#: the fields' table, 1 for trilinear sampling; then a frame's table
+#: the fields' table, 1 for trilinear sampling; then the table of the frame's arrays
 BEGUN, DONE, WAITING, FIELDS, TRILINEAR, ARRAYS = 0, 1, 2, 3, 4, 5
 
-#: An update gives up on a frame that has not ended after so long [s]
+#: Longest wait of an update for a frame to end [s]
 PATIENCE = 5.0
 
 
@@ -70,7 +71,7 @@ class CFunction:
     Attributes:
         function: Address of a ``ttus_frame_function``, see `HEADER`.
         context: Address of its first argument.
-        renderer: Kept alive.
+        renderer: The renderer, referenced to keep it alive.
     """
 
     function: int
@@ -79,19 +80,19 @@ class CFunction:
 
     @property
     def call(self) -> Any:
-        """The function for ctypes, to try it from Python."""
+        """The function as a ctypes object, to call it from Python."""
         reals, real = ctypes.POINTER(ctypes.c_double), ctypes.c_double
         arguments = ctypes.c_void_p, reals, reals, reals, real, reals
         return ctypes.CFUNCTYPE(ctypes.c_int32, *arguments)(self.function)
 
 
 class Context:
-    """The memory behind a C function, and how an update changes it.
+    """The memory that a C function reads, and its changes by an update.
 
     Args:
-        data: Probe and surface; scratch is made anew.
-        limits: Of the renderer.
-        pair: What is rendered at first.
+        data: Probe and surface; its scratch is not used.
+        limits: Limits of the renderer.
+        pair: The fields rendered at first.
     """
 
     def __init__(self, data: FrameData, limits: FrameLimits, pair: FieldPair) -> None:
@@ -104,7 +105,7 @@ class Context:
         self.words[FIELDS] = self._fields[0].ctypes.data
 
     def pause(self) -> None:
-        """Wait for frames under way; those begun from now on write no ledger."""
+        """Wait for frames under way; later ones do not write the ledger."""
         _store(self.words, WAITING, 1)
         try:
             self._let_frames_end()
@@ -132,14 +133,14 @@ class Context:
 
 
 def _word_at(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    """Where a word of an array lies, as generated code."""
+    """The address of a word of an array, as generated code."""
     array = context.make_array(signature.args[0])(context, builder, arguments[0])
     return builder.gep(array.data, [arguments[1]])
 
 
 @intrinsic
 def _read(typing_context: Any, words: Any, place: Any) -> Any:
-    """A word, read in the one order that all threads see (compiled)."""
+    """Read a word atomically, sequentially consistent (compiled)."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         word = _word_at(context, builder, signature, arguments)
@@ -150,7 +151,7 @@ def _read(typing_context: Any, words: Any, place: Any) -> Any:
 
 @intrinsic
 def _write(typing_context: Any, words: Any, place: Any, value: Any) -> Any:
-    """Write a word, in the one order that all threads see (compiled)."""
+    """Write a word atomically, sequentially consistent (compiled)."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         word = _word_at(context, builder, signature, arguments)
@@ -176,7 +177,7 @@ def _store(words: IntArray, place: int, value: int) -> None:
 def _frame(
     context: Any, rotation: Any, position: Any, twist: Any, time: float, wrench: Any
 ) -> int:
-    """`render_frame` of what C hands over (compiled); see ``ttus_frame.h``."""
+    """`render_frame` with the arguments of ``ttus_frame.h`` (compiled)."""
     words = carray(context, (ARRAYS + WORDS * N_ARRAYS,))
     _write(words, BEGUN, words[BEGUN] + 1)
     may_write = _read(words, WAITING) == 0
@@ -213,12 +214,12 @@ def frame_address() -> int:
     return int(_KEPT[0].address)
 
 
-#: The compiled entry, which must not be collected
+#: The compiled entry, kept from garbage collection
 _KEPT: list[Any] = []
 
 
 def _entry(
     context: Any, rotation: Any, position: Any, twist: Any, time: float, wrench: Any
 ) -> Any:
-    """The C function: nothing but the call, so that all else is compiled once."""
+    """The C function: only a call, so that everything else is compiled once."""
     return _frame(context, rotation, position, twist, time, wrench)

@@ -1,23 +1,23 @@
-"""Friction's drag on a sliding probe in one pose: a function of pose and twist.
+"""Drag, the friction force on a sliding probe, as a function of pose and twist.
 
-A pose is (R, x), a twist (v, ω): velocity of the probe frame's origin and angular
-velocity, patient axes. With x₀ the shell's reference point, a_m the points' areas and
-d_m their depths below the surface, the contact patch has
+A pose is (R, x); a twist (v, ω) is the velocity of the probe frame's origin and the
+angular velocity, patient axes. With x₀ the shell's reference point, a_m the points'
+areas and d_m their depths below the surface, the contact patch has
 
-    n̂ ∝ R Σ a_m d_m n̂_m,   c = R Σ a_m d_m (x_m − x₀) / Σ a_m d_m,
+    n̂ ∝ R Σ a_m d_m n̂_m,   c = R Σ a_m d_m (x_m − x₀) / Σ a_m d_m.
 
-and drag acts through x₀ + a: on the patch and along it (a = c, ê = n̂), or at the
-reference and across the probe's pressing axis (a = 0, ê = R·axis),
-`ttus_opt.contact.friction`. What slides there, and the drag, with f the contact force:
+Drag acts at x₀ + a, perpendicular to ê: either on the patch (a = c, ê = n̂), or at the
+reference point, where ê is the probe's pressing axis (a = 0, ê = R·axis); see
+`ttus_opt.contact.friction`. With f the contact force, sliding velocity and drag are
 
     u = v + ω × (R x₀ + a),   v_t = u − ê (êᵀu)
     f_d = −(μ max(n̂ᵀf, 0) / max(‖v_t‖, v₀) + c_region) v_t,   τ_d = a × f_d
 
-A law may have Coulomb drag at every point of the shell for itself in place of the term
-in μ, `ttus_opt.haptic.point_drag`; the term in c is then that of the patch.
+Instead of the term in μ, Coulomb drag may act at every point of the shell
+(`ttus_opt.haptic.point_drag`); viscous drag always acts on the patch.
 
-Its power is f_dᵀ(v + ω × R x₀) + τ_dᵀω = f_dᵀu = −k ‖v_t‖² with k ≥ 0: drag takes
-energy and never gives any, whatever pose, twist and field. For this a contact that
+The power is f_dᵀ(v + ω × R x₀) + τ_dᵀω = f_dᵀu = −k ‖v_t‖² with k ≥ 0: drag only
+dissipates energy, for any pose, twist and field. To ensure this, a contact that
 pulls (n̂ᵀf < 0) has no drag, and negative coefficients are refused. Where nothing
 pulls, this is the drag of the fit's rows (`friction.coulomb_rows`, `viscous_rows`).
 """
@@ -40,32 +40,32 @@ from ttus_opt.errors import InputError
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.grid import CylindricalGrid
 
-#: Places in `DragLaw.numbers`: 1 with any drag, `BY_PATCH` with any of the patch; μ
-#: [–]; v₀ [m/s]; where it acts; the pressing axis; sectors and bands; lowest height and
-#: length of the grid [m]; then c of every region, sector by sector [N·s/m]
+#: Indices in `DragLaw.numbers`: 1 if there is drag, `BY_PATCH` if any is on the patch;
+#: μ [–]; v₀ [m/s]; where it acts; the pressing axis; sectors and bands; lowest height
+#: and length of the grid [m]; then c of every region, sector by sector [N·s/m]
 ACTIVE, FRICTION, DEADBAND, ACTS_AT, AXIS = 0, 1, 2, 3, 4
 SECTORS, BANDS, LOWEST, LENGTH, VISCOUS = 7, 8, 9, 10, 11
 
-#: Drag at `ACTIVE` that needs the patch, not the points alone
+#: Value of `ACTIVE` if any drag acts on the patch
 BY_PATCH = 2.0
 
-#: Values at `ACTS_AT`; 0 on the contact
+#: Values of `ACTS_AT`; 0 is on the patch
 AT_REFERENCE, AT_POINTS = 1.0, 2.0
 
 
 @dataclass(frozen=True)
 class DragLaw:
-    """The drag of a field.
+    """The drag parameters of a field.
 
     Attributes:
-        numbers: For compiled loops, see the places above, (VISCOUS + n_regions,).
+        numbers: For compiled loops, by the indices above, (VISCOUS + n_regions,).
     """
 
     numbers: Array = field(repr=False)
 
     @property
     def active(self) -> bool:
-        """Whether a moving probe feels any drag."""
+        """Whether the field exerts any drag on a moving probe."""
         return bool(self.numbers[ACTIVE])
 
     @classmethod
@@ -78,7 +78,7 @@ class DragLaw:
                 ``viscous_coefficient_<i>`` for each region where they are regional,
                 ``drag_deadband`` [m/s], ``drag_at_points`` and
                 ``drag_at_reference`` (1 or 0) and ``drag_axis_x, _y, _z``.
-            grid: The field's, along which bands are counted.
+            grid: Grid of the field, along which bands are counted.
 
         Raises:
             InputError: A coefficient that is negative or not finite, a deadband that
@@ -152,9 +152,9 @@ def _axis(parameters: Mapping[str, float]) -> Array:
 
 
 def patch_weights(shell: PointShell) -> Array:
-    """What a point adds to the patch per metre of depth, probe frame, shape (M, 7).
+    """Contribution of each point to the patch per metre of depth, shape (M, 7).
 
-    Area over A₀ times normal and lever [m], then that area.
+    Area over A₀ times normal and lever arm [m], probe frame, then that area.
     """
     points, normals, areas, reference = shell_arrays(shell)
     columns = [areas[:, None] * normals, areas[:, None] * (points - reference)]
@@ -170,14 +170,14 @@ def patch_of(
     weights: Array,
     patch: Array,
 ) -> None:
-    """The patch of the points that were touched (compiled).
+    """The patch of the points in contact (compiled).
 
     Args:
         R: Rotation, probe to patient, shape (3, 3) [–].
-        contact: How many were touched.
-        touched: Which, shape (M,).
-        depth: Of each below the surface, shape (M,) [m].
-        weights: `patch_weights`, in the data's order, shape (M, 7).
+        contact: Number of points in contact.
+        touched: Their indices, shape (M,).
+        depth: Their depths below the surface, shape (M,) [m].
+        weights: `patch_weights`, in block order, shape (M, 7).
         patch: Out: n̂ [–] and c [m], patient axes; zero without contact; shape (6,).
     """
     nx, ny, nz, cx, cy, cz, total = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -215,12 +215,12 @@ def drag_of(
     Args:
         R: Rotation, probe to patient, shape (3, 3) [–].
         at: Position of the probe frame's origin, shape (3,) [m].
-        twist: Its velocity and the angular velocity, shape (6,) [m/s, rad/s].
-        reference: Of the shell, probe frame, shape (3,) [m].
+        twist: Velocity of the origin and angular velocity, shape (6,) [m/s, rad/s].
+        reference: Reference point of the shell, probe frame, shape (3,) [m].
         patch: `patch_of`, shape (6,).
-        contact_wrench: Of the field without drag, shape (6,) [N, N·m].
+        contact_wrench: Wrench of the field without drag, shape (6,) [N, N·m].
         numbers: `DragLaw.numbers` of the field.
-        drag: Out: force and torque about the reference, shape (6,) [N, N·m].
+        drag: Out: force and torque about the reference point, shape (6,) [N, N·m].
     """
     nx, ny, nz = patch[0], patch[1], patch[2]
     for i in range(6):
@@ -256,7 +256,7 @@ def drag_of(
 
 @compiled(inline="always")
 def _region(x: float, y: float, z: float, numbers: Array) -> int:
-    """The region a patch lies on, as `friction.Sliding.regions` has it (compiled)."""
+    """Index of the region at a point, as in `friction.Sliding.regions` (compiled)."""
     sectors, bands = int(numbers[SECTORS]), int(numbers[BANDS])
     share = (z - numbers[LOWEST]) / numbers[LENGTH]
     band = int(min(max(share * bands, 0.0), bands - 1.0))

@@ -1,4 +1,4 @@
-"""The fields that a renderer holds: the one in force, the one to come, and their drag.
+"""The fields that a renderer holds: the present one, the new one, and their drag.
 
 They are replaced together (`swapped`), so that a frame never sees half of an update.
 """
@@ -22,12 +22,12 @@ from ttus_opt.voxmap.field import PotentialField
 
 
 class RenderedField(NamedTuple):
-    """A field as frames read it.
+    """A field in the form that frames read.
 
     Attributes:
-        values: A copy, flat, shape (V,).
+        values: A copy of its values, flat, shape (V,).
         drag: `DragLaw.numbers`.
-        coefficients: Names of its coefficients of drag; empty when it has none.
+        coefficients: Names of its drag coefficients; empty without drag.
     """
 
     values: Array
@@ -39,7 +39,7 @@ class RenderedField(NamedTuple):
         """Copy a field.
 
         Raises:
-            InputError: Its drag parameters are not usable.
+            InputError: Unusable drag parameters.
         """
         values = np.array(field.values, dtype=np.float64, order="C").reshape(-1)
         law = DragLaw.of(field.parameters, field.voxmap.grid)
@@ -49,7 +49,7 @@ class RenderedField(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class RenderedFields:
-    """The fields of a frame, with the names of their drag."""
+    """The fields of a frame and the names of their drag coefficients."""
 
     pair: FieldPair
     table: IntArray  # addresses of the pair's arrays
@@ -60,7 +60,7 @@ class RenderedFields:
     def of(
         cls, current: RenderedField, target: RenderedField, ledger: Array
     ) -> RenderedFields:
-        """Two fields, or the same twice, and where the swap between them stands."""
+        """Two fields, or the same twice, and the ledger of the swap between them."""
         pair = FieldPair(
             current.values, target.values, current.drag, target.drag, ledger
         )
@@ -68,7 +68,7 @@ class RenderedFields:
 
     @property
     def drag(self) -> str:
-        """Names of the coefficients that drag at present; empty without any."""
+        """Names of the present drag coefficients; empty without drag."""
         if self.target_drag:
             return self.target_drag
         return "" if self.pair.ledger[PROGRESS] == 1.0 else self.current_drag
@@ -77,12 +77,12 @@ class RenderedFields:
 def swapped(
     fields: RenderedFields, new: RenderedField, data: FrameData, weights: Array
 ) -> RenderedFields:
-    """The fields after an update: a swap that begins where the last one stands.
+    """The fields after an update: a swap that starts from the present mixture.
 
     Args:
-        fields: Those so far; no frame may write their ledger meanwhile.
-        new: The field to come.
-        data: Probe and surface, with scratch of its own.
+        fields: The present fields; no frame may write their ledger meanwhile.
+        new: The new field.
+        data: Probe and surface, with its own scratch arrays.
         weights: `drag.patch_weights` in block order, shape (M, 7).
     """
     now = fields.pair
@@ -100,10 +100,10 @@ def swapped(
 
 
 def require_alike(old: PotentialField, new: PotentialField) -> None:
-    """Refuse a field on another grid or surface, or of another sampling.
+    """Check that two fields have the same grid, surface and sampling.
 
     Raises:
-        InputError: It is not alike.
+        InputError: One of them differs.
     """
     own, other = old.voxmap.surface, new.voxmap.surface
     alike = {

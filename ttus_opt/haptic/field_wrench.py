@@ -1,7 +1,7 @@
-"""The wrench of a field: one function of pose and twist, friction's drag included.
+"""The wrench of a field: one function of pose and twist, friction included.
 
-For a pose (R, x) and a twist (v, ω) of the probe frame's origin, force and torque on
-the probe, about its shell's reference, patient axes:
+For a pose (R, x) and a twist (v, ω) of the probe frame's origin, the force on the
+probe and the torque about the shell's reference point are, in patient axes,
 
     f = N(R, x) p + f_d,   τ = W(R, x) p + τ_d
 
@@ -9,10 +9,10 @@ with the contact rows N, W of `ttus_opt.contact.rows` (eqs. 6, 7) and the drag (
 τ_d) of `ttus_opt.haptic.drag`, which depends on pose, twist and contact. At rest there
 is no drag.
 
-`wrenches_along` gives it for a whole recording, from the rows; `ttus_opt.Renderer` for
-one pose, compiled, to rounding the same. `evaluate` judges by the first, `ttus-opt
-render` writes the second, and the rows that a fit with friction explains its
-measurements by are the same function, linear in what it seeks.
+`wrenches_along` computes it for a whole recording from the rows, `ttus_opt.Renderer`
+for one pose in compiled code; both agree up to rounding. `evaluate` uses the first and
+`ttus-opt render` the second. The rows of a fit with friction are the same function,
+linear in the unknowns.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
 
-#: The field has no drag; or its drag is of the twist that was given, of a twist
-#: estimated from poses and times, or left out because the motion is not known
+#: No drag in the field; drag by a given twist; by a twist estimated from poses and
+#: times; or left out because the motion is unknown
 DragSource = Literal["none", "given", "estimated", "left out"]
 
 
 @dataclass(frozen=True, slots=True)
 class Wrench:
-    """What the probe feels in one pose.
+    """Force and torque on the probe in one pose.
 
     Attributes:
         force: Force on the probe, patient axes, shape (3,) [N].
@@ -51,12 +51,11 @@ class Wrench:
         in_grid: False when no shell point lies within the grid; the wrench is zero.
         beyond_inner: Points in contact beyond the inner layer, where the field
             continues with that layer's values [–].
-        drag: Whether friction's drag is in the wrench: ``none`` for a field without,
-            ``given`` and ``estimated`` by where the twist is from, ``left out`` for
-            a field with drag and an unknown motion.
-        saturated: Whether the force was cut to the renderer's limit.
-        force_std: Standard deviation of the force as a `DoubtMap` has it; NaN for a
-            renderer without one [N].
+        drag: Whether the wrench includes drag: ``none`` for a field without friction,
+            ``given`` or ``estimated`` after the source of the twist, ``left out`` for
+            a field with friction and an unknown motion.
+        saturated: Whether the force was scaled down to the renderer's limit.
+        force_std: Standard deviation of the force by a `DoubtMap`; NaN without one [N].
     """
 
     force: Array
@@ -71,11 +70,11 @@ class Wrench:
 
 @dataclass(frozen=True)
 class FieldWrenches:
-    """What the probe feels in every frame of a trajectory.
+    """Force and torque on the probe in every frame of a trajectory.
 
     Attributes:
-        force: Drag included, patient axes, shape (T, 3) [N].
-        torque: About the shell's reference, patient axes, shape (T, 3) [N·m].
+        force: Force on the probe, drag included, patient axes, shape (T, 3) [N].
+        torque: About the shell's reference point, patient axes, shape (T, 3) [N·m].
         in_grid: False where no shell point lies within the grid, shape (T,).
         beyond_inner: Points in contact beyond the inner layer, shape (T,) [–].
     """
@@ -89,15 +88,15 @@ class FieldWrenches:
 def wrenches_along(
     potential: PotentialField, shell: PointShell, trajectory: Trajectory
 ) -> FieldWrenches:
-    """The wrench of a field in every frame of a trajectory, by its poses and twists.
+    """The wrench of a field in every frame of a trajectory.
 
     Args:
-        potential: The field, its drag among its parameters.
+        potential: The field, with drag among its parameters.
         shell: The probe.
-        trajectory: Poses over time.
+        trajectory: Poses over time; twists are their differences.
 
     Raises:
-        InputError: Unusable poses, or parameters that are no drag.
+        InputError: Unusable poses or drag parameters.
     """
     rows = contact_rows(
         potential.voxmap,
@@ -115,11 +114,11 @@ def wrenches_by_rows(
     shell: PointShell,
     trajectory: Trajectory,
 ) -> FieldWrenches:
-    """The same where the trajectory's rows are there already.
+    """Like `wrenches_along`, from contact rows that are already assembled.
 
     Args:
         rows: Contact rows of the trajectory, in the field's grid and sampling.
-        potential: The field, its drag among its parameters.
+        potential: The field, with drag among its parameters.
         shell: The probe.
         trajectory: Poses over time.
     """
@@ -145,7 +144,7 @@ def _drags(
     drag = np.empty_like(contact)
     R, at = np.empty((3, 3)), np.empty(3)
     for t in range(len(trajectory)):
-        # copied: whatever an array's layout, nothing is compiled anew
+        # copied, so that no array layout triggers a compilation
         R[:], at[:] = trajectory.rotation[t], trajectory.position[t]
         drag_of(R, at, twist[t], reference, patch[t], contact[t], law.numbers, drag[t])
     if law.numbers[ACTS_AT] == AT_POINTS:
@@ -160,7 +159,7 @@ def _add_point_drags(
     trajectory: Trajectory,
     drag: Array,
 ) -> None:
-    """Add the drag of the shell's points in every frame, as frames have it."""
+    """Add the drag of every shell point in every frame, by the renderer's code."""
     sampling, twist = potential.sampling, trajectory.twist()
     data = FrameData.of(
         potential.voxmap,

@@ -1,17 +1,16 @@
-"""The compiled haptic frame: contact of one pose, then the wrench of a field.
+"""The compiled haptic frame: contact points of a pose, then the wrench of a field.
 
-Two passes over scratch space, so that nothing is allocated and a second field costs
-its second pass only:
+There are two passes over preallocated arrays, so a second field costs only the second:
 
 - `touch` finds the shell points inside the patient. Blocks away from the surface are
-  skipped by their bounding spheres (`ttus_opt.contact.shell_blocks`); the rest goes
-  through loops without branches, which the compiler turns into vector instructions.
-- `wrench_of` samples one field at those points, in such a loop too, and sums its
-  wrench. What a point samples comes from the very functions that make the rows of the
-  fit (`ttus_opt.voxmap.depth_sampling`), so that both agree to the last voxel.
+  skipped by their bounding spheres (`ttus_opt.contact.shell_blocks`); the others go
+  through branch-free loops, which the compiler vectorises.
+- `wrench_of` samples one field at those points and sums its wrench. The functions that
+  sample are those of the fit's rows (`ttus_opt.voxmap.depth_sampling`), so that both
+  use the same voxels and weights.
 
-All is float64, no fast-math: reordered or fused operations would put points near a
-voxel face on different sides in the fit and in the frame.
+Arithmetic is float64 without fast-math: with reordered or fused operations a point near
+a voxel face could be on different sides of it in the fit and in the frame.
 """
 
 from __future__ import annotations
@@ -32,13 +31,13 @@ from ttus_opt.scan.radius_lookup import RadiusLayout, radius_between, radius_cel
 from ttus_opt.voxmap.depth_sampling import corner_sample, nearest_voxel, spoke_cell
 from ttus_opt.voxmap.grid import GridLimits, around
 
-#: Place of ℓ₀ in `FrameData.limits`
+#: Index of ℓ₀ in `FrameData.limits`
 LENGTH = 11
 
 
 @compiled(error_model="numpy", nogil=True)
 def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
-    """Find the points in contact and what each samples (compiled).
+    """Find the points in contact and where they sample (compiled).
 
     Args:
         R: Rotation, probe to patient, shape (3, 3) [–].
@@ -47,10 +46,10 @@ def touch(R: Array, at: Array, s: FrameData) -> tuple[int, bool, int]:
             and ``share`` are written.
 
     Returns:
-        Points in contact, whether the shell meets the grid, and how many of the
-        points in contact lie beyond the inner layer.
+        Number of points in contact, whether any shell point is in the grid, and how
+        many of the points in contact lie beyond the inner layer.
     """
-    # taken out of the tuple once: it counts references on every look
+    # read once: every access to the tuple counts references
     start, points, place, node = s.start, s.points, s.place, s.node
     n_blocks, room = start.size - 1, place.shape[1]
     near, limits = s.near, _extent(s.limits)
@@ -100,7 +99,7 @@ def _shifted(
 def _place(
     R: Array, at: Array, points: Array, low: int, high: int, place: Array
 ) -> None:
-    """Points low to high about the axis: r², θ, z, without a branch (compiled)."""
+    """Coordinates r², θ, z of points low to high, branch-free (compiled)."""
     a, b, c, d, e, f = R[0, 0], R[0, 1], R[0, 2], R[1, 0], R[1, 1], R[1, 2]
     g, h, i = R[2, 0], R[2, 1], R[2, 2]
     tx, ty, tz = at[0], at[1], at[2]
@@ -123,7 +122,7 @@ def _find_near(
     tiles: Tiles,
     near: NDArray[np.bool_],
 ) -> None:
-    """Which spheres may hold a point in contact (compiled)."""
+    """Which bounding spheres may contain a point in contact (compiled)."""
     n_theta, n_z = ceiling.shape
     for b in range(reach.size):
         r, z = math.sqrt(place[0, b]), place[2, b]
@@ -143,7 +142,7 @@ def _find_near(
 def _find_nodes(
     size: int, nodes: IntArray, layout: RadiusLayout, place: Array, node: IntArray
 ) -> None:
-    """The surface's cell under every point, without a branch (compiled)."""
+    """The surface cell below every point, branch-free (compiled)."""
     n_theta, n_z = nodes[0], nodes[1]
     thetas, heights, a, b = place[1], place[2], place[3], place[4]
     here, after = node[0], node[1]
@@ -157,17 +156,17 @@ def _find_nodes(
 def _find_depths(
     size: int, place: Array, node: IntArray, radius: Array, limits: GridLimits
 ) -> int:
-    """Radius and depth of every placed point, without a branch (compiled).
+    """Radius and depth of every placed point, branch-free (compiled).
 
     Args:
-        size: Points placed.
-        place: Written: r and depth; −1 for a depth outside the grid.
-        node: Their cells of the surface's nodes.
-        radius: Of those nodes, flat [m].
-        limits: Of the grid.
+        size: Number of points.
+        place: Written: r and depth; the depth is −1 outside the grid.
+        node: Their surface cells, as indices of nodes.
+        radius: Radius of those nodes, flat [m].
+        limits: Limits of the grid.
 
     Returns:
-        How many lie within the grid.
+        Number of points within the grid.
     """
     squares, heights, a, b = place[0], place[2], place[3], place[4]
     here, after, radii, depths = node[0], node[1], place[5], place[6]
@@ -183,10 +182,10 @@ def _find_depths(
 
 @compiled(error_model="numpy", nogil=True)
 def _leave_out(size: int, place: Array, limits: GridLimits) -> int:
-    """Set the depth of points beside the grid's sector to −1 (compiled).
+    """Set the depth of points outside the grid's sector to −1 (compiled).
 
     Returns:
-        How many of those within the grid's other limits there are.
+        How many of them are within the grid's other limits.
     """
     squares, thetas, heights, depths = place[0], place[1], place[2], place[6]
     met = 0
@@ -199,21 +198,21 @@ def _leave_out(size: int, place: Array, limits: GridLimits) -> int:
 
 @compiled(error_model="numpy", nogil=True)
 def _keep(low: int, size: int, contact: int, s: FrameData) -> tuple[int, int]:
-    """Append the points inside the patient, without a branch (compiled).
+    """Append the points inside the patient, branch-free (compiled).
 
     Args:
-        low: First of the points that were placed.
-        size: How many.
-        contact: Points in contact so far.
+        low: Index of the first placed point.
+        size: Number of placed points.
+        contact: Number of points in contact so far.
         s: With the placed points and their depths.
 
     Returns:
-        Points in contact so far, and how many of the new ones lie beyond the inner
-        layer.
+        Number of points in contact so far, and how many of the new ones lie beyond the
+        inner layer.
     """
     place, touched, depth, spot = s.place, s.touched, s.depth, s.spot
     inner, beyond = s.limits[0], 0
-    for m in range(size):  # one outside is written and its place taken by the next
+    for m in range(size):  # a point outside is written too, then overwritten
         r, d = place[5, m], place[6, m]
         touched[contact], depth[contact] = low + m, d
         spot[0, contact], spot[1, contact], spot[2, contact] = (
@@ -229,14 +228,14 @@ def _keep(low: int, size: int, contact: int, s: FrameData) -> tuple[int, int]:
 
 @compiled(error_model="numpy", nogil=True)
 def _size_factor(contact: int, s: FrameData) -> float:
-    """10 mm/ℓ of the points in contact, as `contact.contact_size` has it (compiled)."""
+    """10 mm/ℓ of the points in contact, as in `contact.contact_size` (compiled)."""
     touched, depth, points, lever = s.touched, s.depth, s.points, s.lever
     total, x, y, z, square = 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range(contact):
         m = touched[c]
         a, b, d = points[0, m], points[1, m], points[2, m]
         n = lever[m, 0] ** 2 + lever[m, 1] ** 2 + lever[m, 2] ** 2
-        w = depth[c] * math.sqrt(n)  # the lever's normal is as long as the area
+        w = depth[c] * math.sqrt(n)  # the lever's normal has the area as its length
         total += w
         x += w * a
         y += w * b
@@ -250,7 +249,7 @@ def _size_factor(contact: int, s: FrameData) -> float:
 
 @compiled(error_model="numpy", nogil=True)
 def _find_voxels(contact: int, s: FrameData) -> None:
-    """Voxel of every contact and its part in the voxel's mean (compiled)."""
+    """Voxel of every contact and its weight in the voxel's mean (compiled)."""
     depth, spot, share, voxel, spokes = s.depth, s.spot, s.share, s.voxel, s.spokes
     limits = _extent(s.limits)
     shape, hits = s.shape, s.hits
@@ -262,13 +261,13 @@ def _find_voxels(contact: int, s: FrameData) -> None:
         hits[v] += 1 if samples else 0
     for c in range(contact):
         share[c] /= max(hits[voxel[c]], 1)
-    for c in range(contact):  # leaves no trace in the next frame
+    for c in range(contact):  # reset for the next frame
         hits[voxel[c]] = 0
 
 
 @compiled(error_model="numpy", nogil=True)
 def _meets_grid(R: Array, at: Array, s: FrameData) -> bool:
-    """Whether any shell point lies within the grid, skipped blocks too (compiled)."""
+    """Whether any shell point, also in skipped blocks, is in the grid (compiled)."""
     start, spheres, points, limits = s.start, s.spheres, s.points, _extent(s.limits)
     for b in range(start.size - 1):
         x, y, z = rotated(R, spheres[0, b], spheres[1, b], spheres[2, b])
@@ -296,16 +295,16 @@ def _sample(
     values: Array,
     sampled: Array,
 ) -> None:
-    """What places sample of a field on the spokes around them (compiled).
+    """Sample a field on the four spokes around each point (compiled).
 
     Args:
-        spot: r, θ, z, shape (3, M) [m, rad, m].
-        depths: Below the surface, shape (M,) [m].
-        limits: Of the grid.
-        counts: Its voxels in θ and z [–].
+        spot: r, θ, z of the points, shape (3, M) [m, rad, m].
+        depths: Depths below the surface, shape (M,) [m].
+        limits: Limits of the grid.
+        counts: Number of voxels in θ and z [–].
         spokes: `depth_sampling.spoke_table`.
         values: The field, flat, shape (V,) [N/cm²].
-        sampled: Out: of the first n places, shape (n,) [N/cm²].
+        sampled: Out: samples at the first n points, shape (n,) [N/cm²].
     """
     thetas, heights, layer = spot[1], spot[2], counts[0] * counts[1]
     for c in range(sampled.size):
@@ -327,8 +326,8 @@ def wrench_of(
     Args:
         values: The field, flat, shape (V,) [N or N/cm²].
         contact: What `touch` returned.
-        R: The same rotation as `touch` had.
-        s: The same data.
+        R: The rotation given to `touch`.
+        s: The data given to `touch`.
         wrench: Out: force and torque, patient axes, shape (6,) [N, N·m].
     """
     touched, lever, sampled = s.touched, s.lever, s.sampled

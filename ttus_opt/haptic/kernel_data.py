@@ -1,7 +1,7 @@
-"""What a haptic frame reads, a probe over a surface, and the scratch it writes.
+"""Arrays of a haptic frame: probe and surface, which it reads, and scratch.
 
-Everything that does not change between frames is sorted, laid out and bounded here
-once, for the loops of `ttus_opt.haptic.frame`.
+Everything that does not change between frames is prepared here once for the loops of
+`ttus_opt.haptic.frame`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.voxmap.depth_sampling import spoke_table
 from ttus_opt.voxmap.voxmap import Voxmap
 
-#: Most blocks placed at once: their scratch stays in the first cache
+#: Most blocks processed at once, so that their scratch stays in the L1 cache
 RUN = 8
 
 
@@ -34,34 +34,34 @@ class FrameData(NamedTuple):
     """Input and scratch of the compiled passes, for one thread.
 
     Attributes:
-        trilinear: Sampling.
-        points: Block order, probe frame, x, y, z apart, shape (3, M) [m].
-        lever: Normal and r×n̂ about the reference, probe axes, times the point's
+        trilinear: Whether sampling is trilinear (or by size), not voxel-mean.
+        points: Shell points in block order, probe frame, rows x, y, z, (3, M) [m].
+        lever: Normal and r×n̂ about the reference point, probe axes, times the point's
             weight when trilinear, shape (M, 6) [–, m].
-        reference: Torques are about this point, probe frame, shape (3,) [m].
+        reference: Reference point of torques, probe frame, shape (3,) [m].
         start: First point of each block, shape (B + 1,).
-        spheres: Bounding spheres, x, y, z, radius apart, shape (4, B) [m].
-        limits: `CylindricalGrid.kernel_limits`, an array as tuples of numbers are slow
-            to pass, then ℓ₀ of `contact_size`, 0 where size does not count, (12,).
+        spheres: Bounding spheres, rows x, y, z, radius, shape (4, B) [m].
+        limits: `CylindricalGrid.kernel_limits` as an array, because tuples of numbers
+            are slow to pass; then ℓ₀ of `contact_size`, 0 if size is ignored, (12,).
         shape: Voxel counts, shape (3,).
-        radius: Of the surface's nodes, flat [m].
-        nodes: Their counts over θ and z, shape (2,).
+        radius: Radius at the surface's nodes, flat [m].
+        nodes: Number of nodes over θ and z, shape (2,).
         layout: `Surface.kernel_layout`, shape (4,).
         spokes: `depth_sampling.spoke_table`.
         ceiling: `SurfaceCeiling.ceiling`.
         tiles: `SurfaceCeiling.tiles`, shape (4,).
-        place: Scratch, points about the axis: r², θ, z, the place within the
-            surface's cell, r and depth, shape (7, RUN·BLOCK) or (7, B) if that is more.
-        near: Scratch, blocks that may touch, shape (B,).
-        node: Scratch, the surface's cell, shape as ``place`` (2, …).
-        touched: Out: the points in contact, shape (M,).
+        place: Scratch: r², θ, z, the two coordinates within the surface cell, r and
+            depth of points, shape (7, RUN·BLOCK), or (7, B) if that is larger.
+        near: Scratch: blocks that may touch, shape (B,).
+        node: Scratch: the surface cells of points, shape (2, …) as ``place``.
+        touched: Out: indices of the points in contact, shape (M,).
         depth: Out: their depths below the surface, shape (M,) [m].
-        spot: Out: where they are, r, θ, z, shape (3, M) [m, rad, m].
-        voxel: Out, unless trilinear: the voxel of each, shape (M,).
-        share: Out, unless trilinear: its part in the voxel's mean, shape (M,). By
-            size: the first one is 10 mm/ℓ.
-        sampled: Scratch, what each samples of a field, shape (M,).
-        hits: Scratch, points per voxel, zero between frames, (V,) or (1,).
+        spot: Out: their coordinates r, θ, z, shape (3, M) [m, rad, m].
+        voxel: Out, voxel-mean only: the voxel of each, shape (M,).
+        share: Out, voxel-mean only: its weight in the voxel's mean, shape (M,). By
+            size: the first entry is 10 mm/ℓ.
+        sampled: Scratch: samples of a field, shape (M,).
+        hits: Scratch: points per voxel, zero between frames, shape (V,) or (1,).
     """
 
     trilinear: bool
@@ -98,7 +98,7 @@ class FrameData(NamedTuple):
         trilinear: bool,
         by_size: bool = False,
     ) -> FrameData:
-        """Prepare a probe over a voxmap; ``by_size`` is trilinear, times 10 mm/ℓ."""
+        """Prepare a probe and a voxmap; ``by_size`` is trilinear times 10 mm/ℓ."""
         blocks = ShellBlocks.of(shell)
         above = SurfaceCeiling.of(voxmap.surface, float(blocks.reach.max()))
         points, normals, weights, reference = shell_arrays(shell)
@@ -134,6 +134,6 @@ class FrameData(NamedTuple):
         )
 
     def with_own_scratch(self) -> FrameData:
-        """The same probe and surface for another thread."""
+        """The same probe and surface with scratch for another thread."""
         own = {name: np.zeros_like(getattr(self, name)) for name in SCRATCH}
         return self._replace(**own)

@@ -1,19 +1,20 @@
-"""The probe's twist from successive poses and their times, quiet at rest.
+"""Estimate of the probe's twist from successive poses and their times.
 
-Differences of poses 1 ms apart that jitter by ±0.05 mm are ±100 mm/s of noise, and a
-drag along them would chatter. Two steps make a twist of them:
+Differences of poses 1 ms apart that jitter by ±0.05 mm have ±100 mm/s of noise, and
+drag along them would chatter. The twist is therefore estimated in two steps:
 
-- Play: a follower pose stays where it is while the probe is within a radius ρ of it,
-  and within the angle ρ/ℓ (ℓ the shell's rms radius); beyond, it is drawn along by the
-  excess only. A probe that jitters within ρ leaves the follower exactly still, so that
-  rest has no direction to flip; a follower that is drawn takes its direction from the
-  last ρ of travel, not from one difference.
-- A first-order low pass of time constant T over the follower's velocity.
+- Play operator (backlash): a follower pose stays while the probe is within a radius ρ
+  of it, and within the angle ρ/ℓ (ℓ the shell's rms radius); beyond, it is dragged
+  along by the excess only. Jitter within ρ leaves the follower exactly at rest, and the
+  direction of a moving follower follows from the last ρ of travel, not from a single
+  difference.
+- First-order low pass of time constant T on the follower's velocity.
 
-The price is delay: T in time, and a travel of ρ before a start is seen, 2ρ before a
-reversal. Over that stretch drag still has its old direction and may push: friction
-takes energy for the twist it is given (`ttus_opt.haptic.drag`), not for one that lags.
-A caller who knows the twist should give it. A constant velocity is found exactly.
+The price is delay: T in time, a travel of ρ before a start is noticed, and of 2ρ before
+a reversal. Over that stretch drag still has its old direction and may do work on the
+probe: friction is dissipative for the twist it is given (`ttus_opt.haptic.drag`), not
+for one that lags. A caller who knows the twist should pass it. A constant velocity is
+estimated exactly.
 """
 
 from __future__ import annotations
@@ -28,23 +29,22 @@ from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import rotated
 from ttus_opt.errors import InputError
 
-#: Places in a motion's state: 1 when a pose is known, its time, the follower's place
-#: and rotation, the filtered velocity of the reference point and angular velocity
+#: Indices in a motion's state: 1 when a pose is known; its time; the follower's
+#: position and rotation; filtered velocity of the reference point and angular velocity
 KNOWN, TIME, PLACE, ROTATION, VELOCITY, MOTION = 0, 1, 2, 5, 14, 20
 
-#: Places in `MotionFilter.kernel_numbers`
+#: Indices in `MotionFilter.kernel_numbers`
 PLAY, ANGLE, SECONDS, GAP = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
 class MotionFilter:
-    """How a twist is estimated from poses.
+    """Parameters of the estimate of a twist from poses.
 
     Attributes:
-        play: ρ: jitter within this radius is rest [m].
-        seconds: T: time constant of the low pass [s].
-        gap: After a longer pause between poses the motion is unknown, and starts
-            anew from rest [s].
+        play: ρ, jitter within this radius counts as rest [m].
+        seconds: T, time constant of the low pass [s].
+        gap: After a longer pause between poses the estimate restarts from rest [s].
     """
 
     play: float = 1e-4
@@ -71,17 +71,17 @@ def estimate_twist(
     """Update a motion with a pose and estimate the twist (compiled).
 
     Args:
-        motion: State, shape (MOTION,); written. Zeros to start with.
+        motion: State, shape (MOTION,), initially zeros; written.
         R: Rotation, probe to patient, shape (3, 3) [–].
         at: Position of the probe frame's origin, shape (3,) [m].
-        time: When [s]. The same time again leaves the motion as it is.
-        reference: Of the shell, probe frame, shape (3,) [m].
+        time: Time of the pose [s]. The same time again leaves the motion unchanged.
+        reference: Reference point of the shell, probe frame, shape (3,) [m].
         numbers: `MotionFilter.kernel_numbers`.
         twist: Out: velocity of the origin and angular velocity, patient axes, shape
             (6,) [m/s, rad/s]; zero for the first pose.
 
     Returns:
-        False, and nothing written, when time goes back or is not finite.
+        False, with nothing written, if time decreases or is not finite.
     """
     x, y, z = rotated(R, reference[0], reference[1], reference[2])
     step = time - motion[TIME]
@@ -119,12 +119,12 @@ def estimate_twist(
 def turn_between(
     R: Array, state: Array, first: int
 ) -> tuple[float, float, float, float, float]:
-    """The rotation T = R Fᵀ from a kept rotation F to R (compiled).
+    """The rotation T = R Fᵀ from a stored rotation F to R (compiled).
 
     Args:
         R: Rotation, shape (3, 3) [–].
-        state: F row by row, somewhere in it.
-        first: Where F begins.
+        state: An array that contains F row by row.
+        first: Index of the first entry of F.
 
     Returns:
         sin φ times the axis of T, from its antisymmetric part; sin φ ≥ 0; φ [rad].
@@ -144,7 +144,7 @@ def turn_between(
 def _drawn(
     motion: Array, x: float, y: float, z: float, play: float
 ) -> tuple[float, float, float]:
-    """Draw the follower to within the play of a point; its displacement (compiled)."""
+    """Move the follower to within the play of a point; its displacement (compiled)."""
     dx, dy, dz = x - motion[PLACE], y - motion[PLACE + 1], z - motion[PLACE + 2]
     away = math.sqrt(dx * dx + dy * dy + dz * dz)
     if away <= play:
@@ -159,7 +159,7 @@ def _drawn(
 
 @compiled(inline="always")
 def _turned(motion: Array, R: Array, play: float) -> tuple[float, float, float]:
-    """Turn the follower to within the play of R; its rotation vector (compiled)."""
+    """Rotate the follower to within the play of R; its rotation vector (compiled)."""
     ax, ay, az, sine, angle = turn_between(R, motion, ROTATION)
     if angle <= play or sine == 0.0:
         return 0.0, 0.0, 0.0

@@ -1,11 +1,11 @@
-"""The haptic renderer: one library call per frame, force and torque of a pose.
+"""The haptic renderer: force and torque of a pose, one library call per frame.
 
-The same points, voxels and weights as the rows of the fit (`ttus_opt.contact.rows`),
-compiled (`ttus_opt.haptic.wrench`): the wrench of a field as
-`ttus_opt.haptic.field_wrench` defines it, drag included, to rounding. A new field comes
-in while another thread renders (`Renderer.update`), blended so that it neither jumps
-nor adds energy (`ttus_opt.haptic.blend`). Nothing here loads a modelling package, a
-solver or a camera.
+It uses the same points, voxels and weights as the rows of the fit
+(`ttus_opt.contact.rows`), compiled (`ttus_opt.haptic.wrench`), and computes the wrench
+of a field that `ttus_opt.haptic.field_wrench` defines, drag included, up to rounding.
+`Renderer.update` replaces the field while another thread renders; the blend has no jump
+and adds no energy (`ttus_opt.haptic.blend`). Neither cvxpy nor a solver nor OpenCV is
+imported here.
 """
 
 from __future__ import annotations
@@ -60,35 +60,34 @@ if TYPE_CHECKING:
 
 
 class Renderer:
-    """Renders contact of one probe with one field, and with the fields after it.
+    """Renders the contact of one probe with a field that may be updated.
 
-    One thread renders, a second one at the same time is refused; any other may call
+    One thread renders; a second one at the same time is refused. Any thread may call
     `update` and `warm_up`. A frame never waits for a lock: while an update prepares a
-    swap, frames go on with the present fields. `render_into` allocates nothing;
+    swap, frames continue with the present fields. `render_into` allocates nothing;
     `render` allocates the `Wrench` that it returns. Compiled code runs without the
-    interpreter's lock, here and in the fit; a thread busy in plain Python holds that
-    lock for up to `sys.getswitchinterval`, so give such work a process of its own, or
-    run the loop in C (`c_function`).
+    GIL, here and in the fit, but a thread busy in plain Python holds the GIL for up to
+    `sys.getswitchinterval`: run such work in another process, or the haptic loop in C
+    (`c_function`).
 
-    A field that was fitted with friction drags on a moving probe. How it moves is
-    given as a twist, or estimated from poses with their times (`MotionFilter`); with
-    neither, a frame has the contact's wrench without drag, `Wrench.drag` says so, and
-    the first such frame warns.
+    A field fitted with friction exerts drag on a moving probe. The motion is given as a
+    twist or estimated from poses and their times (`MotionFilter`). With neither, frames
+    are rendered without drag, `Wrench.drag` says so, and the first such frame warns.
 
     Args:
         field: The fitted field.
         shell: The probe's point shell.
-        blend: How updates come in; `BlendLaw`'s defaults when not given.
-        motion: How a twist is estimated; `MotionFilter`'s defaults when not given.
-        force_limit: Most force [N]: a larger one is cut to it, direction kept, the
+        blend: How updates are blended in; by default `BlendLaw()`.
+        motion: How a twist is estimated; by default `MotionFilter()`.
+        force_limit: Largest force [N]: a larger one is scaled down to it, and the
             torque by the same factor. No limit by default.
-        doubt: How sure presses are over the skin, of the first field: `render` then
-            gives `Wrench.force_std`, looked up and not computed. True takes the map
-            that the field has.
+        doubt: Relative standard deviation of the force over the skin, for the first
+            field; `render` then looks up `Wrench.force_std`. True takes the map stored
+            with the field.
 
     Raises:
-        InputError: A limit that is not positive, unusable drag parameters, or a field
-            without the map that is asked for.
+        InputError: A limit that is not positive, unusable drag parameters, or
+            ``doubt=True`` for a field without a map.
     """
 
     def __init__(
@@ -121,15 +120,15 @@ class Renderer:
         self._limits = FrameLimits(np.array(numbers), np.ascontiguousarray(weights))
         only = RenderedField.of(field)
         self._fields = RenderedFields.of(only, only, settled_ledger(blend.reserve))
-        # a pose is copied here: whatever its layout, it compiles nothing new
+        # poses are copied here, so that no array layout triggers a compilation
         self._buffers = FrameBuffers.empty()
         self._table = frame_table(self._data, self._buffers, self._limits)
-        self._turn = threading.Lock()  # of the buffers; a frame only tries it
-        self._ledger_lock = threading.Lock()  # to change the ledger; frames only try it
+        self._turn = threading.Lock()  # guards the buffers; frames never wait for it
+        self._ledger_lock = threading.Lock()  # guards the ledger; nor for this one
         self._waiting = False  # an update wants the ledger
         self._updates = threading.Lock()  # one update at a time
         self._warned = False  # that drag is left out
-        self._c: Context | None = None  # of a loop in C
+        self._c: Context | None = None  # memory of a loop in C
         self.warm_up()
 
     def __repr__(self) -> str:
@@ -137,9 +136,9 @@ class Renderer:
         return f"<Renderer of {grid.sizes}, {sampling}, drag: {self._fields.drag}>"
 
     def warm_up(self) -> None:
-        """Compile, so that no frame or update has to; called on construction.
+        """Compile everything that frames and updates use; called on construction.
 
-        It works on scratch of its own, so that another thread may render meanwhile.
+        It works on its own scratch arrays, so another thread may render meanwhile.
         """
         data, amid = self._data.with_own_scratch(), settled_ledger(0.0)
         amid[PROGRESS] = 0.5
@@ -166,22 +165,22 @@ class Renderer:
             rotation: Probe to patient: a matrix (3, 3), a SciPy `Rotation`, or a
                 quaternion (4,) with its ``order``; or the whole pose as a matrix
                 (4, 4). Rounding of up to 1e-5 is corrected (`ttus_opt.probe.pose`).
-            position: Of the probe frame's origin, patient frame, shape (3,) [m]; not
-                with a whole pose.
+            position: Origin of the probe frame, patient frame, shape (3,) [m]; omitted
+                with a matrix (4, 4).
             twist: Velocity of that origin and angular velocity, patient axes, shape
                 (6,) [m/s, rad/s].
-            time: Of the pose [s], where the twist is not known: it is estimated from
-                this and the poses before, `ttus_opt.haptic.motion`.
-            order: Of a quaternion: ``wxyz``, or ``xyzw`` as in ROS.
+            time: Time of the pose [s], if the twist is not known: it is then estimated
+                from this and the previous poses, `ttus_opt.haptic.motion`.
+            order: Order of a quaternion: ``wxyz``, or ``xyzw`` as in ROS.
 
         Returns:
-            The wrench, the caller's own; zero, and ``in_grid`` False, for a pose
-            outside the grid.
+            The wrench, in new arrays; zero, with ``in_grid`` False, for a pose outside
+            the grid.
 
         Raises:
-            InputError: Another form of pose, NaN, a matrix that is not a rotation,
+            InputError: An unknown form of pose, NaN, a matrix that is not a rotation,
                 both twist and time, a time before the last one, or another thread
-                that is rendering.
+                rendering at the same time.
         """
         self._take_turn()
         try:
@@ -195,7 +194,7 @@ class Renderer:
         return Wrench(force, torque, points, in_grid, beyond, drag, saturated, std)
 
     def _std(self, doubt: DoubtMap, wrench: Array) -> float:
-        """Standard deviation of the frame's force, under the probe's origin [N]."""
+        """Standard deviation of the force, by the map at the probe's origin [N]."""
         size = math.hypot(*wrench[:3].tolist())
         return doubt.at(*self._buffers.at.tolist()) * size if size else 0.0
 
@@ -209,13 +208,13 @@ class Renderer:
         time: float | None = None,
         order: QuaternionOrder | None = None,
     ) -> int:
-        """The same frame into the caller's array.
+        """Like `render`, but writes into the caller's array.
 
         Nothing is allocated when the rotation is an array (3, 3).
 
         Args:
             rotation: As for `render`.
-            position: As for `render`, shape (3,) [m]; None with a whole pose.
+            position: As for `render`, shape (3,) [m]; None with a matrix (4, 4).
             out: Force, then torque, shape (6,) [N, N·m]; written.
             twist: As for `render`, shape (6,) [m/s, rad/s].
             time: As for `render` [s].
@@ -225,7 +224,7 @@ class Renderer:
             Points in contact, or -1 when no shell point lies within the grid.
 
         Raises:
-            InputError: As `render`.
+            InputError: As for `render`.
         """
         if out.shape != (6,):
             raise InputError(f"out must have shape (6,), got {out.shape}")
@@ -240,7 +239,7 @@ class Renderer:
         return contact_points if in_grid else -1
 
     def _take_turn(self) -> None:
-        """Take the buffers, or `InputError`: another thread has them."""
+        """Lock the buffers; `InputError` if another thread has them."""
         if not self._turn.acquire(blocking=False):
             raise InputError(
                 "two threads use one Renderer at once: give each thread its own "
@@ -255,13 +254,13 @@ class Renderer:
         time: float | None,
         order: QuaternionOrder | None,
     ) -> tuple[tuple[int, bool, int, bool], DragSource]:
-        """Render one pose and motion onto the buffers; what `render_frame` returns."""
+        """Render into the buffers; what `render_frame` returns, and the drag."""
         buffers, source = self._buffers, self._set_motion(twist, time)
         if (
             order is None
             and getattr(rotation, "shape", None) == (3, 3)
             and getattr(position, "shape", None) == (3,)
-        ):  # nothing to convert: the way of a haptic loop
+        ):  # nothing to convert: the fast path of a haptic loop
             buffers.R[:], buffers.at[:] = rotation, position  # type: ignore[assignment]
         else:
             buffers.R[:], buffers.at[:] = pose_of(rotation, position, order)
@@ -287,7 +286,7 @@ class Renderer:
         return counts, source
 
     def _set_motion(self, twist: Array | None, time: float | None) -> DragSource:
-        """Take over a given twist; returns where the frame has its motion from."""
+        """Store a given twist; returns the source of the frame's motion."""
         if twist is None:
             self._buffers.rows[TWIST] = 0.0
             return "left out" if time is None else "estimated"
@@ -304,7 +303,7 @@ class Renderer:
         return "given"
 
     def _refuse(self, code: int, time: float | None) -> None:
-        """Raise for the code of a refused frame."""
+        """Raise the error of a refused frame."""
         if code == BAD_TWIST:
             raise InputError("the twist contains NaN or infinite values")
         if code == BAD_TIME:
@@ -327,20 +326,18 @@ class Renderer:
         )
 
     def update(self, field: PotentialField) -> None:
-        """Swap in a new field, also while another thread renders.
+        """Replace the field, possibly while another thread renders.
 
-        The swap is atomic and its effect gradual: force changes by no more than the
-        law's rate, and the change adds no energy (`ttus_opt.haptic.blend`). A swap
-        still under way goes over into this one from where it stands. Before the first
-        frame nothing has been felt, so that the field is simply taken. Its drag may be
-        another.
+        The swap is atomic and its effect gradual: the force changes at most at the
+        rate of the `BlendLaw`, and the change adds no energy (`ttus_opt.haptic.blend`).
+        A swap that is still under way is continued from its present state. Before the
+        first frame the new field is used at once. Its drag may differ.
 
         Args:
-            field: On the same grid and surface and with the same sampling.
+            field: Has the same grid, surface and sampling.
 
         Raises:
-            InputError: It is for another grid, surface or sampling, or has unusable
-                drag parameters.
+            InputError: Another grid, surface or sampling, or unusable drag parameters.
         """
         require_alike(self._field, field)
         new, data = RenderedField.of(field), self._data.with_own_scratch()
@@ -358,15 +355,15 @@ class Renderer:
                 self._waiting = False
 
     def c_function(self) -> CFunction:
-        """The frame for a loop in C or C++ (`ttus_opt.haptic.c_interface`).
+        """The haptic frame as a C function (`ttus_opt.haptic.c_interface`).
 
-        It renders as `render_into` does, without the interpreter, and follows later
-        calls of `update`. One loop at a time: a frame in C and one in Python share
-        where a swap of fields stands.
+        It computes what `render_into` computes, without the interpreter, and follows
+        later calls of `update`. Run only one loop at a time: frames in C and in Python
+        share the state of a swap.
 
         Returns:
-            Addresses of the function and of its context, which live as long as the
-            renderer.
+            Addresses of the function and of its context, valid as long as the renderer
+            lives.
         """
         from ttus_opt.haptic.c_interface import CFunction, Context, frame_address
 
@@ -377,12 +374,12 @@ class Renderer:
 
     @property
     def blend(self) -> BlendState:
-        """Where the last update's swap stands."""
+        """State of the last update's swap."""
         return BlendState.of(self._fields.pair.ledger)
 
 
 def _map_of(doubt: DoubtMap | bool | None, field: PotentialField) -> DoubtMap | None:
-    """The map that is meant, or `InputError` where there is none of this body."""
+    """The doubt map to use, or `InputError` if it is missing or of another body."""
     if doubt is None or doubt is False:
         return None
     if isinstance(doubt, DoubtMap):

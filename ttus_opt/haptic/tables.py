@@ -1,11 +1,11 @@
-"""A frame's arrays as one table of addresses and shapes.
+"""The arrays of a frame as one table of addresses and shapes.
 
-A compiled function is handed some forty arrays a frame; to unpack each takes the
-interpreter a third of a microsecond, a quarter of the frame. A table is one array, and
-what it lists is put together in compiled code. The frame called from Python and the
-one called from C (`ttus_opt.haptic.c_interface`) read the same tables.
+A frame needs some forty arrays. Unpacking each as an argument takes the interpreter a
+third of a microsecond, together a quarter of the frame. A table is a single array, from
+which compiled code rebuilds them. Frames called from Python and from C
+(`ttus_opt.haptic.c_interface`) read the same tables.
 
-A table holds addresses: whoever makes one keeps the arrays alive and in their place.
+A table holds addresses: its owner must keep the arrays alive and must not replace them.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from ttus_opt.compiled import compiled
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.wrench import FieldPair, FrameBuffers, FrameLimits, render_frame
 
-#: Words of an array in a table, its address and its shape; arrays of a frame (the
-#: data's without its flag, the buffers', the limits'), and of a pair of fields
+#: Words per array in a table (address and shape); number of arrays of a frame (data
+#: without its flag, buffers, limits) and of a pair of fields
 WORDS = 3
 N_DATA = len(FrameData._fields) - 1
 N_ARRAYS = N_DATA + len(FrameBuffers._fields) + len(FrameLimits._fields)
@@ -33,12 +33,12 @@ N_FIELDS = len(FieldPair._fields)
 def frame_table(
     data: FrameData, buffers: FrameBuffers, limits: FrameLimits
 ) -> IntArray:
-    """The table of a frame's arrays but for its fields, shape (WORDS·N_ARRAYS,)."""
+    """The table of a frame's arrays except its fields, shape (WORDS·N_ARRAYS,)."""
     return table_of((*data[1:], *buffers, *limits))
 
 
 def table_of(arrays: tuple[np.ndarray[Any, Any], ...]) -> IntArray:
-    """Address and shape of arrays, one after the other, shape (WORDS·n,)."""
+    """Addresses and shapes of n arrays, shape (WORDS·n,)."""
     rows = [(a.ctypes.data, *a.shape, *(0,) * (2 - a.ndim)) for a in arrays]
     return np.array(rows, dtype=np.int64).reshape(-1)
 
@@ -55,13 +55,13 @@ def pointer(typing_context: Any, address: Any) -> Any:
 
 @compiled(inline="always")
 def vector(table: IntArray, k: int, kind: Any) -> Any:
-    """Array k of a table, of one dimension (compiled)."""
+    """Array k of a table, one-dimensional (compiled)."""
     return carray(pointer(table[WORDS * k]), (table[WORDS * k + 1],), kind)
 
 
 @compiled(inline="always")
 def matrix(table: IntArray, k: int, kind: Any) -> Any:
-    """Array k of a table, of two dimensions (compiled)."""
+    """Array k of a table, two-dimensional (compiled)."""
     shape = (table[WORDS * k + 1], table[WORDS * k + 2])
     return carray(pointer(table[WORDS * k]), shape, kind)
 
@@ -114,12 +114,12 @@ def buffers_at(table: IntArray) -> FrameBuffers:
 def render_tables(
     table: IntArray, fields: IntArray, trilinear: bool, time: float, may_write: bool
 ) -> tuple[int, bool, int, bool]:
-    """`render_frame` of what tables describe (compiled).
+    """Call `render_frame` with the arrays of two tables (compiled).
 
     Args:
         table: Of `frame_table`.
         fields: `table_of` a `FieldPair`.
-        trilinear: Sampling.
+        trilinear: As in `FrameData`.
         time: As for `render_frame`.
         may_write: As for `render_frame`.
 

@@ -1,8 +1,8 @@
 /* One haptic frame of ttus_opt, for a loop in C or C++.
  *
- * Python hands over both addresses: Renderer.c_function().function and .context. The
- * function takes no lock, allocates nothing and does not touch the interpreter. One
- * thread calls it at a time; Renderer.update may run in another one meanwhile.
+ * Python provides both addresses: Renderer.c_function().function and .context. The
+ * function takes no lock, allocates nothing and does not use the interpreter. Only one
+ * thread may call it at a time; Renderer.update may run in another thread meanwhile.
  */
 #ifndef TTUS_FRAME_H
 #define TTUS_FRAME_H
@@ -13,22 +13,22 @@
 extern "C" {
 #endif
 
-/* Returned in place of a count; after the last three the wrench is left as it was. */
+/* Returned instead of a count; after the last three the wrench is unchanged. */
 enum {
   TTUS_OFF_GRID = -1,  /* no point of the probe lies within the grid: the wrench is 0 */
-  TTUS_BAD_POSE = -2,  /* not finite, or no rotation matrix within 1e-5 */
+  TTUS_BAD_POSE = -2,  /* not finite, or not a rotation matrix to 1e-5 */
   TTUS_BAD_TWIST = -3, /* not finite */
   TTUS_BAD_TIME = -4   /* infinite, or before the last one */
 };
 
 /* Renders one pose.
  *
- * context   as Python gave it
- * rotation  probe to patient, 3 x 3, row by row [-]
- * position  of the probe frame's origin, patient frame [m]
+ * context   the address from Python
+ * rotation  probe to patient, 3 x 3, row-major [-]
+ * position  origin of the probe frame, patient frame [m]
  * twist     velocity of that origin and angular velocity, patient axes [m/s, rad/s];
- *           zeros at rest; only read when time is NAN
- * time      of the pose [s], from which the twist is estimated; NAN to give it
+ *           zeros at rest; only read if time is NAN
+ * time      time of the pose [s], from which the twist is estimated; NAN to pass it
  * wrench    out: force on the probe [N], torque about the point shell's reference
  *           point [N m], patient axes
  *

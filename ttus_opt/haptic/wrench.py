@@ -1,7 +1,7 @@
-"""One compiled haptic frame: motion, touch, fields, drag, blend, limit.
+"""One compiled haptic frame: motion, contact, fields, drag, blend, force limit.
 
-The passes of `ttus_opt.haptic.frame`, `drag`, `motion` and `blend` in their order, over
-scratch that the renderer owns, so that a frame allocates nothing and is one call.
+It runs the passes of `ttus_opt.haptic.frame`, `drag`, `motion` and `blend` over scratch
+arrays of the renderer: a frame is one call and allocates nothing.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from ttus_opt.haptic.motion import MOTION, estimate_twist
 from ttus_opt.haptic.point_drag import add_point_drag
 from ttus_opt.probe.pose import EXACT, ROUNDING, STEPS
 
-#: What a frame returns in place of a count when its input is unusable
+#: Returned by a frame instead of a count if its input is unusable
 BAD_POSE, BAD_TWIST, BAD_TIME = -1, -2, -3
 
 
@@ -40,10 +40,10 @@ class FieldPair(NamedTuple):
     """Two fields and the ledger of the swap between them, replaced together.
 
     Attributes:
-        current: Field in force, flat, shape (V,).
-        target: Field to come, or the same, flat, shape (V,).
-        current_drag: `DragLaw.numbers` of the field in force.
-        target_drag: Those of the field to come.
+        current: Present field, flat, shape (V,).
+        target: New field, or the same one, flat, shape (V,).
+        current_drag: `DragLaw.numbers` of the present field.
+        target_drag: `DragLaw.numbers` of the new field.
         ledger: Of `ttus_opt.haptic.blend`, shape (LEDGER,).
     """
 
@@ -55,20 +55,18 @@ class FieldPair(NamedTuple):
 
 
 #: Rows of `FrameBuffers.rows`: wrench and drag of the frame, twist, patch, then contact
-#: and drag of the field in force
+#: wrench and drag of the present field during a swap
 WRENCH, DRAG, TWIST, PATCH, OLD, OLD_DRAG, ROWS = 0, 1, 2, 3, 4, 5, 6
 
 
 class FrameBuffers(NamedTuple):
     """Input, state and output of a frame, for one thread.
 
-    Few arrays: passing one costs a fifth of a microsecond per call.
-
     Attributes:
         R: Rotation, probe to patient, shape (3, 3) [–].
         at: Position of the probe frame's origin, shape (3,) [m].
         motion: State of `ttus_opt.haptic.motion`, shape (MOTION,).
-        rows: See the places above, shape (ROWS, 6).
+        rows: By the indices above, shape (ROWS, 6).
     """
 
     R: Array
@@ -82,7 +80,7 @@ class FrameBuffers(NamedTuple):
         return cls(np.eye(3), np.zeros(3), np.zeros(MOTION), np.zeros((ROWS, 6)))
 
 
-#: Places in `FrameLimits.numbers`: `BlendLaw.kernel_limits`, most force [N],
+#: Indices in `FrameLimits.numbers`: `BlendLaw.kernel_limits`, largest force [N],
 #: `MotionFilter.kernel_numbers`
 BLEND, FORCE, FILTER = 0, 3, 4
 
@@ -91,7 +89,7 @@ class FrameLimits(NamedTuple):
     """The limits and weights of a renderer, the same in every frame.
 
     Attributes:
-        numbers: See the places above, shape (8,).
+        numbers: By the indices above, shape (8,).
         weights: `drag.patch_weights` in block order, shape (M, 7).
     """
 
@@ -112,15 +110,16 @@ def render_frame(
 
     Args:
         buffers: Input, scratch and output.
-        time: Of the pose, to estimate the twist [s]; NaN to use the buffers' twist.
+        time: Time of the pose, to estimate the twist [s]; NaN to use the given twist.
         data: Probe, surface and scratch.
         pair: Fields and ledger.
-        limits: Of the renderer.
-        may_write: Without it the ledger is read and not written.
+        limits: Limits of the renderer.
+        may_write: Whether the ledger may be written; otherwise it is only read.
 
     Returns:
-        Points in contact, or `BAD_POSE`, `BAD_TWIST`, `BAD_TIME`; whether the shell
-        meets the grid; points beyond the innermost layer; whether the force was cut.
+        Number of points in contact, or `BAD_POSE`, `BAD_TWIST`, `BAD_TIME`; whether any
+        shell point is in the grid; number of points beyond the inner layer; whether the
+        force was limited.
     """
     R, at, rows, numbers = buffers.R, buffers.at, buffers.rows, limits.numbers
     twist, patch, wrench, drag = rows[TWIST], rows[PATCH], rows[WRENCH], rows[DRAG]
@@ -168,7 +167,7 @@ def _drag(
     of: int,
     into: int,
 ) -> None:
-    """The drag of the field that was sampled last, row ``of`` its wrench (compiled)."""
+    """Drag of the last sampled field, whose wrench is row ``of`` (compiled)."""
     R, rows = buffers.R, buffers.rows
     twist, reference, drag = rows[TWIST], data.reference, rows[into]
     drag_of(R, buffers.at, twist, reference, rows[PATCH], rows[of], numbers, drag)
@@ -178,7 +177,7 @@ def _drag(
 
 @compiled(inline="always")
 def _mix(share: float, old: Array, new: Array) -> None:
-    """New ← (1 − share) old + share new; as it is for a share of 1 (compiled)."""
+    """New ← (1 − share) old + share new; unchanged for a share of 1 (compiled)."""
     if share < 1.0:
         for c in range(6):
             new[c] = (1.0 - share) * old[c] + share * new[c]
@@ -186,7 +185,7 @@ def _mix(share: float, old: Array, new: Array) -> None:
 
 @compiled(inline="always")
 def _sum(values: Array) -> float:
-    """Sum, not finite when one of them is not (compiled)."""
+    """Sum of values; not finite if one of them is not (compiled)."""
     total = 0.0
     for i in range(values.size):
         total += values[i]
@@ -202,7 +201,7 @@ def _clear(values: Array) -> None:
 
 @compiled(inline="always")
 def _may_drag(pair: FieldPair, twist: Array) -> bool:
-    """Whether the probe moves and a field drags (compiled)."""
+    """Whether the probe moves and a field has drag (compiled)."""
     if pair.target_drag[ACTIVE] + pair.current_drag[ACTIVE] == 0.0:
         return False
     moves = False
@@ -213,7 +212,7 @@ def _may_drag(pair: FieldPair, twist: Array) -> bool:
 
 @compiled(inline="always")
 def _cut(wrench: Array, limit: float) -> bool:
-    """Shorten a wrench whose force exceeds a limit, as a whole (compiled)."""
+    """Scale a wrench down if its force exceeds a limit; whether it did (compiled)."""
     square = wrench[0] * wrench[0] + wrench[1] * wrench[1] + wrench[2] * wrench[2]
     if square <= limit * limit:
         return False
@@ -225,10 +224,10 @@ def _cut(wrench: Array, limit: float) -> bool:
 
 @compiled()
 def orthonormalise(R: Array) -> bool:
-    """Undo a rotation's rounding in place, as `probe.pose.rotations` (compiled).
+    """Correct a rotation's rounding in place, as `probe.pose.rotations` (compiled).
 
     Returns:
-        False for what is no rotation: scaled, sheared, reflected, not finite.
+        False if it is not a rotation: scaled, sheared, reflected, not finite.
     """
     for _ in range(STEPS + 1):
         xx = R[0, 0] * R[0, 0] + R[1, 0] * R[1, 0] + R[2, 0] * R[2, 0] - 1.0
@@ -237,7 +236,7 @@ def orthonormalise(R: Array) -> bool:
         xy = R[0, 0] * R[0, 1] + R[1, 0] * R[1, 1] + R[2, 0] * R[2, 1]
         xz = R[0, 0] * R[0, 2] + R[1, 0] * R[1, 2] + R[2, 0] * R[2, 2]
         yz = R[0, 1] * R[0, 2] + R[1, 1] * R[1, 2] + R[2, 1] * R[2, 2]
-        # NaN may escape here, and fails below
+        # NaN may pass this test, but not the one on the volume
         error = max(abs(xx), abs(yy), abs(zz), abs(xy), abs(xz), abs(yz))
         if error <= EXACT:
             break
@@ -258,7 +257,7 @@ def orthonormalise(R: Array) -> bool:
 
 @compiled(nogil=True)
 def mixed(current: Array, target: Array, share: float) -> Array:
-    """(1 − share) current + share target, without the interpreter's lock (compiled)."""
+    """(1 − share) current + share target, without the GIL (compiled)."""
     out = np.empty_like(current)
     for m in range(out.size):
         out[m] = (1.0 - share) * current[m] + share * target[m]
@@ -268,19 +267,19 @@ def mixed(current: Array, target: Array, share: float) -> Array:
 def mixed_drag(
     ledger: Array, pair: FieldPair, mix: Array, data: FrameData, weights: Array
 ) -> Array:
-    """The drag law of a mixture of two fields, when an update comes amid a swap.
+    """The drag of a mixture of two fields, for an update during a swap.
 
-    At the ledger's pose its μ gives the force that both laws together gave there, so
-    that force does not jump (drag at every point: as far as both fields are alike over
-    the patch); viscosities are mixed by their shares. Deadband, regions
-    and where drag acts are taken from the field with the larger share: where the other
-    field's differ, direction and size of drag change by as much.
+    At the ledger's pose its μ gives the force of both laws together, so that the force
+    does not jump (with drag at every point only as far as both fields agree over the
+    patch). Viscous coefficients are averaged by their shares. Deadband, regions and
+    point of action are those of the field with the larger share; where those of the
+    other field differ, the drag jumps accordingly.
 
     Args:
-        ledger: With the pose and the share of the target.
+        ledger: Has the pose and the share of the target.
         pair: The two fields.
         mix: Their mixture, flat, shape (V,).
-        data: Probe and surface, with scratch of its own.
+        data: Probe and surface, with its own scratch arrays.
         weights: `drag.patch_weights` in block order, shape (M, 7).
 
     Returns:
