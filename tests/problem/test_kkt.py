@@ -108,6 +108,22 @@ def test_a_point_is_judged_anew_where_anything_of_it_has_changed(
     assert key not in kkt._last
 
 
+def test_a_point_is_judged_anew_where_the_program_has_changed() -> None:
+    """Targets of measured rows are views of the recording, which may be edited."""
+    of = program(1, [squares([3.0])], (rows("limit", [[1.0]], -np.inf, 1.0),))
+    x, duals = np.array([1.0]), Duals({"limit": np.array([4.0])})
+    assert_optimal(kkt_residuals(of, x, duals))
+    of.terms[0].target[:] = 2.0
+    assert kkt_residuals(of, x, duals).dual == 2.0
+    of.constraints[0].upper[:] = 0.5
+    assert kkt_residuals(of, x, duals).primal == 0.5
+    box = ProgramBounds("box", np.array([-9.0]), np.array([1.0]))
+    of = program(1, [squares([3.0])], (), (box,))
+    assert_optimal(kkt_residuals(of, x, Duals({}, np.array([4.0]))))
+    box.upper[:] = 0.5
+    assert kkt_residuals(of, x, Duals({}, np.array([4.0]))).primal == 0.5
+
+
 def test_a_point_outside_is_measured_by_its_violation() -> None:
     problem = program(2, [squares([2, 2])], (rows("sum", [[1, 1]], -np.inf, 2.0),))
     kkt = kkt_residuals(problem, np.array([2.0, 2.0]), Duals())

@@ -17,10 +17,14 @@ from tests.dragging import dragged_scene
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.field_wrench import wrenches_by_rows
+from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scan.surface import Surface
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import Fitted
 from ttus_opt.terms.drag import CoulombField, DragModel, GlobalCoulomb, Viscous
 from ttus_opt.voxmap.field import PotentialField
+from ttus_opt.voxmap.voxmap import Voxmap
 
 MU, DEADBAND = 0.3, 0.02
 SECTORS, BANDS = 10, 4
@@ -295,3 +299,35 @@ def test_patches_say_each_for_itself_what_is_known() -> None:
 def test_a_coefficient_that_is_none_is_refused(coefficient: float) -> None:
     with pytest.raises(InputError, match="must not be negative"):
         GlobalCoulomb(scene(), coefficient=coefficient)
+
+
+def test_a_straight_press_slides_along_its_flanks() -> None:
+    """A symmetric probe pressed straight in: its patch slides nowhere."""
+    one = PointShell.sphere(0.02, n_points=60)
+    signs = np.array([[1, b, c] for b in (1, -1) for c in (1, -1)])
+    points, normals = (
+        (signs[:, None] * values).reshape(-1, 3) for values in (one.points, one.normals)
+    )
+    shell = PointShell(points, normals, np.tile(one.areas / 4, 4), np.zeros(3))
+    surface = Surface.from_radius(np.full((24, 9), 0.1), np.linspace(-0.06, 0.06, 9))
+    voxmap = Voxmap.from_surface(surface, shape=(10, 24, 13))
+    x = 0.13 - 0.025 * np.sin(np.linspace(0.0, np.pi, 30))
+    position = np.stack([x, 0 * x, 0 * x], axis=1)
+    rotation = np.tile(np.eye(3), (30, 1, 1))
+    zero = np.zeros((30, 3))
+    straight = Trajectory(0.05 * np.arange(30), position, rotation, zero, zero)
+    scene = Scene.assemble(voxmap, shell, straight, inner=3.0)
+    touching = GlobalCoulomb(scene, "points").touching
+    assert 5 < touching.sum() < 25
+    for place in ("contact", "reference"):
+        model = GlobalCoulomb(scene, place)
+        assert np.abs(model.sliding.velocity).max() < 1e-12
+        assert not model.moving.any()
+    everywhere = GlobalCoulomb(scene, "points")
+    np.testing.assert_array_equal(everywhere.moving, touching)
+    assert everywhere.not_identifiable() == {}
+    still = replace(straight, position=np.tile(position[15], (30, 1)))
+    resting = GlobalCoulomb(Scene.assemble(voxmap, shell, still, inner=3.0), "points")
+    assert resting.touching.all()
+    assert not resting.moving.any()
+    assert resting.not_identifiable() == {"friction_coefficient": "no sliding"}

@@ -34,6 +34,21 @@ def test_without_drag_there_is_none() -> None:
     assert estimate.friction_coefficient < 1e-9
 
 
+def test_drag_that_would_push_is_judged_without_it() -> None:
+    """A lag of the sensor pushes along the motion; no place gains by a negative μ."""
+    scene = dragged_scene("contact", mu=-0.3)
+    p = scene.laplace.solve(scene.b)
+    pressed = np.concatenate([scene.N @ p, scene.W @ p / scene.torque_length])
+    measured = np.concatenate([scene.f, scene.tau / scene.torque_length])
+    scale = pressed @ measured / (pressed @ pressed)
+    rest = measured - scale * pressed
+    for place in ("points", "contact", "reference"):
+        estimate = estimate_drag(scene, place)
+        assert estimate.friction_coefficient == 0.0
+        assert estimate.boundary_scale == pytest.approx(scale)
+        assert estimate.misfit == pytest.approx(np.sqrt(np.mean(rest**2)))
+
+
 def test_a_probe_at_rest_tells_nothing() -> None:
     scene = dragged_scene("contact")
     position = np.repeat(scene.trajectory.position[:1], len(scene.trajectory), axis=0)

@@ -162,7 +162,7 @@ def kkt_residuals(
     given += [] if duals.bounds is None else [duals.bounds]
     if not all(np.isfinite(values).all() for values in given):
         return NOT_FINITE
-    point = _digest(x, duals, tolerance)
+    point = _digest(program, x, duals, tolerance)
     kept = _last.get(id(program))
     if kept is None or kept[0] != point:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -175,14 +175,20 @@ def kkt_residuals(
 
 
 #: The last point of every program, by identity, and its residuals, so that a solver's
-#: own check is not repeated by the verdict; dropped with the program
+#: own check is not repeated by the verdict; dropped with the program. Matrices are not
+#: compared; vectors are, as targets may be views of a recording that is edited.
 _last: dict[int, tuple[bytes, KKT]] = {}
 
 
-def _digest(x: Array, duals: Duals, tolerance: float) -> bytes:
-    """Hash of a point, its multipliers and the tolerance."""
+def _digest(program: Program, x: Array, duals: Duals, tolerance: float) -> bytes:
+    """Hash of a point, its multipliers, the tolerance, and the program's vectors."""
     found = hashlib.sha256(repr(tolerance).encode())
     parts: list[tuple[str, Array | None]] = [("x", x), ("bounds", duals.bounds)]
+    parts += [("target", term.target) for term in program.terms]
+    limits = [(c.lower, c.upper) for c in program.constraints]
+    limits += [(b.lower, b.upper) for b in program.bounds]
+    parts += [("limit", values) for pair in limits for values in pair]
+    parts += [("offset", cone.offset) for cone in program.cones]
     parts += [(f"row {name}", values) for name, values in duals.rows.items()]
     parts += [(f"term {name}", values) for name, values in duals.terms.items()]
     for name, values in parts:

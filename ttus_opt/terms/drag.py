@@ -103,6 +103,12 @@ class DragModel(abc.ABC):
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
         """Poses that slide in contact, shape (T,)."""
+        if self.acts_at == "points":  # the flanks slide where the patch does not
+            drag, contact = (
+                abs(rows).sum(axis=1).reshape(-1, 3).sum(axis=1)
+                for rows in (self.rows.force, self.scene.N)
+            )
+            return np.asarray(drag > AT_REST * contact)
         speed = np.linalg.norm(self.sliding.velocity, axis=1)
         return np.asarray(self.touching & (speed > AT_REST * self.deadband))
 

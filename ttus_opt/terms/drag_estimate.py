@@ -76,6 +76,8 @@ def estimate_drag(
             dragged = np.concatenate([dragged, scale * (rows.torque @ p)])
         columns = np.stack([pressed, -dragged], axis=1)
         (s, s_mu), *_ = np.linalg.lstsq(columns, measured, rcond=None)
+        if s > 0.0 > s_mu:  # drag that pushes is none: judged without it
+            s, s_mu = float(pressed @ measured / (pressed @ pressed)), 0.0
         rest = measured - columns @ [s, s_mu]
         mu = max(float(s_mu / s), 0.0) if s > 0.0 else 0.0
         misfit = float(np.sqrt((rest @ rest) / max(len(rest), 1)))
