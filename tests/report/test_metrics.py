@@ -10,7 +10,7 @@ from tests.conftest import small_scene
 from ttus_opt.contact.friction import Sliding, coulomb_rows
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.renderer import Renderer
-from ttus_opt.report.metrics import angles, evaluate
+from ttus_opt.report.metrics import angles, as_rendered, compare, evaluate
 from ttus_opt.voxmap.field import PotentialField
 
 SCENE = small_scene("trilinear", n_poses=20)
@@ -132,6 +132,21 @@ def test_no_frame_in_contact_has_no_angle() -> None:
     errors = evaluate(FIELD, SCENE.shell, still).errors
     assert errors.frames_in_contact == 0
     assert np.isnan(errors.force_angle_error_deg)
+
+
+def test_the_share_told_apart_counts_frames_with_a_force_of_either() -> None:
+    """By hand: 0.36 N is felt, and 18° where the measured force has a direction."""
+    x, y = np.eye(3)[:2]
+    force, force_hat = np.zeros((20, 3)), np.zeros((20, 3))
+    force[:6] = [2.0 * x, 2.0 * x, 2.0 * x, 0.0 * x, 0.45 * x, 0.45 * x]
+    force_hat[:6] = [2.1 * x, 2.5 * x, 2.0 * y, 0.9 * x, 0.0 * x, 0.55 * y]
+    # of five forces above 0.5 N three are told apart: too strong, aslant, in the air;
+    # the fifth is below it on both sides, the last is measured without a direction
+    wrench = np.column_stack([force_hat, np.zeros((20, 3))])
+    measured = replace(SCENE.trajectory, force=force, torque=np.zeros((20, 3)))
+    errors = compare(measured, as_rendered(wrench)).errors
+    assert errors.share_told_apart == pytest.approx(3 / 5)
+    assert errors.frames_in_contact == 3
 
 
 def test_a_trajectory_without_wrench_is_refused() -> None:

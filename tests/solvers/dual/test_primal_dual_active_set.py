@@ -719,6 +719,26 @@ def test_what_joins_is_a_share_of_the_worst_around() -> None:
         assert _strong(size * profile, options).reshape(-1).tolist() == expected
 
 
+@pytest.mark.parametrize("reach", [1, 2, 3])
+def test_around_is_so_many_voxels_each_way(reach: int) -> None:
+    """Also past the last spoke, not past the ends of the patient, nor of a field."""
+    shape = (2, 9, 10, 9)
+    sizes = np.random.default_rng(reach).uniform(0.1, 1.0, shape)
+    expected = np.zeros(shape, bool)
+    ends = [range(n) for n in shape]
+    for field, i, j, k in itertools.product(*ends):
+        worst = max(
+            sizes[field, a, b % shape[2], c]
+            for a in range(max(i - reach, 0), min(i + reach, shape[1] - 1) + 1)
+            for b in range(j - reach, j + reach + 1)
+            for c in range(max(k - reach, 0), min(k + reach, shape[3] - 1) + 1)
+        )
+        expected[field, i, j, k] = sizes[field, i, j, k] >= 0.75 * worst
+    options = DualOptions(share=0.75, neighbourhood=reach)
+    np.testing.assert_array_equal(_strong(sizes, options), expected)
+    np.testing.assert_array_equal(_near_worst(sizes, 0.75, options), expected)
+
+
 def test_bounds_near_the_peaks_join_as_long_as_signs_stay_right() -> None:
     shape, n = (7, 14, 8), 7 * 14 * 8
     problem = SimpleNamespace(

@@ -156,21 +156,25 @@ def test_bounds_of_many_unknowns_beside_the_field(seed: int) -> None:
         np.testing.assert_allclose(answer.c, expected, atol=1e-7)
 
 
-def test_other_weights_keep_the_subspace_and_other_columns_lose_it() -> None:
+@pytest.mark.parametrize("weight", [0.5, 2.0])
+def test_other_weights_keep_the_subspace_and_other_columns_lose_it(
+    weight: float,
+) -> None:
+    """Whether all weights rise or all fall."""
     data = data_of(1.0)
     rng = np.random.default_rng(1)
     E = rng.normal(size=(len(data.t), 2))
     free = np.full(2, np.inf)
     solver = DualSolver(data.system, LinearParameters(E, -free, free))
     solver.solve(data.b, data.t, Accuracy(1e-9))
-    heavier = data_of(2.0)
-    ratio = heavier.system.root_weights / data.system.root_weights
+    other = data_of(weight)
+    ratio = other.system.root_weights / data.system.root_weights
     for columns in (ratio[:, None] * E, E[::-1]):
         beside = LinearParameters(columns, -free, free)
-        solver.adopt(heavier.system, beside)
-        again = solver.solve(heavier.b, heavier.t, Accuracy(1e-9))
-        fresh = DualSolver(heavier.system, beside).solve(
-            heavier.b, heavier.t, Accuracy(1e-9)
+        solver.adopt(other.system, beside)
+        again = solver.solve(other.b, other.t, Accuracy(1e-9))
+        fresh = DualSolver(other.system, beside).solve(
+            other.b, other.t, Accuracy(1e-9)
         )
         np.testing.assert_allclose(again.c, fresh.c, rtol=1e-6)
         np.testing.assert_allclose(again.p, fresh.p, atol=1e-7 * np.abs(fresh.p).max())
