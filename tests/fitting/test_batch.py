@@ -15,8 +15,9 @@ from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.monotone import Monotone
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.errors import InputError
-from ttus_opt.fitting import batch
+from ttus_opt.fitting import batch, weight_words
 from ttus_opt.fitting.batch import Fitter, _better, fit, judged
+from ttus_opt.fitting.weight_choice import WeightChoice
 from ttus_opt.problem.formulation import Formulation, Search, available, load
 from ttus_opt.problem.kkt import Duals
 from ttus_opt.problem.reduction import reduce
@@ -406,3 +407,21 @@ def test_estimates_take_no_more_time_than_there_was() -> None:
     elapsed = time.perf_counter() - start
     assert solution.timings.search is not None
     assert 0.0 < solution.timings.search < elapsed
+
+
+@pytest.mark.parametrize(("name", "seconds"), [("eq10", 1.0), ("viscous_drag", 2.0)])
+def test_the_choice_of_weights_counts_as_search(
+    name: str, seconds: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With the time of standard errors, where there are any."""
+
+    class Watch:
+        seconds, compile = 1.0, 0.0
+
+    scene = dragged_scene("contact", 0.0, 40.0, (7, 12, 8), n=30)
+    choice = WeightChoice(scene, load(name, scene))
+    monkeypatch.setattr(weight_words, "choice_of", lambda *_: choice)
+    monkeypatch.setattr(batch, "Stopwatch", Watch)
+    found = fit(scene, name, weights="auto")
+    assert bool(found.standard_errors) == (name == "viscous_drag")
+    assert found.timings.search == seconds

@@ -356,18 +356,30 @@ def test_forces_alone_and_the_noise_they_tell_by_dense_algebra() -> None:
 @pytest.mark.parametrize(
     ("option", "message"),
     [
-        ({"force_weight": -1.0}, "force_weight must not be negative"),
+        ({"force_weight": -1e-9}, "force_weight must not be negative"),
+        ({"torque_weight": np.inf}, "torque_weight must not be negative"),
         ({"force_weight": 0.0, "torque_weight": 0.0}, "both weights are 0"),
         ({"torque_length": 0.0}, "torque_length must be positive"),
+        ({"torque_length": np.nan}, "torque_length must be positive"),
         ({"capacity": 0}, "at least 1 measurement"),
+        ({"outlier_level": 0.0}, "a probability between 0 and 1"),
         ({"outlier_level": 1.0}, "a probability between 0 and 1"),
         ({"noise_std": 0.0}, "noise_std must be positive"),
+        ({"noise_std": np.inf}, "noise_std must be positive"),
     ],
 )
 def test_options_are_checked(option: dict[str, float], message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         RecursiveFit(small_scene(), **option)
     assert "\n" not in str(caught.value)
+
+
+def test_options_at_the_ends_of_their_ranges_are_taken() -> None:
+    """One weight may be 0; one measurement is a capacity; 1e-12 is a probability."""
+    weights = ({"force_weight": 0.0}, {"torque_weight": 0.0})
+    for options in (*weights, {"noise_std": 1e-9}, {"outlier_level": 1e-12}):
+        RecursiveFit(small_scene(), **options)
+    RecursiveFit(small_scene(), capacity=1, fold_scene=False)
 
 
 @pytest.mark.parametrize(
@@ -399,3 +411,16 @@ def test_measurements_are_checked(argument: int, value: Array, message: str) -> 
 def test_forget_wants_one_sound_value(factor: float | None, window: int | None) -> None:
     with pytest.raises(InputError, match=r"factor|window"):
         RecursiveFit(small_scene(), **WEIGHTS).forget(factor, window=window)
+
+
+def test_forgetting_nothing_and_everything() -> None:
+    scene = small_scene()
+    fit = RecursiveFit(scene, **WEIGHTS)
+    before = fit.field.values
+    for nothing in ({"factor": 1.0}, {"window": 12}, {"window": 20}):
+        fit.forget(**nothing)
+        assert difference(fit, before) < 1e-12
+        assert fit.measurements == 12
+    fit.forget(window=0)
+    assert difference(fit, tt.fit(scene, "laplace_only").field.values) < 1e-10
+    assert fit.measurements == 0

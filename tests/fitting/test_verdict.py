@@ -91,6 +91,27 @@ def test_a_contradiction_needs_a_proof_and_is_named() -> None:
     assert "without a proof" in found.detail
 
 
+def test_a_solver_s_own_proof_names_the_conflict() -> None:
+    """Of two conflicts the one it proves; multipliers of an answer prove nothing."""
+    both = program(
+        [term(np.eye(2), [0.0, 0.0])],
+        [
+            rows("reach", [[1, 0]], [2.0], [np.inf]),
+            rows("limit", [[1, 0]], [-np.inf], [1.0]),
+            rows("rise", [[0, 1]], [5.0], [np.inf]),
+            rows("fall", [[0, 1]], [-np.inf], [4.0]),
+        ],
+    )
+    proof = Duals({"rise": np.array([-1.0]), "fall": np.array([1.0])}, None)
+    claimed = Candidate(None, proof, claim=Claim.INFEASIBLE)
+    found = told(claimed, Reduction(both, both))
+    assert found.status is Status.INFEASIBLE
+    assert set(found.conflict) == {"rise", "fall"}
+    for other in (replace(claimed, duals=None), replace(claimed, x=np.zeros(2))):
+        found = told(other, Reduction(both, both))
+        assert set(found.conflict) == {"reach", "limit", "rise", "fall"}
+
+
 def test_proofs_are_looked_for_no_longer_than_a_fit_may_take(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
