@@ -135,10 +135,12 @@ def test_a_linear_pressure_lifts_like_archimedes() -> None:
 
 
 def test_pose_off_the_grid_gives_zero_and_says_so() -> None:
-    position = np.array([[0.0, 0.1, 5.0], [0.0, 0.1, 0.1], [3.0, 0.0, 0.1]])
+    position = np.array([[0.0, 0.1, 5.0], [0.0, 0.09, 0.1], [3.0, 0.0, 0.1]])
     rows = contact_rows(VOXMAP, SHELL, np.tile(np.eye(3), (3, 1, 1)), position)
     assert rows.in_grid.tolist() == [False, True, False]
     assert rows.N[:3].nnz == rows.N[6:].nnz == 0
+    n_voxels = f"{VOXMAP.grid.n_voxels:,}"
+    assert repr(rows) == f"ContactRows(3 poses, 1 in contact, {n_voxels} voxels)"
 
 
 def test_trilinear_rows_are_continuous_in_the_pose_and_voxel_means_jump() -> None:
@@ -160,6 +162,7 @@ def test_trilinear_rows_are_continuous_in_the_pose_and_voxel_means_jump() -> Non
     [
         (np.eye(3), np.zeros((1, 3)), r"\(1, 3, 3\)"),
         (np.eye(3)[None], np.zeros(3), r"\(T, 3\)"),
+        (np.eye(3)[None], np.zeros((1, 3, 1)), r"\(T, 3\)"),
         (np.tile(np.eye(3), (3, 1, 1)), np.zeros((3, 4)), r"\(T, 3\)"),
         (np.tile(np.eye(3), (3, 1, 1)), np.zeros((3, 2)), r"\(T, 3\)"),
         (2 * np.eye(3)[None], np.zeros((1, 3)), "orthonormal"),
