@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -221,6 +223,50 @@ def test_contradiction_is_the_least_give_of_a_linear_program() -> None:
         assert limits.contradiction() == pytest.approx(give, abs=1e-7), seed
         found.append(give > 1e-9)
     assert 20 < sum(found) < 130, "random limits should be of both kinds"
+
+
+@pytest.mark.parametrize("seeds", some([range(60), range(60, 300)], 1))
+def test_a_proof_is_of_the_worst_contradiction(seeds: range) -> None:
+    """Multipliers under which the limits' sum reads 0 ≤ −(what is missing)."""
+    proved = 0
+    for seed in seeds:
+        limits = random_limits(seed)
+        linked = np.flatnonzero(np.isfinite(limits.least))
+        given = limits.given
+        rows = (linked, np.ones(len(linked)), limits.least[linked])
+        limits = replace(limits, links={"mine": rows}, given_by="given")
+        missing, proof = limits.contradiction(), limits.proof_of_contradiction()
+        if proof is None:  # none at all, or at one voxel, which no link has a part in
+            own = float((limits.lower - limits.upper).max())
+            assert missing == pytest.approx(max(own, 0.0))
+            continue
+        assert proof.bounds is not None and (proof.rows["mine"] <= 0.0).all()
+        z, y = proof.bounds.copy(), proof.rows["mine"]
+        assert not z[given].any()
+        z[given] = proof.rows["given"]
+        total = z.copy()
+        np.add.at(total, linked, y)
+        np.add.at(total, linked + limits.stride, -y)
+        np.testing.assert_array_equal(total, 0.0)
+        high, low = z > 0.0, z < 0.0
+        least = z[high] @ limits.upper[high] + z[low] @ limits.lower[low]
+        assert least + y @ limits.least[linked] == pytest.approx(-missing)
+        assert missing > 0.0
+        proved += 1
+    assert proved > len(seeds) / 10
+
+
+def test_each_kind_of_limit_binds() -> None:
+    """A lower or an upper bound of a voxel without a given value, or a link."""
+    free, none = np.full(8, -INF), np.zeros(8, bool)
+    limits = SpokeLimits((2, 2, 2), free, -free, none, free, {})
+    one = np.where(np.arange(8) == 3, 1.0, -INF)
+    assert not limits.binding
+    assert replace(limits, lower=one).binding
+    assert replace(limits, upper=-one).binding
+    assert replace(limits, least=one).binding
+    given = np.isfinite(one)
+    assert not replace(limits, lower=one, upper=np.abs(one), given=given).binding
 
 
 def test_contradiction_leaves_the_limits_alone() -> None:
