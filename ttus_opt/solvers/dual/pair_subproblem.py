@@ -244,7 +244,7 @@ class PairSubproblem:
         near, z = 0.0, None
         if last is not None:
             near = self._whole.beside(last)
-            z = np.where(self._unknowns.own, last - self._unknowns.offset, 0.0)
+            z = np.where(self._unknowns.own, last, 0.0)
             z += near * self._made
         # from a bound that does not hold c in the end all directions are lost
         at_bound = last is not None and near in self._whole.bounds
