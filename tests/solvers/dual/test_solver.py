@@ -173,9 +173,7 @@ def test_other_weights_keep_the_subspace_and_other_columns_lose_it(
         beside = LinearParameters(columns, -free, free)
         solver.adopt(other.system, beside)
         again = solver.solve(other.b, other.t, Accuracy(1e-9))
-        fresh = DualSolver(other.system, beside).solve(
-            other.b, other.t, Accuracy(1e-9)
-        )
+        fresh = DualSolver(other.system, beside).solve(other.b, other.t, Accuracy(1e-9))
         np.testing.assert_allclose(again.c, fresh.c, rtol=1e-6)
         np.testing.assert_allclose(again.p, fresh.p, atol=1e-7 * np.abs(fresh.p).max())
         assert again.steps <= fresh.steps
