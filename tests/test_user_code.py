@@ -10,7 +10,7 @@ import pytest
 
 from ttus_opt.errors import InputError
 from ttus_opt.terms.force import ForceTerm
-from ttus_opt.user_code import defined_at, told_by_line
+from ttus_opt.user_code import defined_at, user_errors
 
 
 def module(folder: Path, text: str) -> ModuleType:
@@ -19,7 +19,7 @@ def module(folder: Path, text: str) -> ModuleType:
     spec = importlib.util.spec_from_file_location("mine", path)
     assert spec is not None and spec.loader is not None
     made = importlib.util.module_from_spec(spec)
-    with told_by_line("file mine"):
+    with user_errors("file mine"):
         spec.loader.exec_module(made)
     return made
 
@@ -28,7 +28,7 @@ def test_the_innermost_line_of_the_user(tmp_path: Path) -> None:
     text = "import numpy as np\n\ndef rows(n):\n    return np.zeros(n)\n"
     mine = module(tmp_path, text)
     told = r"^rows\(\) raised \w+Error: .* \(.*mine\.py, line 4\)$"
-    with pytest.raises(InputError, match=told) as caught, told_by_line("rows()"):
+    with pytest.raises(InputError, match=told) as caught, user_errors("rows()"):
         mine.rows(-1)
     assert isinstance(caught.value.__cause__, ValueError)
     assert defined_at(mine.rows).endswith("mine.py, line 3)")
@@ -43,5 +43,5 @@ def test_syntax_errors_and_exits_are_told_too(tmp_path: Path) -> None:
 
 
 def test_our_own_errors_pass() -> None:
-    with pytest.raises(InputError, match=r"^as it is$"), told_by_line("anything"):
+    with pytest.raises(InputError, match=r"^as it is$"), user_errors("anything"):
         raise InputError("as it is")

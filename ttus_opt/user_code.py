@@ -20,7 +20,7 @@ _OWN = str(Path(__file__).resolve().parent)
 
 
 @contextlib.contextmanager
-def told_by_line(what: str) -> Iterator[None]:
+def user_errors(what: str) -> Iterator[None]:
     """Report an exception in a user's code in one sentence with its file and line.
 
     Args:
@@ -62,7 +62,7 @@ def module_of_file(path: Path, kind: str) -> ModuleType:
     if spec is None or spec.loader is None:
         raise InputError(f"{path} cannot be loaded as a Python file")
     module = importlib.util.module_from_spec(spec)
-    with told_by_line(f"{kind} file {path}"):
+    with user_errors(f"{kind} file {path}"):
         spec.loader.exec_module(module)
     return module
 

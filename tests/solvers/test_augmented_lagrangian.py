@@ -113,7 +113,7 @@ def test_a_penalty_without_a_resolvent_is_refused() -> None:
         resolvent = Penalty.resolvent
 
     what = program([term(np.eye(1), [1], 1.0, Mute())])
-    assert "does not state its resolvent" in SOLVER.refusal(what)
+    assert "does not implement resolvent()" in SOLVER.refusal(what)
 
 
 class _Departure(Term):

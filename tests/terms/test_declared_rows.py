@@ -78,7 +78,7 @@ HOSTILE = {
     "dense": (matrix(np.eye(3, V)), r"must be sparse, got an array of float64"),
     "no matrix": (matrix(None), "must be sparse, got None"),
     "complex matrix": (matrix(1j * ROWS), "must be real and 2-D"),
-    "too few rows": (matrix(ROWS[:2]), "2 rows over p, and 3 entries"),
+    "too few rows": (matrix(ROWS[:2]), "2 rows over p, but 3 entries"),
     "infinite row": (matrix(ROWS * np.inf), r"rows over p hold (nan|inf)"),
     "no variables": (tt.AffineRows({}, np.zeros(3)), "by variable, such as"),
     "blocks a matrix": (tt.AffineRows(ROWS, np.zeros(3)), "by variable, such as"),  # type: ignore[arg-type]
@@ -88,7 +88,7 @@ HOSTILE = {
     "words": (target(["a", "b", "c"]), "vector of real numbers.*got a list"),
     "ragged": (target([[1.0], [2.0, 3.0], 4.0]), "vector of real numbers"),
     "complex": (target(np.zeros(3) * 1j), "vector of real numbers.*complex"),
-    "too long": (target(np.zeros(4)), "3 rows over p, and 4 entries"),
+    "too long": (target(np.zeros(4)), "3 rows over p, but 4 entries"),
     "nan": (target([0.0, np.nan, 0.0]), r"target holds nan \(row 1, 1 in all\)"),
     "another size": (matrix(ROWS[:, :5]), "own gives variable 'p' 5 entries"),
 }
@@ -115,7 +115,7 @@ def test_what_makes_no_sense_is_told_in_one_sentence(what: str) -> None:
             LinearRows({"p": ROWS}, np.zeros(3), np.full(3, -np.inf)),
             "no value satisfies",
         ),
-        (LinearRows({"p": ROWS}, np.zeros(2), np.ones(2)), "3 rows over p, and 2"),
+        (LinearRows({"p": ROWS}, np.zeros(2), np.ones(2)), "3 rows over p, but 2"),
         (LinearRows({"p": np.eye(3, V)}, np.zeros(3), np.ones(3)), "must be sparse"),  # type: ignore[dict-item]
         (LinearRows({"p": ROWS}, [0, 0, np.nan], np.ones(3)), "lower limit holds nan"),  # type: ignore[arg-type]
     ],

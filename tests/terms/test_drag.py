@@ -292,7 +292,7 @@ def test_patches_say_each_for_itself_what_is_known() -> None:
     name = f"viscous_coefficient_{never[0]}"
     assert model.with_neutral([name]) is model
     all_left_out = replace(model, excluded=frozenset(range(N))).not_identifiable()
-    assert all_left_out["viscous_coefficient"] == "no patch of it is identified"
+    assert all_left_out["viscous_coefficient"] == "none of its regions is identified"
 
 
 @pytest.mark.parametrize("coefficient", [-0.1, math.nan, math.inf])

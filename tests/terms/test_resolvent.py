@@ -43,5 +43,5 @@ def test_a_penalty_without_a_resolvent_says_so() -> None:
     class Mute(Absolute):
         resolvent = Penalty.resolvent
 
-    with pytest.raises(InputError, match="Mute does not state its resolvent"):
+    with pytest.raises(InputError, match="Mute does not implement resolvent"):
         Mute().resolvent(V, 1.0)

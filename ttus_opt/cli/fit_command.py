@@ -209,7 +209,7 @@ def _built(
         reading: The recordings as written, and how they were read.
 
     Raises:
-        InputError: As of `ScenePlan.build`.
+        InputError: As in `ScenePlan.build`.
     """
     from ttus_opt.fitting.contact_spread import warn_of_one_spot
     from ttus_opt.fitting.sanity import likely_mistake

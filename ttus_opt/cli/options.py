@@ -74,7 +74,7 @@ def check_outputs(
         outputs: Files that will be written; None where an option was not given.
         inputs: Files that are read; a probe may also be a primitive's description.
         force: Allow an output to replace an input.
-        pictures: As of ``outputs``, which will be pictures.
+        pictures: As in ``outputs``, which will be pictures.
         size: Bytes the largest takes, about.
 
     Raises:

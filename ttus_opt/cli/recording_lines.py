@@ -87,7 +87,7 @@ class RecordingLine:
 
 
 def _told(correlation: float, error: float) -> str:
-    """With its standard error where that is known."""
+    """The value with its standard error, if known."""
     return f"{correlation:.2f}" + (f" ± {error:.2f}" if math.isfinite(error) else "")
 
 

@@ -99,7 +99,7 @@ class RecordingOptions:
 
     @property
     def names(self) -> list[str]:
-        """Of the files."""
+        """Names of the files."""
         return [path.name for path in self.trajectory]
 
     @property
@@ -160,7 +160,7 @@ class RecordingOptions:
         A `TtusWarning` tells when they lie on the skin in another frame only.
 
         Args:
-            as_written: As of the method of that name.
+            as_written: As in the method of that name.
             shell: The probe.
             patient: Whose frame it is.
         """

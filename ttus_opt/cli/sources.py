@@ -115,7 +115,7 @@ def _hashes(files: Sequence[Path]) -> str:
 
 
 def _versions() -> dict[str, str]:
-    """Of Python and of the packages that are installed, by name."""
+    """Versions of Python and of the installed packages, by name."""
     import importlib.metadata
     import platform
 

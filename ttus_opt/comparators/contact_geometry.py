@@ -220,7 +220,7 @@ class Patch:
 
     @property
     def direction(self) -> Array:
-        """Of the normal force, shape (3,) [–]."""
+        """Direction of the normal force, shape (3,) [–]."""
         return np.asarray(self.unit[:3])
 
     def velocity(self, twist: Array, reference: Array, at: Array) -> Array:

@@ -16,7 +16,7 @@ from ttus_opt.terms.limits import ConeRows as ConeRows
 from ttus_opt.terms.limits import LinearRows as LinearRows
 from ttus_opt.terms.member import Member
 from ttus_opt.terms.structure import check_structure
-from ttus_opt.user_code import defined_at, told_by_line
+from ttus_opt.user_code import defined_at, user_errors
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Constraint(Member):
                 on the wrong side, sizes do not match, or a tag is wrong.
         """
         owner = f"constraint {self.name}{defined_at(type(self).rows)}"
-        with told_by_line(f"rows() of constraint {self.name}"):
+        with user_errors(f"rows() of constraint {self.name}"):
             rows = self.rows()
         if isinstance(rows, ConeRows):
             return _uniform_cones(owner, rows)

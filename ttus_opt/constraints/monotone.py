@@ -35,7 +35,7 @@ class Monotone(Constraint):
 
     @property
     def formula(self) -> str:
-        """With the least slope."""
+        """The formula with the least slope."""
         least = "0" if self.least_slope == 0.0 else f"{self.least_slope:g}/m · Δr"
         return f"p_deeper − p_shallower ≥ {least} along spokes, inside"
 

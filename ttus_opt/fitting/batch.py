@@ -125,7 +125,7 @@ def _fit_identified(
     Args:
         found: The formulation, and estimates of the searched parameters.
         doubts: Why a parameter is not identified, by name.
-        solver: As of `fit`.
+        solver: As in `fit`.
         request: Tolerance and time limit.
         declaring: Started with the declaration; None after a search.
         searching: Started with the search; None without one.
@@ -188,7 +188,7 @@ class Fitter:
 
     Args:
         declared: The formulation.
-        solver: As of `fit`.
+        solver: As in `fit`.
         request: Tolerance and time limit.
         watch: Started with the declaration.
     """

@@ -13,7 +13,7 @@ import numpy as np
 
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Candidate, Claim, Prepared, Request, Solver
-from ttus_opt.user_code import told_by_line
+from ttus_opt.user_code import user_errors
 
 T = TypeVar("T")
 
@@ -43,7 +43,7 @@ class Guarded(Prepared):
         self.update(program)
 
     def update(self, program: Program) -> None:
-        """Take other data; prepare anew after a breakdown."""
+        """Load other data; after a breakdown, prepare the solver again."""
         kept, self._prepared = self._prepared, None
 
         def load() -> Prepared:
@@ -64,9 +64,9 @@ class Guarded(Prepared):
         return found
 
     def _tried(self, act: Callable[[], T]) -> T | None:
-        """The result of a call; None where it broke down."""
+        """The result of a call; None if it broke down."""
         try:
-            with told_by_line(f"solver {self._solver.name}"):
+            with user_errors(f"solver {self._solver.name}"):
                 return act()
         except BREAKDOWNS as error:
             self._why = f"{type(error).__name__}: {error}"

@@ -53,7 +53,7 @@ class CovariancePosterior(Posterior):
         """Form the covariance of the measured rows.
 
         Args:
-            program: Of one field.
+            program: A program of one field.
             prior: The term of known covariance.
             terms: The measured terms.
         """
@@ -75,7 +75,7 @@ class CovariancePosterior(Posterior):
         return cls(informative, measured, tag.covariance, columns, touching)
 
     def covariance(self, rows: sp.csr_array, height: int) -> Array:
-        """As of `Posterior`, in closed form."""
+        """Implements `Posterior`, in closed form."""
         assert self.errors is not None
         variance = self.errors.variance
         out = variance * self.prior.among_rows(rows, height)
@@ -90,7 +90,7 @@ class CovariancePosterior(Posterior):
         return out
 
     def draw(self, count: int, voxels: IntArray | None = None) -> Float32Array:
-        """As of `Posterior`."""
+        """Implements `Posterior`."""
         rng, at = np.random.default_rng(0), slice(None) if voxels is None else voxels
         assert self.errors is not None
         deviation, draws = np.sqrt(self.errors.variance), []

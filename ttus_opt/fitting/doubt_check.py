@@ -56,7 +56,7 @@ class Calibration:
         torque_rank_error: The same for torque [–].
         force_total_rank_correlation: With uncertainty and noise together [–].
         torque_total_rank_correlation: The same for torque [–].
-        force_place_rank_correlation: Of the means over places [–].
+        force_place_rank_correlation: Rank correlation of the means over places [–].
         torque_place_rank_correlation: The same for torque [–].
         places: Runs of frames of one press within 30 mm [–].
     """
@@ -88,8 +88,8 @@ def check_doubt(
     """Compare stated uncertainty with errors.
 
     Args:
-        doubt: Of the evaluated field.
-        evaluation: Of `ttus_opt.evaluate` on the trajectory.
+        doubt: Doubt of the evaluated field.
+        evaluation: Result of `ttus_opt.evaluate` on the trajectory.
         trajectory: A recording that was not fitted.
 
     Raises:

@@ -226,7 +226,7 @@ class DualRecursion:
             factor: In (0, 1] [–].
 
         Raises:
-            InputError: factor is not within these.
+            InputError: factor is outside this range.
         """
         if not 0.0 < factor <= 1.0:
             raise InputError(f"a fading factor must lie in (0, 1], got {factor}")
@@ -313,7 +313,7 @@ class DualRecursion:
         return projection, columns[projection.chosen]
 
     def _replace(self, rows: IntArray) -> None:
-        """Solve again for the columns of K of some rows of D that are no pivots."""
+        """Solve again for the columns of K of some rows of D that are not pivots."""
         if not len(rows):
             return
         kernel, entries = self._kernel, [self._D.row(int(i)) for i in rows]
@@ -336,7 +336,7 @@ class DualRecursion:
         kernel.append(projection, others, rows)
 
     def _ensure_factor(self) -> None:
-        """Recompute R where it is unusable."""
+        """Recompute R if it is unusable."""
         if self._stale:
             self._rebuild()
 

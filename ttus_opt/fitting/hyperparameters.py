@@ -111,7 +111,7 @@ def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> 
     """Find the likeliest values, and which of them the data determine.
 
     Args:
-        log_density: Of the data, given values in the order of the priors.
+        log_density: Log density of the data for values in the order of the priors.
         priors: At least one.
     """
     free = list(range(len(priors)))

@@ -72,8 +72,8 @@ class Estimate:
 
     Attributes:
         value: Its value.
-        standard_error: NaN where unknown.
-        doubt: Why it is not identified; empty where it is.
+        standard_error: NaN if unknown.
+        doubt: Why it is not identified; empty if it is.
         remark: Further information.
     """
 
@@ -351,12 +351,12 @@ def with_estimates(
     doubts: Mapping[str, str],
     trouble: str = "",
 ) -> Solution:
-    """Add standard errors of the parameters, and reasons where there are none.
+    """Add standard errors of the parameters, or the reasons for missing ones.
 
     Args:
-        solution: With neutral values of parameters that are not identified.
+        solution: A solution with neutral values of parameters not identified.
         scene: Its own estimates are included.
-        estimates: Of the parameters, by name.
+        estimates: Estimates of the parameters, by name.
         doubts: Why a parameter is not identified, by name.
         trouble: Why the search failed; the solution then does not count as solved.
     """

@@ -75,16 +75,16 @@ class LaplacePosterior(Posterior):
         sweep = WeightSweep(data, field_rtol=RTOL, voxels=voxels)
         sweep.complete(root, MISSING)
         images, fields = sweep.images, sweep.take_fields()
-        own, base = root[sweep.told], None
+        own, base = root[sweep.informative], None
         if scale:
             base = SCALE_DEVIATION * sweep.base
-            image = np.asarray(data.system.rows[sweep.told] @ base)
+            image = np.asarray(data.system.rows[sweep.informative] @ base)
             images = np.concatenate([images, image[None]])
         measured = WeightedData.of(images * own, own * sweep.misfit)
         gram = measured.weighted @ measured.weighted.T
         gram[np.diag_indices_from(gram)] += 1.0
         gain = scipy.linalg.inv(gram)
-        return cls(sweep.told, measured, data.system, base, fields, gain, voxels)
+        return cls(sweep.informative, measured, data.system, base, fields, gain, voxels)
 
     @cached_property
     def inner(self) -> Array:
@@ -96,7 +96,7 @@ class LaplacePosterior(Posterior):
         )
 
     def covariance(self, rows: sp.csr_array, height: int) -> Array:
-        """As of `Posterior`, by one solve per nonempty row.
+        """Implements `Posterior`, by one solve per nonempty row.
 
         NaN where a block touches voxels at which the basis is not kept.
         """
@@ -125,7 +125,7 @@ class LaplacePosterior(Posterior):
         return out
 
     def draw(self, count: int, voxels: IntArray | None = None) -> Float32Array:
-        """As of `Posterior`: a solve per draw, three where the basis is not kept."""
+        """Implements `Posterior`: a solve per draw, three without a stored basis."""
         assert self.errors is not None
         rng, laplace = np.random.default_rng(0), self.system.laplace
         deviation = np.sqrt(self.errors.variance)

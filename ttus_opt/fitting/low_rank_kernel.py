@@ -97,7 +97,7 @@ class LowRankKernel:
 
     @property
     def memory_bytes(self) -> int:
-        """Size of all arrays, spare room included."""
+        """Size of all arrays, unused space included."""
         arrays = (self._C, self._E, self._N, self._residual, self.pivots, self.others)
         return sum(a.nbytes for a in arrays)
 
@@ -242,7 +242,7 @@ class LowRankKernel:
             large.
 
         Raises:
-            InputError: Rows that are not there.
+            InputError: Rows that do not exist.
         """
         n = len(self)
         if start < 0 or count < 0 or start + count > n:
@@ -266,7 +266,7 @@ class LowRankKernel:
         ]
 
     def drop(self, rows: IntArray) -> None:
-        """Remove rows that are no pivots, to `append` them again; O(k²) per row.
+        """Remove rows that are not pivots, to `append` them again; O(k²) per row.
 
         Args:
             rows: Their numbers, which stay reserved.
@@ -360,7 +360,7 @@ class LowRankKernel:
         self._downdated = 0
 
     def _resize(self, k: int, o: int) -> None:
-        """Allocate for k pivots and o others, with room to grow."""
+        """Allocate for k pivots and o others, with space to grow."""
         size = triangle.packed_size(k)
         self._C, self._E = _fitted(self._C, size), _fitted(self._E, size)
         rows, columns = self._N.shape

@@ -44,7 +44,7 @@ class Evidence:
     """Evidence of a set of hyperparameters.
 
     Attributes:
-        log_density: Of the measurements, with the likeliest σ² and s [–].
+        log_density: Log density of the measurements at the most likely σ² and s [–].
         scale: s [–].
         scale_error: Its standard error [–].
         variance: σ², of a row of weight 1 [N²].
@@ -67,7 +67,7 @@ class MeasuredSeries:
         images: K, shape (k, terms, frames, 3).
         base: Values of the Laplace field, shape (terms, frames, 3) [N].
         target: Measurements, shape (terms, frames, 3) [N].
-        time: Of the frames [s].
+        time: Times of the frames [s].
         press: Press of every frame, shape (frames,) [–].
         slope: Images and base of the part with the coefficient; None without one.
     """

@@ -56,14 +56,14 @@ class MeasuredRows:
 
     @property
     def memory_bytes(self) -> int:
-        """Size of the arrays, room to grow included."""
+        """Size of the arrays, space to grow included."""
         return self._starts.nbytes + self._voxels.nbytes + self._values.nbytes
 
     def append(self, block: Block) -> None:
         """Add a block.
 
         Raises:
-            InputError: Shapes that do not fit, or a voxel that is not there.
+            InputError: Shapes that do not match, or a voxel that does not exist.
         """
         voxels, values = block.voxels, block.values
         if values.shape != (len(voxels), self._height):

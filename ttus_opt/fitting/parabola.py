@@ -32,7 +32,7 @@ class Parabola:
     Attributes:
         centre: The central point, shape (k,).
         solution: The fit there.
-        gradient: Of J at the centre, shape (k,).
+        gradient: Gradient of J at the centre, shape (k,).
         curvature: Second derivatives of J, shape (k, k).
         noise: Error bound of the diagonal of the curvature, shape (k,).
     """
@@ -51,7 +51,7 @@ class Parabola:
 
         Args:
             fitted: The fit at given values.
-            centre: Shape (k,).
+            centre: The central point, shape (k,).
             step: Distance of the other fits, shape (k,).
 
         Raises:
@@ -98,7 +98,7 @@ class Parabola:
 
     @property
     def doubt(self) -> str:
-        """The reason to report where it is flat."""
+        """The reason to report for a flat parameter."""
         bent = (np.diagonal(self.curvature) < -2.0 * self.noise).any()
         return "the objective has no least value in its range" if bent else NO_SLOPE
 

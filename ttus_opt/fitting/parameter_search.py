@@ -53,7 +53,7 @@ class SearchResult:
 
     Attributes:
         formulation: At the values found, without a search.
-        estimates: Of the searched parameters, by name; those not identified have their
+        estimates: The searched parameters, by name; those not identified have their
             neutral value.
         trouble: Why the search failed; empty when it succeeded.
     """
@@ -228,9 +228,9 @@ class _Optimum:
     """The minimum of J.
 
     Attributes:
-        values: Of the parameters, shape (k,).
+        values: Parameter values, shape (k,).
         errors: Their standard errors, shape (k,).
-        solution: Of a fit nearby.
+        solution: The solution of a fit nearby.
     """
 
     values: Array

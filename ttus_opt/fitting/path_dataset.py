@@ -47,7 +47,7 @@ class PathRecord:
         declared: The formulation.
         grid: Its weights.
         held_out: Recordings by name, on which every point is evaluated.
-        tolerance: Of every point, relative [–].
+        tolerance: KKT tolerance of every point [–].
         keep_fields: Whether potentials are kept.
     """
 

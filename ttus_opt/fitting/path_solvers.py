@@ -67,7 +67,7 @@ def point_solver(
 
     Args:
         declared: The formulation at one of them.
-        solver: As of `ttus_opt.fit`.
+        solver: As in `ttus_opt.fit`.
         request: Tolerance and time limit of each point.
 
     Raises:
@@ -165,7 +165,7 @@ class _CommonBasis(PointSolver):
         }
         if any(n != 3 * frames for n in terms.values()):
             raise InputError("criteria need terms with three rows per frame")
-        informative = self._sweep.told
+        informative = self._sweep.informative
         if sum(terms.values()) != len(informative):
             raise InputError("criteria need a Laplace term and measured ones only")
         self._criteria = criteria_of(largest.scene, terms, informative)
@@ -175,5 +175,5 @@ class _CommonBasis(PointSolver):
         """Criteria by the basis."""
         if self._criteria is None:
             return {}
-        root = root_weights(declared.compile())[self._sweep.told]
+        root = root_weights(declared.compile())[self._sweep.informative]
         return self._criteria.values(self._sweep.images, self._sweep.misfit, root)

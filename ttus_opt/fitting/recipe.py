@@ -77,7 +77,7 @@ def better_weights(choice: WeightChoice, scene: Scene) -> WeightChoice:
     the smaller error decides, as between formulations.
 
     Args:
-        choice: Of `choose_weights`.
+        choice: Result of `choose_weights`.
         scene: The scene it was made for, with its own boundary scale.
     """
     found = choice.tuning

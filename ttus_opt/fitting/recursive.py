@@ -39,8 +39,8 @@ class Innovation:
             the weights are right [–].
         threshold: Largest accepted ``nis``; infinite without a test [–].
         accepted: Whether the measurement is held.
-        contact_points: Shell points inside the patient; without any the measurement
-            does not concern the field [–].
+        contact_points: Shell points inside the patient; without any, the measurement
+            does not affect the field [–].
         in_grid: Whether any shell point lies within the grid.
         seconds: Time the update took [s].
     """
@@ -73,7 +73,7 @@ class RecursiveFit:
     returned do not change.
 
     Attributes:
-        scene: Patient and probe; its measurements were folded in first.
+        scene: Patient and probe; its measurements were added first.
         capacity: Most measurements in contact that may be held [–].
     """
 
@@ -93,7 +93,7 @@ class RecursiveFit:
 
         Args:
             scene: Patient, probe and, where its trajectory has wrenches, the first
-                measurements; these are folded in without a test, one by one.
+                measurements; these are added without a test, one by one.
             force_weight: λ_f of eq. 10 [–].
             torque_weight: λ_τ [–]; 0 where the scene has forces alone.
             torque_length: ℓ, by default the shell's root-mean-square radius [m].
@@ -104,7 +104,7 @@ class RecursiveFit:
                 all predicted covariances; by default 1/√λ_f, that of the weight for a
                 prior of unit variance, far larger than any sensor's. Give it to detect
                 more than gross outliers [N].
-            fold_scene: False leaves the scene's own measurements out.
+            fold_scene: Whether the scene's own measurements are added.
 
         Raises:
             InputError: An option is not usable, or the scene holds more than
@@ -165,7 +165,7 @@ class RecursiveFit:
 
     @property
     def estimated_noise_std(self) -> float:
-        """The likeliest ``noise_std`` for the measurements in contact [N].
+        """The most likely ``noise_std`` for the measurements in contact [N].
 
         1/√λ_f times the root mean square of the normalised innovations; NaN before the
         first. With λ_f = 0 it is that of torque over ℓ.
@@ -201,12 +201,12 @@ class RecursiveFit:
         force: Array,
         torque: Array | None = None,
     ) -> Innovation:
-        """Fold one measurement in, unless it is an outlier.
+        """Add one measurement, unless it is an outlier.
 
         Args:
             rotation: Probe to patient, shape (3, 3) [–].
-            position: Of the probe frame's origin, patient frame, shape (3,) [m].
-            force: On the probe, patient axes, shape (3,) [N].
+            position: Origin of the probe frame, patient frame, shape (3,) [m].
+            force: Force on the probe, patient axes, shape (3,) [N].
             torque: About the shell's reference point, shape (3,) [N·m]; optional where
                 torques have no weight.
 

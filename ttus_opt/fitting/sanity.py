@@ -1,16 +1,16 @@
 """Do recordings and geometry agree? A check for wrong signs, frames, units and delays.
 
-A field fitted to forces of the wrong sign, frame or unit is still a minimum. Measured
-wrenches are therefore compared with those of the Laplace field alone, whose directions
-and contacts follow from geometry. With f̂ = N p₀ and τ̂ = W p₀ of a few frames,
+A fit to forces of the wrong sign, frame or unit still converges. Measured wrenches are
+therefore compared with those of the Laplace field alone, whose directions and contacts
+follow from geometry. With f̂ = N p₀ and τ̂ = W p₀ of a few frames,
 
     S = √(S_f S_τ),  S_f = min_s ‖f - s f̂‖²/‖f‖²,  S_τ = min_k ‖τ - k τ̂‖²/‖τ‖²
 
-with s, k ≥ 0 is small where they belong together; with forces alone S = S_f. S is also
-computed for the recordings read otherwise (other sign, frame, order, delay), and the
-least value names the likely reading. Comparing log S compares likelihoods of Gaussian
-residuals with two unknown variances; with the sum of S_f and S_τ, torques that no
-reading explains would hide the forces.
+with s, k ≥ 0 is small if they agree; with forces alone S = S_f. S is also computed for
+the recordings read in other conventions (sign, frame, order, delay), and the smallest
+value names the likely one. Comparing log S compares likelihoods of Gaussian residuals
+with two unknown variances; with the sum of S_f and S_τ, torques that no convention
+explains would hide the forces.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
 from ttus_opt.scene import Scene
 from ttus_opt.voxmap.field import PotentialField
 
-#: Frames that are compared, at most [–]
+#: Most frames that are compared [–]
 FRAMES = 120
 
-#: Another reading is reported when its S is below this share of the recordings' own
+#: Another convention is reported if its S is below this share of the recordings' own
 CLEARLY = 0.7
 
-#: Delays of the wrenches that are tried [s]
+#: Delays of the wrenches to try [s]
 DELAYS = (-0.4, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.4)
 
 #: Torques this many times too large are in N·mm
@@ -106,9 +106,9 @@ class Mistake:
     """A likely mistake in how the recordings were read.
 
     Attributes:
-        what: In words.
-        mends: The options of ``ttus-opt fit`` for the other reading; empty for none.
-        before: S as read [–].
+        what: Description.
+        mends: The options of ``ttus-opt fit`` that correct it; empty for none.
+        before: S of the recordings as read [–].
         after: S with these options; a unit does not change it [–].
     """
 
@@ -136,7 +136,7 @@ class SanityReport:
         shell_size: Edges of the shell's bounding box, probe frame, shape (3,) [m].
         shell_centroid: Area centroid, probe frame, shape (3,) [m].
         disagreement: S of the recordings as read, from 0 to 1 [–].
-        mistake: The likeliest mistake; None where nothing fits clearly better.
+        mistake: The most likely mistake; None if nothing fits clearly better.
     """
 
     recordings: tuple[RecordingCheck, ...]
@@ -178,13 +178,13 @@ def check_recordings(
     """Compare recordings with the fitted field and with the geometry.
 
     Args:
-        scene: With measured wrenches.
-        field: Fitted to it.
-        names: Of the recordings, one for each segment; numbers by default.
-        written: The recordings as the files have them, read in the package's own
-            conventions; the scene's by default.
-        conventions: By which the scene's were read from that; the package's own by
-            default.
+        scene: A scene with measured wrenches.
+        field: The field fitted to it.
+        names: Names of the recordings, one per segment; by default numbers.
+        written: The recordings as in the files, read in the package's own
+            conventions; by default the scene's.
+        conventions: The conventions by which the scene's recordings were read from
+            these; by default the package's own.
 
     Raises:
         InputError: The scene has no wrenches.
@@ -234,12 +234,12 @@ def _recording(
 def likely_mistake(
     scene: Scene, written: Trajectory, conventions: Conventions
 ) -> Mistake | None:
-    """A reading that agrees clearly better with the geometry; None without one.
+    """A convention that agrees clearly better with the geometry; None without one.
 
     Args:
-        scene: With measured forces; its boundary values do not matter.
-        written: As of `check_recordings`.
-        conventions: As of `check_recordings`.
+        scene: A scene with measured forces; its boundary values do not matter.
+        written: As in `check_recordings`.
+        conventions: As in `check_recordings`.
     """
     return _likely_mistake(scene, written, conventions)[1]
 
@@ -247,7 +247,7 @@ def likely_mistake(
 def _likely_mistake(
     scene: Scene, written: Trajectory, conventions: Conventions
 ) -> tuple[float, Mistake | None]:
-    """S as read, and a reading that is clearly better."""
+    """S as read, and the likely mistake."""
     frames = np.linspace(0, len(written) - 1, FRAMES)
     chosen = np.unique(frames.astype(np.int64))
     prior = scene.laplace.solve(scene.b)
@@ -289,9 +289,9 @@ def _about_another_point(
     conventions: Conventions,
     chosen: NDArray[np.int64],
 ) -> tuple[Conventions, float] | None:
-    """The reading about the point that the torques determine, and its S.
+    """The convention with the reference point that the torques determine, and its S.
 
-    None without torques, or where that point is the assumed one.
+    None without torques, or if that point is the assumed one.
     """
     frames = scene.trajectory.select(chosen)
     if frames.torque is None or frames.force is None:
@@ -311,7 +311,7 @@ def _about_another_point(
 def _readings(
     scene: Scene, written: Trajectory, conventions: Conventions
 ) -> Iterator[tuple[str, str, Trajectory]]:
-    """Other ways to read the recordings: what, the options, and the result."""
+    """Other conventions: description, options, and the recordings read so."""
     centroid = np.asarray(scene.shell.reference)
     place = scene.voxmap.surface.axis.scan_to_patient
     for other in _other_conventions(conventions, centroid):
@@ -375,7 +375,7 @@ def _other_conventions(
 
 
 def _difference(conventions: Conventions, other: Conventions) -> str:
-    """In words, how another reading differs."""
+    """Description of the difference to another convention."""
     words = []
     if other.quaternion != conventions.quaternion:
         words.append(f"quaternions {', '.join(other.quaternion)}")

@@ -58,7 +58,7 @@ def solution_path(
             for terms with a common weight, several entries for a grid. Other terms keep
             their weights.
         held_out: Recordings with wrenches, on which every point is evaluated.
-        solver: As of `ttus_opt.fit`.
+        solver: As in `ttus_opt.fit`.
         tolerance: Largest relative KKT residual of a solution [–].
         extras: "potential" keeps every point's field; "criteria" adds evidence,
             generalised cross-validation, and errors on presses left out in turn, for

@@ -259,7 +259,7 @@ class _Judge:
 
     Attributes:
         series: All frames in contact.
-        scale: Of the boundary values.
+        scale: Factor on the boundary values.
         frames: Their numbers in the trajectory, shape (frames,) [–].
     """
 

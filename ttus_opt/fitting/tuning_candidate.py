@@ -97,7 +97,7 @@ class Candidate:
         rows: Its rows on the grid for tuning.
         variance: Mean prior variance of their first term [–].
         series: Its frames in contact, over the basis.
-        maximum: Of the hyperparameters in the evidence.
+        maximum: Maximum of the evidence over the hyperparameters.
         largest: Largest weight that the basis is made for [–].
         varied: The chosen options.
     """
@@ -161,7 +161,7 @@ class Values:
     Attributes:
         weights: λ by term [–].
         correlation_time: T [s].
-        coefficient: Of the rows; 0 without one.
+        coefficient: Coefficient of the rows; 0 without one.
     """
 
     weights: Array
@@ -209,7 +209,7 @@ def candidate(
         formulation: By name or path; or an object, which is tuned on its own scene.
         scene: The scene of the fit.
         small: The same scene on the grid for tuning.
-        vary: As of `ttus_opt.fitting.tuning.tune`.
+        vary: As in `ttus_opt.fitting.tuning.tune`.
         options: Options of formulations; unknown ones are ignored.
         kept: Series of other candidates.
 

@@ -55,7 +55,7 @@ class TuningRows:
         highest: Its largest value.
         system: Rows of weight 1, followed by those that the coefficient multiplies.
         b: Right side of L p = b, shape (V,).
-        target: Of the rows, shape (rows,) [N].
+        target: Targets of the rows, shape (rows,) [N].
     """
 
     declared: Formulation
@@ -130,9 +130,9 @@ class TuningRows:
         sweep.complete(np.full(len(self.target), np.sqrt(weight)), MISSING)
         parts = 2 if self.coefficient else 1
         images = np.zeros((len(sweep), len(self.target)))
-        images[:, sweep.told] = sweep.images
+        images[:, sweep.informative] = sweep.images
         base = np.zeros(len(self.target))
-        base[sweep.told] = self.target[sweep.told] - sweep.misfit
+        base[sweep.informative] = self.target[sweep.informative] - sweep.misfit
         scene = self.declared.scene
         touching = scene.rows.contact_points > 0
         shape = (parts, len(self.terms), len(touching), 3)

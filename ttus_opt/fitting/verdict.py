@@ -29,7 +29,7 @@ def check_candidate(candidate: Candidate, program: Program, solver: str) -> None
     """Validate the form of a candidate, as the solver may be a user's own.
 
     Raises:
-        InputError: It is no `Candidate`, or its vectors have other lengths.
+        InputError: It is not a `Candidate`, or its vectors have other lengths.
     """
     if not isinstance(candidate, Candidate):
         raise InputError(
@@ -69,7 +69,7 @@ def judged(
         solver: The solver's name.
         candidate: The solver's answer.
         request: Tolerance and time limit.
-        timings: Of the fit so far.
+        timings: Timings of the fit so far.
 
     Returns:
         The solution of the original program.

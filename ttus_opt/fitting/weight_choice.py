@@ -158,7 +158,7 @@ def choose_weights(
         options: Options of the formulation, without weights.
         strict: Whether a formulation that cannot be tuned is an error instead of a
             warning.
-        progress: As of `tune`.
+        progress: As in `tune`.
 
     Raises:
         InputError: Weights among the options, an unknown formulation or option, or one

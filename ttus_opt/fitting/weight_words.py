@@ -92,13 +92,13 @@ def choice_of(
     Args:
         word: One of `WORDS`.
         scene: Patient, probe and measurements.
-        formulation: As of `choose_weights`; None for the recipe.
+        formulation: As in `choose_weights`; None for the recipe.
         options: Options of the formulation; none for the recipe.
-        strict: As of `choose_weights`.
+        strict: As in `choose_weights`.
         progress: Called with a message for every step.
 
     Raises:
-        InputError: As of `word_for` and `choose_weights`.
+        InputError: As in `word_for` and `choose_weights`.
     """
     options = options or {}
     word_for(word, formulation, options)

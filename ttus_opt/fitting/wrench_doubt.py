@@ -54,8 +54,8 @@ class WrenchDoubt:
             potential: The field.
             shell: The probe.
             trajectory: Poses; with drag their motion counts.
-            covariance: Of the errors of blocks of rows of the field.
-            noise: Of measured wrenches.
+            covariance: Covariance of the errors of blocks of rows of the field.
+            noise: Noise of measured wrenches.
         """
         rows = wrench_rows(potential, shell, trajectory)
         wrench = rendered(potential, rows)

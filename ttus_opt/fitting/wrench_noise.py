@@ -127,7 +127,7 @@ class ErrorModel:
     """Prior variance and noise of weighted measured rows.
 
     Attributes:
-        variance: Of the field's prior, over that of the program [–].
+        variance: Variance of the field's prior, over that of the program [–].
         own: Cholesky factor of the errors per frame, shape (n, h, h).
         shared: Columns of the errors per place, shape (n, h, 7).
         place: Place of every frame, shape (n,) [–].
@@ -197,8 +197,8 @@ class MeasuredWrenches:
         """Logarithm of the density of the measurements.
 
         Args:
-            variance: Of the prior of the fields' coefficients [–].
-            noise: Of the measurements.
+            variance: Prior variance of the fields' coefficients [–].
+            noise: Noise of the measurements.
         """
         k, m = len(self.images), self.misfit.size
         frames, n_places = np.arange(len(self.place)), int(self.place.max()) + 1
@@ -246,10 +246,10 @@ class MeasuredWrenches:
         """The error model of weighted rows.
 
         Args:
-            variance: Of the prior [–].
-            noise: Of the measurements.
+            variance: Prior variance [–].
+            noise: Noise of the measurements.
             scale: Factor of every component, shape (h,) [1/N, 1/N·m].
-            at: As of `ErrorModel`.
+            at: As in `ErrorModel`.
         """
         own = np.linalg.cholesky(self._own(noise)) * scale[:, None]
         shared = self._shared(noise) * scale[:, None]
@@ -277,7 +277,7 @@ def places(press: IntArray, position: Array) -> IntArray:
 
     Args:
         press: Press of every frame, shape (T,) [–].
-        position: Of the probe, shape (T, 3) [m].
+        position: Position of the probe, shape (T, 3) [m].
     """
     out, number, start = np.zeros(len(press), dtype=np.int64), 0, 0
     for t in range(1, len(press)):

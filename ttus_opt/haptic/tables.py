@@ -117,7 +117,7 @@ def render_tables(
     """Call `render_frame` with the arrays of two tables (compiled).
 
     Args:
-        table: Of `frame_table`.
+        table: Result of `frame_table`.
         fields: `table_of` a `FieldPair`.
         trilinear: As in `FrameData`.
         time: As for `render_frame`.

@@ -44,7 +44,7 @@ class FieldPair(NamedTuple):
         target: New field, or the same one, flat, shape (V,).
         current_drag: `DragLaw.numbers` of the present field.
         target_drag: `DragLaw.numbers` of the new field.
-        ledger: Of `ttus_opt.haptic.blend`, shape (LEDGER,).
+        ledger: Ledger of `ttus_opt.haptic.blend`, shape (LEDGER,).
     """
 
     current: Array

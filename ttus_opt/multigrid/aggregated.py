@@ -44,7 +44,7 @@ class AggregatedMultigrid(Multigrid):
             free: Unknown voxels, shape (V,); a block is free as a whole.
             pooled: Voxels pooled with the next one outwards, shape (V,).
             leads: Free voxels outside blocks, and one of each, shape (V,).
-            screening: As of `Multigrid`.
+            screening: As in `Multigrid`.
             grounds: Likewise.
         """
         self._leads = leads

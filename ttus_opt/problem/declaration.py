@@ -137,7 +137,7 @@ class Formulation:
         return self.terms[0].scene
 
     def __add__(self, term: Term | Unplaced) -> Formulation:
-        """With one more term."""
+        """The formulation with one more term."""
         if not (isinstance(term, Term) or hasattr(term, "over")):
             return NotImplemented
         return self._changed(
@@ -145,7 +145,7 @@ class Formulation:
         )
 
     def with_constraints(self, *constraints: Constraint) -> Formulation:
-        """With more constraints."""
+        """The formulation with more constraints."""
         return self._changed(
             self.terms,
             (*self.constraints, *constraints),
@@ -153,7 +153,7 @@ class Formulation:
         )
 
     def with_weights(self, **weights: float) -> Formulation:
-        """With other weights by term name, without assembling anything again.
+        """The formulation with other weights by term name; nothing is assembled again.
 
         Raises:
             InputError: Unknown term, or a negative weight.
@@ -173,7 +173,7 @@ class Formulation:
         return Formulation(self.terms, self.constraints, name, self.search)
 
     def with_search(self, search: Search) -> Formulation:
-        """With a parameter to search for."""
+        """The formulation with a parameter to search for."""
         return Formulation(self.terms, self.constraints, self.name, search)
 
     def _changed(
@@ -251,7 +251,7 @@ class Formulation:
         return CvxpyProgram.of(self.compile())
 
     def with_neutral(self, names: Collection[str]) -> Formulation:
-        """With these parameters fixed at their neutral values.
+        """The formulation with these parameters fixed at their neutral values.
 
         Bounds of variables that no term uses any more are dropped.
         """

@@ -23,7 +23,7 @@ from ttus_opt.formulation_files import formulation_module, shelf
 from ttus_opt.problem.declaration import Formulation as Formulation
 from ttus_opt.problem.declaration import Search as Search
 from ttus_opt.scene import Scene
-from ttus_opt.user_code import module_of_file, told_by_line, unknown_name
+from ttus_opt.user_code import module_of_file, unknown_name, user_errors
 
 #: Where another package offers formulations
 ENTRY_POINTS = "ttus_opt.formulations"
@@ -89,7 +89,7 @@ def load(
         if known is not None:
             what = f"option {option} of formulation {name}"
             _check_option(what, known[option], value)
-    with told_by_line(f"build() of formulation {name}"):
+    with user_errors(f"build() of formulation {name}"):
         built = build(scene, **options)
     if not isinstance(built, Formulation):
         raise InputError(
@@ -174,7 +174,7 @@ def _build_of(name: str) -> Callable[..., Formulation]:
     """The function of a known formulation, ours before another package's."""
     if name in _names():
         return _build_function(formulation_module(name))
-    with told_by_line(f"formulation {name} of another package"):
+    with user_errors(f"formulation {name} of another package"):
         found = _elsewhere()[name].load()
     return _build_function(found) if inspect.ismodule(found) else _checked(found, name)
 

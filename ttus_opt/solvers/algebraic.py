@@ -62,9 +62,9 @@ class Algebraic(Solver):
         """Takes sums of squares without a Laplace term, and given values."""
         if base := super().refusal(program):
             return base
-        bent = [t.name for t in program.terms if not t.is_squares]
-        if bent:
-            return f"it takes sums of squares only, {bent[0]} is none"
+        others = [t.name for t in program.terms if not t.is_squares]
+        if others:
+            return f"{others[0]} is not a sum of squares"
         prior = laplace_prior(program)
         if prior is not None and prior.weight > 0.0:
             return f"it takes no Laplace term ({prior.name}): use normal_equations"

@@ -73,7 +73,7 @@ class AugmentedLagrangian(Solver):
             if type(t.penalty).resolvent is Penalty.resolvent
         ]
         if mute:
-            return f"the penalty of {mute[0]} does not state its resolvent"
+            return f"the penalty of {mute[0]} does not implement resolvent()"
         if declared.is_quadratic and not _is_limited_alone(declared):
             return "all penalties are squares: other solvers take them faster"
         return ""

@@ -38,9 +38,9 @@ class Candidate:
     """An answer not yet verified.
 
     Attributes:
-        x: All variables, shape (n,); None when there is none.
+        x: All variables, shape (n,); None without an answer.
         duals: Multipliers, signs as in `ttus_opt.problem.kkt`.
-        iterations: Of the main loop [–].
+        iterations: Iterations of the main loop [–].
         claim: The solver's statement about its run.
         detail: The same in its own words.
     """
@@ -80,8 +80,8 @@ class Request:
     Attributes:
         tolerance: Largest relative KKT residual [–].
         time_limit: Most seconds to spend; None for no limit [s].
-        told: Called with the relative KKT residual of every better iterate, by solvers
-            that compute it [–].
+        told: Callback with the relative KKT residual [–] of every better iterate, for
+            solvers that compute it.
     """
 
     tolerance: float = 1e-6

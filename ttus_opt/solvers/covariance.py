@@ -211,7 +211,7 @@ def _touched(program: Program, prior: ProgramTerm) -> IntArray:
 
 
 def square_root(matrix: Array) -> Array:
-    """F with F Fᵀ = matrix, positive semidefinite, without what is rounding.
+    """F with F Fᵀ = matrix, positive semidefinite, without rounding errors.
 
     By Cholesky's decomposition with pivots, which ends where nothing is left: a
     twentieth of the time of an eigendecomposition.

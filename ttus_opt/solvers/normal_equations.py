@@ -53,7 +53,7 @@ class NormalEquations(Solver):
     """Preconditioned conjugate gradients on the normal equations.
 
     Attributes:
-        options: Of the method.
+        options: Options of the method.
     """
 
     name = "normal_equations"

@@ -179,11 +179,11 @@ def read_back(
         program: The program.
         form: Its least-squares or explicit form.
         x: The form's variables; None, or not finite, for no solution.
-        row_duals: Of the form's rows.
-        box_duals: Of the form's bounds; None where nothing is bounded.
-        iterations: As of `Candidate`.
-        claim: As of `Candidate`.
-        detail: As of `Candidate`.
+        row_duals: Multipliers of the form's rows.
+        box_duals: Multipliers of the form's bounds; None without bounds.
+        iterations: As in `Candidate`.
+        claim: As in `Candidate`.
+        detail: As in `Candidate`.
     """
     if x is None or not np.isfinite(x).all():
         # several packages return huge numbers or NaN when they fail

@@ -20,7 +20,7 @@ import ttus_opt.solvers
 from ttus_opt.errors import InputError
 from ttus_opt.problem.program import Program
 from ttus_opt.solvers.base import Solver
-from ttus_opt.user_code import module_of_file, told_by_line, unknown_name
+from ttus_opt.user_code import module_of_file, unknown_name, user_errors
 
 #: Where another package offers solvers
 ENTRY_POINTS = "ttus_opt.solvers"
@@ -65,7 +65,7 @@ def _preferred(program: Program) -> list[Solver]:
     costs: list[tuple[float, Solver]] = []
     for known in solvers().values():
         if known.installed and not known.refusal(program):
-            with told_by_line(f"solver {known.name}"):
+            with user_errors(f"solver {known.name}"):
                 costs.append((known.cost(program), known))
     able = [(cost, solver) for cost, solver in costs if cost < math.inf]
     if able:
@@ -101,7 +101,7 @@ def asked_for(solver: str | Path | Solver) -> Solver:
 
 
 def _loaded(entry: importlib.metadata.EntryPoint) -> Any:
-    with told_by_line(f"entry point {entry.name} of {ENTRY_POINTS}"):
+    with user_errors(f"entry point {entry.name} of {ENTRY_POINTS}"):
         return entry.load()
 
 

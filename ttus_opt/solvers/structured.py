@@ -9,7 +9,7 @@ that a new solve takes:
     new measured values     2 for p, and 2 per new direction
     new boundary values     1 more, for p₀
     new weights             the same: kept directions are made conjugate again
-    another trajectory      all directions anew, the multigrid is kept
+    another trajectory      new directions, the multigrid is kept
     any, with limits        starts from the last working set, with new directions
 """
 
@@ -55,7 +55,7 @@ class Structured(Solver):
     """Conjugate gradients on the dual system, L⁻¹ by multigrid; active sets.
 
     Attributes:
-        options: Of the method.
+        options: Options of the method.
     """
 
     name = "structured"
@@ -86,7 +86,7 @@ class Structured(Solver):
         try:
             FieldPair.of(program)
         except ValueError as error:
-            return f"of two fields it takes bounds and a largest share: {error}"
+            return f"with two fields it takes bounds and a largest share: {error}"
         return ""
 
     def cost(self, program: Program) -> float:
@@ -135,7 +135,7 @@ class _Loaded(Limited):
     _solver: DualSolver | None = None
 
     def update(self, program: Program) -> None:
-        """Take other data; the module's docstring lists what is kept."""
+        """Load other data; the module's docstring lists what is kept."""
         self._program = program
         self._data = DualData.of(program)
         self._limits = SpokeLimits.of(program)

@@ -1,7 +1,7 @@
-"""Terms of an objective: one file per member.
+"""Terms of an objective, one file each.
 
-`ttus_opt.terms.LaplaceTerm` and the like find their file; ``dir(ttus_opt.terms)`` lists
-what there is.
+Classes are imported on first use, such as `ttus_opt.terms.LaplaceTerm`;
+``dir(ttus_opt.terms)`` lists them.
 """
 
 from __future__ import annotations
@@ -17,5 +17,5 @@ def __getattr__(name: str) -> type:
 
 
 def __dir__() -> list[str]:
-    """The classes there are."""
+    """Names of all classes."""
     return sorted(shelf.members(sys.modules[__name__]))

@@ -28,7 +28,7 @@ class AnisotropicTerm(Term):
 
     @property
     def formula(self) -> str:
-        """With the conductivities."""
+        """The formula with the conductivities."""
         given = ", ".join(f"{k:g}" for k in self.conductivities)
         return f"‖L(k = {given}) p − b‖²"
 

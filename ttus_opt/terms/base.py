@@ -24,7 +24,7 @@ from ttus_opt.terms.member import Member
 from ttus_opt.terms.penalties.base import Penalty
 from ttus_opt.terms.penalties.squares import Squares
 from ttus_opt.terms.structure import Tags, check_structure
-from ttus_opt.user_code import defined_at, told_by_line
+from ttus_opt.user_code import defined_at, user_errors
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,10 @@ class Fitted:
     """A parameter that a convex fit finds among its variables.
 
     Attributes:
-        gradient: Its derivative by each variable it depends on, by name, shape of the
-            variable; empty where it is undefined.
+        gradient: Its derivative with respect to each variable it depends on, by name,
+            shape of the variable; empty if undefined.
         span: Plausible distance from its neutral value 0 [its unit].
-        upper: Its upper limit; inf for none [its unit].
+        upper: Its upper limit [its unit]; inf for none.
     """
 
     gradient: Mapping[str, Array] = field(repr=False)
@@ -63,12 +63,12 @@ class Term(Member):
     """A weighted penalty of an affine residual over a scene.
 
     Attributes:
-        weight: Its λ, not negative [–].
+        weight: Its λ, non-negative [–].
     """
 
     weight: float = 1.0
 
-    #: Whether its rows are measurements, whose noise the residuals show
+    #: Whether its rows are measurements, so that residuals are noise
     measures: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -95,14 +95,14 @@ class Term(Member):
 
     @cached_property
     def assembled(self) -> AffineRows:
-        """`rows`, computed once, in one format, and kept by copies with another weight.
+        """`rows`, computed once, as arrays of floats, and shared by reweighted copies.
 
         Raises:
             InputError: `rows` raises, a row or a target is not finite, sizes do not
                 match, or a tag is wrong.
         """
         owner = f"term {self.name}{defined_at(type(self).rows)}"
-        with told_by_line(f"rows() of term {self.name}"):
+        with user_errors(f"rows() of term {self.name}"):
             rows = self.rows()
         if not isinstance(rows, AffineRows):
             raise InputError(

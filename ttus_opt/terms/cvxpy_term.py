@@ -32,7 +32,7 @@ from ttus_opt.terms.base import AffineRows, Term
 from ttus_opt.terms.kept import replaced
 from ttus_opt.terms.limits import ConeRows, LinearRows
 from ttus_opt.terms.penalties.linear import Linear
-from ttus_opt.user_code import told_by_line
+from ttus_opt.user_code import user_errors
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class CvxpyRows(Term):
 
     Attributes:
         label: The term's name.
-        expression: As of `CvxpyTerm`.
+        expression: As in `CvxpyTerm`.
     """
 
     label: str = field(kw_only=True)
@@ -139,13 +139,13 @@ class CvxpyRows(Term):
 
     @cached_property
     def _stated(self) -> tuple[Any, dict[str, Any]]:
-        """The expression, checked, and its variables by name."""
+        """The checked expression and its variables by name."""
         import cvxpy as cp
 
         shape = self.scene.voxmap.grid.shape
         names = list(inspect.signature(self.expression).parameters)
         variables = {name: cp.Variable(shape, name=name) for name in names}
-        with told_by_line(f"the expression of term {self.name}"):
+        with user_errors(f"the expression of term {self.name}"):
             stated = self.expression(*variables.values())
         what = f"term {self.name}: its expression"
         if not (isinstance(stated, cp.Expression) and stated.is_scalar()):
@@ -168,10 +168,10 @@ class CvxpyRows(Term):
         problem = cp.Problem(cp.Minimize(stated))
         if problem.is_mixed_integer():
             raise InputError(f"term {self.name}: integer variables are not convex")
-        with told_by_line(f"cvxpy's canonical form of term {self.name}"):
+        with user_errors(f"cvxpy's canonical form of term {self.name}"):
             data, _, _ = problem.get_problem_data(
                 cp.CLARABEL,
-                canon_backend=cp.SCIPY_CANON_BACKEND,  # takes three dimensions
+                canon_backend=cp.SCIPY_CANON_BACKEND,  # supports three dimensions
                 solver_opts={"use_quad_obj": False},
             )
         self._refuse_other_cones(data)

@@ -1,4 +1,4 @@
-"""Rows as terms and constraints declare them: validated and made uniform.
+"""Validation of the rows that terms and constraints declare.
 
 Sparse matrices of any format become ``csr_array`` of floats, lists of numbers arrays.
 """
@@ -33,11 +33,11 @@ def uniform_blocks(owner: str, blocks: Any, n_rows: int) -> Blocks:
 
     Args:
         owner: The member that declares them, for messages.
-        blocks: As declared.
+        blocks: The declared matrices.
         n_rows: Number of rows of each.
 
     Raises:
-        InputError: No matrices, dense or complex ones, of other shapes, or not finite.
+        InputError: Not sparse real matrices of this number of rows, or not finite.
     """
     if not (isinstance(blocks, Mapping) and blocks):
         raise InputError(
@@ -62,8 +62,8 @@ def _matrix(owner: str, variable: str, matrix: Any, n_rows: int) -> sp.csr_array
     rows: sp.csr_array = given
     if rows.shape[0] != n_rows:
         raise InputError(
-            f"{owner}: {rows.shape[0]} rows over {variable}, and {n_rows} entries in "
-            "its vector: give one for every row"
+            f"{owner}: {rows.shape[0]} rows over {variable}, but {n_rows} entries in "
+            "its vector: give one entry per row"
         )
     wrong = ~np.isfinite(rows.data)
     if wrong.any():
@@ -81,12 +81,12 @@ def uniform_vector(owner: str, name: str, values: Any, *, finite: bool) -> Array
 
     Args:
         owner: The member that declares it, for messages.
-        name: What it is: target, lower limit, upper limit.
-        values: As declared.
+        name: Its name in messages: target, lower limit, upper limit.
+        values: The declared values.
         finite: Whether infinite entries are refused; NaN always is.
 
     Raises:
-        InputError: No vector of real numbers, or refused entries.
+        InputError: Not a vector of real numbers, or refused entries.
     """
     try:
         vector = np.asarray(values)

@@ -1,8 +1,9 @@
-"""A depth profile, the same everywhere, times a random variation over the patient.
+"""A common depth profile times a random variation over the patient.
 
-p = φ(d) (1 + g): φ is one curve of the depth d below the surface, g a Gaussian field
-of standard deviation σ with a Matérn covariance along the surface times one along the
-depth. The term is −2 log of g's density, up to a constant: ‖R (p/φ − 1)‖²/σ².
+p = φ(d) (1 + g), where φ is one function of the depth d below the surface, and g a
+Gaussian field of standard deviation σ whose covariance is a Matérn covariance along the
+surface times one along the depth. The term is −2 times the log density of g, up to a
+constant: ‖R (p/φ − 1)‖²/σ².
 
 See docs/method.md, Depth map.
 """
@@ -24,8 +25,8 @@ from ttus_opt.terms.depth_profile import DepthProfile, voxel_depths
 from ttus_opt.terms.matern import SeparableCovariance
 from ttus_opt.terms.structure import KnownCovariance
 
-#: Least depth at which φ is evaluated, over a layer's thickness, so that rows stay
-#: finite at voxels on the surface [–]
+#: Smallest depth at which φ is evaluated, over a layer's thickness [–]: rows must be
+#: finite at voxels on the surface
 LEAST_DEPTH = 0.1
 
 
@@ -59,7 +60,7 @@ class DepthMapTerm(Term):
         surface_length: float | None = None,
         length_ratio: float | None = None,
     ) -> Self:
-        """With the estimate's values where none are given."""
+        """A term with the estimated values, except those given."""
         return cls(
             scene,
             profile=estimate.profile,
@@ -75,7 +76,7 @@ class DepthMapTerm(Term):
 
     @property
     def formula(self) -> str:
-        """With φ, σ and the lengths."""
+        """The formula with φ, σ and the lengths."""
         root = np.sqrt(self.length_ratio)
         around, along = self.surface_length * root, self.surface_length / root
         return (

@@ -1,17 +1,17 @@
-"""A depth map's profile and hyperparameters by their marginal likelihood.
+"""Estimate of a depth map's profile and hyperparameters by marginal likelihood.
 
-With the field's covariance C and a noise the measured forces are Gaussian,
+With the field's covariance C and noise, the measured forces are Gaussian,
 
-    f ~ N(N φ, K),   K = diag(σ_0² + ρ² ‖f_k‖²) + N C Nᵀ,
+    f ~ N(N φ, K),   K = diag(σ_0² + ρ² ‖f_k‖²) + N C Nᵀ.
 
-so that their log density, the evidence, rates a profile, a relative deviation σ, a
-length ℓ along the surface, the ratio of the lengths around and along the patient, and
-the noise σ_0 and ρ. The noise has to grow with the force: a constant noise would
-explain the larger errors of strong forces by tissue that varies from voxel to voxel,
-and make the length too short. Weak log-normal priors keep poorly determined values near
-those measured on soft tissue. The profile's coefficients follow by nonnegative least
-squares in the metric of K, with C from the profile at the medians; then, among the
-iterates of profile and C, the likeliest with its own C is taken.
+Their log density, the evidence, is maximised over the profile, its relative deviation
+σ, the correlation length ℓ along the surface, the ratio of the lengths around and along
+the patient, and the noise parameters σ_0 and ρ. The noise must grow with the force:
+with constant noise, the larger errors of strong forces would be attributed to tissue
+that varies from voxel to voxel, and ℓ would be too short. Weak log-normal priors keep
+poorly determined values near those measured on soft tissue. The profile's coefficients
+follow by non-negative least squares in the metric of K, with C from the profile at the
+medians. Then profile and C are iterated, and the most likely iterate is used.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), section 5.4.1. See docs/method.md, Depth map.
@@ -49,20 +49,20 @@ PRIOR = {
     "length_ratio": (1.0, 1.0),
 }
 
-#: Ratios of lengths to start from: structures around the patient, such as ribs, and
-#: along it are separate maxima of the posterior [–]
+#: Initial ratios of lengths [–]: structures around the patient, such as ribs, and along
+#: it are separate maxima of the posterior
 RATIOS = (0.1, 10.0)
 
 #: Most evaluations of the evidence
 CALLS = 200
 
-#: Most frames in the evidence, which costs their number cubed [–]
+#: Most frames in the evidence, whose cost grows with their number cubed [–]
 MOST_FRAMES = 150
 
-#: Frames with a smaller force are left out [N]
+#: Frames with a smaller force are ignored [N]
 LEAST_FORCE = 0.1
 
-#: Least noise over the forces, so that the covariance can be factorised [–]
+#: Smallest noise over the forces, so that the covariance can be factorised [–]
 LEAST_NOISE = 1e-4
 
 #: Iterations of the profile and the covariance that depends on it
@@ -71,7 +71,7 @@ ROUNDS = 2
 
 @dataclass(frozen=True)
 class DepthMapEstimate:
-    """The values chosen by the evidence.
+    """The most likely profile and hyperparameters.
 
     Attributes:
         profile: φ.
@@ -81,7 +81,7 @@ class DepthMapEstimate:
         noise: Root mean square of σ_n over the frames, of a force component [N].
         length_ratio: Length around the patient over length along it, of which ℓ is the
             geometric mean [–].
-        log_evidence: With the priors, up to a constant [–].
+        log_evidence: Log evidence plus log prior, up to a constant [–].
     """
 
     profile: DepthProfile
@@ -100,16 +100,16 @@ def estimate_depth_map(
     exponents: tuple[float, ...] = EXPONENTS,
     depth_length: float = 0.015,
 ) -> DepthMapEstimate:
-    """Choose profile, deviation, lengths and noise.
+    """Estimate profile, deviation, lengths and noise.
 
     Args:
-        scene: With measured forces.
-        rows: Force rows, (3T, V); the scene's N by default (with drag: N − μ F).
-        exponents: Of the profile.
+        scene: A scene with measured forces.
+        rows: Force rows, (3T, V); by default the scene's N (with drag: N − μ F).
+        exponents: Exponents of the profile.
         depth_length: Matérn length along the depth, which forces hardly determine [m].
 
     Raises:
-        InputError: No force is measured in contact, or all point outwards.
+        InputError: No force was measured in contact, or the forces pull.
     """
     own = scene.N if rows is None else rows
     problem = _Problem.of(scene, own, exponents, depth_length)
@@ -155,10 +155,10 @@ class _Problem:
     """Measured forces and the voxels that they touch.
 
     Attributes:
-        rows: Over the touched voxels, shape (m, n).
-        force: Shape (m,) [N].
-        powers: Of the touched voxels' depths, shape (n, exponents).
-        spoke: Every voxel's number among the k touched spokes, shape (n,).
+        rows: Force rows over the touched voxels, shape (m, n).
+        force: Measured forces, shape (m,) [N].
+        powers: Powers of the touched voxels' depths, shape (n, exponents).
+        spoke: Index of every voxel's spoke among the k touched ones, shape (n,).
         around: Distances of these spokes on the surface around the patient, (k, k) [m].
         along: The same along the patient, (k, k) [m].
         down: Correlation of the voxels along the depth, (n, n) [–].
@@ -211,7 +211,7 @@ class _Problem:
         )
 
     def variances(self, chosen: _Chosen) -> Array:
-        """Of the noise of every row, shape (m,) [N²]."""
+        """Noise variance of every row, shape (m,) [N²]."""
         squares = (self.force.reshape(-1, 3) ** 2).sum(axis=1)
         least = LEAST_NOISE**2 * squares.mean()
         own = chosen.noise**2 + chosen.relative_noise**2 * squares
@@ -232,7 +232,7 @@ class _Problem:
         return np.asarray(c)
 
     def profile(self, chosen: _Chosen, first: Array) -> Array:
-        """Coefficients of the likeliest profile, with its own variation.
+        """Coefficients of the most likely profile, iterated with C.
 
         Args:
             chosen: Hyperparameters.
@@ -251,7 +251,7 @@ class _Problem:
         Args:
             chosen: Hyperparameters.
             varied: Coefficients of the profile in C.
-            mean: Coefficients of the mean; by default the likeliest.
+            mean: Coefficients of the mean; by default the most likely ones.
         """
         root = np.sqrt(chosen.length_ratio)
         between = np.hypot(self.around / root, self.along * root)

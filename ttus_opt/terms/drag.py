@@ -1,7 +1,7 @@
-"""Drag models: what a drag adds to the rows of measured forces and torques.
+"""Drag models: rows that drag adds to measured forces and torques.
 
-A model knows its variables and rows (`ttus_opt.contact.friction`); the terms
-`drag_force` and `drag_torque` put them beside N and W.
+A model has its variables and rows (`ttus_opt.contact.friction`); the terms `drag_force`
+and `drag_torque` combine them with N and W.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from ttus_opt.terms.kept import replaced
 
 Blocks = dict[str, sp.csr_array]
 
-#: Sliding slower than this share of the deadband counts as rest: 2 µm/s are 0.1 µm in
-#: a frame of 50 ms, less than any tracker resolves [–]
+#: Sliding below this share of the deadband counts as rest [–]: 2 µm/s are 0.1 µm in a
+#: frame of 50 ms, less than any tracker resolves
 AT_REST = 1e-3
 
 
 def coulomb_rows_over(scene: Scene, sliding: Sliding, deadband: float) -> DragRows:
-    """Coulomb drag in a scene per unit of μ p, where ``sliding`` says it acts."""
+    """Rows of Coulomb drag in a scene, with drag = −F (μ p)."""
     where = (scene.voxmap, scene.shell, scene.trajectory)
     how = {"sampling": scene.sampling, "deadband": deadband}
     return drag_rows(scene.rows, sliding, *where, **how)  # type: ignore[arg-type]
@@ -43,12 +43,12 @@ def coulomb_rows_over(scene: Scene, sliding: Sliding, deadband: float) -> DragRo
 
 @dataclass(frozen=True)
 class DragModel(abc.ABC):
-    """How the skin drags on the probe.
+    """A model of the friction force on the probe.
 
     Attributes:
         scene: Probe, motion and rows.
         acts_at: Where drag acts, ``contact``, ``reference`` or ``points``.
-        deadband: Sliding slower than this is on its way to rest [m/s].
+        deadband: Sliding speed below which drag decreases in proportion [m/s].
     """
 
     scene: Scene = field(repr=False)
@@ -58,21 +58,21 @@ class DragModel(abc.ABC):
     @property
     @abc.abstractmethod
     def formula(self) -> str:
-        """What it takes from N p, for `repr` of a formulation."""
+        """The drag subtracted from N p, for `repr` of a formulation."""
 
     @cached_property
     def sliding(self) -> Sliding:
-        """Patches and sliding of the scene's poses."""
+        """Patches and sliding velocities of the scene's poses."""
         scene = self.scene
         return Sliding.of(scene.voxmap, scene.shell, scene.trajectory, self.acts_at)
 
     @cached_property
     def rows(self) -> DragRows:
-        """Drag per unit of what drives it."""
+        """Rows of drag over its unknowns."""
         return coulomb_rows_over(self.scene, self.sliding, self.deadband)
 
     def force_blocks(self) -> Blocks:
-        """Force rows by variable: the field's N and what drag takes away."""
+        """Force rows by variable: N for the field, and the rows of drag."""
         return self._beside(self.scene.N, self.rows.force)
 
     def torque_blocks(self) -> Blocks:
@@ -84,12 +84,12 @@ class DragModel(abc.ABC):
         """The rows of contact and of drag by variable."""
 
     def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
-        """Those coefficients that are found among the variables, by name."""
+        """The coefficients that are variables, by name."""
         return {}
 
     @abc.abstractmethod
     def not_identifiable(self) -> dict[str, str]:
-        """Coefficients that no pose determines, and why, by name."""
+        """Reasons for coefficients that no pose determines, by name."""
 
     def with_neutral(self, names: Collection[str]) -> Self:
         """The same model with these of its coefficients at 0."""
@@ -113,17 +113,17 @@ class DragModel(abc.ABC):
         return np.asarray(self.touching & (speed > AT_REST * self.deadband))
 
     def no_sliding(self) -> str:
-        """Why no pose determines drag; empty when one does."""
+        """Why no pose determines drag; empty if one does."""
         if self.moving.any():
             return ""
         return "no sliding" if self.touching.any() else "no contact"
 
     @abc.abstractmethod
     def identified(self, values: Mapping[str, Array]) -> dict[str, float]:
-        """Coefficients by the names under which a field carries them."""
+        """Coefficients by their names among a field's parameters."""
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
-        """Coefficients and what rendering needs beside them, by name."""
+        """Coefficients and the other parameters that rendering needs, by name."""
         return self.identified(values) | {
             friction.DRAG_DEADBAND: self.deadband,
             friction.DRAG_AT_REFERENCE: float(self.acts_at == "reference"),
@@ -144,7 +144,7 @@ class GlobalCoulomb(DragModel):
 
     @property
     def formula(self) -> str:
-        """μ F p with μ as given."""
+        """The formula μ F p with the value of μ."""
         return f"{self.coefficient:.4g} F p"
 
     def __post_init__(self) -> None:
@@ -155,7 +155,7 @@ class GlobalCoulomb(DragModel):
             )
 
     def with_coefficient(self, coefficient: float) -> Self:
-        """The same drag with another μ; sliding and rows are kept."""
+        """The same drag with another μ; sliding and rows are shared."""
         return replaced(self, "sliding", "rows", coefficient=float(coefficient))
 
     def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
@@ -166,7 +166,7 @@ class GlobalCoulomb(DragModel):
         return {friction.FRICTION: self.coefficient}
 
     def not_identifiable(self) -> dict[str, str]:
-        """μ, where nothing slides."""
+        """The coefficient μ, if nothing slides."""
         why = self.no_sliding()
         return {friction.FRICTION: why} if why else {}
 
@@ -176,8 +176,8 @@ class CoulombField(DragModel):
     """Drag −t̂ (n̂ᵀ N q) of a voxel field q, the friction coefficient times p.
 
     Attributes:
-        largest: μ_max, the largest share of p that q may be [–].
-        excluded: Whether q is left out of the rows.
+        largest: μ_max, the largest ratio of q to p [–].
+        excluded: Whether q is omitted from the rows.
     """
 
     largest: float = 1.0
@@ -185,7 +185,7 @@ class CoulombField(DragModel):
 
     @property
     def formula(self) -> str:
-        """F q."""
+        """The formula F q."""
         return "F q"
 
     def _beside(self, contact: sp.csr_array, drag: sp.csr_array) -> Blocks:
@@ -194,11 +194,11 @@ class CoulombField(DragModel):
         return {"p": contact, "q": sp.csr_array(-drag)}
 
     def identified(self, values: Mapping[str, Array]) -> dict[str, float]:
-        """The one μ for which μ F p is nearest to F q."""
+        """The single μ for which μ F p is closest to F q."""
         return {friction.FRICTION: max(self._nearest(values)[0], 0.0)}
 
     def _nearest(self, values: Mapping[str, Array]) -> tuple[float, Array, Array]:
-        """μ = (F p)ᵀ(F q)/‖F p‖² with F p and F q; 0 where nothing slides."""
+        """The ratio μ = (F p)ᵀ(F q)/‖F p‖² (0 without sliding), F p and F q."""
         full = self.rows.force @ values["p"]
         square = float(full @ full)
         if self.excluded or not square:
@@ -207,7 +207,7 @@ class CoulombField(DragModel):
         return float(full @ dragged) / square, full, dragged
 
     def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
-        """μ with its derivatives by q and p."""
+        """The coefficient μ with its derivatives with respect to q and p."""
         mu, full, dragged = self._nearest(values)
         square = float(full @ full)
         if self.excluded or not self.moving.any():
@@ -222,23 +222,23 @@ class CoulombField(DragModel):
         return {friction.FRICTION: Fitted(gradient, 1.0, self.largest)}
 
     def not_identifiable(self) -> dict[str, str]:
-        """μ and its mean, where nothing slides or q is left out."""
+        """The coefficient μ and its mean, if nothing slides or q is omitted."""
         why = "the drag field is left out" if self.excluded else self.no_sliding()
         return {friction.FRICTION: why, MEAN_FRICTION: why} if why else {}
 
     def with_neutral(self, names: Collection[str]) -> Self:
-        """Without q where μ is among the names."""
+        """Without q if μ is among the names."""
         return replace(self, excluded=True) if friction.FRICTION in names else self
 
 
 @dataclass(frozen=True)
 class Viscous(DragModel):
-    """Drag −c v_t, one coefficient c [N·s/m] per patch of the torso.
+    """Drag −c v_t with one coefficient c [N·s/m] per region of the torso.
 
     Attributes:
-        sectors: Patches around the axis [–].
-        bands: Patches along it [–].
-        excluded: Patches whose coefficient is 0, given and not fitted.
+        sectors: Number of regions around the axis [–].
+        bands: Number of regions along it [–].
+        excluded: Regions whose coefficient is fixed at 0.
     """
 
     sectors: int = 1
@@ -247,12 +247,12 @@ class Viscous(DragModel):
 
     @property
     def formula(self) -> str:
-        """The columns of sliding velocities times c."""
+        """The formula: columns of sliding velocities times c."""
         return "v c"
 
     @cached_property
     def rows(self) -> DragRows:
-        """Velocities, in the column of the patch that is touched."""
+        """Sliding velocities, in the column of the region in contact."""
         n = self.sectors * self.bands
         rows = friction.viscous_rows(self.sliding, self.region, n)
         if not self.excluded:
@@ -265,11 +265,11 @@ class Viscous(DragModel):
 
     @cached_property
     def region(self) -> NDArray[np.int64]:
-        """The patch of every pose, shape (T,)."""
+        """The region of every pose, shape (T,)."""
         return self.sliding.regions(self.sectors, self.bands, self.scene.voxmap)
 
     def _name(self, patch: int) -> str:
-        """Of a patch's coefficient."""
+        """Name of a region's coefficient."""
         alone = self.sectors * self.bands == 1
         return friction.VISCOUS if alone else f"{friction.VISCOUS}_{patch}"
 
@@ -277,9 +277,9 @@ class Viscous(DragModel):
         return {"p": contact, "c": sp.csr_array(-drag)}
 
     def identified(self, values: Mapping[str, Array]) -> dict[str, float]:
-        """Mean coefficient over the poses in contact, and each patch's own.
+        """Mean coefficient over the poses in contact, and that of each region.
 
-        A patch that was never touched, of which nothing is known, has the mean.
+        A region that was never touched gets the mean.
         """
         touched = self.region[self.touching]
         c = np.maximum(values["c"], 0.0)
@@ -295,11 +295,11 @@ class Viscous(DragModel):
         return found
 
     def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
-        """The coefficients of patches that are slid on, and their mean.
+        """The coefficients of regions with sliding, and their mean.
 
-        The largest plausible coefficient makes drag as large as the contact force at
-        the speed of sliding, or at the deadband if that is faster. The mean is
-        identified where the patches are.
+        At the largest plausible coefficient drag equals the contact force at the
+        sliding speed, or at the deadband if that is faster. The mean is identified if
+        the regions are.
         """
         n, own = self.sectors * self.bands, self.region[self.moving]
         included = sorted(set(own.tolist()) - self.excluded)
@@ -323,7 +323,7 @@ class Viscous(DragModel):
         return found
 
     def not_identifiable(self) -> dict[str, str]:
-        """Patches never slid on, and the mean where no patch is."""
+        """Regions without sliding, and the mean if there is no other region."""
         n = self.sectors * self.bands
         slid, touched = self.region[self.moving], self.region[self.touching]
         if n == 1:
@@ -337,14 +337,14 @@ class Viscous(DragModel):
                 found[self._name(i)] = "no sliding"
         if set(slid.tolist()) <= self.excluded:
             found[friction.VISCOUS] = (
-                self.no_sliding() or "no patch of it is identified"
+                self.no_sliding() or "none of its regions is identified"
             )
         return found
 
     def with_neutral(self, names: Collection[str]) -> Self:
-        """With the coefficients of these patches given as 0.
+        """With the coefficients of these regions fixed at 0.
 
-        One that was never touched stays: it has the mean.
+        A region that was never touched is unchanged: it has the mean.
         """
         n = self.sectors * self.bands
         touched = set(self.region[self.touching].tolist())

@@ -1,9 +1,9 @@
-"""A first estimate of drag with the shape of the Laplace field alone.
+"""A first estimate of drag from the shape of the Laplace field alone.
 
 With p₁ the Laplace field of boundary value 1, forces s (N − μ F) p₁ and torques are
-linear in (s, s μ). A least squares problem of two unknowns gives μ, the boundary
-scale with drag included, and whether drag acts at the contact, through the probe's
-reference point, or at every point of the probe for itself.
+linear in (s, s μ). Least squares in these two unknowns gives μ, the boundary scale with
+drag, and whether drag acts on the contact patch, at the probe's reference point, or at
+every point of the probe.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from ttus_opt.terms.drag import coulomb_rows_over
 
 @dataclass(frozen=True)
 class DragEstimate:
-    """Drag as estimated with the shape of the Laplace field.
+    """Drag estimated from the shape of the Laplace field.
 
     Attributes:
-        friction_coefficient: μ, not negative [–].
+        friction_coefficient: μ, non-negative [–].
         boundary_scale: Factor on the scene's boundary values [–].
         acts_at: ``contact``, ``reference`` or ``points``.
-        misfit: Root mean square of force residuals and, where they were measured,
+        misfit: Root mean square of force residuals and, if torques were measured, of
             torque residuals over ℓ [N].
     """
 
@@ -45,13 +45,13 @@ def estimate_drag(
     """Estimate drag by least squares.
 
     Args:
-        scene: With measured wrenches.
-        acts_at: ``contact``, ``reference``, ``points``, or "auto" for what fits best.
-        deadband: Sliding slower than this is on its way to rest [m/s].
-        places: What the model knows; "auto" chooses among them.
+        scene: A scene with measured wrenches.
+        acts_at: ``contact``, ``reference``, ``points``, or "auto" for the best fit.
+        deadband: Sliding speed below which drag decreases in proportion [m/s].
+        places: The choices of "auto".
 
     Returns:
-        The estimate; μ is 0 where nothing slides.
+        The estimate; μ is 0 without sliding.
 
     Raises:
         InputError: ``acts_at`` is neither "auto" nor one of the places.

@@ -19,7 +19,7 @@ class DragForceTerm(Term):
     """Squares of the force residuals with drag, of every frame [N²].
 
     Attributes:
-        drag: How the skin drags.
+        drag: The drag model.
     """
 
     drag: DragModel = field(kw_only=True, repr=False)
@@ -29,26 +29,26 @@ class DragForceTerm(Term):
 
     @property
     def formula(self) -> str:
-        """With what drag takes away."""
+        """The formula with the drag subtracted."""
         return f"‖N p − {self.drag.formula} − f‖²"
 
     def rows(self) -> AffineRows:
-        """N and drag's rows by variable, and f."""
+        """N and the rows of drag by variable, and f."""
         return AffineRows(self.drag.force_blocks(), self.scene.f)
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
-        """Drag's coefficients."""
+        """The drag coefficients."""
         return self.drag.parameters(values)
 
     def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
-        """Drag's coefficients that are found among the variables."""
+        """The drag coefficients that are variables."""
         return self.drag.fitted(values)
 
     def not_identifiable(self) -> dict[str, str]:
-        """Drag's coefficients that no pose determines."""
+        """The drag coefficients that no pose determines."""
         return self.drag.not_identifiable()
 
     def with_neutral(self, names: Collection[str]) -> Self:
-        """The same term without this drag."""
+        """The same term with these drag coefficients at 0."""
         drag = self.drag.with_neutral(names)
         return self if drag is self.drag else replace(self, drag=drag)

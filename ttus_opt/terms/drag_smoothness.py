@@ -20,7 +20,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.terms.base import AffineRows, Fitted, Term
 from ttus_opt.terms.structure import LaplaceRows
 
-#: Name under which a fitted field carries m
+#: Name of m among the parameters of a fitted field
 MEAN_FRICTION = "mean_friction_coefficient"
 
 
@@ -29,7 +29,7 @@ class DragSmoothnessTerm(Term):
     """Squares of the scaled Laplace rows of q, Dirichlet rows included (soft).
 
     Attributes:
-        has_mean: Whether m is found with q; it is 0 otherwise.
+        has_mean: Whether m is a variable; otherwise it is 0.
     """
 
     has_mean: bool = True
@@ -38,7 +38,7 @@ class DragSmoothnessTerm(Term):
 
     @property
     def formula(self) -> str:
-        """With m or without."""
+        """The formula with or without m."""
         return "‖L q − m b‖²" if self.has_mean else "‖L q‖²"
 
     def rows(self) -> AffineRows:
@@ -56,9 +56,9 @@ class DragSmoothnessTerm(Term):
         return {MEAN_FRICTION: float(values["m"][0]) if self.has_mean else 0.0}
 
     def fitted(self, values: Mapping[str, Array]) -> dict[str, Fitted]:
-        """m; 1 from neutral, drag is as large as the normal force."""
+        """The coefficient m, with span 1: drag then equals the normal force."""
         return {MEAN_FRICTION: Fitted({"m": np.ones(1)}, 1.0)} if self.has_mean else {}
 
     def with_neutral(self, names: Collection[str]) -> Self:
-        """The same prior, towards 0 where m is among the names."""
+        """The same prior, with m = 0 if it is among the names."""
         return replace(self, has_mean=False) if MEAN_FRICTION in names else self

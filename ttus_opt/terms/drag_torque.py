@@ -19,7 +19,7 @@ class DragTorqueTerm(TorqueTerm):
     """Squares of the torque residuals over ℓ with drag, of every frame [N²].
 
     Attributes:
-        drag: How the skin drags.
+        drag: The drag model.
     """
 
     drag: DragModel = field(kw_only=True, repr=False)
@@ -28,15 +28,15 @@ class DragTorqueTerm(TorqueTerm):
 
     @property
     def formula(self) -> str:  # type: ignore[override]
-        """With what drag takes away."""
+        """The formula with the torque of drag subtracted."""
         drag = self.drag.formula.replace("F", "G")
         return f"‖(W p − {drag} − τ)/ℓ‖²"
 
     def rows(self) -> AffineRows:
-        """W/ℓ and drag's rows by variable, and τ/ℓ."""
+        """W/ℓ and the rows of drag by variable, and τ/ℓ."""
         return self._measured(self.drag.torque_blocks())
 
     def with_neutral(self, names: Collection[str]) -> Self:
-        """The same term without this drag."""
+        """The same term with these drag coefficients at 0."""
         drag = self.drag.with_neutral(names)
         return self if drag is self.drag else replace(self, drag=drag)

@@ -1,4 +1,4 @@
-"""Copies of frozen objects that keep cached properties."""
+"""Copies of frozen objects that share cached properties."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def replaced(member: _Member, *cached: str, **changes: Any) -> _Member:
     Args:
         member: A frozen dataclass.
         cached: Names of cached properties that the changes do not affect; others are
-            computed anew.
+            recomputed.
         changes: New values of fields.
     """
     other: _Member = replace(member, **changes)  # type: ignore[type-var]

@@ -28,7 +28,7 @@ class LaplaceTerm(Term):
 
     @property
     def formula(self) -> str:
-        """With the factor on b where there is one."""
+        """The formula, with the factor on b unless it is 1."""
         factor = "" if self.factor == 1.0 else f"{self.factor:.4g} "
         return f"‖L p − {factor}b‖²"
 
@@ -48,7 +48,7 @@ class LaplaceTerm(Term):
         return AffineRows({"p": self.scene.L}, self.factor * self.scene.b, tags)
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
-        """The boundary scale, where the scene has fitted one."""
+        """The boundary scale, if the scene has fitted one."""
         if BOUNDARY_SCALE not in self.scene.parameters:
             return {}
         return {BOUNDARY_SCALE: self.factor * self.scene.parameters[BOUNDARY_SCALE]}

@@ -1,10 +1,10 @@
 """Laplace prior without p = 0 on the surface.
 
-With p = 0 on the surface the force of a round tip grows like depth²; that of real
-tissue grows like depth¹ to depth^1.5 and begins at first touch. Here the rows of the
-surface layer have a small weight only: it determines the field where nothing was
-measured (the Laplace field of eq. 8) and hardly matters elsewhere. Both end slices keep
-their values.
+With p = 0 on the surface the force on a round tip grows like depth²; on real tissue it
+grows like depth¹ to depth^1.5 and begins at first touch. Here the rows of the surface
+layer have only a small weight, which determines the field where nothing was measured
+(the Laplace field of eq. 8) and hardly matters elsewhere. Both end slices keep their
+values.
 
 See docs/method.md, The shelf.
 """

@@ -1,9 +1,9 @@
 """Gaussian fields on the voxel grid with a Matérn covariance, and its sparse factor.
 
 A Matérn field solves (κ² − Δ) g = white noise. Finite volumes on the surface and finite
-differences along the depth give a sparse matrix R with the precision RᵀR. The product
-of both fields is separable, so that its covariance at the few voxels that measurements
-touch needs no solve over all voxels.
+differences along the depth each give a sparse matrix R with precision RᵀR. The product
+of both covariances is separable, so its entries at the few voxels that measurements
+touch need no solve over all voxels.
 
 Source: F. Lindgren, H. Rue, J. Lindström, An explicit link between Gaussian fields and
 Gaussian Markov random fields, J. R. Stat. Soc. B 73 (2011). See docs/method.md, Depth
@@ -22,7 +22,7 @@ import scipy.sparse.linalg
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.voxmap.voxmap import Voxmap
 
-#: Columns of the surface's covariance that are solved for together
+#: Columns of the surface's covariance computed at once
 AT_ONCE = 256
 
 
@@ -34,11 +34,11 @@ def matern(distance: Array, length: float) -> Array:
 
 @dataclass(frozen=True)
 class MaternFactor:
-    """(κ² C + G) τ / √C: white noise from a field of unit variance.
+    """R = τ C^-½ (κ² C + G), which maps a field of unit variance to white noise.
 
     Attributes:
         volumes: C, length or area of each node, shape (n,) [m or m²].
-        stiffness: G, of −Δ with zero flux at the rim, (n, n).
+        stiffness: G, stiffness matrix of −Δ with zero flux at the rim, (n, n).
         kappa: κ [1/m].
         tau: τ, for variance 1 far from the rim.
     """
@@ -53,8 +53,8 @@ class MaternFactor:
         """Matérn 3/2, (1 + √3 d/ℓ) exp(−√3 d/ℓ), on equal steps.
 
         Args:
-            n: Nodes [–].
-            step: Between them [m].
+            n: Number of nodes [–].
+            step: Distance between them [m].
             length: ℓ [m].
         """
         volumes = np.full(n, step)
@@ -75,8 +75,8 @@ class MaternFactor:
     ) -> MaternFactor:
         """Matérn 1, (κd) K₁(κd), on a tube of quadrilaterals.
 
-        Its range √8/κ is that of a Matérn 3/2 of the length ℓ: κ = √2/ℓ. Two different
-        lengths are one length on a tube that is stretched at constant area.
+        Its range √8/κ is that of a Matérn 3/2 of the length ℓ: κ = √2/ℓ. Different
+        lengths around and along are one length on a tube stretched at constant area.
 
         Args:
             points: Nodes around (periodic) and along, shape (n_theta, n_z, 3) [m].
@@ -140,7 +140,7 @@ class MaternFactor:
         return np.asarray(self._solved.solve(inner) / self.tau**2)
 
     def draw(self, white: Array) -> Array:
-        """R⁻¹ white: fields from white noise, shape (n, k)."""
+        """Fields R⁻¹ w from white noise w, shape (n, k)."""
         return np.asarray(
             self._solved.solve(np.sqrt(self.volumes)[:, None] * white) / self.tau
         )
@@ -148,11 +148,11 @@ class MaternFactor:
 
 @dataclass(frozen=True)
 class SeparableCovariance:
-    """Covariance of s_v g_v over voxels, g separable in radius and surface place.
+    """Covariance of s_v g_v over voxels, with g separable in radius and spoke.
 
     Attributes:
-        radial: Along the layers, n_r nodes.
-        surface: Over the spokes, n_θ n_z nodes.
+        radial: Factor over the layers, n_r nodes.
+        surface: Factor over the spokes, n_θ n_z nodes.
         scale: s, shape (V,).
     """
 
@@ -169,13 +169,13 @@ class SeparableCovariance:
         depth_length: float,
         length_ratio: float = 1.0,
     ) -> SeparableCovariance:
-        """On the voxels of a voxmap.
+        """The covariance on the voxels of a voxmap.
 
         Args:
             voxmap: Grid and surface.
             scale: s, shape (V,) [unit of p].
             surface_length: Matérn length along the surface [m].
-            depth_length: Along the depth [m].
+            depth_length: Matérn length along the depth [m].
             length_ratio: Length around the patient over length along it; surface_length
                 is their geometric mean [–].
         """

@@ -31,15 +31,15 @@ def posterior_mode(
 ) -> PosteriorMode:
     """Maximise log evidence − ½ |steps|² by the simplex of Nelder and Mead.
 
-    The evidence has no cheap gradient, and differences below 0.1 of its logarithm do
+    The evidence has no cheap gradient, and differences below 0.1 in its logarithm do
     not matter.
 
     Args:
-        log_evidence: Of steps away from the prior's medians, shape (n,).
+        log_evidence: Function of the steps from the prior's medians, shape (n,).
         n: Number of parameters.
         calls: Most evaluations.
-        starts: Alternatives to starting at the medians, shape (n,) each; the likeliest
-            one is taken, as a simplex finds a local maximum.
+        starts: Alternatives to starting at the medians, shape (n,) each. The most
+            likely one is used, because a simplex finds a local maximum.
     """
 
     def cost(steps: Array) -> float:

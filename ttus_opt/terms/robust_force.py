@@ -21,8 +21,8 @@ class RobustForceTerm(Term):
     """Huber's penalty of every component of every force residual [N²].
 
     Attributes:
-        limit: δ, where squares end; about twice the sensor noise and model error
-            together [N].
+        limit: δ, the largest squared residual; about twice the sensor noise and model
+            error together [N].
     """
 
     limit: float = 0.5
@@ -32,7 +32,7 @@ class RobustForceTerm(Term):
 
     @property
     def formula(self) -> str:
-        """With δ."""
+        """The formula with δ."""
         return f"Σ huber(N p − f; {self.limit:g} N)"
 
     def __post_init__(self) -> None:

@@ -28,7 +28,7 @@ class ScreenedTerm(Term):
 
     @property
     def formula(self) -> str:
-        """With κ."""
+        """The formula with κ."""
         return f"‖(L − Δr²κ²) p − b‖², κ = {self.screening:g}/m"
 
     def rows(self) -> AffineRows:

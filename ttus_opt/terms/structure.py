@@ -1,4 +1,4 @@
-"""Structure that terms and constraints declare of their rows, for solvers to read.
+"""Structure that terms and constraints declare for their rows, for use by solvers.
 
 Solvers read these tags; they never recognise a matrix by its entries or a member by its
 name. Tags are checked against the rows once, when these are assembled, so that solvers
@@ -22,7 +22,8 @@ from ttus_opt.laplace.system import LaplaceSystem
 #: Relative difference of two products up to rounding
 ROUNDING = 1e-12
 
-#: Difference of R C Rᵀ and the identity up to rounding, which R's condition squares [–]
+#: Largest difference of R C Rᵀ from the identity by rounding, which grows with the
+#: square of R's condition number [–]
 COVARIANCE_ROUNDING = 1e-6
 
 

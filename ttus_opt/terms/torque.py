@@ -17,8 +17,8 @@ import scipy.sparse as sp
 from ttus_opt.errors import InputError
 from ttus_opt.terms.base import AffineRows, Term
 
-#: Least and largest ℓ: below, torque is all that counts, beyond it counts for nothing,
-#: whatever the probe [m]
+#: Range of ℓ [m]: below it only torque counts, above it torque has no weight at all,
+#: whatever the probe
 LENGTHS = (1e-6, 1e6)
 
 
@@ -26,7 +26,7 @@ LENGTHS = (1e-6, 1e6)
 class TorqueTerm(Term):
     """Squares of the torque residuals over ℓ, of every frame [N²].
 
-    Without rows where forces alone were measured.
+    It has no rows if only forces were measured.
 
     Attributes:
         length: ℓ [m]; None takes the shell's root-mean-square radius, 1.0 is the
@@ -54,7 +54,7 @@ class TorqueTerm(Term):
         return self._measured({"p": self.scene.W})
 
     def _measured(self, blocks: Mapping[str, sp.csr_array]) -> AffineRows:
-        """Rows by variable beside the measured torques, all over ℓ."""
+        """Rows by variable and the measured torques, all divided by ℓ."""
         if self.scene.measures_force_only:
             return AffineRows({k: M[:0] for k, M in blocks.items()}, np.zeros(0))
         scale = 1.0 / (self.length or self.scene.torque_length)

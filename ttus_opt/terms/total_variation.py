@@ -1,8 +1,8 @@
 """Total variation of the departure from the Laplace field p₀.
 
-Differences D (p − p₀) between neighbouring voxels, over their distance in units of Δr.
-Departures then come in plateaus with edges, like a stiff lump in soft tissue. Two
-variants:
+It penalises differences D (p − p₀) between neighbouring voxels, divided by their
+distance in units of Δr. Departures then are plateaus with edges, like a stiff lump in
+soft tissue. There are two variants:
 
 - anisotropic (default): Σ of all absolute differences, a quadratic program;
 - isotropic: Σ over voxels of the length of (D_r, D_θ, D_z), a cone program.
@@ -29,8 +29,8 @@ class TotalVariationTerm(Term):
     """Absolute differences of p − p₀ between neighbouring voxels.
 
     Attributes:
-        isotropic: Whether the three differences of a voxel are charged by their
-            common length.
+        isotropic: Whether the length of a voxel's three differences is penalised
+            instead of each absolute value.
     """
 
     isotropic: bool = False
@@ -39,7 +39,7 @@ class TotalVariationTerm(Term):
 
     @property
     def formula(self) -> str:
-        """Of components or of lengths."""
+        """The sum of absolute values or of lengths."""
         return "Σ ‖D (p − p₀)‖" if self.isotropic else "Σ |D (p − p₀)|"
 
     @property
@@ -61,8 +61,8 @@ def difference_rows(grid: CylindricalGrid) -> sp.csr_array:
         grid: The grid.
 
     Returns:
-        Rows 3v, 3v+1, 3v+2 of voxel v, shape (3V, V) [–]; empty where there is no
-        next voxel. θ wraps around, but for a sector's sides.
+        Rows 3v, 3v+1, 3v+2 of voxel v, shape (3V, V) [–]; empty if there is no next
+        voxel. θ is periodic, except on a sector.
     """
     n_r, _, n_z = grid.shape
     index = np.arange(grid.n_voxels).reshape(grid.shape)

@@ -289,15 +289,15 @@ def test_says_what_it_does_not_take() -> None:
     scene = contested(1, shape=(6, 12, 6))
     mean = sp.csr_array(np.full((1, scene.n_voxels), 1.0))
     for constraint, why in (
-        (OtherShare(scene, 0.5), "one share of the field for all voxels"),
-        (AtLeast(scene, 1.0), "at_least limits q from the other side too"),
-        (Monotone(scene), "monotone is no bound and no share of the field"),
-        (Rows(scene, mean, np.zeros(1), np.ones(1)), "mine is no bound and no share"),
+        (OtherShare(scene, 0.5), "the share of the field differs between voxels"),
+        (AtLeast(scene, 1.0), "at_least limits q on the other side too"),
+        (Monotone(scene), "monotone is neither a bound nor a share of the field"),
+        (Rows(scene, mean, np.zeros(1), np.ones(1)), "mine is neither a bound nor a"),
     ):
         refusal = STRUCTURED.refusal(coulomb(scene, 1.0, constraint).compile())
         assert why in refusal
     refusal = STRUCTURED.refusal(coulomb(scene, 1.0, smoothness=0.0).compile())
-    assert "a Laplace term of weight above zero for each field" in refusal
+    assert "each field needs a Laplace term of positive weight" in refusal
 
 
 def enumerated(program: Program, rows: list[tuple[Array, float]]) -> Array:

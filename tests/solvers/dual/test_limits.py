@@ -166,7 +166,7 @@ def test_other_rows_are_refused_by_name(small: Scene, what: str) -> None:
     assert small.voxmap.grid.strides[0] == 50
     m = len(entries)
     bad = Rows(small, rows_of(small, entries), np.full(m, lower), np.full(m, upper))
-    with pytest.raises(ValueError, match="mine is no bound and no growth"):
+    with pytest.raises(ValueError, match="mine is neither a bound nor growth"):
         read(small, Sign(small), bad)
 
 

@@ -138,7 +138,7 @@ def test_a_volume_of_growth_limits_does_not_grow_by_layers(
     program = eq10(scene, 100.0, Sign(scene), Monotone(scene)).compile()
     found = solved(program)
     with monkeypatch.context() as peaks:
-        peaks.setattr(LimitedField, "links_hold_slopes", False)
+        peaks.setattr(LimitedField, "links_along_spokes", False)
         slowly = solved(program)
     assert found.claim is slowly.claim is Claim.DONE
     assert np.linalg.norm(found.x - slowly.x) <= 1e-6 * np.linalg.norm(slowly.x)
@@ -632,7 +632,7 @@ def test_peaks_are_those_of_a_filter_over_six_neighbours() -> None:
 def test_links_of_every_field_join_by_their_peaks() -> None:
     shape = (3, 2, 2)
     problem = SimpleNamespace(
-        options=DualOptions(), shape=shape, alone=False, links_hold_slopes=False
+        options=DualOptions(), shape=shape, alone=False, links_along_spokes=False
     )
     links = np.full((2, *shape), -INF)
     links[0, :, 0, 0], links[1, :, 1, 1] = [0.1, 0.3, 0.2], [0.5, 0.4, 0.5]
@@ -675,7 +675,7 @@ def test_how_exactly_working_sets_are_solved(monkeypatch: pytest.MonkeyPatch) ->
 
     options = DualOptions(patience=2, subproblem_accuracy=1e-2)
     problem = SimpleNamespace(
-        options=options, shape=(n, 1, 1), alone=True, links_hold_slopes=False
+        options=options, shape=(n, 1, 1), alone=True, links_along_spokes=False
     )
     problem.objective = lambda _: 0.0
     free = np.full(n, INF)
@@ -742,7 +742,7 @@ def test_around_is_so_many_voxels_each_way(reach: int) -> None:
 def test_bounds_near_the_peaks_join_as_long_as_signs_stay_right() -> None:
     shape, n = (7, 14, 8), 7 * 14 * 8
     problem = SimpleNamespace(
-        options=DualOptions(), shape=shape, alone=False, links_hold_slopes=True
+        options=DualOptions(), shape=shape, alone=False, links_along_spokes=True
     )
     choice = _Choice(cast(LimitedProblem, problem))
     sizes = np.zeros(shape)

@@ -19,7 +19,11 @@ from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.solvers.dual import touched_limits
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.optimality import Multipliers
-from ttus_opt.solvers.dual.touched_limits import TouchedLimits, complementary, telling
+from ttus_opt.solvers.dual.touched_limits import (
+    TouchedLimits,
+    complementary,
+    range_basis,
+)
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.structured import Structured
 
@@ -74,15 +78,15 @@ def test_many_measurements_and_few_that_tell_anything_make_one_response(
     monkeypatch.setattr(touched_limits, "BLOCK", 4)
     monkeypatch.setattr(touched_limits, "FEW", 1)
     found = []
-    of_range = touched_limits.telling
+    of_range = touched_limits.range_basis
 
     def noted(*arguments: Any) -> Array | None:
         found.append(of_range(*arguments))
         return found[-1]
 
-    monkeypatch.setattr(touched_limits, "telling", noted)
+    monkeypatch.setattr(touched_limits, "range_basis", noted)
     few = model(of).response
-    monkeypatch.setattr(touched_limits, "telling", lambda *_: None)
+    monkeypatch.setattr(touched_limits, "range_basis", lambda *_: None)
     all_rows = model(of).response
     assert found[0] is not None
     assert 0 < found[0].shape[1] < len(of.rows.t)
@@ -90,19 +94,19 @@ def test_many_measurements_and_few_that_tell_anything_make_one_response(
     assert np.linalg.eigvalsh(few).min() > 0.0
 
 
-def test_telling_is_the_range_but_for_what_may_be_left_out() -> None:
+def test_range_basis_misses_only_what_is_negligible() -> None:
     rng = np.random.default_rng(0)
     turn = np.linalg.qr(rng.normal(size=(200, 200)))[0]
     size = np.zeros(200)
     size[:90] = np.logspace(4, -5, 90)
     matrix = (turn * size) @ turn.T
-    found = telling(lambda values: matrix @ values, 200, 200)
+    found = range_basis(lambda values: matrix @ values, 200, 200)
     assert found is not None
     assert found.shape[1] < 200
     np.testing.assert_allclose(found.T @ found, np.eye(found.shape[1]), atol=1e-12)
     left = np.eye(200) - found @ found.T
-    assert np.linalg.norm(left @ matrix @ left, 2) < touched_limits.UNTOLD
-    assert telling(lambda values: matrix @ values, 200, 64) is None
+    assert np.linalg.norm(left @ matrix @ left, 2) < touched_limits.NEGLIGIBLE
+    assert range_basis(lambda values: matrix @ values, 200, 64) is None
 
 
 @pytest.mark.parametrize("at_upper", [False, True])

@@ -105,7 +105,7 @@ def test_fields_that_are_handed_over_have_the_images_that_stay() -> None:
     assert BLOCK < len(sweep) < scene.n_voxels and len(sweep) % BLOCK
     fields = sweep.take_fields().astype(float)
     assert fields.shape == (len(sweep), len(voxels))
-    images = fields @ data.system.rows[sweep.told][:, voxels].T
+    images = fields @ data.system.rows[sweep.informative][:, voxels].T
     size = np.abs(sweep.images).max()
     np.testing.assert_allclose(images, sweep.images, atol=1e-5 * size)
 
@@ -141,10 +141,10 @@ def test_completed_it_holds_all_that_the_rows_tell_of_each_other() -> None:
     sweep = WeightSweep(data)
     root = root_weights(program)
     assert sweep.complete(root, missing=0.1)
-    D = data.system.rows.toarray()[sweep.told]
+    D = data.system.rows.toarray()[sweep.informative]
     G = np.linalg.solve(program.laplace.L.toarray().T, D.T)
     rest = G.T @ G - sweep.images.T @ sweep.images
-    assert -1e-6 < (root[sweep.told] ** 2 * np.diag(rest)).sum() < 0.3
+    assert -1e-6 < (root[sweep.informative] ** 2 * np.diag(rest)).sum() < 0.3
     before = len(sweep)
     assert sweep.solve(root, 1e-5).settled and len(sweep) - before < 5
 

@@ -39,7 +39,7 @@ def test_what_is_not_stated_claims_nothing() -> None:
     assert phi.rows_per_group == 1 and phi.split is None
     assert not phi.quadratic and not phi.smooth
     assert phi.gauge(np.ones(3)) == phi.farthest(1.0) == math.inf
-    with pytest.raises(InputError, match="Fourth does not state its resolvent"):
+    with pytest.raises(InputError, match="Fourth does not implement resolvent"):
         phi.resolvent(np.ones(3), 1.0)
 
 

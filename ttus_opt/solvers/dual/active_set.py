@@ -1,7 +1,6 @@
-"""The active-set iteration: one working set's subproblem after the other.
+"""State of the active-set iteration, which solves one working set after another.
 
-`primal_dual_active_set` says which working set comes next, and how exactly it is to be
-solved.
+`primal_dual_active_set` chooses the next working set and the accuracy of its solve.
 """
 
 from __future__ import annotations
@@ -30,27 +29,27 @@ class SolvableSubproblem(Protocol):
     """The problem of a working set, without limits."""
 
     def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
-        """The best field, after that of the last working set, shape (V,)."""
+        """The minimiser; ``last`` is that of the last working set, shape (V,)."""
 
 
 class LimitedProblem(Protocol):
-    """What the iteration needs of a problem beside its limits."""
+    """A problem with limits, as the iteration sees it."""
 
     @property
     def options(self) -> DualOptions:
-        """Of the method."""
+        """Options of the method."""
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of the grid on which every field lies, (n_r, n_θ, n_z)."""
+        """Shape of the grid of every field, (n_r, n_θ, n_z)."""
 
     @property
-    def links_hold_slopes(self) -> bool:
+    def links_along_spokes(self) -> bool:
         """Whether links are between neighbours of a field, not between two fields."""
 
     @property
     def alone(self) -> Mask | bool:
-        """Unknowns that a row of their own draws to a value, not their neighbours."""
+        """Unknowns that a row of their own pulls to a value, such as soft values."""
 
     def subproblem(self, active: WorkingSet) -> SolvableSubproblem:
         """The problem of a working set."""
@@ -64,41 +63,41 @@ class LimitedProblem(Protocol):
 
 @runtime_checkable
 class PredictingProblem(Protocol):
-    """A problem with a model of how its field answers to multipliers of bounds."""
+    """A problem with a model of the response of its field to multipliers of bounds."""
 
     @property
     def predicts_roughly(self) -> bool:
-        """Whether the next prediction needs no more than a rough minimiser."""
+        """Whether a rough minimiser is enough for the next prediction."""
 
     def predicted(
         self, active: WorkingSet, p: Array, signs: Multipliers
     ) -> WorkingSet | None:
-        """The working set to which the model leads from one without links.
+        """The next working set by the model.
 
         Args:
-            active: The working set.
+            active: The working set, without links.
             p: Its minimiser, shape (V,).
-            signs: Its multipliers, as the gradient has them.
+            signs: Its multipliers.
 
         Returns:
-            The next one; None where there is no model or it changes nothing.
+            The next one; None if there is no model or nothing changes.
         """
 
 
 class ActiveSetIteration:
-    """Where the iteration stands.
+    """State of the iteration.
 
     Attributes:
         problem: The problem.
-        limits: Its limits, those that others imply left out.
-        active: The working set to begin with, then the last one solved.
-        rtol: Residual of the dual of the last working set, relative [–].
-        signs: Multipliers of its limits.
-        multipliers: The same with the right signs.
-        sets: Working sets solved [–].
-        steps: Directions of all their solves [–].
-        late: Whether the deadline is over.
-        settled: Whether no KKT violation remains but what may.
+        limits: Its limits without redundant ones.
+        active: The initial working set, then the last one solved.
+        rtol: Relative residual of the final working set's dual [–].
+        signs: Multipliers of the last working set's limits.
+        multipliers: The same without wrong signs.
+        sets: Number of working sets solved [–].
+        steps: Number of directions of all solves [–].
+        late: Whether the deadline has passed.
+        settled: Whether only acceptable KKT violations remain.
     """
 
     def __init__(
@@ -109,15 +108,14 @@ class ActiveSetIteration:
         tolerance: float,
         accuracy: Accuracy,
     ) -> None:
-        """Stand at the start; nothing is solved.
+        """Set up the initial state; nothing is solved.
 
         Args:
             problem: The problem.
             limits: Its limits.
-            start: A field, (V,), and the working set to begin with; None for no limit
-                active.
+            start: A field, (V,), and the initial working set; None for an empty one.
             tolerance: KKT tolerance [–].
-            accuracy: Of the last working set.
+            accuracy: Accuracy of the final working set.
         """
         self.problem, self.limits = problem, limits.without_implied()
         self.rtol, self._tolerance = accuracy.rtol, tolerance
@@ -129,7 +127,7 @@ class ActiveSetIteration:
             self.active = one_bound_each(self.limits, active)
         self._subproblem: SolvableSubproblem | None = None
         self.sets, self.steps, self.late, self.settled = 0, 0, False, False
-        self._acceptable = 0  # working sets with no violation but what may remain
+        self._acceptable = 0  # working sets with acceptable violations only
 
     _p: Array | None
     signs: Multipliers
@@ -143,21 +141,21 @@ class ActiveSetIteration:
 
     @property
     def over(self) -> bool:
-        """Whether there is nothing more to do, or no more time or working sets."""
+        """Whether the problem is solved, or time or working sets are used up."""
         enough = self.sets == self.problem.options.max_working_sets
         return self.settled or self.late or enough
 
     @property
     def predicts_roughly(self) -> bool:
-        """Whether the problem does."""
+        """Whether the problem's model needs only a rough minimiser."""
         problem = self.problem
         return isinstance(problem, PredictingProblem) and problem.predicts_roughly
 
     def predicted(self, found: Violations) -> WorkingSet | None:
-        """The working set to which a model of bounds alone leads; None for none.
+        """The working set that a model of the bounds predicts; None without one.
 
         Args:
-            found: The KKT violations of the last one.
+            found: The KKT violations of the last working set.
         """
         problem = self.problem
         if self.active.links.any() or (found.links > 0.0).any():
@@ -171,14 +169,14 @@ class ActiveSetIteration:
 
         Args:
             active: The working set.
-            rtol: Residual of its dual, relative [–].
+            rtol: Relative residual of its dual [–].
 
         Returns:
-            The KKT violations there.
+            Its KKT violations.
         """
         options = self.problem.options
         if self._subproblem is None or active.differs(self.active):
-            self._subproblem = None  # let go of before the next one is made
+            self._subproblem = None  # freed before the next one is allocated
             self._subproblem, self.active = self.problem.subproblem(active), active
         last = rtol == self.rtol
         field_rtol = RTOL if last else max(RTOL, options.field_accuracy * rtol)
@@ -201,9 +199,9 @@ class ActiveSetIteration:
 
 
 def _least_share(values: Array, n_fields: int) -> float:
-    """Size of the smallest of some fields over the largest's [–].
+    """Size of the smallest field over that of the largest [–].
 
-    The KKT residuals are relative to each field's own size, violations to the largest.
+    KKT residuals are relative to each field's own size, violations to the largest one.
     """
     sizes = np.abs(values).reshape(n_fields, -1).max(axis=1)
     least, most = float(sizes.min()), float(sizes.max())

@@ -1,14 +1,15 @@
-"""Conjugate gradients, fully reorthogonalised, in a subspace that is recycled.
+"""Conjugate gradients with full reorthogonalisation in a recycled subspace.
 
-The dual is small (a few thousand rows) while each product costs two solves over all
-voxels. All directions are kept, and each new one is made conjugate to all of them.
-Plain conjugate gradients lose conjugacy to rounding when the Schur complement has
-eigenvalues of 1e5 and more, and need 150 steps and more where these take 75. The kept
-subspace also serves other right-hand sides and other weights, at no solve at all
-(recycling: Parks et al., SIAM J. Sci. Comput. 28, 2006).
+The dual is small (a few thousand rows), while each product costs two solves over all
+voxels. All directions are therefore stored, and each new one is made conjugate to all
+of them. Without this, conjugacy is lost to rounding when the Schur complement has
+eigenvalues of 1e5 and more, and 75 steps become 150 and more. The stored subspace also
+serves other right-hand sides and other weights without a solve (recycling: Parks et
+al., SIAM J. Sci. Comput. 28, 2006).
 
-Products are as inexact as the residual allows: an error in a late, short step does
-little harm (Bouras and Frayssé, SIAM J. Matrix Anal. Appl. 26, 2005).
+Products are computed only as accurately as the residual requires, because an error in a
+late, short step does little harm (Bouras and Frayssé, SIAM J. Matrix Anal. Appl. 26,
+2005).
 """
 
 from __future__ import annotations
@@ -24,19 +25,19 @@ from ttus_opt.laplace.system import RTOL
 from ttus_opt.solvers.dual.linear_parameters import Complement
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 
-#: Directions may be kept in single precision; sums are of double
+#: Directions may be stored in single precision; sums are in double
 Kept = NDArray[np.floating[Any]]
 
-#: Directions whose norm falls below this part of the largest are dropped [–]
+#: Relative threshold below which a direction is dropped as dependent [–]
 DEPENDENT = 1e-12
 
-#: Residual of a solve inside a product over the dual's, where that is rough [–]
+#: Relative residual of a solve inside a product over that of a rough dual [–]
 PRODUCT = 1e-2
 
 
-# Products with all directions run on one core: a threaded BLAS that waits for a busy
-# core takes ten times as long for vectors as short as these. Those in single precision,
-# which NumPy would convert, are compiled; in double precision there are few.
+# Products with all directions run on one core: on vectors this short, a threaded BLAS
+# that waits for a busy core takes ten times as long. Those in single precision, which
+# NumPy would convert, are compiled; in double precision there are few.
 
 
 def _products(rows: Kept, vector: Array) -> Array:
@@ -100,10 +101,10 @@ class RecycledSubspace:
 
         Args:
             system: The operator.
-            kept_as: Precision in which directions are kept.
+            kept_as: Precision in which directions are stored.
         """
         self.system = system
-        #: Directions and their images, with room for more, shape (2, k, m)
+        #: Directions and their images, with space for more, shape (2, k, m)
         self._store: Kept = np.empty((2, 16, len(system.root_weights)), kept_as)
         self._count = 0
 
@@ -122,16 +123,16 @@ class RecycledSubspace:
         return self._kept[0]
 
     def parts(self, y: Array) -> tuple[Array, Array]:
-        """How much of each direction is in y, shape (k,), and the rest, (m,)."""
+        """Coefficients of y in the directions, shape (k,), and the rest, (m,)."""
         d, images = self._kept
         parts, rest = np.zeros(len(d)), y
-        for _ in range(2):  # where products are rough, d is conjugate only about
+        for _ in range(2):  # after rough products d is only nearly conjugate
             more = _products(images, rest)
             parts, rest = parts + more, rest - _combination(more, d)
         return parts, rest
 
     def adopt(self, system: DualOperator) -> None:
-        """Take a system that differs by the weights of its rows; no solve is spent."""
+        """Change to a system with other weights of the same rows, without a solve."""
         ratio = system.root_weights / self.system.root_weights
         self.system = system
         old, images = self._kept
@@ -146,7 +147,7 @@ class RecycledSubspace:
         self._store[:, : self._count] = mix @ d, mix @ image
 
     def project(self, right_side: Array) -> tuple[Array, Array]:
-        """Best y in the subspace, and the residual it leaves.
+        """The best y in the subspace, and its residual.
 
         Args:
             right_side: Shape (m,).
@@ -159,7 +160,7 @@ class RecycledSubspace:
         return _combination(parts, d), right_side - _combination(parts, images)
 
     def step(self, right_side: Array) -> tuple[Array, Array]:
-        """`project` onto the last direction alone, if there is one."""
+        """`project` onto the last direction only, if there is one."""
         if not self._count:
             return np.zeros_like(right_side), right_side
         d, image = (rows[-1].astype(float) for rows in self._kept)
@@ -167,18 +168,18 @@ class RecycledSubspace:
         return part * d, right_side - part * image
 
     def extend(self, direction: Array, rtol: float) -> bool:
-        """Make a direction conjugate to the others, normalise and keep it.
+        """Make a direction conjugate to the others, normalise and store it.
 
         Args:
             direction: Shape (m,).
             rtol: Relative residual of the solves in its product.
 
         Returns:
-            Whether there is a direction to keep: where weights are so large that I
-            drowns in S, rounding leaves none.
+            False if rounding leaves no direction, as for weights so large that I is
+            lost in S.
         """
         d, images = self._kept
-        for _ in range(2):  # twice is enough; once goes astray where S is large
+        for _ in range(2):  # once is not enough where S is large
             parts = _products(images, direction)
             direction = direction - _combination(parts, d)
         if not np.isfinite(direction).all():
@@ -189,7 +190,7 @@ class RecycledSubspace:
             return False
         if self._count == self._store.shape[1]:
             self._store = np.concatenate([self._store, self._store], axis=1)
-        root = np.sqrt(square)  # before they are rounded: an image may be huge
+        root = np.sqrt(square)  # divide before rounding: an image may be huge
         self._store[:, self._count] = direction / root, image / root
         self._count += 1
         return True
@@ -203,19 +204,19 @@ def conjugate_gradients(
     accuracy: Accuracy,
     options: DualOptions,
 ) -> tuple[Array, int]:
-    """Solve S y = right_side in a space until ‖part of the residual‖ ≤ goal.
+    """Solve S y = right_side in a complement until ‖part of the residual‖ ≤ goal.
 
     Args:
-        subspace: What is known already; extended along the way.
+        subspace: Known directions; extended by this solve.
         right_side: Shape (m,).
-        goal: Norm of the residual to reach.
-        space: In which y lies and the residual counts.
-        accuracy: What the dual is solved to, and the deadline.
-        options: Of the solver.
+        goal: Norm of the residual at which to stop.
+        space: The complement that contains y and in which the residual counts.
+        accuracy: Accuracy of the dual, and the deadline.
+        options: Options of the solver.
 
     Returns:
-        y, shape (m,), and the number of new directions. Whether the goal was reached
-        is for the caller to verify.
+        y, shape (m,), and the number of new directions. The caller verifies whether the
+        goal was reached.
     """
     y, residual = subspace.project(right_side)
     loosest = max(options.loosest_product, PRODUCT * accuracy.rtol)
@@ -232,6 +233,6 @@ def conjugate_gradients(
         diverged = not size <= options.divergence * least
         if diverged or not subspace.extend(space.precondition(residual), rtol):
             return best, steps
-        # onto all directions, not the last alone: inexact images leave a rest on each
+        # onto all directions, since inexact images leave a rest on each of them
         step, residual = subspace.project(residual)
         y, steps = y + step, steps + 1

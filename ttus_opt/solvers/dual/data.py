@@ -1,4 +1,4 @@
-"""What the dual of eq. 10 needs of a program: the system, b and weighted targets."""
+"""The data of the dual of eq. 10 from a program: system, b and weighted targets."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ttus_opt.solvers.dual.system import DualSystem
 
 @dataclass(frozen=True)
 class DualData:
-    """A program without its limits, seen from its dual.
+    """The dual of a program without its limits.
 
     Attributes:
         system: The dual system of its terms and hard boundary values.
-        b: Of L p = b, shape (V,).
+        b: Right-hand side of L p = b, shape (V,).
         t: Weighted targets of the measured rows, shape (m,).
         columns: Weighted columns of the unknowns beside the field, shape (m, k).
     """
@@ -36,11 +36,11 @@ class DualData:
     def of(
         cls, program: Program, measured: Sequence[ProgramTerm] | None = None
     ) -> DualData:
-        """Read a program whose terms are a Laplace term and measured rows.
+        """Extract the data of a program of a Laplace term and measured rows.
 
         Args:
             program: The program.
-            measured: Terms whose rows are taken; None for all beside the Laplace term.
+            measured: Terms to include; None for all except the Laplace term.
         """
         prior = laplace_prior(program)
         assert prior is not None
@@ -50,51 +50,51 @@ class DualData:
 
 
 def laplace_prior(program: Program) -> ProgramTerm | None:
-    """The term that holds p by L's rows alone, as they are or scaled."""
+    """The Laplace term of p alone, with L's rows or scaled ones; None without one."""
     term = program.laplace_term_of("p")
     rows = None if term is None else term.laplace_rows
     return None if rows is None or rows.beside else term
 
 
 def row_scale(prior: ProgramTerm) -> Array | None:
-    """What L's rows are multiplied by, shape (V,); None where they are as they are."""
+    """Factors on L's rows, shape (V,); None if they are not scaled."""
     rows = prior.laplace_rows
     return None if rows is None else rows.scale
 
 
 def has_all_rows(prior: ProgramTerm) -> bool:
-    """Whether it has rows for fixed voxels, too, so that their values may be soft."""
+    """Whether a prior has rows for fixed voxels too, so that their values are soft."""
     scale = row_scale(prior)
     return scale is None or len(prior.target) == len(scale)
 
 
 def operator_of(program: Program, prior: ProgramTerm) -> LaplaceSystem:
-    """The operator whose rows a prior has: the scene's L, or a variant."""
+    """The operator of a prior: the scene's L, or a variant."""
     rows = prior.laplace_rows
     return program.laplace if rows is None else rows.system or program.laplace
 
 
 def hard_values(program: Program) -> Array | None:
-    """Hard Dirichlet values in the order of the fixed voxels; None where soft."""
+    """Hard Dirichlet values in the order of the fixed voxels; None if soft."""
     given = program.dirichlet
     return None if given is None else given.lower
 
 
 def root_weights(program: Program) -> Array:
-    """Roots of the measured rows' weights over the prior's, shape (m,) [–]."""
+    """Square roots of the measured rows' weights over the prior's, shape (m,) [–]."""
     prior = laplace_prior(program)
     assert prior is not None
     return _roots(prior, _measured(program, prior))
 
 
 def _roots(prior: ProgramTerm, measured: Sequence[ProgramTerm]) -> Array:
-    """Roots of these terms' weights over the prior's, shape (m,) [–]."""
+    """Square roots of these terms' weights over the prior's, shape (m,) [–]."""
     roots = [np.full(len(t.target), np.sqrt(t.weight / prior.weight)) for t in measured]
     return np.concatenate([*roots, np.zeros(0)])
 
 
 def _measured(program: Program, prior: ProgramTerm) -> list[ProgramTerm]:
-    """The terms beside the prior that count."""
+    """The terms of positive weight other than the prior."""
     return [t for t in program.terms if t is not prior and t.weight > 0.0]
 
 
@@ -105,7 +105,7 @@ def _right_side(program: Program, prior: ProgramTerm) -> Array:
         b = prior.target.copy()
     elif has_all_rows(prior):
         b = prior.target / scale
-    else:  # its boundary values are hard
+    else:  # the boundary values are hard
         b = np.empty(len(free))
         b[free] = prior.target / scale[free]
     if hard is not None:
@@ -135,10 +135,10 @@ def _dual_system(
 
 
 def duals_without_limits(program: Program, x: Array) -> Duals:
-    """Multipliers of given values of p and of the bounds of other unknowns.
+    """Multipliers of given values of p and of bounds of other unknowns.
 
     Args:
-        program: Without other limits.
+        program: A program without other limits.
         x: The answer, shape (n,).
     """
     given, V = program.dirichlet, len(program.laplace.free)

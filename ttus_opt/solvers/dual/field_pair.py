@@ -1,9 +1,9 @@
-"""A second field that may not be larger than a share of the first.
+"""Two fields, the second of which is at most a share of the first.
 
-What `structured` can hold of two fields p and q with a Laplace prior each: bounds of
-both voxel by voxel, and Coulomb's limit, q between 0 and μ p. In x = σ p and
-y = σ q/μ, with σ = 1 inside and -1 outside (which no row of L couples), this is one
-link x - y ≥ s per voxel, and the pair of a voxel is a spoke of two (`limits`).
+For two fields p and q with a Laplace prior each, `structured` handles bounds of both
+and Coulomb's limit, q between 0 and μ p. In the variables x = σ p and y = σ q/μ, with
+σ = 1 inside and -1 outside (which no row of L couples), this is one link x - y ≥ s per
+voxel: the pair of a voxel is treated like a spoke of two voxels (`limits`).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ttus_opt.solvers.dual.pair_subproblem import PairRows, PairSubproblem
 from ttus_opt.solvers.dual.touched_limits import TouchedLimits
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
-#: Relative difference of ratios that count as one [–]
+#: Relative difference below which ratios count as equal [–]
 SAME = 1e-12
 
 
@@ -38,13 +38,13 @@ class FieldPair:
     Attributes:
         program: The problem.
         prior: The second field's Laplace term.
-        places: Where p and q lie in the program's unknowns, shape (2V,).
-        others: Where an unknown beside them does, shape (1,), or nothing.
-        units: What turns x and y into p and q, shape (2V,).
-        limits: Of x and y.
-        links: Per constraint, by name: the voxel of every row, and by what the row is
-            more than x - y, shape (m,) each.
-        options: Of the method.
+        places: Indices of p and q among the program's unknowns, shape (2V,).
+        others: Index of an unknown beside them, shape (1,) or (0,).
+        units: Factors from x and y to p and q, shape (2V,).
+        limits: Limits of x and y.
+        links: By constraint name: the voxel of every row, and the factor of the row on
+            x - y, shape (m,) each.
+        options: Options of the method.
     """
 
     program: Program
@@ -55,7 +55,7 @@ class FieldPair:
     limits: SpokeLimits = field(repr=False)
     links: dict[str, tuple[IntArray, Array]] = field(repr=False)
     options: DualOptions
-    links_hold_slopes: ClassVar[bool] = False
+    links_along_spokes: ClassVar[bool] = False
     predicts_roughly: ClassVar[bool] = True
     alone: ClassVar[bool] = False
 
@@ -65,10 +65,10 @@ class FieldPair:
 
         Args:
             program: The problem.
-            options: Of the method; None for the defaults.
+            options: Options of the method; None for the defaults.
 
         Raises:
-            ValueError: It is no such problem; the message says why.
+            ValueError: It is not such a problem; the message says why.
         """
         second = second_field(program)
         if second is None:
@@ -76,7 +76,7 @@ class FieldPair:
         name, prior = second
         first = program.laplace_term
         if first is None or first.weight == 0.0 or prior.weight == 0.0:
-            raise ValueError("a Laplace term of weight above zero for each field")
+            raise ValueError("each field needs a Laplace term of positive weight")
         every = np.arange(program.n_variables)
         places = np.concatenate([every[program.variables[k]] for k in ("p", name)])
         beside = np.ones(len(every), dtype=bool)
@@ -84,7 +84,9 @@ class FieldPair:
         others = np.flatnonzero(beside)
         V = len(places) // 2
         if len(others) > 1:
-            raise ValueError(f"one unknown beside the fields, not {len(others)}")
+            raise ValueError(
+                f"at most one unknown beside two fields, got {len(others)}"
+            )
         region = program.laplace.voxmap.grid.flatten(program.laplace.voxmap.region)
         sign = np.where(region < 0, -1.0, 1.0)
         linear = [c for c in program.constraints if c is not program.dirichlet]
@@ -103,7 +105,7 @@ class FieldPair:
                 )
             )
             if np.isfinite(other).any():
-                raise ValueError(f"{member.name} limits {name} from the other side too")
+                raise ValueError(f"{member.name} limits {name} on the other side too")
             least[at] = np.maximum(least[at], bound)
             links[member.name] = (at, scale)
         lower, upper, given = _box(program, places)
@@ -115,7 +117,7 @@ class FieldPair:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of the grid."""
+        """Shape of the grid."""
         return self.program.laplace.grid.shape
 
     @cached_property
@@ -141,7 +143,7 @@ class FieldPair:
             for t in program.terms
             if t is not first and t is not prior and t.weight > 0.0
         ]
-        # with nothing measured at all there is still something to stack
+        # so that there is something to stack without measurements
         nothing = ProgramTerm(
             "", 0.0, sp.csr_array((0, program.n_variables)), np.zeros(0)
         )
@@ -168,7 +170,7 @@ class FieldPair:
 
     @cached_property
     def _touched(self) -> TouchedLimits | None:
-        """Model of the limits where measured rows touch the second field."""
+        """Model of the limits where measured rows touch the second field, or None."""
         V = len(self.limits.given) // 2
         limited = np.isfinite(self.limits.lower) & ~self.limits.given
         return TouchedLimits.of(self.rows, limited[V:])
@@ -176,7 +178,7 @@ class FieldPair:
     def predicted(
         self, active: WorkingSet, p: Array, signs: Multipliers
     ) -> WorkingSet | None:
-        """The next working set by `TouchedLimits`; None where that changes nothing."""
+        """The next working set by `TouchedLimits`; None if that changes nothing."""
         model, first = self._touched, self.program.laplace_term
         if model is None or first is None:
             return None
@@ -184,7 +186,7 @@ class FieldPair:
         if (active.bounds[at] > 0).any():
             return None
         z = -signs.bounds[at] / (2.0 * first.weight)
-        beside = self.rows.beside_and_slope(p)
+        beside = self.rows.parameter_and_slope(p)
         held = model.active((p - self.limits.lower)[at], z, beside)
         if held is None:
             return None
@@ -195,12 +197,12 @@ class FieldPair:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of the unknown beside the fields."""
+        """Bounds of the unknown beside the fields."""
         lower, upper = (limit[self.others] for limit in self.program.box)
         return float(lower.max(initial=-np.inf)), float(upper.min(initial=np.inf))
 
     def objective(self, p: Array) -> float:
-        """The objective at the best of the unknown beside the fields."""
+        """The objective, minimised over the unknown beside the fields."""
         return self.program.objective(self.variables(p))
 
     def gradient(self, p: Array) -> Array:
@@ -209,10 +211,10 @@ class FieldPair:
         return np.asarray(self.units * full[self.places])
 
     def variables(self, p: Array) -> Array:
-        """The program's x: both fields, and the best of the unknown beside them."""
+        """The program's unknowns: both fields and the optimal unknown beside them."""
         x = np.zeros(self.program.n_variables)
         x[self.places] = self.units * p
-        x[self.others] = self.rows.beside(p)
+        x[self.others] = self.rows.parameter(p)
         return x
 
     def duals(self, x: Array, multipliers: Multipliers) -> Duals:
@@ -220,7 +222,7 @@ class FieldPair:
 
         Args:
             x: The program's unknowns, shape (n,).
-            multipliers: Of the limits of x and y.
+            multipliers: Multipliers of the limits of x and y.
         """
         left = multipliers.links[: len(multipliers.links) // 2].copy()
         named = {}
@@ -242,7 +244,7 @@ class FieldPair:
 
 
 def second_field(program: Program) -> tuple[str, ProgramTerm] | None:
-    """Name of a field beside p that has L's rows to itself, and the term of these."""
+    """Name and Laplace term of a second field; None without one."""
     for name in program.variables:
         term = None if name == "p" else program.laplace_term_of(name)
         rows = None if term is None else term.laplace_rows
@@ -261,26 +263,26 @@ def _links(
         opposed = (at < n_voxels) & (other == at + start) & (a * b < 0.0)
         if opposed.all() and np.bincount(at).max(initial=0) <= 1:
             return at, a, -a / b
-    raise ValueError(f"{constraint.name} is no bound and no share of the field")
+    raise ValueError(f"{constraint.name} is neither a bound nor a share of the field")
 
 
 def _common_ratio(ratios: list[Array]) -> float:
-    """The one μ of all rows, 1 where there is none."""
+    """The common μ of all rows; 1 without rows."""
     every = np.concatenate([*ratios, np.zeros(0)])
     if not len(every):
         return 1.0
     if np.ptp(every) > SAME * every.max():
-        raise ValueError("one share of the field for all voxels")
+        raise ValueError("the share of the field differs between voxels")
     return float(every[0])
 
 
 def _box(program: Program, places: IntArray) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Bounds of both fields, and where a Dirichlet value is given by them."""
+    """Bounds of both fields, and where they prescribe a Dirichlet value."""
     lower, upper = (limit[places] for limit in program.box)
     fixed = ~program.laplace.free
     if program.dirichlet is not None:
         own, values = np.flatnonzero(fixed), program.dirichlet.lower
-        # a value beyond its bound leaves nothing between the two limits
+        # a value beyond its bound makes the problem infeasible
         lower[own] = np.maximum(lower[own], values)
         upper[own] = np.minimum(upper[own], values)
     return lower, upper, np.tile(fixed, 2) & (lower >= upper)

@@ -1,4 +1,4 @@
-"""A solver of working sets with a program loaded: tightening, contradictions."""
+"""A loaded program with limits: repeated solves of higher accuracy, infeasibility."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ttus_opt.solvers.dual.working_set import WorkingSet
 
 
 class Limited(Prepared):
-    """A program, its last working set, and what is asked of the solver."""
+    """A program with its last working set and the request to the solver."""
 
     _program: Program
 
@@ -40,13 +40,13 @@ class Limited(Prepared):
         links: Mapping[str, IntArray],
         duals: Duals,
     ) -> None:
-        """Begin with the limits that have multipliers.
+        """Start from the working set of the limits that have multipliers.
 
         Args:
             p: The field in the limits' units, shape (V,).
             bounds: Multipliers of its bounds, positive at upper ones; None for none.
-            links: By a constraint's name, the voxels of its links.
-            duals: With multipliers of these.
+            links: By constraint name, the voxels of its links.
+            duals: Has the multipliers of these.
         """
         active = WorkingSet.empty(len(p))
         if bounds is not None:
@@ -57,7 +57,7 @@ class Limited(Prepared):
         self._last = p, active
 
     def _contradiction(self, limits: SpokeLimits) -> Candidate | None:
-        """What to answer where limits leave nothing."""
+        """The answer if the limits are infeasible; None if they are not."""
         worst = limits.contradiction()
         if worst <= self._request.tolerance * _largest_limit(limits):
             return None
@@ -67,14 +67,14 @@ class Limited(Prepared):
         )
 
     def _proof(self, limits: SpokeLimits) -> Duals:
-        """Multipliers that prove a contradiction; none where they are not known."""
+        """Multipliers that prove infeasibility; empty if they are not known."""
         return Duals()
 
     def _tightened(self, attempt: Callable[[Accuracy], Candidate]) -> Candidate:
-        """Try until the answer holds, each time more exactly; the best answer.
+        """Solve with increasing accuracy until the KKT residuals hold; the best answer.
 
         Args:
-            attempt: Solves to an accuracy of the dual.
+            attempt: Solves to a given accuracy of the dual.
         """
         limit = self._request.time_limit
         deadline = None if limit is None else time.perf_counter() + limit
@@ -103,7 +103,7 @@ class Limited(Prepared):
     def _within(
         self, problem: LimitedProblem, limits: SpokeLimits, accuracy: Accuracy
     ) -> ActiveSetIteration:
-        """The best field within limits, from the last working set on."""
+        """The minimiser with limits, started from the last working set."""
         answer = primal_dual_active_set(
             problem, limits, self._last, self._request.tolerance, accuracy
         )
@@ -113,7 +113,7 @@ class Limited(Prepared):
 
 
 def candidate_of(answer: ActiveSetIteration, x: Array, duals: Duals) -> Candidate:
-    """An iteration's end as a solver's answer."""
+    """The end of an iteration as a solver's answer."""
     claim = Claim.TIME_LIMIT if answer.late else Claim.GAVE_UP
     return Candidate(
         x,
@@ -125,7 +125,7 @@ def candidate_of(answer: ActiveSetIteration, x: Array, duals: Duals) -> Candidat
 
 
 def _largest_limit(limits: SpokeLimits) -> float:
-    """The largest finite limit, 1 where all are zero."""
+    """The largest finite limit by magnitude; 1 if all are zero."""
     finite = [
         np.abs(values[np.isfinite(values)]).max(initial=0.0)
         for values in (limits.lower, limits.upper, limits.least)

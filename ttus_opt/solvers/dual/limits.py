@@ -1,8 +1,8 @@
-"""Bounds on voxels and order constraints along spokes, read off a program.
+"""Bounds on voxels and order constraints along spokes, read from a program.
 
-What `structured` can hold exactly: bounds lower ≤ p ≤ upper voxel by voxel; links, the
-order constraints p_v - p_w ≥ s of a voxel v and the next one outwards w; and given
-values (hard Dirichlet voxels).
+These are the limits that `structured` handles: bounds lower ≤ p ≤ upper of each voxel;
+links, the order constraints p_v - p_w ≥ s between a voxel v and the next one outwards
+w; and given values (hard Dirichlet voxels).
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ class SpokeLimits:
     """Limits of one field; -inf and inf where there are none.
 
     Attributes:
-        shape: Of the grid, (n_r, n_θ, n_z).
-        lower: Shape (V,).
-        upper: Shape (V,).
+        shape: Shape of the grid, (n_r, n_θ, n_z).
+        lower: Lower bounds, shape (V,).
+        upper: Upper bounds, shape (V,).
         given: Voxels whose value is given: lower = upper there, shape (V,).
         least: s of the link from a voxel to the next one outwards, shape (V,).
-        links: Per constraint, by name: the deeper voxel of every row, the row's sign,
-            +1 for p_v - p_w ≥ s and -1 for p_w - p_v ≤ -s, and s, shape (m,) each.
-        given_by: Name of the constraint that gives values.
+        links: By constraint name: the deeper voxel of every row, the row's sign (+1 for
+            p_v - p_w ≥ s, -1 for p_w - p_v ≤ -s) and s, shape (m,) each.
+        given_by: Name of the constraint that prescribes values.
     """
 
     shape: tuple[int, int, int]
@@ -48,7 +48,7 @@ class SpokeLimits:
         """Read a program's constraints and bounds.
 
         Raises:
-            ValueError: A row is no such limit; the message names the constraint.
+            ValueError: A row is not such a limit; the message names the constraint.
         """
         shape = program.laplace.grid.shape
         own = program.variables["p"]
@@ -56,12 +56,12 @@ class SpokeLimits:
         given = np.zeros(len(lower), dtype=bool)
         least = np.broadcast_to(-np.inf, len(lower))
         links, dirichlet = {}, program.dirichlet
-        if program.constraints:  # which write to them
+        if program.constraints:  # copy only if they are changed below
             lower, upper, least = lower.copy(), upper.copy(), least.copy()
         for constraint in program.constraints:
             if constraint is dirichlet:
                 given[~program.laplace.free] = True
-                # a value beyond its bound leaves nothing between the two limits
+                # a value beyond its bound makes the problem infeasible
                 lower[given] = np.maximum(lower[given], constraint.lower)
                 upper[given] = np.minimum(upper[given], constraint.upper)
                 continue
@@ -74,12 +74,12 @@ class SpokeLimits:
 
     @property
     def stride(self) -> int:
-        """From a voxel to the next one outwards, in flat indices [–]."""
+        """Step in flat indices from a voxel to the next one outwards [–]."""
         return self.shape[1] * self.shape[2]
 
     @property
     def binding(self) -> bool:
-        """Whether there is any limit beside given values."""
+        """Whether there is any limit other than given values."""
         open_ = ~self.given
         return bool(
             np.isfinite(self.lower[open_]).any()
@@ -92,18 +92,18 @@ class SpokeLimits:
         return values.reshape(self.shape[0], -1)
 
     def contradiction(self) -> float:
-        """By how much the limits contradict each other at worst; 0 for not at all.
+        """Largest contradiction between limits; 0 if they are feasible.
 
-        Links along a spoke carry bounds from voxel to voxel: what comes out of both
-        sweeps is what the limits leave of every voxel.
+        Bounds are propagated along links in both directions, which gives the feasible
+        interval of every voxel.
         """
         return float(np.max(_gap(*self._carried()), initial=0.0))
 
     def proof_of_contradiction(self) -> Duals | None:
-        """Multipliers that prove the worst contradiction; None where there is none.
+        """Multipliers that prove the largest contradiction; None if there is none.
 
-        A bound of a voxel, carried outwards or inwards along links, meets another:
-        one at either end and one on every link between.
+        A bound of one voxel, propagated along links, contradicts that of another: the
+        multipliers are 1 at both bounds and on every link between.
         """
         low, up = self._carried()
         gap = _gap(low, up)
@@ -117,7 +117,7 @@ class SpokeLimits:
             outer += 1
         while own_up[inner] > up[inner, spoke]:
             inner -= 1
-        if inner == outer:  # two limits of one voxel: which ones is not known here
+        if inner == outer:  # two limits of one voxel: their constraints are unknown
             return None
         bounds, links = np.zeros(gap.shape), np.zeros(gap.shape)
         bounds[inner, spoke], bounds[outer, spoke] = 1.0, -1.0
@@ -125,11 +125,11 @@ class SpokeLimits:
         return self.duals(bounds.reshape(-1), links.reshape(-1))
 
     def without_implied(self) -> SpokeLimits:
-        """The same feasible set without bounds that others imply along links.
+        """The same feasible set without bounds that are implied along links.
 
-        What grows inwards and is at least 0 at the surface is so everywhere. All these
-        bounds would be active where one is: multipliers would not be unique, and the
-        active-set iteration would cycle.
+        A field that grows inwards and is at least 0 at the surface is so everywhere.
+        With redundant bounds the multipliers would not be unique, and the active-set
+        iteration would cycle.
         """
         low, up = self._carried()
         least, given = self.by_layer(self.least), self.by_layer(self.given)
@@ -145,7 +145,7 @@ class SpokeLimits:
         )
 
     def _carried(self) -> tuple[Array, Array]:
-        """Bounds with what links carry to them from voxel to voxel, by layer."""
+        """Lower and upper bounds propagated along links, by layer."""
         low, up = self.by_layer(self.lower).copy(), self.by_layer(self.upper).copy()
         least = self.by_layer(self.least)
         for i in range(len(low) - 2, -1, -1):
@@ -158,8 +158,9 @@ class SpokeLimits:
         """Multipliers by name.
 
         Args:
-            of_bounds: Of bounds and given values: positive at an upper limit, (V,).
-            of_links: Of links, at their deeper voxel, not negative, (V,).
+            of_bounds: Multipliers of bounds and given values, positive at an upper
+                limit, shape (V,).
+            of_links: Multipliers of links, at their deeper voxel, non-negative, (V,).
 
         Returns:
             Signs as in `ttus_opt.problem.kkt`.
@@ -167,8 +168,8 @@ class SpokeLimits:
         left = of_links.copy()
         rows = {}
         for name, (deeper, sign, bound) in self.links.items():
-            # of several constraints on one link the tightest carries its multiplier,
-            # of equals the first
+            # of several constraints on one link, the tightest gets the multiplier, and
+            # of equal ones the first
             carried = np.where(bound >= self.least[deeper], left[deeper], 0.0)
             rows[name] = -sign * carried
             left[deeper] -= carried
@@ -179,13 +180,13 @@ class SpokeLimits:
 
 
 def _gap(low: Array, up: Array) -> Array:
-    """By how much lower bounds lie above upper ones; 0 where one is missing."""
+    """Lower minus upper bounds; 0 where one is missing."""
     with np.errstate(invalid="ignore"):
         return np.nan_to_num(low - up, nan=0.0, neginf=0.0)
 
 
 def two_entries(matrix: sp.csr_array) -> tuple[IntArray, Array] | None:
-    """Columns and values of rows of two entries, (m, 2) each; None where others are."""
+    """Columns and values of rows, (m, 2) each; None unless all have two entries."""
     if (np.diff(matrix.indptr) != 2).any():
         return None
     columns = matrix.indices.reshape(-1, 2).astype(np.int64)
@@ -200,9 +201,9 @@ def two_entries(matrix: sp.csr_array) -> tuple[IntArray, Array] | None:
 def _links(
     constraint: ProgramConstraint, shape: tuple[int, int, int]
 ) -> tuple[IntArray, Array]:
-    """Deeper voxels and signs of rows ±(p_v - p_w), limited on one side."""
+    """Deeper voxels and signs of rows ±(p_v - p_w) with one-sided limits."""
     stride = shape[1] * shape[2]
-    refusal = f"{constraint.name} is no bound and no growth along spokes"
+    refusal = f"{constraint.name} is neither a bound nor growth along spokes"
     pairs = two_entries(constraint.matrix)
     if pairs is None or pairs[0].max(initial=0) >= stride * shape[0]:
         raise ValueError(refusal)

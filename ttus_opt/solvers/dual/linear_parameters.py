@@ -1,13 +1,14 @@
-"""A few unknowns c beside the field, each with a column of the measured rows.
+"""A few unknown parameters c beside the field, with columns E in the measured rows.
 
-With D p + E c = t the multipliers y and the unknowns that are free satisfy
+With D p + E c = t, the multipliers y and the free parameters satisfy
 
     S y + E c = t - D p₀,   Eᵀy = 0.
 
-Conjugate gradients in the complement of E's columns solve both at once: what the
-residual then has along E is E c (projected, or null-space, conjugate gradients: Gould,
-Hribar and Nocedal, SIAM J. Sci. Comput. 23, 2001). The Schur complement EᵀS⁻¹E would
-cost one more solve per column and loses c where S⁻¹E is small beside E.
+Conjugate gradients in the orthogonal complement of E's columns solve both at once: the
+remaining residual lies along E and equals E c (projected, or null-space, conjugate
+gradients: Gould, Hribar and Nocedal, SIAM J. Sci. Comput. 23, 2001). Eliminating with
+the Schur complement EᵀS⁻¹E would cost one more solve per column, and c would be
+inaccurate where S⁻¹E is small compared with E.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ FLAT = 1e-10
 
 @dataclass(frozen=True)
 class LinearParameters:
-    """Unknowns beside the field.
+    """Unknown parameters beside the field.
 
     Attributes:
         columns: E, with the rows' weights, shape (m, k).
-        lower: Of c, shape (k,).
-        upper: Of c, shape (k,).
+        lower: Lower bounds of c, shape (k,).
+        upper: Upper bounds of c, shape (k,).
     """
 
     columns: Array = field(repr=False)
@@ -43,16 +44,16 @@ class LinearParameters:
 
     @classmethod
     def none(cls, n_rows: int) -> LinearParameters:
-        """No unknowns."""
+        """No parameters."""
         return cls(np.zeros((n_rows, 0)), np.zeros(0), np.zeros(0))
 
     @cached_property
     def moving(self) -> Mask:
-        """Those that change a measurement, shape (k,)."""
+        """Which parameters affect a measurement, shape (k,)."""
         return np.asarray(self.columns.any(axis=0))
 
     def between(self, c: Array) -> Mask:
-        """Those that move and lie between their bounds, shape (k,)."""
+        """Which of these lie strictly between their bounds, shape (k,)."""
         return self.moving & (self.lower < c) & (c < self.upper)
 
     def clipped(self, c: Array) -> Array:
@@ -60,12 +61,12 @@ class LinearParameters:
         return np.clip(c, self.lower, self.upper)
 
     def violating(self, c: Array, y: Array, free: Mask) -> Mask:
-        """Free ones beyond a bound, and others that a bound keeps from a lesser cost.
+        """Free parameters beyond a bound, and bounds with the wrong multiplier sign.
 
         Args:
-            c: Shape (k,).
+            c: Values, shape (k,).
             y: Multipliers of the measured rows, shape (m,).
-            free: Which were free, shape (k,).
+            free: Which parameters were free, shape (k,).
         """
         slope = self.columns.T @ y
         flat = FLAT * np.linalg.norm(self.columns, axis=0) * np.linalg.norm(y)
@@ -76,14 +77,14 @@ class LinearParameters:
 
 
 class Complement:
-    """Multipliers with Eᵀy = 0, and what a residual has along E's columns."""
+    """The orthogonal complement of E's columns, and the coefficients along them."""
 
     def __init__(self, columns: Array, schur: Callable[[Array], Array]) -> None:
         """Decompose the columns.
 
         Args:
-            columns: E of the free unknowns, shape (m, k); k may be 0.
-            schur: S⁻¹, approximately.
+            columns: E of the free parameters, shape (m, k); k may be 0.
+            schur: An approximation of S⁻¹.
         """
         U, size, V = np.linalg.svd(columns, full_matrices=False)
         kept = size > DEPENDENT * size.max(initial=0.0)
@@ -92,21 +93,21 @@ class Complement:
         self._schur = schur
 
     def part(self, residual: Array) -> Array:
-        """The part across E, shape (m,)."""
+        """The part orthogonal to E, shape (m,)."""
         return np.asarray(residual - self._basis @ (self._basis.T @ residual))
 
     def coefficients(self, residual: Array) -> Array:
-        """The least c with E c nearest to a residual, shape (k,)."""
+        """The smallest c with E c closest to a residual, shape (k,)."""
         return np.asarray(self._inverse @ residual)
 
     def precondition(self, residual: Array) -> Array:
-        """S⁻¹ across E, approximately, shape (m,)."""
+        """Approximately S⁻¹ on the complement of E, shape (m,)."""
         z, made = self._schur(residual), self._made
         inner = self._basis.T @ made
         return np.asarray(z - made @ np.linalg.solve(inner, self._basis.T @ z))
 
     @cached_property
     def _made(self) -> Array:
-        """S⁻¹ of the basis, approximately, shape (m, k)."""
+        """Approximately S⁻¹ times the basis, shape (m, k)."""
         made = [self._schur(column) for column in self._basis.T]
         return np.array(made).reshape(-1, len(self._basis)).T

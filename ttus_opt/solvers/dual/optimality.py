@@ -1,7 +1,7 @@
-"""KKT violations of a working set, and the working set to which they lead.
+"""KKT violations of a working set, and the working set that follows from them.
 
-A limit is in violation if it is not kept, or if it is active and its multiplier says
-that the objective would be less without it. Where none is, the minimiser is found.
+There are two kinds: a limit that is not satisfied, and an active limit whose multiplier
+has the wrong sign. Without any, the minimiser is found.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ class Multipliers:
 
     Attributes:
         bounds: Of bounds and given values, positive at upper limits, shape (V,).
-        links: Of order constraints, at their deeper voxel, not negative, shape (V,).
+        links: Of order constraints, at their deeper voxel, non-negative, shape (V,).
     """
 
     bounds: Array
     links: Array
 
     def duals(self, limits: SpokeLimits) -> Duals:
-        """By the names of the constraints."""
+        """The multipliers by constraint name."""
         return limits.duals(self.bounds, self.links)
 
     def right_signs(self, limits: SpokeLimits, active: WorkingSet) -> Multipliers:
-        """Without wrong signs too small to count."""
+        """The multipliers with wrong signs, which are small by now, set to zero."""
         lower, upper = np.minimum(self.bounds, 0.0), np.maximum(self.bounds, 0.0)
         bounds = np.where(active.bounds < 0, lower, upper)
         bounds = np.where(limits.given, self.bounds, bounds)
@@ -43,7 +43,7 @@ class Multipliers:
 
 @dataclass(frozen=True)
 class Violations:
-    """By how much limits are violated, or multipliers have the wrong sign: above 0.
+    """Sizes of violations of limits and of wrong signs; positive if violated.
 
     Attributes:
         bounds: By voxel, shape (V,).
@@ -57,17 +57,17 @@ class Violations:
 
     @property
     def count(self) -> int:
-        """How many [–]."""
+        """Number of violations [–]."""
         bounds = int(np.count_nonzero(self.bounds > 0.0))
         return bounds + int(np.count_nonzero(self.links > 0.0))
 
     @property
     def worst(self) -> float:
-        """The largest of all, relative [–]."""
+        """The largest relative violation [–]."""
         return float(max(self.bounds.max(), self.links.max()))
 
     def among(self, bounds: Mask, links: Mask) -> Violations:
-        """Some of them."""
+        """Only the violations of these bounds and links."""
         return replace(
             self,
             bounds=np.where(bounds, self.bounds, -np.inf),
@@ -75,14 +75,14 @@ class Violations:
         )
 
     def worse_half(self) -> Violations:
-        """The worse half of them."""
+        """The larger half of the violations."""
         sizes = np.concatenate([self.bounds, self.links])
         kept = np.zeros(len(sizes), dtype=bool)
         kept[np.argsort(sizes)[len(sizes) - self.count // 2 :]] = True
         return self.among(*np.split(kept, 2))
 
     def pivoted(self, limits: SpokeLimits, active: WorkingSet) -> WorkingSet:
-        """The working set in which each of these limits is active if it was not."""
+        """The working set with each of these limits changed: activated or released."""
         bounds, links = self.bounds > 0.0, self.links > 0.0
         other = np.where(active.bounds != 0, 0, self.side)
         changed = np.where(bounds, other, active.bounds).astype(np.int8)
@@ -94,13 +94,14 @@ def multipliers(
 ) -> Multipliers:
     """Multipliers of active limits that balance the objective's gradient.
 
-    Along a block the links carry the gradient of the voxels, from its ends to where it
-    is held; a block that is not held balances by itself.
+    In a block the multiplier of a link is the sum of the gradients from the block's end
+    to the link, towards the voxel at a bound. In a block without a bound the gradients
+    sum to zero.
 
     Args:
-        limits: The limits; at most one active bound a block.
-        active: Which are active.
-        gradient: Of the objective, shape (V,).
+        limits: The limits.
+        active: Which are active; at most one bound per block.
+        gradient: Gradient of the objective, shape (V,).
     """
     g = limits.by_layer(gradient)
     links = limits.by_layer(active.links)
@@ -126,14 +127,14 @@ def find_violations(
     signs: Multipliers,
     gradient: Array,
 ) -> Violations:
-    """Violated limits over the field's size, wrong signs over the gradient's.
+    """Violations of limits over the largest value, wrong signs over the gradient's.
 
     Args:
         limits: The limits.
         active: Which are active.
         p: The field, shape (V,).
-        signs: As `multipliers` gives them.
-        gradient: Of the objective, shape (V,).
+        signs: The result of `multipliers`.
+        gradient: Gradient of the objective, shape (V,).
     """
     size = max(float(np.abs(p).max()), np.finfo(float).tiny)
     force = max(float(np.abs(gradient).max()), np.finfo(float).tiny)

@@ -1,7 +1,7 @@
-"""The numbers of the method in one place: meaning, range, and what each buys.
+"""The numerical parameters of the method, with meaning and range.
 
-`benchmarks/ablation.py` solves problems with many active limits, each option at the
-values given here as its trials, and prints V-cycles, working sets and KKT residuals.
+`benchmarks/ablation.py` solves problems with many active limits at the trial values
+given here and prints V-cycles, working sets and KKT residuals.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from ttus_opt.laplace.system import RTOL
 
 
 def _option(default: Any, low: float, high: float, *trials: float) -> Any:
-    """A number with its range and the values that an ablation tries."""
+    """A default with its range and the trial values of the ablation."""
     return field(default=default, metadata={"range": (low, high), "trials": trials})
 
 
@@ -24,51 +24,52 @@ class DualOptions:
     """Options of the structured solver.
 
     Attributes:
-        dual_margin: Residual of the last dual over the KKT tolerance [–].
-        tightenings: Most times a dual is solved more exactly where the KKT residuals
-            do not hold: its residual is relative to measurements, the tolerance to
-            what these leave of each other [–].
-        tightening: By how much each time [–].
+        dual_margin: Relative residual of the last dual over the KKT tolerance [–].
+        tightenings: Most attempts, each more accurate, until the KKT residuals hold:
+            the dual's residual is relative to the measurements, the tolerance to what
+            is left where these nearly cancel [–].
+        tightening: Factor on the dual's residual from one attempt to the next [–].
         refinements: Most rounds of iterative refinement of a dual [–].
         loosest_product: Largest relative residual of a solve inside a product; a
-            hundredth of the dual's own where that is more. At 1e-4 weights of 1e4, and
-            measurements that contradict each other, take more directions [–].
-        divergence: A dual residual that has grown by this factor will not come back:
-            the Schur complement is too large for a preconditioner in single precision,
-            and the best answer so far is kept. By the root of S's condition it may
-            grow, 1e5 at weights of 1e6 [–].
-        max_directions: Most new directions of a dual solve, and most of the
+            hundredth of the dual's own if that is more. At 1e-4, weights of 1e4 and
+            contradictory measurements take more directions [–].
+        divergence: If a dual residual has grown by this factor, the Schur complement is
+            too large for a preconditioner in single precision, and the best answer so
+            far is kept. Growth by the square root of its condition number is normal,
+            1e5 at weights of 1e6 [–].
+        max_directions: Most new directions of a dual solve, and most directions of the
             preconditioner [–].
-        preconditioner_residual: To which part the preconditioner reduces a residual,
-        preconditioner_energy: or the error in the energy norm: the residual may stall
-            at what single precision leaves [–].
+        preconditioner_residual: Relative residual at which a preconditioner stops [–].
+        preconditioner_energy: Relative error in the energy norm at which it stops too:
+            the residual may stall in single precision [–].
         preconditioner_delay: Steps over which that error is estimated (Hestenes and
             Stiefel's rule; Strakoš and Tichý, ETNA 13, 2002) [–].
-        warm_start: A subproblem starts from the field of the one before where it is
-            solved to this relative residual or better: a start costs a response, and
-            gains less than that where less is asked for [–].
+        warm_start: A subproblem starts from the previous field if it is solved to this
+            relative residual or better; otherwise the start costs more than it saves
+            [–].
         max_working_sets: Most working sets [–].
         subproblem_accuracy: Relative residual of a working set's dual over its worst
             KKT violation [–].
-        loosest_subproblem: The same, at most [–].
-        predicted_subproblem: The same of a working set that a model predicts: the next
-            prediction needs no more [–].
-        field_accuracy: Residual of the solves behind a field that is not the last, over
-            its dual's [–].
-        acceptable: Which KKT violation may remain, over the KKT tolerance: thousands of
-            limits may lie so near to active that it hardly matters which of them are
-            [–].
-        acceptable_sets: After how many working sets with no more than that [–].
+        loosest_subproblem: Largest relative residual of a working set's dual [–].
+        predicted_subproblem: Relative residual of the dual of a working set that a
+            model predicts: the next prediction needs no more [–].
+        field_accuracy: Relative residual of the solves for a field, except the last,
+            over its dual's [–].
+        acceptable: KKT violation that may remain, over the KKT tolerance: thousands of
+            limits may be so close to active that it hardly matters which ones are [–].
+        acceptable_sets: Number of working sets with only such violations before the
+            iteration ends [–].
         patience: Iterations without progress before the safeguard [–].
-        progress: The worst violation or their number has to fall below this part of
-            the least so far, or the active limits to become more than ever [–].
-        share: An order constraint along spokes joins the working set where it is
-            violated by this share of the worst in its neighbourhood; by less where
-            the worst of all, relative, is below a tenth [–].
-        bound_share: A bound joins with the peaks of the violation where it is violated
-            by a share of the worst in its neighbourhood: of 1 at first, of this at
-            least, as long as few wrong signs follow [–].
-        neighbourhood: How many voxels to each side are compared [–].
+        progress: It is progress if the worst violation or their number falls below
+            this fraction of the least so far, or if more limits are active than ever
+            [–].
+        share: An order constraint along spokes becomes active if its violation is at
+            least this share of the worst in its neighbourhood; less if the worst
+            relative violation of all is below a tenth [–].
+        bound_share: Besides local maxima, a bound becomes active if its violation is at
+            least a share of the worst in its neighbourhood. The share falls from 1 to
+            this value as long as few wrong signs follow [–].
+        neighbourhood: Number of voxels to each side in a neighbourhood [–].
     """
 
     dual_margin: float = _option(1e-2, 1e-4, 1.0, 1.0)
@@ -112,12 +113,12 @@ class DualOptions:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """How exactly a dual is solved, and until when.
+    """Accuracy and deadline of a dual solve.
 
     Attributes:
         rtol: Residual of the dual, relative to t - D p₀ [–].
-        field_rtol: Relative residual of the solves behind the answer's field [–].
-        deadline: `time.perf_counter` at which to stop; None for never [s].
+        field_rtol: Relative residual of the solves for the answer's field [–].
+        deadline: `time.perf_counter` at which to stop [s]; None for never.
     """
 
     rtol: float
@@ -126,5 +127,5 @@ class Accuracy:
 
     @property
     def late(self) -> bool:
-        """Whether the deadline is over."""
+        """Whether the deadline has passed."""
         return self.deadline is not None and time.perf_counter() > self.deadline

@@ -1,9 +1,9 @@
-"""Two fields' Laplace operators as one square system.
+"""The Laplace operators of two fields as one square system.
 
-Both stand on one grid; entries are (2V,), the first field's before the second's. Each
-has free voxels of its own. Free voxels of the second may neighbour unknowns of the
-first that stand for both (`pair_subproblem`), never the other way round: a solve is one
-with each field's A, the first before the second:
+Vectors have 2V entries, the first field before the second, on the same grid. Each field
+has its own free voxels. Rows of the second may contain unknowns of the first that
+represent both fields (`pair_subproblem`), never the other way round. The block A is
+therefore triangular, and a solve takes one with each field's A:
 
     [A₁    ]
     [X   A₂]
@@ -27,17 +27,17 @@ class PairCycle:
     """`VCycle` of both fields: one V-cycle of each.
 
     Attributes:
-        b: Right-hand side, that of the first field before the second's.
+        b: Right-hand side, the first field before the second.
         x: Answer of the last run, likewise.
-        free: Unknown voxels that it knows of, shape (2V,).
+        free: Free voxels in its box, shape (2V,).
     """
 
     def __init__(self, first: VCycle, second: VCycle, across: sp.csr_array) -> None:
-        """Take scratch arrays.
+        """Allocate scratch arrays.
 
         Args:
-            first: Of the first field.
-            second: Of the second.
+            first: V-cycle of the first field.
+            second: V-cycle of the second field.
             across: X over whole grids, shape (V, V).
         """
         self._first, self._second, self._half = first, second, across.shape[0]
@@ -52,7 +52,7 @@ class PairCycle:
         self._to, self._from = second.places(rows), first.places(columns)
 
     def places(self, voxels: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Where free voxels of either field lie in ``b`` and ``x``."""
+        """Indices of free voxels of either field in ``b`` and ``x``."""
         half = self._half
         own = voxels < half
         at = np.empty(len(voxels), dtype=np.int64)
@@ -112,7 +112,7 @@ class PairBlock:
         return _both(x, y)
 
     def preconditioner(self, near: NDArray[np.integer]) -> PairCycle:
-        """One V-cycle at a time, of use near some voxels of either field."""
+        """One V-cycle, in a box around some voxels of either field."""
         places = np.unique(near % self.across.shape[0])
         first, second = (m.preconditioner(places) for m in (self.first, self.second))
         return PairCycle(first, second, self.across)
@@ -131,8 +131,8 @@ class PairLaplace(BlockSolves):
     """Square system of two fields.
 
     Attributes:
-        free: Voxels with an unknown of their own, shape (2V,).
-        radii: What turns a row of A into minus one of L, shape (2V,) [m].
+        free: Voxels with their own unknown, shape (2V,).
+        radii: Factors from rows of L to rows of -A, shape (2V,) [m].
         coupling: L's entries from fixed voxels to free rows, and their adjoint.
         multigrid: Solver of the block A.
     """

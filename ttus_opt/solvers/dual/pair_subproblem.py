@@ -1,15 +1,15 @@
 """The subproblem of a working set of two fields.
 
-Each voxel v has an unknown x_v of the first field and y_v of the second. Where a bound
-is active its value is held; where the link x_v - y_v ≥ s is, y_v follows x_v. With
-(x, y) = P z + o, what is left is a problem of the same structure and without limits:
+Each voxel v has an unknown x_v of the first field and y_v of the second. An active
+bound holds its value; with an active link x_v - y_v ≥ s, y_v follows x_v. With
+(x, y) = P z + o, the remaining problem has the same structure and no limits:
 
-- what is free keeps its own Laplace row; these make the square system;
-- the row of what is held is a measured row like those of forces, and so is the row of
-  a y_v that follows x_v. Where all neighbours follow too, that row says of z what the
-  row of x_v says, and both become one row of their joint weight.
+- free unknowns keep their own Laplace rows, which form the square system;
+- the row of a held value becomes a measured row, and so does that of a y_v that follows
+  x_v. If all neighbours follow too, that row is the same function of z as the row of
+  x_v, and both are merged into one row of their joint weight.
 
-So rows are left over only where voxels lie at the rim of an active region.
+Additional rows therefore arise only at the rim of an active region.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ class PairRows:
     """The objective of two fields, Σ (L x + B c - b)²/ω + ‖w (D x) + E c - t‖².
 
     Attributes:
-        laplace: Of one field.
-        L: Of either, in its units, shape (V, V).
+        laplace: The system of one field.
+        L: The operator of either field in its units, shape (V, V).
         compliance: ω, 0 where a row must hold exactly, shape (2V,).
-        b: Shape (2V,).
-        column: B, of an unknown c beside the fields, shape (2V,).
+        b: Right-hand side, shape (2V,).
+        column: B, column of an unknown c beside the fields, shape (2V,).
         rows: D, measured rows without weights, shape (m, 2V).
         root_weights: w, shape (m,).
         t: Weighted targets, shape (m,).
         measured_column: E, shape (m,).
-        bounds: Of c.
+        bounds: Bounds of c.
     """
 
     laplace: LaplaceSystem
@@ -65,24 +65,24 @@ class PairRows:
 
     @cached_property
     def neighbours(self) -> sp.csr_array:
-        """Ones where L has entries."""
+        """The sparsity pattern of L."""
         pattern = np.ones(self.L.nnz, dtype=np.int8), self.L.indices, self.L.indptr
         return sp.csr_array(pattern, shape=self.L.shape)
 
     def rows_of_both(self, at: IntArray) -> sp.csr_array:
-        """Some rows of both fields' L, at of (k,) below 2V, shape (k, 2V)."""
+        """Rows ``at``, (k,) below 2V, of the L of both fields, shape (k, 2V)."""
         V = self.L.shape[0]
         own = self.L[at % V]
         start = np.where(at < V, 0, V).astype(own.indices.dtype)
         columns = own.indices + np.repeat(start, np.diff(own.indptr))
         return sp.csr_array((own.data, columns, own.indptr), shape=(len(at), 2 * V))
 
-    def beside(self, x: Array) -> float:
-        """The best c between its bounds beside two fields, (2V,)."""
-        return self.beside_and_slope(x)[0]
+    def parameter(self, x: Array) -> float:
+        """The optimal c within its bounds for given fields, (2V,)."""
+        return self.parameter_and_slope(x)[0]
 
-    def beside_and_slope(self, x: Array) -> tuple[float, float]:
-        """The same, and the slope of half the objective in c there."""
+    def parameter_and_slope(self, x: Array) -> tuple[float, float]:
+        """That c, and the derivative of half the objective in c there."""
         soft = self.compliance > 0.0
         root = 1.0 / np.sqrt(self.compliance[soft])
         column = np.concatenate([root * self.column[soft], self.measured_column])
@@ -99,19 +99,19 @@ class PairRows:
 
 
 def of_both(matrix: sp.csr_array, values: NDArray[Any]) -> NDArray[Any]:
-    """A matrix of one field times each of two, shape (2V,)."""
+    """A matrix (V, V) times each of two fields, shape (2V,)."""
     return np.concatenate([matrix @ half for half in np.split(values, 2)])
 
 
 @dataclass(frozen=True)
 class _Unknowns:
-    """What moves in a subproblem, and how.
+    """The unknowns of a subproblem.
 
     Attributes:
         expansion: P, shape (2V, 2V).
         offset: o, shape (2V,).
-        own: Entries with an unknown of their own, shape (2V,).
-        held: Entries that do not move, shape (2V,).
+        own: Entries with their own unknown, shape (2V,).
+        held: Entries with a fixed value, shape (2V,).
         follows: Voxels whose y follows their x, shape (V,).
     """
 
@@ -131,7 +131,7 @@ class _Unknowns:
         offset = np.where(held, value, 0.0)
         linked = active.links[:V]
         gap = np.where(linked, limits.least[:V], 0.0)
-        # of a pair at most one is fixed, then the other is so too
+        # at most one of a linked pair is fixed, which fixes the other
         for one, other, sign in ((0, V, -1.0), (V, 0, 1.0)):
             a, b = slice(one, one + V), slice(other, other + V)
             drawn = linked & fixed[a] & ~held[b]
@@ -161,15 +161,15 @@ class PairSubproblem:
 
         Args:
             whole: The objective.
-            limits: Its limits; a pair is a spoke of two voxels.
+            limits: Its limits; a pair is treated as a spoke of two voxels.
             active: Which of them are active.
-            options: Of the method.
+            options: Options of the method.
         """
         unknowns = _Unknowns.of(limits, active)
         self._whole, self._unknowns = whole, unknowns
         V = len(unknowns.follows)
         joined = self._joined(whole, unknowns)
-        # the rows of both in proportion to their weights
+        # merged rows are averages in proportion to their weights
         share = whole.compliance[V:] + whole.compliance[:V]
         share = np.divide(whole.compliance[V:], share, out=np.ones(V), where=joined)
 
@@ -199,8 +199,8 @@ class PairSubproblem:
         measured = whole.t - whole.root_weights * (whole.rows @ unknowns.offset)
         self._b = square_rows(rest)
         self._t = np.concatenate([measured, root * rest[at], alone[1:]])
-        # c as a column of the measured rows alone, when the fields it makes by itself
-        # are taken off
+        # c becomes a column of the measured rows only, by subtracting the fields that
+        # it causes
         column = np.concatenate(
             [whole.measured_column, root * whole.column[at], alone[:1]]
         )
@@ -211,7 +211,7 @@ class PairSubproblem:
 
     @staticmethod
     def _joined(whole: PairRows, unknowns: _Unknowns) -> Mask:
-        """Voxels whose two rows say the same of the unknowns, shape (V,)."""
+        """Voxels whose two rows are the same function of the unknowns, shape (V,)."""
         V = len(unknowns.follows)
         apart = ~unknowns.follows & ~(unknowns.held[:V] & unknowns.held[V:])
         near = whole.neighbours @ apart.astype(np.int8)
@@ -219,10 +219,10 @@ class PairSubproblem:
 
     @staticmethod
     def _alone(whole: PairRows, rest: Array, still: Mask, joined: Mask) -> Array:
-        """One row for all those that no field takes part in any more: E and t of it.
+        """E and t of a single row for all rows that contain no field any more.
 
-        Rows of voxels that are held with all their neighbours, and the difference of
-        two rows that were joined.
+        These are rows of voxels that are held with all their neighbours, and
+        differences of two merged rows.
         """
         V = len(joined)
         root = 1.0 / np.sqrt(whole.compliance[still])
@@ -236,17 +236,17 @@ class PairSubproblem:
 
     @property
     def system(self) -> DualSystem:
-        """Its dual system."""
+        """The dual system."""
         return self._solver.system
 
     def solve(self, accuracy: Accuracy, last: Array | None) -> DualAnswer:
-        """The best fields of the working set, after those of the last one."""
+        """The minimiser of the working set, started from that of the last one."""
         near, z = 0.0, None
         if last is not None:
-            near = self._whole.beside(last)
+            near = self._whole.parameter(last)
             z = np.where(self._unknowns.own, last, 0.0)
             z += near * self._made
-        # from a bound that does not hold c in the end all directions are lost
+        # if c started at a bound and left it, all directions would be lost
         at_bound = last is not None and near in self._whole.bounds
         at = None if at_bound else np.array([near])
         answer = self._solver.solve(self._b, self._t, accuracy, z, at)
@@ -261,7 +261,7 @@ def _laplace(whole: PairRows, unknowns: _Unknowns) -> PairLaplace:
     V = len(one.free)
     free = np.tile(one.free, 2) & unknowns.own
     radii = np.tile(one.radii, 2)
-    # rows of what is free that lie next to anything that is not
+    # rows of free entries next to entries that are not free
     near = of_both(whole.neighbours, (~free).astype(np.int8)) > 0
     at = np.flatnonzero(free & near)
     L = sp.csr_array(whole.rows_of_both(at) @ unknowns.expansion)
@@ -281,7 +281,7 @@ def _laplace(whole: PairRows, unknowns: _Unknowns) -> PairLaplace:
 
 
 def _multigrid(laplace: LaplaceSystem, free: Mask) -> Multigrid:
-    """Solver of one field's block, the whole problem's where nothing is held."""
+    """Solver of one field's block; that of the whole problem if nothing is held."""
     if np.array_equal(free, laplace.free):
         return laplace.multigrid
     grid = laplace.grid

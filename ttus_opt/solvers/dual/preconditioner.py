@@ -1,13 +1,13 @@
-"""The approximate Schur preconditioner: one V-cycle where `system` solves.
+"""Preconditioner of the dual: an approximate Schur complement by V-cycles.
 
-A V-cycle B ≈ A⁻¹ errs by a fixed part of every field, however small, so that
-S̃ = I + D B ω B Dᵀ is spectrally equivalent to the Schur complement S: conjugate
-gradients on S̃ z = r, ended early, precondition S y = t at any weight, in a number of
-steps that hardly grows. They take many steps, but only a box of the grid around the
-contact matters to them (`multigrid.subdomain`): on a million voxels hundreds cost as
-much as one exact product. Rows of a subproblem beyond that box weigh little and are
-left alone. A coarser grid's S is not equivalent: its error is small only beside the
-largest eigenvalues of S.
+The relative error of a V-cycle B ≈ A⁻¹ is bounded, so S̃ = I + D B ω B Dᵀ is spectrally
+equivalent to the Schur complement S. Conjugate gradients on S̃ z = r, stopped early,
+precondition S y = t at any weight, in a number of steps that hardly grows. They take
+many steps, but only within a box of the grid around the contact
+(`multigrid.subdomain`): on a million voxels hundreds cost as much as one exact product.
+Rows of a subproblem outside that box matter little and are treated as the identity. The
+S of a coarser grid is not equivalent: its error is small only compared with the largest
+eigenvalues of S.
 """
 
 from __future__ import annotations
@@ -24,26 +24,26 @@ from ttus_opt.solvers.dual.conjugate_gradients import RecycledSubspace
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.system import DualSystem
 
-#: Directions, and directions over rows, from which on S̃ is factorised instead [–]
+#: S̃ is factorised if there are more directions than both this and this times rows [–]
 MANY, SHARE = 150, 0.15
 
-#: Most rows of which it is: a matrix of 144 MB
+#: Most rows for which it is factorised: a matrix of 144 MB
 MOST_ROWS = 6000
 
-#: Rounding of a factor in single precision over the largest entry [–]
+#: Rounding error of a factor in single precision over the largest entry [–]
 ROUNDING = 1e-7
 
 
 class ApproximateSchur:
-    """y ↦ S̃ y, in single precision and around the contact alone.
+    """y ↦ S̃ y, in single precision and in a box around the contact.
 
     Attributes:
-        root_weights: As of `DualSystem`, shape (m,) [–].
-        fixed: Fixed voxels with soft values that it knows of, shape (k,).
+        root_weights: As in `DualSystem`, shape (m,) [–].
+        fixed: Fixed voxels with soft values in the box, shape (k,).
     """
 
     def __init__(self, system: DualSystem) -> None:
-        """Gather what a product touches.
+        """Gather the parts of the system that a product uses.
 
         Args:
             system: The exact dual system.
@@ -53,7 +53,7 @@ class ApproximateSchur:
         touched = _columns(system.rows)
         contact = _columns(system.rows[: system.n_measured])
         self.root_weights = system.root_weights
-        #: Rows that touch a voxel; those of the others are the identity's
+        #: Rows with entries; S̃ is the identity on the others
         self.coupled = np.flatnonzero(np.diff(system.rows.indptr))
         self._cycle = laplace.multigrid.preconditioner(
             near=contact[laplace.free[contact]]
@@ -80,13 +80,13 @@ class ApproximateSchur:
 
         Args:
             y: Shape (m,).
-            rtol: Has no meaning here: a V-cycle is as exact as it is.
+            rtol: Ignored: the accuracy of a V-cycle is fixed.
 
         Returns:
             Shape (m,).
         """
         p_fixed = self.slope(y) * self._compliance_fixed
-        # L: A p = R ω R x + what flows in from fixed voxels
+        # L: A p = R ω R x + flow from fixed voxels
         np.multiply(self._middle, self._cycle.x, out=self._cycle.b)
         return np.asarray(y + self._measured(p_fixed))
 
@@ -94,7 +94,7 @@ class ApproximateSchur:
         """L⁻ᵀDᵀ y at the fixed voxels, shape (k,)."""
         cycle, count = self._cycle, len(self._own)
         load = self._adjoint @ (self.root_weights * y).astype(np.float32)
-        # Lᵀ: A x = load, then q = -R x on free voxels, and what flows to fixed ones
+        # Lᵀ: A x = load, then q = -R x on free voxels, and the flow to fixed ones
         cycle.b.fill(0.0)
         cycle.b[self._own] = load[:count]
         cycle.run_adjoint()
@@ -106,7 +106,7 @@ class ApproximateSchur:
         return self._measured(p_fixed.astype(np.float32))
 
     def _measured(self, p_fixed: Array) -> Array:
-        """The same of fixed voxels and what ``b`` holds of the free ones."""
+        """Like `measured`, with the values in ``b`` at the free voxels."""
         cycle = self._cycle
         cycle.b[self._rim] += self._inward @ p_fixed
         cycle.run()
@@ -114,7 +114,11 @@ class ApproximateSchur:
         return np.asarray(self.root_weights * (self._rows @ own))
 
     def without(self, held: Mask) -> ApproximateSchur:
-        """S̃ where some of the fixed voxels have given values, shape (k,)."""
+        """S̃ if some of the fixed voxels have given values.
+
+        Args:
+            held: Which of them, shape (k,).
+        """
         other = copy.copy(self)
         own = np.where(held, 0.0, self._compliance_fixed)
         other._compliance_fixed = own.astype(np.float32)
@@ -122,11 +126,11 @@ class ApproximateSchur:
 
 
 class SchurPreconditioner:
-    """S̃⁻¹, roughly: by conjugate directions, or a factor where these become many.
+    """Approximation of S̃⁻¹ by conjugate directions, or by a factor if these are many.
 
-    Where measurements weigh so much that I drowns in S̃, directions are needed by the
-    thousand, and keeping k of them conjugate costs k² m. All of S̃ by m products, and
-    its factor, then cost less.
+    If measurements weigh so much that I is lost in S̃, thousands of directions are
+    needed, and keeping k of them conjugate costs k² m. Forming all of S̃ by m products
+    and factorising it then costs less.
     """
 
     def __init__(self, approximate: ApproximateSchur, options: DualOptions) -> None:
@@ -134,7 +138,7 @@ class SchurPreconditioner:
 
         Args:
             approximate: S̃.
-            options: Of the solver.
+            options: Options of the solver.
         """
         self._approximate, self._options = approximate, options
         self._subspace = RecycledSubspace(approximate, np.float32)
@@ -143,7 +147,7 @@ class SchurPreconditioner:
         self._factor: Array | None = None
 
     def __call__(self, residual: Array) -> Array:
-        """S̃⁻¹ residual, shape (m,), almost linear in it and positive definite."""
+        """S̃⁻¹ residual, shape (m,), nearly linear in it and positive definite."""
         if self._factor is not None:
             return self._by_factor(residual, self._factor)
         subspace, options = self._subspace, self._options
@@ -184,7 +188,7 @@ def _columns(rows: sp.csr_array) -> IntArray:
 
 
 def _factor(approximate: ApproximateSchur) -> Array:
-    """Cholesky factor of S̃ over the rows that are not the identity's, upper."""
+    """Upper Cholesky factor of S̃ over the rows where it is not the identity."""
     at = approximate.coupled
     full = np.empty((len(at), len(at)), np.float32)
     unit = np.zeros(len(approximate.root_weights))
@@ -199,7 +203,7 @@ def _factor(approximate: ApproximateSchur) -> Array:
         try:
             trial = full + shift * np.eye(len(at), dtype=np.float32)
             return np.asarray(scipy.linalg.cholesky(trial, overwrite_a=True))
-        except np.linalg.LinAlgError:  # eigenvalues that rounding took
+        except np.linalg.LinAlgError:  # rounding made eigenvalues negative
             shift = max(4.0 * shift, ROUNDING * largest)
 
 
@@ -210,14 +214,14 @@ def schur_preconditioner(
 ) -> Callable[[Array], Array]:
     """An approximation of S⁻¹ by conjugate directions of S̃.
 
-    Its directions are kept from call to call: the first pays for most of them.
+    Its directions are stored from call to call: the first call pays for most of them.
 
     Args:
         system: The exact dual system.
-        options: Of the solver.
-        approximate: S̃, where it is there already.
+        options: Options of the solver.
+        approximate: S̃, if it exists already.
 
     Returns:
-        A function from (m,) to (m,), almost linear and positive definite.
+        A function from (m,) to (m,), nearly linear and positive definite.
     """
     return SchurPreconditioner(approximate or ApproximateSchur(system), options)

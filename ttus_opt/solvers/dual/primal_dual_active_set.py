@@ -1,33 +1,34 @@
-"""The primal-dual active-set method, safeguarded.
+"""The primal-dual active-set method with a safeguard.
 
 For each working set the problem without limits is solved. Active limits whose
-multiplier has the wrong sign leave the working set, all at once (block pivoting: Júdice
-and Pires, Comput. Oper. Res. 21, 1994; Bergounioux, Ito and Kunisch, SIAM J. Control
-Optim. 37, 1999). Which of the violated limits join it depends on what they hold:
+multiplier has the wrong sign are released, all at once (block pivoting: Júdice and
+Pires, Comput. Oper. Res. 21, 1994; Bergounioux, Ito and Kunisch, SIAM J. Control Optim.
+37, 1999). Which of the violated limits become active depends on their kind:
 
-- a value: where a prior of second order holds a field, few points of contact hold a
-  whole region away from its bound. The peaks of the violation join, as in Remez'
-  algorithm. With all of a region the active regions shrink by one voxel at a time, in
-  50 working sets and more; with peaks it takes 10 to 20. Where few of those that joined
-  have the wrong sign in the end, as of a second field that lies on its bound all over
-  a patch of skin, what comes near the peaks in size joins too: half as many;
-- a value of a voxel that a row of its own draws to another (a soft boundary value): all
-  that are violated join, as what is held there holds no region. With peaks of a free
-  surface it takes three times as many working sets;
-- a slope along spokes: active order constraints fill volumes in the end. All that is
-  violated by a share of the worst around it joins, and the less violation is left the
-  smaller a share will do: by peaks alone a volume grows by one layer a working set.
+- Bounds: with a second-order prior a field touches its bound at few points, which keep
+  a whole region off it. Local maxima of the violation become active, as in Remez'
+  algorithm; this takes 10 to 20 working sets. If all violated bounds became active, the
+  active regions would shrink by one voxel at a time, in 50 working sets and more. If
+  few of the newly active bounds get the wrong sign, as for a second field that lies on
+  its bound all over a patch of skin, bounds violated nearly as much become active too,
+  which halves the number of working sets.
+- Bounds of soft values, which a row of their own pulls to a value: all violated ones
+  become active, because they hardly affect each other. With local maxima only, a free
+  surface takes three times as many working sets.
+- Order along spokes: active order constraints fill volumes. All whose violation exceeds
+  a share of the worst nearby become active; the share decreases with the violation. By
+  local maxima only, a volume would grow by one layer per working set.
 
-Where a problem has a model of how its field answers to multipliers (`touched_limits`,
-`soft_values`), and bounds are all that is violated, the model says which of them come
-next: a second field on its bound over a patch of skin takes 3 to 5 working sets in
-place of 15, a free surface 3 in place of 7.
+If a problem has a model of its field's response to multipliers (`touched_limits`,
+`soft_values`) and only bounds are violated, the model predicts the next working set: a
+second field on its bound over a patch of skin takes 3 to 5 working sets instead of 15,
+a free surface 3 instead of 7.
 
-Changing all at once is fast but may cycle. The safeguard then lets violated limits join
-a working set without wrong signs only, as in Lawson and Hanson's method. Such a set
-holds the minimum over its limits as inequalities, which can only rise with every limit
-that joins: where it has not risen fewer were to join, and no set without wrong signs
-comes twice.
+Changing all limits at once is fast but may cycle. The safeguard then activates violated
+limits only from a working set without wrong signs, as in Lawson and Hanson's method.
+The solution of such a set is the minimiser with its limits as inequalities, whose
+objective can only rise with every added limit. If it has not risen, fewer limits are
+added, so no working set without wrong signs occurs twice.
 """
 
 from __future__ import annotations
@@ -42,19 +43,19 @@ from ttus_opt.solvers.dual.optimality import Violations
 from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
-#: Wrong signs over the bounds that joined last: above the one only larger violations
-#: join from then on, by the factor after it, below the other smaller ones as well [–]
+#: Wrong signs over newly active bounds: above MANY_WRONG the share is divided by
+#: STRICTER, below FEW_WRONG it is multiplied by LAXER [–]
 MANY_WRONG, STRICTER = 0.25, 0.7
 FEW_WRONG, LAXER = 0.1, 0.75
 
-#: A predicted working set is solved to the end where it differs in this share [–]
+#: A predicted working set that changes at most this share of limits is solved fully [–]
 FEW = 0.15
 
-#: By how much more exactly a predicted set is solved where the last left no fewer
-#: violations: its prediction may have been no better than its accuracy [–]
+#: Factor on the residual of a predicted working set if the last one left no fewer
+#: violations: its accuracy may have limited the prediction [–]
 TIGHTER = 1e-2
 
-#: Below this part of the worst violation of all none joins but peaks [–]
+#: Violations below this part of the worst become active only if local maxima [–]
 FAR = 0.1
 
 
@@ -68,26 +69,25 @@ def primal_dual_active_set(
     """Find the minimiser and its working set.
 
     Args:
-        problem: Its subproblems, its gradient and what its links hold.
+        problem: The problem.
         limits: Its limits.
-        start: A field, (V,), and the working set to begin with; None for no limit
-            active.
+        start: A field, (V,), and the initial working set; None for an empty one.
         tolerance: KKT tolerance [–].
-        accuracy: Of the last working set.
+        accuracy: Accuracy of the final working set.
 
     Returns:
-        Where the iteration ended.
+        The final state of the iteration.
     """
     options = problem.options
     iteration = ActiveSetIteration(problem, limits, start, tolerance, accuracy)
     progress, safeguard, choice = _Progress(options), _Safeguard(), _Choice(problem)
     rtol, rough = options.loosest_subproblem, options.predicted_subproblem
     if accuracy.rtol < options.dual_margin * tolerance and start is not None:
-        rtol = accuracy.rtol  # the start is an answer that was not exact enough
+        rtol = accuracy.rtol  # the start is an answer that was not accurate enough
     found, fewest = iteration.solve(iteration.active, rtol), len(limits.lower)
     while not iteration.over:
         active = iteration.active
-        if found.count >= fewest:  # as exactly as before it would lead back there
+        if found.count >= fewest:  # the same accuracy would lead back to this set
             rough = max(TIGHTER * rough, accuracy.rtol)
         fewest = min(found.count, fewest)
         if found.count == 0 or (progress.stalled and rtol > accuracy.rtol):
@@ -113,13 +113,13 @@ def primal_dual_active_set(
 
 
 def _rough(found: Violations, accuracy: Accuracy, options: DualOptions) -> float:
-    """How exactly a working set is solved that is not thought to be the last."""
+    """Relative residual for a working set that is not expected to be the last."""
     rtol = max(options.subproblem_accuracy * found.worst, accuracy.rtol)
     return min(rtol, options.loosest_subproblem)
 
 
 class _Progress:
-    """Whether the iteration still gets anywhere."""
+    """Record of the progress of the iteration."""
 
     def __init__(self, options: DualOptions) -> None:
         self._options, self._left = options, options.patience
@@ -127,15 +127,15 @@ class _Progress:
 
     @property
     def stalled(self) -> bool:
-        """Whether patience is at its end."""
+        """Whether there was no progress for too long."""
         return self._left == 0
 
     def note(self, found: Violations, active: WorkingSet) -> None:
-        """Take in the KKT violations of a working set."""
+        """Record the KKT violations of a working set."""
         part = self._options.progress
         better = found.worst < part * self._worst
         better |= found.count < part * self._fewest
-        better |= active.count > self._most  # a cycle does not grow
+        better |= active.count > self._most  # which cannot go on in a cycle
         self._left = self._options.patience if better else self._left - 1
         self._worst = min(self._worst, found.worst)
         self._fewest = min(self._fewest, found.count)
@@ -161,13 +161,13 @@ class _Safeguard:
         Args:
             limits: The limits.
             active: The working set.
-            found: Its KKT violations that are to be mended.
-            height: Its minimum.
+            found: Its KKT violations to be changed.
+            height: Its minimum of the objective.
         """
         backwards = found.among(active.bounds != 0, active.links)
         if backwards.count:
             return backwards.pivoted(limits, active)
-        # a single one that was missing cannot fail, but for rounding
+        # adding a single limit cannot fail except by rounding
         if self._last is None or height > self._height or self._last[1].count == 1:
             self._height, self._last = height, (active, found)
         else:
@@ -176,18 +176,18 @@ class _Safeguard:
 
 
 class _Choice:
-    """The KKT violations to mend: all wrong signs, and some violated limits."""
+    """Choice of the limits to change: all wrong signs and some violated limits."""
 
     def __init__(self, problem: LimitedProblem) -> None:
         self._problem, self._options = problem, problem.options
         self._share, self._joined = 1.0, 0
 
     def peaks(self, found: Violations, active: WorkingSet) -> Violations:
-        """Of violated bounds the peaks alone."""
+        """Only local maxima of the violated bounds."""
         return self._among(found, active, self._peaks(found))
 
     def many(self, found: Violations, active: WorkingSet) -> Violations:
-        """With the peaks what comes near them in size, as far as that went well."""
+        """Local maxima, and bounds violated nearly as much if that worked so far."""
         open_ = active.bounds == 0
         self._learn(int(np.count_nonzero(~open_ & (found.bounds > 0.0))))
         joining = self._peaks(found)
@@ -199,22 +199,22 @@ class _Choice:
         return self._among(found, active, joining)
 
     def _learn(self, wrong: int) -> None:
-        """Ask for a smaller share where few signs are wrong for what has joined."""
+        """Adapt the share to the number of wrong signs among newly active bounds."""
         if wrong > MANY_WRONG * self._joined:
             self._share = min(1.0, self._share / STRICTER)
         elif wrong < FEW_WRONG * self._joined:
             self._share = max(self._options.bound_share, LAXER * self._share)
 
     def _peaks(self, found: Violations) -> Mask:
-        """Violated bounds, and wrong signs, that none of their neighbours exceeds."""
+        """Local maxima of violated bounds and wrong signs."""
         sizes = np.maximum(found.bounds, 0.0).reshape(-1, *self._problem.shape)
         return _peak(sizes).reshape(-1)
 
     def _among(self, found: Violations, active: WorkingSet, bounds: Mask) -> Violations:
-        """Wrong signs, these violated bounds, and the links that join."""
+        """Wrong signs, these violated bounds, and the chosen links."""
         problem = self._problem
         links = np.maximum(found.links, 0.0).reshape(-1, *problem.shape)
-        if problem.links_hold_slopes:
+        if problem.links_along_spokes:
             joining = _strong(links, self._options)
         else:
             joining = _peak(links)
@@ -225,13 +225,13 @@ class _Choice:
 
 
 def _near_worst(values: Array, share: float, options: DualOptions) -> Mask:
-    """Where sizes, (fields, n_r, n_θ, n_z), are a share of the worst around."""
+    """Where sizes, (fields, n_r, n_θ, n_z), exceed a share of the worst nearby."""
     worst = _worst_around(values, options)
     return np.asarray((values > FAR * values.max()) & (values >= share * worst))
 
 
 def _strong(values: Array, options: DualOptions) -> Mask:
-    """Where sizes, shape (fields, n_r, n_θ, n_z), are a share of the worst around."""
+    """Where sizes, (fields, n_r, n_θ, n_z), exceed the share of order constraints."""
     share = options.share * min(1.0, 10.0 * float(values.max()))
     worst = _worst_around(values, options)
     return np.asarray((values > 0.0) & (values >= share * worst))
@@ -245,7 +245,7 @@ def _worst_around(values: Array, options: DualOptions) -> Array:
 
 
 def _peak(values: Array) -> Mask:
-    """Where sizes, (fields, n_r, n_θ, n_z), are not below any of six neighbours'."""
+    """Where sizes, (fields, n_r, n_θ, n_z), are not below those of any neighbour."""
     peak = values > 0.0
     peak[:, 1:] &= values[:, 1:] >= values[:, :-1]
     peak[:, :-1] &= values[:, :-1] >= values[:, 1:]

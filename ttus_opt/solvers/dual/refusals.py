@@ -1,4 +1,4 @@
-"""What the solvers that build on L⁻¹ by multigrid cannot take, in words."""
+"""Reasons why solvers based on multigrid for L refuse a program."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from ttus_opt.solvers.dual.limits import SpokeLimits
 
 
 def refusal_of_terms(program: Program) -> str:
-    """Sums of squares, one of them a Laplace term; empty where it is that."""
+    """Why the terms are not sums of squares with a Laplace term; empty if they are."""
     prior = laplace_prior(program)
     if prior is None or prior.weight == 0.0:
         return "it needs a Laplace term"
     if not has_all_rows(prior) and hard_values(program) is None:
-        return f"it takes {prior.name} with hard boundary values only"
-    bent = [t.name for t in program.terms if not t.is_squares]
-    return f"it takes sums of squares only, {bent[0]} is none" if bent else ""
+        return f"it takes {prior.name} only with hard boundary values"
+    others = [t.name for t in program.terms if not t.is_squares]
+    return f"{others[0]} is not a sum of squares" if others else ""
 
 
 def refusal_of_unknowns(program: Program, most: int) -> str:
-    """Unknowns beside the field, up to a number; empty where there are no more."""
+    """Why there are too many unknowns beside the field; empty if there are not."""
     others = program.n_variables - len(program.laplace.free)
     if others <= most:
         return ""
-    return f"it takes {most} unknowns beside the field, these are {others}"
+    return f"it takes at most {most} unknowns beside the field, got {others}"
 
 
 def refusal_of_limits(program: Program) -> str:
-    """Bounds and growth along spokes, of the field alone; empty where they are that."""
+    """Why the limits are not bounds or growth along spokes; empty if they are."""
     free, prior = program.laplace.free, laplace_prior(program)
     try:
         limits = SpokeLimits.of(program)
@@ -41,8 +41,8 @@ def refusal_of_limits(program: Program) -> str:
     if not limits.binding:
         return ""
     if program.n_variables > len(free):
-        return "it takes no limits of the field where there are other unknowns"
+        return "it takes no limits of the field beside other unknowns"
     scale = None if prior is None else row_scale(prior)
     if prior is not None and scale is not None and (scale[free] != 1.0).any():
-        return f"it takes {prior.name} without bounds only"
+        return f"it takes {prior.name} only without limits of the field"
     return ""

@@ -1,15 +1,15 @@
-"""The next working set of soft values, by one V-cycle where `system` solves.
+"""Prediction of the next working set of soft values.
 
-A fixed voxel s whose value is drawn to b_s by a row of its own, p_s ≥ l_s, follows from
+A fixed voxel s whose own row pulls it to the value b_s, with p_s ≥ l_s, follows from
 the multipliers y of the measured rows alone:
 
-    p_s = max(l_s, b_s + ω_s q_s),    q = L⁻ᵀDᵀy,
+    p_s = max(l_s, b_s + ω_s q_s),    q = L⁻ᵀDᵀy.
 
-so that y + D p(y) = t is all that is to be solved, piecewise linear in y. From the
-minimiser of a working set on it is solved for the change of y, by the semismooth Newton
-method, each step a working set, with the V-cycles of `preconditioner` in the box around
-the contact. What they err by is mended from set to set, as the next minimiser is exact
-again. Soft values beyond that box stay as the last minimiser has them.
+Only y + D p(y) = t remains to be solved, which is piecewise linear in y. Starting from
+the minimiser of a working set, it is solved for the change of y by the semismooth
+Newton method, each step of which is a working set, with the V-cycles of
+`preconditioner` in the box around the contact. Their error does not accumulate, because
+the next minimiser is accurate again. Soft values outside that box keep their state.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from ttus_opt.solvers.dual.system import DualSystem
 #: Most steps of Newton's method
 STEPS = 12
 
-#: Relative residual of one, and most directions to reach it in: where measurements
-#: weigh so much that single precision stands in the way, there is no prediction
+#: Relative residual of a step, and most directions to reach it: with measurements too
+#: heavy for single precision there is no prediction
 RESIDUAL, MOST_DIRECTIONS = 1e-2, 100
 
 
 @dataclass
 class SoftValues:
-    """How soft values answer to the multipliers of measured rows.
+    """Response of soft values to the multipliers of measured rows.
 
     Attributes:
         system: The dual without limits.
-        options: Of the method.
+        options: Options of the method.
     """
 
     system: DualSystem = field(repr=False)
@@ -56,16 +56,16 @@ class SoftValues:
 
     @property
     def voxels(self) -> IntArray:
-        """The soft values that it knows of, shape (k,)."""
+        """The voxels of the soft values in the box, shape (k,)."""
         return np.asarray(self._whole.fixed, dtype=np.int64)
 
     def held(self, p: Array, natural: Array, lower: Array) -> Mask | None:
-        """Which of them are at their lower limit next, shape (k,); None if unknown.
+        """Which soft values are at their lower limit next, shape (k,); None if unknown.
 
         Args:
             p: Their values at the minimiser of a working set, shape (k,).
-            natural: What they would be without limits, b + ω q, shape (k,).
-            lower: Their limits, shape (k,).
+            natural: Their values without limits, b + ω q, shape (k,).
+            lower: Their lower limits, shape (k,).
         """
         whole, compliance = self._whole, self.system.compliance[self.voxels]
         held = natural < lower
@@ -88,7 +88,7 @@ class SoftValues:
     def _solved(
         self, left: ApproximateSchur, side: Array, precondition: SchurPreconditioner
     ) -> Array | None:
-        """The change of y in a working set, roughly, (m,); None if it is not found."""
+        """Approximate change of y in a working set, (m,); None if it is not found."""
         space = Complement(np.zeros((len(side), 0)), precondition)
         goal = RESIDUAL * float(np.linalg.norm(side))
         subspace, options = RecycledSubspace(left), self._options

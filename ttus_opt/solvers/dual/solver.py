@@ -1,9 +1,9 @@
 """The minimiser of Σ (L p - b)²/ω + ‖D p + E c - t‖² through its dual.
 
-Preconditioned conjugate gradients (`conjugate_gradients`, `preconditioner`), and rounds
-of iterative refinement for what inexact products left. Unknowns c beside the field
-have bounds: a primal-dual active set over these few (block pivoting, Júdice and Pires,
-Comput. Oper. Res. 21, 1994, with Murty's rule where a set comes again).
+The dual is solved by preconditioned conjugate gradients (`conjugate_gradients`,
+`preconditioner`); iterative refinement removes the error of inexact products. The
+bounds of parameters c beside the field are handled by block pivoting (Júdice and Pires,
+Comput. Oper. Res. 21, 1994), with Murty's rule if a set repeats.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ class DualAnswer:
 
     Attributes:
         p: The minimiser, shape (V,).
-        c: The unknowns beside it, shape (k,).
-        steps: New directions [–].
-        late: Whether the deadline cut it short.
-        y: Multipliers of the rows, shape (m,); None where they are not told.
+        c: The parameters beside it, shape (k,).
+        steps: Number of new directions [–].
+        late: Whether the deadline ended the solve.
+        y: Multipliers of the rows, shape (m,); None if not available.
     """
 
     p: Array = field(repr=False)
@@ -45,7 +45,7 @@ class DualAnswer:
 
 @dataclass(frozen=True)
 class _Point:
-    """Multipliers y, the field p₀ + L⁻¹ ω L⁻ᵀ Dᵀy, and directions spent on them."""
+    """Multipliers y, the field p₀ + L⁻¹ ω L⁻ᵀ Dᵀy, and the number of directions."""
 
     y: Array
     p: Array
@@ -53,10 +53,10 @@ class _Point:
 
 
 class _ApproximateInverse:
-    """S⁻¹ approximately, set up at its first use.
+    """Approximation of S⁻¹, set up at its first use.
 
-    An object of its own: in a circle of references with its solver, that of a working
-    set would be kept long after it.
+    It does not reference its solver: with a reference cycle, that of a working set
+    would stay in memory long after it.
     """
 
     def __init__(self, system: DualSystem, options: DualOptions) -> None:
@@ -74,7 +74,7 @@ class DualSolver:
 
     Attributes:
         system: The system.
-        parameters: The unknowns beside its field.
+        parameters: The parameters beside its field.
     """
 
     def __init__(
@@ -83,12 +83,12 @@ class DualSolver:
         parameters: LinearParameters | None = None,
         options: DualOptions | None = None,
     ) -> None:
-        """Take a problem; nothing is solved yet.
+        """Load a problem; nothing is solved yet.
 
         Args:
             system: The dual of the field alone.
-            parameters: The unknowns beside it; None for none.
-            options: Of the method; None for the defaults.
+            parameters: The parameters beside it; None for none.
+            options: Options of the method; None for the defaults.
         """
         self.system = system
         self.parameters = parameters or LinearParameters.none(len(system.root_weights))
@@ -97,7 +97,7 @@ class DualSolver:
         self._forget()
 
     def _forget(self) -> None:
-        """Start with an empty subspace, which lies across all columns."""
+        """Start with an empty subspace, orthogonal to all columns."""
         k = len(self.parameters.lower)
         self._subspace = RecycledSubspace(self.system)
         self._across = np.ones(k, dtype=bool)
@@ -106,12 +106,12 @@ class DualSolver:
         self._complement: tuple[bytes, Complement] | None = None
 
     def adopt(self, system: DualSystem, parameters: LinearParameters) -> None:
-        """Take a system with other weights of the same rows; no solve is spent.
+        """Change to a system with other weights of the same rows, without a solve.
 
         Args:
             system: The same rows with other weights.
-            parameters: Unknowns beside its field; the subspace is lost where these
-                have other columns.
+            parameters: The parameters beside its field; if their columns differ, the
+                subspace is lost.
         """
         ratio = system.root_weights / self.system.root_weights
         old, self.system, self.parameters = self.parameters, system, parameters
@@ -136,16 +136,16 @@ class DualSolver:
         """Solve for one right-hand side.
 
         Args:
-            b: Of L p = b, shape (V,).
+            b: Right-hand side of L p = b, shape (V,).
             t: Weighted targets, shape (m,).
-            accuracy: How exactly, and until when.
-            guess: A field near the answer, shape (V,); None for none. It is not used
-                where less is asked for than `DualOptions.warm_start`.
-            near: Where c may lie, shape (k,): at a bound it is tried first whether it
-                stays there. None to begin with what was free last.
+            accuracy: Accuracy and deadline.
+            guess: A field near the answer, shape (V,); None for none. It is used only
+                for an accuracy of `DualOptions.warm_start` or better.
+            near: A guess of c, shape (k,): parameters at a bound start there. None to
+                start with the parameters that were free last.
 
         Returns:
-            The answer; whether it is exact is for the caller to verify.
+            The answer, whose accuracy the caller verifies.
         """
         parameters, E = self.parameters, self.parameters.columns
         base = self._prior_field(b, accuracy.field_rtol)
@@ -175,7 +175,7 @@ class DualSolver:
             if following is None or accuracy.late:
                 self._free = free
                 return DualAnswer(point.p, c, point.steps, accuracy.late, point.y)
-            if (following & ~free).any():  # y has to lie across more columns
+            if (following & ~free).any():  # y must be orthogonal to more columns
                 steps = point.steps
                 point = None
             free = following
@@ -188,13 +188,13 @@ class DualSolver:
         accuracy: Accuracy,
         steps: int,
     ) -> _Point:
-        """Multipliers to begin with, zero for None or where they are no better."""
+        """Initial multipliers; zero for None, or if zero is better."""
         nothing = _Point(np.zeros_like(self.system.root_weights), base, steps)
         if y is None:
             return nothing
         p = base + self.system.response(y, accuracy.field_rtol)
         target, complement = sought
-        # a misfit far from the answer's is magnified by all of S
+        # S amplifies the error of a misfit far from the answer's
         left = complement.part(target - self.system.measure(p) - y)
         most = complement.part(target - self.system.measure(base))
         closer = np.linalg.norm(left) < np.linalg.norm(most)
@@ -208,7 +208,7 @@ class DualSolver:
         goal: float,
         accuracy: Accuracy,
     ) -> tuple[_Point, Array]:
-        """Multipliers from a point on, and the residual, shape (m,), they leave."""
+        """Multipliers refined from a point, and their residual, shape (m,)."""
         system, before = self.system, np.inf
         y, p, steps = point.y, point.p, point.steps
         residual = target - system.measure(p) - y
@@ -222,8 +222,8 @@ class DualSolver:
                 self._subspace, rest, goal, complement, accuracy, self._options
             )
             y, steps = y + step, steps + taken
-            # added to p, not made of all of y again: measurements that contradict each
-            # other leave a large y, whose rounding would then be all the accuracy
+            # p is updated by the step: if measurements contradict each other y is
+            # large, and its rounding error would dominate a p computed from all of it
             p = p + system.response(step, accuracy.field_rtol)
             residual = target - system.measure(p) - y
             if accuracy.late:
@@ -231,7 +231,7 @@ class DualSolver:
         return _Point(y, p, steps), residual
 
     def _complement_of(self, free: Mask) -> Complement:
-        """Across the columns that are free; the subspace lies there, too."""
+        """The complement of the free columns, in which the subspace lies too."""
         if (free & ~self._across).any():
             self._subspace = RecycledSubspace(self.system)
             self._across = free
@@ -243,7 +243,7 @@ class DualSolver:
         return self._complement[1]
 
     def _prior_field(self, b: Array, rtol: float) -> Array:
-        """p₀ = L⁻¹b, kept while b stays and no more is asked of it."""
+        """p₀ = L⁻¹b, reused for the same b and no higher accuracy."""
         kept = self._base
         if kept is None or rtol < kept[1] or not np.array_equal(kept[0], b):
             kept = self._base = b, rtol, self.system.laplace.solve(b, rtol=rtol)
@@ -251,13 +251,13 @@ class DualSolver:
 
 
 def _next_set(free: Mask, violating: Mask, c: Array, seen: set[bytes]) -> Mask | None:
-    """The free unknowns to try next; None where none is needed, or new.
+    """The next set of free parameters; None if none is needed, or none is new.
 
     Args:
-        free: Those tried last, shape (k,).
-        violating: Those beyond a bound, or held back by one, shape (k,).
-        c: Their values within their bounds, shape (k,).
-        seen: What was tried: the free ones and the values of the others.
+        free: The last set, shape (k,).
+        violating: Parameters beyond a bound or with a wrong sign, shape (k,).
+        c: Values clipped to their bounds, shape (k,).
+        seen: The sets tried, each with the values of the other parameters.
     """
     if not violating.any():
         return None

@@ -1,16 +1,15 @@
-"""The subproblem of a working set: what is left of one field when limits are active.
+"""The subproblem of a working set of one field.
 
-Where a bound is active its voxel is held; where an order constraint is active two
-voxels are pooled into a block and move as one. With p = P z + o, z standing at one
-voxel of every block, what is left is a problem of the same structure, smaller and
-without limits:
+An active bound holds its voxel; an active order constraint pools two voxels into a
+block with a common unknown. With p = P z + o, where z has one entry per block, the
+remaining problem has the same structure, is smaller and has no limits:
 
-- free voxels and free blocks keep one Laplace row each, in the direction in which rows
-  of a block add up to PᵀA P; these rows make the square system;
-- every other row, of voxels that are held, and across the blocks, is a measured row
-  like those of forces, of weight 1 and few entries.
+- every free voxel or block keeps one Laplace row, for a block the combination of its
+  rows that gives PᵀA P; these rows form the square system;
+- every other row, of held voxels or orthogonal to the kept one of a block, becomes a
+  measured row of weight 1 with few entries.
 
-So the dual of `system` solves it, with a multigrid that knows what is held and pooled.
+The dual of `system` solves it, with a multigrid for the held and pooled voxels.
 """
 
 from __future__ import annotations
@@ -39,25 +38,24 @@ from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.voxmap.grid import CylindricalGrid
 
-#: Part of soft values' worst violation that other voxels' may have for these to be
-#: predicted alone [–]: 0.2 at weights of 10, 0.3 and more where data contradict
+#: Soft values are predicted only if other voxels' worst violation is at most this part
+#: of theirs [–]: it is 0.2 at weights of 10, and 0.3 and more for contradictory data
 MENDED = 0.25
 
 
 @dataclass(frozen=True)
 class ReducedLaplace(BlockSolves):
-    """Square system of a subproblem, as `LaplaceSystem` is the whole problem's.
+    """Square system of a subproblem, as `LaplaceSystem` is for the whole problem.
 
     Attributes:
         grid: The grid of the operator.
         screening: Added to the diagonal of A, shape (n_r,) [m]; None for nothing.
-        grounds: What cut links change in A; None for nothing.
-        free: Voxels at which unknowns stand, shape (V,).
-        radii: What turns a row of A into one of L: the root of the sum of r² over a
-            block, shape (V,) [m].
+        grounds: Changes of A by cut links; None for nothing.
+        free: Voxels that represent an unknown, shape (V,).
+        radii: Factors between rows of A and of L, √Σ r² over a block, shape (V,) [m].
         coupling: Entries from Dirichlet voxels to square rows, and their adjoint.
-        members: All voxels that move with an unknown, shape (V,).
-        links: Among them, those pooled with the next one outwards, shape (V,).
+        members: All voxels of an unknown, shape (V,).
+        links: Members pooled with the next voxel outwards, shape (V,).
     """
 
     grid: CylindricalGrid
@@ -85,12 +83,12 @@ class Subproblem:
     """The problem of a working set.
 
     Attributes:
-        solver: Of its dual.
+        solver: Solver of its dual.
         b: Right-hand side of its square system, shape (V,).
-        t: Weighted targets of measured rows, then of the Laplace rows left over.
+        t: Weighted targets of measured rows, then of the other Laplace rows.
         expansion: P, shape (V, V).
         offset: o, shape (V,).
-        sums: The square rows from those of L, shape (V, V); None for L's own.
+        sums: Map from the rows of L to the square rows, (V, V); None for the identity.
     """
 
     solver: DualSolver
@@ -101,7 +99,7 @@ class Subproblem:
     sums: sp.csr_array | None = field(default=None, repr=False)
 
     def solve(self, accuracy: Accuracy, last: Array | None = None) -> DualAnswer:
-        """The best field of the working set, after that of the last one."""
+        """The minimiser of the working set, started from that of the last one."""
         if last is not None:
             moving = np.zeros(len(last), dtype=bool)
             moving[self.expansion.indices] = True
@@ -112,14 +110,14 @@ class Subproblem:
 
 @dataclass(frozen=True)
 class LimitedField:
-    """A program of the field alone.
+    """A program of one field with limits and no other unknowns.
 
     Attributes:
         program: The problem.
         limits: Its limits.
-        data: The dual of its objective alone.
-        whole: Solver of that, kept from solve to solve.
-        options: Of the method.
+        data: The dual of the problem without limits.
+        whole: Solver of that dual, reused from solve to solve.
+        options: Options of the method.
     """
 
     program: Program
@@ -127,12 +125,12 @@ class LimitedField:
     data: DualData
     whole: DualSolver
     options: DualOptions
-    links_hold_slopes: ClassVar[bool] = True
+    links_along_spokes: ClassVar[bool] = True
     predicts_roughly: ClassVar[bool] = False
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of the grid."""
+        """Shape of the grid."""
         return self.limits.shape
 
     @property
@@ -142,7 +140,7 @@ class LimitedField:
 
     @cached_property
     def _limited_soft(self) -> Mask:
-        """Soft values with a lower limit and no other, shape (V,)."""
+        """Soft values with only a lower limit, shape (V,)."""
         limits, soft = self.limits, self.data.system.compliance > 0.0
         own = np.isfinite(limits.lower) & np.isinf(limits.upper) & ~limits.given
         return self.alone & soft & own
@@ -154,7 +152,7 @@ class LimitedField:
     def predicted(
         self, active: WorkingSet, p: Array, signs: Multipliers
     ) -> WorkingSet | None:
-        """The next working set where none but soft values are at limits.
+        """The predicted working set if only soft values are at limits, or None.
 
         Args:
             active: The working set, without links.
@@ -166,13 +164,13 @@ class LimitedField:
         assert prior is not None
         others = ~soft & ~limits.given
         beyond = np.maximum(limits.lower - p, p - limits.upper)
-        # without any limit some is violated that soft values will mend
+        # before any limit is active, soft values will correct some violations
         share = MENDED if active.count == 0 else 0.0
         most = share * float(beyond[soft].max(initial=0.0))
         far = float(beyond[others].max(initial=0.0)) > most
         if not soft.any() or far or (others & (active.bounds != 0)).any():
             return None
-        # b + ω q: what is held has its multiplier beside
+        # b + ω q; at a held voxel its multiplier adds to p
         natural = p + system.compliance * signs.bounds / (2.0 * prior.weight)
         held = soft & (natural < limits.lower)
         model = self._soft_values
@@ -212,7 +210,7 @@ class LimitedField:
 def _given_instead(
     limits: SpokeLimits, active: WorkingSet, data: DualData, options: DualOptions
 ) -> Subproblem:
-    """Where soft values alone are held: they are given, and the rest stays."""
+    """The subproblem if only soft values are held: they become given values."""
     held, n = active.bounds != 0, len(data.b)
     value = np.where(active.bounds > 0, limits.upper, limits.lower)
     compliance = np.where(held, 0.0, data.system.compliance)
@@ -227,9 +225,9 @@ class _Blocks:
     """Pooled voxels; single voxels are blocks of one.
 
     Attributes:
-        unknown: The voxel at which a voxel's block stands; -1 if held, (V,).
+        unknown: The voxel that represents a voxel's block; -1 if held, (V,).
         offset: o, shape (V,).
-        dirichlet: Whether a voxel's block holds a Dirichlet voxel, (V,).
+        dirichlet: Whether a voxel's block contains a Dirichlet voxel, (V,).
     """
 
     unknown: IntArray
@@ -242,21 +240,21 @@ class _Blocks:
     ) -> _Blocks:
         n = len(active.bounds)
         head = block_heads(active.links, limits.stride)
-        # where a block stands: at its first Dirichlet voxel, else at its head
+        # a block is represented by its first Dirichlet voxel, else by its head
         stand = np.arange(n)
         fixed = np.flatnonzero(~laplace.free)[::-1]
         dirichlet = np.zeros(n, dtype=bool)
         dirichlet[head[fixed]] = True
         stand[head[fixed]] = fixed
         unknown = stand[head]
-        # along a block, from the spoke's inner end: by how much the field falls
+        # decrease of the field along a block, from the spoke's inner end
         falls = limits.by_layer(np.where(active.links, limits.least, 0.0))
         depth = np.zeros_like(falls)
         depth[1:] = -np.cumsum(falls[:-1], axis=0)
         depth = depth.reshape(-1)
         offset = depth - depth[unknown]
         value = np.where(active.bounds > 0, limits.upper, limits.lower)
-        # a given value goes before a bound, and of several bounds the deepest
+        # a given value precedes a bound, and the deepest of several bounds the others
         held = np.flatnonzero((active.bounds != 0) & ~limits.given)[::-1]
         held = np.concatenate([held, np.flatnonzero(limits.given)[::-1]])
         at = np.full(n, -1)
@@ -273,14 +271,14 @@ def reduced(
     data: DualData,
     options: DualOptions,
 ) -> Subproblem:
-    """The problem left when some limits are active.
+    """The subproblem in general.
 
     Args:
         laplace: L of the whole problem.
         limits: The limits.
         active: Which of them are active.
-        data: The whole problem's dual.
-        options: Of the method.
+        data: The dual of the whole problem.
+        options: Options of the method.
     """
     system, n = data.system, len(data.b)
     voxels = np.arange(n)
@@ -294,7 +292,7 @@ def reduced(
     pooled = members & (sizes[blocks.unknown] > 1)
     target = data.b - laplace.L @ blocks.offset
 
-    # rows that are no longer a square row of their own
+    # rows that are no longer square rows
     across = _across_blocks(laplace, blocks, pooled)
     loose = laplace.free & ~members
     loose |= moving & ~laplace.free & ~fixed & (system.compliance > 0.0)
@@ -344,7 +342,7 @@ def selection(rows: Mask, columns: IntArray) -> sp.csr_array:
 
 
 def _of_columns(matrix: sp.csr_array, kept: Mask) -> sp.csr_array:
-    """The entries of some columns, the others zero; same shape."""
+    """The matrix with the entries of other columns set to zero."""
     own = kept[matrix.indices]
     indptr = np.concatenate([[0], np.cumsum(own)])[matrix.indptr]
     return sp.csr_array(
@@ -355,7 +353,7 @@ def _of_columns(matrix: sp.csr_array, kept: Mask) -> sp.csr_array:
 def _sums(
     laplace: LaplaceSystem, blocks: _Blocks, own: Mask, pooled: Mask
 ) -> tuple[sp.csr_array, Array]:
-    """The square rows from those of L, (V, V), and the radii that belong to them."""
+    """Map from the rows of L to the square rows, (V, V), and the radii of these."""
     n = len(own)
     squares = np.bincount(
         blocks.unknown[pooled], laplace.radii[pooled] ** 2, minlength=n
@@ -370,7 +368,7 @@ def _sums(
 def _across_blocks(
     laplace: LaplaceSystem, blocks: _Blocks, pooled: Mask
 ) -> sp.csr_array:
-    """Orthonormal rows across every block of k voxels: k - 1 each, shape (m, V)."""
+    """Orthonormal rows orthogonal to the kept one, k - 1 per block, shape (m, V)."""
     voxels = np.flatnonzero(pooled)
     # by block, and within a block from the inside out (flat order)
     voxels = voxels[np.argsort(blocks.unknown[voxels], kind="stable")]
@@ -379,7 +377,7 @@ def _across_blocks(
     for start, end in pairwise(ends):
         own = voxels[start:end]
         w = laplace.radii[own] / np.linalg.norm(laplace.radii[own])
-        # Householder's reflection takes w to the first axis: its other rows are
+        # the Householder reflection that maps w to the first axis: its other rows are
         # orthogonal to w and to each other
         v = w.copy()
         v[0] += 1.0

@@ -1,14 +1,14 @@
 """The dual of eq. 10: one equation per measured row, none per voxel.
 
-With D₀ the measured rows, w the roots of their weights (over the prior's), D = wD₀,
-and ω the compliance of each Laplace row (1 where the row is soft, 0 where it must hold
-exactly, 1/s² where it is scaled by s), the minimiser of Σ (L p - b)²/ω + ‖D p - t‖² is
+With D₀ the measured rows, w the square roots of their weights (over the prior's),
+D = wD₀, and ω the compliance of each Laplace row (1 for a soft row, 0 for one that must
+hold exactly, 1/s² for one scaled by s), the minimiser of Σ (L p - b)²/ω + ‖D p - t‖² is
 
     p = p₀ + L⁻¹ ω L⁻ᵀ Dᵀ y,   p₀ = L⁻¹b,
     S y = t - D p₀,            S = I + D L⁻¹ ω L⁻ᵀ Dᵀ.
 
-S is the Schur complement of the field in the optimality conditions: symmetric positive
-definite; a product with it is one solve with Lᵀ and one with L.
+S is the Schur complement of the field in the optimality conditions. It is symmetric
+positive definite; a product with it takes one solve with Lᵀ and one with L.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class DualSystem:
         compliance: ω per Laplace row, shape (V,) [–].
         rows: D₀, measured rows without weights, shape (m, V).
         root_weights: w, shape (m,) [–].
-        n_measured: How many of them, the first ones, are measurements and no rows left
-            over in a subproblem; None for all.
+        n_measured: Number of rows, the first ones, that are measurements, not Laplace
+            rows left over in a subproblem; None for all.
     """
 
     laplace: SquareSystem
@@ -51,7 +51,7 @@ class DualSystem:
         return np.asarray(self.root_weights * (self.rows @ p))
 
     def response(self, y: Array, rtol: float = RTOL) -> Array:
-        """The field L⁻¹ ω L⁻ᵀ Dᵀ y that multipliers y make, shape (V,)."""
+        """The response field L⁻¹ ω L⁻ᵀ Dᵀ y of multipliers y, shape (V,)."""
         load = self.adjoint @ (self.root_weights * y)
         slope = self.laplace.solve_adjoint(load, rtol=rtol)
         return self.laplace.solve(self.compliance * slope, rtol=rtol)
@@ -61,7 +61,7 @@ class DualSystem:
         return y + self.measure(self.response(y, rtol))
 
     def same_rows(self, other: DualSystem) -> bool:
-        """Whether S differs from another's by the weights of its rows at most."""
+        """Whether two systems differ at most by the weights of their rows."""
         a, b = self.rows, other.rows
         return (
             self.laplace is other.laplace

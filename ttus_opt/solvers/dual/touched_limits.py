@@ -1,19 +1,18 @@
-"""The next working set of two fields, by a small model of the limits that can bind.
+"""Prediction of the next working set of two fields by a small dense model.
 
-Where no measured row touches the second field its prior alone holds it, and there a
-limit hardly ever stays active: those that do lie among the few hundred voxels that
-measured rows touch. Over these the problem is small and dense. With Γ the inverse of
-half the objective's second derivative there, a change of the multipliers z of y ≥ l
-moves y by Γ times that change, so that the minimiser y of one working set leads to the
-next one by a linear complementarity problem:
+Where no measured row touches the second field, only its prior determines it, and there
+a limit is hardly ever active in the end. The active ones lie among the few hundred
+voxels that measured rows touch, over which the problem is small and dense. With Γ the
+inverse of half the Hessian of the objective there, a change of the multipliers z of
+y ≥ l changes y by Γ times that. The minimiser y of one working set thus leads to the
+next working set by a linear complementarity problem:
 
     y' = y + Γ (z' - z),   y' ≥ l,   z' ≥ 0,   z'ᵀ(y' - l) = 0.
 
 An unknown c beside the fields is one more entry of y, and a bound of it one more limit.
-In the prior's part of Γ a V-cycle stands for each L⁻¹, as in `preconditioner`; Γ errs
-by a few per cent, and so does the next working set, whose minimiser leads to a better
-one: Newton's method with an approximate derivative. All limits of all voxels are
-judged by what `optimality` finds, not by this.
+In the prior's part of Γ a V-cycle replaces each L⁻¹, as in `preconditioner`, so Γ is
+accurate to a few per cent only: the iteration is Newton's method with an approximate
+derivative. `optimality` checks all limits of all voxels independently of this model.
 """
 
 from __future__ import annotations
@@ -33,37 +32,37 @@ from ttus_opt.solvers.dual.system import DualSystem
 #: Most voxels that measured rows may touch: two V-cycles each, and a dense matrix
 MOST_VOXELS = 3000
 
-#: Relative residual of the field that the unknown beside the fields makes
+#: Relative residual of the field that the unknown beside the fields causes [–]
 MEAN_RTOL = 1e-4
 
-#: Variance of that field over the prior's: it is as good as free [–]
+#: Variance of that field over the prior's, so large that it is practically free [–]
 FREE = 1e4
 
-#: Rounding of the prior's part, in single precision, over its mean variance [–]
+#: Rounding error of the prior's part, in single precision, over its mean variance [–]
 ROUNDING = 1e-6
 
-#: Random combinations at a time [–]
+#: Random combinations per block [–]
 BLOCK = 64
 
-#: Where more than this part of the voxels' number do not do, none are left out [–]
+#: Combinations are used only if fewer than 1/FEW of the number of voxels suffice [–]
 FEW = 3
 
-#: What measurements left out may tell, as their covariance over their noise's [–]
-UNTOLD = 1e-2
+#: Largest neglected covariance of measurements over that of their noise [–]
+NEGLIGIBLE = 1e-2
 
-#: Exchanges of all wrong signs that may fail to leave fewer, and exchanges at most
+#: Exchanges of all wrong signs allowed without fewer wrong signs; exchanges at most
 TRIES, MOST_EXCHANGES = 10, 300
 
 
 @dataclass(frozen=True)
 class TouchedLimits:
-    """How the second field answers to multipliers where measured rows touch it.
+    """Response of the second field to multipliers where measured rows touch it.
 
     Attributes:
-        voxels: Those, shape (k,).
-        response: Γ, shape (k, k); of the unknown c beside the fields as well, as the
-            last, where it makes a field, (k + 1, k + 1).
-        bounds: Of c.
+        voxels: The touched voxels, shape (k,).
+        response: Γ, shape (k, k); (k + 1, k + 1) if an unknown c beside the fields
+            causes a field, with c last.
+        bounds: Bounds of c.
     """
 
     voxels: IntArray
@@ -72,11 +71,11 @@ class TouchedLimits:
 
     @classmethod
     def of(cls, rows: PairRows, limited: Mask) -> TouchedLimits | None:
-        """The model of an objective; None where there is nothing or too much to model.
+        """The model of an objective; None if no or too many voxels are touched.
 
         Args:
             rows: The objective of x and y.
-            limited: Voxels where y has a lower limit, and no given value, (V,).
+            limited: Voxels where y has a lower limit and no given value, (V,).
         """
         V = len(limited)
         touched = np.zeros(V, dtype=bool)
@@ -99,23 +98,23 @@ class TouchedLimits:
             )
         try:
             return cls(voxels, _response(G, mean, ratio, x, y), rows.bounds)
-        except np.linalg.LinAlgError:  # weights so large that rounding is all
+        except np.linalg.LinAlgError:  # at large weights rounding dominates
             return None
 
     def active(
         self, slack: Array, multipliers: Array, beside: tuple[float, float]
     ) -> Mask | None:
-        """Where y ≥ l is active next, shape (k,); None where rounding hides it.
+        """Where y ≥ l is active next, shape (k,); None if rounding prevents it.
 
         Args:
             slack: y - l of the last working set, shape (k,).
             multipliers: z there, of half the objective, shape (k,).
-            beside: c, and the slope of half the objective in c.
+            beside: c, and the derivative of half the objective in c.
         """
         response, k = self.response, len(self.voxels)
         if len(response) > k:
             (c, slope), (lower, upper) = beside, self.bounds
-            if c == upper:  # its limit as one from below
+            if c == upper:  # turned into a lower limit
                 response = response.copy()
                 response[k], response[:k, k] = -response[k], -response[:k, k]
                 response[k, k] *= -1.0
@@ -129,23 +128,23 @@ class TouchedLimits:
 def _response(
     prior: Array, mean: Array, ratio: float, x: sp.csr_array, y: sp.csr_array
 ) -> Array:
-    """Γ: the covariance of y, and of c, after measurements with noise of variance 1.
+    """Γ: the posterior covariance of y and c, for measurement noise of variance 1.
 
-    With G' = G + m mᵀ, where G has no part in c, and Q the combinations of measured
-    rows that tell anything,
+    With G' = G + m mᵀ, where G is zero for c, and Q the informative combinations of
+    measured rows,
 
         Γ = G' - G'YᵀQ (I + Qᵀ(ρ X G Xᵀ + Y G'Yᵀ)Q)⁻¹ QᵀY G'.
 
-    Where these are many, no rows are left out, and what they tell of the first field is
-    eliminated before: its covariance follows, and then that of the second.
+    If these are many, all rows are used: first the posterior covariance of the first
+    field is computed, then that of the second.
 
     Args:
-        prior: G, covariance of the second field before, shape (k, k).
-        mean: m, the field that c makes and c itself, shape (k + 1,); zeros (k,) where
-            it makes none.
+        prior: G, prior covariance of the second field, shape (k, k).
+        mean: m, the field that c causes and c itself, shape (k + 1,); zeros (k,) if it
+            causes none.
         ratio: ρ, variance of the first field over that of the second [–].
         x: X, measured rows of the first field, shape (m, k).
-        y: Y, of the second and of c, shape (m, k + 1) or (m, k).
+        y: Y, measured rows of the second and of c, shape (m, k + 1) or (m, k).
     """
     k = len(prior)
 
@@ -160,16 +159,16 @@ def _response(
     whole = np.outer(mean, mean)
     whole[:k, :k] += prior
     most = k // FEW
-    told = telling(lambda ends: measured(ends)[1].T, x.shape[0], most)
-    if told is None:
+    basis = range_basis(lambda ends: measured(ends)[1].T, x.shape[0], most)
+    if basis is None:
         of_x, of_y, of_both = (
             (one.T @ other).toarray() for one, other in ((x, x), (y, y), (x, y))
         )
         follows = _posterior(ratio * prior, of_x)
         left = of_y - of_both.T @ follows @ of_both
         return _posterior(whole, (left + left.T) / 2.0)
-    moved, kernel = measured(told)
-    inner = np.eye(told.shape[1]) + kernel @ told
+    moved, kernel = measured(basis)
+    inner = np.eye(basis.shape[1]) + kernel @ basis
     factor = scipy.linalg.cholesky(
         (inner + inner.T) / 2.0, lower=True, check_finite=False
     )
@@ -177,16 +176,16 @@ def _response(
     return np.asarray(whole - half.T @ half)
 
 
-def telling(operator: Callable[[Array], Array], n: int, most: int) -> Array | None:
-    """Orthonormal columns, (n, r), off which an operator does next to nothing.
+def range_basis(operator: Callable[[Array], Array], n: int, most: int) -> Array | None:
+    """Orthonormal basis, (n, r), of the numerical range of an operator.
 
-    The range of random combinations (Halko, Martinsson, Tropp, SIAM Rev. 53, 2011),
-    a block at a time: what one adds tells what those before it have missed.
+    A randomised range finder (Halko, Martinsson, Tropp, SIAM Rev. 53, 2011), block by
+    block: a new block estimates what the previous ones have missed.
 
     Args:
         operator: Symmetric positive semidefinite, (n, k) to (n, k).
         n: Its size.
-        most: Most columns; None is the answer where these do not do.
+        most: Most columns; the result is None if these do not suffice.
     """
     rng = np.random.default_rng(0)
     found = np.zeros((n, 0))
@@ -194,17 +193,17 @@ def telling(operator: Callable[[Array], Array], n: int, most: int) -> Array | No
         block = operator(rng.standard_normal((n, BLOCK)))
         for _ in range(2):
             block -= found @ (found.T @ block)
-        if np.linalg.norm(block) <= UNTOLD * np.sqrt(BLOCK):
+        if np.linalg.norm(block) <= NEGLIGIBLE * np.sqrt(BLOCK):
             return found
         if found.shape[1] + BLOCK > min(n, most):
             return None
         block = np.linalg.qr(block)[0]
-        block -= found @ (found.T @ block)  # what rounding left of them is large now
+        block -= found @ (found.T @ block)  # normalisation has enlarged the rounding
         found = np.hstack([found, np.linalg.qr(block)[0]])
 
 
 def _posterior(covariance: Array, information: Array) -> Array:
-    """(G⁻¹ + H)⁻¹, positive definite, of G and H, shape (k, k) each."""
+    """(G⁻¹ + H)⁻¹ for covariance G and information H, shape (k, k) each."""
     root = scipy.linalg.cholesky(covariance, lower=True, check_finite=False)
     inner = np.eye(len(root)) + root.T @ information @ root
     factor = scipy.linalg.cholesky(inner, lower=True, check_finite=False)
@@ -213,7 +212,7 @@ def _posterior(covariance: Array, information: Array) -> Array:
 
 
 def _prior_covariance(rows: PairRows, voxels: IntArray) -> Array:
-    """L⁻¹ ω L⁻ᵀ of the second field between voxels, roughly, shape (k, k)."""
+    """Approximation of L⁻¹ ω L⁻ᵀ of the second field at some voxels, shape (k, k)."""
     V, k = len(rows.laplace.free), len(voxels)
     selected = sp.csr_array((np.ones(k), voxels, np.arange(k + 1)), shape=(k, V))
     system = DualSystem(rows.laplace, rows.compliance[V:], selected, np.ones(k))
@@ -227,26 +226,26 @@ def _prior_covariance(rows: PairRows, voxels: IntArray) -> Array:
 
 
 def complementary(matrix: Array, constant: Array, start: Mask) -> Mask | None:
-    """Where z > 0 in z ≥ 0, M z + c ≥ 0, zᵀ(M z + c) = 0; M is positive definite.
+    """Where z > 0 in the solution of z ≥ 0, M z + c ≥ 0, zᵀ(M z + c) = 0.
 
-    Block principal pivoting; where the number of wrong signs does not fall, one at a
-    time by Murty's rule (Júdice and Pires, Comput. Oper. Res. 21, 1994).
+    Block principal pivoting; if the number of wrong signs does not fall, one exchange
+    at a time by Murty's rule (Júdice and Pires, Comput. Oper. Res. 21, 1994).
 
     Args:
-        matrix: M, shape (k, k).
+        matrix: M, positive definite, shape (k, k).
         constant: c, shape (k,).
         start: Where z may differ from zero at first, shape (k,).
 
     Returns:
-        Those; after `MOST_EXCHANGES` those of the fewest wrong signs. None where a part
-        of M is not positive definite but for rounding.
+        Mask of z > 0, shape (k,); after `MOST_EXCHANGES` that with the fewest wrong
+        signs. None if rounding makes a submatrix of M indefinite.
     """
     active = best = start.copy()
     fewest, left = len(constant) + 1, TRIES
     for _ in range(MOST_EXCHANGES):
         at = np.flatnonzero(active)
-        # no `scipy.linalg.solve`: it warns of an ill-conditioned M, as at heavy
-        # weights, where signs still tell enough of what is judged exactly afterwards
+        # not `scipy.linalg.solve`, which warns if M is ill-conditioned, as with heavy
+        # weights: the signs are still good enough, and are checked exactly later
         try:
             factor = scipy.linalg.cho_factor(matrix[np.ix_(at, at)], check_finite=False)
         except np.linalg.LinAlgError:

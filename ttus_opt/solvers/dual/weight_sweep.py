@@ -1,16 +1,17 @@
 """Minimisers of Σ (L p - b)²/ω + ‖W(D p - t)‖² for many weights W of the same rows.
 
-The minimiser departs from p₀ = L⁻¹b by L⁻¹ω L⁻ᵀDᵀz with some multipliers z, whatever
-the weights. So a few such *response fields* serve all weights: a reduced basis. They
-are made orthonormal in the prior's energy, zᵢᵀC zⱼ = δᵢⱼ with C = D L⁻¹ω L⁻ᵀDᵀ. With K
-the matrix of their measurements, Kⱼ = C zⱼ, the best combination for any weights is
+Whatever the weights, the minimiser is p₀ = L⁻¹b plus a *response field* L⁻¹ω L⁻ᵀDᵀz
+with some multipliers z. A few of these suffice for all weights: a reduced basis. They
+are orthonormal in the energy norm of the prior, zᵢᵀC zⱼ = δᵢⱼ with C = D L⁻¹ω L⁻ᵀDᵀ.
+With K the matrix of their measurements, Kⱼ = C zⱼ, the best combination for any weights
+solves a system as small as the basis (Rayleigh-Ritz):
 
-    c = (1 + K W²Kᵀ)⁻¹ K W²d,   d = t - D p₀,   p = p₀ + Σ cⱼ L⁻¹ω L⁻ᵀDᵀzⱼ,
+    c = (1 + K W²Kᵀ)⁻¹ K W²d,   d = t - D p₀,   p = p₀ + Σ cⱼ L⁻¹ω L⁻ᵀDᵀzⱼ.
 
-a system as small as the basis (Rayleigh-Ritz). What remains of the gradient is -2 Dᵀρ
-with ρ = W²(d - Kᵀc) - Zᵀc, and the objective is at most ρᵀC ρ from its minimum. Where
-that is too much, ρ, preconditioned for these weights, is a new direction: two solves.
-KᵀK is the Nyström approximation of C (docs/method.md, section 10.9).
+The gradient there is -2 Dᵀρ with ρ = W²(d - Kᵀc) - Zᵀc, and the objective is at most
+ρᵀC ρ above its minimum. If that is too large, ρ, preconditioned for these weights,
+gives a new response field, at two solves. KᵀK is the Nyström approximation of C
+(docs/method.md, section 10.9).
 """
 
 from __future__ import annotations
@@ -29,35 +30,34 @@ from ttus_opt.solvers.dual.data import DualData, laplace_prior
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.preconditioner import ApproximateSchur, schur_preconditioner
 
-#: Relative residual of the solves behind a response field: an error there is an error
-#: of every field made of it [–]
+#: Relative residual of the solves for a response field; its error passes to all fields
 FIELD_RTOL = 1e-8
 
 #: Most rows and voxels: 60 response fields of the latter take 2 GiB
 MOST_ROWS, MOST_VOXELS = 50_000, 4_000_000
 
-#: Random multipliers whose mean energy counts
+#: Random multipliers whose mean energy estimates a trace
 PROBES = 8
 
 #: Response fields that share one array
 BLOCK = 16
 
-#: By how much a limit may be missed, over the largest value [–]
+#: Violation of a limit that counts as rounding, over the largest value [–]
 ROUNDING = 1e-12
 
-#: A direction of which no more than this is left across the others is none [–]
+#: Relative threshold below which a direction is dropped as dependent [–]
 DEPENDENT = 1e-10
 
-#: Energy that a direction may share with the others, over its own: they are orthogonal
-#: up to the error of the solves, and beyond this the direction is that error [–]
+#: Largest energy that a direction may share with the others, over its own: beyond this
+#: it is nothing but the error of the solves [–]
 SHARED = 1e-4
 
 
 def suits_sweep(program: Program) -> bool:
-    """Whether a program that `structured` takes is one field and few measured rows.
+    """Whether a program for `structured` has one field and few measured rows.
 
-    These must be all there is beside the Laplace term, and the response fields must
-    find room. Limits do not matter: where the minimiser without them keeps them, it is
+    There must be no other terms beside the Laplace term, and memory for the response
+    fields. Limits are allowed: if the minimiser without limits satisfies them, it is
     the minimiser with them (`keeps_limits`).
     """
     prior, V = laplace_prior(program), len(program.laplace.free)
@@ -68,14 +68,14 @@ def suits_sweep(program: Program) -> bool:
 
 
 def is_limited(program: Program) -> bool:
-    """Whether there are limits beside hard boundary values."""
+    """Whether there are limits other than hard boundary values."""
     return bool(program.bounds) or any(
         constraint is not program.dirichlet for constraint in program.constraints
     )
 
 
 def keeps_limits(program: Program, x: Array) -> bool:
-    """Whether a point keeps all limits but hard boundary values, up to rounding."""
+    """Whether a point satisfies all limits up to rounding, boundary values aside."""
     least = -ROUNDING * float(np.abs(x).max(initial=0.0))
     slacks = [bound.slack(x) for bound in program.bounds]
     slacks += [c.slack(x) for c in program.constraints if c is not program.dirichlet]
@@ -96,9 +96,9 @@ class SweepAnswer:
     """The minimiser for one set of weights.
 
     Attributes:
-        p: Shape (V,).
-        directions: Response fields that it took beyond those there were [–].
-        settled: Whether the energy of the gradient fell to what was asked for.
+        p: The minimiser, shape (V,).
+        directions: Number of response fields added for it [–].
+        settled: Whether the energy of the gradient fell to the tolerance.
     """
 
     p: Array = field(repr=False)
@@ -107,7 +107,7 @@ class SweepAnswer:
 
 
 class WeightSweep:
-    """A reduced basis of one problem, growing as weights ask for it."""
+    """A reduced basis of one problem, which grows with the weights solved for."""
 
     def __init__(
         self,
@@ -120,24 +120,27 @@ class WeightSweep:
 
         Args:
             data: A problem without limits and without unknowns beside the field.
-            options: Of the preconditioner; None for the defaults.
-            field_rtol: Relative residual of the solves behind a response field [–].
-            voxels: Where response fields are kept, shape (n,), in single precision:
-                `complete` takes no more, `solve` all; None for everywhere.
+            options: Options of the preconditioner; None for the defaults.
+            field_rtol: Relative residual of the solves for a response field [–].
+            voxels: Voxels at which response fields are stored, in single precision,
+                shape (n,): enough for `complete`, while `solve` needs all; None for
+                all.
         """
         self._field_rtol = field_rtol
         self._voxels = slice(None) if voxels is None else voxels
         self._kept_as = np.float64 if voxels is None else np.float32
         assert not data.columns.shape[1]
         system = data.system
-        # rows without an entry say nothing of the field
-        self._told = np.diff(system.rows.indptr) > 0
-        root = system.root_weights[self._told]
-        self._system = replace(system, rows=system.rows[self._told], root_weights=root)
+        # rows without an entry do not depend on the field
+        self._informative = np.diff(system.rows.indptr) > 0
+        root = system.root_weights[self._informative]
+        self._system = replace(
+            system, rows=system.rows[self._informative], root_weights=root
+        )
         self._options = options or DualOptions()
         self._base = system.laplace.solve(data.b)
         said = np.asarray(self._system.rows @ self._base)
-        self._misfit: Array = data.t[self._told] / root - said
+        self._misfit: Array = data.t[self._informative] / root - said
         self._multipliers = np.empty((0, len(root)))
         self._images = np.empty((0, len(root)))
         self._fields: list[NDArray[np.floating]] = []
@@ -148,18 +151,18 @@ class WeightSweep:
         return len(self._images)
 
     @property
-    def told(self) -> Mask:
-        """Rows of the data that say something of the field, shape (m,)."""
-        return self._told
+    def informative(self) -> Mask:
+        """Which rows of the data depend on the field, shape (m,)."""
+        return self._informative
 
     @property
     def misfit(self) -> Array:
-        """What these rows measured beyond p₀, without weights, d, shape (rows,)."""
+        """Misfit d = t - D p₀ of these rows, without weights, shape (rows,)."""
         return self._misfit
 
     @property
     def images(self) -> Array:
-        """What they measure of the response fields, K, shape (k, rows)."""
+        """K, measurements of the response fields, shape (k, rows)."""
         return self._images
 
     @property
@@ -168,10 +171,9 @@ class WeightSweep:
         return self._base
 
     def take_fields(self) -> NDArray[np.floating]:
-        """Hand over the response fields where they are kept, shape (k, n).
+        """Hand over the response fields at the stored voxels, shape (k, n).
 
-        They take most of the memory there is and are in it once: the basis keeps its
-        images alone.
+        They take most of the memory, so the basis does not keep a copy of them.
         """
         out = np.empty((len(self), len(self._base[self._voxels])), self._kept_as)
         for start in range(0, len(self), BLOCK):
@@ -180,20 +182,20 @@ class WeightSweep:
         return out
 
     def complete(self, root_weights: Array, missing: float = 0.5) -> bool:
-        """Add response fields until the basis holds C for these weights and smaller.
+        """Add response fields until KᵀK approximates C up to these weights.
 
-        Multipliers W g with a random g of unit variance: the energy that such a one has
-        beyond the basis is on average tr W(C - KᵀK)W, by which log det(1 + WCW) is too
-        small at most (Halko, Martinsson and Tropp, SIAM Rev. 53, 2011).
+        Their multipliers are W g with random g of unit variance. The mean energy of
+        such multipliers outside the basis is tr W(C - KᵀK)W, which bounds the error of
+        log det(1 + WCW) (Halko, Martinsson and Tropp, SIAM Rev. 53, 2011).
 
         Args:
-            root_weights: W, the largest there will be, shape (m,) [–].
-            missing: Trace to reach, the mean of the last `PROBES` [–].
+            root_weights: W, the largest that will be used, shape (m,) [–].
+            missing: Trace at which to stop, the mean of the last `PROBES` [–].
 
         Returns:
             Whether it was reached.
         """
-        root, random = root_weights[self._told], np.random.default_rng(0)
+        root, random = root_weights[self._informative], np.random.default_rng(0)
         recent: list[float] = []
         while len(self) < min(len(root), self._options.max_directions):
             recent.append(self._extend(root * random.standard_normal(len(root))))
@@ -207,12 +209,11 @@ class WeightSweep:
         """Minimise for one set of weights.
 
         Args:
-            root_weights: W, of all rows of the data, shape (m,) [–].
-            rtol: Largest energy of the error, as a root and over that of the objective:
-                √(ρᵀC ρ / objective) [–].
-            deadline: `time.perf_counter` at which to stop; None for never [s].
+            root_weights: W, for all rows of the data, shape (m,) [–].
+            rtol: Largest relative error in the energy norm, √(ρᵀC ρ / objective) [–].
+            deadline: `time.perf_counter` at which to stop [s]; None for never.
         """
-        root = root_weights[self._told]
+        root = root_weights[self._informative]
         self._system = replace(self._system, root_weights=root)
         if self._approximate is None and len(root):
             self._approximate = ApproximateSchur(self._system)
@@ -258,7 +259,7 @@ class WeightSweep:
         """Add the response field of some multipliers, orthonormal to the others.
 
         Returns:
-            The energy that it had beyond them; 0 where there is nothing to add.
+            Its energy outside the basis; 0 if there is nothing to add.
         """
         z, size = multipliers, float(np.linalg.norm(multipliers))
         for _ in range(2):  # twice is enough

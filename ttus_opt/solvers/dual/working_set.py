@@ -1,9 +1,9 @@
-"""Working sets: which limits are taken to be active.
+"""Working sets: which limits are assumed to be active.
 
 Voxels along a spoke whose order constraints are active move as one; they are pooled
 into a block, as in the pool-adjacent-violators algorithm (Best and Chakravarti, Math.
 Programming 47, 1990). A working set has at most one active bound or given value in a
-block: more would leave multipliers open.
+block: with more, the multipliers would not be unique.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from ttus_opt.arrays import Mask
 from ttus_opt.solvers.dual.limits import SpokeLimits
 
-#: Beside -1 and +1 for its bounds: what holds a voxel whose value is given
+#: Marks a voxel with a given value, beside -1 and +1 for bounds
 GIVEN = 2
 
-#: Two bounds of a block agree when they differ by less, relative [–]
+#: Relative difference below which two bounds of a block count as equal [–]
 SAME = 1e-12
 
 
@@ -28,7 +28,7 @@ class WorkingSet:
     """Which limits are active.
 
     Attributes:
-        bounds: -1 where the lower bound is, +1 where the upper one is, shape (V,).
+        bounds: -1 where the lower bound is active, +1 where the upper one, shape (V,).
         links: Voxels whose order constraint, the link to the next voxel outwards, is
             active, shape (V,).
     """
@@ -42,17 +42,17 @@ class WorkingSet:
         return cls(np.zeros(n_voxels, dtype=np.int8), np.zeros(n_voxels, dtype=bool))
 
     def differs(self, other: WorkingSet) -> int:
-        """In how many limits two working sets differ [–]."""
+        """Number of limits in which two working sets differ [–]."""
         bounds = int(np.count_nonzero(self.bounds != other.bounds))
         return bounds + int(np.count_nonzero(self.links != other.links))
 
     @property
     def count(self) -> int:
-        """Active limits [–]."""
+        """Number of active limits [–]."""
         return int(np.count_nonzero(self.bounds) + np.count_nonzero(self.links))
 
     def existing(self, limits: SpokeLimits) -> WorkingSet:
-        """Without limits that are not, or no longer, there."""
+        """Without limits that do not exist, or no longer."""
         bound = np.where(self.bounds < 0, limits.lower, limits.upper)
         there = np.isfinite(bound) & ~limits.given
         bounds = np.where(there, self.bounds, 0).astype(np.int8)
@@ -60,17 +60,17 @@ class WorkingSet:
 
 
 def one_bound_each(limits: SpokeLimits, active: WorkingSet) -> WorkingSet:
-    """The same with at most one active bound or given value a block.
+    """The working set with at most one active bound or given value per block.
 
-    Where a block has a second bound, either one of the two follows from the other and
-    the links between them, or it leaves them slack; then the block is cut.
+    If a block has a second bound, either one of the two is implied by the other and the
+    links between them and is dropped, or the links are slack and the block is cut.
     """
     bounds, links = active.bounds.copy(), active.links.copy()
     linked, least = limits.by_layer(links), limits.by_layer(limits.least)
     held = np.where(limits.given, np.int8(GIVEN), bounds)
     values = limits.by_layer(np.where(held > 0, limits.upper, limits.lower))
     kinds, places = limits.by_layer(held), limits.by_layer(np.arange(len(bounds)))
-    # of the block so far: what holds it, at which voxel, and its value here
+    # of the block so far: the kind of its bound, the voxel of that, its value here
     kind, place, value = kinds[0].copy(), places[0].copy(), values[0].copy()
     for i in range(1, len(kinds)):
         goes_on = linked[i - 1] & (kind != 0)

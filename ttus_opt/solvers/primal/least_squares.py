@@ -112,8 +112,8 @@ def preconditioner(
     Args:
         split: The terms.
         free: Which unknowns beside the field are free, shape (k,).
-        options: Of the method.
-        dual: Of the dual.
+        options: Options of the method.
+        dual: Options of the dual.
     """
     laplace = split.operator
     unseen = UnseenFields.of(split.prior, split.wide, split.moving)

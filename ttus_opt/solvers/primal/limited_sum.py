@@ -47,7 +47,7 @@ class LimitedSum:
         split: Its objective.
         root: A root of its wide terms.
         primal: Options of a subproblem.
-        options: Of the working sets.
+        options: Options of the working sets.
     """
 
     program: Program
@@ -56,11 +56,11 @@ class LimitedSum:
     root: Root
     primal: PrimalOptions
     options: DualOptions
-    links_hold_slopes: ClassVar[bool] = True
+    links_along_spokes: ClassVar[bool] = True
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Of the grid."""
+        """Shape of the grid."""
         return self.limits.shape
 
     @property
@@ -124,7 +124,7 @@ class LimitedSubproblem:
         function: F of ξ.
         preconditioner: Its preconditioner.
         left: The subproblem as the dual has it.
-        options: Of conjugate gradients.
+        options: Options of conjugate gradients.
     """
 
     function: LeastSquares

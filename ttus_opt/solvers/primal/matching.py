@@ -180,7 +180,7 @@ def matched_root(
         wide: The wide terms.
         grid: The grid of the operator.
         free: Voxels with a Laplace row, shape (V,).
-        radii: As of `SquareSystem`, shape (V,) [m].
+        radii: As in `SquareSystem`, shape (V,) [m].
         compliance: Ω, shape (V,) [–].
         unseen: Whether the null space of heavy terms is deflated (`UnseenFields`).
     """
@@ -223,7 +223,7 @@ def _links(
         here: Voxels.
         there: The next ones; the first one at the end of the grid.
         free: Voxels with a Laplace row, shape (V,).
-        radii: As of `SquareSystem`, shape (V,) [m].
+        radii: As in `SquareSystem`, shape (V,) [m].
     """
     a, b = (values * radii)[here], (values * radii)[there]
     both = np.minimum(a, b) > 0.0

@@ -53,8 +53,8 @@ class ConstraintPreconditioner:
         Args:
             system: S, with approximate solves of L.
             columns: E of the free unknowns c, shape (m, k).
-            inner: As of `PrimalOptions` [–].
-            options: Of the dual.
+            inner: As in `PrimalOptions` [–].
+            options: Options of the dual.
         """
         self._system, self._inner, self._options = system, inner, options
         self._responses = _Responses(system)
@@ -117,7 +117,7 @@ class _Responses:
     """S, keeping the fields of its products while there are few of them.
 
     Attributes:
-        root_weights: As of `DualSystem`, shape (m,) [–].
+        root_weights: As in `DualSystem`, shape (m,) [–].
         kept: Pairs of y, shape (m,), and its field P⁻¹Dᵀy, shape (V,).
     """
 

@@ -68,7 +68,7 @@ class Split:
         """A root of the wide terms.
 
         Args:
-            unseen: As of `matched_root`.
+            unseen: As in `matched_root`.
         """
         laplace, compliance = self.operator, self.few.system.compliance
         grid, own = laplace.operator_grid, (laplace.free, laplace.radii)

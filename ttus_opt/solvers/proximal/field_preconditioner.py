@@ -43,7 +43,7 @@ def by_differences(
 
     Args:
         laplace: L, with the same graph.
-        diagonal: Of H without kinks and without ε, shape (V,).
+        diagonal: Diagonal of H without kinks and ε, shape (V,).
         anchor: ε.
         fixed: Voxels whose values are given, shape (V,).
     """

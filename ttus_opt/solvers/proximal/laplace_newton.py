@@ -82,8 +82,8 @@ class LaplaceNewton:
 
         Args:
             gradient: g + Dᵀy, shape (V,).
-            multipliers: Of every block, y⁺.
-            slopes: Of every block.
+            multipliers: Multipliers y⁺ of every block.
+            slopes: Slopes of every block.
             rtol: Relative residual to reach [–].
             deadline: `time.perf_counter` at which to stop; None for never [s].
 

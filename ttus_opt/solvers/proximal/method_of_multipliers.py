@@ -94,9 +94,9 @@ class _State:
 
     Attributes:
         x: Shape (n,).
-        residuals: Of every block.
+        residuals: Residuals of every block.
         multipliers: y⁺ of every block.
-        slopes: Of every block.
+        slopes: Slopes of every block.
         parts: Mᵀy⁺ of every block.
     """
 
@@ -146,7 +146,7 @@ class MethodOfMultipliers:
             anchor: Rows E of the anchor; None for none.
             system: Solves for the steps.
             request: Tolerance and time limit.
-            options: Of the method.
+            options: Options of the method.
         """
         self._problem, self._blocks, self._anchor = problem, blocks, anchor
         self._system, self._request = system, request
@@ -295,7 +295,7 @@ class MethodOfMultipliers:
             elif not b.exact:
                 b.multipliers = y
                 b.sigma *= growth
-        # computed anew: sums of steps collect rounding errors
+        # recomputed: sums of steps collect rounding errors
         state.residuals = [b.residual(state.x) for b in self._blocks]
 
 

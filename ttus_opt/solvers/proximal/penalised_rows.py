@@ -57,7 +57,7 @@ class PenalisedRows:
     """Rows, their law, and the estimate of their multipliers.
 
     Attributes:
-        name: Of the term or constraint.
+        name: Name of the term or constraint.
         matrix: M, shape (m, n).
         target: t, shape (m,).
         weight: w [–].

@@ -75,8 +75,8 @@ class PenalisedProblem:
         """Multipliers by name.
 
         Args:
-            multipliers: Of every block.
-            gradient: Of the Lagrangian; multipliers of given values cancel it, (n,).
+            multipliers: Multipliers of every block.
+            gradient: Gradient of the Lagrangian, cancelled by given values, (n,).
         """
         program = self.program
         by_name = {b.name: y for b, y in zip(self.blocks, multipliers, strict=True)}

@@ -1,1 +1,1 @@
-"""Penalties of a residual: one file each, with all that solvers and checks ask."""
+"""Penalties of a residual, one file each."""

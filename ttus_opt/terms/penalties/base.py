@@ -22,7 +22,7 @@ from ttus_opt.errors import InputError
 
 @dataclass(frozen=True)
 class Slope:
-    """Derivative of a resolvent g by its argument v, ∂g = factor (I − n nᵀ) ∂v.
+    """Derivative of a resolvent g with respect to v, ∂g = factor (I − n nᵀ) ∂v.
 
     Attributes:
         factor: Per row, equal within a group, shape (m,) [–].
@@ -91,7 +91,7 @@ class Penalty(abc.ABC):
 
     @abc.abstractmethod
     def subgradient(self, r: Array) -> Array:
-        """The subgradient of φ at r of least length, shape (m,)."""
+        """The subgradient of φ at r with the smallest norm, shape (m,)."""
 
     @abc.abstractmethod
     def admissible(self, g: Array) -> Array:
@@ -102,16 +102,16 @@ class Penalty(abc.ABC):
         """Evaluate φ*(g) of an admissible multiplier."""
 
     def gauge(self, g: Array) -> float:
-        """The least t ≥ 0 for which g is t times an admissible multiplier.
+        """The smallest t ≥ 0 for which g is t times an admissible multiplier.
 
-        Infinite where not implemented. With `farthest` it bounds the gap where squares
-        do not determine the solution (`ttus_opt.problem.absorption`), for nonnegative
-        penalties.
+        Infinite if not implemented. For non-negative penalties, it and `farthest` give
+        a bound of the gap if squares do not determine the solution
+        (`ttus_opt.problem.absorption`).
         """
         return math.inf
 
     def farthest(self, value: float) -> float:
-        """A bound of ‖r‖ for φ(r) ≤ value; infinite where not implemented."""
+        """An upper bound of ‖r‖ for φ(r) ≤ value; infinite if not implemented."""
         return math.inf
 
     @abc.abstractmethod
@@ -142,4 +142,4 @@ class Penalty(abc.ABC):
         Raises:
             InputError: Not implemented for this penalty.
         """
-        raise InputError(f"{type(self).__name__} does not state its resolvent")
+        raise InputError(f"{type(self).__name__} does not implement resolvent()")

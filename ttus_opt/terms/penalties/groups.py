@@ -64,7 +64,7 @@ class Groups(Penalty):
         return cp.sum(cp.norm(groups, 2, axis=1))
 
     def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
-        """The nearest point of the unit balls; outside it turns with v only."""
+        """The projection onto the unit balls; outside, its slope is tangential."""
         length = np.repeat(self._lengths(v), self.size)
         outside = length > 1.0
         longest = np.maximum(length, 1.0)

@@ -19,7 +19,7 @@ class Huber(Penalty):
     """Σ huber(r; δ): r² up to δ and 2δ|r| − δ² beyond.
 
     Attributes:
-        threshold: δ, where squares end [unit of r].
+        threshold: δ, the largest squared residual [unit of r].
     """
 
     threshold: float
@@ -39,7 +39,7 @@ class Huber(Penalty):
         return float((small * (2.0 * size - small)).sum())
 
     def subgradient(self, r: Array) -> Array:
-        """2 r, cut at ±2δ."""
+        """Twice r, clipped to ±2δ."""
         return np.asarray(2.0 * np.clip(r, -self.threshold, self.threshold))
 
     def admissible(self, g: Array) -> Array:
@@ -55,7 +55,7 @@ class Huber(Penalty):
         return float(np.abs(g).max(initial=0.0)) / (2.0 * self.threshold)
 
     def farthest(self, value: float) -> float:
-        """By Fenchel's inequality of 2δ r/‖r‖: φ(r) ≥ 2δ‖r‖ − δ²."""
+        """From Fenchel's inequality with 2δ r/‖r‖: φ(r) ≥ 2δ‖r‖ − δ²."""
         return 0.5 * (value / self.threshold + self.threshold)
 
     def in_cvxpy(self, r: Any, cp: Any) -> Any:
@@ -63,7 +63,7 @@ class Huber(Penalty):
         return cp.sum(cp.huber(r, self.threshold))
 
     def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
-        """Shrinks by 1 + step/2, then cut at ±2δ."""
+        """Divided by 1 + step/2 and clipped to ±2δ."""
         factor, most = 1.0 / (1.0 + 0.5 * step), 2.0 * self.threshold
         g = factor * v
         return np.clip(g, -most, most), Slope(np.where(np.abs(g) < most, factor, 0.0))

@@ -13,7 +13,7 @@ from ttus_opt.terms.penalties.base import Penalty, Slope
 
 @dataclass(frozen=True)
 class Linear(Penalty):
-    """Σ r; unbounded below, so that constraints must hold its residuals."""
+    """Σ r; unbounded below, so constraints must bound its residuals."""
 
     formula = "Σ r"
     quadratic = True
@@ -27,11 +27,11 @@ class Linear(Penalty):
         return np.ones_like(r)
 
     def admissible(self, g: Array) -> Array:
-        """Ones: the only gradient there is."""
+        """Ones, the only gradient."""
         return np.ones_like(g)
 
     def conjugate(self, g: Array) -> float:
-        """0 at the only gradient there is."""
+        """0 at the only gradient."""
         return 0.0
 
     def in_cvxpy(self, r: Any, cp: Any) -> Any:

@@ -28,7 +28,7 @@ class Squares(Penalty):
         return 2.0 * r
 
     def admissible(self, g: Array) -> Array:
-        """Every multiplier is a gradient somewhere."""
+        """The multiplier itself: every one is a gradient somewhere."""
         return g
 
     def conjugate(self, g: Array) -> float:
@@ -40,6 +40,6 @@ class Squares(Penalty):
         return cp.sum_squares(r)
 
     def resolvent(self, v: Array, step: float) -> tuple[Array, Slope]:
-        """Shrinks by 1 + step/2."""
+        """Divided by 1 + step/2."""
         factor = 1.0 / (1.0 + 0.5 * step)
         return factor * v, Slope(np.full_like(v, factor))
