@@ -127,6 +127,19 @@ def test_angles_are_exact_when_small_and_right_for_zeros() -> None:
     np.testing.assert_allclose(angles(a, b), expected, rtol=1e-9)
 
 
+def test_errors_are_told_in_short() -> None:
+    """Torque in thousandths of a N·m."""
+    force, torque = np.zeros((20, 3)), np.zeros((20, 3))
+    force[:5, 0], torque[:5, 1] = 2.0, 0.02
+    wrench = np.zeros((20, 6))
+    wrench[:5, 1], wrench[:5, 5] = 3.0, 0.06
+    measured = replace(SCENE.trajectory, force=force, torque=torque)
+    errors = compare(measured, as_rendered(wrench)).errors
+    assert repr(errors) == (
+        "Errors(force 0.25 N, 90.0°; torque 10 mN·m, 90.0°; 20 frames, 5 in contact)"
+    )
+
+
 def test_no_frame_in_contact_has_no_angle() -> None:
     still = replace(SCENE.trajectory, force=np.zeros((20, 3)))
     errors = evaluate(FIELD, SCENE.shell, still).errors
