@@ -416,6 +416,8 @@ def test_forget_wants_one_sound_value(factor: float | None, window: int | None) 
 def test_forgetting_nothing_and_everything() -> None:
     scene = small_scene()
     fit = RecursiveFit(scene, **WEIGHTS)
+    touching = f"12 measurements held, {len(speaking(scene))} in contact>"
+    assert repr(fit) == f"<RecursiveFit on {scene.voxmap.grid.sizes}: {touching}"
     before = fit.field.values
     for nothing in ({"factor": 1.0}, {"window": 12}, {"window": 20}):
         fit.forget(**nothing)

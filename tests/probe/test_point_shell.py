@@ -223,6 +223,14 @@ def test_specifications():
     assert box.total_area == pytest.approx(34e-4)
 
 
+def test_a_shell_is_told_by_its_size():
+    """Millimetres of the box around its points, and square centimetres."""
+    points = np.array([[10.0, 0, -20], [30, 5, 0], [20, 45, 0], [20, 9, 9]]) * 1e-3
+    areas = np.array([0.5, 1.0, 1.0, 1.25]) * 1e-4
+    shell = PointShell(points, np.tile([0.0, 0.0, 1.0], (4, 1)), areas, np.zeros(3))
+    assert repr(shell) == "PointShell(4 points, 20 × 45 × 29 mm, 3.75 cm²)"
+
+
 def test_a_specification_may_be_a_path(tmp_path):
     trimesh.creation.box((50, 20, 10)).export(tmp_path / "b.stl")
     shell = PointShell.from_spec(tmp_path / "b.stl", 64)
