@@ -98,7 +98,8 @@ def test_rows_equal_brute_force(sampling: str) -> None:
 
 
 def test_the_reference_point_is_where_torque_is_about() -> None:
-    moved = PointShell(SHELL.points, SHELL.normals, SHELL.areas, np.full(3, 0.01))
+    reference = np.array([0.01, -0.02, 0.005])
+    moved = PointShell(SHELL.points, SHELL.normals, SHELL.areas, reference)
     p = FIELD.reshape(-1)
     a = contact_rows(VOXMAP, SHELL, POSES.rotation, POSES.position)
     b = contact_rows(VOXMAP, moved, POSES.rotation, POSES.position)

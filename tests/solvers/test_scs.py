@@ -21,21 +21,25 @@ M = np.random.default_rng(0).normal(size=(12, 4))
 INF = np.inf
 
 
-def capped(target: Any, cap: float = 0.5, weight: float = 1.0) -> Program:
-    """Least squares below a cap on each unknown."""
+def capped(
+    target: Any, cap: float = 0.5, weight: float = 1.0, times: float = 1.0
+) -> Program:
+    """Least squares below a cap on a multiple of each unknown."""
     own = np.zeros(12) + np.asarray(target)
     fit = [term(M, own), term(np.eye(4), np.ones(4), weight, name="ridge")]
-    return program(fit, [rows("cap", np.eye(4), [-INF] * 4, [cap] * 4)])
+    return program(fit, [rows("cap", times * np.eye(4), [-INF] * 4, [cap] * 4)])
 
 
-def minimum(target: Any, cap: float = 0.5, weight: float = 1.0) -> np.ndarray:
+def minimum(
+    target: Any, cap: float = 0.5, weight: float = 1.0, times: float = 1.0
+) -> np.ndarray:
     """The same by projected coordinate descent."""
     H = M.T @ M + weight * np.eye(4)
     g = M.T @ (np.zeros(12) + np.asarray(target)) + weight
     x = np.zeros(4)
     for _ in range(500):
         for i in range(4):
-            x[i] = min(x[i] + (g[i] - H[i] @ x) / H[i, i], cap)
+            x[i] = min(x[i] + (g[i] - H[i] @ x) / H[i, i], cap / times)
     return x
 
 
@@ -45,8 +49,9 @@ def minimum(target: Any, cap: float = 0.5, weight: float = 1.0) -> np.ndarray:
         ({"target": 2.0}, True),
         ({"target": 1.0, "cap": 0.2}, True),
         ({"target": 1.0, "weight": 9.0}, False),
+        ({"target": 1.0, "times": 4.0}, False),
     ],
-    ids=["measured values", "limits", "weights"],
+    ids=["measured values", "limits", "weights", "rows"],
 )
 def test_an_update_keeps_the_solver(changed: dict[str, float], keeps: bool) -> None:
     """Where its vectors change alone; it cannot take another matrix."""
