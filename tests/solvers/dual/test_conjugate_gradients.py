@@ -134,6 +134,37 @@ def test_a_vector_is_its_parts_and_a_conjugate_rest(kept_as: type) -> None:
     np.testing.assert_allclose(d @ system.S @ rest, 0.0, atol=1e-5 * size)
 
 
+class Rough(Dense):
+    """Products that are off by a thousandth."""
+
+    def apply(self, y: Array, rtol: float) -> Array:
+        exact = super().apply(y, rtol)
+        noise = np.random.default_rng(self.calls).normal(size=M)
+        return exact + 1e-3 * np.linalg.norm(exact) * noise / np.sqrt(M)
+
+
+def test_of_rough_products_the_rest_is_conjugate_all_the_same() -> None:
+    """What one pass leaves by a thousandth two leave by a millionth."""
+    subspace = RecycledSubspace(Rough(np.full(M, 1e-2)))
+    rng, sizes = np.random.default_rng(8), []
+    for k, direction in enumerate(rng.normal(size=(5, M))):
+        subspace.extend(direction, 0.0)
+        d, images = subspace._kept
+        sizes.append(np.abs(images[:k] @ d[k]).max(initial=0.0))
+    d, images = subspace._kept
+    y = rng.normal(size=M)
+    parts, rest = subspace.parts(y)
+    np.testing.assert_allclose(parts @ d + rest, y, atol=1e-10)
+    left, before = (np.abs(images @ each).max() for each in (rest, y))
+    assert left < 1e-5 * before and max(sizes) < 1e-5
+
+
+def test_nothing_to_solve_takes_no_step() -> None:
+    subspace = RecycledSubspace(Dense(np.ones(M)))
+    y, steps = solved(subspace, np.zeros(M))
+    assert not y.any() and steps == len(subspace) == 0
+
+
 def test_dependent_directions_are_dropped_with_other_weights() -> None:
     subspace, rng = RecycledSubspace(Dense(np.ones(M))), np.random.default_rng(7)
     for direction in rng.normal(size=(3, M)):

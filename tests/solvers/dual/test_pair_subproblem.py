@@ -18,6 +18,8 @@ from ttus_opt.solvers.dual.options import Accuracy
 from ttus_opt.solvers.dual.pair_laplace import PairLaplace
 from ttus_opt.solvers.dual.working_set import WorkingSet
 
+INF = np.inf
+
 
 @functools.cache
 def pair(weight: float, smoothness: float, share: float, hard: bool) -> FieldPair:
@@ -141,6 +143,29 @@ def test_the_nearer_a_guess_the_fewer_directions(share: float, kind: str) -> Non
     assert steps == sorted(steps, reverse=True) and len(set(steps)) == 4
     for answer in answers:
         np.testing.assert_allclose(answer.p, first.p, rtol=0.0, atol=1e-7 * size)
+
+
+def test_the_best_beside_two_fields_is_that_of_least_squares() -> None:
+    """Between its bounds; 0, or the bound next to it, where nothing tells."""
+    rows = replace(pair(1.0, 1.0, 1.0, hard=True).rows, bounds=(-INF, INF))
+    x = np.random.default_rng(4).normal(size=len(rows.b))
+    soft = rows.compliance > 0.0
+    root = 1.0 / np.sqrt(rows.compliance[soft])
+    L = sp.block_diag([rows.L, rows.L], format="csr")
+    E = np.concatenate([root * rows.column[soft], rows.measured_column])
+    misfit = np.concatenate(
+        [root * (rows.b - L @ x)[soft], rows.t - rows.root_weights * (rows.rows @ x)]
+    )
+    best = float(np.linalg.lstsq(E[:, None], misfit)[0][0])
+    c, slope = rows.beside_and_slope(x)
+    assert c == pytest.approx(best) and slope == 0.0
+    above = replace(rows, bounds=(best + 0.5, INF))
+    c, slope = above.beside_and_slope(x)
+    assert c == best + 0.5
+    assert slope == pytest.approx(E @ (E * c - misfit))
+    silent = replace(rows, column=0.0 * rows.column, measured_column=0.0 * rows.t)
+    for bounds, nearest in (((-INF, INF), 0.0), ((0.2, 2.0), 0.2), ((-3.0, -1.0), -1)):
+        assert replace(silent, bounds=bounds).beside(x) == nearest
 
 
 def system_of(of: FieldPair, own: WorkingSet) -> PairLaplace:

@@ -179,6 +179,31 @@ def test_other_weights_keep_the_subspace_and_other_columns_lose_it(
         assert again.steps <= fresh.steps
 
 
+def test_the_prior_s_field_is_kept_while_it_serves(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Solved for anew with another b, and where more is asked of it."""
+    data = data_of(1.0)
+    solver, laplace = DualSolver(data.system), type(data.system.laplace)
+    plain, solved = laplace.solve, list[Array]()
+
+    def counted(self: Any, b: Array, *given: Any, **more: Any) -> Array:
+        solved.append(b)
+        return plain(self, b, *given, **more)
+
+    monkeypatch.setattr(laplace, "solve", counted)
+    runs = ((1, 1e-6), (2, 1e-6), (2, 1e-9), (2, 1e-9), (2, 1e-6), (1, 1e-9))
+    new = []
+    for factor, rtol in runs:
+        b = factor * data.b
+        before = len(solved)
+        found = solver.solve(b, data.t, Accuracy(1e-9, rtol)).p
+        new.append(any(np.array_equal(b, other) for other in solved[before:]))
+        fresh = DualSolver(data.system).solve(b, data.t, Accuracy(1e-9, rtol)).p
+        assert np.linalg.norm(found - fresh) <= 1e3 * rtol * np.linalg.norm(fresh)
+    assert new == [True, True, True, False, False, True]
+
+
 def test_dependent_columns_share_what_they_explain() -> None:
     E = np.random.default_rng(0).normal(size=(9, 2))
     twice = Complement(np.column_stack([E, E[:, 0]]), lambda r: r)
