@@ -29,7 +29,7 @@ from ttus_opt.scene import Scene
 from ttus_opt.solvers.base import Candidate, Claim, Request
 from ttus_opt.solvers.dual.field_pair import FieldPair
 from ttus_opt.solvers.dual.optimality import Multipliers
-from ttus_opt.solvers.dual.options import DualOptions
+from ttus_opt.solvers.dual.options import Accuracy, DualOptions
 from ttus_opt.solvers.dual.working_set import WorkingSet
 from ttus_opt.solvers.registry import solvers
 from ttus_opt.solvers.structured import Structured
@@ -406,3 +406,46 @@ def test_without_a_model_no_working_set_is_predicted(
     signs = Multipliers(nothing, nothing)
     assert pair.predicted(WorkingSet.empty(len(nothing)), nothing, signs) is None
     check(declared, 1)
+
+
+def scaled(program: Program, factor: float) -> Program:
+    """All terms as many times as heavy."""
+    terms = (replace(t, weight=factor * t.weight) for t in program.terms)
+    return replace(program, terms=tuple(terms))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_from_any_working_set_the_same_one_is_predicted(seed: int) -> None:
+    """Where y touches its bound as it must; in any unit of the objective."""
+    program = coulomb(contested(seed), 1e2).compile()
+    found = []
+    for factor, step in itertools.product((1.0, 9.0), (None, 2, 3)):
+        pair = FieldPair.of(scaled(program, factor))
+        n, model = len(pair.limits.lower), pair._touched
+        assert model is not None
+        at = n // 2 + model.voxels
+        bounds = np.zeros(n, np.int8)
+        bounds[at[::step] if step else []] = -1
+        held = WorkingSet(bounds, np.zeros(n, bool))
+        p = pair.subproblem(held).solve(Accuracy(1e-10), None).p
+        multipliers = np.where(bounds < 0, -pair.gradient(p), 0.0)
+        following = pair.predicted(held, p, Multipliers(multipliers, np.zeros(n)))
+        assert following is not None
+        found.append(following.bounds)
+    assert (np.array(found) == found[0]).all()
+    p = pair.subproblem(following).solve(Accuracy(1e-10), None).p
+    touching = following.bounds[at] < 0
+    assert 0 < touching.sum() < len(at)
+    assert (pair.gradient(p)[at[touching]] > 0.0).all()
+    assert (p > pair.limits.lower)[at[~touching]].all()
+
+
+def test_options_of_the_method_reach_its_subproblems() -> None:
+    program = coulomb(contested(1), 1e2).compile()
+    few = DualOptions(max_directions=1, refinements=1)
+    steps = []
+    for options in (few, None):
+        pair = FieldPair.of(program, options)
+        nothing = WorkingSet.empty(len(pair.limits.lower))
+        steps.append(pair.subproblem(nothing).solve(Accuracy(1e-10), None).steps)
+    assert 0 < steps[0] < steps[1] - 1
