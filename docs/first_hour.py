@@ -42,8 +42,9 @@ mistakes of a first attempt. You need
 
 - `scan.xyz`, written by a depth camera in millimetres;
 - `probe.stl`, from CAD;
-- `press.csv` and `sweep.csv` to fit and `unseen.csv` to evaluate, exported from ROS and
-  registered to the patient frame of the surface file.
+- `press.csv` and `sweep.csv` to fit and `unseen.csv` to evaluate, exported from ROS, in
+  the patient frame of the surface file (for those of a robot or tracker see
+  [registration](how-to/registration.md) and the option `--base-to-scan`).
 
 The output is what the terminal shows, with times left out. `make docs` runs these
 commands on files made from the bundled example (`docs/first_hour.py`) and fails when
@@ -80,7 +81,9 @@ class Terminal:
             words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             check=False, env={**os.environ, "COLUMNS": "80"},
         )  # fmt: skip
-        said = "\n".join(line for line in done.stdout.split("\n") if not _is_bar(line))
+        said = re.sub(r"[^\n]*\r", "", done.stdout)  # a bar is written over
+        kept = (n for n in said.split("\n") if n.strip() and not _is_bar(n))
+        said = "\n".join(kept)
         if done.returncode not in statuses:
             raise SystemExit(f"{command}\nended with {done.returncode}:\n{said}")
         shown = re.sub(r"\b\d+(\.\d+)?(e-\d+)? s\b", "… s", said.strip())
@@ -89,7 +92,7 @@ class Terminal:
 
 
 def _is_bar(line: str) -> bool:
-    return "\r" in line or bool(re.search(r"\|[█▏▎▍▌▋▊▉ ]*\| \d+/\d+", line))
+    return bool(re.search(r"\|[█▏▎▍▌▋▊▉ ]*\| \d+/\d+", line))
 
 
 def write_scan_and_probe() -> None:
@@ -160,13 +163,12 @@ def first_hour() -> list[str]:
         "ttus-opt fit --surface surface.nc --probe probe.stl --trajectory press.csv "
         "--trajectory sweep.csv --sampling trilinear --shape 40,96,48 -o field.nc"
     )
-    # with the inner value fitted, wrenches of the other sign end it
-    said = terminal.run(f"{fit} --picture poses.png", statuses=(0, 2))
+    said = terminal.run(f"{fit} --picture poses.png")
     mends = mended(said, r"read them with ((?:--[a-z-]+(?: (?!--)\S+)? ?)+)").strip()
     terminal.tell(
         "The warning says how the recordings were probably written. Add these options:"
     )
-    said = terminal.run(f"{fit} --inner fit {mends}")
+    said = terminal.run(f"{fit} {mends}")
     if "read them with" in said:
         raise SystemExit(f"still in doubt:\n{said}")
     terminal.tell("## An unseen recording")
@@ -181,7 +183,9 @@ def first_hour() -> list[str]:
         raise SystemExit(f"unseen force error {error:.3f} N, expected below {GOAL} N")
     terminal.tell(
         f"The mean force error is {error:.2f} N on a recording that had no part in "
-        "the fit."
+        "the fit. From here, [rendering](how-to/rendering.md) puts the field under an "
+        "operator's hand, and [choosing weights](how-to/choosing-weights.md) explains "
+        "the lines about weights."
     )
     return terminal.lines
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 import warnings
 
 import numpy as np
 import pytest
+from tqdm import tqdm
 
 from ttus_opt.cli import console
 from ttus_opt.errors import TtusWarning
@@ -51,6 +53,17 @@ def test_a_warning_is_one_line_and_told_once(
         for _ in range(2):
             warnings.warn("two\n  lines", TtusWarning, stacklevel=1)
     assert capsys.readouterr().err == "warning: two lines\n"
+
+
+def test_a_warning_has_a_line_of_its_own_beside_a_bar(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with console.warnings_in_one_line(), tqdm(total=2, file=sys.stderr) as bar:
+        bar.update()
+        warnings.warn("off the grid", TtusWarning, stacklevel=1)
+    shown = [line.rsplit("\r", 1)[-1] for line in capsys.readouterr().err.split("\n")]
+    assert shown[0] == "warning: off the grid"
+    assert "1/2" in shown[1]
 
 
 def test_what_a_terminal_would_carry_out_is_not_printed() -> None:

@@ -59,6 +59,23 @@ def test_what_is_chosen_is_what_tune_finds_and_says_how_sure() -> None:
     assert choice.lines[0].startswith("weights chosen from the recordings: force ")
 
 
+def test_what_stays_open_is_told_with_the_value_that_is_kept() -> None:
+    """A boundary scale has a fitted value, another hyperparameter the prior's."""
+    choice = choose_weights(drawn(), "eq10")
+    assert choice.tuning is not None
+    first, scale = tuned().hyperparameters[0], "boundary_scale"
+    lines = {}
+    for names in ((), ("mu",), (scale,), ("mu", scale)):
+        open_ones = (replace(first, name=name, determined=False) for name in names)
+        tuning = replace(choice.tuning, hyperparameters=(first, *open_ones))
+        lines[names] = replace(choice, tuning=tuning, checks=()).lines[1:]
+    assert lines[()] == ()
+    assert lines["mu",] == ("not determined by the recordings, prior value kept: mu",)
+    (told,) = lines[scale,]
+    assert told.startswith("boundary_scale kept as the Laplace field alone fits")
+    assert lines["mu", scale] == (*lines["mu",], told)
+
+
 def test_without_contact() -> None:
     scene = small_scene("trilinear")
     away = replace(scene.trajectory, position=scene.trajectory.position * 1.3)

@@ -82,8 +82,10 @@ def test_a_scale_the_forces_do_not_bear_is_one_and_said() -> None:
 def test_forces_push_inwards_beyond_two_standard_errors(
     scale: float, words: str
 ) -> None:
-    with pytest.warns(TtusWarning, match=words):
+    with pytest.warns(TtusWarning, match=words) as told:
         assert words in _report_scale(scale, 1.0)
+    advice = "ON the probe" if scale < -2.0 else "record more contact"
+    assert advice in str(told[0].message)
 
 
 def test_a_probe_that_never_touches_has_no_scale() -> None:

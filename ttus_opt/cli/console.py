@@ -93,12 +93,22 @@ def warnings_in_one_line() -> Iterator[None]:
         text = as_options(one_line(str(message)))
         if text not in told:
             told.add(text)
-            typer.echo(f"warning: {text}", err=True)
+            _write(f"warning: {text}")
 
     with warnings.catch_warnings():
         warnings.simplefilter("always", TtusWarning)
         warnings.showwarning = show
         yield
+
+
+def _write(line: str) -> None:
+    """A line on stderr, above a bar that is being shown."""
+    if "tqdm" not in sys.modules:
+        typer.echo(line, err=True)
+        return
+    from tqdm import tqdm
+
+    tqdm.write(line, file=sys.stderr)
 
 
 class Stages:

@@ -102,9 +102,15 @@ class WeightChoice:
             f"weights chosen from the recordings: {weights}, for an error of a force "
             f"component of {self.tuning.noise:.2f} N"
         ]
-        if self.tuning.not_determined:
-            names = ", ".join(self.tuning.not_determined)
+        unknown = self.tuning.not_determined
+        names = ", ".join(name for name in unknown if name != BOUNDARY_SCALE)
+        if names:
             lines.append(f"not determined by the recordings, prior value kept: {names}")
+        if BOUNDARY_SCALE in unknown:
+            lines.append(
+                f"{BOUNDARY_SCALE} kept as the Laplace field alone fits the forces; "
+                "with errors that persist along a press the recordings leave it open"
+            )
         return (*lines, *checked)
 
 

@@ -105,11 +105,13 @@ def _boundary_scale(
 def _report_scale(scale: float, error: float) -> str:
     """Warn of a boundary scale that the forces do not determine; return the reason."""
     reason = f"the forces give {scale:.3g} ± {error:.2g}"
+    advice = "record more contact, or give inner as a number"
     if scale < -2.0 * error:
         reason = f"the forces push into the patient ({scale:.3g} ± {error:.2g})"
+        advice = "give the force ON the probe in patient axes"
     warnings.warn(
-        f'inner="fit" cannot determine the boundary scale ({reason}), so 1 is used: '
-        "record more contact, or give inner as a number",
+        f"the recordings cannot determine the boundary scale ({reason}), so 1 is "
+        f"used: {advice}",
         TtusWarning,
         stacklevel=4,
     )
