@@ -1,4 +1,4 @@
-"""What the site takes from elsewhere in the repository, and what is checked of it.
+"""Content that the site takes from elsewhere in the repository, and its checks.
 
 - notebooks/ and MathJax are put among the site's files; notebooks are run anew when
   they or the package changed;

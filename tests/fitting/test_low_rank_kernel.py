@@ -263,7 +263,7 @@ def test_refusals() -> None:
         kernel.project(np.zeros((2, 5)), np.eye(2), 0.0)
     with pytest.raises(InputError, match="one entry for each pivot"):
         kernel.coordinates(np.zeros((2, 5)))
-    with pytest.raises(InputError, match="no pivots can be dropped"):
+    with pytest.raises(InputError, match="not pivots can be dropped"):
         kernel.drop(kernel.pivots[:1])
     with pytest.raises(InputError, match="not within"):
         kernel.remove(4, 3, 0.0)

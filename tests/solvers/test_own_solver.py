@@ -133,7 +133,7 @@ def test_a_file_that_cannot_be_used(tmp_path: Path, text: str, told: str) -> Non
 def test_what_is_no_solver_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="solver file not found"):
         tt.fit(SCENE, "eq10", solver=tmp_path / "none.py")
-    with pytest.raises(InputError, match="takes a name, the path of a file, or an obj"):
+    with pytest.raises(InputError, match="takes a name, the path of a file, or an in"):
         tt.fit(SCENE, "eq10", solver=3)  # type: ignore[arg-type]
 
 

@@ -37,6 +37,6 @@ def _one_blas_thread(command: str) -> None:
     processors busy, and numpy and scipy bring some each: choosing weights took five
     times the processor time. A benchmark lets every solver have what it finds.
     """
-    told = {"OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS", "OMP_NUM_THREADS"}
-    if command != "benchmark" and not told & os.environ.keys():
+    variables = {"OPENBLAS_NUM_THREADS", "GOTO_NUM_THREADS", "OMP_NUM_THREADS"}
+    if command != "benchmark" and not variables & os.environ.keys():
         os.environ["OPENBLAS_NUM_THREADS"] = "1"

@@ -110,10 +110,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         _end(as_options(str(error)), BAD_INPUT)
     except Exception as error:
         # what the parser raises when an option is unknown, missing or of another type
-        told = getattr(error, "format_message", None)
-        if told is None:
+        described = getattr(error, "format_message", None)
+        if described is None:
             raise
-        _end(f"{told()}" or "see ttus-opt --help", BAD_INPUT)
+        _end(f"{described()}" or "see ttus-opt --help", BAD_INPUT)
     if status == INTERRUPTED:  # typer may have turned the interrupt into a status
         _end("interrupted: nothing further was written", INTERRUPTED)
     sys.exit(status if isinstance(status, int) else 0)

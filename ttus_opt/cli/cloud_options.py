@@ -102,14 +102,14 @@ class AxisOptions:
     @property
     def are_given(self) -> bool:
         """Whether anything says where the frame lies."""
-        told = (self.head, self.axis_from, self.axis_origin, self.axis_direction)
-        return any(told) or self.flip_axis or self.prone
+        stated = (self.head, self.axis_from, self.axis_origin, self.axis_direction)
+        return any(stated) or self.flip_axis or self.prone
 
     @property
     def guesses(self) -> bool:
         """Whether which end is the head is found in the scan."""
-        told = (self.head, self.axis_from, self.axis_direction)
-        return not any(told) and not self.flip_axis
+        stated = (self.head, self.axis_from, self.axis_direction)
+        return not any(stated) and not self.flip_axis
 
     def frame(self, cloud: Array) -> Axis:
         """The patient frame: from a file, from origin and direction, or estimated.

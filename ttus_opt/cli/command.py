@@ -73,16 +73,16 @@ def _option(
 ) -> inspect.Parameter:
     """A parameter as typer takes it."""
     if annotation is not typer.Context:
-        kind, told = annotation, typer.Option()
+        kind, option = annotation, typer.Option()
         if typing.get_origin(annotation) is Annotated:
-            kind, told = typing.get_args(annotation)
+            kind, option = typing.get_args(annotation)
         elif kind is bool:
-            told = typer.Option(f"--{name.replace('_', '-')}")  # and no --no-…
+            option = typer.Option(f"--{name.replace('_', '-')}")  # and no --no-…
         elif name == "output":
-            told = typer.Option("-o", "--output")
-        told = copy.copy(told)
-        told.help = words.get(name)
-        annotation = Annotated[kind, told]
+            option = typer.Option("-o", "--output")
+        option = copy.copy(option)
+        option.help = words.get(name)
+        annotation = Annotated[kind, option]
     return parameter.replace(kind=parameter.KEYWORD_ONLY, annotation=annotation)
 
 

@@ -65,7 +65,7 @@ def compensate(
     reference = probe.read().reference
     load = identify_load(still, sensor, direction)
     clean = compensated(raw, sensor, load, direction, reference, inertia=inertia)
-    told = {
+    facts = {
         "output": str(output),
         "frames": len(clean),
         "sensor": sensor.statements(),
@@ -76,7 +76,7 @@ def compensate(
     }
     clean.save(output)
     if model is not None:
-        io.write_text(model, json_module.dumps(told, indent=2) + "\n")
+        io.write_text(model, json_module.dumps(facts, indent=2) + "\n")
     centre = ", ".join(f"{1e3 * v:.1f}" for v in load.centre)
     lines = [
         f"{output}: {len(clean)} frames; load {load.mass:.4g} ± {load.mass_std:.2g} "
@@ -84,8 +84,8 @@ def compensate(
         f"leaves {load.force_residual:.2g} N and {1e3 * load.torque_residual:.2g} mN m"
     ]
     if not load.handedness_told:
-        lines.append("the free poses do not tell a left-handed sensor")
-    tell(told, *lines, json=json)
+        lines.append("the free poses cannot reveal a left-handed sensor")
+    tell(facts, *lines, json=json)
 
 
 def _sensor(axes: str, point: str, sign: str) -> ForceSensor:

@@ -80,7 +80,7 @@ def tell(facts: Mapping[str, Any], *lines: str, json: bool) -> None:
 @contextlib.contextmanager
 def warnings_in_one_line() -> Iterator[None]:
     """Print this package's warnings as ``warning: …`` on stderr, each once."""
-    told: set[str] = set()
+    shown: set[str] = set()
 
     def show(
         message: Warning | str,
@@ -91,8 +91,8 @@ def warnings_in_one_line() -> Iterator[None]:
         line: str | None = None,
     ) -> None:
         text = as_options(one_line(str(message)))
-        if text not in told:
-            told.add(text)
+        if text not in shown:
+            shown.add(text)
             _write(f"warning: {text}")
 
     with warnings.catch_warnings():

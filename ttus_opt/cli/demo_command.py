@@ -32,5 +32,5 @@ def demo(
         result = pipeline.run(
             output, shape=voxel_counts(shape), weights=weights, progress=begin
         )
-    told = f"\n{result.seconds:.0f} s; pictures, fields and report.md in {output}/"
-    tell(result.as_dict(), error_table(result.comparisons), told, json=json)
+    line = f"\n{result.seconds:.0f} s; pictures, fields and report.md in {output}/"
+    tell(result.as_dict(), error_table(result.comparisons), line, json=json)

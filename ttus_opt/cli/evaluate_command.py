@@ -55,7 +55,7 @@ def evaluate(
         as_written = recordings.as_written()
         potential = PotentialField.load(field)
         warn_of_another_probe(potential.provenance, probe, recordings)
-        told = seen(potential.provenance, recordings.trajectory)
+        fitted_to = seen(potential.provenance, recordings.trajectory)
         shell = probe.read()
         recorded = recordings.read(as_written, shell, potential.voxmap.surface)
         stated = read_doubt(field, shell) if doubt else None
@@ -73,12 +73,12 @@ def evaluate(
     facts = {
         **errors.as_dict(),
         "hysteresis_share": lost,
-        "recordings": told,
+        "recordings": fitted_to,
         "by_recording": [one.as_dict() for one in each],
     }
     known = [
         f"{r['name']}: the field was fitted to this recording"
-        for r in told
+        for r in fitted_to
         if r["seen"]
     ]
     each_own = [line for one in each for line in one.lines]

@@ -159,11 +159,11 @@ def fit(
         report = None
         if solution.verified_field is not None:
             found = solution.field
-            told = sources(surface, probe, recordings, context.params)
+            origin = sources(surface, probe, recordings, context.params)
             draws = doubt or doubt_picture is not None
             begin("writing the field" + draws * " and drawing from its posterior")
             _write(
-                replace(found, provenance={**found.provenance, **told}),
+                replace(found, provenance={**found.provenance, **origin}),
                 *(solution, choice.scene, output, (doubt, doubt_picture)),
             )
             begin("checking the recordings")

@@ -59,7 +59,7 @@ def encode(
         error = _error(what, decoded(message, base=before, max_voxels=size))
         with io.signals_deferred(), io.replacing(output) as temporary:
             temporary.write_bytes(message)
-    told = {
+    facts = {
         "output": str(output),
         "holds": _name(what),
         "bytes": len(message),
@@ -71,7 +71,7 @@ def encode(
         f"{output}: {_name(what)} in {len(message):,} bytes, largest error "
         f"{factor * error:.3g} {unit}"
     )
-    tell(told, line, json=json)
+    tell(facts, line, json=json)
 
 
 def decode(
@@ -108,8 +108,8 @@ def decode(
         what = decoded(message, base=before, max_voxels=max_voxels)
         begin("writing")
         what.save(output)
-    told = {"output": str(output), "holds": _name(what), "bytes": len(message)}
-    tell(told, f"{output}: {_name(what)} from {len(message):,} bytes", json=json)
+    facts = {"output": str(output), "holds": _name(what), "bytes": len(message)}
+    tell(facts, f"{output}: {_name(what)} from {len(message):,} bytes", json=json)
 
 
 def _read(file: Path) -> Surface | PotentialField:

@@ -49,7 +49,7 @@ def record(
         raise InputError(f"SERVER must be HOST or HOST:PORT, got {server!r}")
     shown = _counter()
     received = igt.record(host, int(port or igt.PORT), seconds=seconds, progress=shown)
-    told: dict[str, object] = {"messages": received.count}
+    facts: dict[str, object] = {"messages": received.count}
     lines, failed = [], []
     # what came cannot be had again: one file is written whatever the other lacks
     for key, count, file, find in (
@@ -65,11 +65,11 @@ def record(
             continue
         stream.save(file)
         frames = len(stream.time)
-        told |= {key: str(file), count: frames}
+        facts |= {key: str(file), count: frames}
         lines.append(f"{file}: {frames} frames, {np.ptp(stream.time):.1f} s")
     if failed:
         raise InputError("; ".join([*failed, *(f"written {line}" for line in lines)]))
-    tell(told, *lines, json=json)
+    tell(facts, *lines, json=json)
 
 
 def _counter() -> Callable[[int], None] | None:

@@ -22,11 +22,11 @@ class RecordingLine:
     """One recording.
 
     Attributes:
-        name: Of the recording.
+        name: Name of the recording.
         frames: Its frames [–].
         hysteresis_share: Work of presses that is not given back; NaN without any.
-        doubt: Stated doubt against errors; None where it is not asked for.
-        refused: Why there is none though it is asked for; "" otherwise.
+        doubt: Stated doubt against errors; None if not requested.
+        refused: Why the requested doubt is missing; "" otherwise.
     """
 
     name: str
@@ -36,32 +36,32 @@ class RecordingLine:
     refused: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; ``doubt`` only where it is asked for."""
-        told: dict[str, Any] = {
+        """For JSON; with ``doubt`` only if requested."""
+        facts: dict[str, Any] = {
             "name": self.name,
             "frames": self.frames,
             "hysteresis_share": self.hysteresis_share,
         }
         if self.doubt is not None or self.refused:
-            told["doubt"] = None if self.doubt is None else self.doubt.as_dict()
+            facts["doubt"] = None if self.doubt is None else self.doubt.as_dict()
         if self.refused:
-            told["doubt_refused"] = self.refused
-        return told
+            facts["doubt_refused"] = self.refused
+        return facts
 
     @property
     def lines(self) -> list[str]:
-        """As text; nothing where there is nothing to say."""
-        told = []
+        """As text; empty if there is nothing to report."""
+        lines = []
         if not math.isnan(self.hysteresis_share):
-            told.append(
+            lines.append(
                 f"{self.name}: its presses lose {100 * self.hysteresis_share:.0f} % "
                 "of their work to hysteresis"
             )
         if self.refused:
-            told.append(f"{self.name}: no doubt: {self.refused}")
+            lines.append(f"{self.name}: no doubt: {self.refused}")
         if self.doubt is not None:
-            told += self._doubted(self.doubt)
-        return told
+            lines += self._doubted(self.doubt)
+        return lines
 
     def _doubted(self, found: Calibration) -> list[str]:
         torque = not math.isnan(found.torque_std_Nm)
@@ -74,8 +74,8 @@ class RecordingLine:
             + (f" and {100 * found.torque_coverage:.1f} % of torque" if torque else "")
             + " components"
         )
-        force = _told(found.force_rank_correlation, found.force_rank_error)
-        turn = _told(found.torque_rank_correlation, found.torque_rank_error)
+        force = _with_error(found.force_rank_correlation, found.force_rank_error)
+        turn = _with_error(found.torque_rank_correlation, found.torque_rank_error)
         ranks = f"{self.name}: rank correlation of error and doubt {force} for force"
         ranks += f" and {turn} for torque" if torque else ""
         if not math.isnan(found.force_place_rank_correlation):
@@ -86,7 +86,7 @@ class RecordingLine:
         return [line, ranks, deeper] if unknown else [line, ranks]
 
 
-def _told(correlation: float, error: float) -> str:
+def _with_error(correlation: float, error: float) -> str:
     """The value with its standard error, if known."""
     return f"{correlation:.2f}" + (f" ± {error:.2f}" if math.isfinite(error) else "")
 
@@ -98,14 +98,14 @@ def recording_lines(
     names: Sequence[str],
     doubt: SavedDoubt | None,
 ) -> list[RecordingLine]:
-    """Look at every recording by itself.
+    """Report every recording by itself.
 
     Args:
         field: The field.
         shell: The probe.
         recorded: All recordings as one.
-        names: Of the recordings; numbers where a file has several.
-        doubt: Of the field; None where it is not asked for.
+        names: Names of the recordings; numbers if a file has several.
+        doubt: Doubt of the field; None if not requested.
     """
     import numpy as np
 

@@ -69,7 +69,7 @@ def render(
         )
         place = patient.axis.scan_to_patient
         conventions.as_recorded(rendered, shell.reference, place).save(output)
-    told = {
+    facts = {
         "output": str(output),
         "frames": len(poses),
         "frames_touching": sum(w.contact_points > 0 for w in wrenches),
@@ -78,8 +78,8 @@ def render(
         "seconds_per_frame": seconds / len(poses),
     }
     line = (
-        f"{output}: {told['frames']} frames, {told['frames_touching']} touching, "
-        + (f"{told['frames_saturated']} saturated, " if force_limit else "")
+        f"{output}: {facts['frames']} frames, {facts['frames_touching']} touching, "
+        + (f"{facts['frames_saturated']} saturated, " if force_limit else "")
         + f"{1e6 * seconds / len(poses):.0f} µs per frame"
     )
-    tell(told, line, json=json)
+    tell(facts, line, json=json)

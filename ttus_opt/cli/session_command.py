@@ -50,10 +50,10 @@ def session(
             result = run_session(folder, output, progress=reported)
     except KeyboardInterrupt:
         done = [step for step in complete_steps(output) if step in begun[:-1]]
-        told = ", ".join(done) or "nothing"
-        typer.echo(f"complete in {output}: {told}", err=True)
+        steps = ", ".join(done) or "nothing"
+        typer.echo(f"complete in {output}: {steps}", err=True)
         raise
-    facts = {"output": str(output), **result.told, "report": f"{output}/report.md"}
+    facts = {"output": str(output), **result.figures, "report": f"{output}/report.md"}
     text = "\n\n".join(map(markdown, summary(result)[2:]))
     where = f"\nreport.md, report.html, session.json and all steps in {output}/"
     tell(facts, text, where, json=json)

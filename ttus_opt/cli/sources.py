@@ -61,8 +61,8 @@ def seen(
     """Name and hash of recordings, and whether the field was fitted to them.
 
     Args:
-        provenance: Of the field.
-        recordings: Files to judge by.
+        provenance: Provenance of the field.
+        recordings: Files of the recordings.
 
     Raises:
         FileError: The provenance is damaged.
@@ -78,22 +78,24 @@ def warn_of_another_probe(
     """Say when a field was fitted with another probe or other torques.
 
     Args:
-        provenance: Of the field.
-        probe: At hand.
-        recordings: At hand.
+        provenance: Provenance of the field.
+        probe: The given probe.
+        recordings: The given recordings.
 
     Raises:
         FileError: The provenance is damaged.
     """
     fitted = provenance.get("probe")
-    told = f"probe {fitted}, this is {probe.name}" if fitted != probe.name else ""
+    difference = f"probe {fitted}, this is {probe.name}" if fitted != probe.name else ""
     file = Path(probe.probe)
-    if not told and ":" not in probe.probe and file.is_file():
+    if not difference and ":" not in probe.probe and file.is_file():
         own = _read(provenance, "hashes").get(file.name)
-        told = f"another file {fitted}" if own not in (None, io.sha256(file)) else ""
-    if fitted and told:
+        difference = (
+            f"another file {fitted}" if own not in (None, io.sha256(file)) else ""
+        )
+    if fitted and difference:
         _warn(
-            f"the field was fitted with {told}: forces of another probe are a "
+            f"the field was fitted with {difference}: forces of another probe are a "
             "prediction, not a check"
         )
     written = _read(provenance, "conventions").get("torque_about")

@@ -79,14 +79,14 @@ def surface(
 
             begin("drawing")
             plots.save_picture(plots.surface_picture(found, points), picture)
-    told = _summary(found, len(points), output) | changes
+    facts = _summary(found, len(points), output) | changes
     if stitched is not None:
-        told |= stitched_facts(stitched)
+        facts |= stitched_facts(stitched)
     lines = [
-        f"{output}: {told['n_theta']} x {told['n_z']} radii, "
-        f"{100 * told['observed']:.0f} % observed, "
-        f"R {100 * told['radius_min_m']:.1f} to {100 * told['radius_max_m']:.1f} cm, "
-        f"z {100 * told['z_min_m']:.1f} to {100 * told['z_max_m']:.1f} cm"
+        f"{output}: {facts['n_theta']} x {facts['n_z']} radii, "
+        f"{100 * facts['observed']:.0f} % observed, "
+        f"R {100 * facts['radius_min_m']:.1f} to {100 * facts['radius_max_m']:.1f} cm, "
+        f"z {100 * facts['z_min_m']:.1f} to {100 * facts['z_max_m']:.1f} cm"
     ]
     if changes:
         shares = ", ".join(
@@ -102,7 +102,7 @@ def surface(
         "patient frame: x right, y front, z head; the head lies towards "
         f"({along}) in the scan" + (guess if axis.guesses and update is None else "")
     )
-    tell(told, *lines, json=json)
+    tell(facts, *lines, json=json)
 
 
 def _updated(

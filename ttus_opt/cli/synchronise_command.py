@@ -83,7 +83,7 @@ def synchronise(
     joined = with_wrenches(track, stream, offset, largest_gap=largest_gap)
     joined.save(output)
     segments = len(set(joined.segment.tolist()))
-    told = {
+    facts = {
         "output": str(output),
         "frames": len(joined),
         "left_out": len(track) - len(joined),
@@ -97,7 +97,7 @@ def synchronise(
         f"{output}: {len(joined)} of {len(track)} frames in {segments} segments, "
         f"wrenches moved by {offset:.4f} s{how}"
     )
-    tell(told, line, json=json)
+    tell(facts, line, json=json)
 
 
 def _found(

@@ -17,6 +17,6 @@ def warm_up(json: bool = False) -> None:
     with Stages(ahead.N_STAGES) as begin:
         seconds = ahead.warm_up(begin)
     folder = cache_folder()
-    told = {"seconds": seconds, "folder": None if folder is None else str(folder)}
+    facts = {"seconds": seconds, "folder": None if folder is None else str(folder)}
     kept = "not kept" if folder is None else f"kept in {folder}"
-    tell(told, f"compiled in {seconds:.0f} s, {kept}", json=json)
+    tell(facts, f"compiled in {seconds:.0f} s, {kept}", json=json)

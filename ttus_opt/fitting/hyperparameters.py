@@ -93,7 +93,7 @@ class Hyperparameter:
 
 @dataclass(frozen=True)
 class Maximum:
-    """The likeliest hyperparameters.
+    """The most likely hyperparameters.
 
     Attributes:
         found: In the order of the priors.
@@ -108,7 +108,7 @@ class Maximum:
 
 
 def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> Maximum:
-    """Find the likeliest values, and which of them the data determine.
+    """Find the most likely values, and which of them the data determine.
 
     Args:
         log_density: Log density of the data for values in the order of the priors.

@@ -276,7 +276,7 @@ class LowRankKernel:
         """
         mask = np.isin(self.others, rows)
         if np.count_nonzero(mask) != len(rows):
-            raise InputError("only rows that are held and no pivots can be dropped")
+            raise InputError("only held rows that are not pivots can be dropped")
         self._drop(mask)
 
     def scale(self, factor: float) -> None:

@@ -163,7 +163,7 @@ class MeasuredSeries:
         Args:
             weights: λ by term, shape (terms,) [–].
             correlation_time: T; 0 for independent frames [s].
-            scale: s; None for the likeliest.
+            scale: s; None for the most likely.
         """
         assert self.slope is None
         phi = self.memory(correlation_time)

@@ -2,7 +2,7 @@
 
 The contact law differs between bodies: pressure on tissue that is deep relative to the
 probe depends on the probe's size, pressure on a thin layer does not, and it grows with
-depth at different rates. The candidates are eq. 10, with its likeliest or its own
+depth at different rates. The candidates are eq. 10, with its most likely or its own
 weights, and a depth map, each in both samplings and with drag where the recordings show
 it. The one that best predicts every press from all others (`left_out`) is fitted. See
 docs/method.md, "Tuning".
@@ -71,10 +71,10 @@ def _others(
 
 
 def better_weights(choice: WeightChoice, scene: Scene) -> WeightChoice:
-    """The likeliest weights or the formulation's own, by left-out presses.
+    """The most likely weights or the formulation's own, by left-out presses.
 
-    `choose_weights` keeps the likeliest unless they are worse by a standard error; here
-    the smaller error decides, as between formulations.
+    `choose_weights` keeps the most likely unless they are worse by a standard error;
+    here the smaller error decides, as between formulations.
 
     Args:
         choice: Result of `choose_weights`.

@@ -4,7 +4,7 @@ With the rows' misfit d = t - D p₀ to the prior, W the roots of their weights,
 C = D L⁻¹Ω L⁻ᵀDᵀ in the form KᵀK of a reduced basis, the marginal covariance of d is
 σ²(W⁻² + C). All criteria follow from B = K W and R = (1 + WCW)⁻¹ = 1 - Bᵀ(1 + BBᵀ)⁻¹B:
 
-- evidence: with σ² = J/m, the likeliest for these weights, and J = dᵀW R W d,
+- evidence: with σ² = J/m, the most likely for these weights, and J = dᵀW R W d,
   log p(d) = -½ (m log(2π J/m) + log det(W⁻² + C) + m)
   (Rasmussen and Williams, 2006, eq. 2.30);
 - generalised cross-validation: m ‖R W d‖²/(tr R)² over the weights' geometric mean

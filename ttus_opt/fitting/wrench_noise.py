@@ -219,7 +219,7 @@ class MeasuredWrenches:
         return -0.5 * (square + m * math.log(2.0 * math.pi)) - size
 
     def estimate(self, variance: float) -> tuple[float, WrenchNoise]:
-        """The likeliest prior variance and noise.
+        """The most likely prior variance and noise.
 
         Args:
             variance: Median of the prior variance [–].

@@ -97,7 +97,7 @@ class Added:
 
         Args:
             screening: One number per layer [m]; None for nothing.
-            shape: Of the grid.
+            shape: Shape of the grid.
             grounds: See the class.
 
         Returns:

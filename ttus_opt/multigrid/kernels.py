@@ -213,7 +213,7 @@ def rows_of(
 
     Args:
         at: The level.
-        colour: Of the result.
+        colour: Colour of the result.
         p: Layer · width + place in the layer.
         out: Where the result begins.
         opposite: Where values of the other colour begin.
@@ -302,7 +302,7 @@ def flow(
         out: Where the result begins, n_r · width values.
         opposite: Where red values begin.
         kept: Factor of what the result held before [–].
-        part: Of the layers.
+        part: Range of layers.
     """
     at, black, factor = level_index(row), np.int64(1), np.float32(kept)
     first, last = span(at, black)

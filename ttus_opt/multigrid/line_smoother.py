@@ -222,7 +222,7 @@ def sweep(
         x: Where red values of the result begin; black ones follow.
         opposite: Where values of the other colour begin.
         load: Where the right-hand side of this colour begins.
-        part: Of the tiles.
+        part: Range of tiles.
     """
     at = level_index(row)
     out = x + colour * at.n_r * at.width

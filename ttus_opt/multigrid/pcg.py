@@ -204,7 +204,7 @@ def step(
         alpha: α [–].
         sums: Per layer, shape (n_r,).
         width: Places per layer.
-        part: Of the layers.
+        part: Range of layers.
     """
     (e, r, p, q), factor = vectors, np.float32(alpha)
     low, high = bounds(0, sums.size, part)
@@ -268,7 +268,7 @@ def operate(
         colour: 0 (red) or 1 (black).
         vectors: Where the result, p of this colour and p of the other colour begin.
         sums: Is set to p · A p in every layer, shape (n_r,).
-        part: Of the layers.
+        part: Range of layers.
     """
     at, (out, own, opposite) = level_index(row), vectors
     first, last = span(at, colour)

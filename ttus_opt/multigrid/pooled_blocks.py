@@ -82,7 +82,7 @@ class PooledBlocks:
         """Places of followers and leaders in red-black order; a block has one colour.
 
         Args:
-            layout: Of the grid.
+            layout: Layout of the grid.
             start: Where the vector begins [–].
         """
         followers, leaders = (

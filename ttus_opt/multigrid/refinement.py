@@ -34,7 +34,7 @@ class Operator(NamedTuple):
         cut_layers: Where each layer's begin among them, shape (n_r + 1,).
         n_theta: Spokes [–].
         n_z: Slices [–].
-        pitch: Of the red-black order [–].
+        pitch: Pitch of the red-black order [–].
     """
 
     free: NDArray[np.bool_]
@@ -158,7 +158,7 @@ def operate(out: Array, x: Array, a: Operator, part: Part) -> None:
         out: Result, shape (V,); zero at fixed voxels.
         x: Values, zero at fixed voxels, shape (V,).
         a: The operator.
-        part: Of the layers.
+        part: Range of layers.
     """
     low, high = bounds(0, len(a.layers), part)
     for i in range(low, high):

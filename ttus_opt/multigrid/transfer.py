@@ -247,7 +247,7 @@ def restrict(
         below: The coarse level.
         fields: Coefficients.
         work: Vectors.
-        part: Of the coarse layers; each part needs scratch space of its own.
+        part: Range of coarse layers; each part needs its own scratch arrays.
     """
     width = at.width
     buffers = _buffers(at, work)
@@ -328,7 +328,7 @@ def prolong(
         below: The coarse level, its circle closed.
         fields: Coefficients.
         work: Vectors.
-        part: Of the coarse layers; each part needs scratch space of its own.
+        part: Range of coarse layers; each part needs its own scratch arrays.
     """
     width = at.width
     s, e = span(at, np.int64(1))

@@ -116,14 +116,14 @@ class Solution:
         slacks: Distance to the nearer limit per constraint row, by name.
         duals: Multipliers of the KKT conditions; by name in `duals_by_name`.
         timings: Times of the fit.
-        iterations: Of the solver's main loop [–].
+        iterations: Iterations of the solver's main loop [–].
         parameters: Parameters identified beside the field, by name.
         program: The matrices.
         candidate: The solver's x, verified or not; None without one.
         detail: The solver's own message.
         conflict: Names of the constraints that contradict each other, when infeasible.
         attempts: Solvers that "auto" tried before, whose answers failed their check.
-        standard_errors: Of the parameters, by name [the parameter's unit].
+        standard_errors: Standard errors of the parameters, by name [their units].
         not_identified: Why the data do not determine a parameter, whose neutral value
             is used, by name.
         remarks: Further remarks on parameters, by name, such as being at a limit or

@@ -78,7 +78,7 @@ def packed(file: str) -> bytes:
 
     arrays: dict[str, NDArray[Any]] = {}
     most = min(MOST_NUMBERS, MOST_PER_BYTE * Path(file).stat().st_size)
-    told: list[dict[str, Any]] = []
+    facts: list[dict[str, Any]] = []
     with netCDF4.Dataset(file) as opened:
         for number, (name, variable) in enumerate(opened.variables.items()):
             if variable.size > most:
@@ -94,7 +94,7 @@ def packed(file: str) -> bytes:
                 for key, value in variable.__dict__.items()
                 if isinstance(value, str)
             }
-            told.append(
+            facts.append(
                 {
                     "name": name,
                     "dims": list(variable.dimensions),
@@ -104,7 +104,7 @@ def packed(file: str) -> bytes:
                 }
             )
     content = io.BytesIO()
-    arrays["told"] = np.array(json.dumps(told))
+    arrays["facts"] = np.array(json.dumps(facts))
     np.savez(content, **arrays)  # type: ignore[arg-type]  # names are none of its own
     return content.getvalue()
 
@@ -113,7 +113,7 @@ def unpacked(content: bytes) -> dict[str, Variable]:
     """The variables of `packed`."""
     out = {}
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
-        for number, each in enumerate(json.loads(str(arrays["told"]))):
+        for number, each in enumerate(json.loads(str(arrays["facts"]))):
             if f"v{number}" in arrays:
                 values = arrays[f"v{number}"]
             elif each["labels"] is not None:

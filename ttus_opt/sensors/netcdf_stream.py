@@ -67,16 +67,16 @@ def read_netcdf_poses(
     Raises:
         FileError: Missing, damaged, or without such variables, units or order.
     """
-    file, data, told = _opened(path, columns)
+    file, data, names = _opened(path, columns)
     with located(file, FileError):
-        time = _time(data, told)
-        position = _vector(data, "position", told, "xyz")
+        time = _time(data, names)
+        position = _vector(data, "position", names, "xyz")
         if not np.abs(position).max(initial=0.0) < LARGEST_POSITION:
             raise InputError(
                 f"positions beyond {LARGEST_POSITION:g} m or not finite: check units"
             )
-        order = _order(data, told)
-        quaternion = _vector(data, "quaternion", told, order)
+        order = _order(data, names)
+        quaternion = _vector(data, "quaternion", names, order)
         return Trajectory(time, position, from_quaternions(quaternion, order))  # type: ignore[arg-type]  # one of both
 
 
@@ -92,13 +92,13 @@ def read_netcdf_wrenches(
     Raises:
         FileError: Missing, damaged, or without such variables or units.
     """
-    file, data, told = _opened(path, columns)
+    file, data, names = _opened(path, columns)
     with located(file, FileError):
         torque = None
-        if told.get("torque", "torque") in data.variables:
-            torque = _vector(data, "torque", told, "xyz")
+        if names.get("torque", "torque") in data.variables:
+            torque = _vector(data, "torque", names, "xyz")
         return WrenchStream(
-            _time(data, told), _vector(data, "force", told, "xyz"), torque
+            _time(data, names), _vector(data, "force", names, "xyz"), torque
         )
 
 
@@ -131,8 +131,8 @@ def _opened(
     import xarray as xr
 
     file = io.existing_file(path, "netCDF stream")
-    told = columns or {}
-    single = [name for name in told if name not in ("t", ORDER, *UNITS)]
+    names = columns or {}
+    single = [name for name in names if name not in ("t", ORDER, *UNITS)]
     if single:
         raise FileError(
             f"{file}: netCDF holds whole vectors: map position, quaternion, force or "
@@ -141,20 +141,20 @@ def _opened(
     try:
         # xarray makes a variable with the name of its dimension a coordinate
         found = {name: tuple(each) for name, each in read_apart(file).items()}
-        return file, xr.Dataset(found), told
+        return file, xr.Dataset(found), names
     except Exception as error:  # damaged files raise nearly every class
         raise FileError(
             f"{file} is not a readable netCDF file: copy or record it again"
         ) from error
 
 
-def _variable(data: xr.Dataset, name: str, told: Mapping[str, str]) -> xr.DataArray:
+def _variable(data: xr.Dataset, name: str, names: Mapping[str, str]) -> xr.DataArray:
     """A variable by the package's name.
 
     Raises:
         InputError: The file does not have it.
     """
-    theirs = told.get("t" if name == "time" else name, name)
+    theirs = names.get("t" if name == "time" else name, name)
     if theirs not in data.variables:
         known = ", ".join(map(str, data.variables)) or "none"
         raise InputError(
@@ -195,13 +195,13 @@ def _numbers(found: xr.DataArray) -> Array:
     return np.asarray(found.to_numpy(), dtype=np.float64)
 
 
-def _time(data: xr.Dataset, told: Mapping[str, str]) -> Array:
+def _time(data: xr.Dataset, names: Mapping[str, str]) -> Array:
     """Times [s]; in "seconds since …" the epoch is ignored.
 
     Raises:
         InputError: Not one dimension, no unit, or not finite.
     """
-    found = _variable(data, "time", told)
+    found = _variable(data, "time", names)
     if found.ndim != 1:
         raise InputError(
             f"{found.name} has {found.ndim} dimensions, expected one for times"
@@ -213,14 +213,14 @@ def _time(data: xr.Dataset, told: Mapping[str, str]) -> Array:
     return values
 
 
-def _vector(data: xr.Dataset, name: str, told: Mapping[str, str], order: str) -> Array:
+def _vector(data: xr.Dataset, name: str, names: Mapping[str, str], order: str) -> Array:
     """A vector over time, shape (T, len(order)).
 
     Raises:
         InputError: Other dimensions, components in another order, or another unit.
     """
-    found = _variable(data, name, told)
-    along = _variable(data, "time", told).dims
+    found = _variable(data, name, names)
+    along = _variable(data, "time", names).dims
     if found.ndim != 2 or found.dims[:1] != along or found.shape[1] != len(order):
         sizes = ", ".join(f"{d} {n}" for d, n in found.sizes.items()) or "none"
         raise InputError(
@@ -248,15 +248,15 @@ def _labels(found: xr.DataArray) -> str:
     return "".join(word[-1:] for word in words)
 
 
-def _order(data: xr.Dataset, told: Mapping[str, str]) -> str:
+def _order(data: xr.Dataset, names: Mapping[str, str]) -> str:
     """The order of a quaternion, from its labels, its attribute or the column map.
 
     Raises:
         InputError: None of these states it, or two differ.
     """
-    found = _variable(data, "quaternion", told)
+    found = _variable(data, "quaternion", names)
     labelled = _labels(found) if found.ndim == 2 else ""
-    named = (labelled, str(found.attrs.get("order", "")), told.get(ORDER, ""))
+    named = (labelled, str(found.attrs.get("order", "")), names.get(ORDER, ""))
     said = {word for word in named if word}
     if len(said) > 1 or not said <= set(ORDERS):
         raise InputError(

@@ -284,8 +284,8 @@ def _stream(
         InputError: No such device, or several to choose from.
     """
     if not kept:
-        told = ", ".join(f"{name} ({what})" for name, what in others.items())
-        came = f", but {told}" if told else ""
+        listed = ", ".join(f"{name} ({what})" for name, what in others.items())
+        came = f", but {listed}" if listed else ""
         raise InputError(f"no {kind} arrived{came}: what does the server send?")
     if device is None and len(kept) > 1:
         raise InputError(f"several devices sent {kind}: name one of {', '.join(kept)}")

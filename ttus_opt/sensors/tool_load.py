@@ -145,8 +145,8 @@ def identify_load(free: Trajectory, sensor: ForceSensor, down: ArrayLike) -> Too
     ones = np.broadcast_to(np.eye(3), (len(u), 3, 3))
     by_force = np.concatenate([ones, u[:, :, None]], axis=2).reshape(-1, 4)
     of_force = _least_squares(by_force, force.reshape(-1))
-    told = bool(spread[2] >= LEAST_TILT)
-    _check_axes(force, u, told, sensor)
+    spans_all = bool(spread[2] >= LEAST_TILT)
+    _check_axes(force, u, spans_all, sensor)
     crossing = -np.cross(np.eye(3)[None], u[:, None, :])  # h × u = −u × h
     by_torque = np.concatenate([ones, crossing], axis=2).reshape(-1, 6)
     of_torque = _least_squares(by_torque, torque.reshape(-1))
@@ -164,7 +164,7 @@ def identify_load(free: Trajectory, sensor: ForceSensor, down: ArrayLike) -> Too
         of_force.residual,
         of_torque.residual,
         _drift(free, of_force.rest.reshape(-1, 3)),
-        told and heavy,
+        spans_all and heavy,
     )
     if not heavy:
         warn(
@@ -192,13 +192,13 @@ def _least_squares(matrix: Array, target: Array) -> _Fitted:
     return _Fitted(np.asarray(values), np.asarray(std), np.asarray(rest), residual)
 
 
-def _check_axes(force: Array, u: Array, told: bool, sensor: ForceSensor) -> None:
+def _check_axes(force: Array, u: Array, spans_all: bool, sensor: ForceSensor) -> None:
     """Check the stated mounting against the readings (docs/method.md, 19.3).
 
     Args:
         force: Readings with their stated sign, shape (T, 3) [N].
         u: Gravity in the stated axes, shape (T, 3) [m/s²].
-        told: Whether the tilts span all three axes.
+        spans_all: Whether the tilts span all three axes.
         sensor: The stated mounting.
 
     Raises:
@@ -213,7 +213,7 @@ def _check_axes(force: Array, u: Array, told: bool, sensor: ForceSensor) -> None
     noise = float(np.sqrt((rest * rest).mean()))
     if mass * np.sqrt((by * by).sum()) < TELLING * noise * np.sqrt(3.0):
         return  # without a weight there is nothing to compare
-    if not told and np.linalg.det(map_) < 0:
+    if not spans_all and np.linalg.det(map_) < 0:
         # tilts in a plane do not distinguish a reflection across it
         map_ = left @ np.diag([1.0, 1.0, -1.0]) @ right
     other = "by-probe" if sensor.sign == "on-probe" else "on-probe"
@@ -222,7 +222,7 @@ def _check_axes(force: Array, u: Array, told: bool, sensor: ForceSensor) -> None
         if turn < np.rad2deg(LARGEST_TURN):
             return
         # with tilts in a plane, reversed gravity looks like half a turn
-        first = f"give sign {other}, or " if not told and turn > 150.0 else ""
+        first = f"give sign {other}, or " if not spans_all and turn > 150.0 else ""
         fits = Rotation.from_matrix(sensor.axes @ map_.T).as_quat().round(3) + 0.0
         raise InputError(
             f"the readings lie {turn:.0f}° from the stated axes: {first}give axes "

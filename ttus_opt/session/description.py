@@ -243,12 +243,12 @@ def _found(path: Path) -> Path:
 
 
 def _stream(part: Section) -> Stream:
-    told = part.values.get("columns")
+    given = part.values.get("columns")
     try:
-        if told is None:
+        if given is None:
             columns = {}
-        elif isinstance(told, Mapping):
-            columns = column_map(told)
+        elif isinstance(given, Mapping):
+            columns = column_map(given)
         else:
             text = part.text("columns")
             beside = part.file.parent / text
@@ -363,8 +363,8 @@ def _fit(part: Section) -> FitPlan:
     formulation = part.text("formulation") if "formulation" in part else None
     if formulation and (part.file.parent / formulation).is_file():
         formulation = str(part.file.parent / formulation)
-    told = part.section("options")
-    options = {name: told.number(name) for name in told.values}
+    section = part.section("options")
+    options = {name: section.number(name) for name in section.values}
     word = part.text("weights") if "weights" in part else None
     try:
         weights = word_for(word, formulation, options)

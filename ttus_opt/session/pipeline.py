@@ -45,7 +45,7 @@ class SessionResult:
         recordings: Contact wrenches, patient frame, by name.
         model: The fields.
         comparisons: Errors before and after fitting, per recording.
-        told: All figures by name, as in ``session.json``.
+        figures: All figures by name, as in ``session.json``.
     """
 
     folder: Path
@@ -57,11 +57,11 @@ class SessionResult:
     recordings: dict[str, Trajectory] = field(repr=False)
     model: Model
     comparisons: tuple[Comparison, ...] = field(repr=False)
-    told: dict[str, Any] = field(default_factory=dict, repr=False)
+    figures: dict[str, Any] = field(default_factory=dict, repr=False)
 
     def as_dict(self) -> dict[str, Any]:
         """All figures by name, for JSON."""
-        return self.told
+        return self.figures
 
 
 def run_session(
@@ -140,7 +140,7 @@ def _run(session: Description, shell: PointShell, results: Results) -> SessionRe
             recordings,
             model,
             comparisons,
-            results.told,
+            results.figures,
         )
         write_reports(found, shell, results.path)
     return found

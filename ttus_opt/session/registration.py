@@ -60,19 +60,19 @@ class Registration:
 
     def facts(self) -> dict[str, Any]:
         """The motions by name, with units, for JSON."""
-        told: dict[str, Any] = {
+        facts: dict[str, Any] = {
             "tracker_to_scan": self.tracker_to_scan,
             "scan_to_patient": self.scan_to_patient,
         }
         if self.tags is not None:
-            told |= {
+            facts |= {
                 "pairs": self.tags.pairs,
                 "solver": self.tags.solver,
                 "loop_m": self.tags.loop.gap,
                 "loop_degrees": float(np.rad2deg(self.tags.loop.twist)),
                 "solvers_differ_m": self.tags.spread,
             }
-        return told
+        return facts
 
 
 def register(tracker: Tracker, surface: Surface) -> Registration:

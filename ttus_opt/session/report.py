@@ -123,7 +123,7 @@ def _clock(result: SessionResult) -> str:
     how = "as given"
     if timing.correlation is not None:
         how = f"by {result.session.clock.by}, correlation {timing.correlation:.3f}"
-    left_out = result.told["clock"]["left_out"]
+    left_out = result.figures["clock"]["left_out"]
     return (
         f"forces moved by {timing.offset:.4f} s ({how}); {left_out} poses without "
         "forces left out"

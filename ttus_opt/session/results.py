@@ -107,7 +107,7 @@ class Results:
         return self.folder / name
 
     @property
-    def told(self) -> dict[str, Any]:
+    def figures(self) -> dict[str, Any]:
         """All figures so far."""
         return dict(self._told)
 
@@ -150,8 +150,8 @@ def complete_steps(folder: str | os.PathLike[str]) -> list[str]:
 def _read(folder: str | os.PathLike[str]) -> dict[str, list[str]]:
     """The lists of a summary; none without such a file."""
     try:
-        told = json.loads((Path(folder) / SUMMARY).read_text(encoding="utf-8"))
+        summary = json.loads((Path(folder) / SUMMARY).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
-    lists = told.items() if isinstance(told, dict) else ()
+    lists = summary.items() if isinstance(summary, dict) else ()
     return {name: value for name, value in lists if isinstance(value, list)}

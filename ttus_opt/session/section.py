@@ -46,8 +46,8 @@ class Section:
             if key not in known:
                 near = difflib.get_close_matches(str(key), known, n=1)
                 hint = f"did you mean {near[0]}?" if near else ""
-                told = f"choose from {', '.join(known)}"
-                raise self.fail(str(key), f"is not known: {hint or told}")
+                choices = f"choose from {', '.join(known)}"
+                raise self.fail(str(key), f"is not known: {hint or choices}")
 
     def __contains__(self, key: str) -> bool:
         """Whether a key has a value."""
@@ -165,8 +165,8 @@ class Section:
         except FileError:
             raise
         except (TtusError, ValueError, TypeError) as error:
-            told = error if isinstance(error, TtusError) else f"got {value!r}"
-            raise self.fail(key, f"is no rigid motion: {told}") from error
+            reason = error if isinstance(error, TtusError) else f"got {value!r}"
+            raise self.fail(key, f"is no rigid motion: {reason}") from error
 
     def _number(self, key: str, value: Any) -> float:
         try:

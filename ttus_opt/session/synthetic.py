@@ -158,8 +158,8 @@ def write_recording(
     _tracked(moved, truth, tracker).save(place / "tracker.csv", digits=9)
     write_netcdf_wrenches(_sensed(moved, truth, sensor), place / "force.nc")
     _write_json(place / "tags.json", _tag_pairs(truth, tags))
-    told = _description(truth, stretches, shape, cameras)
-    _write_json(place / "session.json", told)  # last: the folder is whole
+    description = _description(truth, stretches, shape, cameras)
+    _write_json(place / "session.json", description)  # last: the folder is whole
     return truth
 
 

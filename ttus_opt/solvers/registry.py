@@ -88,7 +88,7 @@ def asked_for(solver: str | Path | Solver) -> Solver:
         return solver
     if not isinstance(solver, str | Path):
         raise InputError(
-            "solver takes a name, the path of a file, or an object of a class over "
+            "solver takes a name, the path of a file, or an instance of a subclass of "
             f"ttus_opt.solvers.base.Solver, got {solver!r}"
         )
     if Path(solver).suffix == ".py":
@@ -116,8 +116,8 @@ def _of(offered: Any, owner: str) -> dict[str, Solver]:
     found = [one() if isinstance(one, type) else one for one in many]
     if not found or not all(isinstance(one, Solver) for one in found):
         raise InputError(
-            f"{owner} has no solvers: give it a list SOLVERS of objects of classes "
-            "over ttus_opt.solvers.base.Solver"
+            f"{owner} has no solvers: give it a list SOLVERS of instances of "
+            "subclasses of ttus_opt.solvers.base.Solver"
         )
     return {one.name: one for one in found}
 
