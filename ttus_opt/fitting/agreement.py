@@ -48,10 +48,10 @@ def torque_offset(
     """Offset c of the point about which torques were measured.
 
     Args:
-        torque: Measured, patient axes, shape (T, 3) [N·m].
+        torque: Measured torques, patient axes, shape (T, 3) [N·m].
         expected: Expected torques up to a factor, shape (T, 3).
-        force: Measured, on the probe, shape (T, 3) [N].
-        rotation: Probe to patient, shape (T, 3, 3).
+        force: Measured forces on the probe, shape (T, 3) [N].
+        rotation: Rotation, probe to patient, shape (T, 3, 3).
 
     Returns:
         c from the assumed point, probe frame, shape (3,) [m].

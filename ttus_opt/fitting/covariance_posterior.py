@@ -39,7 +39,8 @@ class CovariancePosterior(Posterior):
     Attributes:
         prior: C.
         columns: Its columns at the n voxels that measured rows touch.
-        rows: The measured rows over these voxels, times their weights' roots, (m, n).
+        rows: The measured rows over these voxels, times the square roots of their
+            weights, (m, n).
     """
 
     prior: FieldCovariance = field(repr=False)

@@ -88,7 +88,7 @@ class Doubt:
         """Uncertainty of the wrenches rendered along a trajectory.
 
         Args:
-            trajectory: Poses; with drag their motion counts.
+            trajectory: Poses; with drag, their motion matters.
 
         Returns:
             NaN in frames that reach deeper than draws are kept.
@@ -133,7 +133,7 @@ class Doubt:
         Args:
             count: Number of draws, at least 2; standard deviations are accurate to
                 1/√(2 count) [–].
-            depth: Down to which depth below the skin [m].
+            depth: Depth below the skin down to which they are kept [m].
 
         Raises:
             InputError: A smaller count, or a depth that is not between 0 and 1 m.
@@ -149,7 +149,7 @@ class Doubt:
         return PosteriorDraws(self._posterior.draw(count, voxels), voxels, depth)
 
     def sampled(self, count: int = DRAWS, depth: float = DEPTH) -> Doubt:
-        """The same by the method "samples"; arguments as of `draws`."""
+        """The same by the method "samples"; arguments as for `draws`."""
         return replace(self, method="samples", _draws=self.draws(count, depth))
 
 
@@ -163,8 +163,8 @@ def doubt(
     """Uncertainty of the field of a solution.
 
     Args:
-        solution: Of one field with a prior (a Laplace term or one of known covariance)
-            and squares of measured rows.
+        solution: The solution for one field with a prior (a Laplace term or one of
+            known covariance) and squares of measured rows.
         scene: The scene it was fitted to.
         method: "exact" solves for every rendered row, "samples" draws `DRAWS` fields
             once; None takes "samples" for a Laplace prior on more than 60,000 voxels.

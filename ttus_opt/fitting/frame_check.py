@@ -34,9 +34,9 @@ def share_near_skin(
     """Share of frames whose probe is near the skin.
 
     Args:
-        trajectory: Patient frame.
+        trajectory: Poses in the patient frame.
         shell: The probe.
-        surface: The patient's.
+        surface: The patient's surface.
     """
     points = trajectory.position + trajectory.rotation @ np.asarray(shell.reference)
     radius = np.hypot(points[:, 0], points[:, 1])
@@ -56,10 +56,10 @@ def warn_of_another_frame(
     """Warn when recordings lie on the skin in another frame than the stated one.
 
     Args:
-        as_written: The file's numbers, without any conversion.
-        read: As converted by ``conventions``.
+        as_written: The recordings as in the file, without any conversion.
+        read: The recordings as converted by ``conventions``.
         shell: The probe.
-        surface: The patient's.
+        surface: The patient's surface.
         conventions: The conventions of the file.
     """
     own = share_near_skin(read, shell, surface)

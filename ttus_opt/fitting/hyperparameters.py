@@ -76,7 +76,7 @@ class Hyperparameter:
         prior_value: The prior's median.
         spread: Posterior standard deviation of the logarithm, or of the value if the
             prior is linear; NaN where not determined [–].
-        determined: Whether the data determine it; else the value is the prior's.
+        determined: Whether the data determine it; otherwise the value is the prior's.
         unit: Its unit.
         at_bound: Whether the value lies at the end of its range; a coefficient of 0
             does not count.
@@ -96,7 +96,7 @@ class Maximum:
     """The most likely hyperparameters.
 
     Attributes:
-        found: In the order of the priors.
+        found: The hyperparameters, in the order of the priors.
         log_posterior: Log density of data and hyperparameters there [–].
         log_marginal: The same, with the hyperparameters integrated out by Laplace's
             approximation; for comparing models [–].
@@ -112,7 +112,7 @@ def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> 
 
     Args:
         log_density: Log density of the data for values in the order of the priors.
-        priors: At least one.
+        priors: One or more priors.
     """
     free = list(range(len(priors)))
     x = np.zeros(len(priors))

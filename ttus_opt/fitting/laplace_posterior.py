@@ -2,12 +2,12 @@
 
 The prior is p ~ N(p₀, C), C = L⁻¹Ω L⁻ᵀ. N C Nᵀ takes one solve with Lᵀ per row. The
 measurements enter through the basis of `solvers.dual.weight_sweep`: fields ψᵢ,
-orthonormal in the prior's energy, with coefficients c ~ N(0, 1). With B their weighted
-images, c is estimated from y = Bᵀc + e by M⁻¹B y, M = 1 + BBᵀ. If c has the variance v
-and e the covariance Σ, that estimate's error has the covariance v M⁻² + M⁻¹BΣBᵀM⁻¹. A
-draw is a draw of the prior minus its estimate from its own noisy measurements
-(Matheron's rule: A. G. Journel, C. J. Huijbregts, Mining Geostatistics, 1978). See
-docs/method.md, Doubt.
+orthonormal in the energy norm of the prior, with coefficients c ~ N(0, 1). With B their
+weighted images, c is estimated from y = Bᵀc + e by M⁻¹B y, M = 1 + BBᵀ. If c has the
+variance v and e the covariance Σ, the error of that estimate has the covariance
+v M⁻² + M⁻¹BΣBᵀM⁻¹. A draw is a draw of the prior minus its estimate from its own noisy
+measurements (Matheron's rule: A. G. Journel, C. J. Huijbregts, Mining Geostatistics,
+1978). See docs/method.md, Doubt.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ class LaplacePosterior(Posterior):
 
     Attributes:
         system: Dual of its problem.
-        base: p₀ times the deviation of its scale, shape (V,); None where it is known.
-        fields: ψ at ``voxels``, shape (k, n), in single precision; everywhere in double
-            precision where ``voxels`` is None.
-        gain: M⁻¹; its last row and column belong to p₀ where ``base`` is there.
-        voxels: Where the fields are kept; None for everywhere.
+        base: p₀ times the standard deviation of its scale, shape (V,); None if known.
+        fields: ψ at ``voxels``, shape (k, n), in single precision; at all voxels in
+            double precision if ``voxels`` is None.
+        gain: M⁻¹; with ``base``, its last row and column belong to p₀.
+        voxels: Voxels at which the fields are stored; None for all.
     """
 
     system: DualSystem = field(repr=False)
@@ -68,9 +68,9 @@ class LaplacePosterior(Posterior):
 
         Args:
             data: The problem.
-            root: Roots of the rows' weights, shape (m,) [–].
+            root: Square roots of the rows' weights, shape (m,) [–].
             scale: Whether the scale of p₀ is unknown.
-            voxels: Where fields are kept, shape (n,); None for everywhere.
+            voxels: Voxels at which fields are stored, shape (n,); None for all.
         """
         sweep = WeightSweep(data, field_rtol=RTOL, voxels=voxels)
         sweep.complete(root, MISSING)
@@ -98,7 +98,7 @@ class LaplacePosterior(Posterior):
     def covariance(self, rows: sp.csr_array, height: int) -> Array:
         """Implements `Posterior`, by one solve per nonempty row.
 
-        NaN where a block touches voxels at which the basis is not kept.
+        NaN where a block touches voxels without stored basis.
         """
         assert self.errors is not None
         laplace = self.system.laplace

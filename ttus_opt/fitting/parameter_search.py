@@ -52,10 +52,10 @@ class SearchResult:
     """Result of a search.
 
     Attributes:
-        formulation: At the values found, without a search.
+        formulation: The formulation at these values, without a search.
         estimates: The searched parameters, by name; those not identified have their
             neutral value.
-        trouble: Why the search failed; empty when it succeeded.
+        trouble: Why the search failed; empty if it succeeded.
     """
 
     formulation: Formulation = field(repr=False)
@@ -75,7 +75,7 @@ def search_parameters(
         search: The first parameter.
         loose: Fits of low accuracy, to find the neighbourhood.
         tight: Fits accurate enough for differences of objectives.
-        doubts: Why a parameter is not identified, by name, as far as known.
+        doubts: Known reasons why a parameter is not identified, by name.
     """
     known = dict(doubts)
     while True:

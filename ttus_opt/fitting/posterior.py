@@ -1,8 +1,8 @@
 """A Gaussian prior with weighted measured rows, and the error of its fit.
 
-With C the prior's covariance, D the measured rows times the roots of their weights and
-BᵀB = D C Dᵀ, (1 + D C Dᵀ)⁻¹ = 1 − XᵀX with X = E⁻¹B, E Eᵀ = 1 + BBᵀ. B has as many rows
-as there are independent measurements of the field.
+With C the prior's covariance, D the measured rows times the square roots of their
+weights and BᵀB = D C Dᵀ, (1 + D C Dᵀ)⁻¹ = 1 − XᵀX with X = E⁻¹B, E Eᵀ = 1 + BBᵀ. B has
+as many rows as there are independent measurements of the field.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ class WeightedData:
 
     Attributes:
         weighted: B, shape (k, rows).
-        misfit: Measurement minus the prior's mean, times the weights' roots, (rows,).
+        misfit: Measurement minus the prior's mean, times the square roots of the
+            weights, (rows,).
         half: X, shape (k, rows).
         log_determinant: log det(1 + BBᵀ) [–].
     """
@@ -62,7 +63,7 @@ class Posterior(abc.ABC):
     Attributes:
         informative: Rows of the problem that depend on the field, shape (m,).
         measured: Their measurements.
-        errors: The prior's variance and the rows' noise; None before they are known.
+        errors: Prior variance and noise of the rows; None until they are known.
     """
 
     informative: Mask = field(repr=False)
@@ -83,7 +84,7 @@ class Posterior(abc.ABC):
 
         Args:
             count: Number of draws [–].
-            voxels: Where, shape (n,); None for everywhere.
+            voxels: Voxels of the draws, shape (n,); None for all.
         """
 
 
@@ -93,8 +94,8 @@ def kept_rows(
     """Rows of a field over some voxels only.
 
     Args:
-        rows: Shape (k · height, V).
-        voxels: Shape (n,).
+        rows: Rows of a field, shape (k · height, V).
+        voxels: The voxels, shape (n,).
         height: Rows of a block [–].
 
     Returns:

@@ -1,6 +1,6 @@
 """Draws of a fit's error near the skin, for the covariance of any contact.
 
-Contact touches voxels near the skin only. Draws are therefore kept down to some depth,
+Contact samples only voxels near the skin. Draws are therefore kept down to some depth,
 and the covariance of rows is the sample covariance over the draws.
 """
 
@@ -21,7 +21,7 @@ from ttus_opt.voxmap.voxmap import Voxmap
 #: No draws are kept deeper than this [m]
 DEEPEST = 1.0
 
-#: Draws multiplied together
+#: Draws multiplied at once
 BATCH = 32
 
 
@@ -30,9 +30,9 @@ class PosteriorDraws:
     """Draws of the error of a field.
 
     Attributes:
-        values: Shape (count, n) [unit of the field].
-        voxels: Where, shape (n,), ascending.
-        depth: Down to which depth below the skin [m].
+        values: The draws, shape (count, n) [unit of the field].
+        voxels: Their voxels, shape (n,), ascending.
+        depth: Depth below the skin down to which they are kept [m].
     """
 
     values: Float32Array = field(repr=False)
@@ -65,10 +65,10 @@ def skin_voxels(voxmap: Voxmap, depth: float) -> IntArray:
 
     Args:
         voxmap: Grid and surface.
-        depth: Below the surface [m].
+        depth: Depth below the surface [m].
 
     Raises:
-        InputError: As `checked_depth`.
+        InputError: As in `checked_depth`.
     """
     checked_depth(depth)
     grid = voxmap.grid

@@ -55,7 +55,7 @@ class SavedDoubt:
     noise: WrenchNoise
 
     def std(self, trajectory: Trajectory) -> WrenchDoubt:
-        """As `ttus_opt.fitting.doubt.Doubt.std`."""
+        """Like `ttus_opt.fitting.doubt.Doubt.std`."""
         at = self.potential, self.shell, trajectory
         return WrenchDoubt.of(*at, self.draws.covariance, self.noise)
 
@@ -81,7 +81,7 @@ def save_with_doubt(
         The field with its map.
 
     Raises:
-        InputError: As `Doubt.draws` and `doubt_map`.
+        InputError: As in `Doubt.draws` and `doubt_map`.
         FileError: The file cannot be written.
     """
     require_own(doubt, fitted)
@@ -107,12 +107,12 @@ def read_doubt(path: str | os.PathLike[str], shell: PointShell) -> SavedDoubt:
     """Read the uncertainty of a field file.
 
     Args:
-        path: Written by `save_with_doubt` or ``ttus-opt fit --doubt``.
+        path: A file of `save_with_doubt` or ``ttus-opt fit --doubt``.
         shell: The probe that is rendered.
 
     Raises:
         FileError: Not a field file, or damaged.
-        InputError: The file has none.
+        InputError: The file has no saved uncertainty.
     """
     fitted = PotentialField.load(path)
     data = io.read_dataset(path, kind=field_file.KIND, version=field_file.VERSION)

@@ -19,7 +19,7 @@ from ttus_opt.scene import Scene
 from ttus_opt.voxmap.doubt_map import DoubtMap
 from ttus_opt.voxmap.field import PotentialField
 
-#: Distance of nodes, depth of a press, and margin at both ends [m]
+#: Distance between nodes, depth of a press, and margin at both ends [m]
 SPACING, DEPTH, END = 0.02, 0.008, 0.02
 
 #: Bisections of the probe's distance from the axis, and half of its range [m]
@@ -36,12 +36,12 @@ def doubt_map(
     spacing: float = SPACING,
     depth: float = DEPTH,
 ) -> DoubtMap:
-    """Press the skin everywhere.
+    """Map of the uncertainty of a press over the whole skin.
 
     Args:
         doubt: Uncertainty of the field.
         field: The fitted field.
-        spacing: Distance of nodes [m].
+        spacing: Distance between nodes [m].
         depth: Depth of every press [m].
 
     Raises:
@@ -125,7 +125,7 @@ def _presses(scene: Scene, theta: Array, z: Array, depth: float) -> Trajectory:
 
 
 def _usual(scene: Scene) -> Rotation:
-    """Mean orientation of the probe in contact, relative to the skin under it."""
+    """Mean orientation of the probe in contact, relative to the skin below it."""
     touching = scene.rows.contact_points > 0
     if not touching.any():
         raise InputError("a doubt map needs a recording in contact")

@@ -158,7 +158,7 @@ def _named(held_out: HeldOut) -> dict[str, Trajectory]:
 
 
 def _shown(order: Sequence[Index], progress: bool) -> Iterator[Index]:
-    """The points, with a bar on stderr where asked for."""
+    """The points, with a progress bar on stderr if requested."""
     points: Iterable[Index] = order
     if progress:
         from tqdm import tqdm

@@ -80,8 +80,8 @@ class Criteria:
     def left_out(self, images: Array, misfit: Array, root: Array) -> Array:
         """Force that all other presses predict for every frame, (f/3, 3) [N].
 
-        With one press that is the prior's. Arguments are those of `values`; roots of
-        weights are at least `LEAST_ROOT`.
+        With one press, the prior predicts it. Arguments are those of `values`; square
+        roots of weights are at least `LEAST_ROOT`.
         """
         root = np.maximum(root, LEAST_ROOT)
         data = WeightedData.of(images * root, root * misfit)
@@ -138,7 +138,7 @@ def runs(touching: Mask, segment: IntArray) -> IntArray:
 
     Args:
         touching: Whether a frame is in contact, shape (T,).
-        segment: Which recording it is of, shape (T,) [–].
+        segment: Recording of every frame, shape (T,) [–].
     """
     begins = (np.diff(touching.astype(np.int8)) != 0) | (np.diff(segment) != 0)
     return np.concatenate([[0], np.cumsum(begins)]).astype(np.int64)
@@ -148,7 +148,7 @@ def criteria_of(scene: Scene, terms: dict[str, int], informative: Mask) -> Crite
     """The criteria of a problem's rows.
 
     Args:
-        scene: With the measurements.
+        scene: A scene with the measurements.
         terms: Rows per measured term, by name, in their order; three per frame.
         informative: Rows that depend on the field, shape (m,).
     """

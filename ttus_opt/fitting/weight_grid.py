@@ -44,7 +44,7 @@ class WeightGrid:
     """All combinations of the weights of several axes.
 
     Attributes:
-        axes: At least one.
+        axes: One or more axes.
     """
 
     axes: tuple[WeightAxis, ...]
@@ -55,7 +55,7 @@ class WeightGrid:
 
         Args:
             weights: Values by term; a tuple of names for terms with a common weight.
-            known: The terms there are.
+            known: Names of all terms.
 
         Raises:
             InputError: Nothing to vary, an unknown term or one named twice, or weights
@@ -113,7 +113,7 @@ class WeightGrid:
         return sorted(itertools.product(*map(range, self.shape)), key=late)
 
     def from_the_prior(self) -> list[Index]:
-        """All points from the smallest weights on, each next to the one before."""
+        """All points from the smallest weights on, each a neighbour of the last."""
         return list(_winding(self.shape))
 
 
@@ -153,7 +153,7 @@ def _values(terms: tuple[str, ...], given: ArrayLike) -> Array:
 
 
 def _listed(values: Array, most: int = 5) -> str:
-    """The first few, as text."""
+    """The first few numbers as text."""
     more = ", …" if len(values) > most else ""
     return ", ".join(f"{value:g}" for value in values[:most]) + more
 

@@ -48,12 +48,12 @@ class WrenchDoubt:
         covariance: Callable[[sp.csr_array, int], Array],
         noise: WrenchNoise,
     ) -> WrenchDoubt:
-        """Along a trajectory.
+        """The uncertainty along a trajectory.
 
         Args:
             potential: The field.
             shell: The probe.
-            trajectory: Poses; with drag their motion counts.
+            trajectory: Poses; with drag, their motion matters.
             covariance: Covariance of the errors of blocks of rows of the field.
             noise: Noise of measured wrenches.
         """
@@ -103,9 +103,9 @@ def wrench_rows(
     """Force and torque rows of every frame, six of a frame together, (6T, V).
 
     Args:
-        potential: The field, its drag among its parameters.
+        potential: The field, with drag among its parameters.
         shell: The probe.
-        trajectory: Poses; with drag their motion counts.
+        trajectory: Poses; with drag, their motion matters.
     """
     voxmap, parameters = potential.voxmap, potential.parameters
     poses = trajectory.rotation, trajectory.position
@@ -135,5 +135,5 @@ def rendered(potential: PotentialField, rows: sp.csr_array) -> Array:
 
 
 def _deviations(covariance: Array) -> Array:
-    """Roots of the diagonals, shape (T, 6)."""
+    """Square roots of the diagonals, shape (T, 6)."""
     return np.asarray(np.sqrt(np.einsum("tii->ti", covariance)))

@@ -85,7 +85,7 @@ class WrenchNoise:
         return np.asarray(np.diag(np.nan_to_num(sensor)) + relative)
 
     def shared(self, wrench: Array) -> Array:
-        """Columns of the errors per place, shape (T, 6, 7); arguments as of `own`."""
+        """Columns of the errors per place, shape (T, 6, 7); arguments as for `own`."""
         out = np.zeros((len(wrench), 6, 7))
         out[:, :, 0] = self.place_share * wrench
         turned = np.cross(np.eye(3), wrench[:, None, :3]).transpose(0, 2, 1)
@@ -96,7 +96,7 @@ class WrenchNoise:
     def covariance(self, wrench: Array) -> Array:
         """Covariance of the whole error of every frame, shape (T, 6, 6).
 
-        NaN for a torque that was not measured; arguments as of `own`.
+        NaN for a torque that was not measured; arguments as for `own`.
         """
         columns = self.shared(wrench)
         out = self.own(wrench) + columns @ columns.transpose(0, 2, 1)
@@ -114,7 +114,7 @@ class WrenchNoise:
 
         Raises:
             InputError: Numbers that are negative or not finite.
-            TypeError: No mapping, or wrong names.
+            TypeError: Not a mapping, or wrong names.
         """
         numbers = {name: float(value) for name, value in dict(values).items()}
         if not all(0.0 <= value < np.inf for value in numbers.values()):
@@ -263,7 +263,7 @@ class MeasuredWrenches:
 
 
 def by_frame(rows: Array, at: IntArray) -> Array:
-    """Values of rows, (..., rows), by frame and component, (..., n, h); else 0.
+    """Values of rows, (..., rows), by frame and component, (..., n, h), or 0.
 
     ``at`` is that of `ErrorModel`.
     """
