@@ -2,21 +2,17 @@
 
 A fit minimises J(x) = ‖L p - b‖² + Σ λ ‖M x - t‖² over the field and a few parameters
 c. The prior's rows and the measured rows, each times √λ, are assumed normal with one
-common variance σ²: λ fixes their ratio, σ² is estimated. For a given c
-
-    J(c) = min over all else = -2 σ² log L(c) + constant,
-
-the profile likelihood (of variable projection: Golub and Pereyra, 1973, SIAM J. Numer.
-Anal. 10, 413). With p ~ Normal(L⁻¹b, σ²(LᵀL)⁻¹) it is J(c) = rᵀ(K + I/λ)⁻¹r with
-r = t - M L⁻¹b and K = M(LᵀL)⁻¹Mᵀ, the exponent of the marginal likelihood (Rasmussen
-and Williams, 2006, eq. 2.30): at the truth J/σ² is χ² with m degrees of freedom, m the
-measured rows of poses in contact, and k fitted parameters take k of them:
+common variance σ²: λ fixes their ratio, σ² is estimated. J(c), the minimum over all
+else, is the profile likelihood (Golub and Pereyra, 1973, SIAM J. Numer. Anal. 10, 413)
+and the exponent of the marginal likelihood (Rasmussen and Williams, 2006, eq. 2.30). At
+the truth J/σ² is χ² with m degrees of freedom, m the measured rows of poses in contact,
+and k fitted parameters take k of them:
 
     σ̂² = J_min/(m - k),   standard error of c = √(2 σ̂² (J''⁻¹)_cc)
 
-(Bates and Watts, 1988, Nonlinear Regression Analysis, sec. 2.3 and 6.1). Rows of poses
-without contact are constant and are not counted. With correlated residuals, for example
-from a model error common to many frames, the standard error is too small.
+(Bates and Watts, 1988, Nonlinear Regression Analysis, sec. 2.3 and 6.1; docs/method.md,
+Standard errors). With correlated residuals, for example from a model error common to
+many frames, the standard error is too small.
 
 J'' of a searched parameter is a finite difference of fits (`parameter_search`). For a
 parameter among the variables, cᵢ = aᵢᵀx, it follows from pseudo-measurements: with

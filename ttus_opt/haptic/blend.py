@@ -1,17 +1,9 @@
 """Passive blending from one field to another under a moving probe.
 
-While a new field replaces an old one, the wrench is w = (1−a) w_old + a w_new, and a
-grows from 0 to 1, one step per frame. A fixed field, which stores the energy U(x) at
-pose x (the work done on the probe while it retracts), is passive. Changing it is not:
-at pose x a step δa changes the stored energy by
-
-    δE = δa · ΔU(x),   ΔU = U_new − U_old.
-
-Since dU = −w·dx, summation by parts over a motion gives the work done on the probe,
-
-    Σ w·δx = U_old(x_0) − U_a(x_K) + Σ δa ΔU(x):
-
-the blend generates energy if and only if Σ δa ΔU > 0. Every frame therefore takes the
+The wrench is w = (1−a) w_old + a w_new, and a grows from 0 to 1, one step per frame.
+With U(x) the energy that a field stores at pose x, a step δa changes the stored energy
+by δa ΔU(x), ΔU = U_new − U_old, and the blend generates energy if and only if
+Σ δa ΔU > 0 (docs/method.md, Blending fields passively). Every frame therefore takes the
 largest step within
 
 - the force rate: δa ‖Δf‖ ≤ rate·δt, and δa ‖Δτ‖/ℓ ≤ rate·δt;
@@ -20,20 +12,17 @@ largest step within
 
 A softer field is thus blended in at the force rate. A stiffer one waits until the tank
 holds enough energy, until the probe is where the new field stores no more, or until it
-leaves the patient (ΔU = 0: the swap is completed in one frame). The wait is the price
-of passivity; a reserve shortens it by a stated number of joules.
+leaves the patient (ΔU = 0: the swap is completed in one frame).
 
 ΔU is tracked: it starts as the integral of Δw along a straight path out of the body,
 decreases by Δw·δx (trapezoidal rule) with the motion, and is 0 without contact. It is
 exact for conservative fields: trilinear ones are conservative up to the quadrature of
 the shell, voxel-mean ones only approximately, because they jump.
 
-Drag is part of each field's wrench and is blended with the same a, within the same
-rate. It stores no energy, so U, ΔU and w above are those of contact alone. Blending
-drag cannot generate energy either: every drag has the power −k ‖v_t‖² ≤ 0
-(`ttus_opt.haptic.drag`), and so has a convex combination of two. This holds for the
-twist that the drag uses; an estimated twist lags (`ttus_opt.haptic.motion`). A force
-limit applied afterwards is not part of this energy balance.
+Drag is blended with the same a, within the same rate. It stores no energy and only
+dissipates it, as does a convex combination of two drags, so U, ΔU and w above are those
+of contact alone. This holds for the twist that the drag uses; an estimated twist lags
+(`ttus_opt.haptic.motion`). A force limit is not part of this energy balance.
 """
 
 from __future__ import annotations

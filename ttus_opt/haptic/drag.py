@@ -1,14 +1,11 @@
 """Drag, the friction force on a sliding probe, as a function of pose and twist.
 
 A pose is (R, x); a twist (v, ω) is the velocity of the probe frame's origin and the
-angular velocity, patient axes. With x₀ the shell's reference point, a_m the points'
-areas and d_m their depths below the surface, the contact patch has
-
-    n̂ ∝ R Σ a_m d_m n̂_m,   c = R Σ a_m d_m (x_m − x₀) / Σ a_m d_m.
-
+angular velocity, patient axes. The contact patch (docs/method.md, Friction) has the
+normal n̂ and the centre c, means over the points in contact weighted by area and depth.
 Drag acts at x₀ + a, perpendicular to ê: either on the patch (a = c, ê = n̂), or at the
-reference point, where ê is the probe's pressing axis (a = 0, ê = R·axis); see
-`ttus_opt.contact.friction`. With f the contact force, sliding velocity and drag are
+reference point x₀, where ê is the probe's pressing axis (a = 0, ê = R·axis). With f the
+contact force, sliding velocity and drag are
 
     u = v + ω × (R x₀ + a),   v_t = u − ê (êᵀu)
     f_d = −(μ max(n̂ᵀf, 0) / max(‖v_t‖, v₀) + c_region) v_t,   τ_d = a × f_d
@@ -16,10 +13,10 @@ reference point, where ê is the probe's pressing axis (a = 0, ê = R·axis); se
 Instead of the term in μ, Coulomb drag may act at every point of the shell
 (`ttus_opt.haptic.point_drag`); viscous drag always acts on the patch.
 
-The power is f_dᵀ(v + ω × R x₀) + τ_dᵀω = f_dᵀu = −k ‖v_t‖² with k ≥ 0: drag only
-dissipates energy, for any pose, twist and field. To ensure this, a contact that
-pulls (n̂ᵀf < 0) has no drag, and negative coefficients are refused. Where nothing
-pulls, this is the drag of the fit's rows (`friction.coulomb_rows`, `viscous_rows`).
+The power is f_dᵀu = −k ‖v_t‖² with k ≥ 0: drag only dissipates energy, for any pose,
+twist and field. To ensure this, a contact that pulls (n̂ᵀf < 0) has no drag, and
+negative coefficients are refused. Where nothing pulls, this is the drag of the fit's
+rows (`friction.coulomb_rows`, `viscous_rows`).
 """
 
 from __future__ import annotations

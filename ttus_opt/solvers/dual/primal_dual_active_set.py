@@ -1,28 +1,21 @@
-"""The primal-dual active-set method with a safeguard.
+"""The primal-dual active-set method with a safeguard (docs/method.md, section 10.6).
 
 For each working set the problem without limits is solved. Active limits whose
 multiplier has the wrong sign are released, all at once (block pivoting: Júdice and
 Pires, Comput. Oper. Res. 21, 1994; Bergounioux, Ito and Kunisch, SIAM J. Control Optim.
 37, 1999). Which of the violated limits become active depends on their kind:
 
-- Bounds: with a second-order prior a field touches its bound at few points, which keep
-  a whole region off it. Local maxima of the violation become active, as in Remez'
-  algorithm; this takes 10 to 20 working sets. If all violated bounds became active, the
-  active regions would shrink by one voxel at a time, in 50 working sets and more. If
-  few of the newly active bounds get the wrong sign, as for a second field that lies on
-  its bound all over a patch of skin, bounds violated nearly as much become active too,
-  which halves the number of working sets.
-- Bounds of soft values, which a row of their own pulls to a value: all violated ones
-  become active, because they hardly affect each other. With local maxima only, a free
-  surface takes three times as many working sets.
-- Order along spokes: active order constraints fill volumes. All whose violation exceeds
-  a share of the worst nearby become active; the share decreases with the violation. By
-  local maxima only, a volume would grow by one layer per working set.
+- Bounds: local maxima of the violation, because a field with a second-order prior
+  touches its bound at few points (10 to 20 working sets, 50 and more with all violated
+  bounds). As long as few newly active bounds get the wrong sign, bounds violated nearly
+  as much become active too, which halves the number of working sets.
+- Bounds of soft values, which a row of their own pulls to a value: all violated ones,
+  because they hardly affect each other (a third of the working sets).
+- Order along spokes: all whose violation exceeds a share of the worst nearby, because
+  active order constraints fill volumes.
 
 If a problem has a model of its field's response to multipliers (`touched_limits`,
-`soft_values`) and only bounds are violated, the model predicts the next working set: a
-second field on its bound over a patch of skin takes 3 to 5 working sets instead of 15,
-a free surface 3 instead of 7.
+`soft_values`) and only bounds are violated, the model predicts the next working set.
 
 Changing all limits at once is fast but may cycle. The safeguard then activates violated
 limits only from a working set without wrong signs, as in Lawson and Hanson's method.
