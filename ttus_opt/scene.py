@@ -44,7 +44,7 @@ class Scene:
         voxmap: Grid and surface.
         shell: The probe.
         trajectory: Poses and wrenches, T frames.
-        sampling: ``voxel-mean`` or ``trilinear``.
+        sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``.
         laplace: L, the parts of b, and solves with L.
         rows: N and W of the trajectory.
         inner: p_in on the inner layer [N or N/cm²].
@@ -253,7 +253,7 @@ class ScenePlan:
         r_outer: Radius of the outer layer; None for 20 mm beyond the surface [m].
         inner: p_in, "fit" or None, as for `Scene.assemble`.
         outer: p_out; where p_in is fitted the ratio p_out / p_in.
-        sampling: ``trilinear`` or ``voxel-mean``.
+        sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``.
         boundary: ``subvoxel`` or ``staircase``, as for `Voxmap.from_surface`.
         sector: Angles between which the grid lies [rad]; None for the full turn.
     """

@@ -60,7 +60,7 @@ class CaseSpec:
         r_inner: Radius of the innermost layer [m].
         inner: Value on the inner layer, or "fit".
         outer: Minus the outer layer's value; a ratio with "fit".
-        sampling: ``voxel-mean`` or ``trilinear``.
+        sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``.
         n_points: Points of the probe's shell.
         probe_unit: Unit of a mesh file.
         perturbation: Perturbation of the measured wrenches, one of

@@ -37,12 +37,12 @@ class Setting:
 
     Attributes:
         name: Name of files and table rows.
-        formulation: Its name, or the path of a user's own file; None where the recipe
+        formulation: Its name, or the path of a user's own file; None if the recipe
             chooses it.
-        options: The formulation's.
+        options: Options of the formulation.
         inner: p_in, or "fit".
         outer: p_out; where p_in is fitted the ratio p_out / p_in.
-        sampling: ``trilinear`` or ``voxel-mean``.
+        sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``.
         boundary: ``subvoxel`` or ``staircase``.
         weights: How weights are chosen, one of `WEIGHTS`.
     """

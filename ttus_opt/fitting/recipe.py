@@ -3,9 +3,9 @@
 The contact law differs between bodies: pressure on tissue that is deep relative to the
 probe depends on the probe's size, pressure on a thin layer does not, and it grows with
 depth at different rates. The candidates are eq. 10, with its most likely or its own
-weights, and a depth map, each in both samplings and with drag where the recordings show
-it. The one that best predicts every press from all others (`left_out`) is fitted. See
-docs/method.md, "Tuning".
+weights, and a depth map, each in trilinear and contact-size sampling, and with drag
+where the recordings show it. The one that best predicts every press from all others
+(`left_out`) is fitted. See docs/method.md, "Tuning".
 """
 
 from __future__ import annotations
