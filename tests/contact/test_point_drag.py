@@ -12,12 +12,14 @@ from hypothesis import strategies as st
 from tests.conftest import small_scene
 from tests.drags import LAWS, SHELL, VOXMAP, drag_by_points, pushing
 from tests.haptic.test_drag import random_pose
-from ttus_opt.contact.friction import Sliding, coulomb_rows
+from ttus_opt.contact.friction import DEADBAND, Sliding, coulomb_rows
 from ttus_opt.contact.point_drag import drag_rows, point_drag_rows
 from ttus_opt.contact.rows import contact_rows
+from ttus_opt.contact.slip import Slip
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.wrench_doubt import rendered, wrench_rows
 from ttus_opt.haptic.field_wrench import wrenches_along
+from ttus_opt.phantom.recording import add_pose_noise
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.scan.surface import Surface
@@ -90,6 +92,43 @@ def test_a_field_with_doubt_has_rows_of_the_same_law(acts_at: str) -> None:
         ).max()
         > 0.1
     )
+
+
+def test_a_trackers_noise_does_not_turn_the_drag() -> None:
+    """A press of 8 mm with a slow slide, seen with 0.5 mm and 0.5° at 20 Hz."""
+    n, field = 240, pushing("trilinear", LAWS["coulomb-points"])
+    time, rng = 0.05 * np.arange(n), np.random.default_rng(4)
+    R, at, _ = random_pose(rng, highest=-0.004)
+    out = np.array([*at[:2], 0.0]) / np.linalg.norm(at[:2])
+    away = 0.004 * np.outer(np.cos(2.5 * time), out)
+    along = 0.003 * np.outer(np.sin(0.9 * time), np.cross(out, [0.0, 0.0, 1.0]))
+    true = Trajectory(time, at + away + along, np.tile(R, (n, 1, 1)))
+    noisy = add_pose_noise(true, rng)
+    p = field.values.reshape(-1)
+
+    def drag(twist: np.ndarray) -> np.ndarray:
+        twist[:, :3] += np.cross(twist[:, 3:], noisy.rotation @ SHELL.reference)
+        rows = contact_rows(
+            VOXMAP,
+            SHELL,
+            noisy.rotation,
+            noisy.position,
+            sampling="trilinear",
+            slip=Slip(twist, DEADBAND),
+        )
+        return (rows.N @ p).reshape(-1, 3)
+
+    found = (point_drag_rows(VOXMAP, SHELL, noisy).force @ p).reshape(-1, 3)
+    expected = drag(np.hstack([true.velocity(), true.angular_velocity()]))
+    differences = drag(np.hstack([noisy.velocity(), noisy.angular_velocity()]))
+    jumps = [
+        np.linalg.norm(np.diff(each, axis=0), axis=1).mean()
+        for each in (expected, found, differences)
+    ]
+    assert jumps[2] > 1.7 * jumps[0]  # what differences make of it
+    assert jumps[1] < 1.15 * jumps[0]
+    off = [np.abs(each - expected).mean() for each in (found, differences)]
+    assert off[0] < 0.5 * off[1]
 
 
 def test_rows_are_made_where_drag_acts() -> None:

@@ -1,6 +1,6 @@
 """Drag models: rows against forces computed pose by pose, coefficients against numpy.
 
-Five poses are in the air, five at rest, the others slide along the skin.
+Five poses are in the air, ten at rest, the others slide along the skin.
 """
 
 from __future__ import annotations
@@ -39,13 +39,16 @@ def scene() -> Scene:
     )
     position[:5, :2] *= 1.3
     position[20:], rotation[20:] = position[20], rotation[20]
-    trajectory = replace(whole.trajectory, position=position, rotation=rotation)
+    parts = np.searchsorted([5, 20], np.arange(30), side="right")
+    trajectory = replace(
+        whole.trajectory, position=position, rotation=rotation, segment=parts
+    )
     return Scene.assemble(
         whole.voxmap, whole.shell, trajectory, inner=3.0, sampling="trilinear"
     )
 
 
-AIR, REST = np.arange(30) < 5, np.arange(30) > 21  # twenty-one still turns in
+AIR, REST = np.arange(30) < 5, np.arange(30) >= 20
 
 
 def field() -> Array:

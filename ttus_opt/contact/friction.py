@@ -102,7 +102,7 @@ class Sliding:
         Args:
             voxmap: Grid and surface.
             shell: The probe.
-            trajectory: Poses over time; their differences give the velocity.
+            trajectory: Poses over time, which give the velocity.
             acts_at: Where drag acts, ``contact``, ``reference`` or ``points``.
             axis: The pressing axis in the probe frame, shape (3,); by default
                 `pressing_axis`.
@@ -127,8 +127,8 @@ class Sliding:
         reference = np.einsum("tij,j->ti", rotation, shell.reference)
         as_tool = acts_at == "reference"
         arm = np.zeros_like(centre) if as_tool else centre
-        turning = np.cross(trajectory.angular_velocity(), reference + arm)
-        moved = trajectory.velocity() + turning
+        twist = trajectory.twist()
+        moved = twist[:, :3] + np.cross(twist[:, 3:], reference + arm)
         moved[~touching] = 0.0
         if axis is None:
             axis = pressing_axis(shell, np.einsum("tij,ti->j", rotation, normal))

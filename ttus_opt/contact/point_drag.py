@@ -38,7 +38,7 @@ def point_drag_rows(
     Args:
         voxmap: Grid and surface.
         shell: The probe.
-        trajectory: Poses over time; their differences give the velocity.
+        trajectory: Poses over time, which give the velocity.
         sampling: Of the field.
         deadband: Points that slide slower are on their way to rest [m/s].
 
@@ -48,10 +48,9 @@ def point_drag_rows(
     Raises:
         InputError: Unknown sampling or unusable poses.
     """
-    turning = trajectory.angular_velocity()
+    twist = trajectory.twist()  # of the frame's origin; from there to the reference
     reference = np.einsum("tij,j->ti", trajectory.rotation, shell.reference)
-    velocity = trajectory.velocity() + np.cross(turning, reference)
-    twist = np.concatenate([velocity, turning], axis=1)
+    twist[:, :3] += np.cross(twist[:, 3:], reference)
     rows = contact_rows(
         voxmap,
         shell,

@@ -12,6 +12,7 @@ import itertools
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -222,7 +223,7 @@ class Trajectory:
         return to_quaternions(self.rotation)
 
     def velocity(self) -> Array:
-        """Linear velocity of the probe frame's origin, patient axes, (T, 3) [m/s].
+        """Differences of the probe frame's origin, patient axes, (T, 3) [m/s].
 
         Central differences in time, weighted for uneven steps, one-sided at the ends
         of a segment; zero in a segment of one frame, whose motion is not known.
@@ -234,7 +235,7 @@ class Trajectory:
         return out
 
     def angular_velocity(self) -> Array:
-        """Angular velocity of the probe, patient axes, shape (T, 3) [rad/s].
+        """Differences of the probe's rotation, patient axes, shape (T, 3) [rad/s].
 
         The constant rotation rate from the frame before to the frame after, one-sided
         at the ends of a segment; zero in a segment of one frame.
@@ -254,8 +255,23 @@ class Trajectory:
         return out
 
     def twist(self) -> Array:
-        """Velocity, then angular velocity, as `Renderer.render` takes it, (T, 6)."""
-        return np.concatenate([self.velocity(), self.angular_velocity()], axis=1)
+        """Velocity, then angular velocity, as `Renderer.render` takes it, (T, 6).
+
+        Without the noise of the poses, as `ttus_opt.probe.smooth_motion` estimates it
+        from all frames of a segment; of a short segment that of `velocity` and
+        `angular_velocity`.
+        """
+        return self._twist.copy()
+
+    @cached_property
+    def _twist(self) -> Array:
+        from ttus_opt.probe.smooth_motion import smooth_twist
+
+        out = np.concatenate([self.velocity(), self.angular_velocity()], axis=1)
+        for part in self._segments():
+            poses = self.rotation[part], self.position[part]
+            out[part] = smooth_twist(*poses, self.time[part], out[part])
+        return out
 
     def _arrays(self) -> dict[str, Any]:
         """The arrays that are not None, by name."""

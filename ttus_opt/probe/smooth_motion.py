@@ -1,0 +1,339 @@
+"""How fast a recorded probe moved, without the noise of its poses.
+
+A tracker's poses jitter and drift. Differences of poses 50 ms apart by which 0.15 mm
+are drift are off by 3 mm/s, as fast as a hand slides near rest. So the path of a
+recording is modelled as a hand's plus a tracker's errors, per axis
+
+    y_k = x(t_k) + w(t_k) + e_k,   x''' white of intensity q,
+    w Brownian motion of intensity D,   e_k white of variance r:
+
+a Wiener process acceleration (Bar-Shalom, Li, Kirubarajan 2001) beside a local level
+(Harvey 1989). The velocity is the mean of x' given all frames, by a Kalman filter and
+fixed-interval smoothing. q, D and r are the recording's own: those of the greatest
+likelihood, common to three axes. Of exact poses they are q alone, and x is the
+smoothest curve through all of them. See docs/method.md, section 7.4.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ttus_opt.arrays import Array, Mask
+from ttus_opt.compiled import compiled
+
+#: Fewer frames determine no noise
+LEAST_FRAMES = 20
+
+#: A step that differs from both its neighbours by more than this is a jump of the
+#: tracker, or a cut in the recording [m], [rad]; or by so many times the median, where
+#: that is more, as in few frames of a fast hand [–]
+JUMP, JUMPS = 5e-3, 10.0
+
+#: Frames that a piece needs to know its position, velocity and acceleration
+UNKNOWN = 3
+
+#: Differences with less noise are kept, a tenth of `contact.friction.DEADBAND`: a
+#: robot's poses are exact, and its sudden stops are not smeared [m/s]
+NEGLIGIBLE = 2e-4
+
+#: At which an angular velocity moves a probe's skin [m]
+LEVER = 0.03
+
+#: A path that moves by less in all, or is predicted better, is exact [m], [rad]
+EXACT = 1e-12
+
+#: Logarithms of q tⁿ/(D h + r) from which the search starts
+STARTS = np.arange(-24.0, 13.0, 3.0)
+
+#: Variance of the state at first, of which nothing is known, over 1 + q
+DIFFUSE = 1e6
+
+
+@dataclass(frozen=True)
+class SmoothMotion:
+    """Velocity of a path, and what its frames are believed to be made of.
+
+    Attributes:
+        velocity: Shape (T, 3) [m/s] or [rad/s].
+        std: Standard deviation of each component, shape (T,).
+        known: False in a piece between two jumps that is too short, shape (T,).
+        jerk: √q [m/s^2.5] or [rad/s^2.5].
+        drift: √D, what the tracker drifts by in a second [m/√s] or [rad/√s].
+        jitter: √r [m] or [rad].
+        difference_std: What drift and jitter make of a difference between the frame
+            before and the frame after, as a velocity, at the median step; no more
+            than nine frames in ten bear out, so that a few kinks are no noise.
+    """
+
+    velocity: Array = field(repr=False)
+    std: Array = field(repr=False)
+    known: Mask = field(repr=False)
+    jerk: float
+    drift: float
+    jitter: float
+    difference_std: float
+
+
+def smooth_twist(
+    rotation: Array, position: Array, time: Array, differences: Array
+) -> Array:
+    """Twist of one recording, position and rotation each with its own noise.
+
+    Args:
+        rotation: Probe to patient, shape (T, 3, 3) [–].
+        position: Of the probe frame's origin, shape (T, 3) [m].
+        time: Increasing, shape (T,) [s].
+        differences: Twist where nothing better is known, shape (T, 6).
+
+    Returns:
+        Velocity and angular velocity, patient axes, shape (T, 6) [m/s, rad/s].
+    """
+    from scipy.spatial.transform import Rotation
+
+    turns = np.zeros_like(position)
+    if len(time) > 1:
+        between = rotation[1:] @ rotation[:-1].transpose(0, 2, 1)
+        turns[1:] = Rotation.from_matrix(between).as_rotvec()
+    summed = np.cumsum(turns, axis=0)
+    twist = differences.copy()
+    for path, columns, negligible in (
+        (position, slice(0, 3), NEGLIGIBLE),
+        (summed, slice(3, 6), NEGLIGIBLE / LEVER),
+    ):
+        found = smooth_motion(path, time)
+        if found is not None and found.difference_std > negligible:
+            twist[found.known, columns] = found.velocity[found.known]
+    return twist
+
+
+def smooth_motion(path: Array, time: Array) -> SmoothMotion | None:
+    """Estimate the velocity along a path.
+
+    Args:
+        path: Positions, or the sum of small rotation vectors, shape (T, 3).
+        time: Increasing, shape (T,) [s].
+
+    Returns:
+        None where differences tell as much: fewer than `LEAST_FRAMES` frames, and
+        frames that are at rest or on parabolas to rounding.
+    """
+    from scipy.optimize import minimize
+
+    if len(path) < LEAST_FRAMES or np.ptp(path, axis=0).max() < EXACT:
+        return None
+    unit = float(np.median(np.diff(time)))
+    steps = np.ascontiguousarray(np.diff(time) / unit)
+    path = np.ascontiguousarray(path - path[0])
+    starts = _starts(path, steps)
+
+    def cost(place: Array) -> float:
+        """Minus log likelihood, at the best scale of all three."""
+        ratios = _ratios(place)
+        square, spread, count = _filtered(path, steps, starts, ratios, _none())
+        scale = max(square / count, EXACT**2)
+        return float(0.5 * (spread + count * math.log(scale)))
+
+    if _filtered(path, steps, starts, _ratios(np.zeros(2)), _none())[2] == 0:
+        return None  # no piece is long enough
+    grid = [(share, ratio) for share in (-3.0, 3.0) for ratio in STARTS]
+    best = min(grid, key=lambda place: cost(np.array(place)))
+    found = minimize(
+        cost,
+        np.array(best),
+        method="Nelder-Mead",
+        bounds=[(-12.0, 12.0), (STARTS[0], STARTS[-1])],
+        options={"xatol": 0.02, "fatol": 0.01, "initial_simplex": _simplex(best)},
+    )
+    ratios, kept = _ratios(found.x), np.empty((len(path), KEPT))
+    square, _, count = _filtered(path, steps, starts, ratios, kept)
+    scale = square / count
+    if scale < EXACT**2:
+        return None
+    velocity, variance = np.empty_like(path), np.empty(len(path))
+    _smoothed(steps, starts, kept, velocity, variance)
+    jerk, drift, jitter = np.sqrt(scale * np.array(ratios))
+    piece = np.cumsum(starts)
+    return SmoothMotion(
+        velocity / unit,
+        np.sqrt(scale * variance) / unit,
+        np.bincount(piece)[piece] > UNKNOWN,
+        float(jerk / unit**2.5),
+        float(drift / math.sqrt(unit)),
+        float(jitter),
+        min(math.hypot(drift, jitter) / math.sqrt(2.0), _most_noise(path)) / unit,
+    )
+
+
+def _most_noise(path: Array) -> float:
+    """Most standard deviation of central differences, per step, by third differences.
+
+    Those have variance 6 D of drift and 20 r of jitter, central differences D/2 and
+    r/2. Nine in ten normal vectors are shorter than 2.5 deviations.
+    """
+    third = np.linalg.norm(np.diff(path, 3, axis=0), axis=1)
+    return float(np.quantile(third, 0.9) / 2.5 / math.sqrt(12.0))
+
+
+def _starts(path: Array, steps: Array) -> Mask:
+    """Frames at which a path begins anew: the first, and after a jump, shape (T,).
+
+    A jump differs from the way before and from the way after it.
+    """
+    change = np.diff(np.diff(path, axis=0) / steps[:, None], axis=0)
+    size = np.pad(np.linalg.norm(change, axis=1), 1, mode="edge")
+    off = np.minimum(size[:-1], size[1:]) * steps
+    jumps = off > np.maximum(JUMP, JUMPS * np.median(off))
+    return np.concatenate([[True], jumps])
+
+
+def _simplex(best: tuple[float, float]) -> Array:
+    """Three places around the best one so far, shape (3, 2)."""
+    return np.add(best, [[0.0, 0.0], [2.0, 0.0], [0.0, 2.0]])
+
+
+def _ratios(place: Array) -> tuple[float, float, float]:
+    """q, D and r over D + r, time in steps: (log odds of r in D + r, log q)."""
+    white = 1.0 / (1.0 + math.exp(-float(place[0])))
+    return math.exp(float(place[1])), 1.0 - white, white
+
+
+def _none() -> Array:
+    return np.empty((0, KEPT))
+
+
+#: What the filter keeps of a frame: innovations of three axes and their variance; gain;
+#: predicted velocities; the velocity's row of the predicted covariance, symmetric
+INNOVATION, VARIANCE, GAIN, PREDICTED, COVARIANCE, KEPT = 0, 3, 4, 7, 10, 13
+
+
+@compiled(error_model="numpy", nogil=True)
+def _filtered(
+    path: Array, steps: Array, starts: Mask, ratios: tuple[float, float, float],
+    kept: Array,
+) -> tuple[float, float, int]:  # fmt: skip
+    """Kalman filter of position, velocity and acceleration (compiled).
+
+    Args:
+        path: Shape (T, 3).
+        steps: Between frames, shape (T − 1,).
+        starts: Frames before which nothing is known, shape (T,).
+        ratios: q, D, r.
+        kept: For `_smoothed`, shape (T, KEPT); or (0, KEPT).
+
+    Returns:
+        Sum of squared innovations over their variances, sum of the variances'
+        logarithms, and their number, without the frames that determine a start.
+    """
+    q, drift, white = ratios
+    x, P, gain, e = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.zeros(3)
+    square, spread, count, since = 0.0, 0.0, 0, 0
+    for k in range(len(path)):
+        if starts[k]:
+            since = 0
+            _start(x, P, path[k], DIFFUSE * (1.0 + q))
+        else:
+            since += 1
+            _predict(x, P, steps[k - 1], q, drift)
+        variance = P[0, 0] + white
+        for i in range(3):
+            e[i], gain[i] = path[k, i] - x[0, i], P[i, 0] / variance
+        if len(kept) > 0:
+            kept[k, VARIANCE] = variance
+            for i in range(3):
+                kept[k, INNOVATION + i], kept[k, GAIN + i] = e[i], gain[i]
+                kept[k, PREDICTED + i], kept[k, COVARIANCE + i] = x[1, i], P[1, i]
+        if since >= UNKNOWN:
+            square += (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]) / variance
+            spread += 3.0 * math.log(variance)
+            count += 3
+        _correct(x, P, gain, e)
+    return square, spread, count
+
+
+@compiled(error_model="numpy", nogil=True)
+def _start(x: Array, P: Array, first: Array, variance: float) -> None:
+    """Know the first frame alone: state x[state, axis], covariance P (compiled)."""
+    x[:], P[:] = 0.0, 0.0
+    for i in range(3):
+        x[0, i], P[i, i] = first[i], variance
+
+
+@compiled(error_model="numpy", nogil=True)
+def _predict(x: Array, P: Array, d: float, q: float, drift: float) -> None:
+    """Predict over a step d: x ← F x, P ← F P Fᵀ + Q (compiled)."""
+    half = 0.5 * d * d
+    for a in range(3):
+        x[0, a] += d * x[1, a] + half * x[2, a]
+        x[1, a] += d * x[2, a]
+    for a in range(3):  # F P
+        P[0, a] += d * P[1, a] + half * P[2, a]
+        P[1, a] += d * P[2, a]
+    for a in range(3):  # times Fᵀ
+        P[a, 0] += d * P[a, 1] + half * P[a, 2]
+        P[a, 1] += d * P[a, 2]
+    P[0, 0] += drift * d + q * d**5 / 20.0
+    P[0, 1] += q * d**4 / 8.0
+    P[0, 2] += q * d**3 / 6.0
+    P[1, 1] += q * d**3 / 3.0
+    P[1, 2] += q * d * d / 2.0
+    P[2, 2] += q * d
+    P[1, 0], P[2, 0], P[2, 1] = P[0, 1], P[0, 2], P[1, 2]
+
+
+@compiled(error_model="numpy", nogil=True)
+def _correct(x: Array, P: Array, gain: Array, innovation: Array) -> None:
+    """Correct by a frame: x ← x + K eᵀ, P ← (I − K Z) P (compiled)."""
+    for i in range(2, -1, -1):  # the first row of P last: the others need it
+        for a in range(3):
+            x[i, a] += gain[i] * innovation[a]
+            P[i, a] -= gain[i] * P[0, a]
+    P[1, 0], P[2, 0], P[2, 1] = P[0, 1], P[0, 2], P[1, 2]
+
+
+@compiled(error_model="numpy", nogil=True)
+def _smoothed(
+    steps: Array, starts: Mask, kept: Array, velocity: Array, variance: Array
+) -> None:
+    """Velocities given all frames, backwards and without an inverse (compiled).
+
+    With Z = (1, 0, 0), L = F (I − K Z), innovations e and their variances S (de Jong
+    1989): r ← Zᵀe/S + (I − K Z)ᵀFᵀr, N alike, x̂ = x + P r, V = P − P N P.
+
+    Args:
+        steps: Between frames, shape (T − 1,).
+        starts: Frames before which nothing is known, shape (T,).
+        kept: Of `_filtered`, shape (T, KEPT).
+        velocity: Out, shape (T, 3).
+        variance: Out, of a component, shape (T,).
+    """
+    r, N = np.zeros((3, 3)), np.zeros((3, 3))  # r[state, axis]
+    L, other = np.eye(3), np.zeros((3, 3))
+    for k in range(len(kept) - 1, -1, -1):
+        S, d = kept[k, VARIANCE], 0.0
+        if k == len(steps) or starts[k + 1]:
+            r[:] = 0.0
+            N[:] = 0.0
+        else:
+            d = steps[k]
+        # L: the first column of F less F K
+        k0, k1, k2 = kept[k, GAIN], kept[k, GAIN + 1], kept[k, GAIN + 2]
+        L[0, 1], L[0, 2], L[1, 2] = d, 0.5 * d * d, d
+        L[0, 0] = 1.0 - (k0 + d * k1 + 0.5 * d * d * k2)
+        L[1, 0], L[2, 0] = -(k1 + d * k2), -k2
+        other[:] = L.T @ r
+        for a in range(3):
+            other[0, a] += kept[k, INNOVATION + a] / S
+        r[:] = other
+        other[:] = L.T @ N @ L
+        other[0, 0] += 1.0 / S
+        N[:] = other
+        spread = kept[k, COVARIANCE + 1]
+        for a in range(3):
+            velocity[k, a] = kept[k, PREDICTED + a]
+            for i in range(3):
+                velocity[k, a] += kept[k, COVARIANCE + i] * r[i, a]
+                spread -= kept[k, COVARIANCE + i] * N[i, a] * kept[k, COVARIANCE + a]
+        variance[k] = max(spread, 0.0)
