@@ -139,6 +139,12 @@ def test_differences_of_exact_poses_are_kept() -> None:
         np.testing.assert_array_equal(short.twist(), differences(short))
 
 
+def test_places_all_over_the_body_are_no_path() -> None:
+    rng = np.random.default_rng(6)
+    places = trajectory(rng.normal(0.0, 0.05, (80, 3)), rng.normal(0.0, 0.5, (80, 3)))
+    np.testing.assert_array_equal(places.twist(), differences(places))
+
+
 def test_nothing_is_smoothed_across_recordings_and_jumps() -> None:
     path = hand(STEP * np.arange(200))[0] + noise(200, 0.5e-3, 0.2e-3)
     here = trajectory(path, 10.0 * path)

@@ -39,6 +39,10 @@ UNKNOWN = 3
 #: robot's poses are exact, and its sudden stops are not smeared [m/s]
 NEGLIGIBLE = 2e-4
 
+#: No tracker errs by more in a frame: poses that seem to are places of their own, one
+#: after the other, and no path of a hand [m]
+LARGEST = 5e-3
+
 #: At which an angular velocity moves a probe's skin [m]
 LEVER = 0.03
 
@@ -99,12 +103,15 @@ def smooth_twist(
         turns[1:] = Rotation.from_matrix(between).as_rotvec()
     summed = np.cumsum(turns, axis=0)
     twist = differences.copy()
-    for path, columns, negligible in (
-        (position, slice(0, 3), NEGLIGIBLE),
-        (summed, slice(3, 6), NEGLIGIBLE / LEVER),
+    step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    for path, columns, lever in (
+        (position, slice(0, 3), 1.0),
+        (summed, slice(3, 6), LEVER),
     ):
         found = smooth_motion(path, time)
-        if found is not None and found.difference_std > negligible:
+        if found is None or lever * found.difference_std < NEGLIGIBLE:
+            continue
+        if lever * math.hypot(found.drift * math.sqrt(step), found.jitter) < LARGEST:
             twist[found.known, columns] = found.velocity[found.known]
     return twist
 
