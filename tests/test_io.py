@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import stat
@@ -31,6 +32,22 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError), io.replacing(target) as temporary:
         temporary.write_text("half")
         raise RuntimeError
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_disk_that_fills_up_is_told_with_the_file(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    told = pytest.raises(FileError, match=r"cannot write .*a\.txt: No space left on dev")
+    with told, io.replacing(target) as temporary:
+        temporary.write_text("half")
+        raise full
+    with pytest.raises(FileNotFoundError, match="elsewhere"), io.replacing(target):
+        (tmp_path / "elsewhere").read_text()
+    with pytest.raises(FileError, match="of the caller"), io.replacing(target):
+        raise FileError("of the caller")
     assert target.read_text() == "old"
     assert list(tmp_path.iterdir()) == [target]
 

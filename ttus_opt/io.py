@@ -164,7 +164,8 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         The temporary file, in the same folder and with the same suffix.
 
     Raises:
-        FileError: As `check_output`, or the folder cannot be created.
+        FileError: As `check_output`, the folder cannot be created, or writing failed;
+            an existing file is left as it was.
     """
     check_output(path)
     target = Path(os.path.realpath(path))
@@ -182,6 +183,15 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         yield temporary
         temporary.replace(target)
+    except FileError:
+        raise
+    except OSError as error:
+        if error.filename not in (None, str(temporary)):
+            raise  # another file's
+        raise FileError(
+            f"cannot write {path}: {error.strerror or error}: make room or choose "
+            "another folder; nothing was replaced"
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)
 
