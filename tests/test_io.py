@@ -40,7 +40,9 @@ def test_a_disk_that_fills_up_is_told_with_the_file(tmp_path: Path) -> None:
     target = tmp_path / "a.txt"
     target.write_text("old")
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    told = pytest.raises(FileError, match=r"cannot write .*a\.txt: No space left on dev")
+    told = pytest.raises(
+        FileError, match=r"cannot write .*a\.txt: No space left on dev"
+    )
     with told, io.replacing(target) as temporary:
         temporary.write_text("half")
         raise full

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
+from ttus_opt.arguments import expect
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import Stopwatch
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
@@ -107,6 +108,8 @@ class Scene:
                 finite, or "fit" without a measured force in contact.
         """
         watch = Stopwatch()
+        expect(voxmap, Voxmap, "the voxmap")
+        expect(shell, PointShell, "the probe")
         if not isinstance(trajectory, Trajectory):
             raise InputError(
                 f"a scene takes one trajectory, got {type(trajectory).__name__}: join "

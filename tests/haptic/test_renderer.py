@@ -257,5 +257,5 @@ def test_an_update_must_fit(what: str) -> None:
 
 def test_out_must_hold_a_wrench(scene: Scene) -> None:
     renderer = Renderer(random_field(scene), scene.shell)
-    with pytest.raises(InputError, match=r"\(6,\), got \(3,\)"):
+    with pytest.raises(InputError, match=r"\(6,\), got float64 \(3,\)"):
         renderer.render_into(np.eye(3), np.zeros(3), np.zeros(3))

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ttus_opt.arguments import expect
 from ttus_opt.compiled import Stopwatch
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.breakdown import Guarded
@@ -75,6 +76,7 @@ def fit(
             take the problem.
         SolverUnavailableError: The solver's package is not installed.
     """
+    expect(scene, Scene, "the scene")
     usual = DEFAULT_FORMULATION if formulation is None else formulation
     if weights not in (None, "own"):
         from ttus_opt.fitting.weight_words import RECIPE, choice_of

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ttus_opt.arguments import expect
 from ttus_opt.arrays import Array
 from ttus_opt.contact.shell_blocks import ShellBlocks
 from ttus_opt.errors import InputError, TtusWarning
@@ -100,6 +101,8 @@ class Renderer:
         force_limit: float | None = None,
         doubt: DoubtMap | bool | None = None,
     ) -> None:
+        expect(field, PotentialField, "the field")
+        expect(shell, PointShell, "the probe")
         self._doubt = _map_of(doubt, field)
         if force_limit is not None and not force_limit > 0.0:
             raise InputError(f"force_limit must be positive [N], got {force_limit}")
@@ -226,8 +229,10 @@ class Renderer:
         Raises:
             InputError: As for `render`.
         """
-        if out.shape != (6,):
-            raise InputError(f"out must have shape (6,), got {out.shape}")
+        if out.shape != (6,) or out.dtype.kind != "f":  # whole numbers cut forces
+            raise InputError(
+                f"out must have floats of shape (6,), got {out.dtype} {out.shape}"
+            )
         self._take_turn()
         try:
             (contact_points, in_grid, _, _), _ = self._render(

@@ -16,6 +16,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.arguments import expect_numbers
 from ttus_opt.arrays import Array
 from ttus_opt.errors import GeometryError, InputError, warn
 from ttus_opt.probe.even_sampling import (
@@ -77,6 +78,7 @@ class PointShell:
         shapes = {"points": (m, 3), "normals": (m, 3), "areas": (m,), "reference": (3,)}
         for name, shape in shapes.items():
             value = getattr(self, name)
+            expect_numbers(value, f"shell {name}")
             if value.shape != shape:
                 raise InputError(
                     f"shell {name} must have shape {shape}, got {value.shape}"

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ttus_opt import io
+from ttus_opt.arguments import expect_numbers
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import FileError, InputError, located
 from ttus_opt.probe.pose import (
@@ -113,6 +114,9 @@ class Trajectory:
         }
         for name, value in self._arrays().items():
             shape = shapes[name]
+            expect_numbers(
+                value, f"trajectory {name}", ": Trajectory.from_arrays takes lists"
+            )
             if value.shape != shape:
                 raise InputError(
                     f"trajectory {name} must have shape {shape}, got {value.shape}"

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from ttus_opt.arguments import expect
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
 from ttus_opt.haptic.field_wrench import FieldWrenches, wrenches_along
@@ -124,8 +125,11 @@ def evaluate(
         torque_threshold: Measured torque above which its direction is used [N·m].
 
     Raises:
-        InputError: The trajectory has no forces.
+        InputError: The trajectory has no forces, or an argument has another type.
     """
+    expect(potential, PotentialField, "the field")
+    expect(shell, PointShell, "the probe")
+    expect(trajectory, Trajectory, "the recording")
     return compare(
         trajectory,
         wrenches_along(potential, shell, trajectory),

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ttus_opt import io
+from ttus_opt.arguments import expect_numbers
 from ttus_opt.arrays import Array
 from ttus_opt.cylindrical import TURN
 from ttus_opt.errors import FileError, InputError
@@ -71,6 +72,7 @@ class PotentialField:
 
     def __post_init__(self) -> None:
         """Validate shape, sampling, and that values and parameters are finite."""
+        expect_numbers(self.values, "field values")
         if self.values.shape != self.voxmap.grid.shape:
             raise InputError(
                 f"field values must have shape {self.voxmap.grid.shape}, got "
