@@ -86,6 +86,8 @@ def test_a_contradiction_needs_a_proof_and_is_named() -> None:
         found = told(replace(none, claim=claim), Reduction(contrary, contrary))
         assert found.status is Status.INFEASIBLE
         assert set(found.conflict) == {"reach", "limit"}
+    late = replace(none, claim=Claim.TIME_LIMIT)  # a proof would take more time
+    assert told(late, Reduction(contrary, contrary)).status is Status.TIME_LIMIT
     found = told(none, Reduction(reach, reach))
     assert found.status is Status.FAILED
     assert "without a proof" in found.detail

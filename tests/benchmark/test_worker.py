@@ -1,0 +1,99 @@
+"""The process of one run: what it measures, and what it says of a failure."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ttus_opt.benchmark import memory, worker
+from ttus_opt.benchmark.isolation import ANSWER, QUESTION
+from ttus_opt.benchmark.parts.base import Column, Part
+from ttus_opt.benchmark.progress import STAGES, Progress
+from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
+from ttus_opt.errors import InputError, MissingPackageError
+
+SPEC = RunSpec("mine", options={"voxel": 3}, time_limit=5.0)
+MEBIBYTE = 2**20
+
+
+class Mine(Part):
+    """Fails as it is told to, or measures two rows in two stages."""
+
+    name = "mine"
+    title = legend = "Mine"
+    columns: Sequence[Column] = (Column("Number", "number"),)
+
+    def __init__(self, failure: BaseException | None = None) -> None:
+        self._failure = failure
+
+    def measure(self, spec: RunSpec, begin: Progress) -> list[Row]:
+        begin("small")
+        if self._failure is not None:
+            raise self._failure
+        begin("large")
+        np.ones(64 * MEBIBYTE // 8)
+        return [{"number": 1, "detail": "own"}, {"number": spec.options["voxel"]}]
+
+
+@pytest.fixture
+def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Rows of a run of such a part, in this process."""
+    monkeypatch.setattr(memory, "end_this_first", lambda: None)
+
+    def run(failure: BaseException | None = None) -> list[Row]:
+        monkeypatch.setattr(worker, "parts", lambda: {"mine": Mine(failure)})
+        (tmp_path / QUESTION).write_text(json.dumps(SPEC.as_dict()))
+        worker.main(tmp_path)
+        rows: list[Row] = json.loads((tmp_path / ANSWER).read_text())
+        return rows
+
+    return run
+
+
+def test_every_row_has_what_is_common_and_its_own(asked: Any, tmp_path: Path) -> None:
+    one, three = asked()
+    assert (one["number"], three["number"]) == (1, 3)
+    assert (one["detail"], three["detail"]) == ("own", "")
+    for row in (one, three):
+        assert (row["key"], row["case"], row["status"]) == (SPEC.key, "–", MEASURED)
+    stages = (tmp_path / STAGES).read_text().splitlines()
+    assert [json.loads(line)["stage"] for line in stages] == ["small", "large"]
+
+
+def test_memory_is_that_of_the_largest_stage(asked: Any) -> None:
+    """Also of the last one, which no other ends."""
+    row = asked()[0]
+    told = row["memory_by_stage"]
+    assert set(told) == {"small", "large"}
+    assert row["peak_memory_bytes"] == max(told.values())
+    assert told["large"] > told["small"] + 32 * MEBIBYTE
+
+
+@pytest.mark.parametrize(
+    ("failure", "status", "detail"),
+    [
+        (MissingPackageError("install osqp"), "not installed", "install osqp"),
+        (MemoryError("in a matrix"), "memory limit", "out of memory in a matrix"),
+        (MemoryError(), "memory limit", "out of memory"),
+        (InputError("not on this grid"), "refused", "not on this grid"),
+    ],
+)
+def test_a_failure_is_one_row_without_values(
+    asked: Any, failure: BaseException, status: str, detail: str
+) -> None:
+    (row,) = asked(failure)
+    assert (row["status"], row["detail"]) == (status, detail)
+    assert "number" not in row and row["voxel"] == 3
+    assert row["peak_memory_bytes"] > MEBIBYTE
+    assert set(row["memory_by_stage"]) == {"small"}
+
+
+def test_a_mistake_in_a_part_ends_the_process(asked: Any) -> None:
+    """Its parent makes a row of that."""
+    with pytest.raises(ZeroDivisionError):
+        asked(ZeroDivisionError())
