@@ -67,6 +67,8 @@ def test_every_row_has_what_is_common_and_its_own(asked: Any, tmp_path: Path) ->
 
 def test_memory_is_that_of_the_largest_stage(asked: Any) -> None:
     """Also of the last one, which no other ends."""
+    if not Path("/proc/self/clear_refs").exists():
+        pytest.skip("this system does not tell a process's peak")
     row = asked()[0]
     told = row["memory_by_stage"]
     assert set(told) == {"small", "large"}

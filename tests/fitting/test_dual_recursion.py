@@ -295,5 +295,9 @@ def test_refusals(coarse: Scene) -> None:
     system = Problem(coarse, 1, 8, 1.0).start()
     with pytest.raises(InputError, match="blocks 2 to 5 are not within 0 to 0"):
         system.remove(2, 3)
-    with pytest.raises(InputError, match="fading factor"):
-        system.fade(0.0)
+    for start, count in ((-1, 1), (1, -1), (0, 1)):
+        with pytest.raises(InputError, match="blocks .* are not within 0"):
+            system.remove(start, count)
+    for factor in (0.0, -0.5, 1.0 + 1e-12, np.nan):
+        with pytest.raises(InputError, match="fading factor"):
+            system.fade(factor)

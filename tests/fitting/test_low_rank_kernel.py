@@ -256,15 +256,30 @@ def test_memory_is_that_of_the_columns() -> None:
 
 
 def test_refusals() -> None:
-    kernel = grown(gram(6, 6, np.random.default_rng(0)), 3)
-    with pytest.raises(InputError, match="a right side"):
-        kernel.solve(np.zeros(5))
-    with pytest.raises(InputError, match="new rows"):
-        kernel.project(np.zeros((2, 5)), np.eye(2), 0.0)
+    """Whatever is one too many or too few, and what was not there."""
+    K = gram(8, 8, np.random.default_rng(0))
+    kernel = grown(K[:6, :6], 3)
+    k = kernel.rank
+    for n in (5, 7):
+        with pytest.raises(InputError, match="a right side"):
+            kernel.solve(np.zeros(n))
+        with pytest.raises(InputError, match="one entry for each pivot"):
+            kernel.coordinates(np.zeros((2, n)))
     with pytest.raises(InputError, match="one entry for each pivot"):
-        kernel.coordinates(np.zeros((2, 5)))
+        kernel.coordinates(np.zeros((2, k, 1)))
+    for held, own in (((2, k - 1), 2), ((2, k), 3), ((3, k), 2), ((2, k + 1), 2)):
+        with pytest.raises(InputError, match="new rows"):
+            kernel.project(np.zeros(held), np.eye(own), 0.0)
     with pytest.raises(InputError, match="not pivots can be dropped"):
         kernel.drop(kernel.pivots[:1])
-    with pytest.raises(InputError, match="not within"):
-        kernel.remove(4, 3, 0.0)
+    for start, count in ((4, 3), (-1, 2), (2, -1)):
+        with pytest.raises(InputError, match="not within"):
+            kernel.remove(start, count, 0.0)
+    held = kernel.coordinates(K[np.ix_([6, 7], kernel.pivots)])
+    projection = kernel.project(held, K[6:, 6:], TOLERANCE)
+    p, o = len(projection.chosen), len(kernel.others)
+    assert p == 2
+    for shape in ((p, o + 1), (p + 1, o), (p - 1, o), (p * o,)):
+        with pytest.raises(InputError, match="columns must be"):
+            kernel.append(projection, np.zeros(shape))
     assert len(kernel) == 6

@@ -157,15 +157,15 @@ def test_the_best_beside_two_fields_is_that_of_least_squares() -> None:
         [root * (rows.b - L @ x)[soft], rows.t - rows.root_weights * (rows.rows @ x)]
     )
     best = float(np.linalg.lstsq(E[:, None], misfit)[0][0])
-    c, slope = rows.beside_and_slope(x)
+    c, slope = rows.parameter_and_slope(x)
     assert c == pytest.approx(best) and slope == 0.0
     above = replace(rows, bounds=(best + 0.5, INF))
-    c, slope = above.beside_and_slope(x)
+    c, slope = above.parameter_and_slope(x)
     assert c == best + 0.5
     assert slope == pytest.approx(E @ (E * c - misfit))
     silent = replace(rows, column=0.0 * rows.column, measured_column=0.0 * rows.t)
     for bounds, nearest in (((-INF, INF), 0.0), ((0.2, 2.0), 0.2), ((-3.0, -1.0), -1)):
-        assert replace(silent, bounds=bounds).beside(x) == nearest
+        assert replace(silent, bounds=bounds).parameter(x) == nearest
 
 
 def system_of(of: FieldPair, own: WorkingSet) -> PairLaplace:
