@@ -296,7 +296,7 @@ def test_refusals(coarse: Scene) -> None:
     with pytest.raises(InputError, match="blocks 2 to 5 are not within 0 to 0"):
         system.remove(2, 3)
     for start, count in ((-1, 1), (1, -1), (0, 1)):
-        with pytest.raises(InputError, match="blocks .* are not within 0"):
+        with pytest.raises(InputError, match=r"blocks .* are not within 0"):
             system.remove(start, count)
     for factor in (0.0, -0.5, 1.0 + 1e-12, np.nan):
         with pytest.raises(InputError, match="fading factor"):
