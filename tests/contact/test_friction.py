@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import ttus_opt as tt
-from tests.conftest import ellipsoid, small_scene
+from tests.conftest import ellipsoid, presses, small_scene, torso
 from tests.dragging import dragged_scene
 from ttus_opt.contact.friction import (
     DEADBAND,
@@ -56,6 +56,45 @@ def test_patch_of_a_sphere_is_where_it_touches() -> None:
     np.testing.assert_allclose(sliding.arm[:, 1:], 0.0, atol=5e-4)
     np.testing.assert_allclose(sliding.velocity[:, 2], 0.01, rtol=1e-2)
     np.testing.assert_allclose(sliding.axis, [1.0, 0, 0], atol=0.02)
+
+
+def test_patches_all_around_a_torso_equal_a_loop_over_points() -> None:
+    """Leaning probes, and torques about a point beside the probe's centre."""
+    surface, shell = torso(), ellipsoid(400, (0.02, 0.015, 0.012))
+    shell = replace(shell, reference=np.array([0.004, -0.006, 0.01]))
+    voxmap = Voxmap.from_surface(surface, shape=(9, 30, 15))
+    trajectory = presses(surface, 15, np.random.default_rng(2), depth=0.02)
+    sliding, touching = Sliding.of(voxmap, shell, trajectory), 0
+    turning = trajectory.angular_velocity()
+    for t, moved in enumerate(trajectory.velocity()):
+        R, at = trajectory.rotation[t], trajectory.position[t]
+        normal, lever = np.zeros(3), np.zeros(3)
+        total = 0.0
+        for point, n, area in zip(
+            shell.points, shell.normals, shell.areas, strict=True
+        ):
+            x, y, z = R @ point + at
+            theta = np.arctan2(y, x) % (2.0 * np.pi)
+            depth = float(surface.radius_at(theta, z)) - np.hypot(x, y)
+            if depth > 0.0 and voxmap.grid.z_min <= z <= voxmap.grid.z_max:
+                total += area * depth
+                normal += area * depth * (R @ n)
+                lever += area * depth * (R @ (point - shell.reference))
+        if total == 0.0:
+            assert not sliding.normal[t].any() and not sliding.velocity[t].any()
+            continue
+        touching += 1
+        normal, lever = normal / np.linalg.norm(normal), lever / total
+        arm = R @ shell.reference + lever
+        moved = moved + np.cross(turning[t], arm)
+        for found, expected in (
+            (sliding.normal, normal),
+            (sliding.arm, lever),
+            (sliding.position, at + arm),
+            (sliding.velocity, moved - normal * (normal @ moved)),
+        ):
+            np.testing.assert_allclose(found[t], expected, rtol=1e-6, atol=1e-9)
+    assert touching > 8
 
 
 def test_a_spinning_sphere_slides_at_its_patch_only() -> None:
