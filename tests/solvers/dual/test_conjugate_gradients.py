@@ -159,6 +159,31 @@ def test_of_rough_products_the_rest_is_conjugate_all_the_same() -> None:
     assert left < 1e-5 * before and max(sizes) < 1e-5
 
 
+class Diagonal:
+    """Fifty eigenvalues, none like another."""
+
+    root_weights = np.ones(50)
+    S = np.diag(np.linspace(1.0, 99.0, 50))
+
+    def apply(self, y: Array, rtol: float) -> Array:
+        return self.S @ y
+
+
+@pytest.mark.parametrize("kept_as", [np.float64, np.float32])
+def test_there_is_room_for_any_number_of_directions(kept_as: type) -> None:
+    """One for each eigenvalue, and none is lost as the store grows."""
+    subspace = RecycledSubspace(Diagonal(), kept_as)
+    for direction in np.random.default_rng(9).normal(size=(50, 50)):
+        assert subspace.extend(direction, 0.0)
+    d, images = subspace._kept
+    assert len(subspace) == 50
+    np.testing.assert_allclose(d @ images.T, np.eye(50), atol=1e-5)
+    t = np.random.default_rng(10).normal(size=50)
+    y, rest = subspace.project(t)
+    np.testing.assert_allclose(Diagonal.S @ y, t, atol=1e-4)
+    assert np.abs(rest).max() < 1e-4
+
+
 def test_nothing_to_solve_takes_no_step() -> None:
     subspace = RecycledSubspace(Dense(np.ones(M)))
     y, steps = solved(subspace, np.zeros(M))

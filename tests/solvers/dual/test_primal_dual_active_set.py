@@ -570,7 +570,10 @@ def test_random_limits_of_all_kinds_are_settled(seeds: range) -> None:
     assert not unsettled
 
 
-def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back() -> None:
+@pytest.mark.parametrize("height", [2.0, 1.0 - 1e-9], ids=["risen", "but for rounding"])
+def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back(
+    height: float,
+) -> None:
     """From the last working set after which it rose; a single change cannot fail."""
     V = 6
     limits = SpokeLimits(
@@ -587,7 +590,7 @@ def test_where_the_minimum_does_not_rise_half_of_the_changes_are_taken_back() ->
         following = safeguard.following(limits, following, last, 0.5)
         assert following.bounds.tolist() == active
     second = replace(found, bounds=np.where(np.arange(V) == 1, 0.1, none))
-    risen = safeguard.following(limits, following, second, 2.0)
+    risen = safeguard.following(limits, following, second, height)
     assert risen.bounds.tolist() == [-1, -1, 0, 0, 0, 0]
 
 
