@@ -179,7 +179,7 @@ def test_a_server_that_sends_nonsense(capfd: pytest.CaptureFixture[str]) -> None
     with (
         serving(sent) as port,
         pytest.warns(
-            TtusWarning, match="no OpenIGTLink message .* after 5 messages"
+            TtusWarning, match="not an OpenIGTLink message .* after 5"
         ) as told,
     ):
         found = igt.record("127.0.0.1", port, seconds=30.0)

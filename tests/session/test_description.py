@@ -46,7 +46,7 @@ def test_the_example_is_understood(recording: Path) -> None:
         ("tracker.frame", "scan", "tracker.tags is for frame tracker"),
         ("tracker.tags", None, "to_scan or tags must be given"),
         ("tracker.to_scan", [0, 0, 0, 0, 0, 0, 1], "to_scan or tags must be given"),
-        ("tracker.probe_to_target", [1, 2, 3], "probe_to_target is no rigid motion"),
+        ("tracker.probe_to_target", [1, 2, 3], "probe_to_target is not a rigid motion"),
         ("tracker.probe_to_target", "no.json", "probe_to_target|no.json"),
         ("tracker.columns", {"quaternion": ["a", "b", "c", "d"]}, "never guessed"),
         ("force.frame", "probe", "is for contact wrenches"),

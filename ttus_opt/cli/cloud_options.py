@@ -41,7 +41,7 @@ class CloudOptions:
         """The points of a cloud in metres, shape (n, 3).
 
         Raises:
-            FileError: The file is no usable cloud.
+            FileError: The file is not a usable cloud.
             InputError: Several clouds; unit, box or coordinates that cannot be used.
         """
         from ttus_opt.scan.cloud import read_cloud
@@ -63,7 +63,7 @@ class CloudOptions:
         """The box as numbers [m]; None for everything.
 
         Raises:
-            InputError: They are no six numbers.
+            InputError: They are not six numbers.
         """
         return None if self.box is None else numbers(self.box, 6, "--box")
 
@@ -118,7 +118,7 @@ class AxisOptions:
             cloud: The scan, shape (n, 3) [m].
 
         Raises:
-            InputError: Options that do not go together, or are no numbers.
+            InputError: Options that cannot be combined, or are not numbers.
             GeometryError: The scan shows no body.
         """
         from ttus_opt.scan.frame import Axis

@@ -87,7 +87,7 @@ def _option(
 
 
 def _words(documented: object) -> tuple[str, dict[str, str], str]:
-    """What it is about, what its parameters are by name, and an example call."""
+    """Description, descriptions of the parameters by name, and an example call."""
     about, *rest = re.split(
         r"\n\n(?=(?:Args|Attributes|Example):\n)", inspect.getdoc(documented) or ""
     )

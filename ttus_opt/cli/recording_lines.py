@@ -1,4 +1,4 @@
-"""What `ttus-opt evaluate` says of every recording by itself."""
+"""What `ttus-opt evaluate` reports of each recording."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def recording_lines(
     names: Sequence[str],
     doubt: SavedDoubt | None,
 ) -> list[RecordingLine]:
-    """Report every recording by itself.
+    """Report on each recording.
 
     Args:
         field: The field.

@@ -148,7 +148,7 @@ class RecordingOptions:
 
         Raises:
             FileError: A file is not a usable trajectory.
-            InputError: Only some of them have wrenches, or columns that are no pairs.
+            InputError: Only some of them have wrenches, or columns that are not pairs.
         """
         return read_trajectories(self.trajectory, self.columns)
 
@@ -183,7 +183,7 @@ def read_trajectories(paths: Sequence[Path], columns: str = "") -> Trajectory:
 
     Raises:
         FileError: A file is not a usable trajectory.
-        InputError: Only some of them have wrenches, or columns that are no pairs.
+        InputError: Only some of them have wrenches, or columns that are not pairs.
     """
     from ttus_opt.probe.trajectory import Trajectory, read_trajectory
     from ttus_opt.sensors.column_map import read_column_map, table_columns

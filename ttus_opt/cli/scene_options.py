@@ -98,7 +98,7 @@ class SceneOptions:
         """How the scene is built.
 
         Raises:
-            InputError: Invalid counts, an inner value that is no number, or no sector.
+            InputError: Invalid counts or sector, or an inner value other than a number.
         """
         from ttus_opt.scene import ScenePlan
 

@@ -65,7 +65,7 @@ class Comparator(ABC):
 
     Attributes:
         name: Name for `ttus_opt.comparators.create`.
-        summary: One line: what it is and whose.
+        summary: Description in one line, with its source.
         needs_fit: Whether `render` needs a `fit` before.
         continuous: Whether the force is continuous in the pose.
         turns: Whether turning the scene about z turns the wrench, to rounding.

@@ -34,7 +34,7 @@ class FieldModel(Comparator):
         formulation: Its name.
         defaults: Options of the formulation.
         plan: Grid and sampling.
-        solution: After `fit`.
+        solution: The solution, after `fit`.
     """
 
     formulation: ClassVar[str] = ""

@@ -37,8 +37,8 @@ class Constraint(Member):
         """`rows`, computed once and in one format.
 
         Raises:
-            InputError: `rows` raises, a row or limit is no number, a limit is infinite
-                on the wrong side, sizes do not match, or a tag is wrong.
+            InputError: `rows` raises, a row or limit is not a number, a limit is
+                infinite on the wrong side, sizes do not match, or a tag is wrong.
         """
         owner = f"constraint {self.name}{defined_at(type(self).rows)}"
         with user_errors(f"rows() of constraint {self.name}"):

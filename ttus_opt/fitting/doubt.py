@@ -7,7 +7,7 @@ likelihood (`wrench_noise`). Rows N of the field then have errors of covariance
 
     N ((1 - G D) v C (1 - G D)ᵀ + G Σ Gᵀ) Nᵀ.
 
-C is L⁻¹Ω L⁻ᵀ for a Laplace prior (`laplace_posterior`), or known by itself
+C is L⁻¹Ω L⁻ᵀ for a Laplace prior (`laplace_posterior`), or known explicitly
 (`covariance_posterior`). Where one solve per row is too expensive, the covariance is
 that of random draws of the error, kept near the skin (`posterior_draws`).
 

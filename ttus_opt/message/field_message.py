@@ -250,7 +250,7 @@ def _parameters(content: bytes) -> tuple[dict[str, float], dict[str, float]]:
     except (ValueError, RecursionError) as error:
         raise InputError("the message is damaged: its parameters") from error
     if not isinstance(found, list) or len(found) != 2 or not all(map(_numbers, found)):
-        raise InputError("the message is damaged: its parameters are no numbers")
+        raise InputError("the message is damaged: its parameters are not numbers")
     return found[0], found[1]
 
 

@@ -266,7 +266,7 @@ class Multigrid:
         """A copy with zeros at fixed voxels, and its largest absolute value.
 
         Raises:
-            InputError: It is no such vector.
+            InputError: It is not such a vector.
         """
         vector = np.asarray(values, dtype=float)
         if vector.shape != self.free.shape:

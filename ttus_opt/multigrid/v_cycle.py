@@ -29,7 +29,7 @@ class VCycle:
         b: Right-hand side, to be written to; zero at fixed voxels and where the
             circle closes, shape (n,).
         x: Answer of the last `run`, shape (n,).
-        free: Unknown voxels that it knows of, shape (V,).
+        free: Free voxels of the subdomain, shape (V,).
     """
 
     def __init__(
@@ -40,13 +40,13 @@ class VCycle:
         *,
         sweeps: int = 1,
     ) -> None:
-        """Take scratch arrays.
+        """Allocate scratch arrays.
 
         Args:
             hierarchy: The levels of the subdomain.
             subdomain: The grid, or a part of it.
             free: Unknown voxels of the whole grid, shape (V,).
-            sweeps: Before and after on the finest level [–].
+            sweeps: Sweeps before and after on the finest level [–].
         """
         self._layout = hierarchy.levels[0].layout
         self._subdomain, self._sweeps = subdomain, sweeps

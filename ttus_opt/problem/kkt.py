@@ -20,7 +20,7 @@ Gap: Σ |y| · slack + Fenchel + ½ rᵀP⁻¹r, a bound by weak duality
 (`ttus_opt.problem.distance`). Where squares do not determine x, the other penalties'
 multipliers absorb r, which gives another bound (`ttus_opt.problem.absorption`). Without
 either, the customary |rᵀx|, summed over blocks of variables, replaces the last summand;
-it is no bound.
+it is not a bound.
 
 Relative figures are those of the worst block (the field, a parameter, a second field)
 or member: ``primal`` over the member's largest limit or value, at least a thousandth of
@@ -107,7 +107,7 @@ class KKT:
             variables [–].
         gap_relative: ``gap`` over the objective [–].
         distance: Bound of (Σ w ‖M (x − x*)‖²)^½ over the sums of squares [root of the
-            objective's unit]; None where ``gap`` is no bound.
+            objective's unit]; None if ``gap`` is not a bound.
     """
 
     primal: float

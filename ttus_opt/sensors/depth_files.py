@@ -110,7 +110,7 @@ def _decoded(file: Path) -> NDArray[Any]:
         log.setLogLevel(level)
     if image is None:
         raise FileError(
-            f"{file} is no image that OpenCV reads: damaged? export it again"
+            f"OpenCV cannot read {file} as an image: damaged? export it again"
         ) from cause
     return np.asarray(image)
 

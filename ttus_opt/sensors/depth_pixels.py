@@ -68,7 +68,7 @@ def judge(z: Array, rays: Array, focal: float, noise: Array, steepest: float) ->
     edge = np.zeros(z.shape, dtype=bool)
     for there, here, steps in _neighbours(z.shape, 1, 1):
         room = GATE * np.sqrt(2.0) * noise[here] + steps * slope * z[here]
-        edge[here] |= np.abs(z[there] - z[here]) > room  # NaN is no neighbour
+        edge[here] |= np.abs(z[there] - z[here]) > room  # NaN is not a neighbour
     sums = np.zeros((10, *z.shape))  # 1, x, y, w, xx, xy, yy, xw, yw, all there are
     for there, here, steps in _neighbours(z.shape, STEPS, stride):
         dz = z[there] - z[here]

@@ -118,10 +118,12 @@ def read_image(path: str | os.PathLike[str]) -> NDArray[np.uint8]:
     try:
         image = cv2.imdecode(content, cv2.IMREAD_GRAYSCALE)
     except cv2.error as error:
-        raise FileError(f"{file} is no image that OpenCV reads: {error.err}") from error
+        raise FileError(
+            f"OpenCV cannot read {file} as an image: {error.err}"
+        ) from error
     if image is None or image.size > LARGEST_IMAGE:
         raise FileError(
-            f"{file} is no image that OpenCV reads, or too large: save it as PNG"
+            f"OpenCV cannot read {file} as an image, or it is too large: save it as PNG"
         )
     return np.asarray(image, np.uint8)
 

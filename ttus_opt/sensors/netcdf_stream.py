@@ -83,7 +83,7 @@ def read_netcdf_poses(
 def read_netcdf_wrenches(
     path: str | os.PathLike[str], columns: Mapping[str, str] | None = None
 ) -> WrenchStream:
-    """Wrenches of a netCDF file; torques where there are any.
+    """Wrenches of a netCDF file, with torques if it has any.
 
     Args:
         path: The file.

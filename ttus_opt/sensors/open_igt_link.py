@@ -185,7 +185,7 @@ def _check(received: Received, server: str) -> None:
     Raises:
         InputError: There are no messages.
     """
-    what = f"{server} sent what is no OpenIGTLink message ({received.broken})"
+    what = f"{server} sent what is not an OpenIGTLink message ({received.broken})"
     if received.count == 0:
         raise InputError(
             f"{server} sends nothing: is the server recording?"

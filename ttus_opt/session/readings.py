@@ -35,9 +35,9 @@ class Timing:
 
     Attributes:
         offset: Time to add to the times of forces [s].
-        first: Signal from the poses; None where the offset was given.
+        first: Signal from the poses; None if the offset was given.
         second: Signal from the forces, on their own clock.
-        correlation: At the offset.
+        correlation: Correlation at the offset.
     """
 
     offset: float

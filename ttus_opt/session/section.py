@@ -166,7 +166,7 @@ class Section:
             raise
         except (TtusError, ValueError, TypeError) as error:
             reason = error if isinstance(error, TtusError) else f"got {value!r}"
-            raise self.fail(key, f"is no rigid motion: {reason}") from error
+            raise self.fail(key, f"is not a rigid motion: {reason}") from error
 
     def _number(self, key: str, value: Any) -> float:
         try:

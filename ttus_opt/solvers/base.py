@@ -60,7 +60,7 @@ class Capabilities:
         inequalities: Bounds and inequality rows.
         equalities: Equality rows.
         any_terms: Terms other than Laplace and measured rows.
-        nonquadratic: Penalties that are no sum of squares.
+        nonquadratic: Penalties other than sums of squares.
         keeps: What a solve with other data reuses, in words; empty for nothing.
         time_limit: Whether it keeps a time limit.
     """
@@ -152,7 +152,7 @@ class Solver(abc.ABC):
         """Why it cannot take a program, in words; empty when it can."""
         can = self.capabilities
         if not (can.nonquadratic or program.is_quadratic):
-            return "a penalty is no sum of squares, or there are cones"
+            return "a penalty is not a sum of squares, or there are cones"
         if program.bounds and not can.inequalities:
             return "it takes no bounds"
         for constraint in program.constraints:

@@ -47,7 +47,7 @@ class _Stencil:
 
     Attributes:
         strength: Diagonal of B, shape (V,) [–].
-        offsets: In steps of the grid, shape (k, 3).
+        offsets: Offsets in steps of the grid, shape (k, 3).
         values: Entries of B over its diagonal, shape (k,) [–].
     """
 

@@ -64,8 +64,8 @@ class UnseenFields:
             moving: Voxels whose value is not given, shape (V,).
 
         Returns:
-            None where no term is heavy, a heavy one is no difference, or the connected
-            sets are single voxels or nearly the whole grid.
+            None if no term is heavy, if a heavy one has rows other than differences, or
+            if the connected sets are single voxels or nearly the whole grid.
         """
         heavy = [t for t in wide if t.weight * _largest_square(t) > HEAVY]
         if not heavy or not all(_is_of_differences(t) for t in heavy):
