@@ -216,15 +216,19 @@ def test_fit_keeps_its_doubt_for_evaluate(
     more = f"--formulation depth_map --doubt-picture {picture}"
     assert run(fit_words(files, own, more)).status == 0
     assert picture.stat().st_size > 0
-    words = f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'} --doubt"
-    answer = run(f"evaluate --field {own} {words} --json")
+    words = f"--probe {PROBE} --points 300 --trajectory {files / 'press.csv'}"
+    answer = run(f"evaluate --field {own} {words} --doubt --json")
     (one,) = json.loads(answer.out)["by_recording"]
     assert one["name"] == "press.csv" and one["frames"] == 30
     told = one["doubt"]
     assert told["force_std_N"] > 0.0 and 0.0 <= told["force_coverage"] <= 1.0
-    spoken = run(f"evaluate --field {own} {words}")
+    drawn = tmp_path / "calibration.png"
+    spoken = run(f"evaluate --field {own} {words} --calibration-picture {drawn}")
+    assert drawn.stat().st_size > 0
     assert "the 95 % interval covers" in spoken.out
-    refused = run(f"evaluate --field {field} {words}")
+    drawn.unlink()
+    refused = run(f"evaluate --field {field} {words} --calibration-picture {drawn}")
+    assert not drawn.exists()
     assert refused.status == 2 and "fit --doubt" in refused.errors[-1]
 
 

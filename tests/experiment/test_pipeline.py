@@ -28,6 +28,7 @@ PLAN = experiment.Plan(
     resolution=3.5,
     patients=("lean",),
     weights="auto",
+    doubt=True,
 )
 
 
@@ -105,16 +106,33 @@ def test_weights_are_chosen_and_told(done):
 
 
 @pytest.mark.slow
+def test_stated_uncertainty_is_checked_on_new_trajectories(done):
+    """eq. 10 knows no drag: its noise holds the phantom's, and covers it."""
+    folder, result, _ = done
+    stated = {each.setting: each for each in result.patients[0].doubts}["eq10_auto"]
+    assert not stated.refused
+    for name in ("press_test", "sweep_test"):
+        figures, curve = stated.figures[name], stated.curves[name]
+        assert 0.8 < figures.force_coverage == pytest.approx(curve.coverage)
+        assert figures.force_std_N > 0.0
+        assert curve.force[0] < 0.3 < curve.force[10]
+    text = (folder / "report.md").read_text(encoding="utf-8")
+    assert "How sure the model is" in text and "figures/calibration.png" in text
+    assert "lean, eq. 10, weights by evidence, press" in text
+
+
+@pytest.mark.slow
 def test_files_hold_what_was_found_and_the_page_its_figures(done):
     folder, result, _ = done
     told = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     assert len(told["rows"]) == len(result.rows)
     text = (folder / "report.md").read_text(encoding="utf-8")
-    for name in ("lean-press", "lean-sweep", "lean-slice", "boundary"):
+    pictures = ("lean-press", "lean-sweep", "lean-slice", "boundary", "calibration")
+    for name in pictures:
         assert f"figures/{name}.png" in text
         assert (folder / "figures" / f"{name}.png").stat().st_size < 150_000
     page = (folder / "report.html").read_text(encoding="utf-8")
-    assert page.count("data:image/png;base64,") == 4
+    assert page.count("data:image/png;base64,") == 5
     assert 'src="figures' not in page
     score = next(r.score for r in result.rows if r.setting == "eq10" and not r.seen)
     assert f"{score.force_magnitude_error_N:.2f}" in text

@@ -16,7 +16,12 @@ from ttus_opt.experiment import side_by_side
 from ttus_opt.experiment.patients import patients
 
 PLAN = experiment.Plan(
-    (16, 48, 24), ("eq10",), comparators=("kelvin_voigt",), jobs=2, weights="auto"
+    (16, 48, 24),
+    ("eq10",),
+    comparators=("kelvin_voigt",),
+    jobs=2,
+    weights="auto",
+    doubt=True,
 )
 
 
@@ -46,6 +51,11 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     monkeypatch.setattr(side_by_side, "PatientFits", Fits)
     monkeypatch.setattr(side_by_side, "boundary_errors", noted("boundary"))
     monkeypatch.setattr(
+        side_by_side,
+        "stated_doubt",
+        lambda fits, setting, *_: noted(f"doubt of {setting.name}")(fits),
+    )
+    monkeypatch.setattr(
         side_by_side.rivals, "rival", lambda fits, name, *_: noted(name)(fits)
     )
     monkeypatch.setattr(
@@ -61,6 +71,7 @@ def test_every_task_of_every_patient_is_done_once(
     everyone = patients()
     side_by_side.do_ahead(everyone, PLAN, tmp_path, told.append)
     tasks = [s.name for s in PLAN.settings] + ["boundary", "kelvin_voigt"]
+    tasks.append("doubt of eq10_auto")
     assert sorted(set(done)) == sorted(
         (who.name, task) for who in everyone for task in (*tasks, "examined")
     )

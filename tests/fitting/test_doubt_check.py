@@ -12,7 +12,7 @@ import ttus_opt as tt
 from tests.conftest import presses, torso
 from tests.fitting.test_doubt import exact, fitted
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.doubt_check import check_doubt
+from ttus_opt.fitting.doubt_check import calibration_curve, check_doubt
 from ttus_opt.fitting.wrench_doubt import WrenchDoubt
 from ttus_opt.haptic.field_wrench import FieldWrenches
 from ttus_opt.probe.trajectory import Trajectory
@@ -110,3 +110,24 @@ def test_correlations_of_frames_of_noise_and_of_places() -> None:
     jackknife = np.sqrt((n - 1) / n * np.sum((left - np.mean(left)) ** 2))
     assert found.force_rank_error == pytest.approx(jackknife)
     assert jackknife > 0.0
+
+
+def test_a_curve_has_the_coverage_of_the_check_and_only_frames_in_contact() -> None:
+    many = presses(torso(), 12, np.random.default_rng(6))
+    stated, field = exact().std(many), fitted().field
+    off = np.random.default_rng(7).standard_normal((len(many), 6))
+    own = exact().scene.shell
+    rendered = tt.evaluate(field, own, many)
+    total = np.sqrt(np.einsum("tii->ti", stated.covariance + stated.noise))
+    truth = replace(
+        many,
+        force=rendered.rendered_force + (1.5 * off * total)[:, :3],
+        torque=rendered.rendered_torque + (1.5 * off * total)[:, 3:],
+    )
+    at = exact(), tt.evaluate(field, own, truth), truth
+    curve, found = calibration_curve(*at), check_doubt(*at)
+    assert curve.coverage == pytest.approx(found.force_coverage) != 1.0
+    assert curve.torque[curve.level == 0.95] == pytest.approx(found.torque_coverage)
+    touching = stated.force_size > 0.0
+    whole = np.sqrt((stated.force**2 + stated.force_noise**2)[touching].sum(axis=1))
+    assert curve.stated_N.min() >= whole.min() and curve.stated_N.max() <= whole.max()

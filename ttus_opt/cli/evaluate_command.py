@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from ttus_opt.report.metrics import Errors
+    from ttus_opt.cli.recording_lines import RecordingLine
+    from ttus_opt.report.metrics import Errors, Evaluation
 
 
 def evaluate(
@@ -26,6 +27,7 @@ def evaluate(
     recordings: RecordingOptions,
     picture: Path | None = None,
     doubt: bool = False,
+    calibration_picture: Path | None = None,
     force: bool = False,
     json: bool = False,
 ) -> None:
@@ -36,6 +38,7 @@ def evaluate(
         picture: Draw measured and rendered force here.
         doubt: Compare the errors of every recording with the uncertainty that fit
             --doubt saved in the field file.
+        calibration_picture: Draw that comparison here; implies --doubt.
 
     Example:
         ttus-opt evaluate --field field.nc --probe ellipsoid:0.030,0.0125,0.018
@@ -47,10 +50,12 @@ def evaluate(
     from ttus_opt.report.hysteresis import hysteresis_share
     from ttus_opt.voxmap.field import PotentialField
 
+    pictures = [picture, calibration_picture]
     check_outputs(
-        [], [field, probe.probe, *recordings.files], force=force, pictures=[picture]
+        [], [field, probe.probe, *recordings.files], force=force, pictures=pictures
     )
-    with Stages(2 if picture is None else 3) as begin:
+    doubt = doubt or calibration_picture is not None
+    with Stages(2 if pictures == [None, None] else 3) as begin:
         begin("reading field and recordings")
         as_written = recordings.as_written()
         potential = PotentialField.load(field)
@@ -63,11 +68,9 @@ def evaluate(
         found = metrics.evaluate(potential, shell, recorded)
         warn_of_poses(found.in_grid, found.beyond_inner)
         each = recording_lines(potential, shell, recorded, recordings.names, stated)
-        if picture is not None:
-            from ttus_opt.report import plots
-
+        if pictures != [None, None]:
             begin("drawing")
-            plots.save_picture(plots.force_over_time({"rendered": found}), picture)
+            _draw(found, each, picture, calibration_picture)
     errors = found.errors
     lost = hysteresis_share(recorded, shell, errors.force_threshold_N)
     facts = {
@@ -83,6 +86,26 @@ def evaluate(
     ]
     each_own = [line for one in each for line in one.lines]
     tell(facts, *known, *_lines(errors, recorded.has_torque), *each_own, json=json)
+
+
+def _draw(
+    found: Evaluation,
+    each: list[RecordingLine],
+    forces: Path | None,
+    calibration: Path | None,
+) -> None:
+    """Write the pictures that were asked for.
+
+    Raises:
+        InputError: No recording has a stated uncertainty to draw.
+    """
+    from ttus_opt.report import plots
+
+    if forces is not None:
+        plots.save_picture(plots.force_over_time({"rendered": found}), forces)
+    if calibration is not None:
+        curves = {one.name: one.curve for one in each if one.curve is not None}
+        plots.save_picture(plots.calibration_picture(curves), calibration)
 
 
 def _lines(errors: Errors, has_torque: bool) -> list[str]:

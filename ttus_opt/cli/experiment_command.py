@@ -21,6 +21,7 @@ def experiment(
     comparators: str = "",
     jobs: int = 1,
     dask: str = "",
+    doubt: bool = False,
     json: bool = False,
 ) -> None:
     """Simulate three patients, fit with and without forces, and report all errors.
@@ -43,6 +44,8 @@ def experiment(
         comparators: Also compare other models: names separated by commas, or all.
         jobs: Number of patients and settings at a time (extra parallel).
         dask: Address of a dask scheduler, host:port, whose workers can see the folder.
+        doubt: Also check how well the stated uncertainty of fits agrees with their
+            errors, for fits whose weights come from the recordings.
 
     Example:
         ttus-opt experiment --torso ct_skin_mm.ply --weights auto -o results
@@ -63,6 +66,7 @@ def experiment(
         weights,
         jobs,
         dask,
+        doubt,
     )
     with Stages(n_stages(plan)) as begin:
         result = run(output, plan, progress=begin)

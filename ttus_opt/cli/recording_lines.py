@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from ttus_opt.fitting.saved_doubt import SavedDoubt
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
+    from ttus_opt.report.calibration_curve import CalibrationCurve
     from ttus_opt.voxmap.field import PotentialField
 
 
@@ -27,6 +28,7 @@ class RecordingLine:
         hysteresis_share: Work of presses that is not given back; NaN without any.
         doubt: Stated doubt against errors; None if not requested.
         refused: Why the requested doubt is missing; "" otherwise.
+        curve: The same comparison as curves; None without doubt.
     """
 
     name: str
@@ -34,6 +36,7 @@ class RecordingLine:
     hysteresis_share: float
     doubt: Calibration | None = None
     refused: str = ""
+    curve: CalibrationCurve | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON; with ``doubt`` only if requested."""
@@ -109,7 +112,7 @@ def recording_lines(
     """
     import numpy as np
 
-    from ttus_opt.fitting.doubt_check import check_doubt
+    from ttus_opt.fitting.doubt_check import calibration_curve, check_doubt
     from ttus_opt.report.hysteresis import hysteresis_share
     from ttus_opt.report.metrics import FORCE_THRESHOLD, evaluate
 
@@ -120,11 +123,13 @@ def recording_lines(
     for name, number in zip(names, numbers, strict=True):
         own = recorded.select(recorded.segment == number)
         lost = hysteresis_share(own, shell, FORCE_THRESHOLD)
-        found, refused = None, ""
+        found, refused, curve = None, "", None
         if doubt is not None:
             try:
-                found = check_doubt(doubt, evaluate(field, shell, own), own)
+                judged = evaluate(field, shell, own)
+                found = check_doubt(doubt, judged, own)
+                curve = calibration_curve(doubt, judged, own)
             except InputError as error:
                 refused = str(error)
-        out.append(RecordingLine(name, len(own), lost, found, refused))
+        out.append(RecordingLine(name, len(own), lost, found, refused, curve))
     return out

@@ -13,6 +13,7 @@ from ttus_opt.experiment.pipeline import FIGURES, ExperimentResult, PatientResul
 from ttus_opt.experiment.settings import LAPLACE, PAPER_WITHOUT
 from ttus_opt.experiment.tables import title
 from ttus_opt.report import plots
+from ttus_opt.report.calibration_curve import CalibrationCurve
 from ttus_opt.report.document import Picture
 from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
 
@@ -35,7 +36,29 @@ def draw(folder: Path, result: ExperimentResult, best: str) -> list[Picture]:
         "Error on new trajectories over a decade of boundary values, without "
         "(dashed) and with measured forces"
     )
-    return [*pictures, _saved(boundary_picture(result), folder, "boundary", caption)]
+    pictures.append(_saved(boundary_picture(result), folder, "boundary", caption))
+    curves, whose = _curves(result)
+    if curves:
+        caption = (
+            f"Stated uncertainty ({whose}) on new trajectories: share of measured "
+            "force components within the stated intervals, and error over the stated "
+            "standard deviation; both should follow the grey line, and the bar is what "
+            "is asked of the 95 % interval"
+        )
+        figure = plots.calibration_picture(curves)
+        pictures.append(_saved(figure, folder, "calibration", caption))
+    return pictures
+
+
+def _curves(result: ExperimentResult) -> tuple[dict[str, CalibrationCurve], str]:
+    """Curves of each patient's last setting that has some, and the settings' names."""
+    curves, names = {}, []
+    for each in result.patients:
+        own = [stated for stated in each.doubts if stated.curves]
+        for recording, curve in (own[-1].curves if own else {}).items():
+            curves[f"{each.patient.name}, {recording.split('_')[0]}"] = curve
+            names.append(title(own[-1].setting))
+    return curves, " or ".join(dict.fromkeys(names))
 
 
 def boundary_picture(result: ExperimentResult) -> Figure:

@@ -20,7 +20,7 @@ from ttus_opt.fitting.batch import fit
 from ttus_opt.fitting.weight_words import choice_of
 from ttus_opt.json_values import plain
 from ttus_opt.probe.point_shell import PointShell
-from ttus_opt.problem.solution import Status
+from ttus_opt.problem.solution import Solution, Status
 from ttus_opt.report.metrics import Evaluation, evaluate
 from ttus_opt.scene import Scene, ScenePlan
 from ttus_opt.voxmap.field import PotentialField
@@ -109,15 +109,7 @@ class PatientFits:
         if kept is not None:
             return kept
         begin = time.process_time()
-        scene, weights = self.scene(setting), {}
-        if setting.weights != GIVEN:
-            word, name, options = setting.weights, setting.formulation, setting.options
-            choice = choice_of(word, scene, name, options, strict=False)
-            solution = fit(choice.scene, choice.formulation)
-            sampling = {"sampling": choice.scene.sampling}
-            weights = {"weights_chosen": choice.as_dict() | sampling}
-        else:
-            solution = fit(scene, setting.formulation, **setting.options)
+        solution, _, weights = self.solved(setting)
         facts: dict[str, Any] = {
             "status": solution.status.name.lower(),
             "solver": solution.solver,
@@ -137,6 +129,18 @@ class PatientFits:
             file, {**key, "facts": facts, "rows": [row.as_dict() for row in rows]}
         )
         return Fitted(setting.name, rows, facts, found)
+
+    def solved(self, setting: Setting) -> tuple[Solution, Scene, dict[str, Any]]:
+        """Fit a setting: the solution, its scene, and how weights were chosen."""
+        scene = self.scene(setting)
+        if setting.weights == GIVEN:
+            solution = fit(scene, setting.formulation, **setting.options)
+            return solution, scene, {}
+        word, name, options = setting.weights, setting.formulation, setting.options
+        choice = choice_of(word, scene, name, options, strict=False)
+        told = choice.as_dict() | {"sampling": choice.scene.sampling}
+        solution = fit(choice.scene, choice.formulation)
+        return solution, choice.scene, {"weights_chosen": told}
 
     def judged(self, name: str, found: PotentialField) -> tuple[Row, ...]:
         """Errors of a field on every recording, against measured and true wrenches."""

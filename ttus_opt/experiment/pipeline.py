@@ -14,6 +14,7 @@ from ttus_opt import io
 from ttus_opt.errors import InputError
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import BoundaryError, boundary_errors
+from ttus_opt.experiment.doubts import StatedDoubt, stated_doubt
 from ttus_opt.experiment.fits import Fitted, PatientFits, write_kept
 from ttus_opt.experiment.patients import Patient, names, patients
 from ttus_opt.experiment.recordings import Examination, examine
@@ -67,6 +68,8 @@ class Plan:
         torso_unit: Unit of that file.
         patients: Names of the patients; all when empty.
         comparators: Names of comparators, or ``("all",)``; none when empty.
+        doubt: Also check the stated uncertainty of fits whose weights come from the
+            recordings.
     """
 
     shape: tuple[int, int, int] = (48, 120, 60)
@@ -80,6 +83,7 @@ class Plan:
     weights: str = GIVEN
     jobs: int = 1
     dask: str = ""
+    doubt: bool = False
 
     def __post_init__(self) -> None:
         """Validate numbers and words.
@@ -115,6 +119,13 @@ class Plan:
         return distinct((*own, *further, *more))
 
     @property
+    def doubted(self) -> tuple[Setting, ...]:
+        """Settings whose uncertainty is checked: weights come from the recordings."""
+        own = compared(self.formulations, self.weight)
+        itself = [each for each in own if not each.options]
+        return (*itself, *chosen(self.formulations, self.weights)) * self.doubt
+
+    @property
     def rivals(self) -> tuple[str, ...]:
         """Names of the comparators; `InputError` for an unknown one."""
         return rivals.chosen(self.comparators)
@@ -129,6 +140,7 @@ class PatientResult:
         fits: A fit per setting, by name.
         boundary: Errors over a decade of boundary values.
         rivals: The comparators.
+        doubts: Stated uncertainty, of the settings where it was asked for.
         itself: Rows of the phantom's own wrench at the reported poses.
     """
 
@@ -136,6 +148,7 @@ class PatientResult:
     fits: dict[str, Fitted] = field(repr=False)
     boundary: tuple[BoundaryError, ...] = field(repr=False)
     rivals: tuple[Rival, ...] = field(repr=False)
+    doubts: tuple[StatedDoubt, ...] = field(repr=False)
     itself: tuple[Row, ...] = field(repr=False)
 
     @property
@@ -182,6 +195,7 @@ class ExperimentResult:
                     "seed": each.patient.seed,
                     "fits": {k: dict(v.facts) for k, v in each.fits.items()},
                     "comparators": {r.name: dict(r.facts) for r in each.rivals},
+                    "doubt": {d.setting: d.as_dict() for d in each.doubts},
                 }
                 for each in self.patients
             },
@@ -244,7 +258,7 @@ def run(
 
 def n_stages(plan: Plan) -> int:
     """Most calls of ``progress`` by `run`."""
-    each = 3 + len(plan.settings) + len(plan.rivals)
+    each = 3 + len(plan.settings) + len(plan.rivals) + len(plan.doubted)
     passes = 2 if plan.jobs > 1 or plan.dask else 1
     return 2 + passes * each * len(plan.patients or patients())
 
@@ -297,8 +311,12 @@ def _on_patient(
     for name in others:
         begin(f"{patient.name}: {name}")
         compared_with.append(rivals.rival(fits, name, folder, digest))
+    doubts = []
+    for setting in plan.doubted:
+        begin(f"{patient.name}: doubt of {setting.name}")
+        doubts.append(stated_doubt(fits, setting, folder, fits.stamp))
     return PatientResult(
-        examination, found, boundary, tuple(compared_with), _itself(fits)
+        examination, found, boundary, tuple(compared_with), tuple(doubts), _itself(fits)
     )
 
 

@@ -94,7 +94,8 @@ def summary(result: ExperimentResult) -> list[Block]:
     rivals = tables.rivals_table(result, best)
     if rivals is not None:
         blocks += [Heading("Other ways, same data"), _about_rivals(result), rivals]
-    return [*blocks, *_chosen_weights(result), *_aims(result, best)]
+    blocks += [*_chosen_weights(result), *_doubts(result)]
+    return [*blocks, *_aims(result, best)]
 
 
 _WINNERS = (
@@ -198,6 +199,21 @@ _ABOUT_WEIGHTS = Text(
     "the formulation's own where the recordings bear no choice, or where those chosen "
     "predict presses left out worse. Both recordings that are fitted are used, those "
     "of new trajectories are not."
+)
+
+
+def _doubts(result: ExperimentResult) -> list[Block]:
+    """How well stated uncertainty agrees with errors; nothing where not asked for."""
+    table = tables.doubt_table(result)
+    return [] if table is None else [Heading("How sure the model is"), _DOUBT, table]
+
+
+_DOUBT = Text(
+    "Median standard deviation that the fit states for rendered force and torque on "
+    "new trajectories, and the share of measured components within the 95 % interval "
+    "of this and the estimated noise together (90 to 98 % are asked). *Rank*: rank "
+    "correlation of error and stated standard deviation over frames, and over the "
+    "means of places. The figure has all other intervals."
 )
 
 

@@ -1,8 +1,8 @@
 """Patients and settings of an experiment in parallel, by joblib or on dask.
 
-All results are cached in files (`fits`, `boundary`, `rivals`), so that a task returns
-only its name; the experiment then reads the files in order. The next call repeats
-interrupted tasks only.
+All results are cached in files (`fits`, `boundary`, `rivals`, `doubts`), so that a task
+returns only its name; the experiment then reads the files in order. The next call
+repeats interrupted tasks only.
 """
 
 from __future__ import annotations
@@ -10,11 +10,12 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ttus_opt import optional
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import boundary_errors
+from ttus_opt.experiment.doubts import stated_doubt
 from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import Patient
 from ttus_opt.experiment.recordings import examine
@@ -23,8 +24,16 @@ from ttus_opt.experiment.settings import Setting
 if TYPE_CHECKING:
     from ttus_opt.experiment.pipeline import Plan
 
-#: A setting to fit, a comparator's name, or None for the boundary values
-Task = Setting | str | None
+
+class _Doubt(NamedTuple):
+    """A setting whose uncertainty is to be checked."""
+
+    setting: Setting
+
+
+#: A setting to fit or whose uncertainty to check, a comparator's name, or None for the
+#: boundary values
+Task = Setting | _Doubt | str | None
 
 
 def do_ahead(
@@ -47,6 +56,7 @@ def do_ahead(
     """
     delayed = optional.load("joblib", "parallel").delayed
     tasks: list[Task] = [*plan.settings, None, *plan.rivals]
+    tasks += map(_Doubt, plan.doubted)
     with _pool(plan.jobs, plan.dask) as run:
         for done in run(delayed(_examined)(who, plan, folder) for who in patients):
             begin(done)
@@ -70,6 +80,9 @@ def _done(patient: Patient, plan: Plan, folder: Path, task: Task) -> str:
     if task is None:
         boundary_errors(fits, plan.weight, own / "boundary.json", fits.stamp)
         return f"{patient.name}: boundary values"
+    if isinstance(task, _Doubt):
+        stated_doubt(fits, task.setting, own, fits.stamp)
+        return f"{patient.name}: doubt of {task.setting.name}"
     rivals.rival(fits, task, own, digest)
     return f"{patient.name}: {task}"
 

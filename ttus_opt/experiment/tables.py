@@ -163,6 +163,31 @@ def torque_table(result: ExperimentResult) -> Table:
     return Table(["", *(name for name, _, _ in columns)], lines)
 
 
+def doubt_table(result: ExperimentResult) -> Table | None:
+    """Stated uncertainty against errors on new trajectories; None without any."""
+    lines = []
+    for each in result.patients:
+        for stated in each.doubts:
+            name = f"{each.patient.name}, {title(stated.setting)}"
+            if stated.refused:
+                lines.append([f"{name}: {stated.refused}", *[""] * 6])
+            for recording, found in stated.figures.items():
+                force, error = found.force_rank_correlation, found.force_rank_error
+                lines.append(
+                    [
+                        f"{name}, {recording.split('_')[0]}",
+                        number(found.force_std_N, ".2f"),
+                        number(100.0 * found.force_coverage, ".1f"),
+                        number(1e3 * found.torque_std_Nm, ".1f"),
+                        number(100.0 * found.torque_coverage, ".1f"),
+                        f"{number(force, '.2f')} ± {number(error, '.2f')}",
+                        number(found.force_place_rank_correlation, ".2f"),
+                    ]
+                )
+    header = ["", "force [N]", "covered [%]", "torque [mN·m]", "covered [%]"]
+    return Table([*header, "rank", "between places"], lines) if lines else None
+
+
 def boundary_table(result: ExperimentResult) -> Table:
     """Error over a decade of boundary values, and its spread, per patient."""
     factors = list(dict.fromkeys(row.factor for row in result.boundary))

@@ -10,18 +10,20 @@ Source: B. Efron, C. Stein, The jackknife estimate of variance, Ann. Statist. 9 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from typing import Protocol
+from typing import Any, Protocol, Self
 
 import numpy as np
 
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.arrays import Array, IntArray, Mask
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.posterior import NORMAL
 from ttus_opt.fitting.weight_criteria import runs
 from ttus_opt.fitting.wrench_doubt import WrenchDoubt
 from ttus_opt.fitting.wrench_noise import places
 from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.report.calibration_curve import CalibrationCurve
 from ttus_opt.report.metrics import Evaluation
 
 #: Fewest frames, or places, for a rank correlation [–]
@@ -81,6 +83,14 @@ class Calibration:
         """All figures by name, for JSON."""
         return asdict(self)
 
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Inverse of `as_dict`; null is NaN."""
+        known: dict[str, Any] = {
+            k: np.nan if v is None else v for k, v in values.items()
+        }
+        return cls(**known)
+
 
 def check_doubt(
     doubt: StatesDoubt, evaluation: Evaluation, trajectory: Trajectory
@@ -96,17 +106,7 @@ def check_doubt(
         InputError: The probe touches in fewer than three frames, or the evaluation is
             of another recording.
     """
-    if not np.array_equal(evaluation.time, trajectory.time):
-        raise InputError(
-            "the evaluation belongs to another recording: pass the recording it was "
-            "made on"
-        )
-    stated = doubt.std(trajectory)
-    touching = stated.known & (stated.force_size > 0.0)
-    if np.count_nonzero(touching) < LEAST:
-        raise InputError(
-            "a check of doubt needs three frames in contact, the recording has fewer"
-        )
+    stated, touching = stated_in_contact(doubt, evaluation, trajectory)
     press = runs(touching, trajectory.segment)[touching]
     place = places(press, trajectory.position[touching])
     force = _Agreement.of(
@@ -135,6 +135,57 @@ def check_doubt(
         *(force.place_ranks, torque.place_ranks),
         int(place[-1]) + 1,
     )
+
+
+def stated_in_contact(
+    doubt: StatesDoubt, evaluation: Evaluation, trajectory: Trajectory
+) -> tuple[WrenchDoubt, Mask]:
+    """Uncertainty along a recording, and its frames in contact where it is known.
+
+    Args:
+        doubt: Of the evaluated field.
+        evaluation: Of `ttus_opt.evaluate` on the trajectory.
+        trajectory: The recording.
+
+    Raises:
+        InputError: As of `check_doubt`.
+    """
+    if not np.array_equal(evaluation.time, trajectory.time):
+        raise InputError(
+            "the evaluation belongs to another recording: pass the recording it was "
+            "made on"
+        )
+    stated = doubt.std(trajectory)
+    touching = stated.known & (stated.force_size > 0.0)
+    if np.count_nonzero(touching) < LEAST:
+        raise InputError(
+            "a check of doubt needs three frames in contact, the recording has fewer"
+        )
+    return stated, touching
+
+
+def calibration_curve(
+    doubt: StatesDoubt, evaluation: Evaluation, trajectory: Trajectory
+) -> CalibrationCurve:
+    """Stated uncertainty, noise of measurements included, against errors, to draw.
+
+    Args:
+        doubt: Of the evaluated field.
+        evaluation: Of `ttus_opt.evaluate` on the trajectory.
+        trajectory: A recording that was not fitted.
+
+    Raises:
+        InputError: As of `check_doubt`.
+    """
+    stated, touching = stated_in_contact(doubt, evaluation, trajectory)
+    error = evaluation.rendered_force - evaluation.measured_force
+    std = np.sqrt(stated.force**2 + stated.force_noise**2)
+    force, torque = (error[touching], std[touching]), None
+    if np.isfinite(stated.torque_noise).all() and trajectory.has_torque:
+        error = evaluation.rendered_torque - evaluation.measured_torque
+        std = np.sqrt(stated.torque**2 + stated.torque_noise**2)
+        torque = error[touching], std[touching]
+    return CalibrationCurve.of(force, torque)
 
 
 @dataclass(frozen=True)

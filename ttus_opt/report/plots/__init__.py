@@ -1,5 +1,8 @@
 """Plots, one per file: each function returns a figure, `save_picture` writes it."""
 
+from ttus_opt.report.plots.calibration import (
+    calibration_picture as calibration_picture,
+)
 from ttus_opt.report.plots.canvas import (
     require_picture_suffix as require_picture_suffix,
 )

@@ -1,0 +1,89 @@
+"""Stated uncertainty of a patient's fits against their errors on new trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ttus_opt.errors import InputError
+from ttus_opt.experiment.boundary import UNSEEN
+from ttus_opt.experiment.fits import PatientFits, read_kept, write_kept
+from ttus_opt.experiment.settings import Setting
+from ttus_opt.fitting.doubt import doubt
+from ttus_opt.fitting.doubt_check import Calibration, calibration_curve, check_doubt
+from ttus_opt.problem.solution import Status
+from ttus_opt.report.calibration_curve import CalibrationCurve
+
+
+@dataclass(frozen=True)
+class StatedDoubt:
+    """The uncertainty of one setting on one patient.
+
+    Attributes:
+        setting: Name.
+        figures: Coverage and rank correlation by new recording.
+        curves: The same as curves.
+        refused: Why there is none; "" otherwise.
+    """
+
+    setting: str
+    figures: Mapping[str, Calibration] = field(repr=False)
+    curves: Mapping[str, CalibrationCurve] = field(repr=False)
+    refused: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "figures": {name: one.as_dict() for name, one in self.figures.items()},
+            "curves": {name: one.as_dict() for name, one in self.curves.items()},
+            "refused": self.refused,
+        }
+
+
+def stated_doubt(
+    fits: PatientFits, setting: Setting, folder: Path, digest: str
+) -> StatedDoubt:
+    """Uncertainty of a setting and its check, computed or from the cache.
+
+    Args:
+        fits: Fits of the patient.
+        setting: The setting.
+        folder: Folder for the cache.
+        digest: Checksum of their input.
+    """
+    file = folder / f"doubt-{setting.name}.json"
+    key = {"digest": digest, "setting": setting.as_dict(), **setting.source}
+    kept = read_kept(file, key, lambda found: _read(setting.name, found))
+    if kept is not None:
+        return kept
+    found = _checked(fits, setting)
+    write_kept(file, {**key, **found.as_dict()})
+    return found
+
+
+def _checked(fits: PatientFits, setting: Setting) -> StatedDoubt:
+    solution, scene, _ = fits.solved(setting)
+    if solution.status is not Status.SOLVED:
+        reason = f"the fit ended {solution.status.name.lower()}"
+        return StatedDoubt(setting.name, {}, {}, reason)
+    figures, curves = {}, {}
+    try:
+        stated = doubt(solution, scene)
+        for name in UNSEEN:
+            judged = fits.evaluation(solution.field, name, "measured")
+            at = stated, judged, fits.examination.measured[name]
+            figures[name], curves[name] = check_doubt(*at), calibration_curve(*at)
+    except InputError as error:
+        return StatedDoubt(setting.name, {}, {}, str(error))
+    return StatedDoubt(setting.name, figures, curves)
+
+
+def _read(name: str, content: Mapping[str, Any]) -> StatedDoubt:
+    return StatedDoubt(
+        name,
+        {k: Calibration.from_dict(v) for k, v in content["figures"].items()},
+        {k: CalibrationCurve.from_dict(v) for k, v in content["curves"].items()},
+        content["refused"],
+    )

@@ -1,0 +1,69 @@
+"""Plot of stated uncertainty against the errors that were made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ttus_opt.errors import InputError
+from ttus_opt.report.calibration_curve import CalibrationCurve
+from ttus_opt.report.plots.canvas import AFTER, BEFORE, look, new_figure
+
+#: Coverage that the 95 % interval is asked to have [–]
+ASKED = (0.90, 0.98)
+
+#: Shades and dash patterns that tell recordings apart in greyscale
+_SHADES = (AFTER, BEFORE, "#b5651d", "0.55")
+_DASHES: tuple[Any, ...] = ("-", (0, (4, 2)), (0, (1, 1)), (0, (5, 1, 1, 1)))
+
+
+def calibration_picture(
+    curves: Mapping[str, CalibrationCurve], title: str = ""
+) -> Figure:
+    """Draw how well stated standard deviations agree with errors.
+
+    Args:
+        curves: Of recordings that were not fitted, by name.
+        title: Title of the figure.
+
+    Returns:
+        A figure with the share of force components within each central interval on the
+        left, over the share stated, and on the right the error made over the standard
+        deviation stated, in groups of frames. Both should follow the diagonal.
+
+    Raises:
+        InputError: There is no curve.
+    """
+    if not curves:
+        raise InputError("no recording has a stated uncertainty: nothing to draw")
+    with look():
+        figure = new_figure(8.0, 3.6)
+        left, right = figure.subplots(1, 2)
+        _grey_diagonal(left, 0.0, 100.0)
+        left.plot([95.0, 95.0], [100.0 * c for c in ASKED], color="0.8", lw=6.0)
+        own = [(c.stated_N, c.error_N) for c in curves.values()]
+        ends = np.concatenate([np.concatenate(pair) for pair in own])
+        ends = ends[ends > 0.0]
+        low, high = (ends.min(), ends.max()) if ends.size else (0.1, 1.0)
+        _grey_diagonal(right, 0.8 * low, 1.25 * high)
+        for k, (name, curve) in enumerate(curves.items()):
+            style = {
+                "color": _SHADES[k % len(_SHADES)],
+                "linestyle": _DASHES[(k // len(_SHADES)) % len(_DASHES)],
+            }
+            label = f"{name}: {100.0 * curve.coverage:.0f} % in the 95 % interval"
+            left.plot(100.0 * curve.level, 100.0 * curve.force, label=label, **style)
+            right.plot(curve.stated_N, curve.error_N, marker="o", ms=3.5, **style)
+        left.set(xlim=(0.0, 100.0), ylim=(0.0, 100.0), title=title)
+        left.set(xlabel="stated share of force components [%]", ylabel="found [%]")
+        left.legend(loc="lower right", fontsize=7.0)
+        right.set(xscale="log", yscale="log")
+        right.set(xlabel="stated standard deviation of force [N]", ylabel="error [N]")
+    return figure
+
+
+def _grey_diagonal(axes: Any, low: float, high: float) -> None:
+    axes.plot([low, high], [low, high], color="0.8", lw=1.0, zorder=0)
