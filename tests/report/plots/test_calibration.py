@@ -21,7 +21,7 @@ def test_curves_are_drawn_beside_the_diagonal() -> None:
     left, right = plots.calibration_picture(curves, "two").axes
     drawn = lines(left)
     for name, curve in curves.items():
-        label = f"{name}: {100 * curve.coverage:.0f} % in the 95 % interval"
+        label = f"{name}: {100 * curve.coverage:.0f} %"
         x, y = drawn[label]
         np.testing.assert_allclose(x, 100.0 * curve.level)
         np.testing.assert_allclose(y, 100.0 * curve.force)

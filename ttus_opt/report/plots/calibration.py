@@ -40,7 +40,7 @@ def calibration_picture(
     if not curves:
         raise InputError("no recording has a stated uncertainty: nothing to draw")
     with look():
-        figure = new_figure(8.0, 3.6)
+        figure = new_figure(9.6, 3.4)
         left, right = figure.subplots(1, 2)
         _grey_diagonal(left, 0.0, 100.0)
         left.plot([95.0, 95.0], [100.0 * c for c in ASKED], color="0.8", lw=6.0)
@@ -54,14 +54,14 @@ def calibration_picture(
                 "color": _SHADES[k % len(_SHADES)],
                 "linestyle": _DASHES[(k // len(_SHADES)) % len(_DASHES)],
             }
-            label = f"{name}: {100.0 * curve.coverage:.0f} % in the 95 % interval"
+            label = f"{name}: {100.0 * curve.coverage:.0f} %"
             left.plot(100.0 * curve.level, 100.0 * curve.force, label=label, **style)
             right.plot(curve.stated_N, curve.error_N, marker="o", ms=3.5, **style)
         left.set(xlim=(0.0, 100.0), ylim=(0.0, 100.0), title=title)
         left.set(xlabel="stated share of force components [%]", ylabel="found [%]")
-        left.legend(loc="lower right", fontsize=7.0)
         right.set(xscale="log", yscale="log")
         right.set(xlabel="stated standard deviation of force [N]", ylabel="error [N]")
+        figure.legend(loc="outside right center", title="in the 95 % interval")
     return figure
 
 
