@@ -65,7 +65,7 @@ def test_a_board_and_its_markers(
 def test_what_is_refused(run: Run, given: Path, output: Path) -> None:
     camera, to = given / "camera.json", f"-o {output / 'x.json'}"
     board = f"--intrinsics {camera} {BOARD} --columns 3 --rows 4 {to}"
-    refused(run(f"register board {camera} {board}"), "no image")
+    refused(run(f"register board {camera} {board}"), "as an image")
     refused(run(f"register board {given} {board}"), "folder")
     refused(run(f"register hand-eye {camera} --camera fixed {to}"), "pairs of poses")
     refused(run(f"register hand-eye {given / 'pairs.json'} {to}"), "--camera")
