@@ -174,6 +174,9 @@ def test_unusable_clouds() -> None:
         extract_surface(cloud.T, axis=axis)
     with pytest.raises(InputError, match="100 or more"):
         extract_surface(cloud[:50], axis=axis)
+    scattered = np.random.default_rng(1).uniform(-0.5, 0.5, (500, 3))
+    with pytest.raises(GeometryError, match=r"others close by: the cloud is too spar"):
+        extract_surface(scattered, axis=axis)
     with pytest.raises(GeometryError, match="is nowhere near the axis"):
         extract_surface(cloud + np.array([2.0, 0, 0]), axis=axis, support=None)
     with pytest.raises(GeometryError, match="quarter turn around the axis"):

@@ -220,6 +220,11 @@ def _body_points(
             "nowhere near the axis, check axis and unit"
         )
     kept = ~stray(points)
+    if kept.sum() < _LEAST_POINTS:
+        raise GeometryError(
+            f"only {int(kept.sum())} of {len(points)} points near the axis have others "
+            "close by: the cloud is too sparse, record or export more of its points"
+        )
     return points[kept], None if std is None else std[index[kept]]
 
 
