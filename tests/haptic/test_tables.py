@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 
+import ttus_opt as tt
 from tests.conftest import ellipsoid, small_scene
 from ttus_opt.compiled import compiled
+from ttus_opt.errors import InputError
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.tables import (
     N_ARRAYS,
@@ -80,3 +83,14 @@ def test_counts_are_those_of_the_tuples() -> None:
     data = FrameData.of(SCENE.voxmap, ellipsoid(), trilinear=True)
     assert sum(isinstance(a, np.ndarray) for a in data) == N_DATA
     assert len(FieldPair._fields) == N_FIELDS
+
+
+def test_without_a_compiler_there_is_no_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(numba.config, "DISABLE_JIT", 1)
+    with pytest.raises(InputError, match="unset NUMBA_DISABLE_JIT"):
+        tt.Renderer(
+            tt.PotentialField(
+                SCENE.voxmap, np.zeros(SCENE.voxmap.grid.shape), "trilinear"
+            ),
+            SCENE.shell,
+        )

@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 
 from tests.conftest import small_scene
 from ttus_opt.contact.rows import contact_rows
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.scene import Scene
 from ttus_opt.terms import depth_map_estimate
 from ttus_opt.terms.depth_map_estimate import _Chosen, _Problem, estimate_depth_map
@@ -261,5 +261,10 @@ def test_forces_that_pull_and_none_at_all_are_refused() -> None:
     scene = drawn(0, 20)
     with pytest.raises(InputError, match="pull the probe in"):
         estimate_depth_map(with_forces(scene, -scene.f), exponents=EXPONENTS)
-    with pytest.raises(InputError, match="never touches"):
+    with pytest.raises(InputError, match="touches they reach 0 N only"):
         estimate_depth_map(with_forces(scene, 0.0 * scene.f), exponents=EXPONENTS)
+    away = replace(scene.trajectory, position=1.5 * scene.trajectory.position)
+    with pytest.warns(TtusWarning, match="touches the patient in none"):
+        apart = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
+    with pytest.raises(InputError, match="never touches"):
+        estimate_depth_map(apart, exponents=EXPONENTS)

@@ -13,12 +13,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import carray, types
+from numba import carray, config, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
 from ttus_opt.arrays import IntArray
 from ttus_opt.compiled import compiled
+from ttus_opt.errors import InputError
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.wrench import FieldPair, FrameBuffers, FrameLimits, render_frame
 
@@ -33,7 +34,13 @@ N_FIELDS = len(FieldPair._fields)
 def frame_table(
     data: FrameData, buffers: FrameBuffers, limits: FrameLimits
 ) -> IntArray:
-    """The table of a frame's arrays except its fields, shape (WORDS·N_ARRAYS,)."""
+    """The table of a frame's arrays except its fields, shape (WORDS·N_ARRAYS,).
+
+    Raises:
+        InputError: numba does not compile.
+    """
+    if config.DISABLE_JIT:  # addresses mean nothing to the interpreter
+        raise InputError("a renderer is compiled code: unset NUMBA_DISABLE_JIT")
     return table_of((*data[1:], *buffers, *limits))
 
 

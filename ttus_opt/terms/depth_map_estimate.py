@@ -182,7 +182,14 @@ class _Problem:
     ) -> _Problem:
         """Frames in contact, thinned evenly."""
         size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
-        frames = np.flatnonzero((scene.rows.contact_points > 0) & (size > LEAST_FORCE))
+        touching = scene.rows.contact_points > 0
+        frames = np.flatnonzero(touching & (size > LEAST_FORCE))
+        if touching.any() and not len(frames):
+            raise InputError(
+                "depth_map needs forces measured in contact, but where the probe "
+                f"touches they reach {size[touching].max():.2g} N only: check the "
+                "sensor and the trajectory's frame, or fit laplace_only"
+            )
         if not len(frames):
             raise InputError(
                 "depth_map needs forces measured in contact, but the probe never "
