@@ -263,7 +263,7 @@ def test_forces_that_pull_and_none_at_all_are_refused() -> None:
         estimate_depth_map(with_forces(scene, -scene.f), exponents=EXPONENTS)
     with pytest.raises(InputError, match="touches they reach 0 N only"):
         estimate_depth_map(with_forces(scene, 0.0 * scene.f), exponents=EXPONENTS)
-    away = replace(scene.trajectory, position=1.5 * scene.trajectory.position)
+    away = replace(scene.trajectory, position=[1.2, 1.2, 1] * scene.trajectory.position)
     with pytest.warns(TtusWarning, match="touches the patient in none"):
         apart = Scene.assemble(scene.voxmap, scene.shell, away, inner=1.0)
     with pytest.raises(InputError, match="never touches"):
