@@ -1,20 +1,26 @@
 """Estimate of the probe's twist from successive poses and their times.
 
-Differences of poses 1 ms apart that jitter by ±0.05 mm have ±100 mm/s of noise, and
-drag along them would chatter. The twist is therefore estimated in two steps:
+Differences of poses 1 ms apart that jitter by 0.05 mm have 70 mm/s of noise, and drag
+along them would chatter. The twist is therefore estimated in three steps:
 
-- Play operator (backlash): a follower pose stays while the probe is within a radius ρ
-  of it, and within the angle ρ/ℓ (ℓ the shell's rms radius); beyond, it is dragged
-  along by the excess only. Jitter within ρ leaves the follower exactly at rest, and the
-  direction of a moving follower follows from the last ρ of travel, not from a single
-  difference.
+- Two first-order low passes of the pose in series, each of time constant T, or of two
+  frames if those are longer. Independent jitter is reduced to √(δt/4T) of itself.
+- Play operator (backlash): a follower pose stays while the smoothed pose is within a
+  radius ρ of it, and within the angle ρ/ℓ (ℓ the shell's rms radius); beyond, it is
+  dragged along by the excess only. A probe at rest has no velocity at all, hence no
+  direction that could flip. While it is not dragged, the follower is centred on the
+  smoothed pose over `MEMORY`, which counts as no motion. ρ is the stated radius, or
+  five standard deviations of the smoothed jitter if that is more. Jitter is measured
+  from what successive poses deviate from uniform motion.
 - First-order low pass of time constant T on the follower's velocity.
 
-The price is delay: T in time, a travel of ρ before a start is noticed, and of 2ρ before
-a reversal. Over that stretch drag still has its old direction and may do work on the
-probe: friction is dissipative for the twist it is given (`ttus_opt.haptic.drag`), not
-for one that lags. A caller who knows the twist should pass it. A constant velocity is
-estimated exactly.
+The low passes come first: play passes on the largest error of all frames, and at 1 kHz
+there is one of four standard deviations every few seconds. The price is delay: 3T in
+time, a travel of ρ before a start is noticed, and of 2ρ before a reversal. Over that
+stretch drag still has its old direction and may do work on the probe: friction is
+dissipative for the twist it is given (`ttus_opt.haptic.drag`), not for one that lags. A
+caller who knows the twist should pass it. A constant velocity is estimated exactly; one
+below ρ/`MEMORY` counts as rest.
 """
 
 from __future__ import annotations
@@ -29,12 +35,32 @@ from ttus_opt.compiled import compiled
 from ttus_opt.contact.rows import rotated
 from ttus_opt.errors import InputError
 
-#: Indices in a motion's state: 1 when a pose is known; its time; the follower's
-#: position and rotation; filtered velocity of the reference point and angular velocity
-KNOWN, TIME, PLACE, ROTATION, VELOCITY, MOTION = 0, 1, 2, 5, 14, 20
+#: Length of a pose in a motion's state: position of the reference point, then rotation
+#: row by row
+POSE = 12
+
+#: Indices in a motion's state: number of poses; time of the last one and of the step to
+#: it; the last pose; the pose after one and after two low passes; the follower; the
+#: last displacement and rotation vector; mean square jitter of a component of each;
+#: filtered velocity of the reference point and angular velocity
+KNOWN, TIME, STEP, SEEN = 0, 1, 2, 3
+ONCE, TWICE, FOLLOWER = SEEN + POSE, SEEN + 2 * POSE, SEEN + 3 * POSE
+WAY = FOLLOWER + POSE
+JITTER = WAY + 6
+VELOCITY = JITTER + 2
+MOTION = VELOCITY + 6
 
 #: Indices in `MotionFilter.kernel_numbers`
 PLAY, ANGLE, SECONDS, GAP = 0, 1, 2, 3
+
+#: Least play in standard deviations of a component of the smoothed jitter [–]
+DEVIATIONS = 5.0
+
+#: Least time constant in frames [–]
+FRAMES = 2.0
+
+#: Time constant of the measured jitter and of centring the follower [s]
+MEMORY = 0.5
 
 
 @dataclass(frozen=True)
@@ -42,13 +68,13 @@ class MotionFilter:
     """Parameters of the estimate of a twist from poses.
 
     Attributes:
-        play: ρ, jitter within this radius counts as rest [m].
-        seconds: T, time constant of the low pass [s].
+        play: Least ρ, jitter within this radius counts as rest [m].
+        seconds: T, time constant of each of the three low passes [s].
         gap: After a longer pause between poses the estimate restarts from rest [s].
     """
 
     play: float = 1e-4
-    seconds: float = 0.02
+    seconds: float = 0.01
     gap: float = 0.25
 
     def __post_init__(self) -> None:
@@ -88,24 +114,15 @@ def estimate_twist(
     if not math.isfinite(time) or (motion[KNOWN] != 0.0 and step < 0.0):
         return False
     if motion[KNOWN] == 0.0 or step > numbers[GAP]:
+        for i in range(MOTION):
+            motion[i] = 0.0
+        for pose in (SEEN, ONCE, TWICE, FOLLOWER):
+            _set(motion, pose, R, at[0] + x, at[1] + y, at[2] + z)
         motion[KNOWN] = 1.0
-        motion[PLACE], motion[PLACE + 1], motion[PLACE + 2] = (
-            at[0] + x,
-            at[1] + y,
-            at[2] + z,
-        )
-        for i in range(9):
-            motion[ROTATION + i] = R[i // 3, i % 3]
-        for i in range(6):
-            motion[VELOCITY + i] = 0.0
     elif step > 0.0:
-        kept = math.exp(-step / numbers[SECONDS])
-        dx, dy, dz = _drawn(motion, at[0] + x, at[1] + y, at[2] + z, numbers[PLAY])
-        wx, wy, wz = _turned(motion, R, numbers[ANGLE])
-        moved = (dx, dy, dz, wx, wy, wz)
-        for i in range(6):
-            v = motion[VELOCITY + i]
-            motion[VELOCITY + i] = kept * v + (1.0 - kept) * moved[i] / step
+        _see(motion, R, at[0] + x, at[1] + y, at[2] + z, step)
+        _filter(motion, step, numbers)
+        motion[KNOWN] += 1.0
     motion[TIME] = time
     wx, wy, wz = motion[VELOCITY + 3], motion[VELOCITY + 4], motion[VELOCITY + 5]
     twist[0] = motion[VELOCITY] - (wy * z - wz * y)
@@ -113,6 +130,101 @@ def estimate_twist(
     twist[2] = motion[VELOCITY + 2] - (wx * y - wy * x)
     twist[3], twist[4], twist[5] = wx, wy, wz
     return True
+
+
+@compiled(error_model="numpy", nogil=True)
+def _see(motion: Array, R: Array, x: float, y: float, z: float, step: float) -> None:
+    """Store a pose and its deviation from uniform motion (compiled).
+
+    With independent errors of standard deviation σ and c the ratio of the time steps,
+    y_k − y_(k−1) − c (y_(k−1) − y_(k−2)) has variance (1 + (1 + c)² + c²) σ².
+    """
+    way = _apart(motion, SEEN, R, x, y, z)
+    if motion[STEP] > 0.0:
+        c = step / motion[STEP]
+        spread = 3.0 * (1.0 + (1.0 + c) * (1.0 + c) + c * c)
+        share = max(1.0 - math.exp(-step / MEMORY), 1.0 / (motion[KNOWN] - 1.0))
+        for part in range(2):
+            square = 0.0
+            for i in range(3 * part, 3 * part + 3):
+                off = way[i] - c * motion[WAY + i]
+                square += off * off
+            motion[JITTER + part] += share * (square / spread - motion[JITTER + part])
+    for i in range(6):
+        motion[WAY + i] = way[i]
+    motion[STEP] = step
+    _set(motion, SEEN, R, x, y, z)
+
+
+@compiled(error_model="numpy", nogil=True)
+def _filter(motion: Array, step: float, numbers: Array) -> None:
+    """Smooth the pose, drag the follower along, smooth its velocity (compiled)."""
+    seconds = max(numbers[SECONDS], FRAMES * step)
+    share = 1.0 - math.exp(-step / seconds)
+    _move(motion, ONCE, _between(motion, ONCE, SEEN), share, share)
+    _move(motion, TWICE, _between(motion, TWICE, ONCE), share, share)
+    way = _between(motion, FOLLOWER, TWICE)
+    left = DEVIATIONS * math.sqrt(0.25 * step / seconds)
+    play = max(numbers[PLAY], left * math.sqrt(motion[JITTER]))
+    angle = max(numbers[ANGLE], left * math.sqrt(motion[JITTER + 1]))
+    shift = math.sqrt(way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
+    turn = math.sqrt(way[3] * way[3] + way[4] * way[4] + way[5] * way[5])
+    shifts = 1.0 - play / shift if shift > play else 0.0
+    turns = 1.0 - angle / turn if turn > angle else 0.0
+    centred = 1.0 - math.exp(-step / MEMORY)  # not a motion of the probe
+    _move(motion, FOLLOWER, way, shifts or centred, turns or centred)
+    for i in range(6):
+        speed = (shifts if i < 3 else turns) * way[i] / step
+        motion[VELOCITY + i] += share * (speed - motion[VELOCITY + i])
+
+
+@compiled(inline="always")
+def _set(motion: Array, pose: int, R: Array, x: float, y: float, z: float) -> None:
+    """Write a pose into the state (compiled)."""
+    motion[pose], motion[pose + 1], motion[pose + 2] = x, y, z
+    for i in range(9):
+        motion[pose + 3 + i] = R[i // 3, i % 3]
+
+
+Way = tuple[float, float, float, float, float, float]
+
+
+@compiled(inner=True, error_model="numpy")
+def _apart(motion: Array, pose: int, R: Array, x: float, y: float, z: float) -> Way:
+    """Displacement and rotation vector from a pose of the state (compiled)."""
+    ax, ay, az, sine, angle = turn_between(R, motion, pose + 3)
+    scale = angle / sine if sine > 0.0 else 1.0
+    dx, dy, dz = x - motion[pose], y - motion[pose + 1], z - motion[pose + 2]
+    return dx, dy, dz, scale * ax, scale * ay, scale * az
+
+
+@compiled(inner=True, error_model="numpy")
+def _between(motion: Array, pose: int, other: int) -> Way:
+    """Displacement and rotation vector between poses of the state (compiled)."""
+    R = motion[other + 3 : other + POSE].reshape((3, 3))
+    x, y, z = motion[other], motion[other + 1], motion[other + 2]
+    way: Way = _apart(motion, pose, R, x, y, z)
+    return way
+
+
+@compiled(inner=True, error_model="numpy")
+def _move(motion: Array, pose: int, way: Way, shifts: float, turns: float) -> None:
+    """Move a pose of the state by fractions of both (compiled)."""
+    for i in range(3):
+        motion[pose + i] += shifts * way[i]
+    x, y, z = turns * way[3], turns * way[4], turns * way[5]
+    angle = math.sqrt(x * x + y * y + z * z)
+    if angle == 0.0:
+        return
+    ax, ay, az = x / angle, y / angle, z / angle
+    # F ← exp(angle·axis) F, column by column (Rodrigues)
+    cosine, sine = math.cos(angle), math.sin(angle)
+    for c in range(pose + 3, pose + 6):
+        x, y, z = motion[c], motion[c + 3], motion[c + 6]
+        along = (1.0 - cosine) * (ax * x + ay * y + az * z)
+        motion[c] = cosine * x + sine * (ay * z - az * y) + along * ax
+        motion[c + 3] = cosine * y + sine * (az * x - ax * z) + along * ay
+        motion[c + 6] = cosine * z + sine * (ax * y - ay * x) + along * az
 
 
 @compiled(inline="always")
@@ -138,39 +250,3 @@ def turn_between(
         az += 0.5 * (R[1, c] * p - R[0, c] * q)
     sine = math.sqrt(ax * ax + ay * ay + az * az)
     return ax, ay, az, sine, math.atan2(sine, 0.5 * (trace - 1.0))
-
-
-@compiled(inline="always")
-def _drawn(
-    motion: Array, x: float, y: float, z: float, play: float
-) -> tuple[float, float, float]:
-    """Move the follower to within the play of a point; its displacement (compiled)."""
-    dx, dy, dz = x - motion[PLACE], y - motion[PLACE + 1], z - motion[PLACE + 2]
-    away = math.sqrt(dx * dx + dy * dy + dz * dz)
-    if away <= play:
-        return 0.0, 0.0, 0.0
-    share = 1.0 - play / away
-    dx, dy, dz = share * dx, share * dy, share * dz
-    motion[PLACE] += dx
-    motion[PLACE + 1] += dy
-    motion[PLACE + 2] += dz
-    return dx, dy, dz
-
-
-@compiled(inline="always")
-def _turned(motion: Array, R: Array, play: float) -> tuple[float, float, float]:
-    """Rotate the follower to within the play of R; its rotation vector (compiled)."""
-    ax, ay, az, sine, angle = turn_between(R, motion, ROTATION)
-    if angle <= play or sine == 0.0:
-        return 0.0, 0.0, 0.0
-    ax, ay, az = ax / sine, ay / sine, az / sine
-    # F ← exp(−play·axis) R, column by column (Rodrigues)
-    cosine, slant = math.cos(play), -math.sin(play)
-    for c in range(3):
-        x, y, z = R[0, c], R[1, c], R[2, c]
-        along = (1.0 - cosine) * (ax * x + ay * y + az * z)
-        motion[ROTATION + c] = cosine * x + slant * (ay * z - az * y) + along * ax
-        motion[ROTATION + 3 + c] = cosine * y + slant * (az * x - ax * z) + along * ay
-        motion[ROTATION + 6 + c] = cosine * z + slant * (ax * y - ay * x) + along * az
-    turn = angle - play
-    return turn * ax, turn * ay, turn * az
