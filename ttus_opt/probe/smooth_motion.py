@@ -1,17 +1,17 @@
-"""How fast a recorded probe moved, without the noise of its poses.
+"""Velocity of a recorded probe, without the noise of its poses.
 
-A tracker's poses jitter and drift. Differences of poses 50 ms apart by which 0.15 mm
-are drift are off by 3 mm/s, as fast as a hand slides near rest. So the path of a
-recording is modelled as a hand's plus a tracker's errors, per axis
+A tracker's poses jitter and drift. A drift of 0.15 mm between poses 50 ms apart is
+3 mm/s, as fast as a hand slides near rest. Each axis of a recording is therefore
+modelled as the motion of a hand plus the errors of a tracker,
 
-    y_k = x(t_k) + w(t_k) + e_k,   x''' white of intensity q,
-    w Brownian motion of intensity D,   e_k white of variance r:
+    y_k = x(t_k) + w(t_k) + e_k,   x''' white noise of intensity q,
+    w Brownian motion of intensity D,   e_k white noise of variance r:
 
-a Wiener process acceleration (Bar-Shalom, Li, Kirubarajan 2001) beside a local level
+a Wiener process acceleration (Bar-Shalom, Li, Kirubarajan 2001) plus a local level
 (Harvey 1989). The velocity is the mean of x' given all frames, by a Kalman filter and
-fixed-interval smoothing. q, D and r are the recording's own: those of the greatest
-likelihood, common to three axes. Of exact poses they are q alone, and x is the
-smoothest curve through all of them. See docs/method.md, section 7.4.
+fixed-interval smoothing. q, D and r maximise the likelihood of the recording and are
+common to its three axes. For exact poses D = r = 0, and x is the smoothest curve
+through all of them. See docs/method.md, section 7.4.
 """
 
 from __future__ import annotations
@@ -24,52 +24,50 @@ import numpy as np
 from ttus_opt.arrays import Array, Mask
 from ttus_opt.compiled import compiled
 
-#: Fewer frames determine no noise
+#: Fewest frames from which the noise can be estimated
 LEAST_FRAMES = 20
 
-#: A step that differs from both its neighbours by more than this is a jump of the
-#: tracker, or a cut in the recording [m], [rad]; or by so many times the median, where
-#: that is more, as in few frames of a fast hand [–]
+#: A step that differs from both its neighbours by more than this [m], [rad], and by so
+#: many times the median [–], is a jump of the tracker or a cut in the recording
 JUMP, JUMPS = 5e-3, 10.0
 
-#: Frames that a piece needs to know its position, velocity and acceleration
+#: Frames that determine the initial position, velocity and acceleration of a piece
 UNKNOWN = 3
 
-#: Differences with less noise are kept, a tenth of `contact.friction.DEADBAND`: a
-#: robot's poses are exact, and its sudden stops are not smeared [m/s]
+#: Central differences with less noise are used [m/s], a tenth of
+#: `contact.friction.DEADBAND`: a robot's exact poses and sudden stops are not smeared
 NEGLIGIBLE = 2e-4
 
-#: No tracker errs by more in a frame: poses that seem to are places of their own, one
-#: after the other, and no path of a hand [m]
+#: Largest plausible error of a tracker in a frame [m]; with more, poses form no path
 LARGEST = 5e-3
 
-#: At which an angular velocity moves a probe's skin [m]
+#: Lever arm by which an angular velocity moves the surface of a probe [m]
 LEVER = 0.03
 
-#: A path that moves by less in all, or is predicted better, is exact [m], [rad]
+#: A path that moves by less in total, or is predicted better, is exact [m], [rad]
 EXACT = 1e-12
 
 #: Logarithms of q tⁿ/(D h + r) from which the search starts
 STARTS = np.arange(-24.0, 13.0, 3.0)
 
-#: Variance of the state at first, of which nothing is known, over 1 + q
+#: Variance of the unknown initial state, over 1 + q
 DIFFUSE = 1e6
 
 
 @dataclass(frozen=True)
 class SmoothMotion:
-    """Velocity of a path, and what its frames are believed to be made of.
+    """Velocity of a path, with the estimated motion and noise.
 
     Attributes:
-        velocity: Shape (T, 3) [m/s] or [rad/s].
+        velocity: Velocity, shape (T, 3) [m/s] or [rad/s].
         std: Standard deviation of each component, shape (T,).
-        known: False in a piece between two jumps that is too short, shape (T,).
+        known: False in pieces between two jumps that are too short, shape (T,).
         jerk: √q [m/s^2.5] or [rad/s^2.5].
-        drift: √D, what the tracker drifts by in a second [m/√s] or [rad/√s].
+        drift: √D, drift of the tracker in a second [m/√s] or [rad/√s].
         jitter: √r [m] or [rad].
-        difference_std: What drift and jitter make of a difference between the frame
-            before and the frame after, as a velocity, at the median step; no more
-            than nine frames in ten bear out, so that a few kinks are no noise.
+        difference_std: Standard deviation of a central difference by drift and jitter,
+            as a velocity at the median step. It is limited by the 90 % quantile of
+            third differences, so that a few kinks do not count as noise.
     """
 
     velocity: Array = field(repr=False)
@@ -88,9 +86,10 @@ def smooth_twist(
 
     Args:
         rotation: Probe to patient, shape (T, 3, 3) [–].
-        position: Of the probe frame's origin, shape (T, 3) [m].
-        time: Increasing, shape (T,) [s].
-        differences: Twist where nothing better is known, shape (T, 6).
+        position: Origin of the probe frame, shape (T, 3) [m].
+        time: Increasing times, shape (T,) [s].
+        differences: Twist by central differences, used where there is no better
+            estimate, shape (T, 6) [m/s, rad/s].
 
     Returns:
         Velocity and angular velocity, patient axes, shape (T, 6) [m/s, rad/s].
@@ -121,11 +120,11 @@ def smooth_motion(path: Array, time: Array) -> SmoothMotion | None:
 
     Args:
         path: Positions, or the sum of small rotation vectors, shape (T, 3).
-        time: Increasing, shape (T,) [s].
+        time: Increasing times, shape (T,) [s].
 
     Returns:
-        None where differences tell as much: fewer than `LEAST_FRAMES` frames, and
-        frames that are at rest or on parabolas to rounding.
+        None where central differences are as good: with fewer than `LEAST_FRAMES`
+        frames, or with frames at rest or on parabolas up to rounding.
     """
     from scipy.optimize import minimize
 
@@ -175,19 +174,20 @@ def smooth_motion(path: Array, time: Array) -> SmoothMotion | None:
 
 
 def _most_noise(path: Array) -> float:
-    """Most standard deviation of central differences, per step, by third differences.
+    """Upper bound of the standard deviation of central differences, per step.
 
-    Those have variance 6 D of drift and 20 r of jitter, central differences D/2 and
-    r/2. Nine in ten normal vectors are shorter than 2.5 deviations.
+    Third differences have the variances 6 D by drift and 20 r by jitter, central
+    differences D/2 and r/2. Nine in ten normal vectors are shorter than 2.5 standard
+    deviations.
     """
     third = np.linalg.norm(np.diff(path, 3, axis=0), axis=1)
     return float(np.quantile(third, 0.9) / 2.5 / math.sqrt(12.0))
 
 
 def _starts(path: Array, steps: Array) -> Mask:
-    """Frames at which a path begins anew: the first, and after a jump, shape (T,).
+    """Frames at which a path restarts: the first, and after a jump, shape (T,).
 
-    A jump differs from the way before and from the way after it.
+    A jump is a step that differs from the steps before and after it.
     """
     change = np.diff(np.diff(path, axis=0) / steps[:, None], axis=0)
     size = np.pad(np.linalg.norm(change, axis=1), 1, mode="edge")
