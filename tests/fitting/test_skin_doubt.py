@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from tests.conftest import torso
-from tests.fitting.test_doubt import fitted, three_presses
+from tests.fitting.test_doubt import KEPT_SHARE, fitted, three_presses
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import skin_doubt
 from ttus_opt.fitting.doubt import Doubt, doubt
@@ -38,6 +38,7 @@ def test_presses_reach_the_depth_asked_for() -> None:
         assert deepest == pytest.approx(0.006, abs=1e-5)
 
 
+@pytest.mark.filterwarnings(KEPT_SHARE)
 def test_it_is_smaller_where_the_patient_was_measured() -> None:
     scene, field = three_presses(), fitted().field
     found = doubt_map(drawn(), field, spacing=0.04)
@@ -48,6 +49,7 @@ def test_it_is_smaller_where_the_patient_was_measured() -> None:
     assert np.median(at) < 0.7 * np.median(behind)
 
 
+@pytest.mark.filterwarnings(KEPT_SHARE)
 def test_what_gives_no_map_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="must be positive"):
         doubt_map(drawn(), fitted().field, spacing=0.0)

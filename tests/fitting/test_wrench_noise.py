@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 import scipy.stats
 
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting import wrench_noise
 from ttus_opt.fitting.wrench_noise import (
     MOST_SHARE,
+    PRIORS,
     ErrorModel,
     MeasuredWrenches,
     WrenchNoise,
@@ -104,12 +105,24 @@ def test_what_was_drawn_is_found() -> None:
         assert found.as_dict()[name] == pytest.approx(value, rel=0.4), name
 
 
-def test_a_place_never_errs_by_more_than_fields_can_bear() -> None:
+def test_a_share_at_its_limit_is_not_believed() -> None:
+    """Then the likelihood takes for errors of places what fields do not know."""
     given, rng = recorded(24, 8, 2), np.random.default_rng(8)
     share = rng.normal(0.0, 0.9, 8)[given.place, None]
     sensor = rng.normal(size=(24, 6)) * ([0.05] * 3 + [2e-3] * 3)
     wild = replace(given, misfit=share * given.wrench + sensor)
-    assert wild.estimate(1.0)[1].place_share == MOST_SHARE
+    with pytest.warns(TtusWarning, match="errors of whole places.*8 % of the wrench"):
+        variance, noise = wild.estimate(1.0)
+    usual = PRIORS["place_share"][0]
+    assert noise.place_share == usual < MOST_SHARE
+    best = wild.log_density(variance, noise)
+    for name in ("force", "share", "turn", "torque", "shift"):  # found anew with it
+        for factor in (0.5, 2.0):
+            other = replace(noise, **{name: factor * getattr(noise, name)})
+            lost = np.log(factor) / PRIORS[name][1]
+            before = np.log(getattr(noise, name) / PRIORS[name][0]) / PRIORS[name][1]
+            prior = 0.5 * ((before + lost) ** 2 - before**2)
+            assert wild.log_density(variance, other) - prior < best + 0.3, name
 
 
 def test_a_sensor_ten_times_worse_than_usual_is_believed_to_be() -> None:

@@ -18,6 +18,7 @@ Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learn
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 
@@ -25,7 +26,7 @@ import numpy as np
 import scipy.linalg
 
 from ttus_opt.arrays import Array, IntArray
-from ttus_opt.errors import InputError
+from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.terms.posterior_mode import posterior_mode
 
 #: Priors of the noise: median, and standard deviation of the logarithm
@@ -41,7 +42,8 @@ PRIORS = {
 #: Parameters that need measured torques
 TORQUE = ("torque", "shift")
 
-#: Largest relative error c of a place [–]
+#: Relative error c of a place that no model has: a likelihood that runs up to it takes
+#: variation of the tissue, which the field is to learn, for noise [–]
 MOST_SHARE = 0.25
 
 #: Standard deviation of the logarithm of the prior's variance [–]
@@ -221,17 +223,39 @@ class MeasuredWrenches:
     def estimate(self, variance: float) -> tuple[float, WrenchNoise]:
         """The most likely prior variance and noise.
 
+        Where the relative error of places runs to `MOST_SHARE` it keeps the median of
+        its prior, and a `TtusWarning` says so.
+
         Args:
             variance: Median of the prior variance [–].
         """
+        found, noise = self._likeliest(variance, {})
+        if noise.place_share >= MOST_SHARE:
+            usual = PRIORS["place_share"][0]
+            warnings.warn(
+                "doubt: the recordings do not tell errors of whole places, which seem "
+                f"larger than {100 * MOST_SHARE:.0f} %, from what the field does not "
+                f"know; {100 * usual:.0f} % of the wrench are taken for them",
+                TtusWarning,
+                stacklevel=3,
+            )
+            return self._likeliest(variance, {"place_share": usual})
+        return found, noise
+
+    def _likeliest(
+        self, variance: float, held: Mapping[str, float]
+    ) -> tuple[float, WrenchNoise]:
+        """The same, with some parts of the noise held."""
         few = self.thinned()
         names = [n for n in PRIORS if max(self.parts) > 2 or n not in TORQUE]
+        names = [name for name in names if name not in held]
         priors = np.array([(variance, VARIANCE_SPREAD), *(PRIORS[n] for n in names)])
         medians, spreads = np.log(priors[:, 0]), priors[:, 1]
 
         def values(steps: Array) -> tuple[float, WrenchNoise]:
             first, *others = np.exp(medians + spreads * np.clip(steps, -6.0, 6.0))
-            noise = WrenchNoise(**dict(zip(names, map(float, others), strict=True)))
+            found = dict(zip(names, map(float, others), strict=True))
+            noise = WrenchNoise(**held, **found)
             share = min(noise.place_share, MOST_SHARE)
             return float(first), replace(noise, place_share=share)
 
