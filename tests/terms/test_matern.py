@@ -30,6 +30,30 @@ def test_a_line_has_the_matern_32_covariance_to_second_order() -> None:
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.05, 1.0])
+def test_the_ends_of_a_line_reflect_its_covariance(share: float) -> None:
+    """No flux at the rim: the sum over the mirror images of a node (variance 2 there).
+
+    Of a node at this share of the line's length; to second order.
+    """
+    reach, length, errors = 0.1, 0.02, []
+    for n in (101, 201):
+        x = np.linspace(0.0, reach, n)
+        node = round(share * (n - 1))
+        factor = MaternFactor.along_line(n, x[1], length)
+        assert factor.volumes.sum() == pytest.approx(reach)
+        expected = sum(
+            matern(np.abs(x - sign * x[node] + 2.0 * k * reach), length)
+            for sign in (1.0, -1.0)
+            for k in range(-2, 3)
+        )
+        errors.append(
+            np.abs(factor.covariance(np.array([node]))[:, 0] - expected).max()
+        )
+    assert errors[1] < 0.005
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)
+
+
 def test_a_tube_has_the_matern_1_covariance_along_and_around() -> None:
     radius, height, length = 0.15, 0.6, 0.06
     errors = []
