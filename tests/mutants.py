@@ -87,6 +87,9 @@ class Target:
 TARGETS = (
     Target("report/metrics.py", ("report/test_metrics.py",)),
     Target("problem/kkt.py", ("problem/test_kkt.py", "problem/test_absorption.py")),
+    Target(
+        "problem/violation.py", ("problem/test_violation.py", "problem/test_kkt.py")
+    ),
     Target("fitting/batch.py", ("fitting/test_batch.py", "fitting/test_tuning.py")),
     Target("fitting/verdict.py", ("fitting/test_verdict.py", "fitting/test_batch.py")),
     Target(

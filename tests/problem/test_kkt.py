@@ -124,14 +124,6 @@ def test_a_point_is_judged_anew_where_the_program_has_changed() -> None:
     assert kkt_residuals(of, x, Duals({}, np.array([4.0]))).primal == 0.5
 
 
-def test_a_point_outside_is_measured_by_its_violation() -> None:
-    problem = program(2, [squares([2, 2])], (rows("sum", [[1, 1]], -np.inf, 2.0),))
-    kkt = kkt_residuals(problem, np.array([2.0, 2.0]), Duals())
-    assert kkt.primal == 2.0
-    assert kkt.primal_relative == pytest.approx(0.5)
-    assert kkt.dual == 0.0
-
-
 def test_a_multiplier_of_an_absent_limit_is_an_error() -> None:
     problem = program(1, [squares([0])], (rows("high", [[1.0]], -np.inf, 5.0),))
     kkt = kkt_residuals(problem, np.zeros(1), Duals({"high": np.array([-1.0])}))
@@ -226,19 +218,6 @@ def test_the_gap_alone_can_refuse_an_answer(side: float) -> None:
     assert kkt.gap == pytest.approx(1.5)
 
 
-def test_lower_limits_are_checked_as_upper_ones_are() -> None:
-    low = rows("low", [[1.0, 0.0]], 2.0, np.inf)
-    problem = program(2, [squares([0, 0])], (low,))
-    kkt = kkt_residuals(problem, np.array([0.5, 0.0]), Duals())
-    assert kkt.primal == 1.5
-    assert kkt.primal_relative == pytest.approx(0.75)
-    box = ProgramBounds("box", np.array([2.0, -9]), np.array([9.0, 9]))
-    kkt = kkt_residuals(
-        program(2, [squares([0, 0])], (), (box,)), np.array([0.5, 0.0]), Duals()
-    )
-    assert kkt.primal == 1.5
-
-
 def test_rounding_of_rows_that_cancel_is_no_error() -> None:
     """(x - y)² at x ≈ y: judged against what rounding leaves of a row."""
     row = sp.csr_array(np.array([[1.0, -1.0]]))
@@ -292,18 +271,6 @@ def test_an_objective_that_vanishes_is_judged_by_the_distance() -> None:
         assert kkt.primal == kkt.primal_relative == 0.0  # without any limit
 
 
-def test_a_member_of_zeros_is_not_judged_by_its_rounding() -> None:
-    """x₂ ≥ 0 at -1e-16 beside x₁ = 3: its own largest value is that rounding."""
-    box = ProgramBounds("zero", np.array([-np.inf, 0.0]), np.array([np.inf, 0.0]))
-    part = ProgramBounds("zero", box.lower, box.upper, slice(1, 2))
-    problem = program(2, [squares([3.0, 0.0])], (), (part,))
-    kkt = kkt_residuals(problem, np.array([3.0, -1e-16]), Duals())
-    assert kkt.primal == 1e-16
-    assert kkt.primal_relative < 1e-9
-    off = kkt_residuals(problem, np.array([3.0, -1e-3]), Duals())
-    assert off.primal_relative == pytest.approx(1.0)
-
-
 def test_what_equalities_hold_counts_by_how_far_it_is_off() -> None:
     """2 x₁ = 3 at x₁ = 2 is off by half in x₁; the sum of both fixes neither."""
     held, both = rows("held", [[2.0, 0.0]], 3.0, 3.0), rows("both", [[1, 1]], 0.0, 0.0)
@@ -318,12 +285,3 @@ def test_a_linear_term_hides_no_other_from_the_least_gradient() -> None:
     absolute = ProgramTerm("absolute", 3.0, eye, np.zeros(2), Absolute())
     for terms in ([linear, absolute], [absolute, linear]):
         assert _least_gradient(program(2, terms), slice(0, 2), 1.0) == 3.0
-
-
-def test_rows_that_cancel_everywhere_are_judged_by_what_cancels() -> None:
-    """x ≤ y with x = y = 3 but for 1e-10: the row's own value is no measure."""
-    problem = program(2, [squares([4, 2])], (rows("order", [[1, -1]], -np.inf, 0.0),))
-    x = np.array([3.0 + 1e-10, 3.0])
-    kkt = kkt_residuals(problem, x, Duals({"order": np.array([2.0])}))
-    assert kkt.primal == pytest.approx(1e-10, rel=1e-5)
-    assert kkt.primal_relative == pytest.approx(1e-10 / 3e-3, rel=1e-5)

@@ -35,7 +35,7 @@ from __future__ import annotations
 import hashlib
 import math
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
@@ -44,7 +44,6 @@ from ttus_opt.arrays import Array, Mask
 from ttus_opt.problem.absorption import CLOSE_ENOUGH, absorbed
 from ttus_opt.problem.distance import energy, held_by_equalities
 from ttus_opt.problem.gradient_blocks import (
-    ROUNDING,
     TINY,
     GradientBlocks,
     largest_of,
@@ -52,6 +51,7 @@ from ttus_opt.problem.gradient_blocks import (
 )
 from ttus_opt.problem.members import ProgramConstraint
 from ttus_opt.problem.program import Program
+from ttus_opt.problem.violation import worst_violation
 
 
 @dataclass(frozen=True)
@@ -136,9 +136,6 @@ class KKT:
 #: Residuals of an answer that is not finite
 NOT_FINITE = KKT(*([float("inf")] * 6))
 
-#: Least scale of a member's values over the summands of its rows [–]
-CANCELLED = 1e-3
-
 #: Factor by which a distance is judged more strictly than a relative gap [–]
 STRICTER = 100.0
 
@@ -205,10 +202,7 @@ def _residuals(program: Program, x: Array, duals: Duals, tolerance: float) -> KK
     gap += _of_rows(program, x, duals, blocks)
     gap += _of_cones(program, x, duals, blocks)
     largest = float(np.abs(x).max(initial=0.0))
-    violation = relative = 0.0
-    for member in _members(program, x):
-        violation = largest_of(violation, member.violation)
-        relative = largest_of(relative, member.relative(ROUNDING * largest))
+    violation, relative = worst_violation(program, x)
     fixed = held_by_equalities(program)
     # scale: the objective at x = 0, with the values that equalities fix
     objective, scale = program.objective(x), program.objective(np.where(fixed, x, 0.0))
@@ -285,20 +279,6 @@ def _of_cones(
     return gap
 
 
-def _members(program: Program, x: Array) -> Iterator[_Member]:
-    """Bounds, rows and cones at x."""
-    for b in program.bounds:
-        yield _Member(x[b.part], b.lower[b.part], b.upper[b.part])
-    for c in program.constraints:
-        entries = np.abs(c.matrix.data * x[c.matrix.indices])
-        size = CANCELLED * float(entries.max(initial=0.0))
-        yield _Member(c.matrix @ x, c.lower, c.upper, size)
-    for cone in program.cones:  # with the projection onto the cones as limits
-        s = cone.value(x)
-        nearest = cone.projected(s)
-        yield _Member(s, nearest, nearest)
-
-
 @dataclass(frozen=True)
 class _Point:
     """A candidate with its dual residual.
@@ -366,37 +346,6 @@ def _relative_gap(gap: float, objective: float, scale: float) -> float:
     by_distance = STRICTER * math.sqrt(gap / max(abs(scale), TINY))
     either = by_objective + by_distance  # Python's ``min`` lets NaN pass
     return float("inf") if math.isnan(either) else min(by_objective, by_distance)
-
-
-@dataclass(frozen=True)
-class _Member:
-    """Values of one constraint or bound between its limits."""
-
-    value: Array
-    lower: Array
-    upper: Array
-    least: float = 0.0  # least scale, from the summands of the rows
-
-    @property
-    def violation(self) -> float:
-        """Largest excess over a limit."""
-        if not len(self.value):
-            return 0.0
-        below, above = self.lower - self.value, self.value - self.upper
-        return largest_of(float(np.max(below)), float(np.max(above)), 0.0)
-
-    def relative(self, least: float) -> float:
-        """The same over the largest finite limit or value [–].
-
-        Args:
-            least: Least scale, for members whose values are zero up to rounding.
-        """
-        violation = self.violation
-        if not violation:
-            return 0.0
-        sizes = np.abs([self.value, self.lower, self.upper])
-        span = float(sizes[np.isfinite(sizes)].max(initial=0.0))
-        return violation / largest_of(span, self.least, least, TINY)
 
 
 def _present(dual: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
