@@ -93,6 +93,24 @@ def test_forecast_is_the_dense_posterior(coarse: Scene) -> None:
     assert np.allclose(forecast.mean, h @ p, atol=1e-6 * np.abs(h @ p).max())
 
 
+def test_forecast_after_a_removal_is_the_dense_posterior(coarse: Scene) -> None:
+    """The blocks that were there first go; the same ones once more take their part."""
+    problem = Problem(coarse, 4, 10, 1.0)
+    system = problem.start()
+    problem.fold(system, [0, 1, 0, 1, 2, 2])
+    system.remove(0, 2)
+    forecast = system.forecast(problem.blocks[3])
+    Q, p = problem.dense([0, 1, 2, 2])
+    h = problem.D[3]
+    covariance = np.eye(HEIGHT) + h @ np.linalg.solve(Q, h.T)
+    np.testing.assert_allclose(forecast.schur, covariance, rtol=1e-6, atol=1e-8)
+    np.testing.assert_allclose(forecast.mean, h @ p, atol=1e-6 * np.abs(h @ p).max())
+    again = system.forecast(problem.blocks[0])  # of what is held
+    h = problem.D[0]
+    covariance = np.eye(HEIGHT) + h @ np.linalg.solve(Q, h.T)
+    np.testing.assert_allclose(again.schur, covariance, rtol=1e-6, atol=1e-8)
+
+
 def test_whitened_innovations_carry_the_least_objective(coarse: Scene) -> None:
     problem = Problem(coarse, 5, 2, 1.0)
     system = problem.start()
