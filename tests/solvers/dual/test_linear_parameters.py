@@ -107,3 +107,16 @@ def test_across_columns_is_dense_algebra(columns: int) -> None:
     if columns:
         np.testing.assert_allclose(E.T @ y, 0.0, atol=1e-12)
     np.testing.assert_allclose(across.part(S @ y), left, atol=1e-11)
+
+
+@pytest.mark.parametrize("scale", [1e-20, 1e20])
+def test_the_unit_of_columns_is_of_no_matter(scale: float) -> None:
+    """Two columns and their sum: two directions, in whatever unit."""
+    E = np.random.default_rng(6).normal(size=(9, 2))
+    E = np.column_stack([E, E.sum(axis=1)])
+    residual = np.random.default_rng(7).normal(size=9)
+    one, other = (Complement(unit * E, lambda v: v) for unit in (1.0, scale))
+    np.testing.assert_allclose(other.part(residual), one.part(residual), atol=1e-12)
+    np.testing.assert_allclose(E.T @ other.part(residual), 0.0, atol=1e-12)
+    expected = np.linalg.pinv(E) @ residual
+    np.testing.assert_allclose(scale * other.coefficients(residual), expected)
