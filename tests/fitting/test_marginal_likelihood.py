@@ -6,17 +6,22 @@ import functools
 
 import numpy as np
 import pytest
-import scipy.optimize
+import scipy.linalg
 import scipy.stats
 
 from tests.fitting.test_weight_criteria import three_presses
-from ttus_opt.fitting.marginal_likelihood import MeasuredSeries
+from ttus_opt.fitting.marginal_likelihood import MeasuredSeries, SeriesNoise
 from ttus_opt.fitting.tuning_series import TuningRows
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.scene import Scene
 
 FORCE, TORQUE, TIME = 30.0, 3.0, 0.1
+
+#: Variance of sensor noise over that of model errors, of force and torque
+SENSOR = (0.3, 2.0)
+
+NOISE = SeriesNoise(TIME, np.array(SENSOR))
 
 
 @functools.cache
@@ -40,12 +45,13 @@ def dense() -> tuple[np.ndarray, ...]:
     return G.T @ G, u, t[at], _correlation(scene, touching)
 
 
-def _correlation(
-    scene: Scene, touching: np.ndarray, memory: float = TIME
-) -> np.ndarray:
+def _correlation(scene: Scene, touching: np.ndarray) -> np.ndarray:
     time, press = scene.trajectory.time[touching], presses(scene)[touching]
-    R = np.exp(-np.abs(time[:, None] - time) / memory) * (press[:, None] == press)
-    return np.kron(np.eye(2), np.kron(R, np.eye(3)))
+    slow = np.exp(-np.abs(time[:, None] - time) / TIME) * (press[:, None] == press)
+    own = [
+        np.kron((slow + w * np.eye(len(time))) / (1.0 + w), np.eye(3)) for w in SENSOR
+    ]
+    return scipy.linalg.block_diag(*own)
 
 
 def covariance() -> np.ndarray:
@@ -58,7 +64,7 @@ def covariance() -> np.ndarray:
 def test_the_evidence_is_that_of_dense_algebra() -> None:
     _, u, t, _ = dense()
     S, weights = covariance(), np.array([FORCE, TORQUE])
-    found = series().evidence(weights, TIME, scale=1.0)
+    found = series().evidence(weights, NOISE, scale=1.0)
     m = len(t)
     square = (t - u) @ np.linalg.solve(S, t - u)
     normal = scipy.stats.multivariate_normal(np.zeros(m), square / m * S)
@@ -69,7 +75,7 @@ def test_the_evidence_is_that_of_dense_algebra() -> None:
 def test_the_scale_is_that_of_generalised_least_squares() -> None:
     _, u, t, _ = dense()
     S = covariance()
-    found = series().evidence(np.array([FORCE, TORQUE]), TIME)
+    found = series().evidence(np.array([FORCE, TORQUE]), NOISE)
     expected = (u @ np.linalg.solve(S, t)) / (u @ np.linalg.solve(S, u))
     assert found.scale == pytest.approx(expected, rel=1e-2)
     rest = t - expected * u
@@ -85,41 +91,24 @@ def test_a_coefficient_multiplies_the_rows_of_drag() -> None:
     assert search is not None
     given = TuningRows.of(search.build(0.3))
     weights = np.array([FORCE, TORQUE])
-    expected = given.series(1e3).evidence(weights, TIME)
-    found = series("coulomb_global").at(0.3).evidence(weights, TIME)
+    expected = given.series(1e3).evidence(weights, NOISE)
+    found = series("coulomb_global").at(0.3).evidence(weights, NOISE)
     assert found.log_density == pytest.approx(expected.log_density, abs=1.0)
     assert found.scale == pytest.approx(expected.scale, rel=1e-2)
 
 
-def test_the_share_of_independent_frames_errs_least() -> None:
-    C, _, t, _ = dense()
-    weak, long = np.array([0.3, 0.1]), 2.0  # what a press shares is not told from noise
-    scene = three_presses()
-    R = _correlation(scene, np.flatnonzero(scene.rows.contact_points > 0), long)
-    w = np.repeat(weak, len(t) // 2) ** 0.5
-    B = w[:, None] * C * w
-
-    def error(share: float) -> float:
-        gain = np.linalg.solve(np.eye(len(t)) + share * B, share * B)
-        left = np.eye(len(t)) - gain
-        return float(np.trace(left @ B @ left.T) + np.trace(gain @ R @ gain.T))
-
-    found = series().independent_share(weak, long)
-    best = scipy.optimize.minimize_scalar(error, bounds=(1e-3, 1.0), method="bounded")
-    assert 0.01 < best.x < 0.9
-    assert found == pytest.approx(best.x, rel=0.02)
-
-
 def test_frames_far_apart_are_independent() -> None:
     weights = np.array([FORCE, TORQUE])
-    alone = series().evidence(weights, 1e-9)
+    apart = SeriesNoise(1e-9, np.zeros(2))
+    alone = series().evidence(weights, apart)
     _, u, t, _ = dense()
     C = dense()[0] + np.diag(np.repeat(1.0 / weights, len(t) // 2))
     square = (t - u) @ np.linalg.solve(C, t - u)
-    at_one = series().evidence(weights, 1e-9, scale=1.0)
+    at_one = series().evidence(weights, apart, scale=1.0)
     assert at_one.variance == pytest.approx(square / len(t), rel=1e-2)
     assert alone.log_density >= at_one.log_density
-    assert series().independent_share(weights, 1e-9) == pytest.approx(1.0, abs=0.01)
+    noisy = series().evidence(weights, SeriesNoise(TIME, np.full(2, 1e9)), scale=1.0)
+    assert noisy.log_density == pytest.approx(at_one.log_density, abs=1e-3)
 
 
 def test_thinning_keeps_the_first_frame_of_every_press() -> None:
@@ -128,4 +117,5 @@ def test_thinning_keeps_the_first_frame_of_every_press() -> None:
     assert thin.frames == 6
     assert set(thin.press) == set(whole.press)
     np.testing.assert_array_equal(thin.time[::2], whole.time[[0, 4, 8]])
+    np.testing.assert_array_equal(thin.place[::2], whole.place[[0, 4, 8]])
     np.testing.assert_array_equal(thin.images[:, :, ::2], whole.images[:, :, [0, 4, 8]])

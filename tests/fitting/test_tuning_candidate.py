@@ -43,11 +43,13 @@ def found() -> Candidate:
 
 def test_values_are_weights_of_a_row_s_noise() -> None:
     """Signal to noise over the prior's variance; others by their ratio to the first."""
-    at = Values.of(np.array([64.0, 0.5, 0.2, 0.3]), 2, 8.0)
+    at = Values.of(np.array([64.0, 0.5, 0.1, 0.4, 0.2, 0.3]), 2, 8.0)
     np.testing.assert_allclose(at.weights, [8.0, 4.0])
-    assert (at.correlation_time, at.coefficient) == (0.2, 0.3)
-    alone = Values.of(np.array([64.0, 0.2]), 1, 8.0)
-    assert (alone.correlation_time, alone.coefficient) == (0.2, 0.0)
+    np.testing.assert_allclose(at.noise.sensor, [0.1, 0.4])
+    assert (at.noise.correlation_time, at.coefficient) == (0.2, 0.3)
+    alone = Values.of(np.array([64.0, 0.1, 0.2]), 1, 8.0)
+    np.testing.assert_allclose(alone.noise.sensor, [0.1])
+    assert (alone.noise.correlation_time, alone.coefficient) == (0.2, 0.0)
 
 
 @pytest.mark.parametrize("best", [-1.0, 0.0, 0.7])
@@ -112,7 +114,7 @@ def test_no_other_hyperparameters_are_likelier() -> None:
 
     def log_posterior(values: np.ndarray) -> float:
         at = Values.of(values, len(one.rows.terms), one.variance)
-        density = series.evidence(at.weights, at.correlation_time, 1.0).log_density
+        density = series.evidence(at.weights, at.noise, 1.0).log_density
         steps = [
             np.log(v / prior.median) / prior.spread
             for v, prior in zip(values, priors, strict=True)

@@ -31,7 +31,7 @@ FARTHEST = 6.0
 
 #: Accuracy of the search, in prior standard deviations and in the log density, and
 #: most evaluations of it
-ACCURACY, LOG_ACCURACY, MOST = 0.03, 0.05, 250
+ACCURACY, LOG_ACCURACY, MOST = 0.03, 0.05, 500
 
 
 @dataclass(frozen=True)

@@ -1,29 +1,22 @@
 """Marginal likelihood of measured wrenches with errors correlated along a press.
 
 A reduced basis of response fields has the images K, so that the prior's covariance of
-the rows is KᵀK (docs/method.md, "Many weights"). The error of a frame is sensor noise
-plus what the model cannot represent, which changes slowly along a press. Taking frames
-as independent would give weights a thousand times too large. Every component of the
-error is therefore an Ornstein-Uhlenbeck process of variance σ²/λ and correlation time
-T, independent between presses:
+the rows is KᵀK (docs/method.md, "Many weights"). The error of a row is sensor noise,
+new in every frame, plus what the model cannot represent, which changes slowly along a
+press: an Ornstein-Uhlenbeck process of correlation time T, independent between presses.
+Taking frames as independent would give weights a thousand times too large. A row of
+weight λ has the variance σ²/λ; the part w/(1 + w) of it is sensor noise. With R the
+errors' correlation over the frames,
 
-    e(t) = φ e(t - δ) + √(1 - φ²) n,    φ = exp(-δ/T).
+    R(i, j) = (exp(-|tᵢ - tⱼ|/T) + w δᵢⱼ)/(1 + w)    in one press, otherwise 0,
 
-A is this recursion solved for n: bidiagonal, so that A √λ (f - N p) is white. With B
-the whitened images, t the whitened targets, s the scale of the boundary values and u
-the whitened rows of the Laplace field for s = 1,
+and its Cholesky factor for whitening, B the whitened images, t the whitened targets, s
+the scale of the boundary values and u the whitened rows of the Laplace field for s = 1,
 
-    log p = -½ (m log(2π J/m) + log det(1 + B Bᵀ) - 2 log det(A √λ) + m),
+    log p = -½ (m log(2π J/m) + log det(1 + B Bᵀ) + log det(R/λ) + m),
     J = (t - s u)ᵀ(1 + BᵀB)⁻¹(t - s u),    s of generalised least squares.
 
-(Rasmussen and Williams, 2006, eq. 2.30; A after R. H. Jones, Technometrics 22, 1980).
-
-A formulation assumes independent frames. Under the correlated errors above, its
-estimate with the weights c λ has the mean squared error at the measured rows
-
-    Σᵢ gᵢ (1 + c² rᵢ)/(1 + c gᵢ)²,    B₀ B₀ᵀ = V diag(g) Vᵀ,    r = diag(Vᵀ B₀ R B₀ᵀ V),
-
-with B₀ the images times √λ and R = (AᵀA)⁻¹. The share c that minimises it is used.
+(Rasmussen and Williams, 2006, eq. 2.30.) w is one number per measured term.
 """
 
 from __future__ import annotations
@@ -31,12 +24,37 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-import scipy.optimize
 
 from ttus_opt.arrays import Array, IntArray
 
-#: Least share c of the weights [–]
-LEAST_SHARE = 1e-4
+
+@dataclass(frozen=True)
+class SeriesNoise:
+    """Correlation of the errors of measured rows.
+
+    Attributes:
+        correlation_time: T of the part that changes slowly; 0 for none [s].
+        sensor: w, variance of sensor noise over that part's, shape (terms,) [–].
+    """
+
+    correlation_time: float
+    sensor: Array
+
+    def correlation(self, time: Array, press: IntArray, term: int) -> Array:
+        """R of one term's errors, shape (frames, frames).
+
+        Args:
+            time: Of the frames [s].
+            press: Press of every frame [–].
+            term: Number of the term [–].
+        """
+        apart = np.abs(time[:, None] - time)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slow = np.exp(-apart / self.correlation_time)
+        slow = np.where(press[:, None] == press, slow, 0.0)
+        own = float(self.sensor[term])
+        slow[np.diag_indices_from(slow)] = 1.0 + own
+        return np.asarray(slow / (1.0 + own))
 
 
 @dataclass(frozen=True)
@@ -69,6 +87,7 @@ class MeasuredSeries:
         target: Measurements, shape (terms, frames, 3) [N].
         time: Times of the frames [s].
         press: Press of every frame, shape (frames,) [–].
+        place: Place of every frame, shape (frames,) [–].
         slope: Images and base of the part with the coefficient; None without one.
     """
 
@@ -78,6 +97,7 @@ class MeasuredSeries:
     target: Array = field(repr=False)
     time: Array = field(repr=False)
     press: IntArray = field(repr=False)
+    place: IntArray = field(repr=False)
     slope: tuple[Array, Array] | None = field(default=None, repr=False)
 
     @property
@@ -116,97 +136,44 @@ class MeasuredSeries:
             target=self.target[:, kept],
             time=self.time[kept],
             press=self.press[kept],
+            place=self.place[kept],
             slope=slope,
         )
 
-    def memory(self, correlation_time: float) -> Array:
-        """φ between a frame and the one before; 0 where a press begins, (frames,)."""
-        step = np.diff(self.time, prepend=self.time[:1])
-        begins = np.diff(self.press, prepend=self.press[:1] - 1) != 0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            phi = np.exp(-np.abs(step) / correlation_time)
-        return np.where(begins, 0.0, phi)
-
-    def independent_share(self, weights: Array, correlation_time: float) -> float:
-        """Share c of the weights for a fit that assumes independent frames.
-
-        Args:
-            weights: λ by term, shape (terms,) [–].
-            correlation_time: T [s].
-        """
-        assert self.slope is None
-        root = np.sqrt(np.asarray(weights, dtype=np.float64))[:, None, None]
-        B = root * self.images
-        spread = _coloured(B, self.memory(correlation_time))
-        flat = B.reshape(len(B), -1)
-        gain, turn = np.linalg.eigh(flat @ flat.T)
-        noise = ((turn.T @ spread.reshape(len(B), -1)) ** 2).sum(axis=1)
-        gain = np.maximum(gain, 0.0)
-
-        def error(logarithm: float) -> float:
-            share = np.exp(logarithm)
-            return float(
-                (gain * (1.0 + share**2 * noise) / (1.0 + share * gain) ** 2).sum()
-            )
-
-        lowest = float(np.log(LEAST_SHARE))
-        found = scipy.optimize.minimize_scalar(
-            error, bounds=(lowest, 0.0), method="bounded"
-        )
-        return float(np.exp(found.x))
-
     def evidence(
-        self, weights: Array, correlation_time: float, scale: float | None = None
+        self, weights: Array, noise: SeriesNoise, scale: float | None = None
     ) -> Evidence:
         """The marginal likelihood of rows without a coefficient.
 
         Args:
             weights: λ by term, shape (terms,) [–].
-            correlation_time: T; 0 for independent frames [s].
+            noise: Correlation of the errors.
             scale: s; None for the most likely.
         """
         assert self.slope is None
-        phi = self.memory(correlation_time)
-        root = np.sqrt(np.asarray(weights, dtype=np.float64))[:, None, None]
-        white = [
-            _whitened(root * values, phi)
-            for values in (self.images, self.base[None], self.target[None])
-        ]
-        B, (u,), (t,) = white
+        n = len(self.images)
+        both = np.stack([self.base, self.target])
+        rows = np.moveaxis(np.concatenate([self.images, both]), 2, 0)
+        white, determinant = [], 0.0
+        for term, weight in enumerate(weights):
+            correlation = noise.correlation(self.time, self.press, term)
+            root = np.linalg.cholesky(correlation) / np.sqrt(weight)
+            determinant += 3.0 * float(np.log(np.diag(root)).sum())
+            # numpy's solver, as numpy's and scipy's threads would wait for each other
+            solved = np.linalg.solve(root, rows[:, :, term].reshape(self.frames, -1))
+            white.append(solved.reshape(self.frames, -1, 3))
+        columns = np.moveaxis(np.concatenate(white), 1, 0).reshape(n + 2, -1)
+        B, both = columns[:n], columns[n:].T
         gram = B @ B.T
         gram[np.diag_indices_from(gram)] += 1.0
         lower = np.linalg.cholesky(gram)
-        both = np.stack([u, t], axis=1)
-        # numpy's solver, as numpy's and scipy's threads would wait for each other
         half = np.linalg.solve(lower, B @ both)
         (uu, ut), (_, tt) = both.T @ both - half.T @ half
         if scale is None:
             scale = float(ut / uu) if uu > 0.0 else 1.0
-        m = len(t)
+        m = len(both)
         square = max(float(tt - 2.0 * scale * ut + scale**2 * uu), 1e-300)
-        per_row = -0.5 * 3.0 * len(self.terms) * float(np.log1p(-(phi**2)).sum())
-        per_row += 1.5 * self.frames * float(np.log(weights).sum())
-        determinant = float(np.log(np.diag(lower)).sum()) - per_row
+        determinant += float(np.log(np.diag(lower)).sum())
         density = -0.5 * m * (np.log(2.0 * np.pi * square / m) + 1.0) - determinant
         error = float(np.sqrt(square / m / uu)) if uu > 0.0 else np.inf
         return Evidence(float(density), scale, error, square / m)
-
-
-def _whitened(values: Array, phi: Array) -> Array:
-    """Rows times A, flattened: (..., terms, frames, 3) to (..., rows)."""
-    out = values.copy()
-    before = phi[1:, None]
-    out[..., 1:, :] -= before * values[..., :-1, :]
-    out /= np.sqrt(1.0 - phi**2)[:, None]
-    return np.asarray(out.reshape(*values.shape[:-3], -1))
-
-
-def _coloured(values: Array, phi: Array) -> Array:
-    """Rows times A⁻¹, (k, terms, frames, 3): their products are those with R."""
-    out, root = values.copy(), np.sqrt(1.0 - phi**2)
-    for frame in range(len(phi) - 1, -1, -1):
-        if frame + 1 < len(phi) and phi[frame + 1] > 0.0:
-            carried = phi[frame + 1] / root[frame + 1]
-            out[..., frame, :] += carried * out[..., frame + 1, :]
-        out[..., frame, :] *= root[frame]
-    return out

@@ -21,6 +21,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.fitting.hyperparameters import Hyperparameter
 from ttus_opt.fitting.left_out import LeftOut
 from ttus_opt.fitting.marginal_likelihood import Evidence, MeasuredSeries
+from ttus_opt.fitting.place_left_out import PlaceLeftOut
 from ttus_opt.fitting.tuning_candidate import (
     SIGNAL_TO_NOISE,
     Candidate,
@@ -130,7 +131,7 @@ def tune(
     """Choose weights, boundary scale, friction and options by marginal likelihood.
 
     Limits such as p ≥ 0 are left out: the evidence is that of the Gaussian without
-    them. A grid of more than 16,000 voxels is replaced by a coarser one for tuning,
+    them. A grid of more than 60,000 voxels is replaced by a coarser one for tuning,
     except for a Formulation object.
 
     Args:
@@ -171,8 +172,8 @@ def _finished(tried: Sequence[Candidate], compare: bool) -> Tuning:
     after = tried[[one is best for one in tried].index(True) + 1 :]
     rows, values, evidence = best.rows, best.values, best.evidence()
     series = best.series.at(values.coefficient)
-    at = values.weights, values.correlation_time
-    independent = values.weights * series.independent_share(*at)
+    left_out = PlaceLeftOut.of(series, values.weights, values.noise)
+    independent = values.weights * left_out.shares()
     whole = TuningRows.of(best.declared)
     # rescale the weights to the prior variance on the grid of the fit
     same = best.declared.scene is rows.declared.scene

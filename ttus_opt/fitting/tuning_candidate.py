@@ -1,8 +1,9 @@
 """The likeliest hyperparameters of one formulation, by the evidence of its rows.
 
-These are the weights of its measured terms, the correlation time of model errors, a
-coefficient of its rows such as friction, and options of the formulation; the boundary
-scale follows in closed form. See docs/method.md, "Tuning".
+These are the weights of its measured terms, how much of their errors is sensor noise,
+the correlation time of the rest, a coefficient of its rows such as friction, and
+options of the formulation; the boundary scale follows in closed form. See
+docs/method.md, "Tuning".
 """
 
 from __future__ import annotations
@@ -23,7 +24,11 @@ from ttus_opt.fitting.hyperparameters import (
     Prior,
     maximise,
 )
-from ttus_opt.fitting.marginal_likelihood import Evidence, MeasuredSeries
+from ttus_opt.fitting.marginal_likelihood import (
+    Evidence,
+    MeasuredSeries,
+    SeriesNoise,
+)
 from ttus_opt.fitting.tuning_series import TuningRows
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
@@ -40,8 +45,13 @@ SIGNAL_TO_NOISE = "signal_to_noise"
 #: Weight of a further term over the first's, likewise [–]
 RATIO = (1.0, 1.5)
 
-#: Correlation time of model errors, likewise [s]
-CORRELATION_TIME = (0.15, 1.0)
+#: Variance of a term's sensor noise over that of its model errors, likewise: 0.08 N and
+#: 0.16 N [–]
+SENSOR = (0.25, 1.5)
+
+#: Correlation time of model errors, likewise; in half a second a hand presses by some
+#: millimetres [s]
+CORRELATION_TIME = (0.5, 1.0)
 
 #: Prior standard deviation of a coefficient such as friction, around 0 [–]
 COEFFICIENT = 0.5
@@ -144,7 +154,7 @@ class Candidate:
         """Evidence at the likeliest hyperparameters, with the boundary scale to use."""
         values = self.values
         series = thinned(self.series).at(values.coefficient)
-        at = values.weights, values.correlation_time
+        at = values.weights, values.noise
         if not self.free_scale:
             return series.evidence(*at, scale=1.0)
         free = series.evidence(*at)
@@ -160,12 +170,12 @@ class Values:
 
     Attributes:
         weights: λ by term [–].
-        correlation_time: T [s].
+        noise: Correlation of the errors.
         coefficient: Coefficient of the rows; 0 without one.
     """
 
     weights: Array
-    correlation_time: float
+    noise: SeriesNoise
     coefficient: float
 
     @classmethod
@@ -173,8 +183,9 @@ class Values:
         """From values in the order of `_priors`."""
         first = found[0] / variance
         weights = first * np.concatenate([[1.0], found[1:n_terms]])
-        rest = found[n_terms + 1 :]
-        return cls(weights, float(found[n_terms]), float(rest[0]) if len(rest) else 0.0)
+        sensor, (time, *rest) = found[n_terms : 2 * n_terms], found[2 * n_terms :]
+        noise = SeriesNoise(float(time), sensor)
+        return cls(weights, noise, float(rest[0]) if rest else 0.0)
 
 
 def ratio_name(term: str, first: str) -> str:
@@ -187,6 +198,7 @@ def _priors(rows: TuningRows) -> list[Prior]:
     first, *others = rows.terms
     priors = [Prior(SIGNAL_TO_NOISE, *SIGNAL)]
     priors += [Prior(ratio_name(name, first), *RATIO) for name in others]
+    priors += [Prior(f"{name}_sensor_over_model_error", *SENSOR) for name in rows.terms]
     priors.append(Prior("correlation_time", *CORRELATION_TIME, unit="s"))
     if rows.coefficient:
         priors.append(
@@ -274,7 +286,7 @@ def _tuned(
             scale = None if free_scale else 1.0
             return (
                 seen.at(at.coefficient)
-                .evidence(at.weights, at.correlation_time, scale)
+                .evidence(at.weights, at.noise, scale)
                 .log_density
             )
 
