@@ -103,6 +103,7 @@ def test_independent_frames_keep_their_weights() -> None:
     noise = SeriesNoise(1e-9, np.zeros(2))
     found = PlaceLeftOut.of(series(), WEIGHTS, noise).shares()
     np.testing.assert_allclose(found, 1.0, rtol=0.1)
+    assert (found <= 1.0).all()
 
 
 def test_a_single_place_keeps_the_weights() -> None:

@@ -190,3 +190,9 @@ def test_noise_is_read_as_it_was_written() -> None:
     for bad in (-1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="noise must"):
             WrenchNoise.from_dict({**NOISE.as_dict(), "force": bad})
+
+
+def test_the_size_of_a_place_may_be_told() -> None:
+    press = np.zeros(4, dtype=np.int64)
+    along = np.column_stack([0.01 * np.arange(4), np.zeros(4), np.zeros(4)])
+    assert places(press, along, 0.015).tolist() == [0, 0, 1, 1]
