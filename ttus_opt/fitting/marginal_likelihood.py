@@ -10,8 +10,9 @@ errors' correlation over the frames,
 
     R(i, j) = (exp(-|tᵢ - tⱼ|/T) + w δᵢⱼ)/(1 + w)    in one press, otherwise 0,
 
-and its Cholesky factor for whitening, B the whitened images, t the whitened targets, s
-the scale of the boundary values and u the whitened rows of the Laplace field for s = 1,
+and A √λ the filter that whitens the errors (the innovations of a Kalman filter, R. H.
+Jones, Technometrics 22, 1980), B the whitened images, t the whitened targets, s the
+scale of the boundary values and u the whitened rows of the Laplace field for s = 1,
 
     log p = -½ (m log(2π J/m) + log det(1 + B Bᵀ) + log det(R/λ) + m),
     J = (t - s u)ᵀ(1 + BᵀB)⁻¹(t - s u),    s of generalised least squares.
@@ -153,27 +154,47 @@ class MeasuredSeries:
         assert self.slope is None
         n = len(self.images)
         both = np.stack([self.base, self.target])
-        rows = np.moveaxis(np.concatenate([self.images, both]), 2, 0)
-        white, determinant = [], 0.0
-        for term, weight in enumerate(weights):
-            correlation = noise.correlation(self.time, self.press, term)
-            root = np.linalg.cholesky(correlation) / np.sqrt(weight)
-            determinant += 3.0 * float(np.log(np.diag(root)).sum())
-            # numpy's solver, as numpy's and scipy's threads would wait for each other
-            solved = np.linalg.solve(root, rows[:, :, term].reshape(self.frames, -1))
-            white.append(solved.reshape(self.frames, -1, 3))
-        columns = np.moveaxis(np.concatenate(white), 1, 0).reshape(n + 2, -1)
-        B, both = columns[:n], columns[n:].T
-        gram = B @ B.T
-        gram[np.diag_indices_from(gram)] += 1.0
+        columns, determinant = self._white(
+            np.concatenate([self.images, both]), np.asarray(weights), noise
+        )
+        gram = columns @ columns.T
+        gram[np.diag_indices(n)] += 1.0
+        # its last block is the Cholesky factor of what the prior leaves of u and t
         lower = np.linalg.cholesky(gram)
-        half = np.linalg.solve(lower, B @ both)
-        (uu, ut), (_, tt) = both.T @ both - half.T @ half
+        (uu, ut), (_, tt) = lower[n:, n:] @ lower[n:, n:].T
         if scale is None:
             scale = float(ut / uu) if uu > 0.0 else 1.0
-        m = len(both)
+        m = columns.shape[1]
         square = max(float(tt - 2.0 * scale * ut + scale**2 * uu), 1e-300)
-        determinant += float(np.log(np.diag(lower)).sum())
+        determinant += float(np.log(np.diag(lower)[:n]).sum())
         density = -0.5 * m * (np.log(2.0 * np.pi * square / m) + 1.0) - determinant
         error = float(np.sqrt(square / m / uu)) if uu > 0.0 else np.inf
         return Evidence(float(density), scale, error, square / m)
+
+    def _white(
+        self, values: Array, weights: Array, noise: SeriesNoise
+    ) -> tuple[Array, float]:
+        """Rows times A √λ, (k, terms, frames, 3) to (k, rows), and -log det of A √λ.
+
+        The innovations of a Kalman filter, whose state is the slow part of the errors:
+        without a factorisation, so that BLAS threads do not wait for each other.
+        """
+        rows = np.ascontiguousarray(values.transpose(2, 1, 0, 3))
+        rows *= np.sqrt(weights)[:, None, None]
+        slow, sensor = 1.0 / (1.0 + noise.sensor), noise.sensor / (1.0 + noise.sensor)
+        step = np.abs(np.diff(self.time, prepend=self.time[:1]))
+        begins = np.diff(self.press, prepend=self.press[:1] - 1) != 0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            memory = np.where(begins, 0.0, np.exp(-step / noise.correlation_time))
+        state, spread = np.zeros_like(rows[0]), slow
+        determinant = -1.5 * self.frames * float(np.log(weights).sum())
+        for row, phi in zip(rows, memory, strict=True):
+            state *= phi
+            spread = phi**2 * spread + (1.0 - phi**2) * slow
+            whole = spread + sensor
+            row -= state
+            state += (spread / whole)[:, None, None] * row
+            row /= np.sqrt(whole)[:, None, None]
+            spread = spread * sensor / whole
+            determinant += 1.5 * float(np.log(whole).sum())
+        return rows.transpose(2, 1, 0, 3).reshape(len(values), -1), determinant
