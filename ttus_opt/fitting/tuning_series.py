@@ -28,8 +28,8 @@ from ttus_opt.solvers.dual.system import DualSystem
 from ttus_opt.solvers.dual.weight_sweep import WeightSweep
 
 #: About the most voxels of a grid for tuning. On a coarse grid errors of discretisation
-#: count as noise: with 16,000 voxels the bundled example on 345,600 gets weights three
-#: times smaller, which err 4 % more on unseen motion, in half the time
+#: count as noise: with 16,000 voxels the bundled example on 345,600 gets weights less
+#: than half as large, which err 4 % more on unseen motion, in half the time
 MOST_VOXELS = 60_000
 
 #: Random probes of the rows' variance, and the relative residual of their solves
