@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -180,3 +181,16 @@ def test_another_kind_is_refused(name: str) -> None:
     with pytest.raises(InputError, match=f"{name} cannot be tuned") as refused:
         rows_of(name)
     assert ("no weights" in str(refused.value)) == (name == "laplace_only")
+
+
+def test_a_place_is_as_large_as_the_probe() -> None:
+    """Frames of a place are within its radius of the first; the next one is not."""
+    scene = three_presses()
+    found = rows_of("eq10").series(10.0)
+    position = scene.trajectory.position[contact()]
+    first = np.flatnonzero(np.diff(found.place, prepend=-1))
+    away = np.linalg.norm(position - position[first[found.place]], axis=1)
+    assert away.max() <= scene.shell.rms_radius
+    for begins, ends in itertools.pairwise(first):
+        far = np.linalg.norm(position[ends] - position[begins])
+        assert found.press[ends] != found.press[begins] or far > scene.shell.rms_radius
