@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from ttus_opt.errors import InputError
 from ttus_opt.report.calibration_curve import CalibrationCurve
@@ -60,6 +61,10 @@ def calibration_picture(
         left.set(xlim=(0.0, 100.0), ylim=(0.0, 100.0), title=title)
         left.set(xlabel="stated share of force components [%]", ylabel="found [%]")
         right.set(xscale="log", yscale="log")
+        for axis in (right.xaxis, right.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+            axis.set_minor_formatter(NullFormatter())
         right.set(xlabel="stated standard deviation of force [N]", ylabel="error [N]")
         figure.legend(loc="outside right center", title="in the 95 % interval")
     return figure
