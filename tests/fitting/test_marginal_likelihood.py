@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,6 +71,18 @@ def test_the_evidence_is_that_of_dense_algebra() -> None:
     normal = scipy.stats.multivariate_normal(np.zeros(m), square / m * S)
     assert found.log_density == pytest.approx(normal.logpdf(t - u), abs=1.0)
     assert found.variance == pytest.approx(square / m, rel=1e-2)
+
+
+def test_without_a_laplace_field_there_is_no_scale_and_the_density_stands() -> None:
+    """An inner value of 0: the limit of a field that becomes small."""
+    weights, own = np.array([FORCE, TORQUE]), series()
+    none = replace(own, base=np.zeros_like(own.base)).evidence(weights, NOISE)
+    assert none.scale == 1.0 and none.scale_error == np.inf
+    small = replace(own, base=1e-9 * own.base).evidence(weights, NOISE, scale=1.0)
+    assert none.log_density == pytest.approx(small.log_density, abs=1e-6)
+    _, _, t, _ = dense()
+    square = t @ np.linalg.solve(covariance(), t)
+    assert none.variance == pytest.approx(square / len(t), rel=1e-2)
 
 
 def test_the_scale_is_that_of_generalised_least_squares() -> None:

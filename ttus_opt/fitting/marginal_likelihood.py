@@ -58,6 +58,10 @@ class SeriesNoise:
         return np.asarray(slow / (1.0 + own))
 
 
+#: Share of their own squares by which u and t are kept from being singular [–]
+HELD = 1e-6
+
+
 @dataclass(frozen=True)
 class Evidence:
     """Evidence of a set of hyperparameters.
@@ -158,10 +162,14 @@ class MeasuredSeries:
             np.concatenate([self.images, both]), np.asarray(weights), noise
         )
         gram = columns @ columns.T
-        gram[np.diag_indices(n)] += 1.0
+        size = np.diag(gram)[n:]
+        # so that u = 0 has a factor as well; taken off again
+        held = np.where(size > 0.0, HELD * size, 1.0)
+        gram[np.diag_indices(n + 2)] += np.concatenate([np.ones(n), held])
         # its last block is the Cholesky factor of what the prior leaves of u and t
         lower = np.linalg.cholesky(gram)
-        (uu, ut), (_, tt) = lower[n:, n:] @ lower[n:, n:].T
+        rest = lower[n:, n:] @ lower[n:, n:].T - np.diag(held)
+        uu, ut, tt = max(float(rest[0, 0]), 0.0), float(rest[0, 1]), float(rest[1, 1])
         if scale is None:
             scale = float(ut / uu) if uu > 0.0 else 1.0
         m = columns.shape[1]
