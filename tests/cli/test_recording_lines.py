@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
+from typing import Any
 
+import pytest
+
+from ttus_opt.cli.evaluate_command import _draw
 from ttus_opt.cli.recording_lines import RecordingLine
+from ttus_opt.errors import InputError
 from ttus_opt.fitting.doubt_check import Calibration
 
 FOUND = Calibration(
@@ -44,3 +50,14 @@ def test_a_refusal_is_said() -> None:
     line = RecordingLine("a.csv", 2, math.nan, None, "fewer than three")
     assert line.lines == ["a.csv: no doubt: fewer than three"]
     assert line.as_dict()["doubt"] is None
+
+
+def test_a_picture_of_nothing_is_refused_before_any_other_is_written(
+    tmp_path: Path,
+) -> None:
+    air = RecordingLine("a.csv", 100, math.nan, refused="fewer than three")
+    forces, calibration = tmp_path / "forces.png", tmp_path / "calibration.png"
+    found: Any = None  # not drawn
+    with pytest.raises(InputError, match=r"calibration.png: fewer than three"):
+        _draw(found, [air], forces, calibration)
+    assert not list(tmp_path.iterdir())

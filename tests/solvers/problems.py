@@ -231,3 +231,29 @@ def bending_references() -> list[Reference]:
             terms={"bent": [0.6, 0.8]},
         ),
     ]
+
+
+#: Rows of the capped least squares
+M = np.random.default_rng(0).normal(size=(12, 4))
+
+
+def capped(
+    target: Any, cap: float = 0.5, weight: float = 1.0, times: float = 1.0
+) -> Program:
+    """Least squares below a cap on a multiple of each unknown."""
+    own = np.zeros(12) + np.asarray(target)
+    fit = [term(M, own), term(np.eye(4), np.ones(4), weight, name="ridge")]
+    return program(fit, [rows("cap", times * np.eye(4), [-INF] * 4, [cap] * 4)])
+
+
+def minimum(
+    target: Any, cap: float = 0.5, weight: float = 1.0, times: float = 1.0
+) -> np.ndarray:
+    """The same by projected coordinate descent."""
+    H = M.T @ M + weight * np.eye(4)
+    g = M.T @ (np.zeros(12) + np.asarray(target)) + weight
+    x = np.zeros(4)
+    for _ in range(500):
+        for i in range(4):
+            x[i] = min(x[i] + (g[i] - H[i] @ x) / H[i, i], cap / times)
+    return x

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
-from tests.solvers.problems import program, rows, term
+from tests.solvers.problems import M, capped, minimum, program, rows, term
 from ttus_opt.problem.kkt import kkt_residuals
-from ttus_opt.problem.program import Program
 from ttus_opt.solvers import scs
 from ttus_opt.solvers.base import Claim, Request
 from ttus_opt.terms.penalties.linear import Linear
@@ -17,30 +14,7 @@ from ttus_opt.terms.penalties.linear import Linear
 pytest.importorskip("scs")
 
 SOLVER = scs.Scs()
-M = np.random.default_rng(0).normal(size=(12, 4))
 INF = np.inf
-
-
-def capped(
-    target: Any, cap: float = 0.5, weight: float = 1.0, times: float = 1.0
-) -> Program:
-    """Least squares below a cap on a multiple of each unknown."""
-    own = np.zeros(12) + np.asarray(target)
-    fit = [term(M, own), term(np.eye(4), np.ones(4), weight, name="ridge")]
-    return program(fit, [rows("cap", times * np.eye(4), [-INF] * 4, [cap] * 4)])
-
-
-def minimum(
-    target: Any, cap: float = 0.5, weight: float = 1.0, times: float = 1.0
-) -> np.ndarray:
-    """The same by projected coordinate descent."""
-    H = M.T @ M + weight * np.eye(4)
-    g = M.T @ (np.zeros(12) + np.asarray(target)) + weight
-    x = np.zeros(4)
-    for _ in range(500):
-        for i in range(4):
-            x[i] = min(x[i] + (g[i] - H[i] @ x) / H[i, i], cap / times)
-    return x
 
 
 @pytest.mark.parametrize(

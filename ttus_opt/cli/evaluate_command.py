@@ -11,7 +11,7 @@ from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
 from ttus_opt.cli.sources import seen, warn_of_another_probe
-from ttus_opt.errors import TtusWarning
+from ttus_opt.errors import InputError, TtusWarning
 
 if TYPE_CHECKING:
     import numpy as np
@@ -94,18 +94,23 @@ def _draw(
     forces: Path | None,
     calibration: Path | None,
 ) -> None:
-    """Write the pictures that were asked for.
+    """Write the pictures that were asked for: all, or none.
 
     Raises:
         InputError: No recording has a stated uncertainty to draw.
     """
     from ttus_opt.report import plots
 
-    if forces is not None:
-        plots.save_picture(plots.force_over_time({"rendered": found}), forces)
+    figures = []
     if calibration is not None:
         curves = {one.name: one.curve for one in each if one.curve is not None}
-        plots.save_picture(plots.calibration_picture(curves), calibration)
+        if not curves:
+            raise InputError(f"nothing to draw in {calibration}: {each[0].refused}")
+        figures.append((plots.calibration_picture(curves), calibration))
+    if forces is not None:
+        figures.append((plots.force_over_time({"rendered": found}), forces))
+    for figure, path in figures:
+        plots.save_picture(figure, path)
 
 
 def _lines(errors: Errors, has_torque: bool) -> list[str]:

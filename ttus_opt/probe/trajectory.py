@@ -264,6 +264,8 @@ class Trajectory:
         Without the noise of the poses, as `ttus_opt.probe.smooth_motion` estimates it
         from all frames of a segment; of a short segment that of `velocity` and
         `angular_velocity`.
+
+        Computed once: make a new trajectory rather than edit the arrays of one.
         """
         return self._twist.copy()
 
