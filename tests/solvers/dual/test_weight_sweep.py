@@ -19,6 +19,7 @@ from ttus_opt.solvers.dual.data import DualData, root_weights
 from ttus_opt.solvers.dual.options import DualOptions
 from ttus_opt.solvers.dual.weight_sweep import (
     BLOCK,
+    PROBES,
     WeightSweep,
     is_limited,
     keeps_limits,
@@ -108,6 +109,19 @@ def test_fields_that_are_handed_over_have_the_images_that_stay() -> None:
     images = fields @ data.system.rows[sweep.informative][:, voxels].T
     size = np.abs(sweep.images).max()
     np.testing.assert_allclose(images, sweep.images, atol=1e-5 * size)
+
+
+def test_with_a_direction_for_every_row_the_basis_is_complete() -> None:
+    """One pose: fewer rows than `PROBES`, whose mean would else end it."""
+    scene = small_scene("trilinear", n_poses=1)
+    data = DualData.of(shelf.load("eq10", scene).without("torque").compile())
+    sweep = WeightSweep(data)
+    assert sweep.complete(data.system.root_weights, 1e-12)
+    assert len(sweep) == 3 < PROBES
+    G = np.linalg.solve(scene.L.toarray().T, data.system.rows.toarray().T)
+    C = G.T @ G
+    size = np.abs(C).max()
+    np.testing.assert_allclose(sweep.images.T @ sweep.images, C, atol=1e-6 * size)
 
 
 def test_too_few_directions_complete_nothing() -> None:

@@ -97,7 +97,8 @@ class SpokeLimits:
         Bounds are propagated along links in both directions, which gives the feasible
         interval of every voxel.
         """
-        return float(np.max(_gap(*self._carried()), initial=0.0))
+        low, up = self._carried()
+        return float(np.max(low - up, initial=0.0))
 
     def proof_of_contradiction(self) -> Duals | None:
         """Multipliers that prove the largest contradiction; None if there is none.
@@ -106,7 +107,7 @@ class SpokeLimits:
         multipliers are 1 at both bounds and on every link between.
         """
         low, up = self._carried()
-        gap = _gap(low, up)
+        gap = low - up
         layer, spoke = np.unravel_index(int(np.argmax(gap)), gap.shape)
         if gap[layer, spoke] <= 0.0:
             return None
@@ -177,12 +178,6 @@ class SpokeLimits:
             rows[self.given_by] = of_bounds[self.given]
         bounds = np.where(self.given, 0.0, of_bounds)
         return Duals(rows, bounds)
-
-
-def _gap(low: Array, up: Array) -> Array:
-    """Lower minus upper bounds; 0 where one is missing."""
-    with np.errstate(invalid="ignore"):
-        return np.nan_to_num(low - up, nan=0.0, neginf=0.0)
 
 
 def two_entries(matrix: sp.csr_array) -> tuple[IntArray, Array] | None:
