@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import math
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -9,7 +11,13 @@ from tests.comparators.recordings import fitted, recordings
 from tests.conftest import ellipsoid, torso
 from ttus_opt.arrays import Array
 from ttus_opt.comparators import compare, markdown
-from ttus_opt.comparators.comparison import SLIDE, judged, ripple, slow_slide
+from ttus_opt.comparators.comparison import (
+    SLIDE,
+    judged,
+    ripple,
+    slow_slide,
+    timed_wrenches,
+)
 from ttus_opt.errors import InputError
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.metrics import angles
@@ -88,6 +96,41 @@ def test_one_that_cannot_be_fitted_says_why_in_its_rows() -> None:
     assert "columns fx, fy, fz" in row.failure
     assert math.isnan(row.force_magnitude_error_N)
     assert row.failure in markdown([row])
+
+
+class Busy(Known):
+    """Its first call takes long, as if compiling, and so does the recording's motion.
+
+    Later calls keep another thread busy.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(np.ones(1))
+        self.calls = 0
+
+    def wrenches(self, trajectory: Trajectory) -> Array:
+        self.calls += 1
+        if self.calls == 1 or "_twist" not in vars(trajectory):
+            burn(0.2)
+        else:
+            other = threading.Thread(target=burn, args=(0.2,))
+            other.start()
+            other.join()
+        return super().wrenches(trajectory)
+
+
+def burn(seconds: float) -> None:
+    """Keep this thread's processor busy."""
+    end = time.thread_time() + seconds
+    while time.thread_time() < end:
+        pass
+
+
+def test_a_frame_is_timed_without_first_call_and_other_threads() -> None:
+    press = recordings()[0].select(slice(0, 40))
+    wrench, frame = timed_wrenches(Busy(), press)
+    assert wrench.shape == (len(press), 6)
+    assert 0.0 < frame * len(press) < 0.1
 
 
 def test_ripple_is_what_short_waves_are_and_long_ones_are_not() -> None:

@@ -82,7 +82,7 @@ def rival(fits: PatientFits, name: str, folder: Path, digest: str) -> Rival:
 
 def _judged(fits: PatientFits, name: str) -> Rival:
     from ttus_opt.comparators import create
-    from ttus_opt.comparators.comparison import ripple
+    from ttus_opt.comparators.comparison import ripple, timed_wrenches
 
     examined = fits.examination
     begin = time.process_time()
@@ -100,13 +100,11 @@ def _judged(fits: PatientFits, name: str) -> Rival:
     per_frame = []
     for against in AGAINST:
         for recording, own in getattr(examined, against).items():
-            begin = time.process_time()
-            wrench = model.wrenches(own)
-            per_frame.append((time.process_time() - begin) / len(own))
+            wrench, frame = timed_wrenches(model, own)
+            per_frame.append(frame)
             errors = compare(own, as_rendered(wrench))
             rows.append(fits.row(PREFIX + name, recording, against, errors))
     facts = {
-        # the median: the first call may compile
         "ms_per_frame": 1e3 * float(np.median(per_frame)),
         "ripple": ripple(model, examined.true["sweep_test"]),
         "processor_seconds": round(spent, 2),
