@@ -198,6 +198,34 @@ TARGETS = (
     Target("fitting/wrench_noise.py", ("fitting/test_wrench_noise.py",)),
     Target("fitting/sanity.py", ("fitting/test_sanity.py",)),
     Target("fitting/agreement.py", ("fitting/test_agreement.py",)),
+    Target("fitting/posterior.py", ("fitting/test_posterior.py",)),
+    Target("fitting/posterior_draws.py", ("fitting/test_posterior_draws.py",)),
+    Target("fitting/hyperparameters.py", ("fitting/test_hyperparameters.py",)),
+    Target(
+        "fitting/measured_rows.py",
+        ("fitting/test_measured_rows.py", "fitting/test_dual_recursion.py"),
+    ),
+    Target("fitting/weight_grid.py", ("fitting/test_weight_grid.py",)),
+    Target("terms/depth_map.py", ("terms/test_depth_map.py",)),
+    Target(
+        "terms/depth_profile.py",
+        ("terms/test_depth_profile.py", "terms/test_depth_map_estimate.py"),
+    ),
+    Target("contact/slip.py", ("contact/test_point_drag.py",)),
+    Target("haptic/point_drag.py", ("haptic/test_drag.py", "haptic/test_wrench.py")),
+    Target(
+        "haptic/kernel_data.py",
+        ("haptic/test_kernel_data.py", "haptic/test_frame.py", "haptic/test_wrench.py"),
+    ),
+    *(
+        Target(f"comparators/{stem}.py", (f"comparators/test_{stem}.py",))
+        for stem in (
+            "contact_geometry",
+            "ellipsoid_torso",
+            "hunt_crossley_two_stage",
+            "kelvin_voigt",
+        )
+    ),
     Target("probe/conventions.py", ("probe/test_conventions.py",)),
     Target("probe/text_table.py", ("probe/test_text_table.py",)),
     Target("session/readings.py", ("session/test_readings.py",)),

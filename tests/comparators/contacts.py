@@ -38,3 +38,13 @@ def samples(found: list[Contact], forces: Array) -> list[Sample]:
 
 def made(kind: type[PatchLaw], **options: float) -> PatchLaw:
     return kind(surface=torso(), shell=ellipsoid(), **options)
+
+
+def after_one_sample(
+    kind: type[PatchLaw], depth: float, rate: float, force: float
+) -> Array:
+    """A law's parameters after its very first sample, without forgetting."""
+    estimator = made(kind, forgetting=1.0)._estimator()
+    contact = Contact(depth, rate, np.array([0.0, 0.1, 0.1]), STILL, NO_PATCH)
+    estimator.take(Sample(contact, force, STILL), 1.0)
+    return estimator.parameters

@@ -44,3 +44,23 @@ def test_what_the_data_do_not_bear_keeps_its_prior_value() -> None:
     nothing = maximise(lambda _: 0.0, [WEIGHT])
     assert nothing.found[0].value == 10.0 and not nothing.found[0].determined
     assert nothing.log_marginal == nothing.log_posterior == 0.0
+
+
+@pytest.mark.parametrize("correlation", [-0.9, 0.6])
+def test_what_is_known_of_one_counts_for_the_other(correlation: float) -> None:
+    """A normal density whose errors are correlated; spreads by the dense inverse."""
+    std, medians = np.array([0.5, 0.1]), np.array([np.log(30.0), 0.25])
+    mixed = correlation * std[0] * std[1]
+    precision = np.linalg.inv(np.diag(std**2) + mixed * (1.0 - np.eye(2)))
+    prior = np.diag([WEIGHT.spread, FRICTION.spread])
+
+    def correlated(values: np.ndarray) -> float:
+        off = np.array([np.log(values[0]), values[1]]) - medians
+        return float(-0.5 * off @ precision @ off)
+
+    found = maximise(correlated, [WEIGHT, FRICTION])
+    curvature = prior @ precision @ prior + np.eye(2)
+    spreads = np.sqrt(np.diag(prior @ np.linalg.inv(curvature) @ prior))
+    assert [each.spread for each in found.found] == pytest.approx(spreads, rel=1e-3)
+    share = found.log_marginal - found.log_posterior
+    assert share == pytest.approx(-0.5 * np.log(np.linalg.det(curvature)), rel=1e-3)

@@ -58,7 +58,7 @@ def test_terms_may_share_a_weight() -> None:
         ({"force": []}, "positive"),
         ({"force": [[1.0, 2.0]]}, "positive"),
         ({"force": "many"}, "numbers"),
-        ({"force": [1.0, 1.0]}, "differ from each other, got 1 repeatedly"),
+        ({"force": [2.0, 1.0, 2.0]}, "differ from each other, got 2 repeatedly"),
         ({(): [1.0]}, "term"),
         ({"force": np.arange(1, 1000), "torque": np.arange(1, 1000)}, "at most"),
     ],

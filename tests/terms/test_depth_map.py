@@ -11,6 +11,7 @@ from tests.conftest import small_scene
 from ttus_opt.errors import InputError
 from ttus_opt.terms.base import AffineRows
 from ttus_opt.terms.depth_map import DepthMapTerm
+from ttus_opt.terms.depth_map_estimate import DepthMapEstimate
 from ttus_opt.terms.depth_profile import DepthProfile, voxel_depths
 
 PROFILE = DepthProfile((1.0, 2.0), (0.8, 0.3))
@@ -51,6 +52,37 @@ def test_a_field_with_twice_the_deviation_costs_four_times_as_much() -> None:
 def test_bad_options_are_refused(name: str, value: float) -> None:
     with pytest.raises(InputError, match=f"{name} must lie between .*, got {value}"):
         term(**{name: value})
+
+
+ESTIMATED = DepthMapEstimate(PROFILE, 0.3, 0.02, 0.011, 0.1, 2.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("deviation", 0.7), ("surface_length", 0.05), ("length_ratio", 0.5)],
+)
+def test_what_is_given_replaces_its_estimate_alone(name: str, value: float) -> None:
+    scene = small_scene("trilinear")
+    found = DepthMapTerm.of(scene, ESTIMATED)
+    expected = DepthMapTerm(
+        scene,
+        profile=PROFILE,
+        deviation=0.3,
+        surface_length=0.02,
+        depth_length=0.011,
+        length_ratio=2.0,
+    )
+    assert found == expected
+    given = DepthMapTerm.of(scene, ESTIMATED, **{name: value})
+    assert given == replace(expected, **{name: value})
+
+
+def test_the_formula_has_a_length_for_each_direction() -> None:
+    formula = term(surface_length=0.03, length_ratio=4.0).formula
+    assert formula == (
+        "‖R (p/φ − 1)‖²/σ², φ = 0.8 (d/10 mm)^1 + 0.3 (d/10 mm)^2, σ = 0.4, lengths "
+        "60 mm around, 15 along, 15 deep"
+    )
 
 
 class Wrong(DepthMapTerm):

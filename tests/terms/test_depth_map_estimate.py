@@ -17,6 +17,7 @@ from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.scene import Scene
 from ttus_opt.terms import depth_map_estimate
 from ttus_opt.terms.depth_map_estimate import _Chosen, _Problem, estimate_depth_map
+from ttus_opt.terms.depth_profile import EXPONENTS as POWERS
 from ttus_opt.terms.depth_profile import voxel_depths
 from ttus_opt.terms.posterior_mode import PosteriorMode
 
@@ -99,6 +100,20 @@ def test_evidence_is_the_log_density_of_the_forces() -> None:
     for other in np.maximum(c * (1.0 + 0.01 * rng.normal(size=(9, 2))), 0.0):
         assert problem.evidence(chosen, varied, other)[0] < evidence
     assert problem.evidence(chosen, varied, c)[0] == pytest.approx(evidence)
+
+
+@pytest.mark.parametrize("power", [1.0, 1.5, 2.0, 3.0])
+def test_each_of_the_powers_alone_explains_a_field_that_grows_with_it(
+    power: float,
+) -> None:
+    """A stiff layer, a round tip on a half-space, tissue that stiffens."""
+    scene = drawn(0, 40)
+    p = 0.7 * np.maximum(voxel_depths(scene.voxmap) / 0.01, 0.0) ** power
+    grown = with_forces(scene, scene.N @ p)
+    found = _Problem.of(grown, scene.N, POWERS, 0.015).least_squares()
+    expected = 0.7 * (np.array(POWERS) == power)
+    assert expected.any()
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_the_posterior_has_the_priors_of_the_method(

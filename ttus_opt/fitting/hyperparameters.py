@@ -134,9 +134,6 @@ def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> 
         worst = free[int(np.argmax(spread))]
         x[worst] = 0.0
         free.remove(worst)
-        if not free:
-            spread, hessian = np.zeros(0), np.zeros((0, 0))
-            break
     spreads = dict(zip(free, spread, strict=True))
     found = tuple(
         Hyperparameter(
@@ -151,7 +148,7 @@ def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> 
         for i, prior in enumerate(priors)
     )
     peak = -cost(x[free])
-    occam = 0.0 if not free else -0.5 * float(np.linalg.slogdet(hessian)[1])
+    occam = -0.5 * float(np.linalg.slogdet(hessian)[1])
     return Maximum(found, peak, peak + occam)
 
 
