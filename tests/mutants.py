@@ -98,6 +98,7 @@ TARGETS = (
     ),
     Target("fitting/recursive.py", ("fitting/test_recursive.py",)),
     Target("fitting/dual_recursion.py", ("fitting/test_dual_recursion.py",)),
+    Target("fitting/field_refinement.py", ("fitting/test_field_refinement.py",)),
     Target("fitting/low_rank_kernel.py", ("fitting/test_low_rank_kernel.py",)),
     Target(
         "fitting/pivots.py",
@@ -117,9 +118,9 @@ TARGETS = (
             "haptic/test_renderer_motion.py",
             "haptic/test_renderer_poses.py",
             "haptic/test_renderer_threads.py",
-            "voxmap/test_doubt_map.py",
         ),
     ),
+    Target("haptic/force_doubt.py", ("haptic/test_force_doubt.py",)),
     Target(
         "haptic/blend.py",
         (
@@ -219,12 +220,14 @@ TARGETS = (
     ),
     *(
         Target(f"comparators/{stem}.py", (f"comparators/test_{stem}.py",))
-        for stem in (
-            "contact_geometry",
-            "ellipsoid_torso",
-            "hunt_crossley_two_stage",
-            "kelvin_voigt",
+        for stem in ("contact_geometry", "ellipsoid_torso")
+    ),
+    *(
+        Target(
+            f"comparators/{stem}.py",
+            (f"comparators/test_{stem}.py", "comparators/test_patch_law.py"),
         )
+        for stem in ("hunt_crossley_two_stage", "kelvin_voigt")
     ),
     Target("probe/conventions.py", ("probe/test_conventions.py",)),
     Target("probe/text_table.py", ("probe/test_text_table.py",)),

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from tests.conftest import small_scene
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError, NumericalError
-from ttus_opt.fitting import dual_recursion
+from ttus_opt.fitting import dual_recursion, field_refinement
 from ttus_opt.fitting.dual_recursion import DualRecursion
 from ttus_opt.fitting.measured_rows import Block
 from ttus_opt.laplace.system import LaplaceSystem
@@ -290,23 +290,12 @@ def test_a_field_that_does_not_converge_is_an_error(
     problem = Problem(coarse, 2, 7, 1.0)
     system = problem.start()
     problem.fold(system, [0, 1])
-    monkeypatch.setattr(dual_recursion, "FIELD_RTOL", 0.0)
+    for module in (dual_recursion, field_refinement):
+        monkeypatch.setattr(module, "FIELD_RTOL", 0.0)
     with pytest.raises(NumericalError, match="dual residual stays"):
         system.field()
     monkeypatch.undo()
     assert close(system.field(), problem.dense([0, 1])[1])
-
-
-def test_fields_are_refined_along_conjugate_directions(
-    coarse: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without a factor: twelve rows in as many steps, and few more for rounding."""
-    problem = Problem(coarse, 4, 12, 1e3)
-    system = problem.start()
-    problem.fold(system, list(range(4)))
-    monkeypatch.setattr(system._kernel, "solve", lambda residual: residual)
-    monkeypatch.setattr(dual_recursion, "FIELD_ROUNDS", 4 * HEIGHT + 4)
-    assert system._refined() <= dual_recursion.FIELD_RTOL
 
 
 def test_refusals(coarse: Scene) -> None:

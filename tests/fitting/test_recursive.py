@@ -11,7 +11,7 @@ from tests.conftest import presses, small_scene, some, torso
 from ttus_opt.arrays import Array
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError
-from ttus_opt.fitting.dual_recursion import FIELD_RTOL
+from ttus_opt.fitting.field_refinement import FIELD_RTOL
 from ttus_opt.fitting.recursive import Innovation, RecursiveFit
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory

@@ -14,7 +14,7 @@ from ttus_opt.constraints.boundary import HardBoundary
 from ttus_opt.constraints.sign import Sign
 from ttus_opt.errors import InputError
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.program import Program, QuadraticForm, _stack
+from ttus_opt.problem.program import Program, QuadraticForm
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import AffineRows, Term
 from ttus_opt.terms.force import ForceTerm
@@ -157,25 +157,6 @@ def test_variables_are_stacked_with_the_field_first() -> None:
     laplace = program.term("laplace")
     assert laplace is not None
     np.testing.assert_allclose(laplace.residual(x), TINY.L @ x[:V] - TINY.b)
-
-
-@pytest.mark.parametrize(
-    "names", [["a"], ["b"], ["c"], ["a", "c"], ["b", "c"], ["c", "a"], ["a", "b", "c"]]
-)
-def test_blocks_lie_where_their_variables_do(names: list[str]) -> None:
-    sizes = {"a": 3, "b": 4, "c": 2}
-    dense = {name: RNG.normal(size=(5, sizes[name])) for name in names}
-    for block in dense.values():
-        block[RNG.random(block.shape) < 0.4] = 0.0
-    blocks = {name: sp.csr_array(block) for name, block in dense.items()}
-    nothing = {name: np.zeros((5, size)) for name, size in sizes.items()}
-    expected = np.hstack([(nothing | dense)[name] for name in sizes])
-    found = _stack(blocks, sizes, 5)
-    np.testing.assert_array_equal(found.toarray(), expected)
-    assert found.nnz == np.count_nonzero(expected)
-    for name, block in dense.items():  # which others may still use
-        np.testing.assert_array_equal(blocks[name].toarray(), block)
-    assert _stack({}, sizes, 5).shape == (5, 9)
 
 
 def test_variables_of_two_sizes_are_refused() -> None:

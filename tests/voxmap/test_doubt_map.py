@@ -7,8 +7,6 @@ import math
 import numpy as np
 import pytest
 
-import ttus_opt as tt
-from tests.conftest import small_scene
 from ttus_opt.errors import InputError
 from ttus_opt.voxmap.doubt_map import DoubtMap
 
@@ -29,21 +27,6 @@ def test_between_places_it_is_bilinear_and_closed() -> None:
         x, y = math.cos(angle), math.sin(angle)
         assert found.at(x, y, height) == pytest.approx(expected)
     assert found.at(1.0, 0.0, 9.0) == pytest.approx(found.at(1.0, 0.0, 0.2))
-
-
-def test_a_frame_has_the_share_of_its_force() -> None:
-    scene = small_scene("trilinear")
-    field = tt.fit(scene, "eq10").field
-    half = DoubtMap(THETA, np.array([0.0, 0.2]), np.full((8, 2), 0.5))
-    renderer = tt.Renderer(field, scene.shell, doubt=half)
-    told = scene.trajectory
-    wrench = renderer.render(told.rotation[0], told.position[0])
-    assert wrench.force_std == pytest.approx(0.5 * np.linalg.norm(wrench.force))
-    assert wrench.force_std > 0.0
-    away = renderer.render(told.rotation[0], 1.3 * told.position[0])
-    assert away.force_std == 0.0
-    plain = tt.Renderer(field, scene.shell).render(told.rotation[0], told.position[0])
-    assert math.isnan(plain.force_std)
 
 
 @pytest.mark.parametrize(
@@ -69,14 +52,3 @@ def test_places_stand_in_equal_steps(
 ) -> None:
     with pytest.raises(InputError, match=f"doubt map needs {why}"):
         DoubtMap(theta, np.array(z), np.zeros((8, 2)))
-
-
-def test_a_map_of_no_or_another_body_is_refused() -> None:
-    scene = small_scene("trilinear")
-    field = tt.fit(scene, "eq10").field
-    for bad in (True, 1.0, "field.nc"):
-        with pytest.raises(InputError, match="doubt=True needs"):
-            tt.Renderer(field, scene.shell, doubt=bad)  # type: ignore[arg-type]
-    tall = DoubtMap(THETA, np.array([0.0, 2.0]), np.zeros((8, 2)))
-    with pytest.raises(InputError, match="the map of this field"):
-        tt.Renderer(field, scene.shell, doubt=tall)

@@ -20,7 +20,7 @@ and its prediction is that of the last field plus, for rows added since, r M⁻�
 their residual.
 
 R need not be exact: I + R Rᵀ is a preconditioner, and conjugate gradients refine the
-field until (I + K) y = d₀ holds to `FIELD_RTOL`, with solves of full accuracy.
+field until (I + K) y = d₀ holds (`ttus_opt.fitting.field_refinement`).
 
 Rows may be added, faded and removed any number of times. When a pivot is removed, the
 columns of K of the rows that replace it are solved for again, so that errors of R do
@@ -37,13 +37,11 @@ from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.errors import InputError, NumericalError
+from ttus_opt.fitting.field_refinement import FIELD_ROUNDS, FIELD_RTOL, refined
 from ttus_opt.fitting.low_rank_kernel import LowRankKernel, Projection
 from ttus_opt.fitting.measured_rows import Block, MeasuredRows
 from ttus_opt.laplace.system import RTOL, LaplaceSystem
 from ttus_opt.threads import side_by_side
-
-#: Relative residual of (I + K) y = d₀ to which the field is refined; most iterations
-FIELD_RTOL, FIELD_ROUNDS = 1e-9, 30
 
 #: Largest residual variance of a dependent row, over that of its noise
 DEPENDENT = 1e-6
@@ -261,37 +259,15 @@ class DualRecursion:
         return self.prior_field + self._shift
 
     def _refined(self) -> float:
-        """Refine the last field; return its relative residual.
-
-        Conjugate gradients preconditioned by I + R Rᵀ, flexible because the solves are
-        inexact: Notay, SIAM J. Sci. Comput. 22 (2000) 1444-1460.
-        """
-        laplace = self._laplace
+        """Refine the last field; return its relative residual."""
         if self._shift is None:
-            self._shift = np.zeros(laplace.grid.n_voxels)
+            self._shift = np.zeros(self._laplace.grid.n_voxels)
             self._y = np.zeros_like(self._d0)
-        size = float(np.linalg.norm(self._d0))
-        direction, before, fall = np.zeros_like(self._d0), np.zeros_like(self._d0), 1.0
-        for _ in range(FIELD_ROUNDS):
-            residual = self._d0 - self._D.times(self._shift) - self._y
-            now = float(np.linalg.norm(residual))
-            if now <= FIELD_RTOL * size:
-                return 0.0
-            step = self._kernel.solve(residual)
-            direction = step + (step @ (residual - before) / fall) * direction
-            before, fall = residual, float(step @ residual)
-            # a small correction needs less accuracy
-            rtol = min(max(RTOL, 0.1 * FIELD_RTOL * size / now), 1e-4)
-            source = laplace.solve_adjoint(self._D.adjoint(direction), rtol=rtol)
-            shift = laplace.solve(source, rtol=rtol)
-            length = direction @ (direction + self._D.times(shift))
-            if not (fall > 0.0 and length > 0.0):
-                break
-            part = float(direction @ residual / length)
-            self._shift = self._shift + part * shift
-            self._y = self._y + part * direction
-        residual = self._d0 - self._D.times(self._shift) - self._y
-        return float(np.linalg.norm(residual)) / size
+        found = refined(
+            self._laplace, self._D, self._kernel, self._d0, self._shift, self._y
+        )
+        self._shift, self._y = found.shift, found.y
+        return found.residual
 
     def _projected(self, block: Block) -> tuple[Projection, Array]:
         """Project a block on R; also the entries of K for its new columns."""

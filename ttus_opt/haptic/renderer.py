@@ -38,6 +38,7 @@ from ttus_opt.haptic.field_swap import (
 )
 from ttus_opt.haptic.field_wrench import DragSource
 from ttus_opt.haptic.field_wrench import Wrench as Wrench
+from ttus_opt.haptic.force_doubt import ForceDoubt
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.motion import TIME, MotionFilter
 from ttus_opt.haptic.tables import frame_table, render_tables, table_of
@@ -103,7 +104,7 @@ class Renderer:
     ) -> None:
         expect(field, PotentialField, "the field")
         expect(shell, PointShell, "the probe")
-        self._doubt = _map_of(doubt, field)
+        self._doubt = ForceDoubt.of(doubt, field)
         if force_limit is not None and not force_limit > 0.0:
             raise InputError(f"force_limit must be positive [N], got {force_limit}")
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
@@ -189,17 +190,12 @@ class Renderer:
         try:
             counts, drag = self._render(rotation, position, twist, time, order)
             wrench = self._buffers.rows[WRENCH].copy()
-            std = math.nan if self._doubt is None else self._std(self._doubt, wrench)
+            std = self._doubt.std(wrench, self._buffers.at)
         finally:
             self._turn.release()
         points, in_grid, beyond, saturated = counts
         force, torque = wrench[:3], wrench[3:]
         return Wrench(force, torque, points, in_grid, beyond, drag, saturated, std)
-
-    def _std(self, doubt: DoubtMap, wrench: Array) -> float:
-        """Standard deviation of the force, by the map at the probe's origin [N]."""
-        size = math.hypot(*wrench[:3].tolist())
-        return doubt.at(*self._buffers.at.tolist()) * size if size else 0.0
 
     def render_into(
         self,
@@ -381,24 +377,3 @@ class Renderer:
     def blend(self) -> BlendState:
         """State of the last update's swap."""
         return BlendState.of(self._fields.pair.ledger)
-
-
-def _map_of(doubt: DoubtMap | bool | None, field: PotentialField) -> DoubtMap | None:
-    """The doubt map to use, or `InputError` if it is missing or of another body."""
-    if doubt is None or doubt is False:
-        return None
-    if isinstance(doubt, DoubtMap):
-        surface = field.voxmap.surface
-        if doubt.z[0] < surface.z[0] or doubt.z[-1] > surface.z[-1]:
-            raise InputError(
-                f"the doubt map has heights from {doubt.z[0]:g} to {doubt.z[-1]:g} m, "
-                f"the field's body from {surface.z[0]:g} to {surface.z[-1]:g} m: give "
-                "the map of this field"
-            )
-        return doubt
-    if doubt is not True or field.doubt is None:
-        raise InputError(
-            "doubt=True needs a field with a doubt map: fit with ttus-opt fit --doubt, "
-            "or give the map of ttus_opt.fitting.skin_doubt.doubt_map"
-        )
-    return field.doubt

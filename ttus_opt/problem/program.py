@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
-from ttus_opt.constraints.base import Bounds, ConeRows, Constraint, LinearRows
+from ttus_opt.constraints.base import Bounds, ConeRows, Constraint
 from ttus_opt.errors import InputError
 from ttus_opt.laplace.system import LaplaceSystem
 from ttus_opt.problem.members import (
@@ -27,12 +27,11 @@ from ttus_opt.problem.members import (
     ProgramConstraint,
     ProgramTerm,
 )
+from ttus_opt.problem.stacking import stacked, variable_sizes
 from ttus_opt.scene import Scene
-from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.base import Term
 from ttus_opt.terms.penalties.linear import Linear
 from ttus_opt.terms.structure import Tag
-
-_Held = LinearRows | ConeRows | Bounds
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ class Program:
         stated = tuple(terms)
         held = [(member.name, member.assembled) for member in constraints]
         held += [pair for term in stated for pair in term.requires.items()]
-        sizes = _sizes(scene, stated, held)
+        sizes = variable_sizes(scene.n_voxels, stated, held)
         n = sum(sizes.values())
         ends = np.cumsum(list(sizes.values())).tolist()
         variables = {
@@ -115,10 +114,10 @@ class Program:
                 lower[part], upper[part] = rows.lower, rows.upper
                 bounds.append(ProgramBounds(name, lower, upper, part))
             elif isinstance(rows, ConeRows):
-                A = _stack(rows.blocks, sizes, len(rows.offset))
+                A = stacked(rows.blocks, sizes, len(rows.offset))
                 cones.append(ProgramCones(name, A, rows.offset, rows.sizes))
             else:
-                A = _stack(rows.blocks, sizes, len(rows.lower))
+                A = stacked(rows.blocks, sizes, len(rows.lower))
                 linear.append(
                     ProgramConstraint(name, A, rows.lower, rows.upper, rows.tags)
                 )
@@ -342,61 +341,14 @@ class Program:
             )
 
 
-def _sizes(
-    scene: Scene, terms: Iterable[Term], held: Iterable[tuple[str, _Held]]
-) -> dict[str, int]:
-    """Entries of every variable, the field p first; members must agree on them."""
-    sizes = {"p": scene.n_voxels}
-    members: list[tuple[str, AffineRows | _Held]] = [
-        *((term.name, term.assembled) for term in terms),
-        *held,
-    ]
-    for owner, rows in members:
-        if isinstance(rows, Bounds):
-            found = {rows.variable: len(rows.lower)}
-        else:
-            found = {name: M.shape[1] for name, M in rows.blocks.items()}
-        for name, size in found.items():
-            if sizes.setdefault(name, size) != size:
-                raise InputError(
-                    f"{owner} gives variable {name!r} {size} entries, others "
-                    f"{sizes[name]}"
-                )
-    return sizes
-
-
 def _program_term(term: Term, sizes: Mapping[str, int]) -> ProgramTerm:
     """A term's rows over all variables."""
     rows = term.assembled
     return ProgramTerm(
         term.name,
         term.weight,
-        _stack(rows.blocks, sizes, len(rows.target)),
+        stacked(rows.blocks, sizes, len(rows.target)),
         rows.target,
         term.penalty,
         rows.tags | ({Tag.MEASURED} if term.measures else set()),
     )
-
-
-def _stack(
-    blocks: Mapping[str, sp.csr_array], sizes: Mapping[str, int], n_rows: int
-) -> sp.csr_array:
-    """Blocks side by side in the order of the variables, zero where absent."""
-    if len(sizes) == 1:  # no copy in the usual case of p alone
-        return blocks["p"]
-    starts = np.concatenate([[0], np.cumsum(list(sizes.values()))])
-    placed = dict(zip(sizes, starts, strict=False))
-    own = [(placed[name], blocks[name]) for name in sizes if name in blocks]
-    if not own:
-        return sp.csr_array((n_rows, int(starts[-1])))
-    # absent blocks move columns; to stack them too takes five times as long
-    matrix = own[0][1] if len(own) == 1 else sp.hstack([b for _, b in own], "csr")
-    widths = [block.shape[1] for _, block in own]
-    before = np.concatenate([[0], np.cumsum(widths)[:-1]])
-    index = sp.get_index_dtype(maxval=int(starts[-1]))
-    moved = np.repeat(np.array([s for s, _ in own]) - before, widths).astype(index)
-    columns = matrix.indices.astype(index)
-    if moved.any():
-        columns += moved[matrix.indices]
-    parts = (matrix.data, columns, matrix.indptr.astype(index))
-    return sp.csr_array(parts, shape=(n_rows, int(starts[-1])))

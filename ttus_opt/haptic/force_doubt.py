@@ -1,0 +1,62 @@
+"""Standard deviation of a rendered force, looked up in a map over the skin."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from ttus_opt.arrays import Array
+from ttus_opt.errors import InputError
+from ttus_opt.voxmap.doubt_map import DoubtMap
+from ttus_opt.voxmap.field import PotentialField
+
+
+@dataclass(frozen=True)
+class ForceDoubt:
+    """What a renderer knows of its forces' uncertainty.
+
+    Attributes:
+        relative: Relative standard deviation over the skin; None if unknown.
+    """
+
+    relative: DoubtMap | None
+
+    @classmethod
+    def of(cls, given: DoubtMap | bool | None, field: PotentialField) -> ForceDoubt:
+        """The map to use: the one given, or with True the field's own.
+
+        Raises:
+            InputError: The map is missing, or of another body.
+        """
+        if given is None or given is False:
+            return cls(None)
+        if isinstance(given, DoubtMap):
+            surface = field.voxmap.surface
+            if given.z[0] < surface.z[0] or given.z[-1] > surface.z[-1]:
+                raise InputError(
+                    f"the doubt map has heights from {given.z[0]:g} to "
+                    f"{given.z[-1]:g} m, the field's body from {surface.z[0]:g} to "
+                    f"{surface.z[-1]:g} m: give the map of this field"
+                )
+            return cls(given)
+        if given is not True or field.doubt is None:
+            raise InputError(
+                "doubt=True needs a field with a doubt map: fit with ttus-opt fit "
+                "--doubt, or give the map of ttus_opt.fitting.skin_doubt.doubt_map"
+            )
+        return cls(field.doubt)
+
+    def std(self, wrench: Array, position: Array) -> float:
+        """Standard deviation of a frame's force, by the map under the probe [N].
+
+        Args:
+            wrench: Force, then torque, shape (6,) [N, N·m].
+            position: The probe's origin, patient frame, shape (3,) [m].
+
+        Returns:
+            NaN if unknown; 0 without force.
+        """
+        if self.relative is None:
+            return math.nan
+        size = math.hypot(*wrench[:3].tolist())
+        return self.relative.at(*position.tolist()) * size if size else 0.0
