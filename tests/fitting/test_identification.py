@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import ttus_opt as tt
-from tests.conftest import some
+from tests.conftest import small_scene, some
 from tests.dragging import dragged_scene
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.fitting.identification import noise_variance
@@ -404,3 +404,18 @@ def test_a_standard_error_is_that_of_a_cold_start(
     assert set(warm.standard_errors) == set(cold.standard_errors)
     for name, error in cold.standard_errors.items():
         assert warm.standard_errors[name] == pytest.approx(error, rel=1e-4)
+
+
+def test_a_depth_map_lists_no_scale_of_boundary_values_that_it_does_not_use() -> None:
+    scene = small_scene("trilinear", n_poses=30)
+    fitted = Scene.assemble(
+        scene.voxmap, scene.shell, scene.trajectory, inner="fit", sampling="trilinear"
+    )
+    assert set(fitted.standard_errors) == {"boundary_scale"}
+    solution = tt.fit(fitted, "depth_map")
+    for found in (solution, solution.field):
+        assert not found.parameters and not found.standard_errors
+    doubted = replace(fitted, not_identified={"boundary_scale": "no contact"})
+    solution = tt.fit(doubted, "depth_map")
+    assert not solution.not_identified and not solution.identified
+    assert tt.fit(doubted, "eq10").not_identified == doubted.not_identified

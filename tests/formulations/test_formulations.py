@@ -5,8 +5,10 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import formulations
@@ -97,3 +99,24 @@ def test_weights_reach_the_measured_rows(name: str) -> None:
     torque = next(term for term in declared.terms if term.name == "torque")
     assert torque.length == 0.02  # type: ignore[attr-defined]
     assert "0.25" in str(declared)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_boundary_scale_is_listed_where_boundary_values_count(name: str) -> None:
+    """Targets and limits of twice the boundary values tell whether they do."""
+    scene = replace(SCENE, parameters={"boundary_scale": 2.0})
+    declared = load(name, scene)
+    double = load(name, scene.with_boundary(2.0 * scene.inner, 2.0 * scene.outer))
+    one, two = declared.compile(), double.compile()
+    vectors = [
+        *zip((t.target for t in one.terms), (t.target for t in two.terms), strict=True),
+        *zip(
+            (c.lower for c in one.constraints),
+            (c.lower for c in two.constraints),
+            strict=True,
+        ),
+    ]
+    counts = not all(np.array_equal(a, b) for a, b in vectors)
+    values = one.split(np.zeros(one.n_variables))
+    assert ("boundary_scale" in declared.parameters(values)) == counts
+    assert counts == (not name.startswith("depth_map"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -12,7 +14,12 @@ from ttus_opt.problem.distance import CLOSE
 from ttus_opt.problem.formulation import load
 from ttus_opt.problem.gradient_blocks import _least_gradient
 from ttus_opt.problem.kkt import KKT, Duals, _held, bound_duals, kkt_residuals
-from ttus_opt.problem.members import ProgramBounds, ProgramConstraint, ProgramTerm
+from ttus_opt.problem.members import (
+    ProgramBounds,
+    ProgramCones,
+    ProgramConstraint,
+    ProgramTerm,
+)
 from ttus_opt.problem.program import Program
 from ttus_opt.terms.penalties.absolute import Absolute
 from ttus_opt.terms.penalties.groups import Groups
@@ -122,6 +129,42 @@ def test_a_point_is_judged_anew_where_the_program_has_changed() -> None:
     assert_optimal(kkt_residuals(of, x, Duals({}, np.array([4.0]))))
     box.upper[:] = 0.5
     assert kkt_residuals(of, x, Duals({}, np.array([4.0]))).primal == 0.5
+
+
+def test_a_point_is_judged_anew_where_a_matrix_has_changed() -> None:
+    """An entry, a column's place, and two entries exchanged, all in place."""
+    x, duals = np.array([1.0, 1.0]), Duals({"limit": np.array([2.0])})
+    limit = rows("limit", [[1.0, 1.0]], -np.inf, 2.0)
+    of = program(2, [squares([2.0, 2.0])], (limit,))
+    assert_optimal(kkt_residuals(of, x, duals))
+    limit.matrix.data[1] = 3.0  # x + 3 y ≤ 2
+    assert kkt_residuals(of, x, duals).primal == 2.0
+    limit.matrix.data[1] = 1.0
+    assert_optimal(kkt_residuals(of, x, duals))
+    of.terms[0].matrix.data[0] = 2.0  # the gradient's first entry is 0 + 2
+    assert kkt_residuals(of, x, duals).dual == 2.0
+    of.terms[0].matrix.data[:] = 1.0, 2.0
+    assert kkt_residuals(of, x, duals).dual == 2.0
+    of.terms[0].matrix.data[:] = 1.0
+    limit.matrix.indices[:] = 0  # 2 x ≤ 2
+    found = kkt_residuals(of, x, duals)
+    assert found.primal == 0.0 and found.dual == pytest.approx(np.hypot(2.0, 2.0))
+    limit.matrix.indices[:] = 0, 1
+    limit.matrix.data[:] = 1.0, 3.0  # 1 at (1, 0)
+    x[1] = 0.0
+    assert kkt_residuals(of, x, duals).primal == 0.0
+    limit.matrix.data[:] = 3.0, 1.0
+    assert kkt_residuals(of, x, duals).primal == 1.0
+
+
+def test_a_point_is_judged_anew_where_a_cone_has_changed() -> None:
+    """x ≥ |y| with x = y = 1, and with half of x: from (½, 1) to (¾, ¾)."""
+    cone = ProgramCones("cone", sp.csr_array(np.eye(2)), np.zeros(2), (2,))
+    of = replace(program(2, [squares([1.0, 1.0])]), cones=(cone,))
+    x = np.ones(2)
+    assert_optimal(kkt_residuals(of, x, Duals()))
+    cone.matrix.data[0] = 0.5
+    assert kkt_residuals(of, x, Duals()).primal == pytest.approx(0.25)
 
 
 def test_a_multiplier_of_an_absent_limit_is_an_error() -> None:

@@ -351,12 +351,14 @@ def with_estimates(
 
     Args:
         solution: A solution with neutral values of parameters not identified.
-        scene: Its own estimates are included.
+        scene: Its estimates of the solution's parameters are included.
         estimates: Estimates of the parameters, by name.
         doubts: Why a parameter is not identified, by name.
         trouble: Why the search failed; the solution then does not count as solved.
     """
-    errors = dict(scene.standard_errors)
+    own = solution.parameters.keys()
+    errors = {n: e for n, e in scene.standard_errors.items() if n in own}
+    unknown = {n: why for n, why in scene.not_identified.items() if n in own}
     for name, estimate in estimates.items():
         errors[name] = estimate.standard_error
     errors = {
@@ -370,7 +372,7 @@ def with_estimates(
     solution = replace(
         solution,
         standard_errors=errors,
-        not_identified={**scene.not_identified, **doubts},
+        not_identified={**unknown, **doubts},
         remarks={
             name: estimate.remark
             for name, estimate in estimates.items()

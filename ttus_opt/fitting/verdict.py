@@ -74,7 +74,7 @@ def judged(
     Returns:
         The solution of the original program.
     """
-    scene, program = declared.scene, reduction.original
+    program = reduction.original
     x, duals = candidate.x, candidate.duals
     if x is not None:
         point = reduction.restore(x, duals)
@@ -84,7 +84,7 @@ def judged(
         kkt = kkt_residuals(program, x, duals, tolerance=request.tolerance)
     verdict = _verdict(candidate, reduction, kkt, request)
     status, conflict = verdict.status, verdict.conflict
-    parameters = dict(scene.parameters)
+    parameters = dict(declared.scene_parameters)
     if x is not None and np.isfinite(x).all():
         parameters = declared.parameters(program.split(x))
     costs: dict[str, float] = {}

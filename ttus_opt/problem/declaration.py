@@ -18,6 +18,7 @@ from ttus_opt.problem.cvxpy_form import CvxpyProgram
 from ttus_opt.problem.program import Program
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import Fitted, Term
+from ttus_opt.terms.structure import known_covariance, laplace_rows
 
 
 class Unplaced(Protocol):
@@ -189,13 +190,23 @@ class Formulation:
         """The matrices with named rows."""
         return Program.build(self.scene, self.terms, self.constraints)
 
+    @property
+    def scene_parameters(self) -> Mapping[str, float]:
+        """Parameters of the scene, by name; none if its boundary values are not used.
+
+        A prior with a mean and a covariance of its own uses none.
+        """
+        tags = frozenset().union(*(term.assembled.tags for term in self.terms))
+        own = known_covariance(tags) is not None and laplace_rows(tags) is None
+        return {} if own else self.scene.parameters
+
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """Parameters that a solution identifies, by name.
 
         Args:
             values: The solution's variables by name.
         """
-        found = dict(self.scene.parameters)
+        found = dict(self.scene_parameters)
         for term in self.terms:
             found |= term.parameters(values)
         return found
