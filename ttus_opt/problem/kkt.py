@@ -192,8 +192,10 @@ def _digest(program: Program, x: Array, duals: Duals, tolerance: float) -> bytes
     found = hashlib.sha256(repr(tolerance).encode())
     parts: list[tuple[str, Array | None]] = [("x", x), ("bounds", duals.bounds)]
     probe = _probe(program.n_variables)
-    members = (*program.terms, *program.constraints, *program.cones)
-    parts += [("matrix", member.matrix @ probe) for member in members]
+    matrices = [term.matrix for term in program.terms]
+    matrices += [member.matrix for member in program.constraints]
+    matrices += [cone.matrix for cone in program.cones]
+    parts += [("matrix", matrix @ probe) for matrix in matrices]
     parts += [("target", term.target) for term in program.terms]
     limits = [(c.lower, c.upper) for c in program.constraints]
     limits += [(b.lower, b.upper) for b in program.bounds]
