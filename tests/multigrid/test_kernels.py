@@ -9,7 +9,7 @@ from ttus_opt.compiled import compiled
 from ttus_opt.multigrid.kernels import (
     LevelIndex,
     Table,
-    close_circle,
+    fill_ghost_rows,
     flow,
     level_index,
     span,
@@ -19,9 +19,9 @@ from ttus_opt.multigrid.workspace import Workspace
 
 
 @compiled()
-def _close(table: Table, work: Single, x: int, colour: int) -> tuple[int, int]:
+def _fill_ghosts(table: Table, work: Single, x: int, colour: int) -> tuple[int, int]:
     at = level_index(table[0])
-    close_circle(at, work, x, colour)
+    fill_ghost_rows(at, work, x, colour)
     first, last = span(at, colour)
     return first, last
 
@@ -47,7 +47,7 @@ def test_closing_the_circle_copies_the_outer_rows(small: Torso) -> None:
     real = layout.places(np.nonzero(small.free))
     stored.reshape(-1)[real] = whole.reshape(-1)[real]
     for colour in (RED, BLACK):
-        first, last = _close(small.hierarchy.table, work, at.x, np.int64(colour))
+        first, last = _fill_ghosts(small.hierarchy.table, work, at.x, np.int64(colour))
         places = real[real // layout.colour_size == colour] % layout.width
         assert first <= places.min() and places.max() < last
     np.testing.assert_array_equal(stored[:, 1:-1], whole[:, 1:-1])

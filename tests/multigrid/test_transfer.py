@@ -9,7 +9,7 @@ from tests.multigrid.test_solver import box, make_grid
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import compiled
 from ttus_opt.multigrid.hierarchy import Hierarchy
-from ttus_opt.multigrid.kernels import LevelIndex, Table, close_circle, level_index
+from ttus_opt.multigrid.kernels import LevelIndex, Table, fill_ghost_rows, level_index
 from ttus_opt.multigrid.red_black import Single
 from ttus_opt.multigrid.transfer import prolong, restrict
 
@@ -22,8 +22,8 @@ def _restricted(table: Table, fields: Single, work: Single) -> None:
 @compiled()
 def _prolonged(table: Table, fields: Single, work: Single) -> None:
     below = level_index(table[1])
-    close_circle(below, work, below.x, np.int64(0))
-    close_circle(below, work, below.x, np.int64(1))
+    fill_ghost_rows(below, work, below.x, np.int64(0))
+    fill_ghost_rows(below, work, below.x, np.int64(1))
     prolong(level_index(table[0]), below, fields, work, (0, 1))
 
 

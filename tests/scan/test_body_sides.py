@@ -39,9 +39,11 @@ def test_the_flatter_side_is_the_back() -> None:
 
 
 def test_a_guess_is_said() -> None:
-    with pytest.warns(TtusWarning, match="head from feet"):
+    with pytest.warns(TtusWarning, match="which end is the head"):
         head_along(Z, 0.1 * np.sin(ANGLE), supported=False)
-    with pytest.warns(TtusWarning, match="head from feet"):  # nearly nothing seen
+    with pytest.warns(
+        TtusWarning, match="which end is the head"
+    ):  # nearly nothing seen
         head_along(Z[:20], Z[:20], supported=True)
-    with pytest.warns(TtusWarning, match="front from back"):
+    with pytest.warns(TtusWarning, match="which side is the front"):
         front_along(np.sin(ANGLE))

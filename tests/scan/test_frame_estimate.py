@@ -90,8 +90,8 @@ def test_what_the_scan_hardly_tells_is_said(monkeypatch: pytest.MonkeyPatch) -> 
     with pytest.warns(TtusWarning) as told:
         Axis.from_cloud(tube)
     messages = [str(w.message) for w in told]
-    assert ["front from back" in m for m in messages] == [True, False]
-    assert ["head from feet" in m for m in messages] == [False, True]
+    assert ["which side is the front" in m for m in messages] == [True, False]
+    assert ["which end is the head" in m for m in messages] == [False, True]
     assert {w.filename for w in told} == {__file__}
 
 
@@ -173,7 +173,9 @@ def test_real_scan() -> None:
     path = DATA / "realsense_male_m.pcd"
     if not path.exists():
         pytest.skip("realsense_male_m.pcd is not beside the checkout")
-    with pytest.warns(TtusWarning, match="head from feet"):  # as high at both ends
+    with pytest.warns(
+        TtusWarning, match="which end is the head"
+    ):  # as high at both ends
         axis = Axis.from_cloud(read_cloud(path))
     assert abs(axis.rotation[0, 2]) > np.cos(np.radians(8))  # the body lies along x
     assert axis.rotation[2, 1] > np.cos(np.radians(3))  # the table faces +z
@@ -251,7 +253,7 @@ def test_a_tube_has_its_centre_wherever_it_was_seen_from(share: float) -> None:
     points, normals = tube(60, 20, share)
     rng = np.random.default_rng(3)
     R, t = rotation(rng), rng.uniform(-1, 1, 3)
-    warns = pytest.warns(TtusWarning, match="front from back")
+    warns = pytest.warns(TtusWarning, match="which side is the front")
     with warns if share == 1.0 else contextlib.nullcontext():
         found = frame_estimate._free_frame(points @ R.T + t, normals @ R.T)
     np.testing.assert_allclose(found.origin, t, atol=1e-9)

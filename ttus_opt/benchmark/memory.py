@@ -18,7 +18,7 @@ def peak_bytes() -> int:
 
 
 def current_bytes() -> int:
-    """Resident size now; the peak where the system does not report it [byte]."""
+    """Resident size now; the peak if the system does not report it [byte]."""
     return _from_proc("self/status", "VmRSS") or peak_bytes()
 
 
@@ -28,18 +28,18 @@ def resident_bytes(pid: int) -> int:
 
 
 def available_bytes() -> int | None:
-    """Memory available without swapping; None where it is not reported [byte]."""
+    """Memory available without swapping; None if it is not reported [byte]."""
     return _from_proc("meminfo", "MemAvailable")
 
 
 def reset_peak() -> None:
-    """Reset the peak, where the system can do that."""
+    """Reset the peak, if the system can do that."""
     with contextlib.suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")
 
 
 def trim() -> None:
-    """Return freed memory to the system, where the C library can do that.
+    """Return freed memory to the system, if the C library can do that.
 
     Later allocations then show in the resident size, instead of reusing freed pages.
     """

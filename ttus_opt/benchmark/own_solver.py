@@ -73,7 +73,7 @@ def version(path: Path) -> dict[str, str]:
 
 
 def _pickled(solver: Solver) -> str:
-    """The object as text; `InputError` where it or its class cannot be pickled."""
+    """The object as text; `InputError` if it or its class cannot be pickled."""
     name = type(solver).__qualname__
     if type(solver).__module__ == "__main__" or "<locals>" in name:
         raise InputError(

@@ -34,7 +34,7 @@ LEGEND = (
 def ratios(rows: Sequence[Row]) -> dict[str, list[float]]:
     """Time over the fastest solver's, r_{p,s} by solver, for every solved problem [–].
 
-    Infinite where a solver has no verified answer; all solvers are included.
+    Infinite if a solver has no verified answer; all solvers are included.
     """
     taken: dict[tuple[str, str], dict[str, float]] = {}
     for row in rows:

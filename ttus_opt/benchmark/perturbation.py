@@ -60,7 +60,7 @@ def perturbed(trajectory: Trajectory, how: str) -> Trajectory:
 
 
 def checked_perturbation(how: str) -> str:
-    """The perturbation's name or ""; `InputError` where it is unknown."""
+    """The perturbation's name or ""; `InputError` if it is unknown."""
     if how and how not in PERTURBATIONS:
         choices = " or ".join(PERTURBATIONS)
         raise InputError(f"unknown perturbation {how!r}: choose {choices}")

@@ -94,13 +94,13 @@ def _against_size(
 def _points(
     rows: Iterable[Row], figured: Figured, aside: float
 ) -> tuple[list[float], list[float]]:
-    """Sizes and values, where they exist."""
+    """Sizes and values of the rows that have both."""
     found = {aside * r["voxels"]: y for r in rows if not math.isnan(y := figured(r))}
     return list(found), list(found.values())
 
 
 def _residual_against_time(rows: Sequence[Row], inks: Inks, label: str) -> Figure:
-    """One mark per answer, unfilled where it is not verified."""
+    """One mark per answer, unfilled if it is not verified."""
     figure = new_figure(6.4, 3.8)
     axis = figure.subplots()
     for row in rows:

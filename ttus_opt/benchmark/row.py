@@ -24,7 +24,7 @@ class RunSpec:
 
     Attributes:
         part: The part's name.
-        case: The scene; None where the part has its own.
+        case: The scene; None if the part has its own.
         options: Options of the part.
         time_limit: Longest duration of a computing stage [s].
     """

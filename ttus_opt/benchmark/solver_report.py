@@ -45,7 +45,7 @@ NO_REFERENCE = (
 LEGEND = (
     "Every answer is checked here: KKT is the largest relative residual of the "
     "original problem, whatever the solver says of itself; of a run that was ended it "
-    "is the last it had reached, and a dash where it had no answer yet. *First* "
+    "is the last it had reached, and a dash if it had no answer yet. *First* "
     "includes set-up; *again* is taking in other measured values of the same structure "
     "and solving. Imports and compilation are done before on a small problem. *Gap* is "
     "the objective over the best verified one. *Peak* is the largest size of the "
@@ -58,7 +58,7 @@ MEANS = (
 )
 TIMES = (
     "Seconds of the first solve, set-up included; in brackets why there is no verified "
-    "answer, a dash where a solver cannot take the problem."
+    "answer, a dash if a solver cannot take the problem."
 )
 GROWTH = (
     "A power of V fitted by least squares to the verified answers, logarithm against "

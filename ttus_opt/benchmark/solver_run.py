@@ -146,7 +146,7 @@ def _first_choice(declared: Formulation) -> Solver:
 
 
 def _answer(spec: RunSpec, solution: Solution, begin: Progress) -> Row:
-    """Values of the first solution; its field is kept where it is verified."""
+    """Values of the first solution; its field is kept if it is verified."""
     row = {
         "taken": solution.solver,
         "status": solution.status.name.lower().replace("_", " "),

@@ -27,7 +27,7 @@ from ttus_opt.errors import InputError
 MEMORY_PART = 0.8
 
 #: Called with every finished run and its rows
-Told = Callable[[RunSpec, list[Row]], None]
+Reported = Callable[[RunSpec, list[Row]], None]
 
 #: Called several times a second with a run, its stage, and the stage's duration [s]
 Watching = Callable[[RunSpec, str, float], None]
@@ -100,12 +100,12 @@ class Suite:
         return found
 
     def run(
-        self, told: Told | None = None, watching: Watching | None = None
+        self, reported: Reported | None = None, watching: Watching | None = None
     ) -> dict[str, list[Row]]:
         """Run what is missing.
 
         Args:
-            told: Called with every finished run, earlier ones included.
+            reported: Called with every finished run, earlier ones included.
             watching: Called during sequential runs.
 
         Returns:
@@ -118,16 +118,16 @@ class Suite:
         earlier = self.done()
         rows = {s.key: earlier[s.key] for s in self.plan if s.key in earlier}
         for spec in self.plan:
-            if told is not None and spec.key in rows:
-                told(spec, rows[spec.key])
+            if reported is not None and spec.key in rows:
+                reported(spec, rows[spec.key])
         missing = [spec for spec in self.plan if spec.key not in rows]
         for spec, found in self._results(missing, watching):
             rows[spec.key] = found
             self.output.mkdir(parents=True, exist_ok=True)
             with self.rows_file.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(found) + "\n")
-            if told is not None:
-                told(spec, found)
+            if reported is not None:
+                reported(spec, found)
         return {
             name: part.finished(
                 [r for s in self.plan if s.part == name for r in rows[s.key]],

@@ -69,7 +69,7 @@ def scores(rows: Sequence[Row]) -> list[Row]:
 
 
 def _counted(row: Row, kind: str) -> float:
-    """Seconds of a solve, or the time limit where there is no answer."""
+    """Seconds of a solve, or the time limit if there is no answer."""
     taken = row[f"seconds_{kind}"] if solved(row) else None
     return float(row["time_limit"] if taken is None else taken)
 
@@ -91,7 +91,7 @@ def closed_form_table(rows: Sequence[Row], closed_form: str) -> str:
         closed_form: Name of the reference.
 
     Returns:
-        A Markdown table; empty where the reference has no answer.
+        A Markdown table; empty if the reference has no answer.
     """
     keys = ("seconds_first", "seconds_again", "solver_memory_bytes")
     body = []

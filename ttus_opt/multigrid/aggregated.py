@@ -1,4 +1,4 @@
-"""Multigrid where voxels of a spoke are aggregated: one value for a pooled block.
+"""Multigrid with aggregated voxels: one value for a pooled block along a spoke.
 
 The operator is PᵀA P, where P gives every voxel of a block the value of its block.
 Blocks lie in radial lines, which the smoother solves exactly; links within a block are
@@ -23,8 +23,8 @@ from ttus_opt.voxmap.grid import CylindricalGrid
 class AggregatedMultigrid(Multigrid):
     """Solver of PᵀA P z = b, with z and b stored at one voxel of every block.
 
-    Vectors are (V,) as those of `Multigrid`, zero but at free voxels outside blocks
-    and at every block's leader. In all other respects it is a `Multigrid`.
+    Vectors are (V,) as those of `Multigrid`, zero except at free voxels outside
+    blocks and at every block's leader. In all other respects it is a `Multigrid`.
     """
 
     def __init__(

@@ -27,7 +27,7 @@ LAST = (add_flat, operate, v_cycle)
 
 @contextlib.contextmanager
 def compiling_ahead() -> Iterator[None]:
-    """Compile the multigrid in another process meanwhile, unless that was done."""
+    """Compile the multigrid in another process meanwhile, unless it is compiled."""
     helper = None
     if not all(map(is_kept, LAST)):
         helper = subprocess.Popen(

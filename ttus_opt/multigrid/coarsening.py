@@ -129,8 +129,8 @@ class Network:
         grounds: Per direction the conductance to fixed neighbours, same shape [m].
         positions: Per direction the nodes' places, in steps of the finest grid [–].
         turn: Length of a full turn in θ, in steps of the finest grid [–].
-        screening: What is added to the diagonal, as a voxel's part of an integral,
-            same shape; None for nothing [m].
+        screening: Addition to the diagonal, integrated over a node's cell, same
+            shape; None for nothing [m].
     """
 
     free: NDArray[np.bool_]
@@ -278,12 +278,12 @@ def coarsen(network: Network, axis: int) -> Network:
         The network of nodes 0, 2, 4, … and, unless the axis is θ, the last one.
     """
     n = network.free.shape[axis]
-    circle = axis == THETA
+    periodic = axis == THETA
     kept = np.arange(0, n, 2)
-    if not circle and n % 2 == 0:
+    if not periodic and n % 2 == 0:
         kept = np.append(kept, n - 1)
     # nodes 1, 3, 5, … with a kept node on both sides
-    mid = np.arange(1, n if circle and n % 2 == 0 else n - 1, 2)
+    mid = np.arange(1, n if periodic and n % 2 == 0 else n - 1, 2)
     left, right = mid // 2, (mid // 2 + 1) % len(kept)
 
     link = np.moveaxis(network.links[axis], axis, 0)
@@ -307,7 +307,7 @@ def coarsen(network: Network, axis: int) -> Network:
     grounds[axis] = np.ascontiguousarray(np.moveaxis(new_ground, 0, axis))
     free = np.take(network.free, kept, axis)
     screening = network.screening
-    if screening is not None:  # what is dropped goes to both neighbours
+    if screening is not None:  # half of a dropped node's goes to either neighbour
         fine = np.moveaxis(screening, axis, 0)
         new = fine[kept]
         new[left] += 0.5 * fine[mid]

@@ -14,8 +14,8 @@ from ttus_opt.multigrid.kernels import (
     FAST,
     LevelIndex,
     Table,
-    close_circle,
     fill,
+    fill_ghost_rows,
     flow,
     level_index,
 )
@@ -55,7 +55,7 @@ def v_cycle(
     for n in range(last):
         at = level_index(table[n])
         size = at.n_r * at.width
-        if at.n_theta % 2:  # where θ closes a sweep reads the old values of its colour
+        if at.n_theta % 2:  # at θ = 0 a sweep then reads old values of its own colour
             fill(work, at.x, np.float32(0), 2 * size)
         red = at.b if n or has_red else at.zeros
         given = at.zeros
@@ -72,7 +72,7 @@ def v_cycle(
         at = level_index(table[n])
         size = at.n_r * at.width
         prolong(at, level_index(table[n + 1]), fields, work, whole)
-        close_circle(at, work, at.x, np.int64(1))
+        fill_ghost_rows(at, work, at.x, np.int64(1))
         red = at.b if n or has_red else at.zeros
         for _ in range(COARSE_SWEEPS if n else sweeps):
             for c in range(2):
@@ -100,4 +100,4 @@ def _solve_coarsest(
             total += inverse[n, m] * work[load + m]
         work[at.x + places[n]] = total
     for colour in range(2):
-        close_circle(at, work, at.x, colour)
+        fill_ghost_rows(at, work, at.x, colour)

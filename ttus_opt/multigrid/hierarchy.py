@@ -59,7 +59,7 @@ class Level:
         flags: tuple[bool, bool, bool],
         has_blocks: bool,
     ) -> Level:
-        """The grid itself: but for blocks, conductances depend on the layer alone."""
+        """The grid itself: without blocks, conductances depend on the layer alone."""
         layout = Layout.of(grid.shape)
         R, T, Z = (v.astype(np.float32) for v in conductances(grid))
         # a dropped node has equal neighbours, and none if it is fixed
@@ -85,7 +85,7 @@ class Level:
 
     @property
     def is_odd(self) -> bool:
-        """Whether the number of spokes is odd: both colours meet where θ closes."""
+        """Whether the number of spokes is odd: a colour meets itself at θ = 0."""
         return self.layout.shape[1] % 2 == 1
 
     @property
@@ -194,12 +194,12 @@ def _packed(
     Args:
         levels: From fine to coarse; their arrays become parts of the one.
         along: Conductances along r on the finest level, blocks or not.
-        own: What else its diagonal has in every layer, where it is the same all over.
+        own: Screening on its diagonal, constant within a layer.
 
     Returns:
         Where each level's arrays begin, that array, and the size of a workspace.
     """
-    # what several names refer to, as the finest level's weights, is kept once
+    # an array with several names, as the finest level's weights, is stored once
     arrays = {id(a): a for level in levels for a in level.arrays}
     arrays[id(along)], arrays[id(own)] = along, own
     starts, end = {}, 0

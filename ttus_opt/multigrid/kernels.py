@@ -1,7 +1,7 @@
 """Compiled kernels of the multigrid: the index of a level, and loops over vectors.
 
 All coefficients of a hierarchy lie in one array, ``fields``; all vectors of a solve lie
-in another, ``work``. A `LevelIndex` says where each begins, in red-black order
+in another, ``work``. A `LevelIndex` holds their offsets, in red-black order
 (`red_black`). This keeps compiling short: a function of two flat arrays compiles in a
 fraction of the time of one of ten arrays and their slices. Places are unsigned in
 loops: a signed index may be negative, which every access would have to check. A
@@ -24,7 +24,7 @@ from ttus_opt.multigrid.red_black import Single
 
 FAST = {"contract", "reassoc"}  # sums may be reordered; NaN and inf keep their sense
 
-#: Sizes and beginnings of all levels, a `LevelIndex` per row
+#: Sizes and offsets of all levels, a `LevelIndex` per row
 Table = NDArray[np.int64]
 
 #: Which part of the work, of how many parts
@@ -32,7 +32,7 @@ Part = tuple[int, int]
 
 
 class LevelIndex(NamedTuple):
-    """Sizes of a level, and where its arrays begin.
+    """Sizes of a level, and the offsets of its arrays.
 
     Attributes:
         n_r: Layers [–].
@@ -109,7 +109,7 @@ def level_index(row: NDArray[np.int64]) -> LevelIndex:
 
 @compiled(inner=True, nogil=True)
 def bounds(first: int, last: int, part: Part) -> tuple[int, int]:
-    """Where a part of first to last begins and ends (compiled)."""
+    """First of a part of first to last, and the one after its last (compiled)."""
     which, parts = part
     size = last - first
     return first + which * size // parts, first + (which + 1) * size // parts
@@ -117,7 +117,7 @@ def bounds(first: int, last: int, part: Part) -> tuple[int, int]:
 
 @compiled(inner=True, nogil=True)
 def span(at: LevelIndex, colour: int) -> tuple[int, int]:
-    """First place of the real rows of one colour, and the place after the last."""
+    """First place of one colour without ghost rows, and the place after the last."""
     return (
         (at.pitch - colour + 1) // 2,
         ((at.n_theta + 1) * at.pitch - colour + 1) // 2,
@@ -141,10 +141,10 @@ def copy(work: Single, out: int, source: int, count: int) -> None:
 
 
 @compiled(inner=True, nogil=True)
-def close_circle(at: LevelIndex, work: Single, x: int, colour: int) -> None:
-    """Copy the outer rows of one colour to where θ closes (compiled).
+def fill_ghost_rows(at: LevelIndex, work: Single, x: int, colour: int) -> None:
+    """Update the ghost rows that make θ periodic from one colour (compiled).
 
-    With an odd number of spokes the copy of a row has the other colour.
+    With an odd number of spokes a ghost row has the other colour than its original.
 
     Args:
         at: The level.
@@ -166,7 +166,7 @@ def close_circle(at: LevelIndex, work: Single, x: int, colour: int) -> None:
 
 
 class Rows(NamedTuple):
-    """Where the rows of one layer begin in ``work``, and pivots in ``fields``.
+    """Offsets of the rows of one layer in ``work``, and of pivots in ``fields``.
 
     Attributes:
         out: The result.
@@ -190,7 +190,7 @@ class Rows(NamedTuple):
 
 
 class Links(NamedTuple):
-    """Where the conductances of one row's links begin in ``fields``.
+    """Offsets of the conductances of one row's links in ``fields``.
 
     Attributes:
         west: To the previous slice.
@@ -259,7 +259,7 @@ def _flow(
     t: np.float32,
     kept: np.float32,
 ) -> None:
-    """Set what flows into free nodes, plus ``kept`` times what was there (compiled)."""
+    """Set the flow into free nodes plus ``kept`` times the old value (compiled)."""
     for n in range(rows.size):
         flow = z * (work[rows.west + n] + work[rows.east + n])
         flow += t * (work[rows.south + n] + work[rows.north + n])
@@ -301,7 +301,7 @@ def flow(
         work: Vectors.
         out: Where the result begins, n_r · width values.
         opposite: Where red values begin.
-        kept: Factor of what the result held before [–].
+        kept: Factor of the old value of the result [–].
         part: Range of layers.
     """
     at, black, factor = level_index(row), np.int64(1), np.float32(kept)

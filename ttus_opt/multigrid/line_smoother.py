@@ -2,8 +2,8 @@
 
 Lines of one colour do not touch (Trottenberg, Oosterlee and Schüller, Multigrid, 2001,
 section 5.1), and Thomas' algorithm runs over many of them side by side in the vector
-registers. Fixed nodes have a zero inverse pivot: they stay zero and part the lines
-without a branch. Arrays are those of `kernels`.
+registers. Fixed nodes have a zero inverse pivot: they stay zero and separate the
+lines without a branch. Arrays are those of `kernels`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ttus_opt.multigrid.kernels import (
     Part,
     Rows,
     bounds,
-    close_circle,
+    fill_ghost_rows,
     level_index,
     links_of,
     rows_of,
@@ -212,7 +212,7 @@ def sweep(
 ) -> None:
     """Solve every radial line of one colour, given the other colour (compiled).
 
-    Of several parts the caller closes the circle, once all are done.
+    With several parts, the caller updates the ghost rows once all are done.
 
     Args:
         row: The level.
@@ -233,4 +233,4 @@ def sweep(
         count = min(TILE, last - s)
         _solve_tile(at, fields, work, colour, (out, opposite, load), s, count)
     if part[1] == 1:
-        close_circle(at, work, x, colour)
+        fill_ghost_rows(at, work, x, colour)

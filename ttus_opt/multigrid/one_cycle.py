@@ -1,4 +1,4 @@
-"""A⁻¹ approximated by one V-cycle, where A may have added conductances and screening.
+"""A⁻¹ approximated by one V-cycle; A may have added conductances and screening.
 
 The map b ↦ x is linear, symmetric and positive definite up to single precision, as a
 preconditioner must be. With several sweeps on the finest level it is close to A⁻¹ in

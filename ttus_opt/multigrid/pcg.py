@@ -40,11 +40,11 @@ class Vectors(Workspace):
     def __init__(
         self, hierarchy: Hierarchy, blocks: PooledBlocks | None = None
     ) -> None:
-        """Take memory.
+        """Allocate the vectors.
 
         Args:
             hierarchy: The levels.
-            blocks: Pooled blocks; None where there are none.
+            blocks: Pooled blocks; None if there are none.
         """
         super().__init__(hierarchy, more=6)
         layout = hierarchy.levels[0].layout
@@ -88,7 +88,7 @@ class Vectors(Workspace):
         """
         self.answer.fill(0.0)
         self._direction.fill(0.0)
-        if not self._is_odd:  # what red loads do to black nodes
+        if not self._is_odd:  # the effect of red loads on black nodes
             self._relax_red(self._x, self.index.zeros, self._b[RED])
             self._flow(0, self._b[BLACK], self._x[RED], 1.0)
         self._pool()
@@ -152,7 +152,7 @@ class Vectors(Workspace):
         return total
 
     def _run(self, kernel: Callable[..., None], *args: object) -> None:
-        """Call a kernel of the finest level, by several cores where that is large."""
+        """Call a kernel of the finest level, on several cores if that is large."""
         self._share(0, lambda part: kernel(*args, part))
 
     def _relax_red(self, x: tuple[int, int], opposite: int, load: int) -> None:
@@ -163,7 +163,7 @@ class Vectors(Workspace):
             pool(self.values, *self._blocks)
 
 
-# Loops run over closing rows too: there, b and q are zero and p is a copy.
+# Loops run over ghost rows too: there, b and q are zero and p is a copy.
 
 
 @compiled(nogil=True, fastmath=FAST)

@@ -7,9 +7,9 @@ has the number m = (j + 1)·pitch + k with an odd pitch: its colour is m % 2, it
 in that colour's row m // 2, and its neighbours lie at constant distances, so that loops
 run over whole rows.
 
-Rows j = -1 and j = n_theta hold copies that close the circle. For even n_z the last
-slice (always Dirichlet) shares its place with slice 0 of the next row. With an odd
-number of spokes two nodes of one colour meet where the circle closes.
+Rows j = -1 and j = n_theta are ghost rows, periodic copies of the last and the first
+spoke. For even n_z the last slice (always Dirichlet) shares its place with slice 0 of
+the next row. With an odd number of spokes two nodes of one colour meet at θ = 0.
 """
 
 from __future__ import annotations

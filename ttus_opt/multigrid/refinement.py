@@ -31,7 +31,7 @@ class Operator(NamedTuple):
             spoke and to the next slice, and the diagonal, shape (n_r, 5) [m].
         cut: Voxels with cut links, ascending, shape (k,).
         cut_grounds: What these add to the diagonal, shape (k,) [m].
-        cut_layers: Where each layer's begin among them, shape (n_r + 1,).
+        cut_layers: Offset of each layer's among them, shape (n_r + 1,).
         n_theta: Spokes [–].
         n_z: Slices [–].
         pitch: Pitch of the red-black order [–].
@@ -67,7 +67,7 @@ class Operator(NamedTuple):
         n_r = len(conductances[0])
         own = np.zeros(n_r) if own is None else own
         r, t, z = conductances
-        before = np.roll(r, 1)  # nobody reads the first layer's
+        before = np.roll(r, 1)  # the first layer's is not read
         diagonal = before + r + 2.0 * t + 2.0 * z + own
         if grounds is None:
             grounds = Grounds(np.zeros(0, np.int64), np.zeros((0, 3)))
@@ -120,7 +120,7 @@ def _row_operate(
 
 @compiled(inner=True, nogil=True)
 def _layer(out: Array, start: int, x: Array, i: int, a: Operator) -> None:
-    """A x in layer i, with nonsense in the first and last slice (compiled).
+    """A x in layer i, undefined in the first and last slice (compiled).
 
     Args:
         out: Result.
@@ -187,7 +187,7 @@ def residual(
         b: Right-hand side, shape (V,).
         a: The operator.
         scale: Factor of ``out`` [–].
-        is_zero: Whether to take x for zero, whatever is there.
+        is_zero: Whether x counts as zero, whatever it holds.
         parts: How many cores share it.
 
     Returns:

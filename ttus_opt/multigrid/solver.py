@@ -29,11 +29,11 @@ from ttus_opt.multigrid.workspace import LARGE
 from ttus_opt.threads import in_parts, parts_of
 from ttus_opt.voxmap.grid import CylindricalGrid
 
-#: By how much one correction reduces the residual; single precision gives no more.
+#: Factor of the residual after one correction: the limit of single precision [–]
 REDUCTION = 1e-4
-#: Right-hand sides up to this, and from its inverse on, are not rescaled.
+#: Right-hand sides between its inverse and this are not rescaled.
 MODERATE = 1e100
-#: Corrections in a row that may fail to halve the residual.
+#: Consecutive corrections that may fail to halve the residual [–]
 PATIENCE = 3
 
 
@@ -156,7 +156,7 @@ class Multigrid:
         return self._operate(self._vector(x, "x")[0])
 
     def preconditioner(self, near: NDArray[np.integer] | None = None) -> VCycle:
-        """One V-cycle at a time, in arrays of its own and without copies.
+        """A preconditioner of one V-cycle, with arrays of its own and without copies.
 
         Args:
             near: Flat indices of the voxels where it must be accurate, shape (k,): it

@@ -65,7 +65,7 @@ class Subdomain:
         r, width_r = _interval(layers, grid.shape[0], margins[0])
         z, width_z = _interval(slices, grid.shape[2], margins[2])
         start -= margins[1]
-        # one spoke more stays fixed and parts the circle
+        # one more spoke, which stays fixed: the box is not periodic
         width = -(-(arc + 2 * margins[1] + 1) // SPOKES) * SPOKES
         if width >= grid.shape[1]:
             start, width = 0, grid.shape[1]

@@ -185,7 +185,7 @@ def _swap_plane(
     ``even`` and ``odd`` are where the fine layer is kept for even and odd spokes.
     """
     if at.coarsens_theta:
-        # an even number of spokes has one more at hand where the circle closes
+        # an even number of spokes has a ghost row of black nodes at hand
         more = 0 if into else 1 - at.n_theta % 2
         for spoke in range(below.n_theta + more):
             ends = (spoke, 2 * spoke)
@@ -212,7 +212,7 @@ def _restrict_layer(
     width, q, zeros = at.width, at.pitch // 2, at.zeros
     red, black = i * width, (at.n_r + i) * width
     values, between, total = buffers.values, buffers.between, buffers.total
-    if at.n_theta % 2 == 0:  # spoke -1 is the last one; of an odd number, none is
+    if at.n_theta % 2 == 0:  # spoke -1 is the last one, unless their number is odd
         copy(work, values, values + at.n_theta * at.pitch // 2, q)
     odd = values
     if at.coarsens_z:
@@ -243,7 +243,7 @@ def restrict(
     """Set the coarse right-hand side from the residual of black nodes (compiled).
 
     Args:
-        at: The fine level; its residual is zero where spokes close the circle.
+        at: The fine level; its residual is zero in ghost rows.
         below: The coarse level.
         fields: Coefficients.
         work: Vectors.
@@ -324,8 +324,8 @@ def prolong(
     """Add the coarse correction to black nodes (compiled).
 
     Args:
-        at: The fine level; the spokes that close its circle are left alone.
-        below: The coarse level, its circle closed.
+        at: The fine level; its ghost rows are left alone.
+        below: The coarse level, its ghost rows up to date.
         fields: Coefficients.
         work: Vectors.
         part: Range of coarse layers; each part needs its own scratch arrays.

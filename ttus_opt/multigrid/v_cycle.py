@@ -3,7 +3,7 @@
 A V-cycle costs a tenth of a solve if its right-hand side and answer are not copied to
 whole grids in double precision and back. A caller that needs an approximate A⁻¹ at a
 few voxels, many times over, writes and reads these vectors directly, on a part of the
-grid where that suffices (`subdomain`).
+grid if that suffices (`subdomain`).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class VCycle:
     instance has its own arrays: several may run side by side.
 
     Attributes:
-        b: Right-hand side, to be written to; zero at fixed voxels and where the
-            circle closes, shape (n,).
+        b: Right-hand side, to be written to; zero at fixed voxels and in ghost rows,
+            shape (n,).
         x: Answer of the last `run`, shape (n,).
         free: Free voxels of the subdomain, shape (V,).
     """

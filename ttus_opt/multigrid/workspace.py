@@ -21,7 +21,7 @@ from ttus_opt.multigrid.hierarchy import Hierarchy
 from ttus_opt.multigrid.kernels import (
     LevelIndex,
     Part,
-    close_circle,
+    fill_ghost_rows,
     flow,
     level_index,
 )
@@ -30,7 +30,7 @@ from ttus_opt.multigrid.red_black import BLACK, RED, Single
 from ttus_opt.multigrid.transfer import prolong, restrict, scratch_size
 from ttus_opt.threads import in_parts, parts_of
 
-#: Nodes of a level from which on several cores share it [–]
+#: Least number of nodes of a level that several cores share [–]
 LARGE = 2_000_000
 
 
@@ -47,12 +47,12 @@ class Workspace:
     def __init__(
         self, hierarchy: Hierarchy, more: int = 0, large: int | None = None
     ) -> None:
-        """Take memory.
+        """Allocate the vectors.
 
         Args:
             hierarchy: The levels.
             more: Further vectors of one colour of the finest level [–].
-            large: Nodes of a level from which on cores share it; None for `LARGE`.
+            large: Least nodes of a level that cores share; None for `LARGE`.
         """
         layout = hierarchy.levels[0].layout
         self._hierarchy = hierarchy
@@ -109,13 +109,13 @@ class Workspace:
         self._share(n, self._transfer(n, _restrict))
         self._v_cycle(n + 1, COARSE_SWEEPS, True)
         self._share(n, self._transfer(n, _prolong))
-        _close(h.table[n], self.values, at.x, BLACK)
+        _fill_ghosts(h.table[n], self.values, at.x, BLACK)
         for _ in range(sweeps):
             self._sweep(n, RED, at.x, at.x + size, red)
             self._sweep(n, BLACK, at.x, at.x, at.b + size)
 
     def _share(self, n: int, work: Callable[[Part], object]) -> None:
-        """Do some work on level n, in parts where it is large."""
+        """Do some work on level n, in parts if the level is large."""
         in_parts(work, self._parts[n])
 
     def _transfer(self, n: int, kernel: Callable[..., None]) -> Callable[[Part], None]:
@@ -134,7 +134,7 @@ class Workspace:
         row, vectors = h.table[n], (colour, x, opposite, load)
         self._share(n, lambda part: sweep(row, h.fields, values, *vectors, part))
         if self._parts[n] > 1:
-            _close(row, values, x, colour)
+            _fill_ghosts(row, values, x, colour)
 
     def _flow(self, n: int, out: int, opposite: int, kept: float) -> None:
         """See `kernels.flow`."""
@@ -168,6 +168,6 @@ def _prolong(
 
 
 @compiled(nogil=True)
-def _close(row: NDArray[np.int64], work: Single, x: int, colour: int) -> None:
-    """`kernels.close_circle` (compiled)."""
-    close_circle(level_index(row), work, x, colour)
+def _fill_ghosts(row: NDArray[np.int64], work: Single, x: int, colour: int) -> None:
+    """`kernels.fill_ghost_rows` (compiled)."""
+    fill_ghost_rows(level_index(row), work, x, colour)

@@ -37,12 +37,12 @@ def front_along(depth: Array) -> float:
         depth: Depth of skin points all around, either sign, shape (n,) [m].
 
     Returns:
-        1.0, or -1.0 where the front lies at smaller depths.
+        1.0, or -1.0 if the front lies at smaller depths.
     """
     low, high = np.percentile(depth, [2, 98])
     lean = (0.5 * (low + high) - depth.mean()) / (high - low)
     if abs(lean) < 0.5 * CLEAR:
-        _doubt("front from back", "prone=True turns it over")
+        _doubt("which side is the front", "prone=True turns it over")
     return 1.0 if lean >= 0.0 else -1.0
 
 
@@ -56,7 +56,7 @@ def head_along(z: Array, depth: Array, *, supported: bool) -> float:
             a section give its depth; otherwise highest minus lowest.
 
     Returns:
-        1.0, or -1.0 where the head lies at smaller z.
+        1.0, or -1.0 if the head lies at smaller z.
     """
     low, high = np.percentile(z, [1, 99])
     margin = 0.5 * (1.0 - MIDDLE) * (high - low)
@@ -117,8 +117,8 @@ def sign_towards(z: Array, head: Array) -> float:
 
 
 def _doubt_head() -> None:
-    _doubt("head from feet", "give head=x,y,z, a direction in the scan")
+    _doubt("which end is the head", "give head=x,y,z, a direction in the scan")
 
 
 def _doubt(what: str, remedy: str) -> None:
-    warn(f"the scan hardly tells {what}, which is a guess: {remedy}", 5)
+    warn(f"the scan hardly shows {what}, so this is a guess: {remedy}", 5)

@@ -17,7 +17,7 @@ def inside(cloud: Array, box: Sequence[float]) -> NDArray[np.bool_]:
     Args:
         cloud: Scan, shape (n, 3) [m].
         box: xmin, xmax, ymin, ymax, zmin, zmax, in the scan's frame [m]; infinite
-            where a side is open.
+            on an open side.
 
     Returns:
         A mask, shape (n,).

@@ -48,7 +48,7 @@ class Candidates:
             shape (n_theta, n_z, n_most) [m].
         count: Number of points near the spoke before thinning, shape (n_theta, n_z).
         std: Standard deviations of the radii, same shape, 1 where padded [m]; None
-            where the points have none.
+            if the points have none.
         offset: Distance of the points from spoke and slice, as an angle about the
             axis, same shape as the radii, 0 where padded [rad]; None like ``std``.
     """

@@ -47,8 +47,8 @@ class ContourModel:
     """Assumptions of the filter.
 
     Attributes:
-        depth_noise: Standard deviation σ of a point's radius, where the points have
-            none of their own [m].
+        depth_noise: Standard deviation σ of a point's radius, if the points have none
+            of their own [m].
         slope_std: Standard deviation of the contour's slope dr/dθ [m/rad].
         slope_angle: Correlation angle of the slope [rad].
     """
@@ -115,7 +115,7 @@ class Contour:
 
 @dataclass(frozen=True)
 class _Measurement:
-    """Associated measurement y, its variance, and whether there is one, (…,)."""
+    """The associated measurement y, its variance, and whether it exists, (…,)."""
 
     y: Array
     variance: Array
@@ -134,7 +134,7 @@ def associate(
         depth_noise: σ, one for all or one of each candidate, shape (…, m) [m].
 
     Returns:
-        The measurement; where nothing is within the gate, not ``seen``.
+        The measurement; not ``seen`` if nothing is within the gate.
     """
     own = np.ndim(depth_noise) > 0
     S = variance[..., None] + depth_noise**2
@@ -211,14 +211,14 @@ def follow(candidates: Candidates, model: ContourModel) -> Contour:
 
 
 def _noise(candidates: Candidates, model: ContourModel) -> float | Array:
-    """σ of all candidates, or of each where the points have deviations [m]."""
+    """σ of all candidates, or of each if the points have deviations [m]."""
     if candidates.std is None or candidates.offset is None:
         return model.depth_noise
     return np.hypot(candidates.std, model.slope_std * candidates.offset)
 
 
 def _prior_radius(radius: Array) -> Array:
-    """Median candidate of each slice, of all slices where one has none, (n_z,)."""
+    """Median candidate of each slice, or of all if a slice has none, (n_z,)."""
     by_slice = np.where(np.isfinite(radius), radius, np.nan)
     flat = by_slice.transpose(1, 0, 2).reshape(radius.shape[1], -1)
     prior = np.full(len(flat), np.nanmedian(flat))

@@ -56,7 +56,7 @@ def extract_surface(  # noqa: PLR0913  public, all but two by name
             half the distance between slices, from 3 to 6 mm.
         model: Depth noise and smoothness that the filter assumes.
         support: The supporting plane, in the scan's frame, whose points are left out;
-            "find" to take `Axis.support`, or to search for it where that is unknown;
+            "find" to take `Axis.support`, or to search for it if that is unknown;
             None when the scan has none.
         point_std: Standard deviation of every point, shape (n,) [m], as from a depth
             camera's noise model (`ttus_opt.sensors.depth`); by default the model's

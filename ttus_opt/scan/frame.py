@@ -103,7 +103,7 @@ class Axis:
         return cls(*estimate_frame(cloud, Lying(towards, flip, prone), rng=rng))
 
     def supporting_plane(self, cloud: Array) -> SupportingPlane | None:
-        """The stored plane; where unknown, the one found in the scan (n, 3) [m].
+        """The stored plane; if unknown, the one found in the scan (n, 3) [m].
 
         Raises:
             InputError: The cloud is not (n, 3) or has fewer than 100 points.
@@ -134,7 +134,7 @@ class Axis:
 
     @classmethod
     def from_attributes(cls, attributes: Mapping[str, Any]) -> Axis:
-        """Read what `attributes` wrote; the identity where a file has none.
+        """Read what `attributes` wrote; the identity if a file has none.
 
         Raises:
             InputError: One of the two is missing, or not an array of numbers.
@@ -148,7 +148,7 @@ class Axis:
 
 
 def _json_numbers(attributes: Mapping[str, Any], name: str) -> Array:
-    """An attribute's array; `InputError` where it is not one."""
+    """An attribute's array; `InputError` if it is not one."""
     given = attributes.get(name)
     try:
         if isinstance(given, str):

@@ -2,7 +2,7 @@
 
 One conic per height, q₁x² + q₂xy + q₃y² + q₄x + q₅y = 1 with coefficients linear in z,
 fitted by least squares to three kinds of data: the seen radii; contact with the
-supporting plane, where one is known; and, with a small weight, that an unseen spoke is
+supporting plane, if one is known; and, with a small weight, that an unseen spoke is
 about as long as the opposite one. The last keeps the conic an ellipse when little was
 seen.
 """

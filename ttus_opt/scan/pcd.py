@@ -1,7 +1,7 @@
 """The Point Cloud Data (PCD) format: header, ascii, binary and LZF-compressed.
 
-Only the coordinates are read; every other field is stepped over. The layout is the
-one of the Point Cloud Library's documentation of the format, version 0.7:
+Only the coordinates are read; every other field is skipped. The layout is that of
+the Point Cloud Library's documentation of the format, version 0.7:
 ``binary`` stores one record per point, ``binary_compressed`` two little-endian
 uint32 sizes and then the fields one after the other, LZF-packed.
 """
@@ -37,7 +37,7 @@ class _Header:
 
     @property
     def record(self) -> np.dtype[np.void]:
-        """One point as a structured type; padding fields ("_") get unique names."""
+        """A point as a structured type; padding fields ("_") get unique names."""
         values = enumerate(zip(self.types, self.counts, strict=True))
         return np.dtype([(f"{m}", code, (count,)) for m, (code, count) in values])
 

@@ -114,7 +114,7 @@ def _preamble(lines: Sequence[_Line]) -> tuple[list[str], int | None, list[_Line
 
 
 def _columns(file: Path, names: Sequence[str], width: int) -> list[int]:
-    """Columns of x, y and z; `FileError` where they are ambiguous."""
+    """Columns of x, y and z; `FileError` if they are ambiguous."""
     if names:
         if not {"x", "y", "z"} <= set(names):
             raise FileError(

@@ -17,7 +17,7 @@ from ttus_opt.benchmark.row import MEASURED, Row, RunSpec
 from ttus_opt.benchmark.settings import Settings
 from ttus_opt.report.tables import table
 
-#: Points of the probe's shell where its size determines the time
+#: Points of the probe's shell in parts whose time depends on their number
 SHELL_POINTS = 5000
 
 
@@ -39,7 +39,7 @@ class Part(abc.ABC):
         title: Heading of its table.
         legend: Meaning of the columns, for the report.
         columns: Columns of its table, after the case.
-        options: Options of every run, where `plan` is not overridden.
+        options: Options of every run, unless `plan` is overridden.
         parallel: Whether its runs may be parallel.
     """
 

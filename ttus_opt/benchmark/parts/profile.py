@@ -103,7 +103,7 @@ def _file(case: str) -> str:
 
 
 def _fit(read: Scene, case: CaseSpec, time_limit: float) -> Scene:
-    """Assemble and fit; `InputError` where the fit failed."""
+    """Assemble and fit; `InputError` if the fit failed."""
     made = Scene.assemble(
         read.voxmap,
         read.shell,

@@ -36,7 +36,7 @@ WINDOW = 50
 #: Repetitions of the batch fits
 REPEATS = 3
 
-#: Displacement of poses that are repeated where the recordings are too short [m]
+#: Displacement of poses that are repeated if the recordings are too short [m]
 MOVED = 1e-3
 
 #: KKT tolerance of the timed batch fit, as in the solvers' part, and of the reference
@@ -50,7 +50,7 @@ class RecursionPart(Part):
     title = "One measurement at a time"
     legend = (
         f"`RecursiveFit` takes in up to {UPDATES:,} measurements that touch the "
-        "patient, one by one; where the recordings have fewer, poses are taken again "
+        "patient, one by one; if the recordings have fewer, poses are taken again "
         f"{1e3 * MOVED:g} mm aside. Seconds per update, contact rows included, over "
         f"the first and the last {WINDOW}, the latter with the number held; *field* "
         "is the current field, asked for after each of the last. *Batch "

@@ -42,7 +42,7 @@ FIGURES = {
     "seconds_again": "update with other values and solve again, median [s]",
     "cpu_first": "CPU time of set-up, first solve and its check, median [s]",
     "cpu_again": "CPU time of update, second solve and its check, median [s]",
-    "taken": "the solver that answered, where auto chose",
+    "taken": "the solver that auto chose",
     "seconds_each": "every repeat's ``first`` and ``again`` [s]",
     "peak_memory_bytes": "largest size of the run's own process; None without one",
     "solver_memory_bytes": "largest increase of it by set-up and solve",
@@ -242,7 +242,7 @@ def _accepted(formulation: str, settings: Settings, small: Scene) -> dict[str, A
 
 
 def _difference(row: Row, reference: Row | None, fields: Path) -> float | None:
-    """‖p - p_ref‖ / ‖p_ref‖; None where a field is missing."""
+    """‖p - p_ref‖ / ‖p_ref‖; None if a field is missing."""
     if reference is None or not (row["field_file"] and reference["field_file"]):
         return None
     files = [fields / each["field_file"] for each in (row, reference)]
