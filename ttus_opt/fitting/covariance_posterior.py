@@ -23,7 +23,6 @@ import scipy.sparse as sp
 from ttus_opt.arrays import Array, IntArray
 from ttus_opt.fitting.posterior import Float32Array, Posterior, WeightedData
 from ttus_opt.problem.members import ProgramTerm
-from ttus_opt.problem.program import Program
 from ttus_opt.solvers.covariance import square_root
 from ttus_opt.terms.structure import (
     CovarianceColumns,
@@ -48,14 +47,11 @@ class CovariancePosterior(Posterior):
     rows: sp.csr_array = field(repr=False)
 
     @classmethod
-    def of(
-        cls, program: Program, prior: ProgramTerm, terms: list[ProgramTerm]
-    ) -> CovariancePosterior:
+    def of(cls, prior: ProgramTerm, terms: list[ProgramTerm]) -> CovariancePosterior:
         """Form the covariance of the measured rows.
 
         Args:
-            program: A program of one field.
-            prior: The term of known covariance.
+            prior: The term of known covariance, of a program of one field.
             terms: The measured terms.
         """
         tag = known_covariance(prior.tags)

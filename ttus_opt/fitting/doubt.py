@@ -201,7 +201,7 @@ def doubt(
     voxels = skin_voxels(scene.voxmap, depth) if near else None
     posterior: LaplacePosterior | CovariancePosterior
     if known:
-        posterior = CovariancePosterior.of(program, prior, measured)
+        posterior = CovariancePosterior.of(prior, measured)
     else:
         scale = BOUNDARY_SCALE in solution.parameters and BOUNDARY_SCALE not in (
             solution.not_identified

@@ -167,7 +167,7 @@ def left_out_of(declared: Formulation) -> LeftOut:
     frames = frames[::every]
     rows = (3 * frames[:, None] + np.arange(3)).ravel()
     thinned = [_some(term, rows, every) for term in measured]
-    found = CovariancePosterior.of(program, prior, thinned)
+    found = CovariancePosterior.of(prior, thinned)
     of_rows = np.tile(np.repeat(presses(scene)[frames], 3), len(thinned))[
         found.informative
     ]

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -213,9 +214,10 @@ class _Loaded(Prepared):
             b.multipliers[:] = 0.0
             b.sigma = b.weight / (size * _longest(b.matrix))
         self._set_anchor(anchor, bent)
+        stiffness = _stiffness(b for b in blocks if b is not anchor)
         for b in limits:
             b.multipliers[:] = 0.0
-            b.sigma = self._stiffness([k for k in blocks if k is not anchor], b)
+            b.sigma = stiffness
         if not bent:  # squares alone: a weak anchor for undetermined variables
             self._set_anchor(anchor, limits, WEAK)
         residuals = [b.residual(x) for b in blocks]
@@ -242,15 +244,6 @@ class _Loaded(Prepared):
         if anchor is not None and bent:
             anchor.weight = 0.5 * share * max(b.sigma for b in bent)
             anchor.sigma = 1e15 * anchor.weight
-
-    def _stiffness(self, blocks: list[PenalisedRows], own: PenalisedRows) -> float:
-        total = 0.0
-        for b in blocks:
-            if isinstance(b.law, Between):
-                continue
-            curvature = 2.0 * b.weight if b.exact else b.sigma
-            total += curvature * float((b.matrix.data**2).sum()) / b.matrix.shape[1]
-        return total
 
     def _first_point(self) -> Array:
         """The last solution, or the Laplace field, with the given values."""
@@ -281,6 +274,16 @@ def _is_limited_alone(program: Program) -> bool:
 
 def _anchor(rows: sp.csr_array) -> PenalisedRows:
     return PenalisedRows("anchor", rows, np.zeros(rows.shape[0]), 1.0, Squares(), True)
+
+
+def _stiffness(blocks: Iterable[PenalisedRows]) -> float:
+    """Mean curvature of the blocks that are not limits, over the variables."""
+    total = 0.0
+    for b in blocks:
+        if not isinstance(b.law, Between):
+            curvature = 2.0 * b.weight if b.exact else b.sigma
+            total += curvature * float((b.matrix.data**2).sum()) / b.matrix.shape[1]
+    return total
 
 
 def _longest(matrix: sp.csr_array) -> float:
