@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli.conftest import Run, empty, refused
@@ -27,6 +28,7 @@ from ttus_opt.experiment.pipeline import ExperimentResult
         ("--weight 0", "weight above 0"),
         ("--patients nobody", "choose from lean, stout, average"),
         ("--torso none.ply", "none.ply"),
+        ("--shape 4,4,4", "shape (4, 4, 4) is too coarse for stout"),
         ("--resolution coarse", "resolution"),
         ("--comparators nobody", "choose from"),
     ],
@@ -34,6 +36,16 @@ from ttus_opt.experiment.pipeline import ExperimentResult
 def test_refuses_in_one_line(run: Run, output: Path, words: str, said: str) -> None:
     refused(run(f"experiment {words} -o {output}"), said)
     assert empty(output)
+
+
+def test_the_scans_unit_is_told_by_its_own_option(
+    run: Run, files: Path, output: Path
+) -> None:
+    scan = 1e3 * np.load(files / "scan.npy")
+    np.save(output / "mm.npy", scan)
+    words = f"experiment --torso {output / 'mm.npy'} --torso-unit m -o {output / 'r'}"
+    refused(run(words), "millimetres? pass --torso-unit mm")
+    assert not (output / "r").exists()
 
 
 def test_a_folder_that_cannot_be_is_told_before_the_work(

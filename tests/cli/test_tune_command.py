@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import ttus_opt as tt
 from tests.cli.conftest import PROBE, Run, refused
+from ttus_opt import example
 
 
 def words(files: Path, command: str, more: str = "") -> str:
@@ -64,3 +67,44 @@ def test_bad_input_is_one_line(
     monkeypatch.chdir(tmp_path)
     refused(run(words(files, command, more)), told)
     assert not list(tmp_path.glob("*.nc"))
+
+
+@pytest.mark.parametrize("command", ["tune", "evaluate"])
+def test_a_wrong_sign_is_told_with_its_option(
+    run: Run, tmp_path: Path, command: str
+) -> None:
+    """As by ``fit``."""
+    press = tt.read_trajectory(example.path("press_fit.csv")).select(slice(0, 120))
+    press.save(tmp_path / "right.csv")
+    replace(press, force=-press.force, torque=-press.torque).save(tmp_path / "w.csv")
+    given = f"--surface {example.path('surface.nc')} --shape 12,30,12 --inner 5"
+    shared = f"--probe {example.PROBE} --points 200 --trajectory {tmp_path}"
+    if command == "evaluate":
+        field = tmp_path / "field.nc"
+        assert (
+            run(f"fit {given} {shared}/right.csv --weights own -o {field}").status == 0
+        )
+        given = f"--field {field}"
+    else:
+        given += " --formulation eq10"
+    told = run(f"{command} {given} {shared}/w.csv")
+    assert told.status == 0, told.err
+    assert "forces of the opposite sign?" in told.err
+    assert "read them with --flip-wrench" in told.err
+    assert "opposite" not in run(f"{command} {given} {shared}/w.csv --flip-wrench").err
+
+
+def test_weights_that_fit_would_not_choose_are_said_to_be_so(
+    run: Run, files: Path, tmp_path: Path
+) -> None:
+    press = tt.read_trajectory(files / "press.csv")
+    assert press.force is not None
+    firm = int(np.linalg.norm(press.force, axis=1).argmax())
+    press.select(slice(firm, firm + 1)).save(tmp_path / "one.csv")
+    words = (
+        f"tune --surface {files / 'surface.nc'} --probe {PROBE} --points 200 "
+        f"--trajectory {tmp_path / 'one.csv'} --shape 10,16,8 --formulation eq10"
+    )
+    answer = run(words)
+    assert answer.status == 0, answer.err
+    assert "fit would not choose these weights: frames in contact: 1" in answer.err

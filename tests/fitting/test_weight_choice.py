@@ -88,7 +88,8 @@ def test_too_few_frames() -> None:
     scene = small_scene("trilinear")
     few = scene.trajectory.select(np.arange(12) < 4)
     refused(
-        Scene.assemble(scene.voxmap, scene.shell, few, inner=1.0), "4 frames in contact"
+        Scene.assemble(scene.voxmap, scene.shell, few, inner=1.0),
+        "frames in contact: 4, 12 are needed",
     )
 
 

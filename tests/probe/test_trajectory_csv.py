@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ttus_opt.errors import FileError
+from ttus_opt.errors import FileError, TtusWarning
 from ttus_opt.probe.trajectory import read_trajectory
 
 HEADER = "t,px,py,pz,qw,qx,qy,qz,fx,fy,fz,tx,ty,tz"
@@ -108,3 +108,17 @@ def test_segments_are_kept_apart(tmp_path):
     np.testing.assert_array_equal(trajectory.segment, [3] * 4 + [7] * 4)
     refused(tmp_path, [*lines, lines[1].replace("0.0", "9", 1)], "be contiguous")
     refused(tmp_path, [*lines[:-1], lines[-1][:-1] + "7.5"], "line 9: segment must be")
+
+
+def test_times_in_milliseconds_are_doubted(tmp_path):
+    file = tmp_path / "press.csv"
+    file.write_text("\n".join([HEADER, *[ROW.format(t=50 * i) for i in range(4)]]))
+    with pytest.warns(TtusWarning, match="50 s apart: .* milliseconds\\? divide t by"):
+        read_trajectory(file)
+    # one frame a second is slow, and a new recording may begin hours later
+    lines = [
+        HEADER + ",segment",
+        *(ROW.format(t=t) + f",{t // 100}" for t in (0, 1, 900)),
+    ]
+    file.write_text("\n".join(lines))
+    assert len(read_trajectory(file)) == 3

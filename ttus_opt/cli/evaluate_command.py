@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.scene_building import scene_of_field, warn_of_mistake
 from ttus_opt.cli.sources import seen, warn_of_another_probe
 from ttus_opt.errors import InputError, TtusWarning
 
@@ -68,6 +69,9 @@ def evaluate(
         found = metrics.evaluate(potential, shell, recorded)
         warn_of_poses(found.in_grid, found.beyond_inner)
         each = recording_lines(potential, shell, recorded, recordings.names, stated)
+        scene = scene_of_field(potential.voxmap, shell, recorded)
+        if scene is not None:
+            warn_of_mistake(scene, (as_written, recordings.conventions))
         if pictures != [None, None]:
             begin("drawing")
             _draw(found, each, picture, calibration_picture)

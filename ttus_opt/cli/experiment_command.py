@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.console import Stages, as_options, tell
 from ttus_opt.cli.options import listed, voxel_counts
+from ttus_opt.errors import InputError
 
 
 def experiment(
@@ -69,7 +70,10 @@ def experiment(
         doubt,
     )
     with Stages(n_stages(plan)) as begin:
-        result = run(output, plan, progress=begin)
+        try:
+            result = run(output, plan, progress=begin)
+        except InputError as error:
+            raise InputError(as_options(str(error), unit="--torso-unit")) from error
     facts = {**result.as_dict(), "report": str(output / "report.md")}
     text = "" if json else "\n\n".join(map(markdown, summary(result)))
     where = f"\nreport.md, report.html, results.json and figures in {output}/"

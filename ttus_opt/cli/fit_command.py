@@ -15,18 +15,18 @@ from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.fit_report import how_read, solved_lines, summary
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.scene_building import built_scene
 from ttus_opt.cli.scene_options import ProblemOptions, SceneOptions
 from ttus_opt.cli.sources import sources
 from ttus_opt.errors import InputError, TtusWarning
 
 if TYPE_CHECKING:
     from ttus_opt.fitting.weight_choice import WeightChoice
-    from ttus_opt.probe.conventions import Conventions
     from ttus_opt.probe.point_shell import PointShell
     from ttus_opt.probe.trajectory import Trajectory
     from ttus_opt.problem.solution import Solution
     from ttus_opt.scan.surface import Surface
-    from ttus_opt.scene import Scene, ScenePlan
+    from ttus_opt.scene import Scene
     from ttus_opt.voxmap.field import PotentialField
 
 
@@ -149,7 +149,7 @@ def fit(
             begin("drawing")
             _draw_poses(patient, shell, recorded, recordings.names, picture)
         begin("assembling (first run compiles)")
-        scene = _built(plan, (patient, shell, recorded), (as_written, conventions))
+        scene = built_scene(plan, (patient, shell, recorded), (as_written, conventions))
         if word != OWN:
             begin("choosing weights")
         strict = weighting.weights is not None
@@ -194,42 +194,6 @@ def _solved(
         time_limit=time_limit,
     )
     return replace(solution, chosen=choice.lines)
-
-
-def _built(
-    plan: ScenePlan,
-    parts: tuple[Surface, PointShell, Trajectory],
-    reading: tuple[Trajectory, Conventions],
-) -> Scene:
-    """The scene; where there is none, why, and what mistake is likely behind it.
-
-    Args:
-        plan: How it is built.
-        parts: Patient, probe and recordings.
-        reading: The recordings as written, and how they were read.
-
-    Raises:
-        InputError: As in `ScenePlan.build`.
-    """
-    from ttus_opt.fitting.contact_spread import warn_of_one_spot
-    from ttus_opt.fitting.sanity import likely_mistake
-
-    try:
-        built = plan.build(*parts)
-    except InputError as error:
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", TtusWarning)  # they were said before
-                scene = replace(plan, inner=1.0).build(*parts)
-        except InputError:
-            raise error from None  # it is not the recordings
-        known = scene.trajectory.has_wrench
-        mistake = likely_mistake(scene, *reading) if known else None
-        if mistake is None:
-            raise
-        raise InputError(f"{error}; {mistake}") from error
-    warn_of_one_spot(built)
-    return built
 
 
 def _write(

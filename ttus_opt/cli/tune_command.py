@@ -10,7 +10,9 @@ import typer
 
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
 from ttus_opt.cli.scene_options import SceneOptions, further_options
+from ttus_opt.errors import warn
 
 if TYPE_CHECKING:
     from ttus_opt.fitting.hyperparameters import Hyperparameter
@@ -47,6 +49,7 @@ def tune(
     """
     from ttus_opt.fitting.tuning import CANDIDATES
     from ttus_opt.fitting.tuning import tune as tune_scene
+    from ttus_opt.fitting.weight_choice import too_little, why_not
     from ttus_opt.scan.surface import Surface
 
     options, plan = further_options(option or ()), grid.plan
@@ -54,11 +57,16 @@ def tune(
     with Stages(2 + len(candidates)) as begin:
         begin("reading surface and recordings")
         patient, shell = Surface.load(surface), probe.read()
-        recorded = recordings.read(recordings.as_written(), shell, patient)
+        reading = recordings.as_written(), recordings.conventions
+        recorded = recordings.read(reading[0], shell, patient)
         begin("assembling (first run compiles)")
-        scene = plan.build(patient, shell, recorded)
+        scene = built_scene(plan, (patient, shell, recorded), reading)
         found = tune_scene(scene, candidates, progress=begin, **options)
     tell(_summary(found), *_lines(found), json=json)
+    reason = too_little(scene) or why_not(found)
+    if reason:
+        warn(f"ttus-opt fit would not choose these weights: {reason}")
+    warn_of_mistake(scene, reading)
 
 
 def _summary(found: Tuning) -> dict[str, Any]:

@@ -6,12 +6,12 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
 from ttus_opt import io
-from ttus_opt.errors import InputError
+from ttus_opt.errors import GeometryError, InputError
 from ttus_opt.experiment import rivals
 from ttus_opt.experiment.boundary import BoundaryError, boundary_errors
 from ttus_opt.experiment.doubts import StatedDoubt, stated_doubt
@@ -40,7 +40,7 @@ from ttus_opt.problem.formulation import LARGEST
 from ttus_opt.report.metrics import as_rendered, compare
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.grid import CylindricalGrid
-from ttus_opt.voxmap.voxmap import check_memory
+from ttus_opt.voxmap.voxmap import Boundary, Voxmap, check_memory
 
 #: Files written at the end, and the folder of the pictures
 REPORTS, FIGURES = ("report.md", "report.html", "results.json"), "figures"
@@ -222,7 +222,8 @@ def run(
         progress: Called with each stage as it begins, at most `n_stages` times.
 
     Raises:
-        InputError: An unknown formulation, patient or comparator.
+        InputError: An unknown formulation, patient or comparator, or a shape that is
+            too coarse for a patient.
         MissingPackageError: scikit-fem is not installed (extra ``phantom``) and the
             recordings do not exist yet; or joblib or dask, where requested.
         FileError: The folder cannot be written to.
@@ -242,6 +243,8 @@ def run(
         scan = _scanned(todo, out)
     everyone = {each.name: each for each in patients(scan)}
     chosen = [everyone[name] for name in wanted]
+    for each in chosen:
+        _require_resolved(each, todo.shape)
     io.made_folder(out)
     if todo.jobs > 1 or todo.dask:
         do_ahead(chosen, todo, out, begin)
@@ -272,6 +275,19 @@ def _wanted(plan: Plan) -> tuple[str, ...]:
                 f"unknown patient {name!r}: choose from {', '.join(everyone)}"
             )
     return tuple(dict.fromkeys(plan.patients)) or everyone
+
+
+def _require_resolved(patient: Patient, shape: tuple[int, int, int]) -> None:
+    """Refuse a grid that is too coarse for a patient, before anything is simulated."""
+    for boundary in get_args(Boundary):
+        try:
+            Voxmap.from_surface(patient.surface(), shape=shape, boundary=boundary)
+        except GeometryError as error:
+            what = str(error).partition(":")[0]
+            raise InputError(
+                f"shape {shape} is too coarse for {patient.name} ({what}): give more "
+                "voxels"
+            ) from error
 
 
 def _scanned(plan: Plan, folder: Path) -> Surface:

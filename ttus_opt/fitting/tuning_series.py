@@ -7,6 +7,7 @@ estimated by a few random probes.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -156,19 +157,26 @@ class TuningRows:
         )
 
 
+def coarse_shape(shape: tuple[int, ...], most: int = MOST_VOXELS) -> tuple[int, ...]:
+    """The shape of a grid of about ``most`` voxels; the same where it has no more."""
+    share = (most / math.prod(shape)) ** (1.0 / 3.0)
+    if share >= 1.0:
+        return shape
+    return tuple(2 * max(round(share * n / 2), 4) for n in shape)
+
+
 def coarser(scene: Scene, most: int | None = None) -> Scene:
     """The scene on about ``most`` voxels (`MOST_VOXELS`); itself where it has no more.
 
     A fitted boundary scale is fitted again, as the coarse surface lies elsewhere.
     """
-    shape = scene.voxmap.grid.shape
-    share = ((most or MOST_VOXELS) / scene.n_voxels) ** (1.0 / 3.0)
-    if share >= 1.0:
+    shape = coarse_shape(scene.voxmap.grid.shape, most or MOST_VOXELS)
+    if shape == scene.voxmap.grid.shape:
         return scene
     fitted = BOUNDARY_SCALE in scene.parameters
     ratio = scene.outer / scene.inner if fitted else scene.outer
     plan = ScenePlan(
-        [2 * max(round(share * n / 2), 4) for n in shape],
+        shape,
         scene.voxmap.grid.r_inner,
         scene.voxmap.grid.r_outer,
         "fit" if fitted else scene.inner,

@@ -174,7 +174,7 @@ def choose_weights(
     refuse_weights(options)
     usual = DEFAULT_FORMULATION if formulation is None else formulation
     own = shelf.load(usual, scene, **options)
-    reason = _too_little(scene)
+    reason = too_little(scene)
     if reason:
         return _own(scene, own, reason)
     depth_map = any(isinstance(term, DepthMapTerm) for term in own.terms)
@@ -187,7 +187,7 @@ def choose_weights(
         if strict:
             raise
         return _own(scene, own, str(error))
-    reason = _doubt(found)
+    reason = why_not(found)
     if reason:
         return _own(scene, own, reason)
     found, checks = _simplest(scene, found)
@@ -250,7 +250,7 @@ def _depth_map_or_simpler(
         if look.clear:
             return WeightChoice(scene, own, checks=(look,))
     found = tune(scene, name, compare=False, progress=progress, **options)
-    doubtful = bool(_doubt(found))
+    doubtful = bool(why_not(found))
     simpler = found.own_left_out if doubtful else found.left_out
     check = Check.between(richer, simpler, press)
     if check.holds:
@@ -267,13 +267,16 @@ def _warn_of_simpler(check: Check, name: str) -> None:
     warnings.warn(f"{check}: {name} is used", TtusWarning, stacklevel=4)
 
 
-def _too_little(scene: Scene) -> str:
+def too_little(scene: Scene) -> str:
     """Why the recordings cannot determine weights; empty where they may."""
     touching = scene.rows.contact_points > 0
     if not touching.any():
         return "the probe touches the patient in no frame"
     if touching.sum() < LEAST_FRAMES:
-        return f"{touching.sum()} frames in contact are too few: record longer"
+        return (
+            f"frames in contact: {touching.sum()}, {LEAST_FRAMES} are needed: record "
+            "longer"
+        )
     if BOUNDARY_SCALE in scene.not_identified:
         return scene.not_identified[BOUNDARY_SCALE]
     count = len(np.unique(presses(scene)[touching]))
@@ -288,7 +291,7 @@ def _too_little(scene: Scene) -> str:
     return ""
 
 
-def _doubt(found: Tuning) -> str:
+def why_not(found: Tuning) -> str:
     """Why a tuning is not used; empty where it is."""
     for one in found.hyperparameters:
         if one.name == SIGNAL_TO_NOISE and not one.determined:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ttus_opt import io
 from ttus_opt.arrays import Array
-from ttus_opt.errors import FileError
+from ttus_opt.errors import FileError, warn
 from ttus_opt.probe.pose import QUATERNION_TOLERANCE
 from ttus_opt.probe.text_table import NANOSECONDS, read_text_table
 
@@ -25,6 +25,9 @@ SEGMENT = "segment"
 
 #: Sizes above which a column is in another unit: [m], [N], [N·m].
 MOST_POSITION, MOST_FORCE, MOST_TORQUE = 10.0, 1e3, 1e2
+
+#: Frames further apart than this are taken for times in milliseconds [s]
+SLOW = 5.0
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ def read_trajectory_columns(
     if time.min() > NANOSECONDS:
         time = 1e-9 * (time - time[0])  # whole nanoseconds, as ROS stamps them
     _require_increasing(table, time, segment)
+    _warn_of_milliseconds(table, time, segment)
     quaternion = _unit_quaternions(table)
     force = torque = None
     if FORCE[0] in table.names:
@@ -171,6 +175,17 @@ def _require_increasing(table: _Table, time: Array, segment: NDArray[np.int64]) 
             i,
             f"time {time[i]:.9g} s {kind} {time[i - 1]:.9g} s: sort by t and drop "
             "duplicates",
+        )
+
+
+def _warn_of_milliseconds(
+    table: _Table, time: Array, segment: NDArray[np.int64]
+) -> None:
+    steps = np.diff(time)[np.diff(segment) == 0]
+    if len(steps) and np.median(steps) > SLOW:
+        warn(
+            f"{table.file}: frames are {np.median(steps):.3g} s apart: are the times "
+            "in milliseconds? divide t by 1000"
         )
 
 

@@ -1,0 +1,94 @@
+"""Scenes from the command line: what is wrong with recordings, in a line."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from ttus_opt.errors import InputError, TtusError, TtusWarning, warn
+
+if TYPE_CHECKING:
+    from ttus_opt.probe.conventions import Conventions
+    from ttus_opt.probe.point_shell import PointShell
+    from ttus_opt.probe.trajectory import Trajectory
+    from ttus_opt.scan.surface import Surface
+    from ttus_opt.scene import Scene, ScenePlan
+    from ttus_opt.voxmap.voxmap import Voxmap
+
+
+def built_scene(
+    plan: ScenePlan,
+    parts: tuple[Surface, PointShell, Trajectory],
+    reading: tuple[Trajectory, Conventions],
+) -> Scene:
+    """The scene; where there is none, why, and what mistake is likely behind it.
+
+    Args:
+        plan: How it is built.
+        parts: Patient, probe and recordings.
+        reading: The recordings as written, and how they were read.
+
+    Raises:
+        InputError: As in `ScenePlan.build`.
+    """
+    from ttus_opt.fitting.contact_spread import warn_of_one_spot
+    from ttus_opt.fitting.sanity import likely_mistake
+
+    try:
+        built = plan.build(*parts)
+    except InputError as error:
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", TtusWarning)  # they were said before
+                scene = replace(plan, inner=1.0).build(*parts)
+        except InputError:
+            raise error from None  # it is not the recordings
+        known = scene.trajectory.has_wrench
+        mistake = likely_mistake(scene, *reading) if known else None
+        if mistake is None:
+            raise
+        raise InputError(f"{error}; {mistake}") from error
+    warn_of_one_spot(built)
+    return built
+
+
+def warn_of_mistake(scene: Scene, reading: tuple[Trajectory, Conventions]) -> None:
+    """Warn of a likely mistake in how recordings were read, such as a wrong sign.
+
+    Args:
+        scene: With measured forces.
+        reading: The recordings as written, and how they were read.
+    """
+    from ttus_opt.fitting.sanity import likely_mistake
+
+    mistake = likely_mistake(scene, *reading)
+    if mistake is not None:
+        warn(str(mistake))
+
+
+def scene_of_field(
+    voxmap: Voxmap, shell: PointShell, recorded: Trajectory
+) -> Scene | None:
+    """A coarse scene on the patient of a field, for `warn_of_mistake`.
+
+    None where a coarse grid does not resolve the patient.
+    """
+    from ttus_opt.fitting.tuning_series import coarse_shape
+    from ttus_opt.scene import ScenePlan
+
+    grid = voxmap.grid
+    plan = ScenePlan(
+        coarse_shape(grid.shape),
+        grid.r_inner,
+        grid.r_outer,
+        inner=1.0,
+        boundary=voxmap.boundary,
+        sector=grid.sector,
+    )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", TtusWarning)  # of poses: they are said
+            return plan.build(voxmap.surface, shell, recorded)
+    except TtusError:
+        return None
