@@ -219,15 +219,33 @@ TARGETS = (
         ("haptic/test_kernel_data.py", "haptic/test_frame.py", "haptic/test_wrench.py"),
     ),
     *(
-        Target(f"comparators/{stem}.py", (f"comparators/test_{stem}.py",))
-        for stem in ("contact_geometry", "ellipsoid_torso")
+        Target(f"{room}/{stem}.py", (f"{room}/test_{stem}.py",))
+        for room, stems in {
+            "comparators": (
+                *("contact_geometry", "ellipsoid_torso", "patch_grid"),
+                *("perceptual_updates", "proxy_six_dof", "stiffness_map"),
+                "voxmap_point_shell",
+            ),
+            "contact": ("point_drag", "shell_blocks"),
+            "fitting": ("breakdown", "contact_spread", "left_out", "skin_doubt"),
+            "haptic": ("motion", "tables"),
+            "terms": ("drag_estimate", "torque", "total_variation"),
+        }.items()
+        for stem in stems
+    ),
+    *(
+        Target(
+            f"terms/penalties/{stem}.py",
+            (f"terms/penalties/test_{stem}.py", "terms/penalties/test_base.py"),
+        )
+        for stem in ("absolute", "groups", "huber", "linear", "squares")
     ),
     *(
         Target(
             f"comparators/{stem}.py",
             (f"comparators/test_{stem}.py", "comparators/test_patch_law.py"),
         )
-        for stem in ("hunt_crossley_two_stage", "kelvin_voigt")
+        for stem in ("hunt_crossley_two_stage", "kelvin_voigt", "patch_model")
     ),
     Target("probe/conventions.py", ("probe/test_conventions.py",)),
     Target("probe/text_table.py", ("probe/test_text_table.py",)),

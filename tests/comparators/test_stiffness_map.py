@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from tests.conftest import ellipsoid, torso
+from ttus_opt.comparators import stiffness_map
 from ttus_opt.comparators.contact_geometry import Patch
 from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.stiffness_map import (
@@ -14,6 +15,7 @@ from ttus_opt.comparators.stiffness_map import (
     chosen_law,
     matern,
 )
+from ttus_opt.terms.posterior_mode import PosteriorMode
 
 NO_PATCH = Patch(0.0, 0.0, np.zeros(6), np.zeros(3), np.zeros(3))
 
@@ -64,9 +66,28 @@ def test_kriging_is_regression_on_a_dense_field() -> None:
     precision = np.linalg.inv(prior + 1e-9 * np.eye(32)) + rows.T @ rows / law.noise**2
     rest = data.force - mean * data.depth**law.exponent
     field = np.linalg.solve(precision, rows.T @ rest / law.noise**2)
+    stiffness = mean + field[25:]
     np.testing.assert_allclose(
-        [found.stiffness_at(s) for s in asked], mean + field[25:], rtol=1e-5
+        [found.stiffness_at(s) for s in asked], stiffness, rtol=1e-5
     )
+    half = [Contact(0.5, 0.0, s, np.zeros(3), NO_PATCH) for s in asked]
+    forces = [found._normal_force(contact) for contact in half]
+    np.testing.assert_allclose(forces, stiffness * 0.5**law.exponent, rtol=1e-5)
+
+
+@pytest.mark.parametrize("steps", [np.zeros(4), *np.eye(4)])
+def test_priors_are_wide_about_soft_tissue(
+    steps: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exponent 1.3, 30 mm, 40 % and 0.15 N, and a deviation from each."""
+    monkeypatch.setattr(
+        stiffness_map, "posterior_mode", lambda *_: PosteriorMode(steps, 0.0)
+    )
+    law = chosen_law(palpation(9, 0.1))
+    widths = [0.25, 0.3, 0.5, 1.0]
+    expected = np.array([1.3, 0.03, 0.4, 0.15]) * np.exp(widths * steps)
+    found = [law.exponent, law.length, law.deviation, law.noise]
+    np.testing.assert_allclose(found, expected)
 
 
 def test_evidence_finds_what_the_data_were_made_with() -> None:

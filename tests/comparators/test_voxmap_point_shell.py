@@ -62,3 +62,17 @@ def test_a_step_over_a_voxel_face_changes_the_force_by_one_edge_at_most() -> Non
     most = made.stiffness * made.edge * made.shell.areas.max()
     # 20 µm of sliding, and a handful of points that cross a face in one step
     assert 0.0 < jump < 8.0 * most
+
+
+def test_a_probe_beside_the_voxels_touches_nothing() -> None:
+    """Wholly, or in part beyond their edge."""
+    made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.005)
+    edge = -made.corner[0]
+    for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
+        for far in (edge + 0.014, 1.0):
+            at = np.array([0.0, 0.0, 0.1])
+            at[axis] = sign * far
+            unit, points = made._unit_wrench(np.eye(3), at)
+            inside = (made.shell.points + at)[:, :2]
+            assert far == 1.0 or (np.abs(inside).max(axis=1) < edge).any()
+            assert points == 0 and not unit.any()

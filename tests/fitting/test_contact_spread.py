@@ -45,3 +45,15 @@ def test_other_places_and_short_tries_are_not():
     short = scene_of(np.full(10, 1.5), np.full(10, 0.1), depth[:10])
     assert np.isnan(contact_spread(short))
     warn_of_one_spot(short)
+
+
+def test_frames_in_the_air_do_not_spread_contacts():
+    """Ten frames off the skin, all around, beside thirty in one spot."""
+    rng = np.random.default_rng(1)
+    angle = np.append(np.full(30, 1.5), np.linspace(0.0, 6.0, 10))
+    depth = np.append(rng.uniform(0.004, 0.012, 30), np.full(10, -0.02))
+    scene = scene_of(angle, np.full(40, 0.1), depth)
+    assert not scene.rows.contact_points[30:].any()
+    spread = contact_spread(scene)
+    assert spread == contact_spread(scene_of(angle[:30], np.full(30, 0.1), depth[:30]))
+    assert spread < 1e-3

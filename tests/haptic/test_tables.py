@@ -10,6 +10,8 @@ import ttus_opt as tt
 from tests.conftest import ellipsoid, small_scene
 from ttus_opt.compiled import compiled
 from ttus_opt.errors import InputError
+from ttus_opt.haptic.blend import PROGRESS, settled_ledger
+from ttus_opt.haptic.field_swap import RenderedField, RenderedFields
 from ttus_opt.haptic.kernel_data import FrameData
 from ttus_opt.haptic.tables import (
     N_ARRAYS,
@@ -20,10 +22,18 @@ from ttus_opt.haptic.tables import (
     buffers_at,
     frame_table,
     matrix,
+    render_tables,
     table_of,
     vector,
 )
-from ttus_opt.haptic.wrench import FieldPair, FrameBuffers, FrameLimits
+from ttus_opt.haptic.wrench import (
+    TWIST,
+    WRENCH,
+    FieldPair,
+    FrameBuffers,
+    FrameLimits,
+    render_frame,
+)
 
 SCENE = small_scene("trilinear")
 
@@ -76,6 +86,38 @@ def test_a_frame_s_arrays_come_out_in_their_places(trilinear: bool) -> None:
     for name, there in zip(FrameBuffers._fields, buffers_at(table), strict=True):
         own = getattr(buffers, name)
         assert (there.shape, there.ctypes.data) == (own.shape, own.ctypes.data), name
+
+
+@pytest.mark.parametrize("trilinear", [False, True])
+def test_a_frame_by_tables_is_the_frame_itself(trilinear: bool) -> None:
+    """Amid a swap between two fields with drags of their own."""
+    rng, shape = np.random.default_rng(0), SCENE.voxmap.grid.shape
+    sampling = "trilinear" if trilinear else "voxel-mean"
+    fields = [
+        tt.PotentialField(
+            SCENE.voxmap, rng.random(shape), sampling, {"friction_coefficient": mu}
+        )
+        for mu in (0.1, 0.4)
+    ]
+    renderer = tt.Renderer(fields[0], SCENE.shell)
+    ledger = settled_ledger(0.0)
+    ledger[PROGRESS] = 0.3
+    both = RenderedFields.of(*map(RenderedField.of, fields), ledger)
+    poses = SCENE.trajectory
+    wrenches = []
+    for by_table in (True, False):
+        data, buffers = renderer._data.with_own_scratch(), FrameBuffers.empty()
+        buffers.R[:], buffers.at[:] = poses.rotation[2], poses.position[2]
+        buffers.rows[TWIST] = [0.05, -0.02, 0.01, 0.3, 0.0, -0.2]
+        limits = renderer._limits
+        if by_table:
+            table = frame_table(data, buffers, limits)
+            counts = render_tables(table, both.table, trilinear, np.nan, False)
+        else:
+            counts = render_frame(buffers, np.nan, data, both.pair, limits, False)
+        assert counts[0] > 0
+        wrenches.append([*counts, *buffers.rows[WRENCH]])
+    np.testing.assert_array_equal(*wrenches)
 
 
 def test_counts_are_those_of_the_tuples() -> None:

@@ -10,7 +10,12 @@ import pytest
 
 from ttus_opt.arrays import Array
 from ttus_opt.errors import InputError
+from ttus_opt.terms.penalties.absolute import Absolute
 from ttus_opt.terms.penalties.base import Penalty, Slope
+from ttus_opt.terms.penalties.groups import Groups
+from ttus_opt.terms.penalties.huber import Huber
+from ttus_opt.terms.penalties.linear import Linear
+from ttus_opt.terms.penalties.squares import Squares
 
 
 class Fourth(Penalty):
@@ -59,3 +64,14 @@ def test_a_slope_is_the_matrix_it_stands_for(size: int) -> None:
     np.testing.assert_allclose(found, dense, atol=1e-14)
     plain = np.column_stack([Slope(factor).times(unit) for unit in np.eye(6)])
     np.testing.assert_array_equal(plain, np.diag(factor))
+
+
+@pytest.mark.parametrize(
+    "phi", [Squares(), Huber(0.5), Absolute(), Groups(2), Linear()], ids=repr
+)
+def test_smooth_is_what_has_one_slope_everywhere(phi: Penalty) -> None:
+    """Along a line through zero; quadratic penalties need not say so."""
+    along = np.array([1.0, -0.7])
+    r = np.linspace(-1.5, 1.5, 3002)[:, None] * along
+    jumps = np.abs(np.diff([phi.subgradient(each) for each in r], axis=0)).max()
+    assert (jumps < 0.01) == (phi.smooth or phi.quadratic)

@@ -15,6 +15,8 @@ def test_the_value_is_the_sum_of_lengths() -> None:
     assert PHI.value(np.array([3.0, 4.0, 0.0, -2.0])) == pytest.approx(7.0)
     found = PHI.subgradient(np.array([3.0, 4.0, 0.0, 0.0]))
     np.testing.assert_allclose(found, [0.6, 0.8, 0.0, 0.0])
+    found = PHI.subgradient(np.array([3e-9, -4e-9, 0.0, 0.2]))
+    np.testing.assert_allclose(found, [0.6, -0.8, 0.0, 1.0])
     assert PHI.gauge(np.array([3.0, 4.0, 0.0, 2.0])) == pytest.approx(5.0)
     shortened = PHI.admissible(np.array([3.0, 4.0, 0.3, 0.4]))
     np.testing.assert_allclose(shortened, [0.6, 0.8, 0.3, 0.4])
