@@ -355,8 +355,6 @@ def _held(constraint: ProgramConstraint, x: Array, r: Array) -> float:
 
 def _relative_gap(gap: float, objective: float, scale: float) -> float:
     """The gap over the objective, or the strict distance over ``scale``."""
-    if gap == 0.0:
-        return 0.0
     by_objective = gap / max(abs(objective), TINY)
     by_distance = STRICTER * math.sqrt(gap / max(abs(scale), TINY))
     either = by_objective + by_distance  # Python's ``min`` lets NaN pass
