@@ -196,6 +196,7 @@ TARGETS = (
     Target("laplace/stencil.py", ("laplace/test_stencil.py", "laplace/test_system.py")),
     Target("terms/matern.py", ("terms/test_matern.py",)),
     Target("terms/depth_map_estimate.py", ("terms/test_depth_map_estimate.py",)),
+    Target("terms/distinct_drag.py", ("terms/test_distinct_drag.py",)),
     Target("fitting/wrench_noise.py", ("fitting/test_wrench_noise.py",)),
     Target("fitting/sanity.py", ("fitting/test_sanity.py",)),
     Target("fitting/agreement.py", ("fitting/test_agreement.py",)),

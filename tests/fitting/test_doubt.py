@@ -13,11 +13,12 @@ import scipy.stats
 import ttus_opt as tt
 from tests.conftest import presses, small_scene, torso
 from tests.fitting import test_weight_criteria, test_wrench_noise
+from ttus_opt.contact.places import places
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.doubt import Doubt, doubt
 from ttus_opt.fitting.laplace_posterior import SCALE_DEVIATION
 from ttus_opt.fitting.weight_criteria import presses as press_numbers
-from ttus_opt.fitting.wrench_noise import PRIORS, places
+from ttus_opt.fitting.wrench_noise import PRIORS
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution
 from ttus_opt.scene import Scene

@@ -17,7 +17,6 @@ from ttus_opt.fitting.wrench_noise import (
     MeasuredWrenches,
     WrenchNoise,
     by_frame,
-    places,
 )
 
 NOISE = WrenchNoise(0.08, 0.03, 0.06, 0.04, 0.003, 0.002)
@@ -176,13 +175,6 @@ def test_draws_have_the_covariance() -> None:
     assert np.abs((draws.T @ draws / 4000 - covariance) / size).max() < 0.1
 
 
-def test_a_place_ends_with_a_press_and_where_the_probe_has_moved_on() -> None:
-    along = np.zeros((7, 3))
-    along[:, 2] = [0.0, 0.01, 0.02, 0.05, 0.06, 0.06, 0.06]
-    press = np.array([0, 0, 0, 0, 0, 4, 4])
-    assert places(press, along).tolist() == [0, 0, 0, 1, 1, 2, 2]
-
-
 def test_noise_is_read_as_it_was_written() -> None:
     forces = WrenchNoise(0.1, 0.02, 0.03, 0.04)
     assert WrenchNoise.from_dict(NOISE.as_dict()) == NOISE
@@ -190,9 +182,3 @@ def test_noise_is_read_as_it_was_written() -> None:
     for bad in (-1.0, np.nan, np.inf):
         with pytest.raises(InputError, match="noise must"):
             WrenchNoise.from_dict({**NOISE.as_dict(), "force": bad})
-
-
-def test_the_size_of_a_place_may_be_told() -> None:
-    press = np.zeros(4, dtype=np.int64)
-    along = np.column_stack([0.01 * np.arange(4), np.zeros(4), np.zeros(4)])
-    assert places(press, along, 0.015).tolist() == [0, 0, 1, 1]

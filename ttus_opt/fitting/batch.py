@@ -12,6 +12,7 @@ from ttus_opt.compiled import Stopwatch
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.breakdown import Guarded
 from ttus_opt.fitting.identification import fitted_estimates, with_estimates
+from ttus_opt.fitting.one_sense import warn_of_one_sense
 from ttus_opt.fitting.parameter_search import SearchResult, search_parameters
 from ttus_opt.fitting.verdict import check_candidate
 from ttus_opt.fitting.verdict import judged as judged
@@ -103,6 +104,7 @@ def fit(
         )
     request = Request(tolerance, time_limit)
     doubts = declared.not_identifiable()
+    warn_of_one_sense(declared, "0 is used")
     declared = declared.with_neutral(doubts)
     if declared.search is None:
         unsearched = SearchResult(declared, {})

@@ -23,6 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
+from ttus_opt.contact.places import places
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.covariance_posterior import CovariancePosterior
 from ttus_opt.fitting.laplace_posterior import LaplacePosterior
@@ -35,7 +36,6 @@ from ttus_opt.fitting.wrench_noise import (
     MeasuredWrenches,
     WrenchNoise,
     by_frame,
-    places,
 )
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.members import ProgramTerm

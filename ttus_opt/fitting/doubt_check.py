@@ -17,11 +17,10 @@ from typing import Any, Protocol, Self
 import numpy as np
 
 from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.contact.places import places, runs
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.posterior import NORMAL
-from ttus_opt.fitting.weight_criteria import runs
 from ttus_opt.fitting.wrench_doubt import WrenchDoubt
-from ttus_opt.fitting.wrench_noise import places
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.report.calibration_curve import CalibrationCurve
 from ttus_opt.report.metrics import Evaluation

@@ -21,6 +21,7 @@ from ttus_opt.errors import InputError
 from ttus_opt.fitting.hyperparameters import Hyperparameter
 from ttus_opt.fitting.left_out import LeftOut
 from ttus_opt.fitting.marginal_likelihood import Evidence, MeasuredSeries
+from ttus_opt.fitting.one_sense import warn_of_one_sense
 from ttus_opt.fitting.place_left_out import PlaceLeftOut
 from ttus_opt.fitting.tuning_candidate import (
     SIGNAL_TO_NOISE,
@@ -161,6 +162,9 @@ def tune(
     for one in formulations:
         begin(f"tuning {one.name if isinstance(one, Formulation) else one}")
         tried.append(candidate(one, scene, small, vary, options, kept))
+    if len(tried) > 1:
+        for each in tried:
+            warn_of_one_sense(each.declared, "it is left out")
     found = _finished(tried, compare)
     return replace(found, seconds=time.perf_counter() - start)
 

@@ -129,8 +129,10 @@ class Candidate:
     @property
     def bears_coefficient(self) -> bool:
         """Whether the data determine its coefficient, if it has one."""
+        if not self.rows.coefficient:
+            return not self.declared.not_identifiable()
         last = self.maximum.found[-1]
-        return not self.rows.coefficient or (last.determined and last.value > 0.0)
+        return last.determined and last.value > 0.0
 
     @property
     def free_scale(self) -> bool:

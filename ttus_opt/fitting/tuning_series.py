@@ -16,10 +16,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array
+from ttus_opt.contact.places import places
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.marginal_likelihood import MeasuredSeries
 from ttus_opt.fitting.weight_criteria import presses
-from ttus_opt.fitting.wrench_noise import places
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.problem.members import ProgramTerm
 from ttus_opt.problem.program import Program
@@ -71,15 +71,18 @@ class TuningRows:
 
     @classmethod
     def of(cls, declared: Formulation) -> TuningRows:
-        """Read a formulation.
+        """Read a formulation; a coefficient that no pose tells is neutral.
 
         Raises:
             InputError: Its prior is not Laplace's, or its rows are of another kind.
         """
         search, coefficient, highest = declared.search, "", 0.0
         if search is not None and search.parameter != BOUNDARY_SCALE:
-            coefficient, highest = search.parameter, search.high
-            declared = search.build(search.low).named(declared.name)
+            if search.parameter in declared.not_identifiable():
+                low = search.neutral_value
+            else:
+                coefficient, highest, low = search.parameter, search.high, search.low
+            declared = search.build(low).named(declared.name)
         program, measured = _compiled(declared)
         data = DualData.of(program, measured)
         system, target = data.system, data.t

@@ -24,6 +24,7 @@ import numpy as np
 import scipy.linalg
 
 from ttus_opt.arrays import Array, IntArray, Mask
+from ttus_opt.contact.places import runs
 from ttus_opt.fitting.posterior import WeightedData
 from ttus_opt.scene import Scene
 
@@ -131,17 +132,6 @@ def presses(scene: Scene) -> IntArray:
     A press is a run of frames in contact within one recording.
     """
     return runs(scene.rows.contact_points > 0, scene.trajectory.segment)
-
-
-def runs(touching: Mask, segment: IntArray) -> IntArray:
-    """Number of every frame's run, in contact or in the air, shape (T,).
-
-    Args:
-        touching: Whether a frame is in contact, shape (T,).
-        segment: Recording of every frame, shape (T,) [–].
-    """
-    begins = (np.diff(touching.astype(np.int8)) != 0) | (np.diff(segment) != 0)
-    return np.concatenate([[0], np.cumsum(begins)]).astype(np.int64)
 
 
 def criteria_of(scene: Scene, terms: dict[str, int], informative: Mask) -> Criteria:

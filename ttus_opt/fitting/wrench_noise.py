@@ -52,9 +52,6 @@ VARIANCE_SPREAD = 2.0
 #: Most frames in the evidence, and most evaluations
 MOST_FRAMES, MOST = 150, 300
 
-#: Largest distance of the probe from the start of a place [m]
-PLACE = 0.03
-
 
 @dataclass(frozen=True)
 class WrenchNoise:
@@ -292,22 +289,3 @@ def by_frame(rows: Array, at: IntArray) -> Array:
     ``at`` is that of `ErrorModel`.
     """
     return np.where(at >= 0, rows[..., np.maximum(at, 0)], 0.0)
-
-
-def places(press: IntArray, position: Array, size: float = PLACE) -> IntArray:
-    """Number of every frame's place, shape (T,).
-
-    A place is a run of frames of one press within ``size`` of its first position.
-
-    Args:
-        press: Press of every frame, shape (T,) [–].
-        position: Position of the probe, shape (T, 3) [m].
-        size: Largest distance from the first position [m].
-    """
-    out, number, start = np.zeros(len(press), dtype=np.int64), 0, 0
-    for t in range(1, len(press)):
-        away = float(np.linalg.norm(position[t] - position[start]))
-        if press[t] != press[start] or away > size:
-            number, start = number + 1, t
-        out[t] = number
-    return out

@@ -24,6 +24,11 @@ from ttus_opt.contact.point_drag import drag_rows
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import Fitted
+from ttus_opt.terms.distinct_drag import (
+    LEAST_DISTINCT,
+    ONE_SENSE,
+    distinct_drag,
+)
 from ttus_opt.terms.drag_smoothness import MEAN_FRICTION
 from ttus_opt.terms.kept import replaced
 
@@ -118,6 +123,13 @@ class DragModel(abc.ABC):
             return ""
         return "no sliding" if self.touching.any() else "no contact"
 
+    def no_friction(self) -> str:
+        """Why no pose tells friction from an elastic force; empty if one does."""
+        why = self.no_sliding()
+        if not why and distinct_drag(self.scene, self.rows.force) < LEAST_DISTINCT:
+            why = ONE_SENSE
+        return why
+
     @abc.abstractmethod
     def identified(self, values: Mapping[str, Array]) -> dict[str, float]:
         """Coefficients by their names among a field's parameters."""
@@ -166,8 +178,8 @@ class GlobalCoulomb(DragModel):
         return {friction.FRICTION: self.coefficient}
 
     def not_identifiable(self) -> dict[str, str]:
-        """The coefficient μ, if nothing slides."""
-        why = self.no_sliding()
+        """The coefficient μ, if no pose tells it."""
+        why = self.no_friction()
         return {friction.FRICTION: why} if why else {}
 
 
@@ -222,8 +234,8 @@ class CoulombField(DragModel):
         return {friction.FRICTION: Fitted(gradient, 1.0, self.largest)}
 
     def not_identifiable(self) -> dict[str, str]:
-        """The coefficient μ and its mean, if nothing slides or q is omitted."""
-        why = "the drag field is left out" if self.excluded else self.no_sliding()
+        """The coefficient μ and its mean, if no pose tells it or q is omitted."""
+        why = "the drag field is left out" if self.excluded else self.no_friction()
         return {friction.FRICTION: why, MEAN_FRICTION: why} if why else {}
 
     def with_neutral(self, names: Collection[str]) -> Self:

@@ -8,13 +8,15 @@ every point of the probe.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ttus_opt.arrays import Array
 from ttus_opt.contact.friction import DEADBAND, Sliding
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
+from ttus_opt.terms.distinct_drag import LEAST_DISTINCT, distinct_drag
 from ttus_opt.terms.drag import coulomb_rows_over
 
 
@@ -51,7 +53,8 @@ def estimate_drag(
         places: The choices of "auto".
 
     Returns:
-        The estimate; μ is 0 without sliding.
+        The estimate; μ is 0 without sliding, and with drag that could be an elastic
+        force (`ttus_opt.terms.distinct_drag`).
 
     Raises:
         InputError: ``acts_at`` is neither "auto" nor one of the places.
@@ -77,9 +80,25 @@ def estimate_drag(
         columns = np.stack([pressed, -dragged], axis=1)
         (s, s_mu), *_ = np.linalg.lstsq(columns, measured, rcond=None)
         if s > 0.0 > s_mu:  # drag that pushes is none: judged without it
-            s, s_mu = float(pressed @ measured / (pressed @ pressed)), 0.0
-        rest = measured - columns @ [s, s_mu]
+            s, s_mu = _scale(pressed, measured), 0.0
+        misfit = _mean_size(measured - columns @ [s, s_mu])
         mu = max(float(s_mu / s), 0.0) if s > 0.0 else 0.0
-        misfit = float(np.sqrt((rest @ rest) / max(len(rest), 1)))
-        found.append(DragEstimate(mu, float(s), place, misfit))
-    return min(found, key=lambda e: e.misfit)
+        found.append((DragEstimate(mu, float(s), place, misfit), rows.force))
+    best, force_rows = min(found, key=lambda one: one[0].misfit)
+    if not best.friction_coefficient:
+        return best
+    if distinct_drag(scene, force_rows) >= LEAST_DISTINCT:
+        return best
+    s = _scale(pressed, measured)
+    misfit = _mean_size(measured - s * pressed)
+    return replace(best, friction_coefficient=0.0, boundary_scale=s, misfit=misfit)
+
+
+def _scale(pressed: Array, measured: Array) -> float:
+    """Factor on the Laplace field's wrenches without drag."""
+    return float(pressed @ measured / (pressed @ pressed))
+
+
+def _mean_size(rest: Array) -> float:
+    """Root mean square of residuals."""
+    return float(np.sqrt((rest @ rest) / max(len(rest), 1)))
