@@ -62,6 +62,15 @@ def test_no_contact_warns_that_the_fit_is_laplace_only() -> None:
         Scene.assemble(VOXMAP, SHELL, away, inner="fit")
 
 
+def test_a_probe_larger_than_the_patient_is_doubted() -> None:
+    large = tt.PointShell.sphere(0.4, n_points=100)
+    with pytest.warns(TtusWarning) as told:
+        Scene.assemble(VOXMAP, large, TRAJECTORY, inner=1.0)
+    words = [str(each.message) for each in told]
+    assert any(w.startswith("the probe is 0.7") for w in words)
+    assert any("the patient 0.2" in w for w in words)
+
+
 def test_poses_off_the_grid_are_counted() -> None:
     position = TRAJECTORY.position.copy()
     position[:3, 2] += 5.0

@@ -12,10 +12,12 @@ from typing import Literal
 
 import numpy as np
 import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from ttus_opt.arguments import expect
 from ttus_opt.arrays import Array
 from ttus_opt.compiled import Stopwatch
+from ttus_opt.contact.cut_off import cut_off
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
 from ttus_opt.errors import InputError, warn
 from ttus_opt.html_card import card, sections_svg
@@ -121,10 +123,12 @@ class Scene:
         for name, value in (("inner", inner), ("outer", outer)):
             _check_boundary(name, value)
         _report_misplaced(voxmap)
+        _report_size(voxmap, shell)
         laplace = LaplaceSystem.assemble(voxmap)
         poses = trajectory.rotation, trajectory.position
         rows = contact_rows(voxmap, shell, *poses, sampling=sampling)
         _report_contact(rows, voxmap.grid.r_inner)
+        _report_cut_off(cut_off(voxmap, shell, *poses))
         known = Identified({}, {}, {})
         asked = inner is not None
         if inner is None:
@@ -344,6 +348,18 @@ def _report_misplaced(voxmap: Voxmap) -> None:
         )
 
 
+def _report_size(voxmap: Voxmap, shell: PointShell) -> None:
+    """Warn of a probe that is larger than the patient."""
+    probe = float(np.ptp(shell.points, axis=0).max())
+    patient = 2.0 * float(voxmap.surface.radius.max())
+    if probe > patient:
+        warn(
+            f"the probe is {probe:.3g} m long, the patient {patient:.3g} m wide: check "
+            "the unit of both",
+            2,
+        )
+
+
 def _report_contact(rows: ContactRows, r_inner: float) -> None:
     """Warn of poses that measure nothing, or reach below the inner layer."""
     n_poses = len(rows.in_grid)
@@ -366,5 +382,16 @@ def _report_contact(rows: ContactRows, r_inner: float) -> None:
             f"{deep} of {n_poses} poses press shell points ({rows.beyond_inner.sum()} "
             f"in all) beyond the inner layer at {r_inner:.4g} m, where that layer's "
             "values continue: choose a smaller r_inner",
+            2,
+        )
+
+
+def _report_cut_off(cut: NDArray[np.bool_]) -> None:
+    """Warn of poses that touch beyond the sides or ends of the grid."""
+    if cut.any():
+        warn(
+            f"{cut.sum()} of {len(cut)} poses touch the patient beyond the grid's "
+            "sector or ends too, where nothing pushes back: widen the sector, or leave "
+            "them out",
             2,
         )

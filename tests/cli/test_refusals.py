@@ -109,7 +109,7 @@ def test_bad_trajectory(
     ("more", "words"),
     [
         ("--probe ellipsoid:0,0,0", ["zero"]),
-        ("--probe sphere:20", ["40 m", "primitives are in metres"]),
+        ("--probe sphere:20", ["40 m", "give its measures in metres"]),
         ("--probe cone:1", ["cone:1", "ellipsoid"]),
         ("--probe nowhere.stl", ["nowhere.stl"]),
         ("--shape 4000,4000,4000", ["GiB", "smaller shape"]),

@@ -257,7 +257,7 @@ def test_bad_specifications_name_the_three_forms(spec):
         (lambda: PointShell.sphere(float("nan")), InputError, "positive"),
         (lambda: PointShell.box((0.1, -0.1, 0.1)), InputError, "positive"),
         (lambda: PointShell.ellipsoid((0.1, 0.1)), InputError, "3 positive"),
-        (lambda: PointShell.sphere(20.0), GeometryError, "millimetres"),
+        (lambda: PointShell.sphere(20.0), GeometryError, "measures in metres"),
         (lambda: PointShell.sphere(2e-4), GeometryError, "expected a probe"),
         (lambda: PointShell.sphere(0.02, 3), InputError, "at least 4"),
         (lambda: PointShell.sphere(0.02, 10**20), InputError, "at most 1,000,000"),

@@ -46,6 +46,7 @@ def evaluate(
         --trajectory press_test.csv --json
     """
     from ttus_opt.cli.recording_lines import recording_lines
+    from ttus_opt.contact.cut_off import cut_off
     from ttus_opt.fitting.saved_doubt import read_doubt
     from ttus_opt.report import metrics
     from ttus_opt.report.hysteresis import hysteresis_share
@@ -67,7 +68,8 @@ def evaluate(
         stated = read_doubt(field, shell) if doubt else None
         begin("rendering")
         found = metrics.evaluate(potential, shell, recorded)
-        warn_of_poses(found.in_grid, found.beyond_inner)
+        cut = cut_off(potential.voxmap, shell, recorded.rotation, recorded.position)
+        warn_of_poses(found.in_grid, found.beyond_inner, cut)
         each = recording_lines(potential, shell, recorded, recordings.names, stated)
         scene = scene_of_field(potential.voxmap, shell, recorded)
         if scene is not None:
@@ -142,13 +144,22 @@ def _lines(errors: Errors, has_torque: bool) -> list[str]:
     return [*lines, torque]
 
 
-def warn_of_poses(in_grid: NDArray[np.bool_], beyond: NDArray[np.int64]) -> None:
-    """Say when poses lie off the field's grid, or below its innermost layer."""
+def warn_of_poses(
+    in_grid: NDArray[np.bool_], beyond: NDArray[np.int64], cut: NDArray[np.bool_]
+) -> None:
+    """Say when poses lie off the field's grid, or reach beyond it."""
     off = int(in_grid.size - in_grid.sum())
     if off:
         warnings.warn(
             f"{off} of {in_grid.size} poses lie outside the field's grid and give "
             "zero force: check the trajectory's frame and unit",
+            TtusWarning,
+            stacklevel=2,
+        )
+    if cut.any():
+        warnings.warn(
+            f"{cut.sum()} of {cut.size} poses touch the patient beyond the field's "
+            "sector or ends too, where nothing pushes back: fit with a wider --sector",
             TtusWarning,
             stacklevel=2,
         )

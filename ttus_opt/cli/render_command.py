@@ -39,6 +39,7 @@ def render(
     """
     import numpy as np
 
+    from ttus_opt.contact.cut_off import cut_off
     from ttus_opt.haptic.renderer import Renderer
     from ttus_opt.voxmap.field import PotentialField
 
@@ -60,6 +61,7 @@ def render(
         warn_of_poses(
             np.array([w.in_grid for w in wrenches]),
             np.array([w.beyond_inner for w in wrenches]),
+            cut_off(potential.voxmap, shell, poses.rotation, poses.position),
         )
         begin("writing")
         rendered = replace(

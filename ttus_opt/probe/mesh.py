@@ -152,22 +152,27 @@ def metres_per(unit: str) -> float:
     return METRES[unit]
 
 
-def require_plausible_extent(extent: float, given: str) -> None:
+def require_plausible_extent(
+    extent: float, given: str, *, in_a_unit: bool = True
+) -> None:
     """Refuse a probe that is larger than 1 m or smaller than 1 mm.
 
     Args:
         extent: Longest edge of its bounding box [m].
         given: Source of the size, for the message ("probe.stl in unit 'm'").
+        in_a_unit: Whether its unit is an option; primitives are in metres.
 
     Raises:
         GeometryError: The size is not that of a probe.
     """
     if not 1e-3 <= extent <= 1.0:
-        small = "metres already? pass unit='m'"
-        large = "millimetres? pass unit='mm' (primitives are in metres)"
+        remedy = "are these metres already? pass unit='m'"
+        if extent > 1.0:
+            remedy = "are these millimetres? pass unit='mm'"
+        if not in_a_unit:
+            remedy = "give its measures in metres"
         raise GeometryError(
-            f"{given} is {extent:.4g} m long, expected a probe of 1 mm to 1 m: are "
-            f"these {large if extent > 1.0 else small}"
+            f"{given} is {extent:.4g} m long, expected a probe of 1 mm to 1 m: {remedy}"
         )
 
 

@@ -223,7 +223,7 @@ class PointShell:
         """
         axes = _lengths(semi_axes, 3, "ellipsoid semi-axes")
         _require_points(n_points)
-        require_plausible_extent(2.0 * axes.max(), "the ellipsoid")
+        require_plausible_extent(2.0 * axes.max(), "the probe", in_a_unit=False)
         rng = np.random.default_rng(seed)
         # an area element of the unit sphere grows by abc |D⁻¹u| on the ellipsoid
         lattice = _sphere_lattice(max(FINE * n_points, 8000))
@@ -259,7 +259,7 @@ class PointShell:
         """A box about the origin, full edges along x, y and z [m]; see `ellipsoid`."""
         edges = _lengths(sizes, 3, "box sizes")
         _require_points(n_points)
-        require_plausible_extent(edges.max(), "the box")
+        require_plausible_extent(edges.max(), "the box", in_a_unit=False)
         signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3, indexing="ij"), axis=-1)
         mesh = TriangleMesh(signs.reshape(8, 3) * edges, np.arange(3)[None])
         shell = _from_outward_mesh(
