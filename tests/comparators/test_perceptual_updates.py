@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.comparators.contacts import NO_PATCH, STILL
 from tests.comparators.recordings import facing, fitted, recordings
 from tests.conftest import ellipsoid, torso
+from ttus_opt.comparators.patch_model import Contact, Sample
 from ttus_opt.comparators.perceptual_updates import PerceptualUpdates
 from ttus_opt.comparators.recursive_least_squares import RecursiveLeastSquares
 from ttus_opt.errors import InputError
@@ -49,6 +51,31 @@ def test_an_update_is_sent_exactly_when_the_difference_is_noticeable() -> None:
             still(np.array([friction]), np.ones(1), 1.0),
         )
         assert len(law.updates) == sent
+
+
+def test_between_two_places_the_nearer_one_counts() -> None:
+    law = PerceptualUpdates(surface=torso(), shell=ellipsoid())
+    start = RecursiveLeastSquares.start
+    places = np.array([[0.1, 0.0, 0.1], [0.1, 0.0, 0.12]])
+    for place, stiffness in zip(places, (4.0, 8.0), strict=True):
+        law._send(
+            place,
+            start(np.array([stiffness]), np.ones(1), 1.0),
+            start(np.array([0.0]), np.ones(1), 1.0),
+        )
+    for place, stiffness in zip(places, (4.0, 8.0), strict=True):
+        assert law.model_at(place)[0] == pytest.approx(stiffness, rel=1e-2)
+    assert law.model_at(places.mean(axis=0))[0] == pytest.approx(6.0)
+    nearer = law.model_at(0.6 * places[0] + 0.4 * places[1])[0]
+    assert 4.0 < nearer < 5.5
+
+
+def test_of_a_single_frame_all_is_sent() -> None:
+    law = PerceptualUpdates(surface=torso(), shell=ellipsoid())
+    assert law.parameters() == {"updates sent": 0.0, "share": 0.0}
+    contact = Contact(1.0, 0.0, np.array([0.1, 0.0, 0.1]), STILL, NO_PATCH)
+    law._fit_law([Sample(contact, 5.0, STILL)])
+    assert law.parameters() == {"updates sent": 1.0, "share": 1.0}
 
 
 def test_rendered_drag_is_against_the_motion_and_in_proportion() -> None:

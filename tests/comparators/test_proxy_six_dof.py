@@ -59,3 +59,10 @@ def test_contradictions_give_way_like_springs() -> None:
     # min ½x² + ½((2 − x)² + (1 + x)²)/SOFT²
     soft = 0.3**-2
     assert motion[0] == pytest.approx(soft / (1.0 + 2.0 * soft), rel=1e-6)
+
+
+def test_where_no_point_is_below_the_surface_nothing_moves() -> None:
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=(8, 6)) + np.eye(6)[0]
+    for least in (-rng.uniform(0.1, 1.0, 8), np.zeros(8)):
+        assert not least_motion(rows, least).any()

@@ -124,6 +124,21 @@ def test_with_a_direction_for_every_row_the_basis_is_complete() -> None:
     np.testing.assert_allclose(sweep.images.T @ sweep.images, C, atol=1e-6 * size)
 
 
+def test_a_combination_may_be_of_fewer_fields_than_are_held() -> None:
+    """As after a solve whose best point came before its last directions."""
+    program = declared("eq10", 30.0, 30.0).compile()
+    data, rng = DualData.of(program), np.random.default_rng(0)
+    sweep = WeightSweep(data)
+    sweep.complete(root_weights(program))
+    rows = data.system.rows[sweep.informative]
+    assert len(sweep) > BLOCK + 1
+    for k in (0, 3, BLOCK, BLOCK + 1):
+        c = rng.normal(size=k)
+        found, expected = rows @ sweep._combined(c), c @ sweep.images[:k]
+        size = np.abs(sweep.images).max()
+        np.testing.assert_allclose(found, expected, atol=1e-6 * size)
+
+
 def test_too_few_directions_complete_nothing() -> None:
     program = declared("eq10", 30.0, 30.0).compile()
     sweep = WeightSweep(DualData.of(program), DualOptions(max_directions=3))
@@ -145,7 +160,8 @@ def test_limits_are_told_from_boundary_values() -> None:
     assert keeps_limits(program, inside)
     deep = int(np.argmax(inside * program.laplace.free))
     for broken in (-inside, np.where(np.arange(len(inside)) == deep, 0.0, inside)):
-        assert not keeps_limits(program, broken)
+        for unit in (1.0, 1e-12):  # rounding is that of the values
+            assert not keeps_limits(program, unit * broken)
 
 
 def test_completed_it_holds_all_that_the_rows_tell_of_each_other() -> None:
