@@ -24,7 +24,6 @@ from ttus_opt.constraints.drag_limit import check_coefficient
 from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
-from ttus_opt.terms.drag import GlobalCoulomb
 from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.drag_force import DragForceTerm
 from ttus_opt.terms.drag_torque import DragTorqueTerm
@@ -43,7 +42,7 @@ def build(
     """Weights λ_f, λ_τ [–], ℓ [m], range of μ, where drag acts, deadband v₀ [m/s]."""
     check_coefficient(largest_friction)
     guess = estimate_drag(scene, acts_at, deadband)
-    drag = GlobalCoulomb(scene, guess.acts_at, deadband)
+    drag = guess.drag
     prior = LaplaceTerm(scene)
     fitted = scene.parameters.keys() - scene.not_identified.keys()
     fits_scale = BOUNDARY_SCALE in fitted and force_weight > 0.0

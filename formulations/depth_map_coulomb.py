@@ -16,7 +16,6 @@ from ttus_opt.scene import Scene
 from ttus_opt.terms.depth_map import DepthMapTerm
 from ttus_opt.terms.depth_map_estimate import estimate_depth_map
 from ttus_opt.terms.depth_map_limits import check_depth_map
-from ttus_opt.terms.drag import GlobalCoulomb
 from ttus_opt.terms.drag_estimate import estimate_drag
 from ttus_opt.terms.drag_force import DragForceTerm
 from ttus_opt.terms.drag_torque import DragTorqueTerm
@@ -36,7 +35,7 @@ def build(
     check_coefficient(largest_friction)
     check_depth_map(scene.voxmap.grid, depth_length=depth_length)
     guess = estimate_drag(scene, acts_at, deadband)
-    drag = GlobalCoulomb(scene, guess.acts_at, deadband)
+    drag = guess.drag
     first = drag.with_coefficient(min(guess.friction_coefficient, largest_friction))
     rows = scene.N - first.coefficient * drag.rows.force
     found = estimate_depth_map(scene, rows, depth_length=depth_length)

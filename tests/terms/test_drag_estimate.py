@@ -10,6 +10,7 @@ import ttus_opt as tt
 from tests.dragging import dragged_scene
 from ttus_opt.errors import InputError
 from ttus_opt.problem.formulation import load
+from ttus_opt.terms.drag import GlobalCoulomb
 from ttus_opt.terms.drag_estimate import estimate_drag
 
 
@@ -20,6 +21,16 @@ def test_the_estimate_finds_what_was_put_in(acts_at: str) -> None:
     assert estimate.friction_coefficient == pytest.approx(0.3, rel=1e-6)
     assert estimate.boundary_scale == pytest.approx(1.0, rel=1e-6)
     assert estimate.misfit < 1e-6
+
+
+def test_drag_of_another_coefficient_needs_no_other_rows() -> None:
+    scene = dragged_scene("points")
+    drag = estimate_drag(scene).drag
+    expected = GlobalCoulomb(scene, "points", coefficient=0.3)
+    found = drag.with_coefficient(0.3)
+    assert found.rows is drag.rows
+    difference = found.force_blocks()["p"] - expected.force_blocks()["p"]
+    assert not abs(difference).sum()
 
 
 def test_a_scale_that_is_off_is_told() -> None:

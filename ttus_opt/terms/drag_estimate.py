@@ -8,16 +8,16 @@ every point of the probe.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ttus_opt.arrays import Array
-from ttus_opt.contact.friction import DEADBAND, Sliding
+from ttus_opt.contact.friction import DEADBAND
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.distinct_drag import LEAST_DISTINCT, distinct_drag
-from ttus_opt.terms.drag import coulomb_rows_over
+from ttus_opt.terms.drag import GlobalCoulomb
 
 
 @dataclass(frozen=True)
@@ -30,12 +30,14 @@ class DragEstimate:
         acts_at: ``contact``, ``reference`` or ``points``.
         misfit: Root mean square of force residuals and, if torques were measured, of
             torque residuals over ℓ [N].
+        drag: Drag there, without a coefficient; its rows are known.
     """
 
     friction_coefficient: float
     boundary_scale: float
     acts_at: str
     misfit: float
+    drag: GlobalCoulomb = field(repr=False, compare=False)
 
 
 def estimate_drag(
@@ -72,22 +74,21 @@ def estimate_drag(
         pressed = np.concatenate([pressed, scale * (scene.W @ p)])
     found = []
     for place in places:
-        sliding = Sliding.of(scene.voxmap, scene.shell, scene.trajectory, place)
-        rows = coulomb_rows_over(scene, sliding, deadband)
-        dragged = rows.force @ p
+        drag = GlobalCoulomb(scene, place, deadband)
+        dragged = drag.rows.force @ p
         if not scene.measures_force_only:
-            dragged = np.concatenate([dragged, scale * (rows.torque @ p)])
+            dragged = np.concatenate([dragged, scale * (drag.rows.torque @ p)])
         columns = np.stack([pressed, -dragged], axis=1)
         (s, s_mu), *_ = np.linalg.lstsq(columns, measured, rcond=None)
         if s > 0.0 > s_mu:  # drag that pushes is none: judged without it
             s, s_mu = _scale(pressed, measured), 0.0
         misfit = _mean_size(measured - columns @ [s, s_mu])
         mu = max(float(s_mu / s), 0.0) if s > 0.0 else 0.0
-        found.append((DragEstimate(mu, float(s), place, misfit), rows.force))
-    best, force_rows = min(found, key=lambda one: one[0].misfit)
+        found.append(DragEstimate(mu, float(s), place, misfit, drag))
+    best = min(found, key=lambda one: one.misfit)
     if not best.friction_coefficient:
         return best
-    if distinct_drag(scene, force_rows) >= LEAST_DISTINCT:
+    if distinct_drag(scene, best.drag.rows.force) >= LEAST_DISTINCT:
         return best
     s = _scale(pressed, measured)
     misfit = _mean_size(measured - s * pressed)
