@@ -16,6 +16,7 @@ from typing import Any, Self
 import numpy as np
 
 from ttus_opt.arrays import Array, IntArray
+from ttus_opt.blas_threads import one_blas_thread
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.covariance_posterior import CovariancePosterior
 from ttus_opt.fitting.weight_criteria import left_out_errors, presses
@@ -146,6 +147,7 @@ def _means(errors: Array, press: IntArray) -> Array:
     return np.asarray(np.bincount(place, errors) / count)
 
 
+@one_blas_thread()
 def left_out_of(declared: Formulation) -> LeftOut:
     """Leave presses out of a formulation whose prior has a known covariance.
 

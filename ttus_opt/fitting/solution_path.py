@@ -11,9 +11,11 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ttus_opt.blas_threads import one_blas_thread
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.path_dataset import PathRecord
 from ttus_opt.fitting.path_solvers import point_solver
@@ -99,11 +101,14 @@ def solution_path(
         solve.prepare_criteria(declared.with_weights(**grid.at(last)))
     order = grid.from_both_ends() if solve.common else grid.from_the_prior()
     done = 0
+    # a common basis makes matrices small
+    threads = one_blas_thread() if solve.common else nullcontext()
     try:
-        for index in _shown(order, progress):
-            weighted = declared.with_weights(**grid.at(index))
-            record.add(index, solve(weighted), solve.criteria(weighted))
-            done += 1
+        with threads:
+            for index in _shown(order, progress):
+                weighted = declared.with_weights(**grid.at(index))
+                record.add(index, solve(weighted), solve.criteria(weighted))
+                done += 1
     except KeyboardInterrupt:
         if not done:
             raise
