@@ -11,7 +11,8 @@ import scipy.linalg
 import scipy.stats
 
 from tests.fitting.test_weight_criteria import three_presses
-from ttus_opt.fitting.marginal_likelihood import MeasuredSeries, SeriesNoise
+from ttus_opt.fitting.marginal_likelihood import MarginalLikelihood, MeasuredSeries
+from ttus_opt.fitting.series_noise import SeriesNoise
 from ttus_opt.fitting.tuning_series import TuningRows
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem import formulation as shelf
@@ -132,3 +133,54 @@ def test_thinning_keeps_the_first_frame_of_every_press() -> None:
     np.testing.assert_array_equal(thin.time[::2], whole.time[[0, 4, 8]])
     np.testing.assert_array_equal(thin.place[::2], whole.place[[0, 4, 8]])
     np.testing.assert_array_equal(thin.images[:, :, ::2], whole.images[:, :, [0, 4, 8]])
+
+
+@pytest.mark.parametrize("name", ["eq10", "coulomb_global"])
+@pytest.mark.parametrize("scale", [None, 1.2])
+def test_the_slope_is_that_of_differences(name: str, scale: float | None) -> None:
+    """By the logarithms of both weights, both w, T and the coefficient."""
+    likelihood, h = MarginalLikelihood(series(name)), 1e-5
+
+    def at(x: np.ndarray) -> tuple[np.ndarray, SeriesNoise, float, float | None]:
+        return np.exp(x[:2]), SeriesNoise(x[4], x[2:4]), x[5], scale
+
+    x = np.array([np.log(FORCE), np.log(TORQUE), *SENSOR, TIME, 0.2])
+    expected = [
+        likelihood.evidence(*at(x + step)).log_density
+        - likelihood.evidence(*at(x - step)).log_density
+        for step in h * np.eye(6)
+    ]
+    evidence, slope = likelihood.with_slope(*at(x))
+    found = [*slope.log_weights, *slope.sensor]
+    found += [slope.correlation_time, slope.coefficient]
+    np.testing.assert_allclose(
+        found, np.array(expected) / (2.0 * h), rtol=1e-5, atol=1e-6
+    )
+    assert evidence == likelihood.evidence(*at(x))
+    assert (slope.coefficient == 0.0) == (name == "eq10")
+
+
+def test_the_coefficient_is_that_of_the_series_at_it() -> None:
+    own, weights = series("coulomb_global"), np.array([FORCE, TORQUE])
+    found = MarginalLikelihood(own).evidence(weights, NOISE, 0.3)
+    expected = own.at(0.3).evidence(weights, NOISE)
+    assert found.log_density == pytest.approx(expected.log_density, abs=1e-8)
+    assert found.scale == pytest.approx(expected.scale, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["eq10", "coulomb_global"])
+def test_a_condensed_basis_misses_no_more_than_it_says(name: str) -> None:
+    own, weights, missing = series(name), np.array([FORCE, TORQUE]), 0.1
+    few = own.condensed(weights, missing)
+    assert 0 < len(few.images) < len(own.images)
+    for mu in (0.0, 1.0):
+        one, other = own.at(mu), few.at(mu)
+        root = np.sqrt(weights)[:, None, None]
+        left = (one.images * root).reshape(len(one.images), -1)
+        kept = (other.images * root).reshape(len(other.images), -1)
+        lost = left.T @ left - kept.T @ kept
+        assert np.linalg.eigvalsh(lost).min() > -1e-8 * np.square(left).sum()
+        assert np.trace(lost) <= 2.0 * (1.0 + mu**2) * missing
+        both = (each.evidence(weights, NOISE).log_density for each in (one, other))
+        assert abs(np.subtract(*both)) < (1.0 + mu**2) * missing
+    assert len(own.condensed(1e-9 * weights, missing).images) == 1

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from ttus_opt.fitting import place_left_out
-from ttus_opt.fitting.marginal_likelihood import MeasuredSeries, SeriesNoise
+from ttus_opt.fitting.marginal_likelihood import MeasuredSeries
 from ttus_opt.fitting.place_left_out import PlaceLeftOut
+from ttus_opt.fitting.series_noise import SeriesNoise
 
 WEIGHTS = np.array([0.3, 0.2])
 
@@ -75,6 +76,15 @@ def expected(shares: np.ndarray) -> float:
 def test_the_error_is_that_of_dense_algebra(shares: tuple[float, float]) -> None:
     found = PlaceLeftOut.of(series(), WEIGHTS, NOISE).error(np.array(shares))
     assert found == pytest.approx(expected(np.array(shares)), rel=1e-9)
+
+
+def test_the_slope_is_that_of_differences() -> None:
+    places, shares, h = PlaceLeftOut.of(series(), WEIGHTS, NOISE), [0.2, 0.7], 1e-5
+    error, slope = places.with_slope(np.array(shares))
+    assert error == places.error(np.array(shares))
+    for term, step in enumerate(h * np.eye(2)):
+        up, down = (places.error(shares + sign * step) for sign in (1.0, -1.0))
+        assert slope[term] == pytest.approx((up - down) / (2.0 * h), rel=1e-6)
 
 
 def test_the_shares_err_least() -> None:

@@ -11,6 +11,7 @@ import pytest
 import ttus_opt as tt
 from tests.conftest import small_scene
 from tests.fitting.test_weight_criteria import three_presses
+from ttus_opt.blas_threads import libraries
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import tuning, tuning_series
 from ttus_opt.fitting.tuning import Tuning, tune
@@ -84,6 +85,23 @@ def test_forces_alone_are_tuned() -> None:
     assert found.weights.keys() == {"force"} == found.weight_factors.keys()
     assert found.noise == pytest.approx(NOISE, rel=0.7)
     assert 0.2 < found.weights["force"] / tuned().weights["force"] < 5.0
+
+
+def test_one_thread_does_the_dense_algebra() -> None:
+    seen: list[int] = []
+
+    def look(_: str) -> None:
+        seen.extend(library.threads() for library in libraries())
+
+    before = [library.threads() for library in libraries()]
+    for library in libraries():
+        library.use(2)
+    try:
+        tune(drawn(), "eq10", compare=False, progress=look)
+    finally:
+        for library, count in zip(libraries(), before, strict=True):
+            library.use(count)
+    assert seen == [1] * len(libraries())
 
 
 @pytest.mark.slow

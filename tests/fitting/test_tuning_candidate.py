@@ -123,7 +123,8 @@ def test_no_other_hyperparameters_are_likelier() -> None:
 
     assert not one.free_scale  # its boundary was given
     best = log_posterior(x)
-    assert best == pytest.approx(one.maximum.log_posterior, abs=1e-6)
+    # over a condensed basis, whose trace misses tuning_candidate.MISSING at most
+    assert best == pytest.approx(one.maximum.log_posterior, abs=0.1)
     for k, hyper in enumerate(one.maximum.found):
         for factor in (0.5, 2.0):
             moved = x.copy()

@@ -61,6 +61,25 @@ class Prior:
             return min(max(self.median + self.spread * x, 0.0), self.highest)
         return min(self.median * math.exp(self.spread * x), self.highest)
 
+    def steps(self, value: float) -> float:
+        """How many standard deviations a value is from the median."""
+        if self.linear:
+            return (value - self.median) / self.spread
+        return math.log(value / self.median) / self.spread
+
+    def derivative(self, x: float) -> float:
+        """Derivative of `value`; at a bound, from within."""
+        low, high = self.range
+        if not low <= x <= high:
+            return 0.0
+        return self.spread if self.linear else self.spread * self.value(x)
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """The lowest and highest x at which `value` changes."""
+        low = self.steps(0.0) if self.linear else -FARTHEST
+        return max(low, -FARTHEST), min(self.steps(self.highest), FARTHEST)
+
     def bounds(self, x: float) -> bool:
         """Whether the value x standard deviations from the median is a bound."""
         return abs(x) >= FARTHEST or self.value(x) >= self.highest
@@ -107,29 +126,94 @@ class Maximum:
     log_marginal: float
 
 
+#: Log density of the data and its derivatives by the values, shape (n,)
+Slope = Callable[[Array], tuple[float, Array]]
+
+
+@dataclass(frozen=True)
+class _Peak:
+    """A maximum over the free hyperparameters.
+
+    Attributes:
+        x: Where, in prior standard deviations from the medians, shape (n,) [–].
+        cost: Minus the log posterior there [–].
+        hessian: Its second derivatives, shape (n, n) [–].
+    """
+
+    x: Array
+    cost: float
+    hessian: Array
+
+
 def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> Maximum:
     """Find the most likely values, and which of them the data determine.
+
+    By the simplex method, the reference for `maximise_by_slope`.
 
     Args:
         log_density: Log density of the data for values in the order of the priors.
         priors: One or more priors.
     """
+
+    def search(free: Sequence[int], start: Array) -> _Peak:
+        def cost(x: Array) -> float:
+            return float(0.5 * x @ x - log_density(_values(priors, free, x)))
+
+        x = _minimum(cost, start)
+        return _Peak(x, cost(x), _hessian(cost, x))
+
+    return _determined(search, priors, np.zeros(len(priors)))
+
+
+def maximise_by_slope(
+    slope: Slope, priors: Sequence[Prior], start: Sequence[Hyperparameter] = ()
+) -> Maximum:
+    """The same in a fifth of the evaluations, by a quasi-Newton method.
+
+    Args:
+        slope: Log density and derivatives for values in the order of the priors.
+        priors: One or more priors.
+        start: Values to begin with, by name; for others, the medians.
+    """
+    known = {one.name: one.value for one in start}
+    first = [prior.steps(known.get(prior.name, prior.median)) for prior in priors]
+
+    def search(free: Sequence[int], start: Array) -> _Peak:
+        own = [priors[i] for i in free]
+
+        def cost(x: Array) -> tuple[float, Array]:
+            value, by_value = slope(_values(priors, free, x))
+            chain = [p.derivative(float(s)) for p, s in zip(own, x, strict=True)]
+            return float(0.5 * x @ x - value), x - by_value[free] * chain
+
+        x = _descended(cost, start, [prior.range for prior in own])
+        return _Peak(x, cost(x)[0], _hessian_by_slope(cost, x))
+
+    return _determined(search, priors, np.array(first))
+
+
+def _values(priors: Sequence[Prior], free: Sequence[int], x: Array) -> Array:
+    """All values, those of hyperparameters that are not free at their medians."""
+    steps = np.zeros(len(priors))
+    steps[free] = x
+    return np.array([p.value(float(s)) for p, s in zip(priors, steps, strict=True)])
+
+
+def _determined(
+    search: Callable[[Sequence[int], Array], _Peak], priors: Sequence[Prior], x: Array
+) -> Maximum:
+    """Search again without the least certain one, until the data determine all.
+
+    Args:
+        search: Finds the maximum over some of them, given their numbers and a start.
+        priors: Priors of all.
+        x: Where to start, in prior standard deviations, shape (n,) [–].
+    """
     free = list(range(len(priors)))
-    x = np.zeros(len(priors))
-
-    def cost(of_free: Array) -> float:
-        """Minus the log posterior, hyperparameters that are not free at 0."""
-        steps = np.zeros(len(priors))
-        steps[free] = of_free
-        values = [p.value(float(s)) for p, s in zip(priors, steps, strict=True)]
-        return float(0.5 * of_free @ of_free - log_density(np.array(values)))
-
     while True:
-        x[free] = _minimum(cost, x[free])
-        hessian = _hessian(cost, x[free])
-        spread = _spreads(hessian)
-        doubtful = [i for i, s in zip(free, spread, strict=True) if s > DETERMINED]
-        if not doubtful:
+        peak = search(free, x[free])
+        x[free], spread = peak.x, _spreads(peak.hessian)
+        if not free or spread.max() <= DETERMINED:
             break
         worst = free[int(np.argmax(spread))]
         x[worst] = 0.0
@@ -147,9 +231,8 @@ def maximise(log_density: Callable[[Array], float], priors: Sequence[Prior]) -> 
         )
         for i, prior in enumerate(priors)
     )
-    peak = -cost(x[free])
-    occam = -0.5 * float(np.linalg.slogdet(hessian)[1])
-    return Maximum(found, peak, peak + occam)
+    occam = -0.5 * float(np.linalg.slogdet(peak.hessian)[1])
+    return Maximum(found, -peak.cost, occam - peak.cost)
 
 
 def _minimum(cost: Callable[[Array], float], start: Array) -> Array:
@@ -169,6 +252,24 @@ def _minimum(cost: Callable[[Array], float], start: Array) -> Array:
     return np.asarray(found.x)
 
 
+def _descended(
+    cost: Slope, start: Array, ranges: Sequence[tuple[float, float]]
+) -> Array:
+    """The minimum within the priors' ranges."""
+    if not len(start):
+        return start
+    found = scipy.optimize.minimize(
+        cost,
+        start,
+        method="L-BFGS-B",
+        jac=True,
+        bounds=ranges,
+        # the prior's curvature of 1 makes the slope a bound of the distance
+        options={"gtol": ACCURACY, "ftol": 0.0, "maxfun": MOST},
+    )
+    return np.asarray(found.x)
+
+
 def _hessian(cost: Callable[[Array], float], x: Array) -> Array:
     """Second differences."""
     n, h = len(x), STEP * np.eye(len(x))
@@ -179,6 +280,22 @@ def _hessian(cost: Callable[[Array], float], x: Array) -> Array:
             mixed = cost(x + h[i] + h[j]) - cost(x + h[i] - h[j])
             mixed += cost(x - h[i] - h[j]) - cost(x - h[i] + h[j])
             out[i, j] = out[j, i] = mixed / (4.0 * STEP**2)
+    return out
+
+
+def _hessian_by_slope(cost: Slope, x: Array) -> Array:
+    """The same, with differences of slopes off the diagonal.
+
+    At a bound, where the slope jumps, second differences are those of the reference.
+    """
+    n, h = len(x), STEP * np.eye(len(x))
+    out, diagonal, middle = np.empty((n, n)), np.empty(n), cost(x)[0]
+    for i in range(n):
+        (above, up), (below, down) = cost(x + h[i]), cost(x - h[i])
+        out[i] = (up - down) / (2.0 * STEP)
+        diagonal[i] = (above - 2.0 * middle + below) / STEP**2
+    out = 0.5 * (out + out.T)
+    out[np.diag_indices(n)] = diagonal
     return out
 
 

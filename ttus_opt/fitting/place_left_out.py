@@ -18,22 +18,25 @@ this examination is to the others. See docs/method.md, "Tuning".
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Self
 
 import numpy as np
 import scipy.optimize
 
 from ttus_opt.arrays import Array
-from ttus_opt.fitting.marginal_likelihood import MeasuredSeries, SeriesNoise
+from ttus_opt.fitting.marginal_likelihood import MeasuredSeries
+from ttus_opt.fitting.series_noise import SeriesNoise
 
 #: Least share of a most likely weight that a fit uses [–]
 LEAST_SHARE = 1e-4
 
-#: Accuracy of the logarithm of a share, of the error, and most evaluations
-ACCURACY, RELATIVE_ACCURACY, MOST = 0.05, 1e-4, 80
+#: Slope by the logarithm of a share at which the search ends, and its last gain, both
+#: over the error; most evaluations
+ACCURACY, RELATIVE_ACCURACY, MOST = 1e-4, 1e-6, 80
 
-#: Share at which the search starts, and its first step, a factor
-START, STEP = 0.1, 4.0
+#: Share at which the search starts
+START = 0.1
 
 #: Most frames; each of fewer stands for several, whose sensor noise is averaged
 MOST_FRAMES = 1000
@@ -93,18 +96,35 @@ class PlaceLeftOut:
         Args:
             shares: Of the weights, by term, shape (terms,) [–].
         """
-        total, one = 0.0, np.eye(self.gram.shape[-1])
+        return self.with_slope(shares)[0]
+
+    def with_slope(self, shares: Array) -> tuple[float, Array]:
+        """The same and its derivatives by the shares, shape (terms,)."""
+        error, slope = 0.0, np.zeros(len(shares))
+        one = np.eye(self.gram.shape[-1])
+        for own, rest, noise, shared in zip(*self._of_others, strict=True):
+            inverse = np.linalg.inv(one + np.tensordot(shares, rest, axes=1))
+            S = one + np.tensordot(shares**2, noise, axes=1)
+            C = np.tensordot(shares, shared, axes=1)
+            half = inverse @ own
+            mean, turned = half @ inverse, S @ half
+            error += float((S * mean).sum() - 2.0 * (C * inverse).sum())
+            # M changes as rest, and its inverse by -inverse rest inverse
+            both = inverse @ (2.0 * C - turned - turned.T) @ inverse
+            for t in range(len(shares)):
+                slope[t] += 2.0 * shares[t] * float((noise[t] * mean).sum())
+                slope[t] += float((rest[t] * both).sum())
+                slope[t] -= 2.0 * float((shared[t] * inverse).sum())
+        return error, slope
+
+    @cached_property
+    def _of_others(self) -> tuple[Array, Array, Array, Array]:
+        """By place: own B Bᵀ, and by term those of M, of S and of C (symmetric)."""
+        turned = np.swapaxes(self.cross, -1, -2)
         whole, spread = self.gram.sum(axis=0), self.cross.sum(axis=0)
-        for gram, inner, cross in zip(self.gram, self.inner, self.cross, strict=True):
-            rest = spread - cross - cross.transpose(0, 2, 1) + inner
-            M = one + np.tensordot(shares, whole - gram, axes=1)
-            S = one + np.tensordot(shares**2, rest, axes=1)
-            inverse = np.linalg.inv(M)
-            mean = inverse @ S @ inverse
-            shared = np.tensordot(shares, cross - inner, axes=1)
-            total += float((gram.sum(axis=0) * mean).sum())
-            total -= 2.0 * float((shared * inverse).sum())
-        return total
+        noise = spread - self.cross - turned + self.inner
+        shared = 0.5 * (self.cross + turned) - self.inner
+        return self.gram.sum(axis=1), whole - self.gram, noise, shared
 
     def shares(self) -> Array:
         """Shares of the weights that err least, by term, shape (terms,) [–].
@@ -114,26 +134,23 @@ class PlaceLeftOut:
         n = self.gram.shape[1]
         if len(self.gram) < 2:
             return np.ones(n)
+        start = np.full(n, START)
+        size = abs(self.error(start))
 
-        def shares(steps: Array) -> Array:
-            return np.asarray(np.exp(np.clip(steps, np.log(LEAST_SHARE), 0.0)))
+        def cost(logs: Array) -> tuple[float, Array]:
+            shares = np.exp(logs)
+            error, slope = self.with_slope(shares)
+            return error / size, slope * shares / size
 
-        def cost(steps: Array) -> float:
-            return self.error(shares(steps))
-
-        start = np.full(n, np.log(START))
         found = scipy.optimize.minimize(
             cost,
-            start,
-            method="Nelder-Mead",
-            options={
-                "initial_simplex": np.vstack([start, start + np.log(STEP) * np.eye(n)]),
-                "xatol": ACCURACY,
-                "fatol": RELATIVE_ACCURACY * abs(cost(start)),
-                "maxfev": MOST,
-            },
+            np.log(start),
+            method="L-BFGS-B",
+            jac=True,
+            bounds=[(np.log(LEAST_SHARE), 0.0)] * n,
+            options={"gtol": ACCURACY, "ftol": RELATIVE_ACCURACY, "maxfun": MOST},
         )
-        return shares(found.x)
+        return np.asarray(np.exp(found.x))
 
 
 def _times(correlation: Array, values: Array) -> Array:

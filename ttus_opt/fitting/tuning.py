@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ttus_opt.arrays import Array, IntArray
+from ttus_opt.blas_threads import one_blas_thread
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.hyperparameters import Hyperparameter
 from ttus_opt.fitting.left_out import LeftOut
@@ -24,6 +25,7 @@ from ttus_opt.fitting.marginal_likelihood import Evidence, MeasuredSeries
 from ttus_opt.fitting.one_sense import warn_of_one_sense
 from ttus_opt.fitting.place_left_out import PlaceLeftOut
 from ttus_opt.fitting.tuning_candidate import (
+    MISSING,
     SIGNAL_TO_NOISE,
     Candidate,
     KeptSeries,
@@ -117,6 +119,7 @@ class Tuning:
         }
 
 
+@one_blas_thread()
 def tune(
     scene: Scene,
     formulations: str
@@ -176,17 +179,19 @@ def _finished(tried: Sequence[Candidate], compare: bool) -> Tuning:
     after = tried[[one is best for one in tried].index(True) + 1 :]
     rows, values, evidence = best.rows, best.values, best.evidence()
     series = best.series.at(values.coefficient)
-    left_out = PlaceLeftOut.of(series, values.weights, values.noise)
+    few = series.condensed(values.weights, MISSING)
+    left_out = PlaceLeftOut.of(few, values.weights, values.noise)
     independent = values.weights * left_out.shares()
-    whole = TuningRows.of(best.declared)
-    # rescale the weights to the prior variance on the grid of the fit
-    same = best.declared.scene is rows.declared.scene
-    grid = 1.0 if same else best.variance / whole.variance()
+    grid = 1.0
+    if best.declared.scene is not rows.declared.scene:
+        # rescale the weights to the prior variance on the grid of the fit
+        grid = best.variance / TuningRows.of(best.declared).variance()
     final = dict(zip(rows.terms, map(float, grid * independent), strict=True))
     scene, scale = _scaled(best, evidence)
     declared = best.declared if best.build is None else best.build(scene)
     name, frames = declared.name, rows.declared.scene.rows.contact_points
     judge = _Judge(series, evidence.scale, np.flatnonzero(frames > 0))
+    predicted = judge.predicted(independent)
     own = {t.name: t.weight for t in best.declared.terms if t.measures}
     own_weights = np.array([own[term] for term in rows.terms]) / grid
     known = replace(judge, series=best.reaching(own_weights), scale=1.0)
@@ -199,13 +204,13 @@ def _finished(tried: Sequence[Candidate], compare: bool) -> Tuning:
         float(np.sqrt(evidence.variance / values.weights[force])),
         evidence.variance * grid,
         best.log_marginal,
-        judge(independent)["left_out_force_error"],
+        judge.magnitude_error(predicted),
         judge.others(independent, grid) if compare else (),
         {one.declared.name: one.log_marginal for one in tried},
         tuple(map(int, rows.declared.scene.voxmap.grid.shape)),
         0.0,
-        judge.left_out(f"{name} with the weights chosen", independent),
-        known.left_out(f"{name} with its own weights", own_weights),
+        judge.left_out(f"{name} with the weights chosen", predicted),
+        known.left_out(f"{name} with its own weights", known.predicted(own_weights)),
         _finished(after, False) if after else None,
     )
 
@@ -232,6 +237,7 @@ def _scaled(
     return scaled, (found,)
 
 
+@one_blas_thread()
 def best_left_out(scene: Scene, name: str, options: Mapping[str, Any]) -> LeftOut:
     """Presses left out of a formulation, with the weights that predict them best.
 
@@ -254,7 +260,9 @@ def best_left_out(scene: Scene, name: str, options: Mapping[str, Any]) -> LeftOu
     touching = np.flatnonzero(small.rows.contact_points > 0)
     judge = _Judge(rows.series(float(weights.max())), 1.0, touching)
     ones, words = np.ones(len(rows.terms)), f"{name} with its best weights"
-    found = [judge.left_out(words, weight * ones) for weight in weights]
+    found = [
+        judge.left_out(words, judge.predicted(weight * ones)) for weight in weights
+    ]
     return min(found, key=lambda one: one.mean_over(judge.series.press))
 
 
@@ -276,11 +284,26 @@ class _Judge:
         """All criteria for weights by term."""
         return self._criteria.values(*self._at(weights))
 
-    def left_out(self, model: str, weights: Array) -> LeftOut:
-        """Errors on presses left out in turn; ``model`` is its name."""
-        predicted = self._criteria.left_out(*self._at(weights))
-        error = self._criteria.force.reshape(-1, 3) - predicted
+    def predicted(self, weights: Array) -> Array:
+        """Forces that all other presses predict, shape (n, 3) [N]."""
+        return self._criteria.left_out(*self._at(weights))
+
+    def left_out(self, model: str, predicted: Array) -> LeftOut:
+        """The errors of these; ``model`` is the name of what predicted them."""
+        error = self._force - predicted
         return LeftOut(model, self.frames, np.linalg.norm(error, axis=1))
+
+    def magnitude_error(self, predicted: Array) -> float:
+        """Mean error of their magnitudes; NaN with one press [N]."""
+        if len(np.unique(self.series.press)) < 2:
+            return np.nan
+        sizes = (np.linalg.norm(v, axis=1) for v in (self._force, predicted))
+        return float(np.abs(np.subtract(*sizes)).mean())
+
+    @property
+    def _force(self) -> Array:
+        """Measured forces, shape (n, 3) [N]."""
+        return self._criteria.force.reshape(-1, 3)
 
     @property
     def _criteria(self) -> Criteria:

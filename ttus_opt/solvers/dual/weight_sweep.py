@@ -141,14 +141,24 @@ class WeightSweep:
         self._base = system.laplace.solve(data.b)
         said = np.asarray(self._system.rows @ self._base)
         self._misfit: Array = data.t[self._informative] / root - said
-        self._multipliers = np.empty((0, len(root)))
-        self._images = np.empty((0, len(root)))
+        self._count = 0
+        #: Multipliers and their images, with room for more
+        self._stored = np.empty((2, BLOCK, len(root)))
         self._fields: list[NDArray[np.floating]] = []
         self._approximate: ApproximateSchur | None = None
 
     def __len__(self) -> int:
         """Number of response fields."""
-        return len(self._images)
+        return self._count
+
+    @property
+    def _multipliers(self) -> Array:
+        """Z, shape (k, rows)."""
+        return self._stored[0, : self._count]
+
+    @property
+    def _images(self) -> Array:
+        return self._stored[1, : self._count]
 
     @property
     def informative(self) -> Mask:
@@ -197,10 +207,16 @@ class WeightSweep:
         """
         root, random = root_weights[self._informative], np.random.default_rng(0)
         recent: list[float] = []
-        while len(self) < min(len(root), self._options.max_directions):
-            recent.append(self._extend(root * random.standard_normal(len(root))))
-            if len(recent) >= PROBES and np.mean(recent[-PROBES:]) <= missing:
-                return True
+        most = min(len(root), self._options.max_directions)
+        while (begun := len(self)) < most:
+            probes = root * random.standard_normal((PROBES, len(root)))
+            # all at once against what there is, then one after another
+            for z, probe in zip(
+                self._without(probes), probes[: most - begun], strict=False
+            ):
+                recent.append(self._extend(self._without(z, begun), _size(probe)))
+                if len(recent) >= PROBES and np.mean(recent[-PROBES:]) <= missing:
+                    return True
         return len(self) >= len(root)
 
     def solve(
@@ -239,7 +255,8 @@ class WeightSweep:
                 precondition = schur_preconditioner(
                     self._system, self._options, self._approximate
                 )
-            if not self._extend(root * precondition(y)):
+            wanted = root * precondition(y)
+            if not self._extend(self._without(wanted), _size(wanted)):
                 break
         p = self._base + self._combined(best)
         return SweepAnswer(p, len(self) - before, settled)
@@ -255,16 +272,24 @@ class WeightSweep:
         rest = root * (root * self._misfit - c @ weighted) - c @ self._multipliers
         return c, rest
 
-    def _extend(self, multipliers: Array) -> float:
-        """Add the response field of some multipliers, orthonormal to the others.
+    def _without(self, multipliers: Array, since: int = 0) -> Array:
+        """Multipliers less their part in the basis from ``since`` on, (..., rows)."""
+        z = multipliers
+        for _ in range(2):  # twice is enough
+            z = z - (z @ self._images[since:].T) @ self._multipliers[since:]
+        return z
+
+    def _extend(self, z: Array, size: float) -> float:
+        """Add the response field of some multipliers.
+
+        Args:
+            z: Orthogonal to the basis, shape (rows,).
+            size: What they measured before they were made so.
 
         Returns:
-            Its energy outside the basis; 0 if there is nothing to add.
+            Their energy; 0 if there is nothing to add.
         """
-        z, size = multipliers, float(np.linalg.norm(multipliers))
-        for _ in range(2):  # twice is enough
-            z = z - (self._images @ z) @ self._multipliers
-        if not (np.isfinite(z).all() and np.linalg.norm(z) > DEPENDENT * size):
+        if not (np.isfinite(z).all() and _size(z) > DEPENDENT * size):
             return 0.0
         response = self._response(z)
         image = self._system.rows @ response
@@ -275,9 +300,11 @@ class WeightSweep:
         if float(shared @ shared) > SHARED * square:
             return 0.0
         unit = 1.0 / np.sqrt(square)
-        self._multipliers = np.vstack([self._multipliers, unit * z])
-        self._images = np.vstack([self._images, unit * image])
-        at, kept = (len(self) - 1) % BLOCK, response[self._voxels]
+        at, kept = len(self) % BLOCK, response[self._voxels]
+        if len(self) == self._stored.shape[1]:
+            self._stored = np.concatenate(2 * [self._stored], axis=1)
+        self._stored[:, len(self)] = unit * z, unit * image
+        self._count += 1
         if at == 0:
             self._fields.append(np.empty((BLOCK, len(kept)), self._kept_as))
         self._fields[-1][at] = unit * kept
@@ -296,3 +323,7 @@ class WeightSweep:
             part = c[start : start + BLOCK]
             out += part @ fields[: len(part)]
         return out
+
+
+def _size(z: Array) -> float:
+    return float(np.linalg.norm(z))
