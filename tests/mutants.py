@@ -213,6 +213,10 @@ TARGETS = (
         "terms/depth_profile.py",
         ("terms/test_depth_profile.py", "terms/test_depth_map_estimate.py"),
     ),
+    Target(
+        "terms/drag_estimate.py",
+        ("terms/test_drag_estimate.py", "terms/test_distinct_drag.py"),
+    ),
     Target("contact/slip.py", ("contact/test_point_drag.py",)),
     Target("haptic/point_drag.py", ("haptic/test_drag.py", "haptic/test_wrench.py")),
     Target(
@@ -230,7 +234,7 @@ TARGETS = (
             "contact": ("point_drag", "shell_blocks"),
             "fitting": ("breakdown", "contact_spread", "left_out", "skin_doubt"),
             "haptic": ("motion", "tables"),
-            "terms": ("drag_estimate", "torque", "total_variation"),
+            "terms": ("torque", "total_variation"),
         }.items()
         for stem in stems
     ),

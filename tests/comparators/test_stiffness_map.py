@@ -90,6 +90,16 @@ def test_priors_are_wide_about_soft_tissue(
     np.testing.assert_allclose(found, expected)
 
 
+def test_noise_is_never_less_than_a_covariance_needs(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    silent = PosteriorMode(np.array([0.0, 0.0, 0.0, -30.0]), 0.0)
+    monkeypatch.setattr(stiffness_map, "posterior_mode", lambda *_: silent)
+    data = palpation(9, 0.1)
+    rms = np.sqrt(np.mean(data.force**2))
+    assert chosen_law(data).noise == pytest.approx(1e-4 * rms)
+
+
 def test_evidence_finds_what_the_data_were_made_with() -> None:
     law = chosen_law(palpation(200, 0.1))
     assert law.exponent == pytest.approx(1.4, abs=0.1)

@@ -76,3 +76,17 @@ def test_a_probe_beside_the_voxels_touches_nothing() -> None:
             inside = (made.shell.points + at)[:, :2]
             assert far == 1.0 or (np.abs(inside).max(axis=1) < edge).any()
             assert points == 0 and not unit.any()
+
+
+def test_beyond_its_ends_the_patient_continues() -> None:
+    made = VoxmapPointShell(surface=torso(), shell=ellipsoid(), edge=0.005)
+    heights = made.corner[2] + made.edge * (np.array(made.voxels.shape) - 1)[2]
+    R, at = facing(torso(), 1.1, 0.1, 0.007)
+    for end, way in ((made.corner[2], -1.0), (heights, 1.0)):
+        wrenches = []
+        for far in (0.03, 0.2):
+            at[2] = end + way * far
+            unit, points = made._unit_wrench(R, at)
+            wrenches.append([*unit, points])
+        assert wrenches[0][-1] > 0
+        np.testing.assert_allclose(*wrenches, atol=1e-15)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -175,6 +176,25 @@ def test_an_estimate_without_friction_has_the_scale_without_it() -> None:
     assert found.boundary_scale == pytest.approx(scale)
     rest = measured - scale * ours
     assert found.misfit == pytest.approx(np.sqrt(np.mean(rest**2)))
+
+
+@pytest.mark.parametrize("released", [False, True])
+def test_drag_that_was_put_in_is_estimated_only_if_it_is_distinct(
+    released: bool,
+) -> None:
+    """Least squares finds 0.3 in either; not released, a stiffer field does too."""
+    scene = frictionless(released)
+    p = scene.laplace.solve(scene.b)
+    rows = GlobalCoulomb(scene, "points").rows
+    force = scene.N @ p - 0.3 * (rows.force @ p)
+    torque = scene.W @ p - 0.3 * (rows.torque @ p)
+    dragged = replace(
+        scene.trajectory, force=force.reshape(-1, 3), torque=torque.reshape(-1, 3)
+    )
+    scene = replace(scene, trajectory=dragged)
+    found = estimate_drag(scene, "points")
+    assert found.friction_coefficient == pytest.approx(0.3 if released else 0.0)
+    assert (found.misfit < 1e-9) == released
 
 
 def test_tuning_takes_no_friction_that_could_be_elastic() -> None:
