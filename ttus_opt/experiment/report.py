@@ -147,11 +147,14 @@ _ABOUT_PAPER = Text(
     "Mean errors against the measured wrenches, without (Laplace only) and with "
     "measured forces. The paper's boundary value is its own choice for its "
     "patients, who were not these: the third column has the one number that suits "
-    "these measurements best. The paper's averages over three people, recomputed "
-    f"from its cells: {100 * paper.GAIN_FORCE:.0f} %, {paper.GAIN_ANGLE_DEG:g}° "
-    f"and {100 * paper.GAIN_ANGLE:.0f} % reproduce; its "
-    f"{paper.PRINTED_GAIN_FORCE_N:g} N does not, its cells give "
-    f"{paper.GAIN_FORCE_N:g} N."
+    "these measurements best. Of the paper's averages over three people, "
+    f"{100 * paper.GAIN_FORCE:.0f} %, {paper.GAIN_ANGLE_DEG:g}° and "
+    f"{100 * paper.GAIN_ANGLE:.0f} % follow from the cells of its tables I and II "
+    "(which are not part of this package), "
+    f"{paper.PRINTED_GAIN_FORCE_N:g} N does not: they give {paper.GAIN_FORCE_N:g} N. "
+    "On new trajectories its mean errors fall by "
+    f"{100 * paper.fall(*paper.NEW_FORCE):.0f} % and "
+    f"{100 * paper.fall(*paper.NEW_ANGLE):.0f} %."
 )
 
 
