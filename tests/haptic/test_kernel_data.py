@@ -1,16 +1,20 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from tests.conftest import ellipsoid, torso
 from ttus_opt.contact.rows import REFERENCE_AREA
-from ttus_opt.contact.shell_blocks import ShellBlocks
-from ttus_opt.haptic.kernel_data import FrameData
+from ttus_opt.contact.shell_blocks import BLOCK, ShellBlocks
+from ttus_opt.haptic.kernel_data import RUN, FrameData
 from ttus_opt.voxmap.voxmap import Voxmap
 
 VOXMAP = Voxmap.from_surface(torso(), shape=(12, 24, 11))
-SHELL = ellipsoid(333)
+#: Its reference is not the probe's origin
+OFFSET = np.array([0.01, -0.02, 0.03])
+SHELL = replace(ellipsoid(333), points=ellipsoid(333).points + OFFSET, reference=OFFSET)
 
 
 @pytest.mark.parametrize("trilinear", [False, True])
@@ -21,7 +25,19 @@ def test_points_and_levers_are_the_shells_in_block_order(trilinear: bool) -> Non
     weight = SHELL.areas / REFERENCE_AREA if trilinear else np.ones(len(SHELL))
     moments = np.cross(SHELL.points - SHELL.reference, SHELL.normals)
     lever = np.concatenate([SHELL.normals, moments], axis=1) * weight[:, None]
-    np.testing.assert_allclose(data.lever, lever[order], rtol=1e-15)
+    np.testing.assert_allclose(data.lever, lever[order], rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("n_points", [4, RUN * BLOCK * BLOCK + BLOCK])
+def test_scratch_has_room_for_a_run_of_blocks_and_for_a_number_a_block(
+    n_points: int,
+) -> None:
+    """Compiled code writes there without a check."""
+    shell = ellipsoid(n_points)
+    data = FrameData.of(VOXMAP, shell, trilinear=True)
+    least = max(RUN * BLOCK, len(ShellBlocks.of(shell).reach))
+    for name in ("place", "node"):
+        assert getattr(data, name).shape[1] >= least
 
 
 def test_scratch_of_its_own_shares_no_scratch() -> None:
