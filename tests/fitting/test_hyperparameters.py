@@ -107,6 +107,29 @@ def test_by_its_slope_the_same_maximum_is_found() -> None:
     assert len(asked) <= 8  # two and the Hessian's, where it starts at the maximum
 
 
+def test_by_slope_correlated_spreads_are_those_of_the_dense_inverse() -> None:
+    """Three normal hyperparameters: the signs of all three correlations count."""
+    third = Prior("time", 0.5, 1.0)
+    priors, medians = [WEIGHT, FRICTION, third], np.array([np.log(30.0), 0.25, 0.0])
+    std = np.array([0.5, 0.1, 0.3])
+    correlation = np.array([[1.0, 0.6, 0.5], [0.6, 1.0, -0.3], [0.5, -0.3, 1.0]])
+    precision = np.linalg.inv(std[:, None] * correlation * std)
+    prior = np.diag([each.spread for each in priors])
+
+    def correlated(values: np.ndarray) -> tuple[float, np.ndarray]:
+        weight, friction, time = values
+        off = np.array([np.log(weight), friction, np.log(time / 0.5)]) - medians
+        slope = -precision @ off / [weight, 1.0, time]
+        return float(-0.5 * off @ precision @ off), slope
+
+    found = maximise_by_slope(correlated, priors)
+    curvature = prior @ precision @ prior + np.eye(3)
+    spreads = np.sqrt(np.diag(prior @ np.linalg.inv(curvature) @ prior))
+    assert [each.spread for each in found.found] == pytest.approx(spreads, rel=1e-3)
+    share = found.log_marginal - found.log_posterior
+    assert share == pytest.approx(-0.5 * np.log(np.linalg.det(curvature)), rel=1e-3)
+
+
 def test_what_has_no_slope_keeps_its_prior_value() -> None:
     def flat(values: np.ndarray) -> tuple[float, np.ndarray]:
         value, slope = bent(np.array([values[0], 0.25]))
@@ -140,4 +163,5 @@ def test_a_prior_s_steps_and_derivative(prior: Prior) -> None:
         slope = (prior.value(x + inside) - prior.value(x)) / inside
         assert prior.derivative(x) == pytest.approx(slope, rel=1e-4)
     assert prior.value(high + 0.1) == prior.value(high)
+    assert prior.value(low - 0.1) == prior.value(low)
     assert prior.derivative(high + 0.1) == prior.derivative(low - 0.1) == 0.0

@@ -241,8 +241,8 @@ def _scaled(
 def best_left_out(scene: Scene, name: str, options: Mapping[str, Any]) -> LeftOut:
     """Presses left out of a formulation, with the weights that predict them best.
 
-    On a coarse grid, with one common weight from `LOOK_SIGNALS`: in a tenth of the time
-    of `tune`, and hardly worse than the likeliest weights.
+    On a coarse grid, with one common weight from `LOOK_SIGNALS`: in a quarter of the
+    time of `tune`, and hardly worse than the likeliest weights.
 
     Args:
         scene: With measured wrenches.
