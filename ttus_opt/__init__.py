@@ -21,12 +21,14 @@ if TYPE_CHECKING:
     from ttus_opt.fitting.doubt import doubt as doubt
     from ttus_opt.fitting.path_dataset import read_solution_path as read_solution_path
     from ttus_opt.fitting.path_dataset import write_solution_path as write_solution_path
+    from ttus_opt.fitting.pose_refinement import refine_poses as refine_poses
     from ttus_opt.fitting.recursive import RecursiveFit as RecursiveFit
     from ttus_opt.fitting.solution_path import solution_path as solution_path
     from ttus_opt.fitting.tuning import tune as tune
     from ttus_opt.haptic.blend import BlendLaw as BlendLaw
     from ttus_opt.haptic.renderer import Renderer as Renderer
     from ttus_opt.probe.point_shell import PointShell as PointShell
+    from ttus_opt.probe.tracker_noise import TrackerNoise as TrackerNoise
     from ttus_opt.probe.trajectory import Trajectory as Trajectory
     from ttus_opt.probe.trajectory import read_trajectory as read_trajectory
     from ttus_opt.problem.formulation import Formulation as Formulation
@@ -64,6 +66,7 @@ _HOME = {
     "Status": "problem.solution",
     "Surface": "scan.surface",
     "Term": "terms.base",
+    "TrackerNoise": "probe.tracker_noise",
     "Trajectory": "probe.trajectory",
     "TtusError": "errors",
     "TtusWarning": "errors",
@@ -76,6 +79,7 @@ _HOME = {
     "read_cloud": "scan.cloud",
     "read_solution_path": "fitting.path_dataset",
     "read_trajectory": "probe.trajectory",
+    "refine_poses": "fitting.pose_refinement",
     "run_session": "session.pipeline",
     "solution_path": "fitting.solution_path",
     "tune": "fitting.tuning",

@@ -25,6 +25,7 @@ from ttus_opt.cli.list_commands import formulations, solvers
 from ttus_opt.cli.message_commands import decode, encode
 from ttus_opt.cli.path_command import path
 from ttus_opt.cli.record_command import record
+from ttus_opt.cli.refine_poses_command import refine_poses
 from ttus_opt.cli.register_command import board, hand_eye, markers
 from ttus_opt.cli.render_command import render
 from ttus_opt.cli.session_command import session
@@ -46,8 +47,18 @@ app = typer.Typer(
 )
 # in the order in which help lists them
 for function in (
-    *(demo, record, synchronise, compensate, surface, fit, tune, path, evaluate),
-    *(session, experiment, render, encode, decode, benchmark, solvers, formulations),
+    *(demo, record, synchronise, compensate, surface, refine_poses, fit, tune, path),
+    *(
+        evaluate,
+        session,
+        experiment,
+        render,
+        encode,
+        decode,
+        benchmark,
+        solvers,
+        formulations,
+    ),
     warm_up,
 ):
     add_command(app, function)

@@ -23,6 +23,7 @@ def experiment(
     jobs: int = 1,
     dask: str = "",
     doubt: bool = False,
+    refine: bool = False,
     json: bool = False,
 ) -> None:
     """Simulate three patients, fit with and without forces, and report all errors.
@@ -47,6 +48,7 @@ def experiment(
         dask: Address of a dask scheduler, host:port, whose workers can see the folder.
         doubt: Also check how well the stated uncertainty of fits agrees with their
             errors, for fits whose weights come from the recordings.
+        refine: Also fit to poses refined by the forces, as ttus-opt refine-poses does.
 
     Example:
         ttus-opt experiment --torso ct_skin_mm.ply --weights auto -o results
@@ -68,6 +70,7 @@ def experiment(
         jobs,
         dask,
         doubt,
+        refine,
     )
     with Stages(n_stages(plan)) as begin:
         try:

@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,9 +18,11 @@ from ttus_opt.experiment.recordings import Examination
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import GIVEN, Setting
 from ttus_opt.fitting.batch import fit
+from ttus_opt.fitting.pose_refinement import refine_poses
 from ttus_opt.fitting.weight_words import choice_of
 from ttus_opt.json_values import plain
 from ttus_opt.probe.point_shell import PointShell
+from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.solution import Solution, Status
 from ttus_opt.report.metrics import Evaluation, evaluate
 from ttus_opt.scene import Scene, ScenePlan
@@ -90,11 +93,21 @@ class PatientFits:
                 sampling=setting.sampling,
                 boundary=setting.boundary,
             )
-            recordings = [self.examination.measured[name] for name in FITTED]
-            self._scenes[key] = plan.build(
-                self.examination.surface, self.shell, recordings
-            )
+            recorded = self._refined if setting.refined else self._recorded
+            surface = self.examination.surface
+            self._scenes[key] = plan.build(surface, self.shell, recorded)
         return self._scenes[key]
+
+    @property
+    def _recorded(self) -> list[Trajectory]:
+        return [self.examination.measured[name] for name in FITTED]
+
+    @cached_property
+    def _refined(self) -> list[Trajectory]:
+        """The fitted recordings with refined poses."""
+        plan = ScenePlan(self._shape)
+        scene = plan.build(self.examination.surface, self.shell, self._recorded)
+        return refine_poses(scene).recordings
 
     def fitted(self, setting: Setting) -> Fitted:
         """Fit a setting, or read the cached result."""

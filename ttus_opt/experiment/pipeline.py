@@ -26,6 +26,7 @@ from ttus_opt.experiment.settings import (
     LAPLACE,
     PAPER_WITH,
     PAPER_WITHOUT,
+    REFINED,
     WEIGHT,
     WEIGHTS,
     Setting,
@@ -70,6 +71,7 @@ class Plan:
         comparators: Names of comparators, or ``("all",)``; none when empty.
         doubt: Also check the stated uncertainty of fits whose weights come from the
             recordings.
+        refine: Also fit to poses refined by the forces (`ttus_opt.refine_poses`).
     """
 
     shape: tuple[int, int, int] = (48, 120, 60)
@@ -84,6 +86,7 @@ class Plan:
     jobs: int = 1
     dask: str = ""
     doubt: bool = False
+    refine: bool = False
 
     def __post_init__(self) -> None:
         """Validate numbers and words.
@@ -116,7 +119,7 @@ class Plan:
         own = (PAPER_WITHOUT, PAPER_WITH, LAPLACE, without_torque(self.weight), *eq10)
         further = [each for each in others if each not in own]
         more = chosen(self.formulations, self.weights)
-        return distinct((*own, *further, *more))
+        return distinct((*own, *further, *more, *(REFINED * self.refine)))
 
     @property
     def doubted(self) -> tuple[Setting, ...]:

@@ -45,6 +45,7 @@ class Setting:
         sampling: ``trilinear``, ``voxel-mean`` or ``contact-size``.
         boundary: ``subvoxel`` or ``staircase``.
         weights: How weights are chosen, one of `WEIGHTS`.
+        refined: Whether it is fitted to refined poses.
     """
 
     name: str
@@ -55,11 +56,12 @@ class Setting:
     sampling: str = "trilinear"
     boundary: str = "subvoxel"
     weights: str = GIVEN
+    refined: bool = False
 
     @property
     def scene_key(self) -> tuple[object, ...]:
         """Settings with the same key share a scene."""
-        return (self.inner, self.outer, self.sampling, self.boundary)
+        return (self.inner, self.outer, self.sampling, self.boundary, self.refined)
 
     @property
     def source(self) -> dict[str, str]:
@@ -71,6 +73,8 @@ class Setting:
         """For JSON, and the cache's key."""
         values = {**vars(self), "options": dict(self.options)}
         del values["weights"]  # so that older caches stay valid
+        if not self.refined:
+            del values["refined"]
         chosen = {AUTO: True, RECIPE: RECIPE}.get(self.weights)
         return values | ({"chooses": chosen} if chosen else {})
 
@@ -85,6 +89,17 @@ LAPLACE = Setting("laplace_scaled", "laplace_only")
 
 #: Formulation, sampling and weights by presses left out
 BY_RECIPE = Setting("by_recipe", None, weights=RECIPE)
+
+#: The same, and a depth map with friction, on poses refined by the forces
+REFINED = (
+    Setting("by_recipe_refined", None, weights=RECIPE, refined=True),
+    Setting(
+        "depth_map_refined",
+        "depth_map_coulomb",
+        sampling="contact-size",
+        refined=True,
+    ),
+)
 
 
 def without_torque(weight: float) -> Setting:

@@ -36,6 +36,8 @@ TITLES = {
     "eq10": "eq. 10",
     "eq10_force_only": "eq. 10, forces only",
     BY_RECIPE.name: "by the recipe",
+    "by_recipe_refined": "by the recipe, poses refined",
+    "depth_map_refined": "depth_map_coulomb, poses refined",
     ITSELF: "(the phantom itself)",
 }
 

@@ -19,6 +19,7 @@ Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learn
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -82,6 +83,8 @@ class DepthMapEstimate:
         length_ratio: Length around the patient over length along it, of which ℓ is the
             geometric mean [–].
         log_evidence: Log evidence plus log prior, up to a constant [–].
+        sensor_noise: σ_0 of a force component [N].
+        relative_noise: ρ [–].
     """
 
     profile: DepthProfile
@@ -91,12 +94,16 @@ class DepthMapEstimate:
     noise: float
     length_ratio: float
     log_evidence: float
+    sensor_noise: float = 0.0
+    relative_noise: float = 0.0
 
 
 def estimate_depth_map(
     scene: Scene,
     rows: sp.csr_array | None = None,
     *,
+    force: Array | None = None,
+    errors: Callable[[IntArray], Array] | None = None,
     exponents: tuple[float, ...] = EXPONENTS,
     depth_length: float = 0.015,
 ) -> DepthMapEstimate:
@@ -105,6 +112,9 @@ def estimate_depth_map(
     Args:
         scene: A scene with measured forces.
         rows: Force rows, (3T, V); by default the scene's N (with drag: N − μ F).
+        force: Forces, (3T,); by default the scene's [N].
+        errors: Covariance of further errors of the forces in k given frames, as a
+            function of the frames, (3k, 3k) [N²]; none by default.
         exponents: Exponents of the profile.
         depth_length: Matérn length along the depth, which forces hardly determine [m].
 
@@ -112,7 +122,7 @@ def estimate_depth_map(
         InputError: No force was measured in contact, or the forces pull.
     """
     own = scene.N if rows is None else rows
-    problem = _Problem.of(scene, own, exponents, depth_length)
+    problem = _Problem.of(scene, own, exponents, depth_length, force, errors)
     medians = np.log([median for median, _ in PRIOR.values()])
     widths = np.array([width for _, width in PRIOR.values()])
 
@@ -137,6 +147,8 @@ def estimate_depth_map(
         float(np.sqrt(problem.variances(found).mean())),
         found.length_ratio,
         mode.log_posterior,
+        found.noise,
+        found.relative_noise,
     )
 
 
@@ -162,6 +174,7 @@ class _Problem:
         around: Distances of these spokes on the surface around the patient, (k, k) [m].
         along: The same along the patient, (k, k) [m].
         down: Correlation of the voxels along the depth, (n, n) [–].
+        further: Covariance of further errors, shape (m, m) or () [N²].
     """
 
     rows: sp.csr_array = field(repr=False)
@@ -171,6 +184,7 @@ class _Problem:
     around: Array = field(repr=False)
     along: Array = field(repr=False)
     down: Array = field(repr=False)
+    further: Array = field(repr=False)
 
     @classmethod
     def of(
@@ -179,9 +193,12 @@ class _Problem:
         rows: sp.csr_array,
         exponents: tuple[float, ...],
         depth_length: float,
+        force: Array | None = None,
+        errors: Callable[[IntArray], Array] | None = None,
     ) -> _Problem:
         """Frames in contact, thinned evenly."""
-        size = np.linalg.norm(scene.f.reshape(-1, 3), axis=1)
+        force = scene.f if force is None else force
+        size = np.linalg.norm(force.reshape(-1, 3), axis=1)
         touching = scene.rows.contact_points > 0
         frames = np.flatnonzero(touching & (size > LEAST_FORCE))
         if touching.any() and not len(frames):
@@ -209,12 +226,13 @@ class _Problem:
         place = np.stack([radius * np.cos(theta), radius * np.sin(theta)], axis=1)
         return cls(
             sp.csr_array(own[:, touched]),
-            scene.f[chosen],
+            force[chosen],
             powers_of(np.maximum(depth, 0.0), exponents),
             spoke,
             cdist(place, place),
             np.abs(z[:, None] - z),
             matern(np.abs(depth[:, None] - depth), depth_length),
+            np.zeros(()) if errors is None else errors(frames),
         )
 
     def variances(self, chosen: _Chosen) -> Array:
@@ -266,7 +284,7 @@ class _Problem:
         prior = on_surface[np.ix_(self.spoke, self.spoke)]
         prior *= chosen.deviation**2 * self.down
         scaled = self.rows @ sp.diags_array(self.powers @ varied)
-        cov = scaled @ (scaled @ prior).T
+        cov = scaled @ (scaled @ prior).T + self.further
         cov[np.diag_indices_from(cov)] += self.variances(chosen)
         factor = scipy.linalg.cholesky(cov, lower=True, overwrite_a=True)
         both = np.column_stack([self.rows @ self.powers, self.force])

@@ -1,0 +1,113 @@
+"""``ttus-opt refine-poses``: errors of tracked poses, estimated from the forces."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ttus_opt.cli.console import Stages, tell
+from ttus_opt.cli.options import check_outputs
+from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
+from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
+from ttus_opt.cli.scene_options import SceneOptions
+
+if TYPE_CHECKING:
+    from ttus_opt.fitting.pose_refinement import RefinedPoses
+
+
+def refine_poses(
+    surface: Path,
+    probe: ProbeOptions,
+    recordings: RecordingOptions,
+    grid: SceneOptions,
+    output: Path,
+    position_noise: float = 0.5,
+    rotation_noise: float = 0.5,
+    correlation: float = 1.0,
+    force: bool = False,
+    json: bool = False,
+) -> None:
+    """Take the tracker's errors off recorded poses, as far as the forces tell them.
+
+    The output holds all recordings, in the patient's frame, for ttus-opt fit. Refine
+    only what is fitted: judge a field at poses as they were reported.
+
+    Args:
+        surface: Surface file (.nc).
+        output: Trajectory CSV.
+        position_noise: Standard deviation of a tracked position, per axis [mm].
+        rotation_noise: Standard deviation of a tracked rotation, per axis [°].
+        correlation: Time over which these errors stay alike [s].
+
+    Example:
+        ttus-opt refine-poses --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
+        --trajectory press.csv --trajectory sweep.csv -o refined.csv
+    """
+    from ttus_opt.fitting import pose_refinement
+    from ttus_opt.probe.tracker_noise import TrackerNoise
+    from ttus_opt.scan.surface import Surface
+
+    check_outputs([output], [surface, *recordings.files], force=force)
+    size = 1e-3 * position_noise, math.radians(rotation_noise)
+    noise, plan = TrackerNoise(*size, correlation), grid.plan
+    with Stages(2 + pose_refinement.MOST_STEPS) as begin:
+        begin("reading surface and recordings")
+        patient, shell = Surface.load(surface), probe.read()
+        reading = recordings.as_written(), recordings.conventions
+        recorded = recordings.read(reading[0], shell, patient)
+        begin("assembling (first run compiles)")
+        scene = built_scene(plan, (patient, shell, recorded), reading)
+        found = pose_refinement.refine_poses(
+            scene, noise, progress=lambda: begin("refining")
+        )
+    found.trajectory.save(output)
+    tell(_summary(found, output), *_lines(found, output), json=json)
+    warn_of_mistake(scene, reading)
+
+
+def _summary(found: RefinedPoses, output: Path) -> dict[str, Any]:
+    return {
+        "output": str(output),
+        "frames": len(found.trajectory),
+        "recordings": [_figures(found, own) for own in _each(found)],
+        "friction_coefficient": found.friction,
+        "steps": found.steps,
+        "converged": found.converged,
+    }
+
+
+def _each(found: RefinedPoses) -> list[np.ndarray[Any, Any]]:
+    """Masks of the recordings."""
+    segment = found.trajectory.segment
+    return [segment == number for number in dict.fromkeys(segment.tolist())]
+
+
+def _figures(found: RefinedPoses, own: np.ndarray[Any, Any]) -> dict[str, float]:
+    """Root mean squares of a recording, of a component."""
+    errors, std = found.errors[own], found.std[own]
+    return {
+        "position_mm": 1e3 * _rms(errors[:, :3]),
+        "position_std_mm": 1e3 * _rms(std[:, :3]),
+        "rotation_deg": math.degrees(_rms(errors[:, 3:])),
+        "rotation_std_deg": math.degrees(_rms(std[:, 3:])),
+    }
+
+
+def _rms(values: np.ndarray[Any, Any]) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _lines(found: RefinedPoses, output: Path) -> list[str]:
+    lines = []
+    for number, own in enumerate(_each(found), start=1):
+        f = _figures(found, own)
+        lines.append(
+            f"recording {number}: poses moved by {f['position_mm']:.2f} mm and "
+            f"{f['rotation_deg']:.2f}° per axis (rms), which leaves "
+            f"{f['position_std_mm']:.2f} mm and {f['rotation_std_deg']:.2f}°"
+        )
+    lines.append(f"{output}: {len(found.trajectory)} frames, {found.steps} steps")
+    return lines

@@ -1,0 +1,193 @@
+"""Errors of tracked poses, estimated from the forces.
+
+Half a millimetre of a tracker's drift changes a force as much as all other noise does.
+Forces vary over the patient smoothly, errors of poses over time: a depth map
+(`terms.depth_map`) and a tracker's noise (`probe.tracker_noise`) tell them apart. With
+ξ the errors, N(ξ) the force rows at the poses without them, p ~ N(φ, C) the field and
+sensor noise Σ, the most probable errors given the forces,
+
+    ξ̂ = argmin ½ rᵀ A r + ½ log det A⁻¹ + ½ ξᵀ K⁻¹ ξ,
+    r = f − N(ξ) φ,   A⁻¹ = Σ + N(ξ) C N(ξ)ᵀ,
+
+integrate over all fields. The determinant matters: without it, the field that is
+fitted best counts as known, and all depths come out too large, with too soft a field
+(errors in variables). Each step linearises N at the latest ξ; hyperparameters of the
+depth map are found by evidence in the first steps, with the tracker's noise among the
+errors. See docs/method.md, Errors of tracked poses.
+
+Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
+(2006), chapters 2 and 5; errors in variables: W. A. Fuller, Measurement Error Models
+(1987).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ttus_opt.arrays import Array
+from ttus_opt.contact.rows import contact_rows
+from ttus_opt.errors import InputError, warn
+from ttus_opt.fitting.pose_error_step import PoseErrorProblem
+from ttus_opt.fitting.tuning_series import coarser
+from ttus_opt.probe.tracker_noise import TrackerNoise
+from ttus_opt.probe.trajectory import Trajectory
+from ttus_opt.scene import FORCES, Scene
+from ttus_opt.terms.depth_map_estimate import DepthMapEstimate
+from ttus_opt.terms.drag_estimate import estimate_drag
+
+#: Sampling of the depth map: without it, light and deep presses disagree on the depth
+SAMPLING = "contact-size"
+
+#: Steps in which hyperparameters are found, and most steps
+ESTIMATES, MOST_STEPS = 2, 8
+
+#: Mean change of ξ at which steps end [–]
+CONVERGED = 0.01
+
+#: A mean error of a recording so many times its standard deviation is not noise [–]
+DOUBTFUL = 4.0
+
+
+@dataclass(frozen=True)
+class RefinedPoses:
+    """Recordings with the estimated errors of their poses taken off.
+
+    Attributes:
+        trajectory: All recordings, in their order, with refined poses.
+        errors: Estimated errors of the reported poses, patient axes, (T, 6) [m, rad].
+        std: Their posterior standard deviations, shape (T, 6) [m, rad].
+        noise: The tracker's noise that was assumed.
+        friction: μ that was assumed [–].
+        depth_map: Profile and hyperparameters of the field.
+        steps: Number of steps.
+        change: Mean change of an error in the last step, over its standard deviation.
+    """
+
+    trajectory: Trajectory
+    errors: Array = field(repr=False)
+    std: Array = field(repr=False)
+    noise: TrackerNoise
+    friction: float
+    depth_map: DepthMapEstimate
+    steps: int
+    change: float
+
+    @property
+    def recordings(self) -> list[Trajectory]:
+        """The recordings one by one."""
+        segment = self.trajectory.segment
+        numbers = segment[np.sort(np.unique(segment, return_index=True)[1])]
+        return [self.trajectory.select(segment == number) for number in numbers]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the steps ended by themselves."""
+        return self.change <= CONVERGED
+
+
+def refine_poses(
+    scene: Scene,
+    noise: TrackerNoise | None = None,
+    *,
+    progress: Callable[[], None] | None = None,
+) -> RefinedPoses:
+    """Estimate the errors of tracked poses from the forces, and take them off.
+
+    Only forces are used. A coarser grid replaces one of more than 60,000 voxels.
+
+    Args:
+        scene: Patient, probe and recordings with forces.
+        noise: The tracker's noise; 0.5 mm and 0.5° for a second by default.
+        progress: Called before every step, at most `MOST_STEPS` times.
+
+    Returns:
+        Refined poses. A `TtusWarning` says if the steps did not converge, or if a
+        recording is off on average by more than the tracker's noise explains.
+
+    Raises:
+        InputError: No force was measured in contact, or the forces pull.
+    """
+    own = TrackerNoise() if noise is None else noise
+    if not scene.trajectory.has_wrench:
+        raise InputError(f"poses are refined by measured {FORCES}: the scene has none")
+    small = _sampled(coarser(scene))
+    drag = estimate_drag(small, places=("points",))
+    problem = PoseErrorProblem.of(small, own, drag.friction_coefficient)
+    at = problem.start()
+    for step in range(1, MOST_STEPS + 1):
+        if progress is not None:
+            progress()
+        last, at = at, problem.step(at, estimate=step <= ESTIMATES)
+        change = float(np.abs(at.xi - last.xi).mean())
+        if change <= CONVERGED and step > ESTIMATES:
+            break
+    xi = at.xi.copy()  # less what all frames share, which the force law explains too
+    xi[problem.frames, :3] -= _depth(problem, at.xi).mean() * _into(problem)
+    found = RefinedPoses(
+        own.without(scene.trajectory, xi),
+        xi * own.sizes,
+        at.std * own.sizes,
+        own,
+        problem.rows.friction,
+        at.depth_map,
+        step,
+        change,
+    )
+    if not found.converged:
+        warn(
+            f"refined poses still moved by {change:.2g} of the tracker's noise after "
+            f"{step} steps: the recordings hardly determine them",
+            2,
+        )
+    _warn_of_offset(problem, xi)
+    return found
+
+
+def _sampled(scene: Scene) -> Scene:
+    """The scene with rows in `SAMPLING`."""
+    poses = scene.trajectory.rotation, scene.trajectory.position
+    rows = contact_rows(scene.voxmap, scene.shell, *poses, sampling=SAMPLING)
+    return replace(scene, sampling=SAMPLING, rows=rows)
+
+
+def _into(problem: PoseErrorProblem) -> Array:
+    """Direction into the patient, against the measured force, of the used frames."""
+    force = problem.scene.f.reshape(-1, 3)[problem.frames]
+    return np.asarray(-force / np.linalg.norm(force, axis=1)[:, None])
+
+
+def _depth(problem: PoseErrorProblem, xi: Array) -> Array:
+    """By how much the used frames are reported too deep, over the noise, (k,)."""
+    return np.einsum("ti,ti->t", xi[problem.frames, :3], _into(problem))
+
+
+def _warn_of_offset(problem: PoseErrorProblem, xi: Array) -> None:
+    """Warn of the recording whose mean depth differs most, where that is no noise.
+
+    Compared with all others; the standard deviation of a mean is that of the
+    Gauss–Markov process.
+    """
+    deep, alike = _depth(problem, xi), problem.alike[problem.frames]
+    segment = problem.scene.trajectory.segment[problem.frames]
+    numbers = list(dict.fromkeys(segment.tolist()))
+    if len(numbers) < 2:
+        return
+    found = []
+    for number in numbers:
+        own = segment == number
+        apart = deep[own].mean() - deep[~own].mean()
+        variance = sum(alike[np.ix_(each, each)].mean() for each in (own, ~own))
+        found.append((apart / np.sqrt(variance), apart, number))
+    most, apart, number = max(found, key=lambda each: abs(each[0]))
+    if abs(most) > DOUBTFUL:
+        sense = "deeper" if apart > 0.0 else "shallower"
+        warn(
+            f"recording {numbers.index(number) + 1} seems reported "
+            f"{1e3 * problem.noise.position * abs(apart):.2f} mm {sense} than the "
+            f"others, {abs(most):.0f} standard deviations of the tracker's noise: check "
+            "its registration",
+            3,
+        )
