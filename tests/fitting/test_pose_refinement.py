@@ -134,7 +134,9 @@ def test_a_field_for_refined_poses_predicts_better() -> None:
     for recorded in (scene.trajectory, refined().trajectory):
         plan = tt.scene.ScenePlan(SHAPE, sampling=pose_refinement.SAMPLING)
         solution = tt.fit(plan.build(torso(), ellipsoid(), recorded), "depth_map")
-        errors.append(tt.evaluate(solution.field, ellipsoid(), exact).force_mean_error)
+        errors.append(
+            tt.evaluate(solution.field, ellipsoid(), exact).errors.force_vector_rmse_N
+        )
     assert errors[1] < 0.6 * errors[0]
 
 

@@ -161,7 +161,7 @@ def _into(problem: PoseErrorProblem) -> Array:
 
 def _depth(problem: PoseErrorProblem, xi: Array) -> Array:
     """By how much the used frames are reported too deep, over the noise, (k,)."""
-    return np.einsum("ti,ti->t", xi[problem.frames, :3], _into(problem))
+    return np.asarray(np.einsum("ti,ti->t", xi[problem.frames, :3], _into(problem)))
 
 
 def _warn_of_offset(problem: PoseErrorProblem, xi: Array) -> None:
@@ -187,7 +187,7 @@ def _warn_of_offset(problem: PoseErrorProblem, xi: Array) -> None:
         warn(
             f"recording {numbers.index(number) + 1} seems reported "
             f"{1e3 * problem.noise.position * abs(apart):.2f} mm {sense} than the "
-            f"others, {abs(most):.0f} standard deviations of the tracker's noise: check "
-            "its registration",
+            f"others, {abs(most):.0f} standard deviations of the tracker's noise: "
+            "check its registration",
             3,
         )

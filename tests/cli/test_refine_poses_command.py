@@ -1,0 +1,59 @@
+"""``ttus-opt refine-poses``: what it writes, tells and refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ttus_opt as tt
+from tests.cli.conftest import PROBE, Run, refused
+from ttus_opt.fitting import pose_refinement
+
+
+def words(files: Path, output: Path, more: str = "") -> str:
+    return (
+        f"refine-poses --surface {files / 'surface.nc'} --probe {PROBE} --trajectory "
+        f"{files / 'press.csv'} --shape 10,16,8 --points 200 -o {output} {more}"
+    )
+
+
+def test_it_writes_recordings_for_fit(
+    run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pose_refinement, "MOST_STEPS", 2)
+    output = tmp_path / "refined.csv"
+    answer = run(words(files, output, "--json --position-noise 0.3 --correlation 2"))
+    assert answer.status == 0, answer.err
+    told = json.loads(answer.out)
+    (one,) = told["recordings"]
+    given, found = (tt.read_trajectory(path) for path in (files / "press.csv", output))
+    assert told["frames"] == len(found) == len(given)
+    moved = 1e3 * (found.position - given.position)
+    assert 0.0 < one["position_mm"] < 0.6
+    assert np.sqrt(np.mean(moved**2)) == pytest.approx(one["position_mm"], rel=1e-4)
+    assert 0.0 < one["position_std_mm"] < 0.3
+    plain = run(words(files, output, "--position-noise 0.3 --correlation 2"))
+    assert f"poses moved by {one['position_mm']:.2f} mm" in plain.out
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ("--position-noise 50", "at most 10 mm, got 50 mm"),
+        ("--rotation-noise 0", "above 0"),
+        ("--correlation -1", "correlation time"),
+    ],
+)
+def test_bad_noise_is_one_line(
+    run: Run, files: Path, tmp_path: Path, more: str, told: str
+) -> None:
+    output = tmp_path / "refined.csv"
+    refused(run(words(files, output, more)), told)
+    assert not output.exists()
+
+
+def test_it_does_not_replace_its_input(run: Run, files: Path) -> None:
+    refused(run(words(files, files / "press.csv")), "press.csv")
