@@ -190,6 +190,15 @@ def test_weights_from_the_recordings_stand_beside_the_given_ones():
     assert last.as_dict()["chooses"] == "recipe" and title(last.name) == "by the recipe"
 
 
+def test_the_recipe_on_refined_poses_stands_beside_it():
+    plan = experiment.Plan(formulations=("eq10",), weights="recipe", refine=True)
+    *_, plain, refined = plan.settings
+    assert (plain.formulation, refined.formulation) == (None, None)
+    assert plain.scene_key != refined.scene_key
+    assert "refined" not in plain.as_dict() and refined.as_dict()["refined"]
+    assert title(refined.name) == "by the recipe, poses refined"
+
+
 def test_refuses_plans_that_cannot_be_done(tmp_path):
     for wrong in ({"weight": 0.0}, {"weight": math.nan}, {"resolution": 0.0}):
         with pytest.raises(InputError, match="needs a weight above 0"):

@@ -48,7 +48,8 @@ def experiment(
         dask: Address of a dask scheduler, host:port, whose workers can see the folder.
         doubt: Also check how well the stated uncertainty of fits agrees with their
             errors, for fits whose weights come from the recordings.
-        refine: Also fit to poses refined by the forces, as ttus-opt refine-poses does.
+        refine: Also fit what the recipe chooses to poses refined by the forces, as
+            ttus-opt refine-poses does.
 
     Example:
         ttus-opt experiment --torso ct_skin_mm.ply --weights auto -o results

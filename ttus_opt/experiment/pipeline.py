@@ -71,7 +71,8 @@ class Plan:
         comparators: Names of comparators, or ``("all",)``; none when empty.
         doubt: Also check the stated uncertainty of fits whose weights come from the
             recordings.
-        refine: Also fit to poses refined by the forces (`ttus_opt.refine_poses`).
+        refine: Also fit what the recipe chooses on poses refined by the forces
+            (`ttus_opt.refine_poses`).
     """
 
     shape: tuple[int, int, int] = (48, 120, 60)
@@ -119,7 +120,7 @@ class Plan:
         own = (PAPER_WITHOUT, PAPER_WITH, LAPLACE, without_torque(self.weight), *eq10)
         further = [each for each in others if each not in own]
         more = chosen(self.formulations, self.weights)
-        return distinct((*own, *further, *more, *(REFINED * self.refine)))
+        return distinct((*own, *further, *more, *(REFINED,) * self.refine))
 
     @property
     def doubted(self) -> tuple[Setting, ...]:

@@ -90,16 +90,8 @@ LAPLACE = Setting("laplace_scaled", "laplace_only")
 #: Formulation, sampling and weights by presses left out
 BY_RECIPE = Setting("by_recipe", None, weights=RECIPE)
 
-#: The same, and a depth map with friction, on poses refined by the forces
-REFINED = (
-    Setting("by_recipe_refined", None, weights=RECIPE, refined=True),
-    Setting(
-        "depth_map_refined",
-        "depth_map_coulomb",
-        sampling="contact-size",
-        refined=True,
-    ),
-)
+#: The same on poses refined by the forces
+REFINED = Setting("by_recipe_refined", None, weights=RECIPE, refined=True)
 
 
 def without_torque(weight: float) -> Setting:

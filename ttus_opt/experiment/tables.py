@@ -19,6 +19,7 @@ from ttus_opt.experiment.settings import (
     LAPLACE,
     PAPER_WITH,
     PAPER_WITHOUT,
+    REFINED,
 )
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.report.document import Table
@@ -36,8 +37,7 @@ TITLES = {
     "eq10": "eq. 10",
     "eq10_force_only": "eq. 10, forces only",
     BY_RECIPE.name: "by the recipe",
-    "by_recipe_refined": "by the recipe, poses refined",
-    "depth_map_refined": "depth_map_coulomb, poses refined",
+    REFINED.name: "by the recipe, poses refined",
     ITSELF: "(the phantom itself)",
 }
 

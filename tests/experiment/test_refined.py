@@ -1,0 +1,42 @@
+"""Fits to refined poses take refined recordings, and are judged at reported ones."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.conftest import presses, torso
+from ttus_opt.experiment import fits
+from ttus_opt.experiment.fits import FITTED, PatientFits
+from ttus_opt.experiment.settings import BY_RECIPE, REFINED
+from ttus_opt.scene import Scene
+
+
+def test_only_the_fitted_recordings_are_refined(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(0)
+    recorded = {name: presses(torso(), 4, rng) for name in (*FITTED, "press_test")}
+    refined = [presses(torso(), 4, rng) for _ in FITTED]
+    given: list[Scene] = []
+
+    def refine(scene: Scene) -> Any:
+        given.append(scene)
+        return SimpleNamespace(recordings=refined)
+
+    monkeypatch.setattr(fits, "refine_poses", refine)
+    examination: Any = SimpleNamespace(measured=recorded, surface=torso())
+    each = PatientFits(examination, tmp_path, (10, 24, 14), "")
+    for _ in range(2):  # once for all settings
+        found = each.scene(REFINED).trajectory.position
+        np.testing.assert_array_equal(
+            found, np.concatenate([one.position for one in refined])
+        )
+    reported = np.concatenate([recorded[name].position for name in FITTED])
+    np.testing.assert_array_equal(each.scene(BY_RECIPE).trajectory.position, reported)
+    (scene,) = given
+    np.testing.assert_array_equal(scene.trajectory.position, reported)
