@@ -42,10 +42,9 @@ COLUMNS = (
     "torque covered",
     "force: stated, error [N]",
     "torque [mN·m]",
-    "ranks: force",
-    "torque",
-    "true force covered by the field's part",
-    "torque",
+    "ranks: force, torque",
+    "true force, field's part alone",
+    "true torque",
 )
 
 #: Figures that are pooled
@@ -168,7 +167,7 @@ def line(name: str, rows: Sequence[Row]) -> str:
 
     def spread(figure: str) -> str:
         low, mean, high = (100 * f(column(figure)) for f in (np.min, np.mean, np.max))
-        return f"{mean:.0f} ({low:.0f}–{high:.0f}) %"
+        return "–" if np.isnan(mean) else f"{mean:.0f} ({low:.0f}–{high:.0f}) %"
 
     cells = [name, spread("force_coverage"), spread("torque_coverage")]
     for part, unit, digits in (("force", 1.0, 2), ("torque", 1e3, 1)):
@@ -177,9 +176,12 @@ def line(name: str, rows: Sequence[Row]) -> str:
             for what in ("std", "error")
         )
         cells.append(f"{stated}, {error}")
-    cells += [f"{column(f'{part}_ranks').mean():.2f}" for part in ("force", "torque")]
+    ranks = (column(f"{part}_ranks").mean() for part in ("force", "torque"))
+    cells.append(", ".join(f"{each:.2f}" for each in ranks))
     cells += [spread("force_alone"), spread("torque_alone")]
-    return f"| {' | '.join(cells)} |"
+    # depth maps state no doubt for torque
+    known = (cell.replace("nan", "–") for cell in cells)
+    return f"| {' | '.join(known)} |"
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -191,7 +193,8 @@ def table(rows: Sequence[Row]) -> str:
     lines.append(line("all", rows))
     for figure in POOLED:
         mean, error = (100 * value for value in pooled(rows, figure))
-        lines.append(f"{figure}: {mean:.1f} ± {error:.1f} %")
+        if not np.isnan(mean):
+            lines.append(f"{figure}: {mean:.1f} ± {error:.1f} %")
     return "\n".join(lines)
 
 

@@ -72,10 +72,18 @@ def test_table_has_mean_lowest_and_highest_draw(script):
     made = [*rows(script, "lean", 0, 0.8, 0.9), *rows(script, "lean", 1, 1.0, 0.9)]
     _, _, press, sweep, pooled, *last = script.table(made).splitlines()
     assert press.startswith("| lean, press_fit | 90 (80–100) % | 80 (80–80) % |")
-    assert "| 0.50, 0.25 | 4.0, 3.0 | 0.50 | 0.25 |" in press
+    assert "| 0.50, 0.25 | 4.0, 3.0 | 0.50, 0.25 |" in press
     assert sweep.startswith("| lean, sweep_fit | 90 (90–90) % |")
     assert pooled.startswith("| all | 90 (80–100) % |")
     assert last[0] == "force_coverage: 90.0 ± 5.0 %"
+
+
+def test_a_depth_map_has_no_figures_of_torque(script):
+    unknown = dict.fromkeys(("torque_coverage", "torque_std", "torque_alone"), np.nan)
+    made = [replace(row, **unknown) for row in rows(script, "lean", 0, 0.8)]
+    told = script.table(made)
+    assert "| 80 (80–80) % | – | 0.50, 0.25 | –, 3.0 | 0.50, 0.25 |" in told
+    assert "torque_coverage" not in told and "force_coverage" in told
 
 
 def test_draws_differ_in_all_noise_and_repeat(script, examination):
