@@ -14,10 +14,12 @@ from tests.conftest import small_scene, some
 from tests.dragging import dragged_scene
 from ttus_opt.contact.friction import Sliding
 from ttus_opt.fitting.identification import noise_variance
+from ttus_opt.fitting.shared_errors import PlaceRows
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem.formulation import load
 from ttus_opt.scene import Scene
 from ttus_opt.solvers.dual.limited import Limited
+from ttus_opt.terms.frame_places import frame_places
 from ttus_opt.voxmap.field import PotentialField
 
 SMALL = (8, 18, 9)
@@ -198,8 +200,12 @@ def test_the_noise_is_estimated_from_what_is_left() -> None:
 
 @pytest.mark.slow
 def test_a_viscous_standard_error_is_that_of_dense_least_squares() -> None:
-    """σ̂² (AᵀA)⁻¹ with all rows in one matrix, one patch and several."""
+    """With all rows in one matrix, one patch and several."""
     scene = noisy(made(viscous=True), 1e-3, np.random.default_rng(2))
+    given, place = scene.trajectory, frame_places(scene)
+    assert given.force is not None
+    alike = np.random.default_rng(6).normal(0.0, 0.03, (len(given), 3))[place]
+    scene = replace(scene, trajectory=replace(given, force=given.force + alike))
     for patches in (1, 12):
         solution = tt.fit(
             scene, "viscous_drag", acts_at="contact", sectors=patches, **WEIGHTS
@@ -215,15 +221,26 @@ def test_a_viscous_standard_error_is_that_of_dense_least_squares() -> None:
         speaks = int((np.abs(A[V:]).sum(axis=1) > 0.0).sum())
         variance = float(rest @ rest) / (speaks - len(slid))
         gram = A[:, columns].T @ A[:, columns]
-        spread = variance * np.linalg.inv(gram)[V:, V:]
+        inverse = np.linalg.inv(gram)[V:, V:]
+        usual = np.sqrt(variance * np.diagonal(inverse))
+        # the rows' derivatives along the profile, with the field fitted anew
+        G, B = A[:, slid], A[:, :V]
+        along = G - B @ np.linalg.solve(B.T @ B, B.T @ G)
+        rows = PlaceRows.of(scene, program)
+        assert rows is not None
+        own = np.concatenate([V + rows.rows, V + 3 * len(scene.trajectory) + rows.rows])
+        expected = rows.errors(
+            usual, -rest[own], along[own] @ (0.5 * inverse), 0.5 * np.diagonal(inverse)
+        ).errors
         if patches == 1:
             told = solution.standard_errors["viscous_coefficient"]
-            assert told == pytest.approx(np.sqrt(spread[0, 0]), rel=1e-4)
+            assert told == pytest.approx(expected[0], rel=1e-4)
             continue
         assert len(slid) > 1
         for k, column in enumerate(slid - V):
             told = solution.standard_errors[f"viscous_coefficient_{column}"]
-            assert told == pytest.approx(np.sqrt(spread[k, k]), rel=1e-4)
+            assert told == pytest.approx(expected[k], rel=1e-4)
+        assert (expected > 1.01 * usual).any()
         untouched = set(range(patches)) - set((slid - V).tolist())
         for i in untouched:
             reason = solution.not_identified[f"viscous_coefficient_{i}"]

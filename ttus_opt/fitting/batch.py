@@ -11,7 +11,8 @@ from ttus_opt.arguments import expect
 from ttus_opt.compiled import Stopwatch
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.breakdown import Guarded
-from ttus_opt.fitting.identification import fitted_estimates, with_estimates
+from ttus_opt.fitting.fitted_parameters import fitted_estimates
+from ttus_opt.fitting.identification import with_estimates
 from ttus_opt.fitting.one_sense import warn_of_one_sense
 from ttus_opt.fitting.parameter_search import SearchResult, search_parameters
 from ttus_opt.fitting.verdict import check_candidate

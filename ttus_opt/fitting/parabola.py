@@ -14,7 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ttus_opt.arrays import Array
+from ttus_opt.contact.place_errors import UNKNOWN, PlaceErrors
 from ttus_opt.fitting.identification import NO_SLOPE
+from ttus_opt.fitting.shared_errors import PlaceRows
 from ttus_opt.problem.solution import Solution, Status
 
 #: Relative rounding error of J [–]
@@ -35,6 +37,8 @@ class Parabola:
         gradient: Gradient of J at the centre, shape (k,).
         curvature: Second derivatives of J, shape (k, k).
         noise: Error bound of the diagonal of the curvature, shape (k,).
+        beside: The fits one step above and below, by parameter.
+        step: Distance of these, shape (k,).
     """
 
     centre: Array
@@ -42,6 +46,8 @@ class Parabola:
     gradient: Array
     curvature: Array
     noise: Array
+    beside: tuple[tuple[Solution, Solution], ...] = field(repr=False)
+    step: Array
 
     @classmethod
     def through(
@@ -86,6 +92,8 @@ class Parabola:
             (plus - minus) / (2.0 * step),
             curvature,
             4.0 * error / step**2,
+            tuple((found[tuple(e)], found[tuple(-e)]) for e in unit),
+            step,
         )
 
     @property
@@ -106,6 +114,26 @@ class Parabola:
         """Standard errors for a variance σ² of weighted rows, shape (k,)."""
         spread = 2.0 * variance * np.linalg.inv(self.curvature)
         return np.asarray(np.sqrt(np.diagonal(spread)))
+
+    def shared_errors(self, usual: Array, rows: PlaceRows | None) -> PlaceErrors:
+        """Standard errors that allow for errors shared by a place.
+
+        Args:
+            usual: Those for independent rows, shape (k,).
+            rows: The measured rows by place; None where unknown.
+        """
+        if rows is None:
+            return PlaceErrors(usual, (UNKNOWN,) * len(usual))
+
+        def residuals(solution: Solution) -> Array:
+            assert solution.candidate is not None
+            return rows.residuals(solution.program, solution.candidate)
+
+        change = np.stack([residuals(a) - residuals(b) for a, b in self.beside], axis=1)
+        inverse = np.asarray(np.linalg.inv(self.curvature))
+        pull = change / (2.0 * self.step) @ inverse
+        at = residuals(self.solution)
+        return rows.errors(usual, at, pull, np.diagonal(inverse))
 
     @property
     def vertex(self) -> Array:

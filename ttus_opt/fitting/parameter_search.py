@@ -24,6 +24,7 @@ from ttus_opt.fitting.identification import (
     noise_variance,
 )
 from ttus_opt.fitting.parabola import Parabola, UnsolvedError
+from ttus_opt.fitting.shared_errors import PlaceRows
 from ttus_opt.problem.formulation import Formulation, Search
 from ttus_opt.problem.solution import Solution, Status
 
@@ -231,11 +232,13 @@ class _Optimum:
         values: Parameter values, shape (k,).
         errors: Their standard errors, shape (k,).
         solution: The solution of a fit nearby.
+        remarks: Remarks on the errors, by parameter.
     """
 
     values: Array
     errors: Array
     solution: Solution
+    remarks: tuple[str, ...]
 
 
 def _settled(
@@ -286,7 +289,10 @@ def _settled(
             near = parabola_at(at)
             if not near.flat.any():
                 at, errors = np.clip(near.vertex, low, high), near.errors(variance)
-    return _Optimum(at, errors, parabola.solution)
+                parabola = near
+    rows = PlaceRows.of(placed(parabola.centre).scene, parabola.solution.program)
+    shared = parabola.shared_errors(errors, rows)
+    return _Optimum(at, shared.errors, parabola.solution, shared.remarks)
 
 
 def _reported(
@@ -302,7 +308,7 @@ def _reported(
 
     low, high = reported(one.low), reported(one.high)
     rate = (high - low) / (one.high - one.low)
-    return judged_estimate(
+    estimate = judged_estimate(
         reported(best.values[k]),
         float(rate * best.errors[k]),
         high - low,
@@ -310,6 +316,7 @@ def _reported(
         high,
         reported(one.neutral_value),
     )
+    return estimate.remarked(best.remarks[k])
 
 
 def _variance(declared: Formulation, solution: Solution, n_searched: int) -> float:

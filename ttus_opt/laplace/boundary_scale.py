@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from ttus_opt.arrays import Array
+from ttus_opt.arrays import Array, IntArray
+from ttus_opt.contact.place_errors import place_errors
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.laplace.system import LaplaceSystem
 
@@ -42,7 +42,7 @@ class Identified(NamedTuple):
 def identified_scale(
     laplace: LaplaceSystem,
     N: sp.csr_array,
-    touching: NDArray[np.bool_],
+    place: IntArray,
     force: Array,
     outer: float,
     asked: bool,
@@ -52,7 +52,7 @@ def identified_scale(
     Args:
         laplace: L.
         N: Force rows, shape (3T, V).
-        touching: Poses in contact, shape (T,).
+        place: Place of every pose, -1 without contact, shape (T,) [–].
         force: Measured forces, shape (3T,) [N].
         outer: The ratio p_out / p_in [–].
         asked: Whether a negative scale is an error instead of a warning.
@@ -61,7 +61,7 @@ def identified_scale(
         InputError: There is no force in contact, or the forces push into the patient
             and ``asked`` is true.
     """
-    scale, error = _boundary_scale(laplace, N, touching, force, outer)
+    scale, error = _boundary_scale(laplace, N, place, force, outer)
     if asked and scale <= 0.0:
         raise InputError(
             f'inner="fit" found a boundary scale of {scale:.3g}: the measured forces '
@@ -76,7 +76,7 @@ def identified_scale(
 def _boundary_scale(
     laplace: LaplaceSystem,
     N: sp.csr_array,
-    touching: NDArray[np.bool_],
+    place: IntArray,
     force: Array,
     outer: float,
 ) -> tuple[float, float]:
@@ -84,7 +84,8 @@ def _boundary_scale(
 
     Returns:
         s and its standard error σ̂/‖N p₁‖ with σ̂² = ‖s N p₁ - f‖²/(m - 1), m force rows
-        in contact; inf where m = 1.
+        in contact; inf where m = 1. That by places (`ttus_opt.contact.place_errors`)
+        where it is larger.
     """
     unit = N @ laplace.solve(laplace.right_side(1.0, outer))
     square = float(unit @ unit)
@@ -95,11 +96,19 @@ def _boundary_scale(
             "inner as a number"
         )
     scale = float(unit @ force) / square
-    contact = np.repeat(touching, 3)
+    rows = np.repeat(place, 3)
+    contact = rows >= 0
     rest = (scale * unit - force)[contact]
     freedom = len(rest) - 1
     variance = float(rest @ rest) / freedom if freedom > 0 else np.inf
-    return scale, float(np.sqrt(variance / square))
+    inverse = np.array([0.5 / square])
+    usual = np.array([np.sqrt(variance / square)])
+    if not np.isfinite(variance):
+        return scale, np.inf
+    known = place_errors(
+        usual, rest, unit[contact, None] * inverse, inverse, rows[contact]
+    )
+    return scale, float(known.errors[0])
 
 
 def _report_scale(scale: float, error: float) -> str:

@@ -28,8 +28,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ttus_opt.arrays import Array, IntArray, Mask
-from ttus_opt.contact.places import places, runs
 from ttus_opt.scene import Scene
+from ttus_opt.terms.frame_places import frame_places
 from ttus_opt.voxmap.voxmap import Voxmap
 
 #: Below this share drag is taken for an elastic force: the error of the law of force
@@ -56,11 +56,8 @@ def distinct_drag(scene: Scene, rows: sp.csr_array) -> float:
     pressure = _depth(scene.voxmap)
     elastic = (scene.N @ pressure).reshape(-1, 3)
     drag = -(rows @ pressure).reshape(-1, 3)
-    segment = scene.trajectory.segment
-    press = runs(scene.rows.contact_points > 0, segment)
-    place = places(press, scene.trajectory.position)
-    kept = ~_turning(np.linalg.norm(elastic, axis=1), segment)
-    return distinct_share(elastic[kept], drag[kept], place[kept])
+    kept = ~_turning(np.linalg.norm(elastic, axis=1), scene.trajectory.segment)
+    return distinct_share(elastic[kept], drag[kept], frame_places(scene)[kept])
 
 
 def distinct_share(elastic: Array, drag: Array, place: IntArray) -> float:
