@@ -15,10 +15,10 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from ttus_opt.arguments import expect
-from ttus_opt.arrays import Array, IntArray
+from ttus_opt.arrays import Array
 from ttus_opt.compiled import Stopwatch
 from ttus_opt.contact.cut_off import cut_off
-from ttus_opt.contact.places import places, runs
+from ttus_opt.contact.places import touched_places
 from ttus_opt.contact.rows import ContactRows, checked_sampling, contact_rows
 from ttus_opt.errors import InputError, warn
 from ttus_opt.html_card import card, sections_svg
@@ -137,7 +137,8 @@ class Scene:
             inner = "fit" if in_contact and trajectory.has_wrench else 1.0
         if isinstance(inner, str):
             force = _measured(trajectory.force, FORCES)
-            place = _places(rows, trajectory)
+            at = trajectory.segment, trajectory.position
+            place = touched_places(rows.contact_points > 0, *at)
             known = identified_scale(laplace, rows.N, place, force, outer, asked)
             inner = known.parameters[BOUNDARY_SCALE]
             outer = inner * outer
@@ -359,13 +360,6 @@ def _report_size(voxmap: Voxmap, shell: PointShell) -> None:
             "the unit of both",
             2,
         )
-
-
-def _places(rows: ContactRows, trajectory: Trajectory) -> IntArray:
-    """Place of every frame, -1 without contact, shape (T,)."""
-    touching = rows.contact_points > 0
-    number = places(runs(touching, trajectory.segment), trajectory.position)
-    return np.where(touching, number, -1)
 
 
 def _report_contact(rows: ContactRows, r_inner: float) -> None:
