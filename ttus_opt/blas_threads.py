@@ -1,73 +1,27 @@
 """Dense algebra by one thread, where matrices are small.
 
-OpenBLAS wakes its threads even for a matrix of a hundred rows, and they keep every
+A BLAS wakes its threads even for a matrix of a hundred rows, and they keep every
 processor busy while they wait for the next one: choosing weights then takes several
-times the processor time, and longer. numpy and scipy bring a library each. Others than
-those of their wheels are left alone. (threadpoolctl knows more of them, but would be
-one more dependency.)
+times the processor time, and longer.
 """
 
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import functools
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
-from types import ModuleType
-
-import numpy
-import scipy
-
-
-@dataclass(frozen=True)
-class OpenBlas:
-    """The number of threads of one library.
-
-    Attributes:
-        threads: Returns it.
-        use: Sets it.
-    """
-
-    threads: Callable[[], int]
-    use: Callable[[int], None]
-
-    @classmethod
-    def of(cls, package: ModuleType) -> list[OpenBlas]:
-        """Those in a package's wheel."""
-        place = Path(str(package.__file__)).parent
-        folders = place.with_name(f"{package.__name__}.libs"), place / ".dylibs"
-        return [
-            found
-            for folder in folders
-            for path in sorted(folder.glob("*openblas*"))
-            if (found := cls._at(path)) is not None
-        ]
-
-    @classmethod
-    def _at(cls, path: Path) -> OpenBlas | None:
-        try:
-            library = ctypes.CDLL(str(path))
-        except OSError:
-            return None
-        for suffix in ("64_", ""):
-            names = (f"scipy_openblas_{act}_num_threads{suffix}" for act in NAMED)
-            both = [getattr(library, name, None) for name in names]
-            if None not in both:
-                return cls(*both)  # type: ignore[arg-type]
-        return None
-
-
-#: What the functions of a library do, in the order of `OpenBlas`
-NAMED = ("get", "set")
+from typing import Any
 
 
 @functools.cache
-def libraries() -> tuple[OpenBlas, ...]:
-    """Those of numpy and scipy."""
-    return (*OpenBlas.of(numpy), *OpenBlas.of(scipy))
+def _libraries() -> Any:
+    """The BLAS libraries of numpy and scipy, which are searched for once."""
+    import scipy.linalg  # noqa: F401  # loads its own
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController().select(user_api="blas")
 
 
 @dataclass
@@ -75,7 +29,7 @@ class _Users:
     """Who wants one thread: the number is that of the process, not of a thread."""
 
     count: int = 0
-    before: list[int] = field(default_factory=list)
+    limit: Any = None
     lock: threading.Lock = field(default_factory=threading.Lock)
 
 
@@ -90,9 +44,7 @@ def one_blas_thread() -> Iterator[None]:
     """
     with _users.lock:
         if not _users.count:
-            _users.before = [library.threads() for library in libraries()]
-            for library in libraries():
-                library.use(1)
+            _users.limit = _libraries().limit(limits=1)
         _users.count += 1
     try:
         yield
@@ -100,5 +52,4 @@ def one_blas_thread() -> Iterator[None]:
         with _users.lock:
             _users.count -= 1
             if not _users.count:
-                for library, before in zip(libraries(), _users.before, strict=True):
-                    library.use(before)
+                _users.limit.restore_original_limits()

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 import ttus_opt as tt
 from tests.conftest import small_scene
 from tests.fitting.test_weight_criteria import three_presses
-from ttus_opt.blas_threads import libraries
+from tests.test_blas_threads import threads
 from ttus_opt.errors import InputError
 from ttus_opt.fitting import tuning, tuning_series
 from ttus_opt.fitting.tuning import Tuning, tune
@@ -88,20 +89,10 @@ def test_forces_alone_are_tuned() -> None:
 
 
 def test_one_thread_does_the_dense_algebra() -> None:
-    seen: list[int] = []
-
-    def look(_: str) -> None:
-        seen.extend(library.threads() for library in libraries())
-
-    before = [library.threads() for library in libraries()]
-    for library in libraries():
-        library.use(2)
-    try:
-        tune(drawn(), "eq10", compare=False, progress=look)
-    finally:
-        for library, count in zip(libraries(), before, strict=True):
-            library.use(count)
-    assert seen == [1] * len(libraries())
+    seen: list[set[int]] = []
+    with threadpool_limits(limits=2, user_api="blas"):
+        tune(drawn(), "eq10", compare=False, progress=lambda _: seen.append(threads()))
+    assert seen and all(one == {1} for one in seen)
 
 
 @pytest.mark.slow

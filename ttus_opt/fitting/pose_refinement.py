@@ -28,6 +28,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ttus_opt.arrays import Array
+from ttus_opt.blas_threads import one_blas_thread
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError, warn
 from ttus_opt.fitting.pose_error_step import PoseErrorProblem
@@ -88,6 +89,7 @@ class RefinedPoses:
         return self.change <= CONVERGED
 
 
+@one_blas_thread()
 def refine_poses(
     scene: Scene,
     noise: TrackerNoise | None = None,
