@@ -65,6 +65,7 @@ def test_it_writes_a_file_and_a_picture_and_tells(
         ("--weight forse=1,2", "no term 'forse'"),
         ("--weight force=1,2 --picture x.doc", "must end in"),
         ("--weight force=1,2 --inner none", "--inner takes"),
+        ("--weight force=1,2 --jobs 0", "jobs must be at least 1"),
         ("--weight force=1,2 --held-out gone.csv", "gone.csv"),
         ("--weight force=1,2 --formulation none", "none"),
         ("--weight force=1,2 --formulation eq10_sign --criteria", "without limits"),
@@ -102,3 +103,12 @@ def test_an_interrupt_writes_what_is_done(
         return
     assert "interrupted after 2 of 4 points" in answer.err
     assert int((tt.read_solution_path(output)["status"] == 0).sum()) == 2
+    monkeypatch.setattr(module.PathRecord, "add", plain)
+    answer = run(words(files, output, "--weight force=1e-2:1:4"))
+    assert answer.status == 0 and "going on from 2 of 4 points" in answer.err
+    found = tt.read_solution_path(output)
+    assert (found["status"] == 0).all() and found.attrs["probe"] == PROBE
+    answer = run(words(files, output, "--weight force=1e-2:1:3 --jobs 2"))
+    assert f"{output} holds a path of other weights" in answer.err
+    assert "jobs and dask are not used" in answer.err
+    assert tt.read_solution_path(output)["status"].shape == (3,)

@@ -14,6 +14,7 @@ from ttus_opt import experiment
 from ttus_opt.errors import InputError, MissingPackageError
 from ttus_opt.experiment import side_by_side
 from ttus_opt.experiment.patients import patients
+from ttus_opt.fitting.task_pool import task_pool
 
 PLAN = experiment.Plan(
     (16, 48, 24),
@@ -47,7 +48,7 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, str]]:
     def noted(name: str) -> Any:
         return lambda fits, *_: seen.append((fits.folder.name, name))
 
-    monkeypatch.setattr(side_by_side, "_pool", threads)
+    monkeypatch.setattr(side_by_side, "task_pool", threads)
     monkeypatch.setattr(side_by_side, "PatientFits", Fits)
     monkeypatch.setattr(side_by_side, "boundary_errors", noted("boundary"))
     monkeypatch.setattr(
@@ -89,7 +90,7 @@ def test_every_task_of_every_patient_is_done_once(
 def test_tasks_reach_other_processes() -> None:
     joblib = pytest.importorskip("joblib")
     who, settings = patients()[0], PLAN.settings
-    with side_by_side._pool(2, "") as run:
+    with task_pool(2, "") as run:
         found = run(joblib.delayed(_arrived)(who, PLAN, one) for one in settings)
         assert sorted(found) == sorted(_arrived(who, PLAN, one) for one in settings)
 
@@ -121,6 +122,6 @@ def test_tasks_run_on_a_dask_cluster(tmp_path: Path) -> None:
         distributed.LocalCluster(
             n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
         ) as cluster,
-        side_by_side._pool(1, cluster.scheduler_address) as run,
+        task_pool(1, cluster.scheduler_address) as run,
     ):
         assert sorted(run(joblib.delayed(abs)(x) for x in (-3, 2))) == [2, 3]

@@ -42,20 +42,27 @@ def path(
     fields: bool = False,
     criteria: bool = False,
     picture: Path | None = None,
+    jobs: int = 1,
+    dask: str = "",
     force: bool = False,
     json: bool = False,
 ) -> None:
     """Solve for many weights at the cost of a few, and evaluate each.
 
+    After Ctrl-C or a crash, the same command goes on from the points in its output.
+
     Args:
         surface: Surface file (.nc).
         weight: Weights of one term, or shared by several, logarithmically spaced, or a
             list such as 1e-4,1e-2. A second --weight makes a grid.
-        output: Path file (.nc).
+        output: Path file (.nc). Points that it holds of the same inputs are kept.
         held_out: Trajectory CSV on which every point is evaluated; may be repeated.
         fields: Save the potential of every point.
         criteria: Add evidence, cross-validation and errors on left-out presses.
         picture: Draw the L-curve and the held-out errors here.
+        jobs: Number of points at a time (extra parallel), where points share no work:
+            with friction, robust penalties or a solver of your own.
+        dask: Address of a dask scheduler for them, host:port.
 
     Example:
         ttus-opt path --surface surface.nc --probe ellipsoid:0.030,0.0125,0.018
@@ -101,6 +108,9 @@ def path(
         tolerance=problem.tolerance,
         extras=extras,
         progress=True,
+        file=output,
+        jobs=jobs,
+        dask=dask,
         **options,
     )
     found.attrs |= {

@@ -7,10 +7,9 @@ repeats interrupted tasks only.
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from ttus_opt import optional
 from ttus_opt.experiment import rivals
@@ -20,6 +19,7 @@ from ttus_opt.experiment.fits import PatientFits
 from ttus_opt.experiment.patients import Patient
 from ttus_opt.experiment.recordings import examine
 from ttus_opt.experiment.settings import Setting
+from ttus_opt.fitting.task_pool import task_pool
 
 if TYPE_CHECKING:
     from ttus_opt.experiment.pipeline import Plan
@@ -57,7 +57,7 @@ def do_ahead(
     delayed = optional.load("joblib", "parallel").delayed
     tasks: list[Task] = [*plan.settings, None, *plan.rivals]
     tasks += map(_Doubt, plan.doubted)
-    with _pool(plan.jobs, plan.dask) as run:
+    with task_pool(plan.jobs, plan.dask) as run:
         for done in run(delayed(_examined)(who, plan, folder) for who in patients):
             begin(done)
         work = ((who, plan, folder, task) for task in tasks for who in patients)
@@ -85,14 +85,3 @@ def _done(patient: Patient, plan: Plan, folder: Path, task: Task) -> str:
         return f"{patient.name}: doubt of {task.setting.name}"
     rivals.rival(fits, task, own, digest)
     return f"{patient.name}: {task}"
-
-
-@contextlib.contextmanager
-def _pool(jobs: int, address: str) -> Iterator[Any]:
-    """Run joblib's tasks in processes here, or on a dask cluster; errors as above."""
-    joblib = optional.load("joblib", "parallel")
-    if not address:
-        yield joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-        return
-    with optional.dask_client(address), joblib.parallel_config("dask"):
-        yield joblib.Parallel(n_jobs=-1, return_as="generator_unordered")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -25,8 +26,14 @@ if TYPE_CHECKING:
 
 KIND, VERSION = "solution path", 1
 
+#: Attribute with the checksums of a path's inputs, as JSON
+INPUTS = "inputs"
+
 #: Value of ``status`` where a point was not reached
 MISSING = -1
+
+#: What the names of variables of parameters begin with
+PARAMETER = "parameter_"
 
 #: Units of parameters that have one
 PARAMETER_UNITS = {"viscous_coefficient": "N s m-1", "drag_deadband": "m s-1"}
@@ -49,6 +56,7 @@ class PathRecord:
         held_out: Recordings by name, on which every point is evaluated.
         tolerance: KKT tolerance of every point [–].
         keep_fields: Whether potentials are kept.
+        inputs: Checksums of the path's inputs (`path_inputs`); none by default.
     """
 
     def __init__(
@@ -59,8 +67,10 @@ class PathRecord:
         tolerance: float,
         *,
         keep_fields: bool = False,
+        inputs: Mapping[str, str] | None = None,
     ) -> None:
         self._declared, self._grid = declared, grid
+        self._inputs = inputs
         self._tolerance = tolerance
         scene = declared.scene
         self._terms = [term.name for term in declared.terms]
@@ -87,11 +97,49 @@ class PathRecord:
     def _empty(self, *beyond: int) -> Array:
         return np.full((*self._grid.shape, *beyond), np.nan)
 
+    @property
+    def done(self) -> int:
+        """Number of points that were reached."""
+        return int((self._status != MISSING).sum())
+
+    @property
+    def size(self) -> int:
+        """Number of all points."""
+        return self._grid.size
+
+    def has(self, at: Index) -> bool:
+        """Whether a point was reached."""
+        return bool(self._status[at] != MISSING)
+
+    def take(self, kept: xr.Dataset) -> None:
+        """Take the points of a dataset of the same inputs."""
+        self._status[...] = kept["status"]
+        self._solvers = [name for name in kept.attrs["solver"].split(", ") if name]
+        for group in (self._numbers, self._residuals, self._errors):
+            for name in set(group) & set(kept):
+                group[name][...] = kept[name]
+        self._values[...] = kept["term_value"]
+        for name in map(str, kept):
+            if name in CRITERIA:
+                self._criteria[name] = kept[name].to_numpy().copy()
+            elif name.startswith(PARAMETER):
+                values = kept[name].to_numpy().copy()
+                self._parameters[name.removeprefix(PARAMETER)] = values
+        if self._potential is not None:
+            self._potential[...] = kept["potential"]
+
     def add(
         self, at: Index, solution: Solution, criteria: Mapping[str, float] | None = None
     ) -> None:
         """Record the solution and the criteria of one point."""
+        self._note(at, solution, criteria or {})
+        # last, so that an interrupt leaves no point done by half
         self._status[at] = list(Status).index(solution.status)
+
+    def _note(
+        self, at: Index, solution: Solution, criteria: Mapping[str, float]
+    ) -> None:
+        """Record all but the status."""
         if solution.solver not in self._solvers:
             self._solvers.append(solution.solver)
         times = solution.timings
@@ -106,7 +154,7 @@ class PathRecord:
         for k, name in enumerate(self._terms):
             if weights.get(name, 0.0) > 0.0:
                 self._values[(*at, k)] = solution.costs[name] / weights[name]
-        for name, value in (criteria or {}).items():
+        for name, value in criteria.items():
             self._criteria.setdefault(name, self._empty())[at] = value
         for name, value in solution.parameters.items():
             self._parameters.setdefault(name, self._empty())[at] = value
@@ -171,7 +219,7 @@ class PathRecord:
             put(name, values, *CRITERIA[name])
         for name, values in self._parameters.items():
             about = {"units": PARAMETER_UNITS.get(name, "1")}
-            out[f"parameter_{name}"] = (dims, values, about)
+            out[f"{PARAMETER}{name}"] = (dims, values, about)
         if self._potential is not None:
             about = {"units": potential_unit}
             out["potential"] = ((*dims, *DIMS), self._potential, about)
@@ -206,7 +254,8 @@ class PathRecord:
             "scene": repr(scene),
             "sampling": scene.sampling,
             "points": self._grid.size,
-            "points_done": int((self._status != MISSING).sum()),
+            "points_done": self.done,
+            **({INPUTS: json.dumps(self._inputs)} if self._inputs else {}),
             **io.provenance(),
         }
 

@@ -40,6 +40,9 @@ class PointSolver(abc.ABC):
     #: Whether all points share one basis, so that the ends should be solved first
     common = False
 
+    #: Whether no point gains much from those before it
+    independent = False
+
     @abc.abstractmethod
     def __call__(self, declared: Formulation) -> Solution:
         """Solve for the weights of a formulation, and verify."""
@@ -87,9 +90,13 @@ def point_solver(
 class _InTurn(RepeatedFit, PointSolver):
     """Any solver, keeping its state from point to point."""
 
+    independent = True
+
 
 class _Searching(PointSolver):
     """A formulation with a searched parameter: a fit per point."""
+
+    independent = True
 
     def __init__(self, solver: str | Path | Solver, request: Request) -> None:
         self._solver, self._request = solver, request

@@ -8,17 +8,18 @@ its own residuals like any other fit.
 
 from __future__ import annotations
 
+import os
 import sys
-import warnings
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt.blas_threads import one_blas_thread
-from ttus_opt.errors import InputError, TtusWarning
+from ttus_opt.errors import InputError, warn
 from ttus_opt.fitting.path_dataset import PathRecord
-from ttus_opt.fitting.path_solvers import point_solver
+from ttus_opt.fitting.path_file import PathFile
+from ttus_opt.fitting.path_inputs import inputs_of
+from ttus_opt.fitting.path_points import Point, in_turn, several_at_a_time
+from ttus_opt.fitting.path_solvers import PointSolver, point_solver
 from ttus_opt.fitting.weight_grid import Index, WeightGrid, Weights
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.problem import formulation as shelf
@@ -36,7 +37,7 @@ HeldOut = Trajectory | Sequence[Trajectory] | Mapping[str, Trajectory]
 EXTRAS = ("potential", "criteria")
 
 
-def solution_path(
+def solution_path(  # noqa: PLR0913  public, all but two by name
     formulation: str | Path | Formulation,
     scene: Scene | None = None,
     *,
@@ -46,12 +47,15 @@ def solution_path(
     tolerance: float = 1e-6,
     extras: Collection[str] = (),
     progress: bool = False,
+    file: str | os.PathLike[str] | None = None,
+    jobs: int = 1,
+    dask: str = "",
     **options: Any,
 ) -> xr.Dataset:
     """Solve a formulation for many weights.
 
     An interrupt (Ctrl-C) ends the path early: finished points are kept, and a
-    `TtusWarning` gives their number.
+    `TtusWarning` gives their number. With ``file``, the same call goes on from them.
 
     Args:
         formulation: A name, a path to a file with ``build``, or a Formulation.
@@ -67,6 +71,12 @@ def solution_path(
             one field without limits. They take more response fields with larger
             weights, on a fine grid ten times as many as the path.
         progress: Whether to show a progress bar.
+        file: Where to keep the path, as `write_solution_path` does, at the end and
+            every half minute. Points that it holds already are not computed again; if
+            it is of other inputs, a `TtusWarning` names them, and it is replaced.
+        jobs: Processes for formulations that share no work between their points
+            (extra parallel); for others, a `TtusWarning` says that it is not used.
+        dask: Address of a dask scheduler, host:port, to use instead.
         options: Options of the formulation.
 
     Returns:
@@ -79,46 +89,82 @@ def solution_path(
 
     Raises:
         InputError: Unknown formulation, option, solver, term or extra, weights that are
-            not positive, held-out recordings without wrenches, or criteria of a
-            problem that has none.
+            not positive, held-out recordings without wrenches, criteria of a problem
+            that has none, fewer than one job, or no scheduler that answers.
         SolverUnavailableError: The solver's package is not installed.
+        MissingPackageError: joblib or dask is requested and not installed.
+        FileError: The file cannot be written.
     """
+    _check(extras, jobs)
     declared = _declared(formulation, scene, options)
     grid = WeightGrid.of(weights, [term.name for term in declared.terms])
+    unseen = _named(held_out)
+    neutral = declared.with_neutral(declared.not_identifiable())
+
+    def at(index: Index) -> Formulation:
+        return neutral.with_weights(**grid.at(index))
+
+    first = at((0,) * len(grid.axes))
+    solve = point_solver(first, solver, Request(tolerance))
+    inputs: dict[str, str] = {}
+    if file is not None:
+        inputs = inputs_of(first, grid, unseen, solver, tolerance, extras)
+    keep_fields = "potential" in extras
+    record = PathRecord(
+        declared, grid, unseen, tolerance, keep_fields=keep_fields, inputs=inputs
+    )
+    kept = None if file is None else PathFile(file, record, inputs)
+    left = [index for index in _order(grid, solve) if not record.has(index)]
+    if "criteria" in extras and left:
+        solve.prepare_criteria(at(tuple(n - 1 for n in grid.shape)))
+    if not (jobs > 1 or dask):
+        points = in_turn(solve, left, at)
+    elif solve.independent:
+        points = several_at_a_time(solve, left, at, jobs, dask)
+    else:
+        warn(
+            f"the points of {declared.name} share their work: one process solves them, "
+            "jobs and dask are not used"
+        )
+        points = in_turn(solve, left, at)
+    _collect(_shown(points, record.done, grid.size, progress), record, kept)
+    return record.dataset()
+
+
+def _check(extras: Collection[str], jobs: int) -> None:
+    """Refuse unknown extras, and fewer than one job."""
     for extra in extras:
         if extra not in EXTRAS:
             raise InputError(f"unknown extra {extra!r}: choose {' or '.join(EXTRAS)}")
-    record = PathRecord(
-        declared, grid, _named(held_out), tolerance, keep_fields="potential" in extras
-    )
-    request = Request(tolerance)
-    doubts = declared.not_identifiable()
-    declared = declared.with_neutral(doubts)
-    first = declared.with_weights(**grid.at((0,) * len(grid.axes)))
-    solve = point_solver(first, solver, request)
-    if "criteria" in extras:
-        last = tuple(n - 1 for n in grid.shape)
-        solve.prepare_criteria(declared.with_weights(**grid.at(last)))
-    order = grid.from_both_ends() if solve.common else grid.from_the_prior()
-    done = 0
-    # a common basis makes matrices small
-    threads = one_blas_thread() if solve.common else nullcontext()
+    if jobs < 1:
+        raise InputError(f"jobs must be at least 1, got {jobs}")
+
+
+def _collect(
+    points: Iterable[Point], record: PathRecord, kept: PathFile | None
+) -> None:
+    """Record the points, and keep them in the file whatever ends the path."""
     try:
-        with threads:
-            for index in _shown(order, progress):
-                weighted = declared.with_weights(**grid.at(index))
-                record.add(index, solve(weighted), solve.criteria(weighted))
-                done += 1
+        for point in points:
+            record.add(*point)
+            if kept is not None:
+                kept.save_now_and_then()
     except KeyboardInterrupt:
-        if not done:
+        if not record.done:
             raise
-        warnings.warn(
-            f"interrupted after {done} of {grid.size} points of the path: the others "
-            "are missing",
-            TtusWarning,
-            stacklevel=2,
+        again = "" if kept is None else f"; the same call goes on from {kept}"
+        warn(
+            f"interrupted after {record.done} of {record.size} points of the path: the "
+            f"others are missing{again}",
+            2,
         )
-    return record.dataset()
+    finally:
+        if kept is not None:
+            kept.save()
+
+
+def _order(grid: WeightGrid, solve: PointSolver) -> list[Index]:
+    return grid.from_both_ends() if solve.common else grid.from_the_prior()
 
 
 def _declared(
@@ -162,18 +208,23 @@ def _named(held_out: HeldOut) -> dict[str, Trajectory]:
     return dict(held_out)
 
 
-def _shown(order: Sequence[Index], progress: bool) -> Iterator[Index]:
+def _shown(
+    points: Iterable[Point], done: int, size: int, progress: bool
+) -> Iterator[Point]:
     """The points, with a progress bar on stderr if requested."""
-    points: Iterable[Index] = order
     if progress:
         from tqdm import tqdm
 
+        if done:
+            tqdm.write(f"going on from {done} of {size} points", file=sys.stderr)
         # into a file or pipe only for long work, and every few seconds
         watched = sys.stderr.isatty()
         points = tqdm(
-            order,
+            points,
             desc="weights",
             unit="point",
+            initial=done,
+            total=size,
             file=sys.stderr,
             delay=1.0 if watched else 5.0,
             mininterval=0.2 if watched else 5.0,
