@@ -24,6 +24,7 @@ def test_it_writes_recordings_for_fit(
     run: Run, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(pose_refinement, "MOST_STEPS", 2)
+    monkeypatch.setattr(pose_refinement, "LEAST_GAIN", -np.inf)
     output = tmp_path / "refined.csv"
     answer = run(words(files, output, "--json --position-noise 0.3 --correlation 2"))
     assert answer.status == 0, answer.err
@@ -37,6 +38,17 @@ def test_it_writes_recordings_for_fit(
     assert 0.0 < one["position_std_mm"] < 0.3
     plain = run(words(files, output, "--position-noise 0.3 --correlation 2"))
     assert f"poses moved by {one['position_mm']:.2f} mm" in plain.out
+
+
+def test_forces_without_a_field_move_no_pose(
+    run: Run, files: Path, tmp_path: Path
+) -> None:
+    output = tmp_path / "refined.csv"
+    answer = run(words(files, output))
+    assert answer.status == 0
+    assert "the poses are left as reported" in " ".join(answer.errors)
+    given, found = (tt.read_trajectory(path) for path in (files / "press.csv", output))
+    np.testing.assert_allclose(found.position, given.position, atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -74,6 +74,7 @@ def _summary(found: RefinedPoses, output: Path) -> dict[str, Any]:
         "frames": len(found.trajectory),
         "recordings": [_figures(found, own) for own in _each(found)],
         "friction_coefficient": found.friction,
+        "log_evidence_gain": found.gain,
         "steps": found.steps,
         "converged": found.converged,
     }
@@ -109,5 +110,8 @@ def _lines(found: RefinedPoses, output: Path) -> list[str]:
             f"{f['rotation_deg']:.2f}° per axis (rms), which leaves "
             f"{f['position_std_mm']:.2f} mm and {f['rotation_std_deg']:.2f}°"
         )
-    lines.append(f"{output}: {len(found.trajectory)} frames, {found.steps} steps")
+    lines.append(
+        f"{output}: {len(found.trajectory)} frames, {found.steps} steps, log evidence "
+        f"{found.gain:+.0f} by the tracker's noise"
+    )
     return lines

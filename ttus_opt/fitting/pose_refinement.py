@@ -31,7 +31,7 @@ from ttus_opt.arrays import Array
 from ttus_opt.blas_threads import one_blas_thread
 from ttus_opt.contact.rows import contact_rows
 from ttus_opt.errors import InputError, warn
-from ttus_opt.fitting.pose_error_step import PoseErrorProblem
+from ttus_opt.fitting.pose_error_step import PoseErrorProblem, State
 from ttus_opt.fitting.tuning_series import coarser
 from ttus_opt.probe.tracker_noise import TrackerNoise
 from ttus_opt.probe.trajectory import Trajectory
@@ -47,6 +47,10 @@ ESTIMATES, MOST_STEPS = 2, 8
 
 #: Mean change of ξ at which steps end [–]
 CONVERGED = 0.01
+
+#: Least gain of the log evidence by the tracker's noise: strong evidence for it
+#: (R. E. Kass, A. E. Raftery, Bayes factors, J. Am. Stat. Assoc. 90, 1995) [–]
+LEAST_GAIN = 3.0
 
 #: A mean error of a recording so many times its standard deviation is not noise [–]
 DOUBTFUL = 4.0
@@ -65,6 +69,8 @@ class RefinedPoses:
         depth_map: Profile and hyperparameters of the field.
         steps: Number of steps.
         change: Mean change of an error in the last step, over its standard deviation.
+        gain: Log evidence of the forces with the tracker's noise, less that without;
+            poses are left as reported if it is below `LEAST_GAIN` [–].
     """
 
     trajectory: Trajectory
@@ -75,6 +81,7 @@ class RefinedPoses:
     depth_map: DepthMapEstimate
     steps: int
     change: float
+    gain: float
 
     @property
     def recordings(self) -> list[Trajectory]:
@@ -106,7 +113,8 @@ def refine_poses(
         progress: Called before every step, at most `MOST_STEPS` times.
 
     Returns:
-        Refined poses. A `TtusWarning` says if the steps did not converge, or if a
+        Refined poses. A `TtusWarning` says if the forces show no errors of this size,
+        so that poses are left as reported; if the steps did not converge; or if a
         recording is off on average by more than the tracker's noise explains.
 
     Raises:
@@ -118,11 +126,15 @@ def refine_poses(
     small = _sampled(coarser(scene))
     drag = estimate_drag(small, places=("points",))
     problem = PoseErrorProblem.of(small, own, drag.friction_coefficient)
-    at = problem.start()
+    at, gain, step, change = problem.start(), 0.0, 0, np.inf
     for step in range(1, MOST_STEPS + 1):
         if progress is not None:
             progress()
         last, at = at, problem.step(at, estimate=step <= ESTIMATES)
+        if step == 1:
+            gain = at.depth_map.log_evidence - last.depth_map.log_evidence
+            if gain < LEAST_GAIN:
+                return _left(scene.trajectory, problem, last, gain)
         change = float(np.abs(at.xi - last.xi).mean())
         if change <= CONVERGED and step > ESTIMATES:
             break
@@ -137,6 +149,7 @@ def refine_poses(
         at.depth_map,
         step,
         change,
+        gain,
     )
     if not found.converged:
         warn(
@@ -146,6 +159,22 @@ def refine_poses(
         )
     _warn_of_offset(problem, xi)
     return found
+
+
+def _left(
+    trajectory: Trajectory, problem: PoseErrorProblem, start: State, gain: float
+) -> RefinedPoses:
+    """The recordings as they are, with a warning."""
+    noise, none = problem.noise, np.zeros((len(trajectory), 6))
+    warn(
+        f"the forces show no errors of poses of {1e3 * noise.position:.3g} mm and "
+        f"{np.degrees(noise.rotation):.3g}° (log evidence {gain:+.1f}): the poses are "
+        "left as reported; give the noise of your tracker",
+        3,
+    )
+    exact = none + noise.sizes
+    at = problem.rows.friction, start.depth_map, 1, 0.0, gain
+    return RefinedPoses(trajectory, none, exact, noise, *at)
 
 
 def _sampled(scene: Scene) -> Scene:
