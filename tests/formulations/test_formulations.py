@@ -31,6 +31,7 @@ EXPECTED = {
     "coulomb_global": ("laplace", "force", "torque"),
     "depth_map": ("depth_map", "force", "torque"),
     "depth_map_coulomb": ("depth_map", "force", "torque"),
+    "depth_map_residual": ("laplace_residual", "force", "torque"),
     "eq10": ("laplace", "force", "torque"),
     "eq10_hard_boundary": ("laplace", "force", "torque", "boundary"),
     "eq10_monotone": ("laplace", "force", "torque", "monotone"),

@@ -65,6 +65,7 @@ FORMULATIONS: Mapping[str, frozenset[str]] = {
     "coulomb_global": QP | CLOSED | STRUCTURED | NORMAL | AMG,
     "depth_map": QP | CLOSED | COVARIANCE | ALGEBRAIC,
     "depth_map_coulomb": QP | CLOSED | COVARIANCE | ALGEBRAIC,
+    "depth_map_residual": QP | CLOSED | STRUCTURED | NORMAL | AMG,
     "eq10": QP | CLOSED | STRUCTURED | NORMAL | AMG,
     "eq10_hard_boundary": QP | STRUCTURED | NORMAL,
     "eq10_monotone": QP | HIGHS | STRUCTURED | NORMAL,

@@ -144,7 +144,7 @@ class Candidate:
     @property
     def free_scale(self) -> bool:
         """Whether the boundary scale is estimated."""
-        return self.build is not None and _fits_scale(self.declared.scene)
+        return self.build is not None and _fits_scale(self.declared)
 
     @property
     def values(self) -> Values:
@@ -292,7 +292,7 @@ def _tuned(
     """The likeliest hyperparameters, over a basis that is large enough for them."""
     rows = TuningRows.of(small)
     variance, signal, n = rows.variance(), FIRST_SIGNAL, len(rows.terms)
-    free_scale = build is not None and _fits_scale(whole.scene)
+    free_scale = build is not None and _fits_scale(whole)
     start = kept.found
     for _ in range(1 + ENLARGEMENTS):
         largest = signal / variance
@@ -326,9 +326,10 @@ def thinned(series: MeasuredSeries) -> MeasuredSeries:
     return series.thinned(-(-series.frames // MOST_FRAMES))
 
 
-def _fits_scale(scene: Scene) -> bool:
-    """Whether the scene's boundary scale was fitted to its forces."""
-    return BOUNDARY_SCALE in scene.parameters.keys() - scene.not_identified.keys()
+def _fits_scale(declared: Formulation) -> bool:
+    """Whether its boundary values count and their scale was fitted to the forces."""
+    fitted = declared.scene_parameters.keys() - declared.scene.not_identified.keys()
+    return BOUNDARY_SCALE in fitted
 
 
 def _chosen(log_density: Callable[[float], float], prior: Prior) -> Hyperparameter:

@@ -18,7 +18,7 @@ from ttus_opt.problem.cvxpy_form import CvxpyProgram
 from ttus_opt.problem.program import Program
 from ttus_opt.scene import Scene
 from ttus_opt.terms.base import Fitted, Term
-from ttus_opt.terms.structure import known_covariance, laplace_rows
+from ttus_opt.terms.structure import Tag, known_covariance, laplace_rows
 
 
 class Unplaced(Protocol):
@@ -194,11 +194,12 @@ class Formulation:
     def scene_parameters(self) -> Mapping[str, float]:
         """Parameters of the scene, by name; none if its boundary values are not used.
 
-        A prior with a mean and a covariance of its own uses none.
+        A prior with a mean of its own uses none.
         """
-        tags = frozenset().union(*(term.assembled.tags for term in self.terms))
-        own = known_covariance(tags) is not None and laplace_rows(tags) is None
-        return {} if own else self.scene.parameters
+        tags = [term.assembled.tags for term in self.terms]
+        own = any(Tag.OWN_MEAN in t or known_covariance(t) for t in tags)
+        scenes = any(laplace_rows(t) and Tag.OWN_MEAN not in t for t in tags)
+        return {} if own and not scenes else self.scene.parameters
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """Parameters that a solution identifies, by name.

@@ -32,6 +32,7 @@ class Tag(enum.Enum):
 
     MEASURED = "rows are measurements"
     DIRICHLET = "row k gives the k-th Dirichlet voxel of p its value"
+    OWN_MEAN = "target is that of the term's own mean, not of the boundary values"
 
 
 @dataclass(frozen=True, eq=False)
