@@ -189,6 +189,16 @@ def test_several_at_a_time_find_the_same(tmp_path: Path) -> None:
         same(one, two, rtol)
 
 
+@pytest.mark.long
+def test_a_dask_cluster_finds_the_same() -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as cluster:
+        found = solve(None, "coulomb_global", dask=cluster.scheduler_address)
+    same(solve(None, "coulomb_global"), found, 0.0)
+
+
 def test_a_shared_basis_says_that_jobs_are_not_used() -> None:
     one = solve(None)
     with pytest.warns(TtusWarning, match="eq10 share their work: one process"):

@@ -76,7 +76,7 @@ def _programs(declared: Formulation) -> Iterator[Any]:
         yield declared.name, program.variables, terms, rows
         yield program.bounds, program.cones
         return
-    yield search.parameter, search.low, search.high, search.neutral
+    yield search.parameter, search.neutral
     for value in (search.low, search.high):
         yield from _programs(search.build(value))
 
