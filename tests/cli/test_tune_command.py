@@ -38,8 +38,8 @@ def test_it_tells_weights_and_how_fit_takes_them(
     assert run(words(files, "fit", f"{told['fit_options']} -o {by_hand}")).status == 0
     answer = run(words(files, "fit", f"--weights auto -o {by_itself} --json"))
     fitted = json.loads(answer.out)
-    for name, weight in told["weights"].items():
-        assert fitted["weights"][name] == pytest.approx(weight, rel=1e-6)
+    for name, weight in told["weights"].items():  # to the accuracy of the search
+        assert fitted["weights"][name] == pytest.approx(weight, rel=1e-3)
     one, other = (tt.PotentialField.load(p).values for p in (by_hand, by_itself))
     assert abs(one - other).max() < 1e-3 * abs(other).max()
 
