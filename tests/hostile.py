@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ttus_opt.errors import TtusError
+from ttus_opt.errors import TtusError, TtusWarning
 
 SEED = 20261122
 
@@ -63,7 +63,7 @@ def only_our_errors(
         file = _anew(sources[chosen], mutated(contents[chosen], rng))
         try:
             read(file)
-        except TtusError as error:
+        except (TtusError, TtusWarning) as error:
             assert "\n" not in str(error)
         except Exception as error:
             name = sources[chosen].name

@@ -11,8 +11,12 @@ from ttus_opt.blas_threads import one_blas_thread
 
 
 def threads() -> set[int]:
+    """Of numpy's and scipy's libraries; those that solvers bring are their own."""
     return {
-        one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"
+        one["num_threads"]
+        for one in threadpool_info()
+        if one["user_api"] == "blas"
+        and ("numpy" in one["filepath"] or "scipy" in one["filepath"])
     }
 
 
