@@ -57,6 +57,7 @@ class Study:
         shape: Voxels in r, θ and z [–].
         formulation: What is fitted, by weights of 1 where it does not choose its own.
         sampling: Of the field.
+        refine: Whether poses are refined by the forces before a fit.
     """
 
     examination: Examination
@@ -65,6 +66,7 @@ class Study:
     shape: tuple[int, int, int]
     formulation: str
     sampling: str
+    refine: bool = False
 
     @property
     def patient(self) -> Patient:
@@ -103,6 +105,9 @@ class Study:
         plan = ScenePlan(self.shape, sampling=self.sampling)
         shell = tt.PointShell.from_spec(PROBE_SPEC)
         scene = plan.build(self.examination.surface, shell, list(recordings))
+        if self.refine:
+            recordings = tt.refine_poses(scene).recordings
+            scene = plan.build(self.examination.surface, shell, recordings)
         (setting,) = compared((self.formulation,), 1.0)
         solution = tt.fit(scene, self.formulation, **setting.options)
         mu = solution.parameters.get("friction_coefficient", 0.0)
@@ -180,7 +185,7 @@ def studied(options: argparse.Namespace) -> Study:
     folder = options.results / patient.name
     examination = examine(patient, folder, options.resolution)
     n_r, n_theta, n_z = (int(n) for n in options.shape.split(","))
-    fitted = options.formulation, options.sampling
+    fitted = options.formulation, options.sampling, options.refine
     shape = (n_r, n_theta, n_z)
     return Study(examination, folder, options.resolution, shape, *fitted)
 
@@ -194,6 +199,7 @@ def main() -> None:
     parser.add_argument("--patient", default="scanned")
     parser.add_argument("--formulation", default="coulomb_global")
     parser.add_argument("--sampling", default="trilinear")
+    parser.add_argument("--refine", action="store_true", help="refine poses by forces")
     parser.add_argument("--draws", type=int, default=5, help="other draws of noise")
     parser.add_argument("--only", default="", help="rows whose name contains this")
     parser.add_argument("--shape", default="48,120,60")

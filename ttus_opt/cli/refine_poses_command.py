@@ -6,8 +6,6 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from ttus_opt.cli.console import Stages, tell
 from ttus_opt.cli.options import check_outputs
 from ttus_opt.cli.recording_options import ProbeOptions, RecordingOptions
@@ -15,6 +13,7 @@ from ttus_opt.cli.scene_building import built_scene, warn_of_mistake
 from ttus_opt.cli.scene_options import SceneOptions
 
 if TYPE_CHECKING:
+    from ttus_opt.arrays import Array, Mask
     from ttus_opt.fitting.pose_refinement import RefinedPoses
 
 
@@ -80,13 +79,13 @@ def _summary(found: RefinedPoses, output: Path) -> dict[str, Any]:
     }
 
 
-def _each(found: RefinedPoses) -> list[np.ndarray[Any, Any]]:
+def _each(found: RefinedPoses) -> list[Mask]:
     """Masks of the recordings."""
     segment = found.trajectory.segment
     return [segment == number for number in dict.fromkeys(segment.tolist())]
 
 
-def _figures(found: RefinedPoses, own: np.ndarray[Any, Any]) -> dict[str, float]:
+def _figures(found: RefinedPoses, own: Mask) -> dict[str, float]:
     """Root mean squares of a recording, of a component."""
     errors, std = found.errors[own], found.std[own]
     return {
@@ -97,8 +96,8 @@ def _figures(found: RefinedPoses, own: np.ndarray[Any, Any]) -> dict[str, float]
     }
 
 
-def _rms(values: np.ndarray[Any, Any]) -> float:
-    return float(np.sqrt(np.mean(values**2)))
+def _rms(values: Array) -> float:
+    return math.sqrt((values**2).mean())
 
 
 def _lines(found: RefinedPoses, output: Path) -> list[str]:
