@@ -231,8 +231,12 @@ TARGETS = (
                 *("perceptual_updates", "proxy_six_dof", "stiffness_map"),
                 "voxmap_point_shell",
             ),
-            "contact": ("point_drag", "shell_blocks"),
-            "fitting": ("breakdown", "contact_spread", "left_out", "skin_doubt"),
+            "contact": ("point_drag", "pose_rows", "shell_blocks"),
+            "fitting": (
+                *("breakdown", "contact_spread", "left_out", "pose_error_step"),
+                *("pose_refinement", "skin_doubt"),
+            ),
+            "probe": ("tracker_noise",),
             "haptic": ("motion", "tables"),
             "terms": ("torque", "total_variation"),
         }.items()

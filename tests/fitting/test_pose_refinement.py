@@ -5,6 +5,8 @@ from __future__ import annotations
 import warnings
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -147,6 +149,7 @@ def test_exact_poses_stay_as_reported() -> None:
     assert found.gain < 0.0 < refined().gain
     assert found.trajectory is scene.trajectory
     assert not found.errors.any() and found.converged
+    np.testing.assert_array_equal(found.std, np.tile(NOISE.sizes, (len(true), 1)))
     np.testing.assert_array_equal(found.trajectory.position, true.position)
 
 
@@ -161,6 +164,37 @@ def test_a_shifted_recording_is_no_noise() -> None:
     off = Scene.assemble(scene.voxmap, scene.shell, shifted)
     with pytest.warns(TtusWarning, match=r"recording \d seems reported 2\..* mm"):
         refine_poses(off, NOISE)
+
+
+def standing(deep: list[float], segment: list[int]) -> Any:
+    """A problem whose forces push along z, and errors of its depths [–]."""
+    n = len(deep)
+    time = np.arange(n, dtype=float)
+    still = np.zeros((n, 3))
+    turns = np.tile(np.eye(3), (n, 1, 1))
+    trajectory = Trajectory(time, still, turns, segment=np.array(segment))
+    noise = TrackerNoise(2e-3, 0.01, 0.0)
+    frames = np.arange(n)
+    xi = np.zeros((n, 6))
+    xi[:, 2] = -np.array(deep)
+    scene = SimpleNamespace(f=np.tile([0.0, 0.0, 2.0], n), trajectory=trajectory)
+    alike = noise.correlations(trajectory, frames)
+    return SimpleNamespace(scene=scene, noise=noise, frames=frames, alike=alike), xi
+
+
+def test_the_recording_that_differs_most_is_named() -> None:
+    """Means 0, 6 and -1 against the others' -0.5, -0.5 and 3; variances 1/2 + 1/4."""
+    problem, xi = standing([0.5, -0.5, 6.5, 5.5, -1.0, -1.0], [4, 4, 5, 5, 7, 7])
+    words = r"recording 2 seems reported 13.00 mm deeper than the others, 8 standard"
+    with pytest.warns(TtusWarning, match=words):
+        pose_refinement._warn_of_offset(problem, xi)
+    with pytest.warns(TtusWarning, match="recording 2 .* shallower"):
+        pose_refinement._warn_of_offset(problem, -xi)
+    pose_refinement._warn_of_offset(problem, 0.5 * xi)  # 3.8 standard deviations
+
+
+def test_one_recording_differs_from_none() -> None:
+    pose_refinement._warn_of_offset(*standing([90.0, 110.0], [0, 0]))
 
 
 def test_no_forces_refine_nothing() -> None:

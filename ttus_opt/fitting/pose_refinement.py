@@ -126,18 +126,14 @@ def refine_poses(
     small = _sampled(coarser(scene))
     drag = estimate_drag(small, places=("points",))
     problem = PoseErrorProblem.of(small, own, drag.friction_coefficient)
-    at, gain, step, change = problem.start(), 0.0, 0, np.inf
-    for step in range(1, MOST_STEPS + 1):
-        if progress is not None:
-            progress()
-        last, at = at, problem.step(at, estimate=step <= ESTIMATES)
-        if step == 1:
-            gain = at.depth_map.log_evidence - last.depth_map.log_evidence
-            if gain < LEAST_GAIN:
-                return _left(scene.trajectory, problem, last, gain)
-        change = float(np.abs(at.xi - last.xi).mean())
-        if change <= CONVERGED and step > ESTIMATES:
-            break
+    begin = progress or (lambda: None)
+    begin()
+    start = problem.start()
+    first = problem.step(start, estimate=True)
+    gain = first.depth_map.log_evidence - start.depth_map.log_evidence
+    if gain < LEAST_GAIN:
+        return _left(scene.trajectory, problem, start, gain)
+    at, steps, change = _followed(problem, first, begin)
     xi = at.xi.copy()  # less what all frames share, which the force law explains too
     xi[problem.frames, :3] -= _depth(problem, at.xi).mean() * _into(problem)
     found = RefinedPoses(
@@ -147,18 +143,30 @@ def refine_poses(
         own,
         problem.rows.friction,
         at.depth_map,
-        step,
+        steps,
         change,
         gain,
     )
     if not found.converged:
         warn(
             f"refined poses still moved by {change:.2g} of the tracker's noise after "
-            f"{step} steps: the recordings hardly determine them",
+            f"{steps} steps: the recordings hardly determine them",
             2,
         )
     _warn_of_offset(problem, xi)
     return found
+
+
+def _followed(
+    problem: PoseErrorProblem, at: State, begin: Callable[[], None]
+) -> tuple[State, int, float]:
+    """The last state after the first step, number of steps, and the last change."""
+    steps, change = 1, float(np.abs(at.xi).mean())
+    while steps < MOST_STEPS and (steps <= ESTIMATES or change > CONVERGED):
+        begin()
+        last, at = at, problem.step(at, estimate=steps < ESTIMATES)
+        steps, change = steps + 1, float(np.abs(at.xi - last.xi).mean())
+    return at, steps, change
 
 
 def _left(
