@@ -212,7 +212,8 @@ def test_a_fitted_scale_is_doubted_too() -> None:
     own = Scene.assemble(scene.voxmap, scene.shell, scene.trajectory, inner="fit")
     given = own.with_boundary(own.inner, own.outer)
     weights = {"force_weight": FORCE, "torque_weight": TORQUE}
-    free, fixed = (doubt(tt.fit(s, "eq10", **weights), s) for s in (own, given))
+    with pytest.warns(TtusWarning, match="errors of whole places"):
+        free, fixed = (doubt(tt.fit(s, "eq10", **weights), s) for s in (own, given))
     more = free.std(unseen()).force_size
     assert (more > replaced(fixed, free).std(unseen()).force_size).all()
     # a column of its own with a flat prior, in dense algebra

@@ -96,6 +96,27 @@ def test_a_frame_states_the_diagonal_blocks() -> None:
     np.testing.assert_allclose(NOISE.covariance(given.wrench), blocks, atol=1e-15)
 
 
+def test_a_share_just_below_its_limit_is_at_the_limit(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The search ends on either side of the corner: 0.247 for the patient `lean`."""
+    asked: list[dict[str, float]] = []
+
+    def likeliest(
+        given: MeasuredWrenches, variance: float, held: dict[str, float]
+    ) -> tuple[float, WrenchNoise]:
+        asked.append(held)
+        return variance, replace(NOISE, **({"place_share": found} | held))
+
+    monkeypatch.setattr(MeasuredWrenches, "_likeliest", likeliest)
+    found = 0.247
+    with pytest.warns(TtusWarning, match="errors of whole places"):
+        assert recorded(24, 8, 2).estimate(1.0)[1].place_share == 0.08
+    assert asked == [{}, {"place_share": 0.08}]
+    found = 0.23
+    assert recorded(24, 8, 2).estimate(1.0)[1].place_share == 0.23
+
+
 @pytest.mark.slow
 def test_what_was_drawn_is_found() -> None:
     variance, found = recorded(150, 25, 20).estimate(1.0)

@@ -46,6 +46,10 @@ TORQUE = ("torque", "shift")
 #: variation of the tissue, which the field is to learn, for noise [–]
 MOST_SHARE = 0.25
 
+#: Share of that limit from which c counts as having run to it: the search ends on
+#: either side of the limit, where the density has a corner
+AT_LIMIT = 0.95
+
 #: Standard deviation of the logarithm of the prior's variance [–]
 VARIANCE_SPREAD = 2.0
 
@@ -227,7 +231,7 @@ class MeasuredWrenches:
             variance: Median of the prior variance [–].
         """
         found, noise = self._likeliest(variance, {})
-        if noise.place_share >= MOST_SHARE:
+        if noise.place_share >= AT_LIMIT * MOST_SHARE:
             usual = PRIORS["place_share"][0]
             warnings.warn(
                 "doubt: the recordings do not tell errors of whole places, which seem "
