@@ -59,7 +59,8 @@ def dense_prior(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return mean, dense + PROFILE_SPREAD**2 * np.outer(mean, mean)
 
 
-def test_a_step_is_gaussian_conditioning() -> None:
+def test_a_step_is_gaussian_conditioning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ttus_opt.fitting.pose_error_step.AT_ONCE", 5)
     of = problem()
     last, scene = latest(of), of.scene
     found = of.step(last, estimate=False)

@@ -1,13 +1,13 @@
 """A step of estimating errors of tracked poses: the model at the latest estimate.
 
 With D the force rows at the latest poses, J their change with the poses times the
-latest field, and y = f + J ξ₀ the forces seen from there, the model is linear,
+latest field, and y = f − J ξ₀ the forces seen from there, the model is linear,
 
     y = D p − J ξ + e,   p ~ N(φ, C),   ξ ~ N(K b, K),   e ~ N(0, Σ).
 
 b is minus the gradient of ½ log det(Σ + D C Dᵀ), by which the integral over all fields
 differs from the best one. Signs: J is the change when a pose moves by +ξ; the errors ξ
-have moved the reported poses, so that taking them off moves by −ξ, and y = f − J ξ₀.
+have moved the reported poses, so that taking them off moves by −ξ.
 """
 
 from __future__ import annotations
@@ -36,6 +36,9 @@ PROFILE_SPREAD = 0.5
 
 #: Most frames that are used; others follow by correlation in time
 MOST_FRAMES = 800
+
+#: Frames whose standard deviations are found at once, which bounds the memory
+AT_ONCE = 1000
 
 
 class State(NamedTuple):
@@ -138,13 +141,15 @@ class PoseErrorProblem:
     def _std(self, seen: Array, factor: Array) -> Array:
         """Posterior standard deviations of ξ, shape (T, 6)."""
         left = np.empty((len(self.alike), 6))
-        for j in range(6):
-            column = seen[:, :, j].ravel()  # J times one component, all frames
-            both = column[:, None] * np.repeat(self.alike.T, 3, axis=0)
-            white = scipy.linalg.solve_triangular(
-                factor, both, lower=True, overwrite_b=True
-            )
-            left[:, j] = 1.0 - np.einsum("ij,ij->j", white, white)
+        for first in range(0, len(left), AT_ONCE):
+            some = slice(first, first + AT_ONCE)
+            alike = np.repeat(self.alike[some].T, 3, axis=0)
+            for j in range(6):
+                both = seen[:, :, j].ravel()[:, None] * alike  # J K of a component
+                white = scipy.linalg.solve_triangular(
+                    factor, both, lower=True, overwrite_b=True
+                )
+                left[some, j] = 1.0 - np.einsum("ij,ij->j", white, white)
         return np.sqrt(np.maximum(left, 0.0))
 
 
