@@ -20,6 +20,7 @@ import math
 import sys
 import time
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -45,6 +46,9 @@ PLACES, DEPTHS = 60, np.linspace(0.15, 1.0, 6)
 
 #: Half width of what is pressed: angle [rad], height [m]
 WIDTH = 0.35, 0.06
+
+#: Bodies that are pressed
+BODIES = ("half-space", "layer", "ribbed")
 
 #: Reduced modulus of the half-space [Pa]; modulus of the layer and its thickness [m]
 HALF_SPACE, LAYER, THICKNESS = 30e3, 60e3, 0.03
@@ -190,20 +194,35 @@ def numbers(text: str) -> list[int]:
     return [int(word) for word in text.split(",")]
 
 
+def words_of(*known: str) -> Callable[[str], list[str]]:
+    """Reads some of the known words between commas."""
+
+    def read(text: str) -> list[str]:
+        words = text.split(",")
+        unknown = [word for word in words if word not in known]
+        if unknown:
+            raise argparse.ArgumentTypeError(
+                f"unknown {', '.join(unknown)}: choose from {', '.join(known)}"
+            )
+        return words
+
+    return read
+
+
 def main() -> None:
     """Print a row per probe and body."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--models", default="recipe,depth_map,stiffness_map")
-    parser.add_argument("--probes", default="round,flat,sharp")
-    parser.add_argument("--bodies", default="half-space,layer,ribbed")
+    for name, known in (("--probes", tuple(probes())), ("--bodies", BODIES)):
+        parser.add_argument(name, type=words_of(*known), default=list(known))
     parser.add_argument("--sampling", default="trilinear", help="of the fields")
     parser.add_argument("--seeds", type=numbers, default=[0], help="such as 0,1,2,3,4")
     options = parser.parse_args()
     models, seeds = options.models.split(","), options.seeds
     warnings.simplefilter("ignore")
     sys.stdout.write(f"| probe | body | {' | '.join(models)} |\n")
-    for probe in options.probes.split(","):
-        for body in options.bodies.split(","):
+    for probe in options.probes:
+        for body in options.bodies:
             cells = " | ".join(
                 percent(model, body, probe, options.sampling, seeds) for model in models
             )

@@ -194,7 +194,8 @@ def table(rows: Sequence[Row]) -> str:
     for figure in POOLED:
         mean, error = (100 * value for value in pooled(rows, figure))
         if not np.isnan(mean):
-            lines.append(f"{figure}: {mean:.1f} ± {error:.1f} %")
+            known = "" if np.isnan(error) else f" ± {error:.1f}"
+            lines.append(f"{figure}: {mean:.1f}{known} %")
     return "\n".join(lines)
 
 

@@ -76,6 +76,8 @@ def test_table_has_mean_lowest_and_highest_draw(script):
     assert sweep.startswith("| lean, sweep_fit | 90 (90–90) % |")
     assert pooled.startswith("| all | 90 (80–100) % |")
     assert last[0] == "force_coverage: 90.0 ± 5.0 %"
+    *_, first = script.table(made[:2]).split("force_coverage: ")
+    assert first.startswith("85.0 %")  # of one draw no error is known
 
 
 def test_a_depth_map_has_no_figures_of_torque(script):
