@@ -97,7 +97,14 @@ def begins(row: str) -> str:
 
 def measured(arguments: str, folder: Path) -> str:
     """What one command prints, its report's path left out."""
-    command = [sys.executable, "-m", "ttus_opt", "benchmark", *shlex.split(arguments)]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "ttus_opt",
+        "benchmark",
+        *shlex.split(arguments),
+    ]
     done = subprocess.run(
         [*command, "-o", str(folder)], stdout=subprocess.PIPE, text=True, check=True
     )

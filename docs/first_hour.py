@@ -76,7 +76,12 @@ class Terminal:
         Raises:
             SystemExit: It ended with another status.
         """
-        words = [sys.executable, "-m", *shlex.split(command.replace("-opt", "_opt", 1))]
+        words = [
+            sys.executable,
+            "-P",
+            "-m",
+            *shlex.split(command.replace("-opt", "_opt", 1)),
+        ]
         done = subprocess.run(
             words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
             check=False, env={**os.environ, "COLUMNS": "80"},

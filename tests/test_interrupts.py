@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import threading
 
 import pytest
 
-from ttus_opt.interrupts import INTERRUPT, signals_deferred
+from ttus_opt.interrupts import INTERRUPT, STOPPED, ended_at_once, signals_deferred
 
 
 @pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM, INTERRUPT])
@@ -55,3 +57,47 @@ def test_another_thread_may_write_as_well() -> None:
     thread.start()
     thread.join()
     assert within == [before]
+
+
+@pytest.mark.parametrize("kind", ["signal.SIGINT", "INTERRUPT"])
+def test_what_loads_ends_at_once_and_without_a_traceback(kind: str) -> None:
+    program = f"""
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from ttus_opt.interrupts import INTERRUPT, ended_at_once
+with ended_at_once():
+    try:
+        signal.raise_signal({kind})
+    except BaseException:
+        print("seen")
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout) == (130, "")
+    assert done.stderr == f"\n{STOPPED}\n"
+
+
+@pytest.mark.parametrize("kind", [signal.SIGINT, INTERRUPT])
+def test_once_loaded_an_interrupt_is_an_exception(kind: signal.Signals) -> None:
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, INTERRUPT)}
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with ended_at_once():
+            pass
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(kind)
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+
+
+def test_an_interrupt_that_is_ignored_stays_so() -> None:
+    before = {s: signal.getsignal(s) for s in (signal.SIGINT, INTERRUPT)}
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        with ended_at_once():
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)

@@ -4,6 +4,8 @@ import errno
 import os
 import signal
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -260,3 +262,23 @@ def test_the_kind_of_a_file(tmp_path: Path) -> None:
     (tmp_path / "text.nc").write_text("no netCDF")
     with pytest.raises(FileError, match=r"text\.nc is not a readable netCDF file"):
         io.kind_of(tmp_path / "text.nc", "surface")
+
+
+def test_files_of_killed_writers_go_at_the_next_write(tmp_path: Path) -> None:
+    """Those of writers that run, here or on another machine, stay."""
+    target = tmp_path / "a[1].txt"
+    program = (
+        "import os, sys\nfrom ttus_opt import io\n"
+        "with io.replacing(sys.argv[1]) as file:\n"
+        "    file.write_text('half')\n    os.kill(os.getpid(), 9)\n"
+    )
+    words = [sys.executable, "-c", program, str(target)]
+    assert subprocess.run(words, check=False).returncode == -9
+    (left,) = tmp_path.iterdir()
+    elsewhere = left.with_name(left.name.replace(io._machine(), "0" * 8))
+    elsewhere.write_text("another machine's")
+    with io.replacing(target) as mine:
+        assert not left.exists()
+        io.write_text(target, "other")
+        assert mine.exists()
+    assert sorted(tmp_path.iterdir()) == sorted([elsewhere, target])

@@ -6,10 +6,10 @@ packages, a notebook never waits for what it does not touch.
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False  # without the cost of loading typing
 if TYPE_CHECKING:
+    from typing import Any
+
     from ttus_opt import constraints as constraints
     from ttus_opt import paper as paper
     from ttus_opt import plots as plots
@@ -94,6 +94,8 @@ __all__ = [*_HOME, *_SHELVES]
 
 def __getattr__(name: str) -> Any:
     """Load a public name from its module on first use."""
+    import importlib
+
     value: Any
     if name == "__version__":
         value = _version()

@@ -3,12 +3,47 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import threading
 from collections.abc import Iterator
+from types import FrameType
 
 #: Signal by which `ttus_opt.cli.supervisor` asks the command it watches to stop
 INTERRUPT = getattr(signal, "SIGUSR1", signal.SIGINT)
+
+
+#: What a command that was stopped says, and its exit status
+STOPPED, INTERRUPTED = "error: interrupted: nothing further was written", 130
+
+
+@contextlib.contextmanager
+def ended_at_once() -> Iterator[None]:
+    """End the process at once at an interrupt: while it loads there is no work to save.
+
+    An exception would strike anywhere in an import, and show the user where. Signals
+    that are ignored stay so.
+    """
+    after = {INTERRUPT: raise_interrupt, signal.SIGINT: signal.getsignal(signal.SIGINT)}
+    for kind in after:
+        if signal.getsignal(kind) != signal.SIG_IGN:
+            signal.signal(kind, _end)
+    try:
+        yield
+    finally:
+        for kind, handler in after.items():
+            if signal.getsignal(kind) is _end:  # no other has been set meanwhile
+                signal.signal(kind, handler)
+
+
+def raise_interrupt(number: int, frame: FrameType | None) -> None:
+    """Handler of `INTERRUPT`, as Python's own of Ctrl-C."""
+    raise KeyboardInterrupt
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    os.write(2, f"\n{STOPPED}\n".encode())
+    os._exit(INTERRUPTED)
 
 
 @contextlib.contextmanager

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import glob
 import hashlib
 import math
 import numbers
@@ -169,8 +170,10 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
     """
     check_output(path)
     target = Path(os.path.realpath(path))
-    unique = f".{target.stem}-{secrets.token_hex(8)}{target.suffix}"
+    begin = f".{target.stem}-{_machine()}-"
+    unique = f"{begin}{os.getpid()}-{secrets.token_hex(8)}{target.suffix}"
     temporary = target.parent / unique
+    _remove_abandoned(target.parent, begin)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         # created with the default mode so that the umask applies; reading the umask
@@ -196,10 +199,44 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def _machine() -> str:
+    """Tells this machine's processes from those of others that share the folder."""
+    import platform
+
+    return hashlib.sha256(platform.node().encode()).hexdigest()[:8]
+
+
+def _remove_abandoned(folder: Path, begin: str) -> None:
+    """Remove temporary files of an output whose writers were killed on this machine."""
+    for file in folder.glob(f"{glob.escape(begin)}*"):
+        number = file.name.removeprefix(begin).partition("-")[0]
+        with contextlib.suppress(OSError):
+            if number.isdecimal() and not _runs(int(number)):
+                file.unlink()
+
+
+def _runs(process: int) -> bool:
+    """Whether a process may still run."""
+    if os.name != "posix":
+        return True  # there, asking would end it
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (OSError, OverflowError):
+        return True  # another user's
+    return True
+
+
 def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a UTF-8 text file by way of `replacing`."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
+    """Write a file by way of `replacing`."""
     with signals_deferred(), replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(content)
 
 
 def provenance() -> dict[str, str]:

@@ -14,6 +14,7 @@ import pytest
 
 from ttus_opt import cli
 from ttus_opt.cli import supervisor
+from ttus_opt.interrupts import INTERRUPTED
 
 pytestmark = pytest.mark.skipif(
     not hasattr(os, "fork"), reason="the system cannot fork"
@@ -80,7 +81,7 @@ def test_it_ends_as_its_child(
 @pytest.mark.parametrize(
     ("sent", "status"),
     [
-        (signal.SIGINT, supervisor.INTERRUPTED),
+        (signal.SIGINT, INTERRUPTED),
         (signal.SIGTERM, supervisor.TERMINATED),
     ],
 )
@@ -118,7 +119,7 @@ except KeyboardInterrupt:
     assert process.stdout is not None
     assert process.stdout.readline() == "in the middle\n"
     process.send_signal(signal.SIGINT)
-    assert process.wait(60.0) == supervisor.INTERRUPTED
+    assert process.wait(60.0) == INTERRUPTED
     assert process.stdout.read() == "clean\n"
 
 

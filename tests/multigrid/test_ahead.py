@@ -25,7 +25,7 @@ def done(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
     class Helper:
         def __init__(self, command: list[str], **_: Any) -> None:
-            assert command[1:] == ["-m", "ttus_opt.multigrid.ahead"]
+            assert command[1:] == ["-P", "-m", "ttus_opt.multigrid.ahead"]
             events.append("started")
 
         def terminate(self) -> None:

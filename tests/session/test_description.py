@@ -130,3 +130,20 @@ def test_weights_as_yaml_writes_them(recording: Path) -> None:
 def test_mutations(recording: Path, n: int) -> None:
     source = recording / "session.json"
     only_our_errors([source], read_description, n)
+
+
+@pytest.mark.parametrize("key", ["formulation", "solver"])
+def test_a_description_names_no_code(recording: Path, key: str) -> None:
+    """It is not even looked at, unless its reader trusts it."""
+    (recording / "mine.py").write_text("raise RuntimeError('executed')")
+    changed(recording, f"fit.{key}", "mine.py")
+    with pytest.raises(FileError, match=rf"fit\.{key} names the code 'mine.py'"):
+        read_description(recording)
+    if key == "formulation":
+        changed(recording, "fit.options", {"force_weight": 1.0})
+    try:
+        plan = read_description(recording, trust=True).fit
+    except FileError as error:
+        assert "executed" in str(error)  # its options are asked for
+    else:
+        assert plan.solver == "mine.py"

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -18,6 +16,7 @@ from ttus_opt.benchmark.memory import resident_bytes
 from ttus_opt.benchmark.parts.registry import parts
 from ttus_opt.benchmark.progress import KEPT, RESIDUAL, STAGES
 from ttus_opt.benchmark.row import Row, RunSpec
+from ttus_opt.child_process import environment, python_module
 
 #: The process of a run
 WORKER = "ttus_opt.benchmark.worker"
@@ -80,11 +79,11 @@ def _run(
     """Status and detail of a failure, otherwise empty; largest size seen [byte]."""
     with (folder / LOG).open("wb") as log:
         process = subprocess.Popen(
-            [sys.executable, "-m", WORKER, str(folder)],
+            python_module(WORKER, str(folder)),
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
-            env=_environment(),
+            env=environment(),
         )
         ended, peak = "", 0
         try:
@@ -125,12 +124,6 @@ def _reached(folder: Path) -> Row:
         return {"residual_reached": float((folder / RESIDUAL).read_text("utf-8"))}
     except (OSError, ValueError):  # none, or ended while it was being written
         return {}
-
-
-def _environment() -> dict[str, str]:
-    """This process's environment, with its import path for the child."""
-    paths = [p for p in sys.path if p] + [str(Path.cwd())]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
 
 
 def _stage(folder: Path) -> tuple[str, float]:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+
+TYPE_CHECKING = False  # without the cost of loading typing
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -19,15 +22,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
         SystemExit: Always: 0, or 2 after one line on stderr, or 130 when interrupted.
     """
     if arguments is None:
-        from ttus_opt.cli.supervisor import run_supervised
+        # nothing large is loaded before this, so that few interrupts come earlier
+        from ttus_opt.interrupts import ended_at_once
 
-        # before anything large is loaded, or any thread runs
-        command = next(iter(sys.argv[1:]), "")
-        run_supervised(command)
-        _one_blas_thread(command)
+        with ended_at_once():
+            _begin(next(iter(sys.argv[1:]), ""))
     from ttus_opt.cli.app import main as run
 
     run(arguments)
+
+
+def _begin(command: str) -> None:
+    """Go on in a child process and load the command line there."""
+    from ttus_opt.cli.supervisor import run_supervised
+
+    run_supervised(command)  # before any thread runs
+    _one_blas_thread(command)
+    import ttus_opt.cli.app  # noqa: F401
 
 
 def _one_blas_thread(command: str) -> None:

@@ -34,8 +34,9 @@ from ttus_opt.cli.synchronise_command import synchronise
 from ttus_opt.cli.tune_command import tune
 from ttus_opt.cli.warm_up_command import warm_up
 from ttus_opt.errors import TtusError
+from ttus_opt.interrupts import INTERRUPTED, STOPPED
 
-BAD_INPUT, INTERRUPTED, TERMINATED = 2, 130, 143
+BAD_INPUT, TERMINATED = 2, 143
 
 app = typer.Typer(
     name="ttus-opt",
@@ -126,7 +127,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
             raise
         _end(f"{described()}" or "see ttus-opt --help", BAD_INPUT)
     if status == INTERRUPTED:  # typer may have turned the interrupt into a status
-        _end("interrupted: nothing further was written", INTERRUPTED)
+        _end(STOPPED.removeprefix("error: "), INTERRUPTED)
     sys.exit(status if isinstance(status, int) else 0)
 
 

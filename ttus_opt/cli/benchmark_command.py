@@ -202,6 +202,7 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
 
     from ttus_opt.benchmark.parts.registry import parts
     from ttus_opt.benchmark.report import write_report
+    from ttus_opt.benchmark.row import MEASURED
 
     total = len(suite.plan)  # tells what is wrong before anything runs
     shape = "{desc} |{bar:20}| {elapsed}{postfix}"
@@ -231,6 +232,11 @@ def _run(suite: Suite, machine: dict[str, str], json: bool) -> None:
         if own
     ]
     tell({**rows, "report": str(report)}, *texts, str(report), json=json)
+    if not any(
+        r["status"] in ("solved", MEASURED) for own in found.values() for r in own
+    ):
+        typer.echo(f"error: no run succeeded: {report} says why", err=True)
+        raise typer.Exit(1)
 
 
 def _export(suite: Suite, folder: Path, json: bool) -> None:

@@ -128,6 +128,9 @@ def path(
     tell(_summary(found, best, output), *_lines(found, best, output), json=json)
     if found.attrs["points_done"] < found.attrs["points"]:
         raise typer.Exit(INTERRUPTED)
+    if not _solved(found):
+        typer.echo(f"error: no point was solved: see residuals in {output}", err=True)
+        raise typer.Exit(1)
 
 
 def read_weights(given: Sequence[str]) -> dict[str | tuple[str, ...], Array]:

@@ -15,6 +15,7 @@ def session(
     folder: Annotated[Path, typer.Argument()],
     output: Path | None = None,
     example: bool = False,
+    trust: bool = False,
     json: bool = False,
 ) -> None:
     """Process a recording folder into surface, trajectories, field and report.
@@ -25,6 +26,8 @@ def session(
         folder: Folder with a session.yaml that describes it, or that file.
         output: Folder for the results.
         example: Write a synthetic recording into FOLDER instead.
+        trust: Execute the Python files that session.yaml names, a formulation or a
+            solver; without it they are refused.
 
     Example:
         ttus-opt session recording -o results
@@ -47,7 +50,7 @@ def session(
                 begun.append(step)
                 begin(step)
 
-            result = run_session(folder, output, progress=reported)
+            result = run_session(folder, output, progress=reported, trust=trust)
     except KeyboardInterrupt:
         done = [step for step in complete_steps(output) if step in begun[:-1]]
         steps = ", ".join(done) or "nothing"

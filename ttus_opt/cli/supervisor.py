@@ -14,7 +14,7 @@ import signal
 import sys
 from types import FrameType
 
-from ttus_opt.interrupts import INTERRUPT
+from ttus_opt.interrupts import INTERRUPT, INTERRUPTED, STOPPED, raise_interrupt
 
 #: Commands that are over at once, or watch children of their own
 ALONE = ("benchmark", "formulations", "solvers", "warm-up")
@@ -25,7 +25,7 @@ GRACE = 1.0
 #: A path writes the points it has, when its solver listens; a recording what came [s]
 LONGER = {"path": 10.0, "record": 10.0}
 
-INTERRUPTED, TERMINATED = 130, 143
+TERMINATED = 143
 
 
 def run_supervised(command: str) -> None:
@@ -49,12 +49,9 @@ def run_supervised(command: str) -> None:
         # a terminal interrupts parent and child alike: only the parent's word counts,
         # or the second interrupt would strike while the first is cleaned up after
         signal.signal(signal.SIGINT, lambda *_: None)
-        signal.signal(INTERRUPT, _interrupt)
+        if signal.getsignal(INTERRUPT) == signal.SIG_DFL:
+            signal.signal(INTERRUPT, raise_interrupt)
     signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 def _watch(child: int, grace: float, mask: set[signal.Signals | int]) -> int:
@@ -85,7 +82,7 @@ def _watch(child: int, grace: float, mask: set[signal.Signals | int]) -> int:
     if not stopped:
         return code if code >= 0 else _like_the_child(-code)
     if code == -signal.SIGKILL and stopped[0] == INTERRUPTED:
-        sys.stderr.write("\nerror: interrupted: nothing further was written\n")
+        sys.stderr.write(f"\n{STOPPED}\n")
         sys.stderr.flush()
     return stopped[0] if code else 0
 

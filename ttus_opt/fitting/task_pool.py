@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ttus_opt import optional
+from ttus_opt.child_process import safe_path
 
 
 @contextlib.contextmanager
@@ -23,10 +24,11 @@ def task_pool(jobs: int, address: str) -> Iterator[Any]:
     """
     joblib = optional.load("joblib", "parallel")
     if not address:
-        # arrays are copied: compiled functions take no read-only ones
-        yield joblib.Parallel(
-            n_jobs=jobs, return_as="generator_unordered", max_nbytes=None
-        )
+        with safe_path():
+            # arrays are copied: compiled functions take no read-only ones
+            yield joblib.Parallel(
+                n_jobs=jobs, return_as="generator_unordered", max_nbytes=None
+            )
         return
     with optional.dask_client(address), joblib.parallel_config("dask"):
         yield joblib.Parallel(n_jobs=-1, return_as="generator_unordered")

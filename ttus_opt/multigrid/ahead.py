@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import contextlib
 import subprocess
-import sys
 from collections.abc import Iterator
 
 import numpy as np
 
+from ttus_opt.child_process import environment, python_module
 from ttus_opt.compiled import is_kept
 from ttus_opt.multigrid.cycle import v_cycle
 from ttus_opt.multigrid.pcg import operate
@@ -31,7 +31,8 @@ def compiling_ahead() -> Iterator[None]:
     helper = None
     if not all(map(is_kept, LAST)):
         helper = subprocess.Popen(
-            [sys.executable, "-m", "ttus_opt.multigrid.ahead"],
+            python_module("ttus_opt.multigrid.ahead"),
+            env=environment(),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

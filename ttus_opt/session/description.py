@@ -18,6 +18,7 @@ import numpy as np
 from ttus_opt.arrays import Array
 from ttus_opt.errors import FileError, InputError
 from ttus_opt.fitting.weight_words import word_for
+from ttus_opt.io import shortened
 from ttus_opt.probe.pose import from_quaternions
 from ttus_opt.sensors.clock import LARGEST_OFFSET
 from ttus_opt.sensors.column_map import column_map, read_column_map
@@ -188,11 +189,14 @@ class Description:
     fit: FitPlan
 
 
-def read_description(path: str | os.PathLike[str]) -> Description:
+def read_description(
+    path: str | os.PathLike[str], *, trust: bool = False
+) -> Description:
     """Read and check a description; no recording is opened yet.
 
     Args:
         path: The folder, or the YAML or JSON file.
+        trust: Whether it may name files of Python code, which are then executed.
 
     Raises:
         FileError: No description, an unknown key, a missing file, or an invalid value;
@@ -223,7 +227,7 @@ def read_description(path: str | os.PathLike[str]) -> Description:
         _clock(whole.section("clock"), free is not None),
         free,
         _recordings(whole.section("recordings")),
-        _fit(whole.section("fit")),
+        _fit(whole.section("fit"), trust),
     )
 
 
@@ -356,11 +360,19 @@ def _recordings(part: Section) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-def _fit(part: Section) -> FitPlan:
+def _fit(part: Section, trust: bool) -> FitPlan:
     part.require_known(
         ("formulation", "shape", "r_inner", "solver", "options", "weights")
     )
     formulation = part.text("formulation") if "formulation" in part else None
+    solver = part.text("solver", "auto")
+    for key, name in (("formulation", formulation), ("solver", solver)):
+        if name and Path(name).suffix == ".py" and not trust:
+            raise part.fail(
+                key,
+                f"names the code {shortened(name)}, which would be executed: read it, "
+                "then pass --trust",
+            )
     if formulation and (part.file.parent / formulation).is_file():
         formulation = str(part.file.parent / formulation)
     section = part.section("options")
@@ -375,7 +387,7 @@ def _fit(part: Section) -> FitPlan:
         formulation,
         part.whole("shape", 3, (48, 120, 60)),
         part.number("r_inner", 0.03),
-        part.text("solver", "auto"),
+        solver,
         options,
         weights,
     )

@@ -69,6 +69,7 @@ def run_session(
     output: str | os.PathLike[str],
     *,
     progress: Callable[[str], None] | None = None,
+    trust: bool = False,
 ) -> SessionResult:
     """From a recording folder to surface, trajectories, field, errors and a report.
 
@@ -78,6 +79,8 @@ def run_session(
         output: Folder of the results; created if missing. Every step writes its files
             when it is complete, and ``session.json`` lists the complete steps.
         progress: Called with the name of every step that begins, `N_STAGES` times.
+        trust: Whether the description may name files of Python code, a formulation or
+            a solver, which are then executed.
 
     Raises:
         FileError: A file is missing or damaged, or the description is invalid; nothing
@@ -85,7 +88,7 @@ def run_session(
         InputError: Recordings that contradict each other; the message names the step.
         NoSolutionError: The answer failed its verification.
     """
-    session = read_description(path)
+    session = read_description(path, trust=trust)
     results = Results(output, progress or (lambda step: None))
     streams = session.tracker.stream.file, session.force.stream.file
     tags = [] if session.tracker.tags is None else [session.tracker.tags]

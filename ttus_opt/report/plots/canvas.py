@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -102,13 +103,16 @@ def save_picture(figure: Figure, path: str | os.PathLike[str]) -> None:
         FileError: The folder cannot be written to.
     """
     require_picture_suffix(path)
-    with look(), io.replacing(path) as temporary:
+    drawn, suffix = BytesIO(), Path(path).suffix.lower()
+    io.check_output(path)
+    with look():
         engine = figure.get_layout_engine()
         if engine is not None:
             engine.execute(figure)
             figure.set_layout_engine("none")
-        if Path(path).suffix.lower() == ".png" and figure.dpi == DPI:
+        if suffix == ".png" and figure.dpi == DPI:
             # savefig would draw the figure twice to find a tight frame
-            FigureCanvasAgg(figure).print_png(temporary)
+            FigureCanvasAgg(figure).print_png(drawn)
         else:
-            figure.savefig(temporary, dpi=DPI)
+            figure.savefig(drawn, dpi=DPI, format=suffix[1:])
+    io.write_bytes(path, drawn.getvalue())
