@@ -21,7 +21,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ttus_opt.errors import FileError, InputError, located
+from ttus_opt.checksum import check_content, has_checksums, with_checksums
+from ttus_opt.errors import FileError, InputError, TtusWarning, located
 from ttus_opt.interrupts import signals_deferred as signals_deferred
 
 if TYPE_CHECKING:
@@ -274,7 +275,7 @@ def write_dataset(
     )
     with signals_deferred(), replacing(path) as temporary:
         try:
-            stamped.to_netcdf(temporary, engine="netcdf4")
+            with_checksums(stamped).to_netcdf(temporary, engine="netcdf4")
         except (OSError, RuntimeError) as error:
             raise FileError(
                 f"cannot write {path}: {error}: is the disk full? Nothing was replaced"
@@ -317,8 +318,23 @@ def read_dataset(
             f"{file} is not a readable netCDF file ({type(error).__name__}): "
             f"truncated, or not a {kind} file?"
         ) from error
-    if "ttus_opt_kind" not in dataset.attrs and foreign:
-        return dataset
+    if not (foreign and "ttus_opt_kind" not in dataset.attrs):
+        _check_kind(dataset, file, kind, version)
+    if has_checksums(dataset):
+        with located(file, FileError):
+            check_content(dataset, without)
+    else:
+        warnings.warn(
+            f"{file} has no checksums, so damage may go unnoticed: it was written by "
+            "another program, or an older ttus_opt",
+            TtusWarning,
+            stacklevel=3,
+        )
+    return dataset
+
+
+def _check_kind(dataset: xr.Dataset, file: Path, kind: str, version: int) -> None:
+    """`FileError` where a file is of another kind or version."""
     with located(file, FileError):
         found = text_of(dataset.attrs, "ttus_opt_kind", "no ttus_opt data")
     if found != kind:
@@ -331,7 +347,6 @@ def read_dataset(
             f"{file} is {kind} version {given}, this ttus_opt reads version "
             f"{version}: {'update ttus_opt' if given > version else 'write it again'}"
         )
-    return dataset
 
 
 def kind_of(path: str | os.PathLike[str], what: str) -> str | None:

@@ -40,12 +40,16 @@ def random_pose(rng: np.random.Generator, highest: float = 0.02) -> Pose:
     return R, centre - R @ SHELL.reference, twist
 
 
+def unlimited(field: PotentialField) -> Renderer:
+    return Renderer(field, SHELL, force_limit=math.inf, torque_limit=math.inf)
+
+
 @pytest.mark.parametrize("sampling", ["voxel-mean", "trilinear"])
 @pytest.mark.parametrize("law", LAWS)
 def test_drag_is_that_of_the_points_depths(law: str, sampling: str) -> None:
     rng = np.random.default_rng(4)
     field = pushing(sampling, LAWS[law])
-    renderer, bare = Renderer(field, SHELL), Renderer(pushing(sampling, {}), SHELL)
+    renderer, bare = unlimited(field), unlimited(pushing(sampling, {}))
     dragged = 0
     for _ in range(60):
         R, at, twist = random_pose(rng)
@@ -71,8 +75,8 @@ def test_friction_only_takes_energy(seed: int) -> None:
     law = LAWS[list(LAWS)[rng.integers(len(LAWS))]]
     values = rng.normal(size=VOXMAP.grid.shape)
     sampling = ("voxel-mean", "trilinear")[rng.integers(2)]
-    whole = Renderer(PotentialField(VOXMAP, values, sampling, law), SHELL)
-    bare = Renderer(PotentialField(VOXMAP, values, sampling), SHELL)
+    whole = unlimited(PotentialField(VOXMAP, values, sampling, law))
+    bare = unlimited(PotentialField(VOXMAP, values, sampling))
     a, b = whole.render(R, at, twist), bare.render(R, at, twist)
     at_reference = twist[:3] + np.cross(twist[3:], R @ SHELL.reference)
     force, torque = a.force - b.force, a.torque - b.torque

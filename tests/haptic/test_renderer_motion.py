@@ -149,6 +149,6 @@ def test_the_force_limit_shortens_the_wrench(scene: Scene) -> None:
     whole = Renderer(field, scene.shell, force_limit=1.01 * size).render(*pose, TWIST)
     assert not whole.saturated
     np.testing.assert_array_equal(whole.force, free.force)
-    for limit in (0.0, -1.0, float("nan")):
+    for limit in (0.0, -1.0, float("nan"), None):
         with pytest.raises(InputError, match="force_limit must be positive"):
-            Renderer(field, scene.shell, force_limit=limit)
+            Renderer(field, scene.shell, force_limit=limit)  # type: ignore[arg-type]

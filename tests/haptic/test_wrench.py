@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from ttus_opt.contact.row_kernels import REFERENCE_AREA
+from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT, over_limits
 from ttus_opt.haptic.renderer import Renderer
 from ttus_opt.haptic.wrench import mixed, orthonormalise
 from ttus_opt.probe.point_shell import PointShell
@@ -60,9 +62,37 @@ def test_a_force_limit_shortens_the_wrench_as_a_whole() -> None:
     whole = Renderer(FIELD, SHELL).render(R, at)
     size = float(np.linalg.norm(whole.force))
     cut = Renderer(FIELD, SHELL, force_limit=0.25 * size).render(R, at)
+    assert (cut.limited_by, whole.limited_by) == ("force", "")
     assert cut.saturated and not whole.saturated
     np.testing.assert_allclose(cut.force, 0.25 * whole.force, rtol=1e-12)
     np.testing.assert_allclose(cut.torque, 0.25 * whole.torque, rtol=1e-12)
+
+
+def test_a_torque_limit_does_so_too_and_the_smaller_one_counts() -> None:
+    R, at = np.eye(3), np.array([RADIUS + 0.004, 0.001, 0.1])
+    whole = Renderer(FIELD, SHELL).render(R, at)
+    force, torque = (float(np.linalg.norm(x)) for x in (whole.force, whole.torque))
+    for of_force, of_torque, name in ((1.1, 0.5, "torque"), (0.2, 0.5, "force")):
+        renderer = Renderer(
+            FIELD, SHELL, force_limit=of_force * force, torque_limit=of_torque * torque
+        )
+        cut, share = renderer.render(R, at), min(of_force, of_torque)
+        assert cut.limited_by == name
+        np.testing.assert_allclose(cut.force, share * whole.force, rtol=1e-12)
+        np.testing.assert_allclose(cut.torque, share * whole.torque, rtol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [1e6, 1e77, 1e160])
+def test_whatever_a_field_holds_a_hand_survives(factor: float) -> None:
+    R, at = np.eye(3), np.array([RADIUS + 0.004, 0.001, 0.1])
+    renderer = Renderer(replace(FIELD, values=factor * FIELD.values), SHELL)
+    wrench = renderer.render(R, at)
+    assert wrench.limited_by
+    assert np.linalg.norm(wrench.force) <= FORCE_LIMIT * (1 + 1e-12)
+    assert np.linalg.norm(wrench.torque) <= TORQUE_LIMIT * (1 + 1e-12)
+    assert over_limits(wrench.force[None] * 1.01, wrench.torque[None] * 1.01).all() == (
+        factor < 1e160  # where the sum of squares overflows, nothing is rendered
+    )
 
 
 def test_rounding_of_a_rotation_is_undone_and_more_is_refused() -> None:

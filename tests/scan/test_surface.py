@@ -15,6 +15,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 from tests.conftest import SHARED
 from ttus_opt import io
+from ttus_opt.checksum import ATTRIBUTE
 from ttus_opt.errors import FileError, GeometryError, InputError
 from ttus_opt.scan.frame import Axis
 from ttus_opt.scan.surface import Surface
@@ -170,6 +171,7 @@ def test_hostile_files_are_one_line(
 ) -> None:
     wavy().save(tmp_path / "s.nc")
     with xr.open_dataset(tmp_path / "s.nc") as data:
+        del data.attrs[ATTRIBUTE]
         bad = damage(data.load())
     bad["radius"].attrs = {"units": "m"}
     bad.to_netcdf(tmp_path / "bad.nc")

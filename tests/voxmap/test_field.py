@@ -4,13 +4,15 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
 import xarray as xr
 
 from tests.conftest import torso
 from tests.hostile import NUMBERS, only_our_errors
-from ttus_opt.errors import FileError, InputError
+from ttus_opt.checksum import ATTRIBUTE
+from ttus_opt.errors import FileError, InputError, TtusWarning
 from ttus_opt.scan.surface import Surface
 from ttus_opt.voxmap.field import PotentialField
 from ttus_opt.voxmap.voxmap import Voxmap
@@ -46,6 +48,7 @@ def test_the_boundary_is_kept_and_old_files_are_staircases(
     assert PotentialField.load(tmp_path / "a.nc").voxmap.boundary == "subvoxel"
     with xr.open_dataset(tmp_path / "a.nc") as data:
         old = data.load()
+    del old.attrs[ATTRIBUTE]  # older files have none
     for boundary, expected in ((None, "staircase"), ("staircase", "staircase")):
         del old.attrs["boundary"]
         if boundary is not None:
@@ -67,6 +70,22 @@ def test_every_variable_carries_units(field: PotentialField, tmp_path: Path) -> 
         for name in data.variables:
             assert "units" in data[name].attrs, name
         assert "ttus_opt" in data.attrs["source"]
+
+
+def test_a_changed_value_is_one_line(field: PotentialField, tmp_path: Path) -> None:
+    field.save(tmp_path / "a.nc")
+    with netCDF4.Dataset(tmp_path / "a.nc", "a") as file:
+        file["potential"][1, 2, 3] *= -1.0
+    with pytest.raises(FileError, match=r"a\.nc: potential is not what was written"):
+        PotentialField.load(tmp_path / "a.nc")
+    with netCDF4.Dataset(tmp_path / "a.nc", "a") as file:
+        file.delncattr(ATTRIBUTE)
+        file["potential"][1, 2, 3] = 1e77
+    with (
+        pytest.warns(TtusWarning, match="has no checksums"),
+        pytest.raises(FileError, match="tissue bears no more than 10000"),
+    ):
+        PotentialField.load(tmp_path / "a.nc")
 
 
 def test_another_version_is_refused(field: PotentialField, tmp_path: Path) -> None:
@@ -197,6 +216,7 @@ def test_what_is_no_field_is_refused_in_one_line(
     """Units, dimensions and places of all that a field file holds."""
     field.save(tmp_path / "a.nc")
     with xr.open_dataset(tmp_path / "a.nc") as data:
+        del data.attrs[ATTRIBUTE]  # as another program would have written it
         damage(data.load()).to_netcdf(tmp_path / "b.nc")
     with pytest.raises(FileError, match=re.escape(told)) as caught:
         PotentialField.load(tmp_path / "b.nc")

@@ -29,7 +29,7 @@ def field(sampling: str = "trilinear", boundary: str = "subvoxel") -> PotentialF
     )
     depth = np.maximum(voxmap.surface_place - np.arange(12)[:, None, None], 0.0)
     values = depth * (1.0 + 0.1 * np.arange(13)[:, None])
-    values[:, -1] = 1e6  # of the wall nothing may be read
+    values[:, -1] = 1e4  # of the wall nothing may be read
     return PotentialField(voxmap, values, sampling)
 
 

@@ -48,6 +48,7 @@ def evaluate(
     from ttus_opt.cli.recording_lines import recording_lines
     from ttus_opt.contact.cut_off import cut_off
     from ttus_opt.fitting.saved_doubt import read_doubt
+    from ttus_opt.haptic.field_wrench import over_limits
     from ttus_opt.report import metrics
     from ttus_opt.report.hysteresis import hysteresis_share
     from ttus_opt.voxmap.field import PotentialField
@@ -78,10 +79,12 @@ def evaluate(
             begin("drawing")
             _draw(found, each, picture, calibration_picture)
     errors = found.errors
+    over = int(over_limits(found.rendered_force, found.rendered_torque).sum())
     lost = hysteresis_share(recorded, shell, errors.force_threshold_N)
     facts = {
         **errors.as_dict(),
         "hysteresis_share": lost,
+        "frames_over_limit": over,
         "recordings": fitted_to,
         "by_recording": [one.as_dict() for one in each],
     }
@@ -91,6 +94,11 @@ def evaluate(
         if r["seen"]
     ]
     each_own = [line for one in each for line in one.lines]
+    if over:
+        known.append(
+            f"{over} of {errors.frames} frames have more force or torque than a "
+            "renderer gives by default; they are judged without its limits"
+        )
     tell(facts, *known, *_lines(errors, recorded.has_torque), *each_own, json=json)
 
 

@@ -18,20 +18,22 @@ def render(
     probe: ProbeOptions,
     recordings: RecordingOptions,
     output: Path,
-    force_limit: float | None = None,
+    force_limit: float = 40.0,
+    torque_limit: float = 4.0,
     force: bool = False,
     json: bool = False,
 ) -> None:
     """Render force and torque for every pose of a trajectory.
 
     Friction follows from the motion of the trajectory, so the wrenches are those that
-    `ttus-opt evaluate` compares. They are written in the frame of the recordings, with
-    quaternions w, x, y, z.
+    `ttus-opt evaluate` compares, up to the limits. They are written in the frame of
+    the recordings, with quaternions w, x, y, z.
 
     Args:
         field: Field file (.nc).
         output: Trajectory CSV with wrenches.
-        force_limit: Limit the magnitude of the force to this [N].
+        force_limit: Limit the magnitude of the force to this, inf for none [N].
+        torque_limit: Limit the magnitude of the torque to this, inf for none [N m].
 
     Example:
         ttus-opt render --field field.nc --probe ellipsoid:0.030,0.0125,0.018
@@ -53,7 +55,9 @@ def render(
         shell, patient = probe.read(), potential.voxmap.surface
         poses = recordings.read(as_written, shell, patient)
         begin("rendering")
-        renderer = Renderer(potential, shell, force_limit=force_limit)
+        renderer = Renderer(
+            potential, shell, force_limit=force_limit, torque_limit=torque_limit
+        )
         frames = list(zip(poses.rotation, poses.position, poses.twist(), strict=True))
         start = time.perf_counter()
         wrenches = [renderer.render(*frame) for frame in frames]
@@ -81,7 +85,11 @@ def render(
     }
     line = (
         f"{output}: {facts['frames']} frames, {facts['frames_touching']} touching, "
-        + (f"{facts['frames_saturated']} saturated, " if force_limit else "")
+        + (
+            f"{cut} scaled down to a limit, "
+            if (cut := facts["frames_saturated"])
+            else ""
+        )
         + f"{1e6 * seconds / len(poses):.0f} µs per frame"
     )
     tell(facts, line, json=json)

@@ -12,6 +12,7 @@ docs/method.md, Depth map and friction.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar, Unpack
 
@@ -58,7 +59,13 @@ class FieldModel(Comparator):
     def _fit(self, recording: Trajectory, force: Array) -> None:
         scene = self.plan.build(self.surface, self.shell, recording)
         self.solution = self._solved(scene)
-        self._renderer = Renderer(self.solution.field, self.shell)
+        # the whole wrench is compared
+        self._renderer = Renderer(
+            self.solution.field,
+            self.shell,
+            force_limit=math.inf,
+            torque_limit=math.inf,
+        )
 
     def _solved(self, scene: Scene) -> Solution:
         """The fit of the formulation."""

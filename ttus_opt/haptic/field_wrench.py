@@ -10,9 +10,11 @@ with the contact rows N, W of `ttus_opt.contact.rows` (eqs. 6, 7) and the drag (
 is no drag.
 
 `wrenches_along` computes it for a whole recording from the rows, `ttus_opt.Renderer`
-for one pose in compiled code; both agree up to rounding. `evaluate` uses the first and
-`ttus-opt render` the second. The rows of a fit with friction are the same function,
-linear in the unknowns.
+for one pose in compiled code; both agree up to rounding, up to the renderer's limits:
+these protect a hand and are no property of the patient, so `evaluate`, which uses the
+first, judges the whole wrench and says how many frames a renderer would shorten.
+`ttus-opt render` uses the second. The rows of a fit with friction are the same
+function, linear in the unknowns.
 """
 
 from __future__ import annotations
@@ -35,6 +37,13 @@ from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import Trajectory
 from ttus_opt.voxmap.field import PotentialField
 
+#: Largest force [N] and torque [N·m] of a renderer by default: 40 N at the end of a
+#: lever of 10 cm, which a hand holds; a scan takes up to about 25 N
+FORCE_LIMIT, TORQUE_LIMIT = 40.0, 4.0
+
+#: The limit that shortened a wrench; none
+Limit = Literal["", "force", "torque"]
+
 #: No drag in the field; drag by a given twist; by a twist estimated from poses and
 #: times; or left out because the motion is unknown
 DragSource = Literal["none", "given", "estimated", "left out"]
@@ -54,7 +63,9 @@ class Wrench:
         drag: Whether the wrench includes drag: ``none`` for a field without friction,
             ``given`` or ``estimated`` after the source of the twist, ``left out`` for
             a field with friction and an unknown motion.
-        saturated: Whether the force was scaled down to the renderer's limit.
+        limited_by: The renderer's limit to which the wrench was scaled down, as a whole
+            and so with its direction kept: ``force``, ``torque``; "" for none. A
+            wrench that is not finite is zero, ``force``.
         force_std: Standard deviation of the force by a `DoubtMap`; NaN without one [N].
     """
 
@@ -64,8 +75,13 @@ class Wrench:
     in_grid: bool
     beyond_inner: int = 0
     drag: DragSource = "none"
-    saturated: bool = False
+    limited_by: Limit = ""
     force_std: float = math.nan
+
+    @property
+    def saturated(self) -> bool:
+        """Whether a limit of the renderer acted."""
+        return bool(self.limited_by)
 
 
 @dataclass(frozen=True)
@@ -83,6 +99,12 @@ class FieldWrenches:
     torque: Array = field(repr=False)
     in_grid: NDArray[np.bool_] = field(repr=False)
     beyond_inner: NDArray[np.int64] = field(repr=False)
+
+
+def over_limits(force: Array, torque: Array) -> NDArray[np.bool_]:
+    """Which wrenches (T, 3) [N], (T, 3) [N·m] a renderer scales down by default."""
+    size, turn = (np.linalg.norm(one, axis=1) for one in (force, torque))
+    return np.asarray((size > FORCE_LIMIT) | (turn > TORQUE_LIMIT))
 
 
 def wrenches_along(

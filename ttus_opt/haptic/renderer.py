@@ -36,7 +36,7 @@ from ttus_opt.haptic.field_swap import (
     require_alike,
     swapped,
 )
-from ttus_opt.haptic.field_wrench import DragSource
+from ttus_opt.haptic.field_wrench import FORCE_LIMIT, TORQUE_LIMIT, DragSource, Limit
 from ttus_opt.haptic.field_wrench import Wrench as Wrench
 from ttus_opt.haptic.force_doubt import ForceDoubt
 from ttus_opt.haptic.kernel_data import FrameData
@@ -61,6 +61,10 @@ if TYPE_CHECKING:
     from ttus_opt.haptic.c_interface import CFunction, Context
 
 
+#: Names of what a frame says limited it
+LIMITS: tuple[Limit, ...] = ("", "force", "torque")
+
+
 class Renderer:
     """Renders the contact of one probe with a field that may be updated.
 
@@ -82,7 +86,9 @@ class Renderer:
         blend: How updates are blended in; by default `BlendLaw()`.
         motion: How a twist is estimated; by default `MotionFilter()`.
         force_limit: Largest force [N]: a larger one is scaled down to it, and the
-            torque by the same factor. No limit by default.
+            torque by the same factor. ``math.inf`` for none.
+        torque_limit: Largest torque [N·m], alike. A wrench beyond both limits is scaled
+            by the smaller factor.
         doubt: Relative standard deviation of the force over the skin, for the first
             field; `render` then looks up `Wrench.force_std`. True takes the map stored
             with the field.
@@ -99,14 +105,15 @@ class Renderer:
         *,
         blend: BlendLaw | None = None,
         motion: MotionFilter | None = None,
-        force_limit: float | None = None,
+        force_limit: float = FORCE_LIMIT,
+        torque_limit: float = TORQUE_LIMIT,
         doubt: DoubtMap | bool | None = None,
     ) -> None:
         expect(field, PotentialField, "the field")
         expect(shell, PointShell, "the probe")
         self._doubt = ForceDoubt.of(doubt, field)
-        if force_limit is not None and not force_limit > 0.0:
-            raise InputError(f"force_limit must be positive [N], got {force_limit}")
+        _require_positive("force_limit", force_limit, "N")
+        _require_positive("torque_limit", torque_limit, "N m")
         blend, motion = blend or BlendLaw(), motion or MotionFilter()
         self._field = field
         self._data = FrameData.of(
@@ -118,7 +125,8 @@ class Renderer:
         weights = patch_weights(shell)[ShellBlocks.of(shell).order]
         numbers = (
             *blend.kernel_limits(shell.rms_radius),
-            math.inf if force_limit is None else float(force_limit),
+            float(force_limit),
+            float(torque_limit),
             *motion.kernel_numbers(shell.rms_radius),
         )
         self._limits = FrameLimits(np.array(numbers), np.ascontiguousarray(weights))
@@ -193,9 +201,9 @@ class Renderer:
             std = self._doubt.std(wrench, self._buffers.at)
         finally:
             self._turn.release()
-        points, in_grid, beyond, saturated = counts
+        points, in_grid, beyond, limit = counts
         force, torque = wrench[:3], wrench[3:]
-        return Wrench(force, torque, points, in_grid, beyond, drag, saturated, std)
+        return Wrench(force, torque, points, in_grid, beyond, drag, LIMITS[limit], std)
 
     def render_into(
         self,
@@ -254,7 +262,7 @@ class Renderer:
         twist: Array | None,
         time: float | None,
         order: QuaternionOrder | None,
-    ) -> tuple[tuple[int, bool, int, bool], DragSource]:
+    ) -> tuple[tuple[int, bool, int, int], DragSource]:
         """Render into the buffers; what `render_frame` returns, and the drag."""
         buffers, source = self._buffers, self._set_motion(twist, time)
         if (
@@ -377,3 +385,11 @@ class Renderer:
     def blend(self) -> BlendState:
         """State of the last update's swap."""
         return BlendState.of(self._fields.pair.ledger)
+
+
+def _require_positive(name: str, limit: float, unit: str) -> None:
+    """`InputError` where a limit is not a positive number."""
+    if not (isinstance(limit, int | float) and limit > 0.0):
+        raise InputError(
+            f"{name} must be positive [{unit}], math.inf for none, got {limit}"
+        )

@@ -120,7 +120,7 @@ def buffers_at(table: IntArray) -> FrameBuffers:
 @compiled(error_model="numpy", nogil=True)
 def render_tables(
     table: IntArray, fields: IntArray, trilinear: bool, time: float, may_write: bool
-) -> tuple[int, bool, int, bool]:
+) -> tuple[int, bool, int, int]:
     """Call `render_frame` with the arrays of two tables (compiled).
 
     Args:

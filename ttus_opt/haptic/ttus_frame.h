@@ -30,7 +30,8 @@ enum {
  *           zeros at rest; only read if time is NAN
  * time      time of the pose [s], from which the twist is estimated; NAN to pass it
  * wrench    out: force on the probe [N], torque about the point shell's reference
- *           point [N m], patient axes
+ *           point [N m], patient axes; scaled down as a whole to the renderer's
+ *           force_limit and torque_limit
  *
  * Returns the number of shell points in contact, or a code above.
  */

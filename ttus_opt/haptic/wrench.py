@@ -1,4 +1,4 @@
-"""One compiled haptic frame: motion, contact, fields, drag, blend, force limit.
+"""One compiled haptic frame: motion, contact, fields, drag, blend, limits.
 
 It runs the passes of `ttus_opt.haptic.frame`, `drag`, `motion` and `blend` over scratch
 arrays of the renderer: a frame is one call and allocates nothing.
@@ -80,16 +80,19 @@ class FrameBuffers(NamedTuple):
         return cls(np.eye(3), np.zeros(3), np.zeros(MOTION), np.zeros((ROWS, 6)))
 
 
-#: Indices in `FrameLimits.numbers`: `BlendLaw.kernel_limits`, largest force [N],
-#: `MotionFilter.kernel_numbers`
-BLEND, FORCE, FILTER = 0, 3, 4
+#: Indices in `FrameLimits.numbers`: `BlendLaw.kernel_limits`, largest force [N] and
+#: torque [N·m], `MotionFilter.kernel_numbers`
+BLEND, FORCE, TORQUE, FILTER = 0, 3, 4, 5
+
+#: What limited a wrench; names are in `ttus_opt.haptic.field_wrench.Limit`
+UNLIMITED, BY_FORCE, BY_TORQUE = 0, 1, 2
 
 
 class FrameLimits(NamedTuple):
     """The limits and weights of a renderer, the same in every frame.
 
     Attributes:
-        numbers: By the indices above, shape (8,).
+        numbers: By the indices above, shape (9,).
         weights: `drag.patch_weights` in block order, shape (M, 7).
     """
 
@@ -105,7 +108,7 @@ def render_frame(
     pair: FieldPair,
     limits: FrameLimits,
     may_write: bool,
-) -> tuple[int, bool, int, bool]:
+) -> tuple[int, bool, int, int]:
     """Render the pose and twist in the buffers (compiled).
 
     Args:
@@ -118,20 +121,20 @@ def render_frame(
 
     Returns:
         Number of points in contact, or `BAD_POSE`, `BAD_TWIST`, `BAD_TIME`; whether any
-        shell point is in the grid; number of points beyond the inner layer; whether the
-        force was limited.
+        shell point is in the grid; number of points beyond the inner layer;
+        `UNLIMITED`, `BY_FORCE` or `BY_TORQUE`.
     """
     R, at, rows, numbers = buffers.R, buffers.at, buffers.rows, limits.numbers
     twist, patch, wrench, drag = rows[TWIST], rows[PATCH], rows[WRENCH], rows[DRAG]
     ledger, reference = pair.ledger, data.reference
     if not (orthonormalise(R) and math.isfinite(at[0] + at[1] + at[2])):
-        return BAD_POSE, False, 0, False
+        return BAD_POSE, False, 0, UNLIMITED
     if not math.isnan(time) and not estimate_twist(
         buffers.motion, R, at, time, reference, numbers[FILTER:], twist
     ):
-        return BAD_TIME, False, 0, False
+        return BAD_TIME, False, 0, UNLIMITED
     if not math.isfinite(_sum(twist)):
-        return BAD_TWIST, False, 0, False
+        return BAD_TWIST, False, 0, UNLIMITED
     contact, in_grid, beyond = touch(R, at, data)
     wrench_of(pair.target, contact, R, data, wrench)
     moves = _may_drag(pair, twist)
@@ -154,7 +157,7 @@ def render_frame(
         follow(ledger, R, at, reference)
     for c in range(6):
         wrench[c] += drag[c]
-    return contact, in_grid, beyond, _cut(wrench, numbers[FORCE])
+    return contact, in_grid, beyond, _cut(wrench, numbers[FORCE], numbers[TORQUE])
 
 
 @compiled(inline="always")
@@ -211,15 +214,18 @@ def _may_drag(pair: FieldPair, twist: Array) -> bool:
 
 
 @compiled(inline="always")
-def _cut(wrench: Array, limit: float) -> bool:
-    """Scale a wrench down if its force exceeds a limit; whether it did (compiled)."""
-    square = wrench[0] * wrench[0] + wrench[1] * wrench[1] + wrench[2] * wrench[2]
-    if square <= limit * limit:
-        return False
-    factor = limit / math.sqrt(square)
+def _cut(wrench: Array, force: float, torque: float) -> int:
+    """Scale a wrench down to the limits; which of them acted (compiled)."""
+    ff = wrench[0] * wrench[0] + wrench[1] * wrench[1] + wrench[2] * wrench[2]
+    tt = wrench[3] * wrench[3] + wrench[4] * wrench[4] + wrench[5] * wrench[5]
+    if ff <= force * force and tt <= torque * torque:
+        return UNLIMITED
+    by_force, by_torque = math.sqrt(ff) / force, math.sqrt(tt) / torque
+    excess = max(by_force, by_torque)
+    usable = by_force + by_torque < math.inf  # not so when a sum has overflown
     for c in range(6):
-        wrench[c] *= factor
-    return True
+        wrench[c] = wrench[c] / excess if usable else 0.0
+    return BY_TORQUE if usable and by_torque > by_force else BY_FORCE
 
 
 @compiled()

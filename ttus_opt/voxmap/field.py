@@ -36,6 +36,9 @@ KIND, VERSION = "field", 1
 #: Dimensions of voxel values and of the surface in the file
 DIMS, ON_SURFACE = ("r", "theta", "z"), ("surface_theta", "surface_z")
 
+#: Largest potential of a file [N, or N/cm²]: a hundred megapascals
+LARGEST = 1e4
+
 #: Variable with draws from the field's posterior, read on request only
 DRAWS = "doubt_draws"
 
@@ -211,6 +214,12 @@ def _from_dataset(data: xr.Dataset) -> PotentialField:
             f"{io.shortened(sampling)}"
         )
     values = io.array_of(data, "potential", DIMS, FIELD_UNIT[sampling])
+    most = float(np.abs(values).max(initial=0.0))
+    if most > LARGEST:
+        raise InputError(
+            f"potential reaches {most:.3g} {FIELD_UNIT[sampling]}, tissue bears no "
+            f"more than {LARGEST:g}: damaged, or in another unit"
+        )
     r_inner, r_outer, z_min, z_max = json.loads(io.text_of(data.attrs, "grid_limits"))
     sector = json.loads(io.text_of(data.attrs, "sector", "null"))
     grid = CylindricalGrid(
