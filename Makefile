@@ -38,7 +38,7 @@ help:
 	@echo "make notebooks   run the notebooks"
 	@echo "make lab         open the notebooks in JupyterLab"
 	@echo "make docs        build the documentation into site/, notebooks included"
-	@echo "make docs-check  check pages, links, public names and examples, no notebooks"
+	@echo "make docs-check  check pages, also in a browser, links, names, examples"
 	@echo "make picture     draw the README's picture, docs/overview.png"
 	@echo "make oldest      run the fast tests with the oldest versions allowed"
 	@echo "make newest      run the fast tests with the newest versions, pre-releases too"
@@ -93,12 +93,14 @@ docs: $(DOCS_STAMP)
 	$(BIN)/python docs/examples.py
 	$(BIN)/python docs/first_hour.py
 	$(BIN)/python -m mkdocs build --strict
+	$(BIN)/python docs/browser.py site
 
 # `make slow` runs the notebooks; this is all else that may rot.
 docs-check: $(DOCS_STAMP)
 	$(BIN)/python docs/pictures.py
 	$(BIN)/python docs/examples.py
 	RUN_NOTEBOOKS=false $(BIN)/python -m mkdocs build --strict --site-dir .cache/site
+	$(BIN)/python docs/browser.py .cache/site
 
 clean:
 	rm -rf $(VENV) $(VENV)-oldest $(VENV)-newest demo site docs/pictures .cache

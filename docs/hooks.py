@@ -62,8 +62,8 @@ def on_files(files: Files, config: Any) -> Files:
         files.append(File(uri, str(ROOT), config.site_dir, config.use_directory_urls))
     mathjax = importlib.resources.files("mathjax") / "static/mathjax"
     for name, uri in (
-        ("es5/tex-svg.js", "javascripts/tex-svg.js"),
-        ("LICENSE", "javascripts/tex-svg.LICENSE.txt"),
+        ("es5/tex-svg-full.js", "javascripts/tex-svg-full.js"),
+        ("LICENSE", "javascripts/tex-svg-full.LICENSE.txt"),
     ):
         path = str(mathjax / name)
         files.append(File.generated(config, uri, abs_src_path=path))

@@ -1,10 +1,11 @@
 // Equations are typeset in the browser by a copy of MathJax that lies beside this file
-// (docs/hooks.py puts it there). In pages arithmatex has marked them; in notebooks they
+// (docs/hooks.py puts it there): the full one, which asks for no extension at run time. In pages arithmatex has marked them; in notebooks they
 // stand between dollars in the cells of text.
 const inNotebook = document.querySelector(".jp-MarkdownOutput") !== null;
 
 window.MathJax = {
   tex: {
+    packages: { "[-]": ["noundefined"] }, // an unknown command is an error, not red text
     inlineMath: inNotebook ? [["$", "$"]] : [["\\(", "\\)"]],
     displayMath: inNotebook ? [["$$", "$$"]] : [["\\[", "\\]"]],
     processEscapes: true,
