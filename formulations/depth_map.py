@@ -1,12 +1,12 @@
 """A depth profile times a random variation over the patient, no Laplace prior.
 
-min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖N p − f‖² + λ_τ ‖(W p − τ)/ℓ‖²
+min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖Σ_f⁻¹ᐟ² (N p − f)‖² + λ_τ ‖Σ_τ⁻¹ᐟ² (W p − τ)/ℓ‖²
 
-φ(d) = Σ_j c_j (d/10 mm)^a_j, c ≥ 0, is the same profile of the depth d below the
-surface everywhere; RᵀR/σ² is the precision of a Gaussian field with a Matérn covariance
-along the surface and along the depth. Coefficients, σ, the length along the surface and
-the noise 1/√λ_f are chosen by their evidence unless they are given. Torque rows have no
-weight by default.
+φ(d) = c (d/10 mm)ᵃ is the same profile of the depth d below the surface everywhere;
+RᵀR/σ² is the precision of a Gaussian field with a Matérn covariance along the surface
+and along the depth. c, a, σ, both lengths and the noise of normal forces, which grows
+with the force, are chosen by their evidence unless they are given. Tangential forces
+and torques have ten times that noise (`ttus_opt.terms.part_noise`).
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006); the precision after F. Lindgren, H. Rue, J. Lindström, J. R. Stat. Soc. B 73
@@ -25,15 +25,14 @@ from ttus_opt.terms.torque import TorqueTerm
 def build(
     scene: Scene,
     force_weight: float | None = None,
-    torque_weight: float = 0.0,
+    torque_weight: float | None = None,
     torque_length: float | None = None,
     deviation: float | None = None,
     surface_length: float | None = None,
-    depth_length: float = 0.015,
+    depth_length: float | None = None,
     length_ratio: float | None = None,
 ) -> Formulation:
-    """Weights λ_f [1/N²], λ_τ [1/N²], ℓ [m], σ [–], Matérn lengths [m], ratio [–]."""
-    torque = TorqueTerm(scene, torque_weight, torque_length)
+    """Weights λ_f, λ_τ [1/N²], ℓ [m], σ [–], Matérn lengths [m], ratio [–]."""
     check_depth_map(
         scene.voxmap.grid,
         deviation=deviation,
@@ -42,6 +41,14 @@ def build(
         length_ratio=length_ratio,
     )
     found = estimate_depth_map(scene, depth_length=depth_length)
-    weight = found.noise**-2 if force_weight is None else force_weight
-    prior = DepthMapTerm.of(scene, found, deviation, surface_length, length_ratio)
-    return Formulation(terms=[prior, ForceTerm(scene, weight), torque])
+    noise = found.part_noise(scene)
+    likely = noise.level**-2
+    force = likely if force_weight is None else force_weight
+    torque = likely if torque_weight is None else torque_weight
+    return Formulation(
+        terms=[
+            DepthMapTerm.of(scene, found, deviation, surface_length, length_ratio),
+            ForceTerm(scene, force, noise=noise),
+            TorqueTerm(scene, torque, torque_length, noise),
+        ]
+    )

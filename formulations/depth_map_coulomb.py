@@ -1,10 +1,11 @@
 """A depth map with Coulomb drag of one friction coefficient μ, found by a search.
 
-min_μ min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖(N − μ F) p − f‖² + λ_τ ‖((W − μ G) p − τ)/ℓ‖²
+min_μ min_p ‖R (p/φ − 1)‖²/σ² + λ_f ‖Σ_f⁻¹ᐟ² ((N − μ F) p − f)‖²
+                              + λ_τ ‖Σ_τ⁻¹ᐟ² ((W − μ G) p − τ)/ℓ‖²
 
-The profile φ, σ, the length along the surface and the noise are chosen once, by their
-evidence at a first estimate of μ. F p is drag of every point of the probe, or of the
-whole patch (``acts_at``). See `depth_map` and `coulomb_global`.
+The profile φ, σ, the lengths and the noise are chosen once, by their evidence at a
+first estimate of μ. F p is drag of every point of the probe, or of the whole patch
+(``acts_at``). See `depth_map` and `coulomb_global`.
 
 Source: as `depth_map`, with Coulomb's law.
 """
@@ -24,9 +25,9 @@ from ttus_opt.terms.drag_torque import DragTorqueTerm
 def build(
     scene: Scene,
     force_weight: float | None = None,
-    torque_weight: float = 0.0,
+    torque_weight: float | None = None,
     torque_length: float | None = None,
-    depth_length: float = 0.015,
+    depth_length: float | None = None,
     largest_friction: float = 1.0,
     acts_at: str = "auto",
     deadband: float = DEADBAND,
@@ -39,13 +40,16 @@ def build(
     first = drag.with_coefficient(min(guess.friction_coefficient, largest_friction))
     rows = scene.N - first.coefficient * drag.rows.force
     found = estimate_depth_map(scene, rows, depth_length=depth_length)
-    weight = found.noise**-2 if force_weight is None else force_weight
+    noise = found.part_noise(scene)
+    likely = noise.level**-2
+    weight = likely if force_weight is None else force_weight
+    turning = likely if torque_weight is None else torque_weight
     prior = DepthMapTerm.of(scene, found)
 
     def given(mu: float) -> Formulation:
         dragged = drag.with_coefficient(mu)
-        force = DragForceTerm(scene, weight, drag=dragged)
-        torque = DragTorqueTerm(scene, torque_weight, torque_length, drag=dragged)
+        force = DragForceTerm(scene, weight, noise=noise, drag=dragged)
+        torque = DragTorqueTerm(scene, turning, torque_length, noise, drag=dragged)
         return Formulation(terms=[prior, force, torque])
 
     search = Search("friction_coefficient", 0.0, largest_friction, given)

@@ -1,17 +1,19 @@
 """Estimate of a depth map's profile and hyperparameters by marginal likelihood.
 
-With the field's covariance C and noise, the measured forces are Gaussian,
+With the field p = c (d/d₀)ᵃ (1 + g), the measured normal forces uᵀf are Gaussian,
 
-    f ~ N(N φ, K),   K = diag(σ_0² + ρ² ‖f_k‖²) + N C Nᵀ.
+    uᵀf ~ N(c G, c² G-weighted covariance of g + Σ),   G = uᵀN (d/d₀)ᵃ,
 
-Their log density, the evidence, is maximised over the profile, its relative deviation
-σ, the correlation length ℓ along the surface, the ratio of the lengths around and along
-the patient, and the noise parameters σ_0 and ρ. The noise must grow with the force:
-with constant noise, the larger errors of strong forces would be attributed to tissue
-that varies from voxel to voxel, and ℓ would be too short. Weak log-normal priors keep
-poorly determined values near those measured on soft tissue. The profile's coefficients
-follow by non-negative least squares in the metric of K, with C from the profile at the
-medians. Then profile and C are iterated, and the most likely iterate is used.
+where u is the direction of contact (`part_noise`). Their log density, the evidence, is
+maximised over the exponent a, the relative deviation σ of g, its correlation lengths
+along the surface and along the depth, and the noise s² = σ_0² + (ρ c G)² of a frame;
+c follows by least squares. Weak log-normal priors keep poorly determined values near
+those measured on soft tissue.
+
+Frames of a press a few millimetres apart share what the model has wrong there. Without
+that covariance in Σ, their errors would be attributed to tissue that varies over a few
+millimetres. The noise grows with the force of the mean, not with the measured one:
+forces that happen to be large would count less, and every estimate would be too soft.
 
 Source: C. E. Rasmussen, C. K. I. Williams, Gaussian Processes for Machine Learning
 (2006), section 5.4.1. See docs/method.md, Depth map.
@@ -30,6 +32,7 @@ import scipy.sparse as sp
 from scipy.spatial.distance import cdist
 
 from ttus_opt.arrays import Array, IntArray
+from ttus_opt.contact.places import runs
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
 from ttus_opt.terms.depth_profile import (
@@ -39,35 +42,45 @@ from ttus_opt.terms.depth_profile import (
     voxel_depths,
 )
 from ttus_opt.terms.matern import matern
+from ttus_opt.terms.part_noise import PartNoise, contact_directions
 from ttus_opt.terms.posterior_mode import posterior_mode
+from ttus_opt.voxmap.grid import CylindricalGrid
 
 #: Median and logarithmic standard deviation of the priors
 PRIOR = {
-    "surface_length": (0.03, 0.3),
-    "deviation": (0.4, 1.0),
+    "exponent": (1.3, 0.35),
+    "surface_length": (0.03, 0.5),
+    "deviation": (0.4, 0.7),
+    "depth_length": (0.01, 1.0),
     "noise": (0.05, 1.0),
-    "relative_noise": (0.03, 0.7),
-    "length_ratio": (1.0, 1.0),
+    "relative_noise": (0.05, 1.0),
 }
 
-#: Initial ratios of lengths [–]: structures around the patient, such as ribs, and along
-#: it are separate maxima of the posterior
-RATIOS = (0.1, 10.0)
+#: Initial lengths along the depth: of stiff inclusions and of a thin layer [m]
+DEPTH_LENGTHS = (0.02, 0.002)
 
 #: Most evaluations of the evidence
 CALLS = 200
 
 #: Most frames in the evidence, whose cost grows with their number cubed [–]
-MOST_FRAMES = 150
+MOST_FRAMES = 300
 
-#: Frames with a smaller force are ignored [N]
+#: Most nodes on the surface between which the variation is interpolated [–]
+MOST_NODES = 300
+
+#: At least one force must be as large [N]
 LEAST_FORCE = 0.1
+
+#: Relative error that neighbouring frames of a press share [–], and the distance over
+#: which they do [m]
+SHARED_ERROR, SHARED_DISTANCE = 0.03, 0.005
 
 #: Smallest noise over the forces, so that the covariance can be factorised [–]
 LEAST_NOISE = 1e-4
 
-#: Iterations of the profile and the covariance that depends on it
-ROUNDS = 2
+#: Depths between which the correlation along the depth is interpolated, and its
+#: smallest eigenvalue over the largest [–]
+DEPTHS, LEAST_EIGENVALUE = 40, 1e-3
 
 
 @dataclass(frozen=True)
@@ -78,12 +91,10 @@ class DepthMapEstimate:
         profile: φ.
         deviation: σ [–].
         surface_length: ℓ [m].
-        depth_length: As given [m].
-        noise: Root mean square of σ_n over the frames, of a force component [N].
-        length_ratio: Length around the patient over length along it, of which ℓ is the
-            geometric mean [–].
+        depth_length: Length along the depth [m].
+        noise: Root mean square over the frames of the error of a normal force [N].
         log_evidence: Log evidence plus log prior, up to a constant [–].
-        sensor_noise: σ_0 of a force component [N].
+        sensor_noise: σ_0 of a normal force [N].
         relative_noise: ρ [–].
     """
 
@@ -92,10 +103,19 @@ class DepthMapEstimate:
     surface_length: float
     depth_length: float
     noise: float
-    length_ratio: float
     log_evidence: float
     sensor_noise: float = 0.0
     relative_noise: float = 0.0
+
+    def sizes(self, scene: Scene) -> Array:
+        """Standard deviation s of every frame's normal force, shape (T,) [N]."""
+        depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
+        force = np.linalg.norm((scene.N @ self.profile(depth)).reshape(-1, 3), axis=1)
+        return np.asarray(np.hypot(self.sensor_noise, self.relative_noise * force))
+
+    def part_noise(self, scene: Scene) -> PartNoise:
+        """Relative errors of the parts of a scene's wrenches."""
+        return PartNoise.of(scene, self.sizes(scene))
 
 
 def estimate_depth_map(
@@ -104,48 +124,49 @@ def estimate_depth_map(
     *,
     force: Array | None = None,
     errors: Callable[[IntArray], Array] | None = None,
-    exponents: tuple[float, ...] = EXPONENTS,
-    depth_length: float = 0.015,
+    depth_length: float | None = None,
 ) -> DepthMapEstimate:
     """Estimate profile, deviation, lengths and noise.
 
     Args:
         scene: A scene with measured forces.
         rows: Force rows, (3T, V); by default the scene's N (with drag: N − μ F).
-        force: Forces, (3T,); by default the scene's [N].
-        errors: Covariance of further errors of the forces in k given frames, as a
-            function of the frames, (3k, 3k) [N²]; none by default.
-        exponents: Exponents of the profile.
-        depth_length: Matérn length along the depth, which forces hardly determine [m].
+        force: Forces to take instead of the scene's, shape (3T,) [N].
+        errors: Covariance of further errors of the forces of k frames, given their
+            numbers, (3k, 3k) [N²]; by default none.
+        depth_length: Matérn length along the depth [m]; None estimates it.
 
     Raises:
         InputError: No force was measured in contact, or the forces pull.
     """
-    own = scene.N if rows is None else rows
-    problem = _Problem.of(scene, own, exponents, depth_length, force, errors)
-    medians = np.log([median for median, _ in PRIOR.values()])
-    widths = np.array([width for _, width in PRIOR.values()])
+    rows = scene.N if rows is None else rows
+    problem = _Problem.of(scene, rows, force, errors)
+    names = [n for n in PRIOR if n != "depth_length" or depth_length is None]
+    medians = np.log([PRIOR[name][0] for name in names])
+    widths = np.array([PRIOR[name][1] for name in names])
+    held = {} if depth_length is None else {"depth_length": depth_length}
 
     def chosen(steps: Array) -> _Chosen:
-        return _Chosen(*np.exp(medians + widths * steps).tolist())
+        values = np.exp(medians + widths * steps).tolist()
+        return _Chosen(**held, **dict(zip(names, values, strict=True)))
 
-    first = problem.profile(chosen(np.zeros(len(PRIOR))), problem.least_squares())
-
-    def log_evidence(steps: Array) -> float:
-        return problem.evidence(chosen(steps), first)[0]
-
-    starts = np.zeros((len(RATIOS), len(PRIOR)))
-    starts[:, -1] = np.log(RATIOS) / widths[-1]
-    mode = posterior_mode(log_evidence, len(PRIOR), CALLS, list(starts))
+    starts = []
+    if depth_length is None:
+        at = names.index("depth_length")
+        starts = list(np.zeros((len(DEPTH_LENGTHS), len(names))))
+        for start, length in zip(starts, DEPTH_LENGTHS, strict=True):
+            start[at] = (np.log(length) - medians[at]) / widths[at]
+    mode = posterior_mode(
+        lambda steps: problem.evidence(chosen(steps)), len(names), CALLS, starts
+    )
     found = chosen(mode.steps)
-    coefficients = problem.profile(found, first)
+    c, mean = problem.mean(found.exponent)
     return DepthMapEstimate(
-        DepthProfile(exponents, tuple(float(c) for c in coefficients)),
+        DepthProfile((found.exponent,), (c,)),
         found.deviation,
         found.surface_length,
-        depth_length,
-        float(np.sqrt(problem.variances(found).mean())),
-        found.length_ratio,
+        found.depth_length,
+        float(np.sqrt(problem.variances(found, mean).mean())),
         mode.log_posterior,
         found.noise,
         found.relative_noise,
@@ -169,81 +190,74 @@ def least_squares_profile(
     chosen = (3 * _frames(scene, scene.f)[:, None] + np.arange(3)).ravel()
     depth = np.maximum(voxel_depths(scene.voxmap), 0.0)
     design = scene.N[chosen] @ powers_of(depth, exponents)
-    coefficients = _coefficients(design, scene.f[chosen])
+    coefficients, _ = scipy.optimize.nnls(design, scene.f[chosen])
+    if not coefficients.any():
+        raise InputError(PULLING)
     return DepthProfile(exponents, tuple(float(c) for c in coefficients))
 
 
+PULLING = (
+    "the measured forces pull the probe in instead of pushing it out: give the force "
+    "ON the probe in patient axes"
+)
+
+
 def _frames(scene: Scene, force: Array) -> IntArray:
-    """Frames in contact with a force that counts.
+    """Frames in contact.
 
     Raises:
-        InputError: There is none.
+        InputError: There is none, or none with a force that counts.
     """
     size = np.linalg.norm(force.reshape(-1, 3), axis=1)
-    touching = scene.rows.contact_points > 0
-    frames = np.flatnonzero(touching & (size > LEAST_FORCE))
-    if touching.any() and not len(frames):
-        raise InputError(
-            "a depth profile needs forces measured in contact, but where the probe "
-            f"touches they reach {size[touching].max():.2g} N only: check the "
-            "sensor and the trajectory's frame, or fit laplace_only"
-        )
+    frames = np.flatnonzero(scene.rows.contact_points > 0)
     if not len(frames):
         raise InputError(
             "a depth profile needs forces measured in contact, but the probe never "
             "touches the patient: check the trajectory's frame, or fit "
             "laplace_only"
         )
-    return frames
-
-
-def _coefficients(design: Array, force: Array) -> Array:
-    """Nonnegative coefficients of a profile by least squares.
-
-    Raises:
-        InputError: No profile that grows with depth explains the forces.
-    """
-    c, _ = scipy.optimize.nnls(design, force)
-    if not c.any():
+    if size[frames].max() <= LEAST_FORCE:
         raise InputError(
-            "the measured forces pull the probe in instead of pushing it out: give the "
-            "force ON the probe in patient axes"
+            "a depth profile needs forces measured in contact, but where the probe "
+            f"touches they reach {size[frames].max():.2g} N only: check the "
+            "sensor and the trajectory's frame, or fit laplace_only"
         )
-    return np.asarray(c)
+    return frames
 
 
 class _Chosen(NamedTuple):
     """Hyperparameters, in the order of `PRIOR`."""
 
+    exponent: float
     surface_length: float
     deviation: float
+    depth_length: float
     noise: float
     relative_noise: float
-    length_ratio: float
 
 
 @dataclass(frozen=True)
 class _Problem:
-    """Measured forces and the voxels that they touch.
+    """Measured normal forces and the voxels that they touch.
 
     Attributes:
-        rows: Force rows over the touched voxels, shape (m, n).
-        force: Measured forces, shape (m,) [N].
-        powers: Powers of the touched voxels' depths, shape (n, exponents).
+        rows: Rows of normal forces over the touched voxels, shape (m, n).
+        force: Measured normal forces, shape (m,) [N].
+        depth: Depths of the touched voxels, shape (n,) [m].
         spoke: Index of every voxel's spoke among the k touched ones, shape (n,).
-        around: Distances of these spokes on the surface around the patient, (k, k) [m].
-        along: The same along the patient, (k, k) [m].
-        down: Correlation of the voxels along the depth, (n, n) [–].
+        nodes: Interpolation on these spokes from fewer nodes, shape (k, nodes).
+        between: Distances of the nodes on the surface, (nodes, nodes) [m].
+        alike: Correlation of the errors that frames share, shape (m, m) [–].
         further: Covariance of further errors, shape (m, m) or () [N²].
     """
 
     rows: sp.csr_array = field(repr=False)
     force: Array = field(repr=False)
-    powers: Array = field(repr=False)
+    depth: Array = field(repr=False)
     spoke: IntArray = field(repr=False)
-    around: Array = field(repr=False)
-    along: Array = field(repr=False)
-    down: Array = field(repr=False)
+    nodes: sp.csr_array = field(repr=False)
+    between: Array = field(repr=False)
+    alike: Array = field(repr=False)
     further: Array = field(repr=False)
 
     @classmethod
@@ -251,89 +265,133 @@ class _Problem:
         cls,
         scene: Scene,
         rows: sp.csr_array,
-        exponents: tuple[float, ...],
-        depth_length: float,
         force: Array | None = None,
         errors: Callable[[IntArray], Array] | None = None,
     ) -> _Problem:
-        """Frames in contact, thinned evenly."""
+        """Frames in contact, thinned evenly.
+
+        Raises:
+            InputError: No force was measured in contact, or the forces pull.
+        """
         force = scene.f if force is None else force
         frames = _frames(scene, force)
         frames = frames[:: -(-len(frames) // MOST_FRAMES)]
+        along = _along(contact_directions(scene)[frames])
         chosen = (3 * frames[:, None] + np.arange(3)).ravel()
-        own = rows[chosen]
+        own = sp.csr_array(along @ rows[chosen])
         touched = np.unique(own.indices)
-        depth, grid = voxel_depths(scene.voxmap)[touched], scene.voxmap.grid
+        grid, trajectory = scene.voxmap.grid, scene.trajectory
         n_spokes = grid.shape[1] * grid.shape[2]
         spokes, spoke = np.unique(touched % n_spokes, return_inverse=True)
-        at = np.unravel_index(spokes, grid.shape[1:])
-        theta, z = grid.theta[at[0]], grid.z[at[1]]
+        nodes, weights = _coarser(spokes, grid)
+        j, k = np.unravel_index(nodes, grid.shape[1:])
+        theta, z = grid.theta[j], grid.z[k]
         radius = scene.voxmap.surface.radius_at(theta, z)
-        place = np.stack([radius * np.cos(theta), radius * np.sin(theta)], axis=1)
-        return cls(
+        place = np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=1)
+        press = runs(scene.rows.contact_points > 0, trajectory.segment)[frames]
+        at = trajectory.position[frames]
+        alike = matern(cdist(at, at), SHARED_DISTANCE) * (press[:, None] == press)
+        further = np.zeros(())
+        if errors is not None:
+            further = np.asarray(along @ (along @ errors(frames)).T)
+        problem = cls(
             sp.csr_array(own[:, touched]),
-            force[chosen],
-            powers_of(np.maximum(depth, 0.0), exponents),
+            along @ force[chosen],
+            np.maximum(voxel_depths(scene.voxmap)[touched], 0.0),
             spoke,
+            weights,
             cdist(place, place),
-            np.abs(z[:, None] - z),
-            matern(np.abs(depth[:, None] - depth), depth_length),
-            np.zeros(()) if errors is None else errors(frames),
+            alike,
+            further,
         )
+        if problem.mean(PRIOR["exponent"][0])[0] <= 0.0:
+            raise InputError(PULLING)
+        return problem
 
-    def variances(self, chosen: _Chosen) -> Array:
-        """Noise variance of every row, shape (m,) [N²]."""
-        squares = (self.force.reshape(-1, 3) ** 2).sum(axis=1)
-        least = LEAST_NOISE**2 * squares.mean()
-        own = chosen.noise**2 + chosen.relative_noise**2 * squares
-        return np.repeat(np.maximum(own, least), 3)
+    def mean(self, exponent: float) -> tuple[float, Array]:
+        """c by least squares, and the normal forces c G of the mean, shape (m,)."""
+        G = self.rows @ powers_of(self.depth, (exponent,))[:, 0]
+        c = float(G @ self.force) / float(G @ G)
+        return c, c * G
 
-    def least_squares(self) -> Array:
-        """The profile's coefficients for equal noise and no variation.
+    def variances(self, chosen: _Chosen, mean: Array) -> Array:
+        """Noise variance of every normal force, shape (m,) [N²]."""
+        least = LEAST_NOISE**2 * float(np.mean(self.force**2))
+        own = chosen.noise**2 + (chosen.relative_noise * mean) ** 2
+        return np.asarray(np.maximum(own, least))
 
-        Raises:
-            InputError: No profile that grows with depth explains the forces.
-        """
-        return _coefficients(self.rows @ self.powers, self.force)
+    def covariance(self, chosen: _Chosen) -> Array:
+        """Covariance of the normal forces for c = 1 and σ = 1, (m, m)."""
+        power = powers_of(self.depth, (chosen.exponent,))[:, 0]
+        among = matern(self.between, chosen.surface_length)
+        out = np.zeros((len(self.force),) * 2)
+        for mode in self._modes(chosen.depth_length).T:
+            data = self.rows.data * (power * mode)[self.rows.indices]
+            own = (data, self.spoke[self.rows.indices], self.rows.indptr)
+            by_spoke = sp.csr_array(own, (len(self.force), self.nodes.shape[0]))
+            by_node = (by_spoke @ self.nodes).toarray()
+            out += by_node @ among @ by_node.T
+        return out
 
-    def profile(self, chosen: _Chosen, first: Array) -> Array:
-        """Coefficients of the most likely profile, iterated with C.
-
-        Args:
-            chosen: Hyperparameters.
-            first: Initial coefficients.
-        """
-        tried = [first]
-        for _ in range(ROUNDS):
-            tried.append(self.evidence(chosen, tried[-1])[1])
-        return max(tried, key=lambda c: self.evidence(chosen, c, c)[0])
-
-    def evidence(
-        self, chosen: _Chosen, varied: Array, mean: Array | None = None
-    ) -> tuple[float, Array]:
-        """Log density of the forces, and the coefficients of the profile.
-
-        Args:
-            chosen: Hyperparameters.
-            varied: Coefficients of the profile in C.
-            mean: Coefficients of the mean; by default the most likely ones.
-        """
-        root = np.sqrt(chosen.length_ratio)
-        between = np.hypot(self.around / root, self.along * root)
-        on_surface = matern(between, chosen.surface_length)
-        prior = on_surface[np.ix_(self.spoke, self.spoke)]
-        prior *= chosen.deviation**2 * self.down
-        scaled = self.rows @ sp.diags_array(self.powers @ varied)
-        cov = scaled @ (scaled @ prior).T + self.further
-        cov[np.diag_indices_from(cov)] += self.variances(chosen)
+    def evidence(self, chosen: _Chosen) -> float:
+        """Log density of the normal forces, up to a constant."""
+        c, mean = self.mean(chosen.exponent)
+        cov = (c * chosen.deviation) ** 2 * self.covariance(chosen) + self.further
+        cov += SHARED_ERROR**2 * self.alike * mean[:, None] * mean
+        cov[np.diag_indices_from(cov)] += self.variances(chosen, mean)
         factor = scipy.linalg.cholesky(cov, lower=True, overwrite_a=True)
-        both = np.column_stack([self.rows @ self.powers, self.force])
-        white = scipy.linalg.solve_triangular(factor, both, lower=True)
-        c = mean
-        if c is None:
-            c, _ = scipy.optimize.nnls(white[:, :-1], white[:, -1])
-            if not c.any():  # the variation alone explains the forces: keep a profile
-                c = varied
-        misfit = white[:, -1] - white[:, :-1] @ c
-        normaliser = float(np.log(np.diag(factor)).sum())
-        return -0.5 * float(misfit @ misfit) - normaliser, c
+        white = scipy.linalg.solve_triangular(factor, self.force - mean, lower=True)
+        return -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum())
+
+    def _modes(self, length: float) -> Array:
+        """Columns B with B Bᵀ the correlation of the voxels' depths, (n, modes)."""
+        at = np.linspace(0.0, max(float(self.depth.max()), length / 100.0), DEPTHS)
+        values, vectors = np.linalg.eigh(matern(np.abs(at[:, None] - at), length))
+        kept = values > LEAST_EIGENVALUE * values.max()
+        roots = vectors[:, kept] * np.sqrt(values[kept])
+        return np.stack([np.interp(self.depth, at, root) for root in roots.T], axis=1)
+
+
+def _along(direction: Array) -> sp.csr_array:
+    """Scalar products with a direction for every frame, shape (m, 3m)."""
+    m = len(direction)
+    return sp.csr_array(
+        (direction.ravel(), np.arange(3 * m), 3 * np.arange(m + 1)), shape=(m, 3 * m)
+    )
+
+
+def _coarser(spokes: IntArray, grid: CylindricalGrid) -> tuple[IntArray, sp.csr_array]:
+    """Nodes of a grid of spokes, so coarse that few are needed, and bilinear weights.
+
+    Args:
+        spokes: Numbers of k spokes.
+        grid: The voxels.
+
+    Returns:
+        Numbers of the nodes among the spokes, and weights of shape (k, nodes).
+    """
+    n_theta, n_z = grid.shape[1:]
+    j, k = np.unravel_index(spokes, (n_theta, n_z))
+    step = 1
+    while True:
+        first = (j // step * step, k // step * step)
+        ends = n_theta if grid.wall is None else n_theta - 1, n_z - 1
+        last = tuple(np.minimum(a + step, e) for a, e in zip(first, ends, strict=True))
+        shares = [
+            (at - a) / np.maximum(b - a, 1)
+            for at, a, b in zip((j, k), first, last, strict=True)
+        ]
+        corners, weights = [], []
+        for a, u in ((first[0], 1.0 - shares[0]), (last[0] % n_theta, shares[0])):
+            for b, v in ((first[1], 1.0 - shares[1]), (last[1], shares[1])):
+                corners.append(np.ravel_multi_index((a, b), (n_theta, n_z)))
+                weights.append(u * v)
+        used = np.concatenate(weights) > 0.0
+        nodes, column = np.unique(np.concatenate(corners)[used], return_inverse=True)
+        if len(nodes) <= MOST_NODES:
+            break
+        step += 1
+    row = np.tile(np.arange(len(spokes)), 4)[used]
+    data = np.concatenate(weights)[used]
+    shape = (len(spokes), len(nodes))
+    return nodes, sp.csr_array(sp.coo_array((data, (row, column)), shape))

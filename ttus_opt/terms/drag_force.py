@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 from typing import Self
 
 from ttus_opt.arrays import Array
-from ttus_opt.terms.base import AffineRows, Fitted, Term
+from ttus_opt.terms.base import AffineRows, Fitted
 from ttus_opt.terms.drag import DragModel
+from ttus_opt.terms.force import ForceTerm
 
 
 @dataclass(frozen=True)
-class DragForceTerm(Term):
+class DragForceTerm(ForceTerm):
     """Squares of the force residuals with drag, of every frame [N²].
 
     Attributes:
@@ -25,16 +26,15 @@ class DragForceTerm(Term):
     drag: DragModel = field(kw_only=True, repr=False)
 
     name = "force"
-    measures = True
 
     @property
-    def formula(self) -> str:
+    def formula(self) -> str:  # type: ignore[override]
         """The formula with the drag subtracted."""
         return f"‖N p − {self.drag.formula} − f‖²"
 
     def rows(self) -> AffineRows:
         """N and the rows of drag by variable, and f."""
-        return AffineRows(self.drag.force_blocks(), self.scene.f)
+        return self._measured(self.drag.force_blocks())
 
     def parameters(self, values: Mapping[str, Array]) -> dict[str, float]:
         """The drag coefficients."""

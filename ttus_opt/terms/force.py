@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
+import scipy.sparse as sp
+
 from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.part_noise import PartNoise, whitened
 
 
 @dataclass(frozen=True)
 class ForceTerm(Term):
-    """Squares of the force residuals of every frame [N²]."""
+    """Squares of the force residuals of every frame [N²].
+
+    Attributes:
+        noise: Relative errors of normal and tangential forces, by which residuals are
+            divided; None for equal ones.
+    """
+
+    noise: PartNoise | None = None
 
     name = "force"
     formula = "‖N p − f‖²"
@@ -17,4 +28,10 @@ class ForceTerm(Term):
 
     def rows(self) -> AffineRows:
         """N and f of the scene."""
-        return AffineRows({"p": self.scene.N}, self.scene.f)
+        return self._measured({"p": self.scene.N})
+
+    def _measured(self, blocks: Mapping[str, sp.csr_array]) -> AffineRows:
+        """Rows by variable and the measured forces, over their relative errors."""
+        if self.noise is None:
+            return AffineRows(blocks, self.scene.f)
+        return whitened(self.noise.force, blocks, self.scene.f)

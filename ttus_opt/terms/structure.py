@@ -98,7 +98,18 @@ class KnownCovariance:
     covariance: FieldCovariance = field(repr=False)
 
 
-Tags = frozenset[Tag | LaplaceRows | KnownCovariance]
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """Rows of measured wrenches, three per frame, multiplied by matrices of the frames.
+
+    Attributes:
+        by: These matrices, shape (T, 3, 3) [1/N or 1/N·m, up to a factor].
+    """
+
+    by: Array = field(repr=False)
+
+
+Tags = frozenset[Tag | LaplaceRows | KnownCovariance | Whitened]
 
 
 def laplace_rows(tags: Tags) -> LaplaceRows | None:
@@ -109,6 +120,11 @@ def laplace_rows(tags: Tags) -> LaplaceRows | None:
 def known_covariance(tags: Tags) -> KnownCovariance | None:
     """The declaration of a known covariance among tags, if there is one."""
     return next((tag for tag in tags if isinstance(tag, KnownCovariance)), None)
+
+
+def whitening(tags: Tags) -> Array | None:
+    """The matrices of `Whitened` among tags, shape (T, 3, 3), if there is one."""
+    return next((tag.by for tag in tags if isinstance(tag, Whitened)), None)
 
 
 def check_structure(

@@ -16,6 +16,7 @@ import scipy.sparse as sp
 
 from ttus_opt.errors import InputError
 from ttus_opt.terms.base import AffineRows, Term
+from ttus_opt.terms.part_noise import PartNoise, whitened
 
 #: Range of ℓ [m]: below it only torque counts, above it torque has no weight at all,
 #: whatever the probe
@@ -31,9 +32,12 @@ class TorqueTerm(Term):
     Attributes:
         length: ℓ [m]; None takes the shell's root-mean-square radius, 1.0 is the
             literal SI form, in which torque has practically no weight.
+        noise: Relative errors of the frames, by which residuals are divided; None for
+            equal ones.
     """
 
     length: float | None = None
+    noise: PartNoise | None = None
 
     name = "torque"
     formula = "‖(W p − τ)/ℓ‖²"
@@ -54,9 +58,11 @@ class TorqueTerm(Term):
         return self._measured({"p": self.scene.W})
 
     def _measured(self, blocks: Mapping[str, sp.csr_array]) -> AffineRows:
-        """Rows by variable and the measured torques, all divided by ℓ."""
+        """Rows by variable and the measured torques, over ℓ and relative errors."""
         if self.scene.measures_force_only:
             return AffineRows({k: M[:0] for k, M in blocks.items()}, np.zeros(0))
         scale = 1.0 / (self.length or self.scene.torque_length)
-        scaled = {k: M * scale for k, M in blocks.items()}
-        return AffineRows(scaled, self.scene.tau * scale)
+        if self.noise is None:
+            scaled = {k: M * scale for k, M in blocks.items()}
+            return AffineRows(scaled, self.scene.tau * scale)
+        return whitened(scale * self.noise.torque, blocks, self.scene.tau)
