@@ -2,8 +2,7 @@
 
 The field is fitted to two recordings (pushes, and lines along the body) and evaluated
 on them and on two unseen ones of the same kinds. The demo compares the Laplace prior
-alone with eq. 10, whose weights (or, with the recipe, the whole formulation) are chosen
-from the fitted recordings alone.
+alone with eq. 10, whose weights are chosen from the fitted recordings alone.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 from ttus_opt import example
 from ttus_opt.arrays import Array
 from ttus_opt.fitting.batch import fit
-from ttus_opt.fitting.weight_words import AUTO, RECIPE, checked_word, choice_of
+from ttus_opt.fitting.weight_words import AUTO, checked_word, choice_of
 from ttus_opt.multigrid.ahead import compiling_ahead
 from ttus_opt.probe.point_shell import PointShell
 from ttus_opt.probe.trajectory import read_trajectory
@@ -111,8 +110,7 @@ def run(
     Args:
         folder: Output folder, created if missing.
         shape: Voxels in r, θ and z [–].
-        weights: Weights of eq. 10, see `ttus_opt.fit`; "recipe" may choose another
-            formulation.
+        weights: Weights of eq. 10, "auto" or "own", see `ttus_opt.fit`.
         progress: Called with the name of each of the `N_STAGES` stages as it begins.
 
     Raises:
@@ -143,8 +141,7 @@ def run(
         begin("Laplace prior alone")
         before = fit(scene, "laplace_only")
     begin("choosing weights")
-    asked = None if weights == RECIPE else "eq10"
-    choice = choice_of(weights, scene, asked)
+    choice = choice_of(weights, scene, "eq10")
     begin("with forces and torques")
     after = replace(fit(choice.scene, choice.formulation), chosen=choice.lines)
     begin("evaluating")

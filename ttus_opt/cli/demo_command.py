@@ -19,8 +19,7 @@ def demo(
     Args:
         output: Folder for pictures and report.
         shape: Voxels in r, θ, z: n_r,n_theta,n_z.
-        weights: auto: weights of eq. 10 by marginal likelihood; recipe: formulation and
-            sampling too, by left-out presses; own: 0.01.
+        weights: auto: weights of eq. 10 by marginal likelihood; own: 0.01.
 
     Example:
         ttus-opt demo -o demo

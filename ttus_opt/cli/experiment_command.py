@@ -34,8 +34,8 @@ def experiment(
             separated by commas.
         weight: λ_f = λ_τ of formulations that do not choose their own.
         weights: given: --weight alone; auto: fit again with weights chosen from the
-            recordings, where a formulation allows it; recipe: also what ttus-opt fit
-            --weights recipe chooses.
+            recordings, where a formulation allows it; default: also the model that
+            ttus-opt fit takes without an option.
         torso: Scan whose skin the third patient gets; without it, that patient is
             invented.
         torso_unit: Unit of that scan: m, cm or mm.
@@ -48,8 +48,8 @@ def experiment(
         dask: Address of a dask scheduler, host:port, whose workers can see the folder.
         doubt: Also check how well the stated uncertainty of fits agrees with their
             errors, for fits whose weights come from the recordings.
-        refine: Also fit what the recipe chooses to poses refined by the forces, as
-            ttus-opt refine-poses does.
+        refine: Also fit the default model to poses refined by the forces, as ttus-opt
+            refine-poses does.
 
     Example:
         ttus-opt experiment --torso ct_skin_mm.ply --weights auto -o results

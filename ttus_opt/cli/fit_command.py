@@ -44,10 +44,9 @@ class WeightOptions:
     Attributes:
         force_weight: Weight λ_f of forces. Giving it turns the choice of weights off.
         torque_weight: Weight λ_τ of torques. Giving it turns the choice of weights off.
-        weights: auto: choose weights and boundary scale by marginal likelihood, as
-            ttus-opt tune does, unless the formulation's own predict left-out presses
-            better. recipe: choose formulation and sampling too, by left-out presses.
-            own: the formulation's, 0.01. By default auto if no weight is given.
+        weights: auto: choose weights and boundary scale of a formulation by marginal
+            likelihood, as ttus-opt tune does, unless its own predict left-out presses
+            better. own: the formulation's, 0.01. By default auto if no weight is given.
         paper: Use the paper's choices unless you give others: --inner 1 --sampling
             voxel-mean --boundary staircase --force-weight 1e-4 --torque-weight 1e-4.
     """
@@ -122,7 +121,7 @@ def fit(
     from ttus_opt.probe.thinning import thinned
     from ttus_opt.scan.surface import Surface
 
-    if weighting.paper and weighting.weights in ("auto", "recipe"):
+    if weighting.paper and weighting.weights == "auto":
         raise InputError("--paper sets the weights: leave --weights out")
     options = weighting.options(problem, torque_length)
     if weighting.paper:
@@ -153,7 +152,14 @@ def fit(
         if word != OWN:
             begin("choosing weights")
         strict = weighting.weights is not None
-        choice = choice_of(word, scene, problem.formulation, options, strict=strict)
+        choice = choice_of(
+            word,
+            scene,
+            problem.formulation,
+            options,
+            sampling=grid.sampling,
+            strict=strict,
+        )
         begin("solving")
         solution = _solved(choice, problem, time_limit)
         report = None

@@ -24,9 +24,9 @@ class ProblemOptions:
     """What is solved and by what, as typed.
 
     Attributes:
-        formulation: A formulation's name, or the path of your own file. By default
-            eq10, or coulomb_global if fit chooses the weights and the recordings show
-            friction.
+        formulation: A formulation's name, or the path of your own file. By default fit
+            takes a depth map sampled by contact size, with drag where the recordings
+            show friction, and eq10 where weights are given.
         solver: A solver's name, the path of your own file, or auto; see ttus-opt
             solvers.
         option: An option of the formulation; may be repeated.
@@ -67,8 +67,9 @@ class SceneOptions:
             default fit, where there are forces.
         outer: Negative of the outer layer's potential; with --inner fit, negative of
             its ratio to the inner one.
-        sampling: How contact samples the field: trilinear (the default), voxel-mean, or
-            contact-size (trilinear times 10 mm over the length of the contact patch).
+        sampling: How contact samples the field: trilinear (the default with a
+            formulation), voxel-mean, or contact-size (trilinear times 10 mm over the
+            length of the contact patch; the default without one).
         boundary: Where p = 0 lies: subvoxel (the default), at the true radius, or
             staircase, on the nearest voxels.
     """

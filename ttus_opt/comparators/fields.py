@@ -95,18 +95,14 @@ class Eq10(FieldModel):
 
 
 class Tuned(FieldModel):
-    """Eq. 10 with or without drag, as ``ttus-opt fit`` chooses when no weight is given.
-
-    Of `eq10` and `coulomb_global` the one with the larger marginal likelihood, at its
-    most likely weights, if presses left out agree.
-    """
+    """Eq. 10, with weights as ``ttus-opt fit --formulation eq10`` chooses them."""
 
     name = "tuned"
-    summary = "ours: eq. 10, with drag or without, by marginal likelihood"
+    summary = "ours: eq. 10, weights by marginal likelihood"
     turns = False  # its searches end within a tolerance
 
     def _solved(self, scene: Scene) -> Solution:
-        choice = choose_weights(scene)
+        choice = choose_weights(scene, "eq10", strict=False)
         return fit(choice.scene, choice.formulation)
 
 

@@ -59,7 +59,7 @@ class Plan:
         formulations: Formulations to compare, names or paths.
         weight: λ_f = λ_τ of formulations that do not choose their own.
         weights: ``auto`` fits these once more, with weights chosen from the recordings
-            by marginal likelihood; ``recipe`` also adds what the recipe chooses;
+            by marginal likelihood; ``default`` also adds the default model;
             ``given`` does neither.
         jobs: Number of parallel tasks.
         dask: Address of a dask scheduler for them, whose workers see the folder; ""
@@ -71,7 +71,7 @@ class Plan:
         comparators: Names of comparators, or ``("all",)``; none when empty.
         doubt: Also check the stated uncertainty of fits whose weights come from the
             recordings.
-        refine: Also fit what the recipe chooses on poses refined by the forces
+        refine: Also fit the default model on poses refined by the forces
             (`ttus_opt.refine_poses`).
     """
 

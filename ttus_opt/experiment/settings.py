@@ -20,9 +20,9 @@ FORMULATIONS = ("eq10", "coulomb_global", "depth_map", "depth_map_coulomb")
 #: λ_f = λ_τ of formulations that do not choose their own
 WEIGHT = 1.0
 
-#: Values of `Plan.weights`: given weights only, also by marginal likelihood, also by
-#: the recipe
-WEIGHTS = (GIVEN, AUTO, RECIPE) = ("given", weight_words.AUTO, weight_words.RECIPE)
+#: Values of `Plan.weights`: given weights only, also by marginal likelihood, also the
+#: default model
+WEIGHTS = (GIVEN, AUTO, DEFAULT) = ("given", weight_words.AUTO, "default")
 
 #: Suffix of settings whose weights are chosen from the recordings
 CHOSEN = "_auto"
@@ -37,8 +37,8 @@ class Setting:
 
     Attributes:
         name: Name of files and table rows.
-        formulation: Its name, or the path of a user's own file; None if the recipe
-            chooses it.
+        formulation: Its name, or the path of a user's own file; None for the
+            default model.
         options: Options of the formulation.
         inner: p_in, or "fit".
         outer: p_out; where p_in is fitted the ratio p_out / p_in.
@@ -75,8 +75,8 @@ class Setting:
         del values["weights"]  # so that older caches stay valid
         if not self.refined:
             del values["refined"]
-        chosen = {AUTO: True, RECIPE: RECIPE}.get(self.weights)
-        return values | ({"chooses": chosen} if chosen else {})
+        chosen = self.weights == AUTO
+        return values | ({"chooses": self.formulation or DEFAULT} if chosen else {})
 
 
 #: The paper's: without and with measured forces, its boundary, values and weights
@@ -87,11 +87,11 @@ PAPER_WITH = Setting("paper_with", "eq10", paper.WEIGHTS, **_PAPER)
 #: The Laplace field alone, its boundary values scaled to the measured forces
 LAPLACE = Setting("laplace_scaled", "laplace_only")
 
-#: Formulation, sampling and weights by presses left out
-BY_RECIPE = Setting("by_recipe", None, weights=RECIPE)
+#: What ``ttus-opt fit`` takes without an option
+BY_DEFAULT = Setting("by_default", None, weights=AUTO)
 
 #: The same on poses refined by the forces
-REFINED = Setting("by_recipe_refined", None, weights=RECIPE, refined=True)
+REFINED = Setting("by_default_refined", None, weights=AUTO, refined=True)
 
 
 def without_torque(weight: float) -> Setting:
@@ -136,7 +136,7 @@ def chosen(formulations: Sequence[str], weights: str) -> tuple[Setting, ...]:
         for name in formulations
         if has_weights(name)
     )
-    return (*by_evidence, BY_RECIPE) if weights == RECIPE else by_evidence
+    return (*by_evidence, BY_DEFAULT) if weights == DEFAULT else by_evidence
 
 
 def distinct(settings: Sequence[Setting]) -> tuple[Setting, ...]:

@@ -14,7 +14,7 @@ from ttus_opt.experiment.pipeline import ITSELF, ExperimentResult
 from ttus_opt.experiment.rivals import PREFIX
 from ttus_opt.experiment.scores import Row, Score
 from ttus_opt.experiment.settings import (
-    BY_RECIPE,
+    BY_DEFAULT,
     CHOSEN,
     LAPLACE,
     PAPER_WITH,
@@ -36,8 +36,8 @@ TITLES = {
     LAPLACE.name: "Laplace, p_in fitted",
     "eq10": "eq. 10",
     "eq10_force_only": "eq. 10, forces only",
-    BY_RECIPE.name: "by the recipe",
-    REFINED.name: "by the recipe, poses refined",
+    BY_DEFAULT.name: "default",
+    REFINED.name: "default, poses refined",
     ITSELF: "(the phantom itself)",
 }
 

@@ -62,10 +62,10 @@ def fit(
         weights: "auto" chooses weights and boundary scale by marginal likelihood
             (`ttus_opt.tune`). Where the recordings do not determine them, or they
             predict left-out presses worse, the formulation's own weights are used with
-            a `TtusWarning`; likewise, eq. 10 replaces a depth map. "recipe" chooses
-            formulation and sampling as well, by left-out presses
-            (`ttus_opt.fitting.recipe`): give no formulation. "own" or None takes the
-            formulation's own weights.
+            a `TtusWarning`. Without a formulation it takes the default model, that of
+            ``ttus-opt fit``: a depth map, sampled by contact size, with drag where the
+            recordings show it (`ttus_opt.fitting.weight_choice.default_model`). "own"
+            or None takes the formulation's own weights.
         options: Options of the formulation (``force_weight``, ``torque_weight``, …).
 
     Returns: The solution. It has a ``field`` only when its residuals, computed here,
@@ -81,11 +81,10 @@ def fit(
     expect(scene, Scene, "the scene")
     usual = DEFAULT_FORMULATION if formulation is None else formulation
     if weights not in (None, "own"):
-        from ttus_opt.fitting.weight_words import RECIPE, choice_of
+        from ttus_opt.fitting.weight_words import choice_of
 
         watch = Stopwatch()
-        asked = formulation if weights == RECIPE else usual
-        choice = choice_of(weights, scene, asked, options)
+        choice = choice_of(weights, scene, formulation, options)
         choosing = watch.seconds
         found = fit(
             choice.scene,

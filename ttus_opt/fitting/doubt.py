@@ -43,7 +43,7 @@ from ttus_opt.problem.program import Program
 from ttus_opt.problem.solution import Solution
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.solvers.dual.data import DualData, laplace_prior, root_weights
-from ttus_opt.terms.structure import known_covariance
+from ttus_opt.terms.structure import known_covariance, whitening
 from ttus_opt.voxmap.field import PotentialField
 
 Method = Literal["exact", "samples"]
@@ -259,29 +259,34 @@ def _errors(
             "torques is known"
         )
     values, frames = potential.values.reshape(-1), len(scene.trajectory)
-    wrench, scale = np.zeros((frames, 6)), np.empty(3 * len(measured))
+    wrench, n = np.zeros((frames, 6)), 3 * len(measured)
+    mixed = np.zeros((frames, n, n))  # from wrenches to weighted rows
     for k, term in enumerate(measured):
-        unit = 1.0
+        unit, by = 1.0, whitening(term.tags)
         if term.name == "torque":  # its rows are divided by a length
             size = float(np.linalg.norm(term.target))
             measured_size = float(np.linalg.norm(scene.tau))
             unit = measured_size / size if size > 0.0 else scene.torque_length
-        rows = unit * (term.matrix @ values)
-        wrench[:, COMPONENTS[term.name]] = rows.reshape(frames, 3)
-        scale[3 * k : 3 * k + 3] = np.sqrt(term.weight / prior.weight) / unit
+        if by is None:
+            by = np.broadcast_to(np.eye(3) / unit, (frames, 3, 3))
+        rows = (term.matrix @ values).reshape(frames, 3, 1)
+        wrench[:, COMPONENTS[term.name]] = np.linalg.solve(by, rows)[:, :, 0]
+        part = slice(3 * k, 3 * k + 3)
+        mixed[:, part, part] = np.sqrt(term.weight / prior.weight) * by
     informative = posterior.informative
     row = np.where(informative, np.cumsum(informative) - 1, -1)
     touching = scene.rows.contact_points > 0
+    mixed = mixed[touching]
     at = row.reshape(len(measured), frames, 3)[:, touching]
     at = at.transpose(1, 0, 2).reshape(len(wrench[touching]), -1)
     own = posterior.measured
     seen = MeasuredWrenches(
-        by_frame(own.weighted, at) / scale,
-        by_frame(own.misfit, at) / scale,
+        np.linalg.solve(mixed, by_frame(own.weighted, at)[..., None])[..., 0],
+        np.linalg.solve(mixed, by_frame(own.misfit, at)[..., None])[..., 0],
         wrench[touching],
         places(presses(scene)[touching], scene.trajectory.position[touching]),
         np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),
     )
     likeliest = float(own.solve(own.misfit) @ own.misfit) / len(own.misfit)
     variance, noise = seen.estimate(max(likeliest, LEAST_VARIANCE))
-    return variance, noise, seen.errors(variance, noise, scale, at)
+    return variance, noise, seen.errors(variance, noise, mixed, at)

@@ -34,7 +34,6 @@ from ttus_opt.fitting.tuning_candidate import (
 )
 from ttus_opt.fitting.tuning_series import TuningRows, coarser
 from ttus_opt.fitting.weight_criteria import Criteria
-from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 
@@ -43,9 +42,6 @@ CANDIDATES = ("coulomb_global", "eq10")
 
 #: Factors on the weights, for comparison with other criteria [–]
 FACTORS = np.geomspace(1e-3, 1e3, 13)
-
-#: Voxels of the grid of `best_left_out`, and its ratios of prior to noise variance [–]
-LOOK_VOXELS, LOOK_SIGNALS = 4_000, np.geomspace(1e-2, 1e2, 9)
 
 
 @dataclass(frozen=True)
@@ -235,35 +231,6 @@ def _scaled(
         not_identified=scene.not_identified,
     )
     return scaled, (found,)
-
-
-@one_blas_thread()
-def best_left_out(scene: Scene, name: str, options: Mapping[str, Any]) -> LeftOut:
-    """Presses left out of a formulation, with the weights that predict them best.
-
-    On a coarse grid, with one common weight from `LOOK_SIGNALS`: in a quarter of the
-    time of `tune`, and hardly worse than the likeliest weights.
-
-    Args:
-        scene: With measured wrenches.
-        name: A formulation without a coefficient in its rows.
-        options: Options of formulations; unknown ones are ignored.
-
-    Raises:
-        InputError: It cannot be tuned.
-    """
-    small = coarser(scene, LOOK_VOXELS)
-    known = shelf.option_names(name)
-    own = {k: v for k, v in options.items() if known is None or k in known}
-    rows = TuningRows.of(shelf.load(name, small, **own))
-    weights = LOOK_SIGNALS / rows.variance()
-    touching = np.flatnonzero(small.rows.contact_points > 0)
-    judge = _Judge(rows.series(float(weights.max())), 1.0, touching)
-    ones, words = np.ones(len(rows.terms)), f"{name} with its best weights"
-    found = [
-        judge.left_out(words, judge.predicted(weight * ones)) for weight in weights
-    ]
-    return min(found, key=lambda one: one.mean_over(judge.series.press))
 
 
 @dataclass(frozen=True)

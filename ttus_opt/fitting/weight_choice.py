@@ -1,11 +1,11 @@
 """The weights of a fit: chosen from its recordings where possible, else its own.
 
-`tune` finds the likeliest weights in any case. They are used unsupervised only with
-enough frames at more than one place, a weight that the recordings determine, no
-hyperparameter at its bound, and left-out presses that the richer model predicts no
-worse than the simpler one: with drag than without, a depth map than eq. 10, the chosen
-weights than the formulation's own. Otherwise a `TtusWarning` gives the reason, and the
-simpler model is used.
+Without a formulation, `default_model` takes a depth map, which chooses its own
+hyperparameters. Of others, `tune` finds the likeliest weights. They are used
+unsupervised only with enough frames at more than one place, a weight that the
+recordings determine, no hyperparameter at its bound, and left-out presses that the
+richer model predicts no worse than the simpler one. Otherwise a `TtusWarning` gives the
+reason, and the simpler model is used.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ import numpy as np
 from ttus_opt.errors import InputError, TtusWarning
 from ttus_opt.fitting.batch import DEFAULT_FORMULATION
 from ttus_opt.fitting.contact_spread import SPOT, contact_spread
-from ttus_opt.fitting.left_out import Check, LeftOut, left_out_of
-from ttus_opt.fitting.tuning import CANDIDATES, Tuning, best_left_out, tune
+from ttus_opt.fitting.left_out import Check, LeftOut
+from ttus_opt.fitting.tuning import Tuning, tune
 from ttus_opt.fitting.tuning_candidate import SIGNAL_TO_NOISE
 from ttus_opt.fitting.weight_criteria import presses
 from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import BOUNDARY_SCALE, Scene
 from ttus_opt.terms.depth_map import DepthMapTerm
+from ttus_opt.terms.drag_estimate import estimate_drag
+from ttus_opt.terms.force import ForceTerm
 
 #: Fewest frames in contact for three or four hyperparameters [–]
 LEAST_FRAMES = 12
 
-#: Formulations that choose their own weights and are compared with eq. 10
+#: The default model without and with drag, and its sampling
 DEPTH_MAPS = ("depth_map", "depth_map_coulomb")
-
-#: The default formulation with drag
-DRAG = "coulomb_global"
+SAMPLING = "contact-size"
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,7 @@ class WeightChoice:
         reason: Why its own weights are used; empty where they were tuned or requested.
         checks: Comparisons of a richer with a simpler model on left-out presses.
         left_out: Errors of the chosen model on these; None where not computed.
+        reasons: A model that chooses its own hyperparameters, in words.
     """
 
     scene: Scene = field(repr=False)
@@ -60,6 +61,7 @@ class WeightChoice:
     reason: str = ""
     checks: tuple[Check, ...] = ()
     left_out: LeftOut | None = field(default=None, repr=False)
+    reasons: tuple[str, ...] = ()
 
     def as_dict(self) -> dict[str, Any]:
         """The choice and its uncertainty, for JSON."""
@@ -67,8 +69,9 @@ class WeightChoice:
         checks = [each.as_dict() for each in self.checks]
         if self.tuning is None:
             return {
-                "by": "formulation",
+                "by": "marginal likelihood" if self.reasons else "formulation",
                 "weights": weights,
+                "model": list(self.reasons),
                 "reason": self.reason,
                 "held_out": checks,
             }
@@ -92,7 +95,7 @@ class WeightChoice:
         """The same in words."""
         checked = tuple(map(str, self.checks))
         if self.tuning is None:
-            return checked
+            return (*self.reasons, *checked)
         factors = self.tuning.weight_factors
         weights = ", ".join(
             f"{name} {weight:.3g} (×/÷ {factors[name]:.2f})"
@@ -152,6 +155,7 @@ def choose_weights(
     formulation: str | Path | Formulation | None = None,
     options: Mapping[str, Any] | None = None,
     *,
+    sampling: str | None = None,
     strict: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> WeightChoice:
@@ -159,9 +163,9 @@ def choose_weights(
 
     Args:
         scene: Patient, probe and measurements.
-        formulation: The formulation; None for eq. 10, with drag where the recordings
-            show it (`CANDIDATES`).
+        formulation: The formulation; None for the default model (`default_model`).
         options: Options of the formulation, without weights.
+        sampling: Of the default model; None for its usual one.
         strict: Whether a formulation that cannot be tuned is an error instead of a
             warning.
         progress: As in `tune`.
@@ -172,17 +176,16 @@ def choose_weights(
     """
     options = options or {}
     refuse_weights(options)
-    usual = DEFAULT_FORMULATION if formulation is None else formulation
-    own = shelf.load(usual, scene, **options)
+    if formulation is None:
+        return default_model(scene, options, sampling or SAMPLING, progress=progress)
+    own = shelf.load(formulation, scene, **options)
+    if any(isinstance(term, DepthMapTerm) for term in own.terms):
+        return WeightChoice(scene, own, reasons=described(own))
     reason = too_little(scene)
     if reason:
         return _own(scene, own, reason)
-    depth_map = any(isinstance(term, DepthMapTerm) for term in own.terms)
     try:
-        if depth_map:
-            return _depth_map_or_simpler(scene, own, options, progress)
-        asked = CANDIDATES if formulation is None else (formulation,)
-        found = tune(scene, asked, compare=False, progress=progress, **options)
+        found = tune(scene, formulation, compare=False, progress=progress, **options)
     except InputError as error:
         if strict:
             raise
@@ -194,10 +197,72 @@ def choose_weights(
     if checks[-1].holds:
         choice = WeightChoice(found.scene, found.formulation, found, checks=checks)
         return replace(choice, left_out=found.left_out)
-    if formulation is None:
-        own = shelf.load(found.formulation.name, scene, **options)
     choice = _own(scene, own, str(checks[-1]), checks)
     return replace(choice, left_out=found.own_left_out)
+
+
+def default_model(
+    scene: Scene,
+    options: Mapping[str, Any] | None = None,
+    sampling: str = SAMPLING,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> WeightChoice:
+    """The model of a fit with no choice of the user's: a depth map, by contact size.
+
+    With drag where the recordings show it. Where no depth map explains the forces, the
+    default formulation with its own weights, and a warning with the reason.
+
+    Args:
+        scene: Patient, probe and measurements.
+        options: Options of the depth map, without weights.
+        sampling: How contact samples the field.
+        progress: Called with a message for every step.
+    """
+    place = scene if scene.sampling == sampling else resampled(scene, sampling)
+    try:
+        name = DEPTH_MAPS[estimate_drag(place).friction_coefficient > 0.0]
+        if progress is not None:
+            progress(f"{name}, {sampling} sampling")
+        declared = shelf.load(name, place, **(options or {}))
+    except InputError as error:
+        return _own(scene, shelf.load(DEFAULT_FORMULATION, scene), str(error))
+    return WeightChoice(place, declared, reasons=described(declared))
+
+
+def described(model: Formulation) -> tuple[str, ...]:
+    """A depth map and its errors, in words."""
+    prior = next(term for term in model.terms if isinstance(term, DepthMapTerm))
+    force = next((t for t in model.terms if isinstance(t, ForceTerm) and t.noise), None)
+    lines = [
+        f"{model.name}, by marginal likelihood: φ = {prior.profile} N/cm², varies by "
+        f"{100 * prior.deviation:.0f} % over {1e3 * prior.surface_length:.0f} mm along "
+        f"the skin and {1e3 * prior.depth_length:.0f} mm in depth"
+    ]
+    if force is not None:
+        assert force.noise is not None
+        lines.append(
+            f"error of a normal force {force.noise.level:.2g} N, of tangential forces "
+            f"and torques {force.noise.tangential:g} times that"
+        )
+    return tuple(lines)
+
+
+def resampled(scene: Scene, sampling: str) -> Scene:
+    """The scene in another sampling; a fitted boundary scale is fitted again.
+
+    Raises:
+        InputError: An unknown sampling.
+    """
+    fitted = BOUNDARY_SCALE in scene.parameters
+    return Scene.assemble(
+        scene.voxmap,
+        scene.shell,
+        scene.trajectory,
+        inner="fit" if fitted else scene.inner,
+        outer=scene.outer / scene.inner if fitted else scene.outer,
+        sampling=sampling,
+    )
 
 
 def _own(
@@ -230,37 +295,6 @@ def _simplest(scene: Scene, found: Tuning) -> tuple[Tuning, tuple[Check, ...]]:
         found = found.simpler
     checks.append(Check.between(found.left_out, found.own_left_out, press))
     return found, tuple(checks)
-
-
-def _depth_map_or_simpler(
-    scene: Scene,
-    own: Formulation,
-    options: Mapping[str, Any],
-    progress: Callable[[str], None] | None,
-) -> WeightChoice:
-    """A depth map, or eq. 10 where that predicts left-out presses better.
-
-    Nothing is tuned where the depth map is clearly better than eq. 10 with the best
-    weights on these presses.
-    """
-    name = DEFAULT_FORMULATION if own.search is None else DRAG
-    richer, press = left_out_of(own), presses(scene)
-    if own.search is None:
-        look = Check.between(richer, best_left_out(scene, name, options), press)
-        if look.clear:
-            return WeightChoice(scene, own, checks=(look,))
-    found = tune(scene, name, compare=False, progress=progress, **options)
-    doubtful = bool(why_not(found))
-    simpler = found.own_left_out if doubtful else found.left_out
-    check = Check.between(richer, simpler, press)
-    if check.holds:
-        return WeightChoice(scene, own, checks=(check,))
-    _warn_of_simpler(check, name)
-    if doubtful:
-        return WeightChoice(
-            scene, shelf.load(name, scene), reason=str(check), checks=(check,)
-        )
-    return WeightChoice(found.scene, found.formulation, found, checks=(check,))
 
 
 def _warn_of_simpler(check: Check, name: str) -> None:

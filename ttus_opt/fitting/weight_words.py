@@ -1,8 +1,8 @@
 """The values of the option ``weights``, and the problem that each selects.
 
 They are the same for a fit, a session, the demo and the experiment: "auto" chooses the
-weights of one formulation (`weight_choice`), "recipe" its formulation and sampling as
-well (`recipe`), "own" keeps the weights of the formulation.
+weights of a formulation, or the default model where none is named (`weight_choice`),
+"own" keeps the weights of the formulation.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any, Literal
 
 from ttus_opt.errors import InputError
 from ttus_opt.fitting.batch import DEFAULT_FORMULATION
-from ttus_opt.fitting.recipe import choose_recipe
 from ttus_opt.fitting.weight_choice import (
     WeightChoice,
     choose_weights,
@@ -25,13 +24,12 @@ from ttus_opt.problem import formulation as shelf
 from ttus_opt.problem.formulation import Formulation
 from ttus_opt.scene import Scene
 
-Word = Literal["auto", "recipe", "own"]
+Word = Literal["auto", "own"]
 
 AUTO: Literal["auto"] = "auto"
-RECIPE: Literal["recipe"] = "recipe"
 OWN: Literal["own"] = "own"
 
-WORDS: tuple[Word, ...] = (AUTO, RECIPE, OWN)
+WORDS: tuple[Word, ...] = (AUTO, OWN)
 
 
 def checked_word(word: str, words: Sequence[str] = WORDS) -> str:
@@ -59,15 +57,10 @@ def word_for(
         options: The given options of the formulation.
 
     Raises:
-        InputError: Another word, "auto" with a weight, "recipe" with a formulation or
-            an option, or an unknown formulation.
+        InputError: Another word, "auto" with a weight, or an unknown formulation.
     """
     if word is not None:
         checked_word(word)
-    if word == RECIPE and (formulation is not None or options):
-        raise InputError(
-            'weights="recipe" chooses the formulation and its options: leave both out'
-        )
     if word == AUTO:
         refuse_weights(options)
     if word is not None:
@@ -84,6 +77,7 @@ def choice_of(
     formulation: str | Path | Formulation | None = None,
     options: Mapping[str, Any] | None = None,
     *,
+    sampling: str | None = None,
     strict: bool = True,
     progress: Callable[[str], None] | None = None,
 ) -> WeightChoice:
@@ -92,8 +86,9 @@ def choice_of(
     Args:
         word: One of `WORDS`.
         scene: Patient, probe and measurements.
-        formulation: As in `choose_weights`; None for the recipe.
-        options: Options of the formulation; none for the recipe.
+        formulation: As in `choose_weights`.
+        options: Options of the formulation.
+        sampling: As in `choose_weights`.
         strict: As in `choose_weights`.
         progress: Called with a message for every step.
 
@@ -102,9 +97,14 @@ def choice_of(
     """
     options = options or {}
     word_for(word, formulation, options)
-    if word == RECIPE:
-        return choose_recipe(scene, progress=progress)
     if word == OWN:
         own = DEFAULT_FORMULATION if formulation is None else formulation
         return WeightChoice(scene, shelf.load(own, scene, **options))
-    return choose_weights(scene, formulation, options, strict=strict, progress=progress)
+    return choose_weights(
+        scene,
+        formulation,
+        options,
+        sampling=sampling,
+        strict=strict,
+        progress=progress,
+    )

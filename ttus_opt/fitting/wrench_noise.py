@@ -266,18 +266,19 @@ class MeasuredWrenches:
         return values(posterior_mode(log_density, len(priors), MOST).steps)
 
     def errors(
-        self, variance: float, noise: WrenchNoise, scale: Array, at: IntArray
+        self, variance: float, noise: WrenchNoise, mixed: Array, at: IntArray
     ) -> ErrorModel:
         """The error model of weighted rows.
 
         Args:
             variance: Prior variance [–].
             noise: Noise of the measurements.
-            scale: Factor of every component, shape (h,) [1/N, 1/N·m].
+            mixed: Matrices of the frames from wrenches to weighted rows, (n, h, h)
+                [1/N, 1/N·m].
             at: As in `ErrorModel`.
         """
-        own = np.linalg.cholesky(self._own(noise)) * scale[:, None]
-        shared = self._shared(noise) * scale[:, None]
+        own = mixed @ np.linalg.cholesky(self._own(noise))
+        shared = mixed @ self._shared(noise)
         return ErrorModel(variance, own, shared, self.place, at)
 
     def _own(self, noise: WrenchNoise) -> Array:

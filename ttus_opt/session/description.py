@@ -142,12 +142,12 @@ class FitPlan:
 
     Attributes:
         formulation: Name, or the path of a file beside the description; None for
-            eq. 10, with drag where the recordings show it.
+            the default model.
         shape: Voxels in r, θ and z.
         r_inner: Radius of the innermost layer [m].
         solver: Name, or auto.
         options: Options of the formulation.
-        weights: auto, recipe or own, see `ttus_opt.fit`.
+        weights: auto or own, see `ttus_opt.fit`.
     """
 
     formulation: str | None

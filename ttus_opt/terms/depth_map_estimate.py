@@ -279,7 +279,7 @@ class _Problem:
         along = _along(contact_directions(scene)[frames])
         chosen = (3 * frames[:, None] + np.arange(3)).ravel()
         own = sp.csr_array(along @ rows[chosen])
-        touched = np.unique(own.indices)
+        touched = np.unique(own.indices).astype(np.int64)
         grid, trajectory = scene.voxmap.grid, scene.trajectory
         n_spokes = grid.shape[1] * grid.shape[2]
         spokes, spoke = np.unique(touched % n_spokes, return_inverse=True)
@@ -309,7 +309,7 @@ class _Problem:
         return problem
 
     def mean(self, exponent: float) -> tuple[float, Array]:
-        """c by least squares, and the normal forces c G of the mean, shape (m,)."""
+        """Coefficient c by least squares, and the normal forces c G of the mean, shape (m,)."""
         G = self.rows @ powers_of(self.depth, (exponent,))[:, 0]
         c = float(G @ self.force) / float(G @ G)
         return c, c * G

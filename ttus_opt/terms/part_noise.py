@@ -101,4 +101,4 @@ def whitened(
     starts = 3 * np.arange(3 * T + 1)
     W = sp.csr_array((by.ravel(), columns.ravel(), starts), shape=(3 * T, 3 * T))
     rows = {name: sp.csr_array(W @ M) for name, M in blocks.items()}
-    return AffineRows(rows, W @ measured, frozenset({Whitened(by)}))
+    return AffineRows(rows, np.asarray(W @ measured), frozenset({Whitened(by)}))
