@@ -49,6 +49,6 @@ def build(
         terms=[
             DepthMapTerm.of(scene, found, deviation, surface_length, length_ratio),
             ForceTerm(scene, force, noise=noise),
-            TorqueTerm(scene, torque, torque_length, noise),
+            TorqueTerm(scene, torque, torque_length, noise=noise),
         ]
     )

@@ -49,7 +49,9 @@ def build(
     def given(mu: float) -> Formulation:
         dragged = drag.with_coefficient(mu)
         force = DragForceTerm(scene, weight, noise=noise, drag=dragged)
-        torque = DragTorqueTerm(scene, turning, torque_length, noise, drag=dragged)
+        torque = DragTorqueTerm(
+            scene, turning, torque_length, noise=noise, drag=dragged
+        )
         return Formulation(terms=[prior, force, torque])
 
     search = Search("friction_coefficient", 0.0, largest_friction, given)

@@ -120,7 +120,7 @@ def test_bad_trajectory(
         ("--sector front", ["--sector", "FROM,TO"]),
         ("--sector 90,90.0001", ["sector of 0.0001°", "at least 5°"]),
         ("--paper --weights auto", ["--paper", "leave --weights out"]),
-        ("--weights best", ["--weights best is not known", "auto, recipe or own"]),
+        ("--weights best", ["--weights best is not known", "auto or own"]),
         ("--inner some", ["--inner", "some"]),
         ("--formulation eq11", ["eq11", "eq10"]),
         ("--option force_weight", ["--option", "key=value"]),

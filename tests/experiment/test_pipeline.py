@@ -182,21 +182,21 @@ def test_weights_from_the_recordings_stand_beside_the_given_ones():
     assert "chooses" not in given.settings[0].as_dict()
     assert more[0].as_dict()["chooses"] and not more[0].options
     assert title("eq10_auto") == "eq. 10, weights by evidence"
-    with pytest.raises(InputError, match=r"evidence.*: take given, auto or recipe"):
+    with pytest.raises(InputError, match=r"evidence.*: take given, auto or default"):
         experiment.Plan(weights="evidence")
-    recipe = experiment.Plan(formulations=("eq10", "depth_map"), weights="recipe")
-    *same, last = recipe.settings
+    default = experiment.Plan(formulations=("eq10", "depth_map"), weights="default")
+    *same, last = default.settings
     assert tuple(same) == plan.settings and last.formulation is None
-    assert last.as_dict()["chooses"] == "recipe" and title(last.name) == "by the recipe"
+    assert last.as_dict()["chooses"] == "default" and title(last.name) == "default"
 
 
-def test_the_recipe_on_refined_poses_stands_beside_it():
-    plan = experiment.Plan(formulations=("eq10",), weights="recipe", refine=True)
+def test_the_default_on_refined_poses_stands_beside_it():
+    plan = experiment.Plan(formulations=("eq10",), weights="default", refine=True)
     *_, plain, refined = plan.settings
     assert (plain.formulation, refined.formulation) == (None, None)
     assert plain.scene_key != refined.scene_key
     assert "refined" not in plain.as_dict() and refined.as_dict()["refined"]
-    assert title(refined.name) == "by the recipe, poses refined"
+    assert title(refined.name) == "default, poses refined"
 
 
 def test_refuses_plans_that_cannot_be_done(tmp_path):

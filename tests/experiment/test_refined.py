@@ -12,7 +12,7 @@ import pytest
 from tests.conftest import presses, torso
 from ttus_opt.experiment import fits
 from ttus_opt.experiment.fits import FITTED, PatientFits
-from ttus_opt.experiment.settings import BY_RECIPE, REFINED
+from ttus_opt.experiment.settings import BY_DEFAULT, REFINED
 from ttus_opt.scene import Scene
 
 
@@ -37,6 +37,6 @@ def test_only_the_fitted_recordings_are_refined(
             found, np.concatenate([one.position for one in refined])
         )
     reported = np.concatenate([recorded[name].position for name in FITTED])
-    np.testing.assert_array_equal(each.scene(BY_RECIPE).trajectory.position, reported)
+    np.testing.assert_array_equal(each.scene(BY_DEFAULT).trajectory.position, reported)
     (scene,) = given
     np.testing.assert_array_equal(scene.trajectory.position, reported)

@@ -111,14 +111,14 @@ def test_chosen_weights_are_told_with_the_reason_where_there_are_none():
         "eq10_auto": SimpleNamespace(
             facts={"formulation": "eq10", "weights_chosen": found}
         ),
-        "by_recipe": SimpleNamespace(
+        "by_default": SimpleNamespace(
             facts={"formulation": "depth_map", "weights_chosen": own}
         ),
     }
     who = SimpleNamespace(patient=SimpleNamespace(name="lean"), fits=fits)
     first, second = tables.weights_table(SimpleNamespace(patients=[who])).rows
     assert first[1:] == ["eq10", "force 0.095, torque 0.17", "marginal likelihood"]
-    assert second == ["lean, by the recipe", "depth_map", "force 0.01", "one press"]
+    assert second == ["lean, default", "depth_map", "force 0.01", "one press"]
     who.fits = {"eq10": fits["eq10"]}
     assert tables.weights_table(SimpleNamespace(patients=[who])) is None
 

@@ -109,30 +109,3 @@ def test_a_tuning_tells_the_errors_of_its_presses() -> None:
     assert found.left_out.errors.mean() > found.left_out_force_error
     check = Check.between(found.left_out, found.own_left_out, presses(scene))
     assert check.holds and check.simpler_error > 1.2 * check.richer_error
-
-
-def test_the_best_weights_are_looked_for_by_fits_without_each_press(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    scene, signals = drawn(), np.array([1e-6, 30.0])
-    monkeypatch.setattr(tuning, "LOOK_SIGNALS", signals)
-    found = tuning.best_left_out(scene, "eq10", {})
-    touching, press = scene.rows.contact_points > 0, presses(scene)
-    weight = 30.0 / TuningRows.of(tt.load_formulation("eq10", scene)).variance()
-    for number in np.unique(press[touching]):
-        own, out = touching & (press != number), touching & (press == number)
-        kept = Scene.assemble(
-            *(scene.voxmap, scene.shell, scene.trajectory.select(own)),
-            inner=scene.inner,
-            outer=scene.outer,
-            sampling=scene.sampling,
-        )
-        given = {"force_weight": weight, "torque_weight": weight}
-        solution = tt.fit(kept, "eq10", torque_length=scene.torque_length, **given)
-        off = (scene.f - scene.N @ solution.candidate).reshape(-1, 3)[out]
-        expected, at = (
-            np.linalg.norm(off, axis=1),
-            np.isin(found.frames, *out.nonzero()),
-        )
-        # the basis leaves out what two units of noise variance cannot tell
-        np.testing.assert_allclose(found.errors[at], expected, atol=2e-3)

@@ -20,7 +20,7 @@ from ttus_opt.terms.matern import SeparableCovariance
 NOISE = TrackerNoise(4e-4, 0.01, 0.2)
 MAP = DepthMapEstimate(
     DepthProfile((1.0, 2.0), (1.0, 0.5)),
-    *(0.3, 0.03, 0.015, 0.1, 2.0, 0.0),
+    *(0.3, 0.03, 0.015, 0.1, 0.0),
     sensor_noise=0.05,
     relative_noise=0.04,
 )

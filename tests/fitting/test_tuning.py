@@ -119,7 +119,7 @@ def test_a_coarse_grid_finds_nearly_the_same(monkeypatch: pytest.MonkeyPatch) ->
     [
         ({"formulation": "coulomb_drag"}, "cannot be tuned"),
         ({"force_weight": 1.0}, "chooses force_weight"),
-        ({"weights": "evidence"}, "take auto, recipe or own"),
+        ({"weights": "evidence"}, "take auto or own"),
     ],
 )
 def test_what_cannot_be_tuned_is_refused(given: dict, told: str) -> None:  # type: ignore[type-arg]

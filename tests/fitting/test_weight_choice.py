@@ -163,54 +163,10 @@ def test_drag_that_predicts_presses_left_out_worse_is_not_used(
     )
     monkeypatch.setattr(weight_choice, "tune", lambda *_, **__: rich)
     with pytest.warns(TtusWarning, match="coulomb_global predicts.*eq10 is used"):
-        choice = choose_weights(drawn())
+        choice = choose_weights(drawn(), "coulomb_global")
     assert choice.formulation is tuned().formulation
     assert [check.holds for check in choice.checks] == [False, True]
     assert "worse than eq10 with the weights chosen" in choice.lines[-2]
-
-
-@pytest.mark.parametrize("factor", [1.0, 0.5])
-def test_a_depth_map_stays_where_it_predicts_better(
-    factor: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    better = replace(tuned(), left_out=off_by(factor, tuned().left_out))
-    monkeypatch.setattr(weight_choice, "tune", lambda *_, **__: better)
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        solution = tt.fit(drawn(), "depth_map", weights="auto")
-    expected = "depth_map" if factor == 1.0 else "eq10"
-    assert solution.formulation == expected
-    assert [str(one.message).endswith("eq10 is used") for one in told] == (
-        [] if factor == 1.0 else [True]
-    )
-    assert any("depth_map predicts presses left" in line for line in solution.chosen)
-    assert "depth_map predicts presses left" in solution.summary()
-
-
-def test_where_a_depth_map_is_clearly_better_nothing_is_tuned(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    worse = off_by(20.0, tuned().left_out)
-    monkeypatch.setattr(weight_choice, "best_left_out", lambda *_: worse)
-    monkeypatch.delattr(weight_choice, "tune")
-    choice = choose_weights(drawn(), "depth_map")
-    assert choice.formulation.name == "depth_map"
-    assert choice.checks[-1].clear and "better than" in choice.lines[-1]
-
-
-def test_a_depth_map_with_drag_is_set_beside_tuned_drag(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    asked, worse = [], replace(tuned(), left_out=off_by(20.0, tuned().left_out))
-
-    def tuning(_: Scene, name: str, **__: object) -> Tuning:
-        asked.append(name)
-        return worse
-
-    monkeypatch.setattr(weight_choice, "tune", tuning)
-    monkeypatch.delattr(weight_choice, "best_left_out")
-    choose_weights(drawn(), "depth_map_coulomb")
-    assert asked == ["coulomb_global"]
 
 
 def test_two_presses_leave_the_weights_unchecked() -> None:
@@ -254,17 +210,38 @@ def test_drag_in_the_recordings_is_chosen_together_with_the_weights() -> None:
         torque=clean.trajectory.torque + rng.normal(0.0, 1e-3, (n, 3)),
     )
     scene = Scene.assemble(clean.voxmap, clean.shell, noisy)
-    choice = choose_weights(scene)
-    assert choice.formulation.name == "coulomb_global"
+    choice = choose_weights(scene, "coulomb_global")
     assert choice.tuning is not None
     named = {h.name: h for h in choice.tuning.hyperparameters}
     assert named["friction_coefficient"].value == pytest.approx(0.3, abs=0.03)
 
 
-def test_without_drag_it_is_eq10() -> None:
+def test_the_default_is_a_depth_map_by_contact_size() -> None:
+    """The same by name in that scene; with drag where the recordings show it."""
     choice = choose_weights(drawn())
-    assert choice.formulation.name == "eq10"
-    assert weights(choice) == pytest.approx(tuned().weights, rel=0.2)
+    assert choice.formulation.name == "depth_map"
+    assert choice.scene.sampling == "contact-size" and choice.tuning is None
+    assert "by marginal likelihood" in choice.lines[0]
+    assert choice.as_dict()["by"] == "marginal likelihood"
+    named = choose_weights(choice.scene, "depth_map")
+    assert str(named.formulation) == str(choice.formulation)
+    own = choose_weights(drawn(), sampling="trilinear")
+    assert own.scene is drawn()
+    found = tt.fit(drawn(), weights="auto")
+    assert found.field.sampling == "contact-size"
+    assert found.chosen == choice.lines
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", TtusWarning)
+        dragged = choose_weights(dragged_scene("contact"))
+    assert dragged.formulation.name == "depth_map_coulomb"
+
+
+def test_forces_that_no_depth_map_explains_leave_eq10() -> None:
+    pulling = replace(drawn().trajectory, force=-drawn().f.reshape(-1, 3))
+    scene = Scene.assemble(drawn().voxmap, drawn().shell, pulling, inner=1.0)
+    with pytest.warns(TtusWarning, match="pull the probe in.*weights of eq10"):
+        choice = choose_weights(scene)
+    assert choice.formulation.name == "eq10" and "pull" in choice.reason
 
 
 def test_a_formulation_that_cannot_be_tuned_keeps_its_weights() -> None:

@@ -39,14 +39,12 @@ def test_the_word_where_none_is_given(
     ("word", "formulation", "options", "told"),
     [
         (
-            "recipes",
+            "recipe",
             None,
             {},
-            "weights='recipes' is not known: take auto, recipe or own",
+            "weights='recipe' is not known: take auto or own",
         ),
         ("auto", "eq10", WEIGHT, "chooses force_weight: give one or the other"),
-        ("recipe", "eq10", {}, "chooses the formulation and its options"),
-        ("recipe", None, WEIGHT, "chooses the formulation and its options"),
     ],
 )
 def test_words_that_cannot_be_followed(
@@ -77,8 +75,7 @@ def test_a_fit_takes_what_the_word_chose(
 
         return choose
 
-    monkeypatch.setattr(weight_words, "choose_recipe", chosen("laplace_only"))
     monkeypatch.setattr(weight_words, "choose_weights", chosen("tikhonov"))
-    names = {"own": "eq10", "auto": "tikhonov", "recipe": "laplace_only"}
+    names = {"own": "eq10", "auto": "tikhonov"}
     scene = small_scene("trilinear")
     assert tt.fit(scene, weights=word).formulation == names[word]

@@ -280,9 +280,13 @@ def _errors(
     at = row.reshape(len(measured), frames, 3)[:, touching]
     at = at.transpose(1, 0, 2).reshape(len(wrench[touching]), -1)
     own = posterior.measured
+    def unmixed(rows: Array) -> Array:
+        """Weighted rows as wrenches by frame, (…, n, h)."""
+        return np.asarray(np.linalg.solve(mixed, by_frame(rows, at)[..., None])[..., 0])
+
     seen = MeasuredWrenches(
-        np.linalg.solve(mixed, by_frame(own.weighted, at)[..., None])[..., 0],
-        np.linalg.solve(mixed, by_frame(own.misfit, at)[..., None])[..., 0],
+        unmixed(own.weighted),
+        unmixed(own.misfit),
         wrench[touching],
         places(presses(scene)[touching], scene.trajectory.position[touching]),
         np.concatenate([np.arange(6)[COMPONENTS[t.name]] for t in measured]),

@@ -35,6 +35,11 @@ from ttus_opt.arrays import Array, IntArray
 from ttus_opt.contact.places import runs
 from ttus_opt.errors import InputError
 from ttus_opt.scene import Scene
+from ttus_opt.terms.depth_map_limits import (
+    DEVIATIONS,
+    depth_lengths,
+    surface_lengths,
+)
 from ttus_opt.terms.depth_profile import (
     EXPONENTS,
     DepthProfile,
@@ -60,7 +65,7 @@ PRIOR = {
 DEPTH_LENGTHS = (0.02, 0.002)
 
 #: Most evaluations of the evidence
-CALLS = 200
+CALLS = 300
 
 #: Most frames in the evidence, whose cost grows with their number cubed [–]
 MOST_FRAMES = 300
@@ -146,9 +151,18 @@ def estimate_depth_map(
     widths = np.array([PRIOR[name][1] for name in names])
     held = {} if depth_length is None else {"depth_length": depth_length}
 
+    grid = scene.voxmap.grid
+    limits = {
+        "surface_length": surface_lengths(grid),
+        "depth_length": depth_lengths(grid),
+        "deviation": DEVIATIONS,
+    }
+
     def chosen(steps: Array) -> _Chosen:
-        values = np.exp(medians + widths * steps).tolist()
-        return _Chosen(**held, **dict(zip(names, values, strict=True)))
+        values = dict(zip(names, np.exp(medians + widths * steps), strict=True))
+        for name in limits.keys() & values.keys():
+            values[name] = np.clip(values[name], *limits[name])
+        return _Chosen(**held, **{name: float(v) for name, v in values.items()})
 
     starts = []
     if depth_length is None:
@@ -309,7 +323,7 @@ class _Problem:
         return problem
 
     def mean(self, exponent: float) -> tuple[float, Array]:
-        """Coefficient c by least squares, and the normal forces c G of the mean, shape (m,)."""
+        """Its coefficient c by least squares, and its forces c G, shape (m,)."""
         G = self.rows @ powers_of(self.depth, (exponent,))[:, 0]
         c = float(G @ self.force) / float(G @ G)
         return c, c * G

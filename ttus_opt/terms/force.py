@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import scipy.sparse as sp
 
@@ -20,7 +20,7 @@ class ForceTerm(Term):
             divided; None for equal ones.
     """
 
-    noise: PartNoise | None = None
+    noise: PartNoise | None = field(default=None, kw_only=True)
 
     name = "force"
     formula = "‖N p − f‖²"

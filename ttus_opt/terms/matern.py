@@ -148,17 +148,23 @@ class MaternFactor:
 
 @dataclass(frozen=True)
 class SeparableCovariance:
-    """Covariance of s_v g_v over voxels, with g separable in radius and spoke.
+    """Covariance of s_v g_v over voxels, with g separable in depth and spoke.
+
+    Every spoke is turned by whole layers, so that the skin lies in the same one: places
+    at the same depth are alike, not those at the same radius. What lies outside the
+    skin comes last, below the innermost layer, where nothing is measured.
 
     Attributes:
         radial: Factor over the layers, n_r nodes.
         surface: Factor over the spokes, n_θ n_z nodes.
         scale: s, shape (V,).
+        turned: Number of every voxel when spokes are turned, shape (V,).
     """
 
     radial: MaternFactor
     surface: MaternFactor
     scale: Array = field(repr=False)
+    turned: IntArray = field(repr=False)
 
     @classmethod
     def over(
@@ -183,6 +189,10 @@ class SeparableCovariance:
         theta, z = np.meshgrid(grid.theta, grid.z, indexing="ij")
         radius = voxmap.spoke_radius
         points = np.stack([radius * np.cos(theta), radius * np.sin(theta), z], axis=-1)
+        n_r, n_spokes = grid.shape[0], theta.size
+        skin = np.rint(voxmap.surface_place).astype(np.int64).ravel()
+        layer = (np.arange(n_r)[:, None] - skin - 1) % n_r
+        turned = (layer * n_spokes + np.arange(n_spokes)).ravel()
         return cls(
             MaternFactor.along_line(grid.shape[0], grid.r_step, depth_length),
             MaternFactor.on_surface(
@@ -192,19 +202,22 @@ class SeparableCovariance:
                 is_open=grid.wall is not None,
             ),
             scale,
+            turned,
         )
 
     @property
     def rows(self) -> sp.csr_array:
         """Square R with (RᵀR)⁻¹ the covariance, shape (V, V)."""
         both = kronecker(self.radial.rows, self.surface.rows)
-        both.data /= self.scale[both.indices]
-        return both
+        voxel = np.argsort(self.turned).astype(both.indices.dtype)
+        columns = voxel[both.indices]
+        data = both.data / self.scale[columns]
+        return sp.csr_array((data, columns, both.indptr), shape=both.shape)
 
     def columns(self, voxels: IntArray) -> VoxelColumns:
         """Its columns at some voxels, in factored form."""
         n_spokes = len(self.surface.volumes)
-        layers, layer = np.unique(voxels // n_spokes, return_inverse=True)
+        layers, layer = np.unique(self._layer(voxels), return_inverse=True)
         spokes, spoke = np.unique(voxels % n_spokes, return_inverse=True)
         radial, surface = (
             self.radial.covariance(layers),
@@ -214,20 +227,28 @@ class SeparableCovariance:
         among = radial[layers][np.ix_(layer, layer)]
         among *= surface[spokes][np.ix_(spoke, spoke)]
         among *= own[:, None] * own
-        return VoxelColumns(voxels, self.scale, radial, surface, layer, spoke, among)
+        return VoxelColumns(
+            voxels, self.scale, self.turned, radial, surface, layer, spoke, among
+        )
+
+    def _layer(self, voxels: IntArray) -> IntArray:
+        """Layers of voxels when spokes are turned."""
+        return self.turned[voxels] // len(self.surface.volumes)
 
     def times(self, values: Array) -> Array:
         """Covariance @ values, shape (V,)."""
         shape = (len(self.radial.volumes), len(self.surface.volumes))
-        g = (self.scale * values).reshape(shape)
-        g = self.surface.covariance_times(g.T).T
-        return np.asarray(self.scale * self.radial.covariance_times(g).ravel())
+        g = np.empty(len(values))
+        g[self.turned] = self.scale * values
+        g = self.surface.covariance_times(g.reshape(shape).T).T
+        g = self.radial.covariance_times(g).ravel()
+        return np.asarray(self.scale * g[self.turned])
 
     def draw(self, rng: np.random.Generator) -> Array:
         """A field of this covariance and mean zero, shape (V,)."""
         shape = (len(self.radial.volumes), len(self.surface.volumes))
         g = self.surface.draw(rng.standard_normal(shape).T).T
-        return np.asarray(self.scale * self.radial.draw(g).ravel())
+        return np.asarray(self.scale * self.radial.draw(g).ravel()[self.turned])
 
     def among_rows(self, rows: sp.csr_array, height: int) -> Array:
         """Covariance of consecutive rows of a field.
@@ -256,7 +277,7 @@ class SeparableCovariance:
             ends = rows.indptr[k * height : (k + 1) * height + 1] - part.start
             scaled = rows.data[part] * self.scale[rows.indices[part]]
             own_rows = sp.csr_array((scaled, column, ends), (height, len(voxels)))
-            place, layer = spoke[part][at], voxels // n_spokes
+            place, layer = spoke[part][at], self._layer(voxels.astype(np.int64))
             cov = between[np.ix_(place, place)] * radial[np.ix_(layer, layer)]
             out[k] = own_rows @ (own_rows @ cov).T
         return out
@@ -269,6 +290,7 @@ class VoxelColumns:
     Attributes:
         voxels: Shape (n,).
         scale: s of all voxels, shape (V,).
+        turned: As in `SeparableCovariance`.
         radial: Columns of the radial part at the layers that occur, (n_r, k_r).
         surface: Columns of the surface part at the spokes that occur, (n_s, k_s).
         layer: Which of those layers, shape (n,).
@@ -278,6 +300,7 @@ class VoxelColumns:
 
     voxels: IntArray
     scale: Array = field(repr=False)
+    turned: IntArray = field(repr=False)
     radial: Array = field(repr=False)
     surface: Array = field(repr=False)
     layer: IntArray = field(repr=False)
@@ -288,7 +311,7 @@ class VoxelColumns:
         """Rows of a field, shape (k, V), times the columns, shape (k, n)."""
         voxels, column = np.unique(rows.indices, return_inverse=True)
         n_spokes = self.surface.shape[0]
-        cov = self.radial[voxels // n_spokes][:, self.layer]
+        cov = self.radial[self.turned[voxels] // n_spokes][:, self.layer]
         cov *= self.surface[voxels % n_spokes][:, self.spoke]
         cov *= self.scale[voxels][:, None] * self.scale[self.voxels]
         few = (rows.shape[0], len(voxels))
@@ -298,7 +321,8 @@ class VoxelColumns:
         """The columns times values of shape (n,), shape (V,)."""
         w = np.zeros((self.radial.shape[1], self.surface.shape[1]))
         np.add.at(w, (self.layer, self.spoke), self.scale[self.voxels] * values)
-        return np.asarray(self.scale * (self.radial @ w @ self.surface.T).ravel())
+        g = (self.radial @ w @ self.surface.T).ravel()
+        return np.asarray(self.scale * g[self.turned])
 
 
 def kronecker(left: sp.csr_array, right: sp.csr_array) -> sp.csr_array:

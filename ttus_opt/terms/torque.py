@@ -9,7 +9,7 @@ See docs/method.md, Eq. 10.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
@@ -37,7 +37,7 @@ class TorqueTerm(Term):
     """
 
     length: float | None = None
-    noise: PartNoise | None = None
+    noise: PartNoise | None = field(default=None, kw_only=True)
 
     name = "torque"
     formula = "‖(W p − τ)/ℓ‖²"
